@@ -1,0 +1,112 @@
+"""Conversions between ENU/FLU, the frames of the stack, and NED/FRD, the frames of MAVLink.
+
+World: ENU is x east, y north, z up; NED is x north, y east, z down (REP 103; MAV_FRAME_LOCAL_NED).
+Body: FLU is x forward, y left, z up; FRD is x forward, y right, z down.
+Yaw in ENU is counter-clockwise from east, in NED clockwise from north. Quaternions are Hamilton, in the
+order w, x, y, z, and rotate a body vector into the world. No other module may convert frames.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.types import Vec3
+
+Quat = tuple[float, float, float, float]
+
+_SQRT_HALF = math.sqrt(0.5)
+
+
+def ned_from_enu(v: Vec3) -> Vec3:
+    """Turn an ENU vector into NED."""
+    return (v[1], v[0], -v[2])
+
+
+def enu_from_ned(v: Vec3) -> Vec3:
+    """Turn a NED vector into ENU (the conversion is its own inverse)."""
+    return (v[1], v[0], -v[2])
+
+
+def frd_from_flu(v: Vec3) -> Vec3:
+    """Turn a vector in the body's FLU axes into its FRD axes."""
+    return (v[0], -v[1], -v[2])
+
+
+def flu_from_frd(v: Vec3) -> Vec3:
+    """Turn a vector in the body's FRD axes into its FLU axes (the conversion is its own inverse)."""
+    return (v[0], -v[1], -v[2])
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """Wrap a finite angle to (-pi, pi].
+
+    Raises:
+        ValueError: the angle is infinite.
+    """
+    wrapped = math.remainder(angle_rad, math.tau)
+    return math.pi if wrapped <= -math.pi else wrapped
+
+
+def yaw_enu_from_ned(yaw_ned_rad: float) -> float:
+    """Turn a heading clockwise from north into one counter-clockwise from east, in (-pi, pi]."""
+    return wrap_angle(math.pi / 2 - yaw_ned_rad)
+
+
+def yaw_ned_from_enu(yaw_enu_rad: float) -> float:
+    """Turn a heading counter-clockwise from east into one clockwise from north, in (-pi, pi]."""
+    return wrap_angle(math.pi / 2 - yaw_enu_rad)
+
+
+def ned_frd_from_enu_flu(q: Quat) -> Quat:
+    """Turn the attitude of FLU in ENU into the attitude of FRD in NED.
+
+    The product q(NED<-ENU) q q(FLU<-FRD) with the half turns (0, s, s, 0), s = sqrt(1/2), and (0, 1, 0, 0),
+    multiplied out; the sign of the whole quaternion is chosen so that the conversion is its own inverse.
+    """
+    w, x, y, z = q
+    return (_SQRT_HALF * (w + z), _SQRT_HALF * (x + y), _SQRT_HALF * (x - y), _SQRT_HALF * (w - z))
+
+
+def enu_flu_from_ned_frd(q: Quat) -> Quat:
+    """Turn the attitude of FRD in NED into the attitude of FLU in ENU."""
+    return ned_frd_from_enu_flu(q)
+
+
+def quaternion_from_yaw(yaw_rad: float) -> Quat:
+    """Attitude of a body that is level and turned by ``yaw_rad`` about the world's z axis."""
+    return (math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))
+
+
+def yaw_from_quaternion(q: Quat) -> float:
+    """Heading of the body's x axis in the world's x-y plane, (-pi, pi], of a unit quaternion."""
+    w, x, y, z = q
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def world_from_body(q: Quat, v: Vec3) -> Vec3:
+    """Rotate a vector from the body into the world; ``q`` is a unit quaternion."""
+    w, x, y, z = q
+    # v + 2 r x (r x v + w v), with r the vector part: 18 products, no matrix.
+    tx = y * v[2] - z * v[1] + w * v[0]
+    ty = z * v[0] - x * v[2] + w * v[1]
+    tz = x * v[1] - y * v[0] + w * v[2]
+    return (
+        v[0] + 2.0 * (y * tz - z * ty),
+        v[1] + 2.0 * (z * tx - x * tz),
+        v[2] + 2.0 * (x * ty - y * tx),
+    )
+
+
+def body_from_world(q: Quat, v: Vec3) -> Vec3:
+    """Rotate a vector from the world into the body; ``q`` is a unit quaternion."""
+    return world_from_body((q[0], -q[1], -q[2], -q[3]), v)
+
+
+def world_from_body_velocity(q: Quat, velocity_body_m_s: Vec3) -> Vec3:
+    """Turn a velocity given in the body's axes (nav_msgs/Odometry twist) into the world's axes."""
+    return world_from_body(q, velocity_body_m_s)
+
+
+def body_from_world_velocity(q: Quat, velocity_world_m_s: Vec3) -> Vec3:
+    """Turn a velocity given in the world's axes into the body's axes."""
+    return body_from_world(q, velocity_world_m_s)

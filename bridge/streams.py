@@ -1,0 +1,71 @@
+"""Asks the vehicle for the telemetry the stack needs, again if it does not come, but not for ever."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.decoding import Message
+
+_SET_MESSAGE_INTERVAL = 511  # MAV_CMD
+_CHECK_S = 1.0  # s over which a rate is judged
+_ENOUGH = 0.7  # of the rate asked for; the rest is loss and rounding to the autopilot's own ticks
+_TRIES = 5
+
+
+@dataclass(slots=True)
+class _Stream:
+    message_id: int
+    rate_hz: float
+    tries: int = 0
+    seen: int = 0
+    since_s: float = 0.0
+
+
+class StreamRequests:
+    """Pure: counts what comes and returns SET_MESSAGE_INTERVAL commands while it is too little."""
+
+    def __init__(
+        self, rates_hz: dict[int, float], target_system: int, target_component: int, unset: float
+    ) -> None:
+        """Set up.
+
+        Args:
+            rates_hz: message id to the rate wanted.
+            target_system: the vehicle's system id.
+            target_component: its autopilot's component id.
+            unset: value of command parameters that are not given.
+        """
+        self._streams = {id_: _Stream(id_, rate) for id_, rate in rates_hz.items()}
+        self._target = (target_system, target_component)
+        self._unset = unset
+
+    def seen(self, message_id: int) -> None:
+        """Take note of a message of the vehicle."""
+        stream = self._streams.get(message_id)
+        if stream is not None:
+            stream.seen += 1
+
+    def step(self, now_s: float) -> list[Message]:
+        """Return the commands to send now; call it only once the vehicle has been heard."""
+        return [self._ask(stream, now_s) for stream in self._streams.values() if self._due(stream, now_s)]
+
+    def _due(self, stream: _Stream, now_s: float) -> bool:
+        elapsed_s = now_s - stream.since_s
+        if stream.tries and elapsed_s < _CHECK_S:
+            return False
+        if stream.tries and stream.seen >= _ENOUGH * stream.rate_hz * elapsed_s:
+            stream.tries = 1  # it comes: should it stop one day, it is asked for again
+            stream.seen, stream.since_s = 0, now_s
+            return False
+        return stream.tries < _TRIES
+
+    def _ask(self, stream: _Stream, now_s: float) -> Message:
+        stream.tries += 1
+        stream.seen, stream.since_s = 0, now_s
+        interval_us = float(round(1e6 / stream.rate_hz))
+        rest = (self._unset,) * 4
+        return dialect.MAVLink_command_long_message(
+            *self._target, _SET_MESSAGE_INTERVAL, 0, float(stream.message_id), interval_us, *rest, 0.0
+        )

@@ -1,0 +1,336 @@
+"""Companion side of the vehicle link: one vehicle, velocity set-points out, state and status in."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.autopilots import PX4, Profile
+from bridge.commands import CommandSequencer
+from bridge.decoding import Message
+from bridge.frames import ned_from_enu, yaw_ned_from_enu
+from bridge.mavlink import Endpoint, Peer, Received
+from bridge.streams import StreamRequests
+from bridge.texts import TextAssembler
+from bridge.vehicle_state import VehicleState
+from flightstack.types import OwnState, Request, Vec3, VehicleStatus
+
+__all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "Setpoint", "VehicleLink", "VehicleState"]
+
+COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+_HEARTBEAT_S = 1.0  # s; every autopilot judges a link by heartbeats of 1 Hz
+_HELLO_S = 0.2  # s of wall time between heartbeats until the vehicle has been heard
+_LANDED_STATE_HZ = 5.0  # Hz; as often as PX4 sends it by itself
+_TEXTS_MAX = 256  # texts kept until somebody takes them
+_HELD_MAX = 4096  # messages kept in lockstep until their tick is known
+
+
+class Setpoint(Protocol):
+    """What may be sent: made by the safety gate and by nothing else."""
+
+    @property
+    def velocity_enu_m_s(self) -> Vec3:
+        """Velocity, ENU, m/s."""
+
+    @property
+    def yaw_rad(self) -> float:
+        """Heading to hold, counter-clockwise from east."""
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """Frames and set-points that were not let through."""
+
+    foreign: int = 0  # frames of other systems or components
+    held_lost: int = 0  # lockstep: frames that no tick ever claimed
+    setpoints_refused: int = 0  # not finite, or forbidden while the vehicle takes off by itself
+
+
+class VehicleLink:
+    """One vehicle over one endpoint. Call ``poll``, then ``command`` and ``send_setpoint``, then ``flush``.
+
+    Attributes:
+        endpoint: the socket, whose ``tap`` sees every frame.
+        state: decoder with its counters of refused telemetry.
+        defer_timesync: lockstep: TIMESYNC requests are not answered here but handed to ``take_timesync``, and
+            what arrived is stamped with the simulated time of the request that follows it.
+        counters: what was not let through.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        *,
+        takeoff_height_m: float,
+        rate_hz: float = 100.0,
+        profile: Profile = PX4,
+        system_id: int = 1,
+        component_id: int = 1,
+        defer_timesync: bool = False,
+    ) -> None:
+        """Take over an endpoint.
+
+        Args:
+            endpoint: opened with the vehicle's system id and component 191; the link closes it.
+            takeoff_height_m: height above home of ``Request.TAKEOFF``, m.
+            rate_hz: rate of the loop, asked of the vehicle for position and attitude.
+            profile: what the autopilot wants.
+            system_id: the one vehicle that is listened to.
+            component_id: its autopilot.
+            defer_timesync: lockstep, see above.
+
+        Raises:
+            ValueError: a rate or height that is not positive.
+        """
+        if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
+            raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
+        self.endpoint = endpoint
+        self.state = VehicleState(profile)
+        self.counters = LinkCounters()
+        self.defer_timesync = defer_timesync
+        self._profile = profile
+        self._target = (system_id, component_id)
+        self._sequencer = CommandSequencer(profile, system_id, component_id, takeoff_height_m)
+        rates_hz = {
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rate_hz,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: rate_hz,
+            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_STATE_HZ,
+        }
+        self._streams = StreamRequests(rates_hz, system_id, component_id, profile.unset)
+        self._assembler = TextAssembler()
+        self._texts: list[tuple[int, str]] = []
+        self._outgoing: list[Message] = []
+        self._held: list[Received] = []
+        self._timesync_ns: int | None = None
+        self._vehicle: Peer | None = None
+        self._heartbeat_at_s = -math.inf
+        self._hello_at_s = -math.inf
+        self._warned_autopilot: int | None = None
+        self._handlers: dict[int, Callable[[Message, float], None]] = {
+            dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
+            dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
+            dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
+        }
+
+    @classmethod
+    def open(
+        cls,
+        url: str,
+        *,
+        takeoff_height_m: float,
+        rate_hz: float = 100.0,
+        profile: Profile = PX4,
+        system_id: int = 1,
+        component_id: int = 1,
+        defer_timesync: bool = False,
+    ) -> VehicleLink:
+        """Open an endpoint on ``url`` and link to the vehicle there.
+
+        Raises:
+            ValueError: bad URL, id, rate or height.
+            OSError: the address cannot be opened.
+        """
+        endpoint = Endpoint(url, system_id, COMPONENT_ID)
+        try:
+            return cls(
+                endpoint,
+                takeoff_height_m=takeoff_height_m,
+                rate_hz=rate_hz,
+                profile=profile,
+                system_id=system_id,
+                component_id=component_id,
+                defer_timesync=defer_timesync,
+            )
+        except ValueError:
+            endpoint.close()
+            raise
+
+    @property
+    def own(self) -> OwnState | None:
+        """Newest state of the vehicle; its age is for the reader to judge."""
+        return self.state.own
+
+    @property
+    def status(self) -> VehicleStatus | None:
+        """Newest status of the vehicle; ``arrival_s`` is that of its heartbeat, which comes once a second."""
+        return self.state.status
+
+    @property
+    def failed(self) -> str | None:
+        """Why the present request was given up, or None."""
+        return self._sequencer.failed
+
+    @property
+    def heard(self) -> bool:
+        """Whether the vehicle has ever been heard."""
+        return self._vehicle is not None
+
+    def poll(self, now_s: float) -> None:
+        """Take everything that has arrived and queue what is due: heartbeat, requests for telemetry.
+
+        Args:
+            now_s: the stack's clock, stamped on what arrived. With ``defer_timesync`` the stamp is the
+                simulated time of the TIMESYNC request that follows a message, ``ts1 / 1e9``; what no request
+                has followed yet waits for the next call.
+        """
+        for received in self.endpoint.receive():
+            header = received.message.get_header()
+            if (header.srcSystem, header.srcComponent) != self._target:
+                self.counters.foreign += 1
+                continue
+            self._vehicle = received.peer
+            if not self.defer_timesync:
+                self._handle(received.message, now_s)
+                continue
+            self._held.append(received)
+            if received.message.id == dialect.MAVLINK_MSG_ID_TIMESYNC and received.message.tc1 == 0:
+                now_s = received.message.ts1 / 1e9
+                self._release(now_s)
+        self._shorten_held()
+        self._queue_due(now_s)
+
+    def command(self, request: Request, now_s: float) -> None:
+        """Work towards a request; call it every tick with the level that is wanted."""
+        if self.state.home_amsl_m is not None:
+            self._sequencer.home_amsl_m = self.state.home_amsl_m
+        self._outgoing += self._sequencer.step(request, self.status, now_s)
+
+    def send_setpoint(self, setpoint: Setpoint, now_s: float) -> bool:
+        """Queue a velocity set-point; the only way to send a velocity.
+
+        Args:
+            setpoint: what the safety gate approved.
+            now_s: the stack's clock.
+
+        Returns:
+            False when it was refused: a number is not finite, or the autopilot would take it as the end of its
+            own take-off.
+        """
+        velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
+        taking_off = self._sequencer.request is Request.TAKEOFF and not self._profile.stream_in_takeoff
+        if taking_off or not math.isfinite(sum(velocity) + yaw):
+            self.counters.setpoints_refused += 1
+            return False
+        north, east, down = ned_from_enu(velocity)
+        unused = (0.0, 0.0, 0.0)
+        self._outgoing.append(
+            dialect.MAVLink_set_position_target_local_ned_message(
+                round(now_s * 1000) & 0xFFFFFFFF,
+                *self._target,
+                self._profile.frame,
+                self._profile.setpoint_mask,
+                *unused,
+                north,
+                east,
+                down,
+                *unused,
+                yaw_ned_from_enu(yaw),
+                0.0,
+            )
+        )
+        self._sequencer.note_setpoint(now_s)
+        return True
+
+    def flush(self, extra_messages: Sequence[Message] = ()) -> None:
+        """Send everything queued, then ``extra_messages``, in one datagram to the vehicle."""
+        messages = [*self._outgoing, *extra_messages]
+        self._outgoing.clear()
+        self.endpoint.send(messages, self._vehicle)
+
+    def take_timesync(self) -> int | None:
+        """Time ``ts1`` in nanoseconds of the newest TIMESYNC request not yet taken; lockstep only."""
+        ts1_ns, self._timesync_ns = self._timesync_ns, None
+        return ts1_ns
+
+    @staticmethod
+    def timesync_reply(ts1_ns: int) -> Message:
+        """Answer to the request of lockstep tick ``ts1_ns``; tc1 is 1 ns later, for 0 would be a request."""
+        return dialect.MAVLink_timesync_message(ts1_ns + 1, ts1_ns)
+
+    def take_texts(self) -> list[tuple[int, str]]:
+        """Texts the vehicle has sent since the last call: (MAV_SEVERITY, text)."""
+        texts, self._texts = self._texts, []
+        return texts
+
+    def close(self) -> None:
+        """Close the endpoint."""
+        self.endpoint.close()
+
+    def _release(self, arrival_s: float) -> None:
+        held, self._held = self._held, []
+        for received in held:
+            self._handle(received.message, arrival_s)
+
+    def _shorten_held(self) -> None:
+        surplus = len(self._held) - _HELD_MAX
+        if surplus > 0:  # a vehicle that never asks for the time is not in lockstep
+            self.counters.held_lost += surplus
+            del self._held[:surplus]
+
+    def _handle(self, message: Message, arrival_s: float) -> None:
+        self._streams.seen(message.id)
+        handler = self._handlers.get(message.id)
+        if handler is not None:
+            handler(message, arrival_s)
+        else:
+            self.state.update(message, arrival_s)
+
+    def _on_ack(self, message: Message, arrival_s: float) -> None:
+        del arrival_s
+        self._sequencer.note_ack(message.command, message.result)
+
+    def _on_text(self, message: Message, arrival_s: float) -> None:
+        del arrival_s
+        for severity, text in self._assembler.add(message):
+            self._say(severity, text)
+            self._sequencer.note_text(text)
+
+    def _on_timesync(self, message: Message, arrival_s: float) -> None:
+        if message.tc1 != 0:
+            return  # somebody's answer, not a request
+        if self.defer_timesync:
+            self._timesync_ns = message.ts1
+        else:
+            reply = dialect.MAVLink_timesync_message(max(1, round(arrival_s * 1e9)), message.ts1)
+            self.endpoint.send([reply], self._vehicle)
+
+    def _queue_due(self, now_s: float) -> None:
+        heartbeat = dialect.MAVLink_heartbeat_message(
+            dialect.MAV_TYPE_ONBOARD_CONTROLLER,
+            dialect.MAV_AUTOPILOT_INVALID,
+            0,
+            0,
+            dialect.MAV_STATE_ACTIVE,
+            3,
+        )
+        if self._vehicle is None:
+            # The vehicle may be waiting to learn where we are; no clock of its own counts before that.
+            wall_s = time.monotonic()
+            if wall_s - self._hello_at_s >= _HELLO_S:
+                self._hello_at_s = wall_s
+                self.endpoint.send([heartbeat])
+            return
+        if now_s - self._heartbeat_at_s >= _HEARTBEAT_S - 1e-9:
+            self._heartbeat_at_s = now_s
+            self._outgoing.append(heartbeat)
+        if self.state.autopilot is not None:
+            self._outgoing += self._streams.step(now_s)
+        self._warn_autopilot()
+
+    def _warn_autopilot(self) -> None:
+        found = self.state.autopilot
+        if found is not None and found != self._profile.autopilot and found != self._warned_autopilot:
+            self._warned_autopilot = found
+            self._say(
+                dialect.MAV_SEVERITY_ERROR,
+                f"the vehicle's heartbeat says autopilot {found}, but the profile '{self._profile.name}' is for "
+                f"{self._profile.autopilot}: it is not flown; choose the profile that fits",
+            )
+
+    def _say(self, severity: int, text: str) -> None:
+        self._texts = [*self._texts, (severity, text)][-_TEXTS_MAX:]

@@ -1,0 +1,132 @@
+"""Pure decoder: MAVLink telemetry in, the newest own state and status out, in the stack's frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.autopilots import Profile
+from bridge.decoding import Message
+from bridge.frames import enu_from_ned, yaw_enu_from_ned
+from flightstack.types import Landed, OwnState, VehicleStatus
+
+_ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
+_PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
+_RESTART_S = 1.0  # s; a boot clock that falls back further than this is a reboot, less is a late datagram
+_YAW_AGE_MAX_S = 0.5  # s between a position and the attitude its heading is taken from
+_LARGEST = 1e6  # m, m/s: a number beyond this is damage
+_LANDED = {state.value: state for state in Landed}
+
+
+@dataclass(slots=True)
+class StateCounters:
+    """Telemetry that was refused, and why."""
+
+    not_finite: int = 0  # NaN, infinite or absurd numbers
+    out_of_order: int = 0  # not newer than what is already there
+    without_yaw: int = 0  # position without an attitude, or with one too old to go with it
+    other_autopilot: int = 0  # heartbeat of another autopilot than the configured one
+
+
+class VehicleState:
+    """Keeps the newest of what the vehicle says. Who said it has been checked before.
+
+    Attributes:
+        own: newest own state, None until a position and an attitude have come.
+        status: newest status, None until a heartbeat has come; ``arrival_s`` is the heartbeat's.
+        home_amsl_m: altitude of home above sea level, None until HOME_POSITION has come.
+        autopilot: MAV_AUTOPILOT of the newest heartbeat, None before.
+    """
+
+    def __init__(self, profile: Profile) -> None:
+        self._profile = profile
+        self.counters = StateCounters()
+        self.own: OwnState | None = None
+        self.status: VehicleStatus | None = None
+        self.home_amsl_m: float | None = None
+        self.autopilot: int | None = None
+        self._yaw_enu_rad: float | None = None
+        self._yaw_time_s = 0.0
+        self._landed = Landed.UNKNOWN
+        self._ready = False
+        self._handlers = {
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._on_position,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: self._on_attitude,
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
+            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._on_extended_state,
+            dialect.MAVLINK_MSG_ID_SYS_STATUS: self._on_sys_status,
+            dialect.MAVLINK_MSG_ID_HOME_POSITION: self._on_home,
+        }
+
+    def update(self, message: Message, arrival_s: float) -> None:
+        """Take one message of the vehicle; messages of no interest are ignored.
+
+        Args:
+            message: decoded MAVLink message.
+            arrival_s: when it arrived, on the stack's clock.
+        """
+        handler = self._handlers.get(message.id)
+        if handler is not None:
+            handler(message, arrival_s)
+
+    def _on_position(self, m: Message, arrival_s: float) -> None:
+        time_s: float = m.time_boot_ms * 1e-3
+        if not _usable(m.x, m.y, m.z, m.vx, m.vy, m.vz):
+            self.counters.not_finite += 1
+        elif self.own is not None and _late(time_s, self.own.source_time_s):
+            self.counters.out_of_order += 1
+        elif self._yaw_enu_rad is None or abs(time_s - self._yaw_time_s) > _YAW_AGE_MAX_S:
+            self.counters.without_yaw += 1
+        else:
+            position, velocity = enu_from_ned((m.x, m.y, m.z)), enu_from_ned((m.vx, m.vy, m.vz))
+            self.own = OwnState(arrival_s, time_s, position, velocity, self._yaw_enu_rad)
+
+    def _on_attitude(self, m: Message, arrival_s: float) -> None:
+        del arrival_s  # the age of a heading is judged against the position's own time stamp
+        time_s: float = m.time_boot_ms * 1e-3
+        if not _usable(m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed):
+            self.counters.not_finite += 1
+        elif self._yaw_enu_rad is not None and _late(time_s, self._yaw_time_s):
+            self.counters.out_of_order += 1
+        else:
+            self._yaw_enu_rad = yaw_enu_from_ned(m.yaw)
+            self._yaw_time_s = time_s
+
+    def _on_heartbeat(self, m: Message, arrival_s: float) -> None:
+        self.autopilot = m.autopilot
+        if m.autopilot != self._profile.autopilot:
+            self.counters.other_autopilot += 1  # its mode numbers would mean something else
+            return
+        mode = self._profile.mode(m.custom_mode)
+        armed = bool(m.base_mode & _ARMED)
+        self.status = VehicleStatus(arrival_s, armed, mode, self._landed, self._ready)
+
+    def _on_extended_state(self, m: Message, arrival_s: float) -> None:
+        del arrival_s
+        self._landed = _LANDED.get(m.landed_state, Landed.UNKNOWN)
+        self._refresh()
+
+    def _on_sys_status(self, m: Message, arrival_s: float) -> None:
+        del arrival_s
+        self._ready = bool(m.onboard_control_sensors_health & _PREARM)
+        self._refresh()
+
+    def _on_home(self, m: Message, arrival_s: float) -> None:
+        del arrival_s
+        self.home_amsl_m = m.altitude * 1e-3  # mm
+
+    def _refresh(self) -> None:
+        old = self.status
+        if old is not None:
+            self.status = VehicleStatus(old.arrival_s, old.armed, old.mode, self._landed, self._ready)
+
+
+def _usable(*values: float) -> bool:
+    return isfinite(sum(values)) and max(values) < _LARGEST and min(values) > -_LARGEST
+
+
+def _late(time_s: float, newest_s: float) -> bool:
+    """Whether a boot clock is not newer than the newest, short of a reboot."""
+    return newest_s - _RESTART_S < time_s <= newest_s

@@ -1,0 +1,1 @@
+"""The onboard process: position loop, landing barrier, safety filter, phase machine, gate."""

@@ -1,0 +1,170 @@
+"""Fills the phase machine's word of conditions from what is known in this tick."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from flightstack.barrier import Barrier
+from flightstack.config import FlightConfig, TouchdownRule
+from flightstack.memory import Memory
+from flightstack.phases import C
+from flightstack.target_track import TargetState
+from flightstack.types import Inputs, Landed, Mode, Operator, Phase, Vec3
+
+CLIMB_MARGIN_M = 0.2  # above the barrier's peak: clear of everything the barrier guards
+CONTACT_SPEED_M_S = 0.05  # slower than any descent that the position loop still commands at 5 cm
+CONTACT_TIME_S = 0.1  # ten samples at 100 Hz
+CONTACT_GAP_M = 0.01  # feet this close to the pad count as standing: noise and pad tilt
+TOUCHDOWN_TIME_S = 2.0  # the vehicle answers a forced disarm at once; two heartbeats may be lost
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One tick's inputs, judged by age."""
+
+    inputs: Inputs
+    target: TargetState | None
+    own_ok: bool
+    target_ok: bool
+    link_ok: bool
+    e_m: Vec3 | None  # vehicle minus landing spot, if both are known
+
+
+def view(config: FlightConfig, inputs: Inputs, target: TargetState | None, now_s: float) -> View:
+    """Judge ages; a state from the future by more than one sample is as wrong as an old one."""
+    checks, own, status = config.checks, inputs.own, inputs.status
+    own_ok = own is not None and -0.05 <= now_s - own.arrival_s <= checks.own_age_max_s
+    target_ok = target is not None and target.age_s <= checks.target_age_max_s
+    link_ok = status is not None and now_s - status.arrival_s <= checks.status_age_max_s
+    e_m = None
+    if own is not None and target is not None:
+        p, q = own.position_enu_m, target.position_enu_m
+        e_m = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
+    return View(inputs, target, own_ok, target_ok, link_ok, e_m)
+
+
+def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
+    """Where the landing begins, ENU; ``None``: wherever the vehicle is."""
+    offset = config.takeoff.start_offset_m
+    if offset is None:
+        return None
+    p = target.position_enu_m
+    return (p[0] + offset[0], p[1] + offset[1], p[2] + offset[2])
+
+
+def high_enough_m(barrier: Barrier, memory: Memory) -> float:
+    """Height above which nothing of the target reaches."""
+    base = memory.target_position_enu_m[2] if memory.target_position_enu_m else 0.0
+    return base + barrier.peak_height_m + CLIMB_MARGIN_M
+
+
+_PHASE_TIME_S: dict[Phase, Callable[[FlightConfig], float]] = {
+    Phase.WAIT: lambda c: c.checks.wait_time_max_s,
+    Phase.TAKEOFF: lambda c: c.takeoff.timeout_s,
+    Phase.TOUCHDOWN: lambda _: TOUCHDOWN_TIME_S,
+    Phase.HOLD: lambda c: c.checks.hold_time_s,
+    Phase.CLIMB: lambda c: c.checks.climb_time_max_s,
+}
+
+
+def gather(
+    config: FlightConfig, barrier: Barrier, memory: Memory, seen: View, command_failed: bool, now_s: float
+) -> C:
+    """Build the word. Also keeps the timers in ``memory`` that conditions are made of."""
+    inputs, status, own = seen.inputs, seen.inputs.status, seen.inputs.own
+    word = C(0)
+    if inputs.operator is Operator.EMERGENCY_STOP:
+        word |= C.EMERGENCY
+    if inputs.operator is Operator.ABORT:
+        word |= C.ABORT_ASKED
+    if not seen.own_ok:
+        word |= C.OWN_LOST
+    if not seen.link_ok:
+        word |= C.LINK_LOST
+    if not seen.target_ok:
+        word |= C.TARGET_LOST
+    if command_failed:
+        word |= C.COMMAND_FAILED
+    good = seen.own_ok and seen.link_ok and seen.target_ok
+    if not good:
+        memory.good_since_s = math.inf
+    elif memory.good_since_s == math.inf:
+        memory.good_since_s = now_s
+    if now_s - memory.good_since_s >= config.checks.recovery_time_s:
+        word |= C.RECOVERED
+    if memory.retries < config.checks.retries_max:
+        word |= C.RETRIES_LEFT
+    if status is not None:
+        word |= _status_conditions(memory, seen, good)
+    if memory.started_s < math.inf:
+        word |= C.STARTED
+        if now_s - memory.started_s > config.checks.landing_time_max_s:
+            word |= C.LANDING_TIME_OVER
+    limit = _PHASE_TIME_S.get(memory.phase)
+    if limit is not None and now_s - memory.phase_since_s > limit(config):
+        word |= C.PHASE_TIME_OVER
+    if own is not None and own.position_enu_m[2] >= high_enough_m(barrier, memory):
+        word |= C.HIGH_ENOUGH
+    if good:
+        word |= _place_conditions(config, barrier, memory, seen, now_s)
+    return word
+
+
+def _status_conditions(memory: Memory, seen: View, good: bool) -> C:
+    status = seen.inputs.status
+    assert status is not None
+    word = C(0)
+    if status.armed:
+        word |= C.ARMED
+        memory.was_armed = True
+    if status.mode is Mode.EXTERNAL:
+        word |= C.EXTERNAL
+        memory.was_external = True
+    if memory.was_armed:
+        word |= C.WAS_ARMED
+    if memory.was_external:
+        word |= C.WAS_EXTERNAL
+    if status.landed is Landed.ON_GROUND:
+        word |= C.STANDING
+    if good and (status.ready_to_arm or status.armed):
+        word |= C.READY
+    return word
+
+
+def _place_conditions(config: FlightConfig, barrier: Barrier, memory: Memory, seen: View, now_s: float) -> C:
+    own, target, e = seen.inputs.own, seen.target, seen.e_m
+    assert own is not None
+    assert target is not None
+    assert e is not None
+    word = C(0)
+    takeoff, touchdown = config.takeoff, config.touchdown
+    start = start_point(config, target)
+    if memory.climbed and (
+        start is None
+        or (
+            math.dist(own.position_enu_m, start) < takeoff.arrival_radius_m
+            and math.hypot(*own.velocity_enu_m_s) < takeoff.arrival_speed_m_s
+        )
+    ):
+        word |= C.AT_START
+    d = math.hypot(e[0], e[1])
+    # the cone is left at a wider radius than it is entered, so that noise does not make the phases chatter
+    radius = touchdown.pad_radius_m * (1.5 if memory.phase is Phase.LAND else 1.0)
+    if d <= radius and e[2] < max(barrier.peak_height_m, touchdown.height_m):
+        word |= C.OVER_PAD
+    if touchdown.rule is TouchdownRule.PAPER:
+        if e[2] < touchdown.height_m and d <= touchdown.pad_radius_m and barrier.h(e) >= 0.0:
+            word |= C.TOUCH
+        return word
+    gap_m = e[2] - touchdown.feet_below_reference_m
+    sinking = abs(own.velocity_enu_m_s[2] - target.velocity_enu_m_s[2])
+    standing = seen.inputs.status is not None and seen.inputs.status.landed is Landed.ON_GROUND
+    if d <= touchdown.pad_radius_m and gap_m < CONTACT_GAP_M and (standing or sinking < CONTACT_SPEED_M_S):
+        memory.contact_since_s = min(memory.contact_since_s, now_s)
+    else:
+        memory.contact_since_s = math.inf
+    if now_s - memory.contact_since_s >= CONTACT_TIME_S:
+        word |= C.TOUCH
+    return word

@@ -1,0 +1,173 @@
+"""Typed configuration of the onboard process; TOML, checked before anything flies.
+
+Sections are tables of the file, keys carry their unit. ``load`` refuses unknown keys, wrong units, values
+out of range and combinations that cannot work, each with the reason.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+from flightstack.barrier import Barrier
+from flightstack.strict_toml import ConfigError, Range, from_table, read_toml
+from flightstack.types import Vec3
+
+
+class FilterKind(Enum):
+    """Which safety filter flies."""
+
+    PAPER = "paper"  # eq. 11 as printed
+    ROBUST = "robust"
+
+
+class TouchdownRule(Enum):
+    """When the motors go off."""
+
+    PAPER = "paper"  # below touchdown.height_m inside the descending cone (paper V)
+    CONTACT = "contact"  # after the vehicle reports that it stands
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """Rate of the onboard process."""
+
+    rate_hz: Annotated[int, Range(10, 500)] = 100
+
+
+@dataclass(frozen=True, slots=True)
+class BarrierShape:
+    """Shape of the barrier: alpha and beta, or the peak's height with its distance or cone angle (eq. 7)."""
+
+    alpha_1_m: Annotated[float | None, Range(0.05, 20.0)] = None
+    beta_m: Annotated[float | None, Range(0.05, 20.0)] = None
+    peak_height_m: Annotated[float | None, Range(0.05, 10.0)] = None
+    peak_distance_m: Annotated[float | None, Range(0.05, 20.0)] = None
+    cone_half_angle_rad: Annotated[float | None, Range(0.05, 1.5)] = None
+    omega_1_s: Annotated[float, Range(0.01, 20.0)] = 0.7
+    apex_smoothing_m: Annotated[float, Range(0.001, 0.02)] = 0.005
+
+    def __post_init__(self) -> None:
+        given = {
+            name
+            for name in ("alpha_1_m", "beta_m", "peak_height_m", "peak_distance_m", "cone_half_angle_rad")
+            if getattr(self, name) is not None
+        }
+        if given not in (
+            {"alpha_1_m", "beta_m"},
+            {"peak_height_m", "peak_distance_m"},
+            {"peak_height_m", "cone_half_angle_rad"},
+        ):
+            raise ConfigError(
+                f"found {sorted(given) or 'no shape'}; give alpha_1_m and beta_m, or peak_height_m with "
+                "peak_distance_m or cone_half_angle_rad"
+            )
+
+    def build(self) -> Barrier:
+        """Make the barrier these numbers describe."""
+        if self.alpha_1_m is not None and self.beta_m is not None:
+            return Barrier(self.alpha_1_m, self.beta_m, self.apex_smoothing_m)
+        assert self.peak_height_m is not None
+        if self.peak_distance_m is not None:
+            return Barrier.from_peak(self.peak_height_m, self.peak_distance_m, self.apex_smoothing_m)
+        assert self.cone_half_angle_rad is not None
+        return Barrier.from_cone(self.peak_height_m, self.cone_half_angle_rad, self.apex_smoothing_m)
+
+
+@dataclass(frozen=True, slots=True)
+class PositionLoop:
+    """Gain K_p of the position loop, per axis."""
+
+    gain_1_s: Annotated[Vec3, Range(0.05, 10.0)] = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Admissible velocities (paper: v_m) and how fast a command may change."""
+
+    velocity_max_m_s: Annotated[Vec3, Range(0.05, 5.0)] = (0.2, 0.2, 0.5)
+    slew_max_m_s2: Annotated[Vec3, Range(0.2, 50.0)] = (4.0, 4.0, 4.0)
+    altitude_max_m: Annotated[float, Range(0.5, 100.0)] = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Touchdown:
+    """The last centimetres."""
+
+    rule: TouchdownRule = TouchdownRule.CONTACT
+    height_m: Annotated[float, Range(0.01, 0.3)] = 0.05  # paper V: motors off below 5 cm
+    pad_radius_m: Annotated[float, Range(0.03, 2.0)] = 0.10
+    feet_below_reference_m: Annotated[float, Range(0.0, 0.5)] = 0.0144  # Crazyflie 2.0, CAD
+    target_speed_max_m_s: Annotated[float, Range(0.0, 3.0)] = 0.21  # TurtleBot3 Burger wheel limit
+
+
+@dataclass(frozen=True, slots=True)
+class Takeoff:
+    """From the ground to where the landing begins."""
+
+    height_m: Annotated[float, Range(0.2, 10.0)] = 0.5
+    start_offset_m: Vec3 | None = None  # relative to the landing spot, ENU; None: begin where it hovers
+    arrival_radius_m: Annotated[float, Range(0.02, 0.5)] = 0.05
+    arrival_speed_m_s: Annotated[float, Range(0.01, 0.5)] = 0.05
+    timeout_s: Annotated[float, Range(5.0, 300.0)] = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Checks:
+    """Limits on what the links deliver, and how long to bear with it."""
+
+    own_age_max_s: Annotated[float, Range(0.02, 0.4)] = 0.2
+    target_age_max_s: Annotated[float, Range(0.02, 0.4)] = 0.25
+    status_age_max_s: Annotated[float, Range(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
+    target_speed_max_m_s: Annotated[float, Range(0.1, 10.0)] = 1.5
+    target_jump_max_m: Annotated[float, Range(0.02, 5.0)] = 0.3
+    target_frame: str = "map"
+    target_child_frame: str = "target"
+    hold_time_s: Annotated[float, Range(0.1, 10.0)] = 1.0
+    climb_time_max_s: Annotated[float, Range(0.5, 60.0)] = 10.0
+    recovery_time_s: Annotated[float, Range(0.05, 5.0)] = 0.3
+    retries_max: Annotated[int, Range(0, 20)] = 3
+    landing_time_max_s: Annotated[float, Range(5.0, 600.0)] = 120.0
+    wait_time_max_s: Annotated[float, Range(1.0, 3600.0)] = 60.0
+    clearance_m: Annotated[float, Range(0.3, 20.0)] = 1.0  # horizontal distance from the target that is clear
+
+
+@dataclass(frozen=True, slots=True)
+class FlightConfig:
+    """Everything the onboard process is told."""
+
+    barrier: BarrierShape
+    filter: FilterKind = FilterKind.ROBUST
+    loop: Loop = field(default_factory=Loop)
+    position_loop: PositionLoop = field(default_factory=PositionLoop)
+    limits: Limits = field(default_factory=Limits)
+    touchdown: Touchdown = field(default_factory=Touchdown)
+    takeoff: Takeoff = field(default_factory=Takeoff)
+    checks: Checks = field(default_factory=Checks)
+
+    def __post_init__(self) -> None:
+        peak = self.barrier.build().peak_height_m
+        if self.limits.altitude_max_m < peak + 0.2:
+            raise ConfigError(
+                f"limits.altitude_max_m: found {self.limits.altitude_max_m:g}, the barrier's peak is "
+                f"{peak:.3g} m above the pad; allow at least {peak + 0.2:.3g}"
+            )
+        offset = self.takeoff.start_offset_m
+        if offset is not None and not all(map(math.isfinite, offset)):
+            raise ConfigError(f"takeoff.start_offset_m: found {offset}, finite numbers are needed")
+
+
+def load(path: Path) -> FlightConfig:
+    """Read and check a configuration file.
+
+    Raises:
+        ConfigError: with file, key, what was found and what is allowed.
+    """
+    try:
+        return from_table(FlightConfig, read_toml(path))
+    except ConfigError as error:
+        text = str(error)
+        raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None

@@ -1,0 +1,231 @@
+"""One tick of the flight stack: ``step(inputs, now) -> outputs``; no I/O, no clock, no randomness.
+
+newest inputs -> phase machine -> position loop (u') -> CBF program (u*) -> gate -> velocity
+
+Live flight, lockstep simulation, campaigns and log replay all call this.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from flightstack.conditions import View, gather, view
+from flightstack.config import FlightConfig
+from flightstack.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
+from flightstack.guidance import Situation, Wish, wish
+from flightstack.memory import AbortWay, Memory
+from flightstack.phases import Condition, next_phase
+from flightstack.position_loop import limit, slew
+from flightstack.safety_filter import FilterResult, FilterStatus, SafetyFilter
+from flightstack.target_track import TargetTrack, Verdict
+from flightstack.types import ZERO, Inputs, Mode, Phase, Request, Vec3
+
+LANDED_SETTLE_S = 3.0  # the judge wants 2 s at rest on the pad
+ABORT_SETTLE_S = 1.0
+ABORT_TIME_MAX_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something a person wants to read later. ``level`` as in rcl_interfaces/msg/Log."""
+
+    level: int
+    text: str
+
+
+INFO, WARN, ERROR = 20, 30, 40
+
+
+@dataclass(frozen=True, slots=True)
+class Barriers:
+    """The landing barrier in this tick, and what the filter made of it."""
+
+    h_m: float
+    gradient: Vec3
+    dh_dt_m_s: float
+    nominal: Vec3
+    result: FilterResult
+
+
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """What a tick decided, and all it was decided from."""
+
+    phase: Phase
+    request: Request
+    setpoint: ApprovedSetpoint | None
+    gate: GateVerdict
+    seen: View
+    barrier: Barriers | None
+    wanted: Vec3 | None
+    events: tuple[Event, ...]
+    finished: bool
+    target_accepted: int
+    target_rejected: int
+
+
+class Controller:
+    """The pure core. ``memory`` is all of its state besides the target track."""
+
+    def __init__(self, config: FlightConfig) -> None:
+        self.config = config
+        self.barrier = config.barrier.build()
+        self.memory = Memory()
+        self.track = TargetTrack(config.checks)
+        self._filter = SafetyFilter(config.barrier.omega_1_s)
+        self._period_s = 1.0 / config.loop.rate_hz
+        limits = config.limits
+        self._gate = Gate(
+            self.barrier,
+            config.barrier.omega_1_s,
+            limits.velocity_max_m_s,
+            limits.altitude_max_m,
+            self._period_s,
+        )
+        step = tuple(a * self._period_s for a in limits.slew_max_m_s2)
+        self._slew_step: Vec3 = (step[0], step[1], step[2])
+
+    def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
+        """Run one tick.
+
+        Args:
+            inputs: newest of each link, and the target samples since the last tick.
+            now_s: stack clock.
+            command_failed: the bridge gave up on a requested mode.
+        """
+        memory = self.memory
+        events = self._take_samples(inputs)
+        target = self.track.at(now_s)
+        seen = view(self.config, inputs, target, now_s)
+        if target is not None and seen.target_ok:
+            memory.target_position_enu_m = target.position_enu_m
+        if memory.yaw_rad is None and inputs.own is not None:
+            memory.yaw_rad = inputs.own.yaw_rad
+        word = gather(self.config, self.barrier, memory, seen, command_failed, now_s)
+        change = next_phase(memory.phase, word)
+        if change is not None:
+            events.append(self._enter(*change, word, now_s))
+        asked = wish(Situation(self.config, self.barrier, memory, seen))
+        barrier = self._evaluate(asked, seen)
+        gate, setpoint, wanted = self._command(asked, seen, barrier)
+        return Outputs(
+            phase=memory.phase,
+            request=asked.request,
+            setpoint=setpoint,
+            gate=gate,
+            seen=seen,
+            barrier=barrier,
+            wanted=wanted,
+            events=tuple(events),
+            finished=self._finished(inputs, now_s),
+            target_accepted=self.track.accepted,
+            target_rejected=self.track.rejected,
+        )
+
+    def _take_samples(self, inputs: Inputs) -> list[Event]:
+        events = []
+        for sample in inputs.target_samples:
+            verdict = self.track.accept(sample)
+            if verdict is not Verdict.ACCEPTED:
+                events.append(Event(WARN, f"target sample refused: {verdict.value}"))
+        return events
+
+    def _enter(self, phase: Phase, reason: str, word: Condition, now_s: float) -> Event:
+        memory = self.memory
+        text = f"{memory.phase.name} -> {phase.name}: {reason}"
+        if memory.phase in (Phase.HOLD, Phase.CLIMB) and phase in (Phase.APPROACH, Phase.TAKEOFF):
+            memory.retries += 1
+        if phase is Phase.APPROACH and memory.started_s == math.inf:
+            memory.started_s = now_s
+        if phase is Phase.ABORT:
+            memory.abort_way = self._abort_way(word)
+            text += f" ({memory.abort_way.name.lower().replace('_', ' ')})"
+        memory.phase, memory.phase_since_s, memory.reason = phase, now_s, reason
+        return Event(ERROR if phase is Phase.ABORT else WARN if phase is Phase.HOLD else INFO, text)
+
+    def _abort_way(self, word: Condition) -> AbortWay:
+        c = Condition
+        if c.EMERGENCY in word:
+            return AbortWay.MOTORS_OFF
+        if c.WAS_ARMED not in word or c.ARMED not in word:
+            return AbortWay.HANDS_OFF
+        if c.WAS_EXTERNAL in word and c.EXTERNAL not in word and c.LINK_LOST not in word:
+            return AbortWay.HANDS_OFF
+        if c.OWN_LOST in word or c.LINK_LOST in word or self.memory.target_position_enu_m is None:
+            return AbortWay.LAND_HERE
+        return AbortWay.FLY_CLEAR
+
+    def _evaluate(self, asked: Wish, seen: View) -> Barriers | None:
+        """Barrier and filter; the values are computed whenever they can be, the filter only for landing."""
+        if seen.e_m is None or seen.target is None:
+            return None
+        h_m, gradient, dh_dt = self.barrier.evaluate(seen.e_m, seen.target.velocity_enu_m_s)
+        nominal = asked.velocity if asked.velocity is not None else ZERO
+        if not asked.filtered or asked.velocity is None or not (seen.own_ok and seen.target_ok):
+            idle = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
+            return Barriers(h_m, gradient, dh_dt, nominal, idle)
+        lower, upper = self._box(seen)
+        result = self._filter.solve(nominal, h_m, gradient, dh_dt, lower, upper)
+        return Barriers(h_m, gradient, dh_dt, nominal, result)
+
+    def _base(self, seen: View) -> Vec3:
+        """Where the slew limit starts: the last command, or the present velocity when none was in force."""
+        if self.memory.commanding or seen.inputs.own is None:
+            return self.memory.command
+        return limit(seen.inputs.own.velocity_enu_m_s, self.config.limits.velocity_max_m_s)
+
+    def _box(self, seen: View) -> tuple[Vec3, Vec3]:
+        """Admissible velocities of this tick: the box of eq. 11 cut by what the slew limit can reach."""
+        base, step, most = self._base(seen), self._slew_step, self.config.limits.velocity_max_m_s
+        lower = (
+            max(-most[0], base[0] - step[0]),
+            max(-most[1], base[1] - step[1]),
+            max(-most[2], base[2] - step[2]),
+        )
+        upper = (
+            min(most[0], base[0] + step[0]),
+            min(most[1], base[1] + step[1]),
+            min(most[2], base[2] + step[2]),
+        )
+        return lower, upper
+
+    def _command(
+        self, asked: Wish, seen: View, barrier: Barriers | None
+    ) -> tuple[GateVerdict, ApprovedSetpoint | None, Vec3 | None]:
+        memory, own = self.memory, seen.inputs.own
+        if asked.velocity is None or asked.request is not Request.EXTERNAL:
+            memory.commanding = False
+            return GateVerdict.NOT_IN_CONTROL, None, None
+        check = None
+        if asked.filtered and barrier is not None and seen.e_m is not None and seen.target is not None:
+            wanted = barrier.result.velocity_enu_m_s
+            check = BarrierCheck(seen.e_m, seen.target.velocity_enu_m_s, barrier.result.status)
+        else:
+            most = self.config.limits.velocity_max_m_s
+            wanted = slew(self._base(seen), limit(asked.velocity, most), self._slew_step)
+        yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
+        verdict, setpoint = self._gate.check(
+            wanted,
+            yaw_rad,
+            own_fresh=seen.own_ok,
+            target_fresh=seen.target_ok or not asked.filtered,
+            altitude_m=own.position_enu_m[2] if own is not None else math.nan,
+            barrier_check=check,
+        )
+        if setpoint is None:
+            setpoint = self._gate.stop(yaw_rad, own_fresh=seen.own_ok)
+        following = seen.inputs.status is not None and seen.inputs.status.mode is Mode.EXTERNAL
+        memory.commanding = setpoint is not None and following
+        memory.command = setpoint.velocity_enu_m_s if setpoint is not None else ZERO
+        return verdict, setpoint, wanted
+
+    def _finished(self, inputs: Inputs, now_s: float) -> bool:
+        memory, status = self.memory, inputs.status
+        in_phase_s = now_s - memory.phase_since_s
+        if memory.phase is Phase.LANDED:
+            return in_phase_s >= LANDED_SETTLE_S
+        if memory.phase is not Phase.ABORT:
+            return False
+        over = memory.abort_way is AbortWay.HANDS_OFF or (status is not None and not status.armed)
+        return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > ABORT_TIME_MAX_S

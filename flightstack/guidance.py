@@ -1,0 +1,133 @@
+"""What each phase wants: the vehicle's mode, and the velocity before safety filter and gate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from flightstack.barrier import Barrier
+from flightstack.conditions import View, high_enough_m, start_point
+from flightstack.config import FlightConfig
+from flightstack.memory import AbortWay, Memory
+from flightstack.position_loop import limit, nominal_velocity
+from flightstack.types import ZERO, Landed, Phase, Request, Vec3
+
+LEVEL_FIRST_M = 0.1  # fly sideways to the start only at its height
+TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What a phase asks for. ``filtered``: the landing barrier applies and the target must be fresh."""
+
+    request: Request
+    velocity: Vec3 | None = None
+    filtered: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """Everything a phase may look at."""
+
+    config: FlightConfig
+    barrier: Barrier
+    memory: Memory
+    seen: View
+
+
+def _wait(s: Situation) -> Wish:
+    status = s.seen.inputs.status
+    if status is not None and status.armed and status.landed is not Landed.ON_GROUND and s.seen.target_ok:
+        return Wish(Request.EXTERNAL, ZERO)  # found in the air: take over, standing still
+    return Wish(Request.NONE)
+
+
+def _takeoff(s: Situation) -> Wish:
+    own, target, memory = s.seen.inputs.own, s.seen.target, s.memory
+    if own is None or target is None:
+        return Wish(Request.TAKEOFF)
+    z = own.position_enu_m[2]
+    memory.ground_z_m = min(memory.ground_z_m, z)
+    if memory.was_armed and z - memory.ground_z_m > TAKEOFF_DONE * s.config.takeoff.height_m:
+        memory.climbed = True
+    if not memory.climbed:
+        return Wish(Request.TAKEOFF)
+    start = start_point(s.config, target)
+    if start is None:
+        return Wish(Request.EXTERNAL, ZERO)
+    p = own.position_enu_m
+    e = (p[0] - start[0], p[1] - start[1], p[2] - start[2])
+    if abs(e[2]) > LEVEL_FIRST_M:
+        e = (0.0, 0.0, e[2])
+    return Wish(Request.EXTERNAL, nominal_velocity(e, s.config.position_loop.gain_1_s, ZERO))
+
+
+def _land(s: Situation) -> Wish:
+    target, e = s.seen.target, s.seen.e_m
+    if target is None or e is None:
+        return Wish(Request.EXTERNAL)
+    nominal = nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
+    return Wish(Request.EXTERNAL, nominal, filtered=True)
+
+
+def _hold(_: Situation) -> Wish:
+    return Wish(Request.EXTERNAL, ZERO)
+
+
+def _climb(s: Situation) -> Wish:
+    own = s.seen.inputs.own
+    if own is None:
+        return Wish(Request.EXTERNAL)
+    # beyond the height it holds there until the target is back or the time is over
+    missing_m = high_enough_m(s.barrier, s.memory) + 0.1 - own.position_enu_m[2]
+    up = max(0.0, min(s.config.limits.velocity_max_m_s[2], missing_m * s.config.position_loop.gain_1_s[2]))
+    return Wish(Request.EXTERNAL, (0.0, 0.0, up))
+
+
+def _fly_clear(s: Situation) -> Wish:
+    own, target, memory = s.seen.inputs.own, memory_target(s.memory), s.memory
+    if own is None or not s.seen.own_ok or target is None or memory.clear:
+        return Wish(Request.LAND)
+    dx, dy = own.position_enu_m[0] - target[0], own.position_enu_m[1] - target[1]
+    d = math.hypot(dx, dy)
+    high = own.position_enu_m[2] >= high_enough_m(s.barrier, memory) - 0.05
+    if d >= s.config.checks.clearance_m:
+        memory.clear = True
+        return Wish(Request.LAND)
+    vx, vy, vz = s.config.limits.velocity_max_m_s
+    if not high:
+        return Wish(Request.EXTERNAL, (0.0, 0.0, vz))
+    away = (dx / d, dy / d) if d > 1e-6 else (1.0, 0.0)
+    return Wish(Request.EXTERNAL, limit((away[0] * vx, away[1] * vy, 0.0), (vx, vy, vz)))
+
+
+def memory_target(memory: Memory) -> Vec3 | None:
+    """Where the target was last."""
+    return memory.target_position_enu_m
+
+
+_ABORT: dict[AbortWay, Callable[[Situation], Wish]] = {
+    AbortWay.NONE: lambda _: Wish(Request.NONE),
+    AbortWay.MOTORS_OFF: lambda _: Wish(Request.MOTORS_OFF),
+    AbortWay.HANDS_OFF: lambda _: Wish(Request.NONE),
+    AbortWay.LAND_HERE: lambda _: Wish(Request.LAND),
+    AbortWay.FLY_CLEAR: _fly_clear,
+}
+
+_PHASES: dict[Phase, Callable[[Situation], Wish]] = {
+    Phase.WAIT: _wait,
+    Phase.TAKEOFF: _takeoff,
+    Phase.APPROACH: _land,
+    Phase.LAND: _land,
+    Phase.TOUCHDOWN: lambda _: Wish(Request.MOTORS_OFF),
+    Phase.LANDED: lambda _: Wish(Request.NONE),
+    Phase.HOLD: _hold,
+    Phase.CLIMB: _climb,
+    Phase.ABORT: lambda s: _ABORT[s.memory.abort_way](s),
+}
+
+
+def wish(situation: Situation) -> Wish:
+    """Ask the present phase what it wants."""
+    return _PHASES[situation.memory.phase](situation)

@@ -1,0 +1,87 @@
+"""When ticks happen: absolute deadlines in real time, the simulator's word in lockstep.
+
+Stack time is seconds since the process began (monotonic clock) or simulated time. ``unix_ns`` turns it into
+the time of the log. In lockstep that is simulated time after a fixed date, so that one seed makes one log.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simulated clocks
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One tick: its time on the stack's clock, and how the wall clock kept it."""
+
+    number: int
+    now_s: float
+    unix_ns: int
+    period_s: float  # wall time since the last tick began; 0 for the first
+    lateness_s: float  # wall time behind the deadline; 0 in lockstep
+
+
+class RealTimePacer:
+    """Absolute deadlines at a fixed rate; a missed one is counted, never made up for by a burst."""
+
+    def __init__(
+        self,
+        rate_hz: int,
+        *,
+        monotonic: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+        unix_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.period_s = 1.0 / rate_hz
+        self.overruns = 0
+        self._monotonic, self._sleep = monotonic, sleep
+        self._start_s = monotonic()
+        self._unix_start_ns = unix_ns()
+        self._next = 0  # deadline number
+        self._ticks = 0
+        self._last_s: float | None = None
+
+    def wait(self) -> Tick:
+        """Sleep until the next deadline."""
+        deadline_s = self._start_s + self._next * self.period_s
+        while (ahead_s := deadline_s - self._monotonic()) > 0.0:
+            self._sleep(ahead_s)
+        began_s = self._monotonic()
+        late_s = began_s - deadline_s
+        missed = int(late_s / self.period_s)
+        self.overruns += missed
+        self._next += 1 + missed
+        period_s = began_s - self._last_s if self._last_s is not None else 0.0
+        self._last_s = began_s
+        now_s = began_s - self._start_s
+        tick = Tick(self._ticks, now_s, self._unix_start_ns + round(now_s * 1e9), period_s, late_s)
+        self._ticks += 1
+        return tick
+
+
+class LockstepClock:
+    """Ticks as the simulator names them."""
+
+    def __init__(self, rate_hz: int) -> None:
+        self.period_s = 1.0 / rate_hz
+        self.overruns = 0
+        self._last_s: float | None = None
+
+    def tick(self, sim_ns: int) -> Tick:
+        """Tick at simulated time ``sim_ns``."""
+        began_s = time.perf_counter()
+        period_s = began_s - self._last_s if self._last_s is not None else 0.0
+        self._last_s = began_s
+        now_s = sim_ns / 1e9
+        return Tick(round(now_s / self.period_s), now_s, EPOCH_NS + sim_ns, period_s, 0.0)
+
+
+def quiet_garbage_collector() -> None:
+    """Keep collections out of the loop: what exists now stays, and the loop makes no cycles."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()

@@ -1,0 +1,130 @@
+"""The phase machine as a table: in each phase the first rule whose conditions hold names the next phase.
+
+``Condition`` is a word of flags that the controller fills in each tick; a rule fires when all of ``when`` and
+none of ``unless`` are set. Nothing else decides about phases. No rule leaves LANDED or ABORT: starting
+again takes a new process, which is an operator's decision.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag, auto
+
+from flightstack.types import Phase
+
+
+class Condition(IntFlag):
+    """What the table may ask about the world."""
+
+    EMERGENCY = auto()  # operator's emergency stop
+    ABORT_ASKED = auto()  # operator's abort
+    OWN_LOST = auto()  # own state missing or too old
+    LINK_LOST = auto()  # heartbeat missing or too old
+    TARGET_LOST = auto()  # target missing or too old
+    READY = auto()  # all inputs fresh; vehicle ready to arm or already flying
+    ARMED = auto()
+    WAS_ARMED = auto()  # seen armed earlier in this flight
+    EXTERNAL = auto()  # follows our set-points
+    WAS_EXTERNAL = auto()  # did so earlier in this flight
+    STANDING = auto()  # the vehicle says that it stands
+    AT_START = auto()  # where the landing begins
+    STARTED = auto()  # the landing had begun
+    OVER_PAD = auto()  # inside the descending cone
+    TOUCH = auto()  # the touchdown rule is met
+    RECOVERED = auto()  # inputs were good again for long enough
+    RETRIES_LEFT = auto()
+    HIGH_ENOUGH = auto()  # above everything of the target
+    PHASE_TIME_OVER = auto()  # the longest time allowed in this phase
+    LANDING_TIME_OVER = auto()
+    COMMAND_FAILED = auto()  # the vehicle refused a command for good
+
+
+C = Condition
+NONE = C(0)
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One row: go ``to`` when all of ``when`` and none of ``unless`` hold, because of ``reason``."""
+
+    when: Condition
+    to: Phase
+    reason: str
+    unless: Condition = NONE
+
+
+_OPERATOR = (
+    Rule(C.EMERGENCY, Phase.ABORT, "emergency stop"),
+    Rule(C.ABORT_ASKED, Phase.ABORT, "abort asked by the operator"),
+)
+_IN_FLIGHT = (
+    *_OPERATOR,
+    Rule(C.WAS_ARMED, Phase.ABORT, "disarmed by someone else", unless=C.ARMED | C.LINK_LOST),
+    Rule(C.WAS_EXTERNAL, Phase.ABORT, "mode changed by someone else", unless=C.EXTERNAL | C.LINK_LOST),
+    Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
+)
+_INPUTS = (
+    Rule(C.OWN_LOST, Phase.HOLD, "own state lost"),
+    Rule(C.LINK_LOST, Phase.HOLD, "heartbeat lost"),
+    Rule(C.TARGET_LOST, Phase.HOLD, "target lost"),
+)
+
+TABLE: dict[Phase, tuple[Rule, ...]] = {
+    Phase.WAIT: (
+        *_OPERATOR,
+        Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "inputs did not become ready in time"),
+        Rule(C.READY | C.EXTERNAL, Phase.APPROACH, "flying and all inputs fresh", unless=C.STANDING),
+        Rule(C.READY | C.STANDING, Phase.TAKEOFF, "all inputs fresh"),
+    ),
+    Phase.TAKEOFF: (
+        *_IN_FLIGHT,
+        *_INPUTS,
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time"),
+        Rule(C.AT_START | C.EXTERNAL, Phase.APPROACH, "start reached"),
+    ),
+    Phase.APPROACH: (
+        *_IN_FLIGHT,
+        *_INPUTS,
+        Rule(C.LANDING_TIME_OVER, Phase.ABORT, "landing took too long"),
+        Rule(C.OVER_PAD, Phase.LAND, "inside the descending cone"),
+    ),
+    Phase.LAND: (
+        *_IN_FLIGHT,
+        *_INPUTS,
+        Rule(C.LANDING_TIME_OVER, Phase.ABORT, "landing took too long"),
+        Rule(C.TOUCH, Phase.TOUCHDOWN, "touchdown rule met"),
+        Rule(C(0), Phase.APPROACH, "left the descending cone", unless=C.OVER_PAD),
+    ),
+    Phase.TOUCHDOWN: (
+        *_OPERATOR,
+        Rule(C.WAS_ARMED, Phase.LANDED, "motors off", unless=C.ARMED | C.LINK_LOST),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "motors did not stop"),
+    ),
+    Phase.LANDED: (),
+    Phase.HOLD: (
+        *_IN_FLIGHT,
+        Rule(C.RECOVERED | C.STARTED | C.RETRIES_LEFT, Phase.APPROACH, "inputs good again"),
+        Rule(C.RECOVERED | C.RETRIES_LEFT, Phase.TAKEOFF, "inputs good again"),
+        Rule(C.PHASE_TIME_OVER | C.OWN_LOST, Phase.ABORT, "own state stayed lost"),
+        Rule(C.PHASE_TIME_OVER | C.LINK_LOST, Phase.ABORT, "heartbeat stayed lost"),
+        Rule(C.PHASE_TIME_OVER, Phase.CLIMB, "target stayed lost"),
+    ),
+    Phase.CLIMB: (
+        *_IN_FLIGHT,
+        Rule(C.OWN_LOST, Phase.ABORT, "own state lost in the climb"),
+        Rule(C.LINK_LOST, Phase.ABORT, "heartbeat lost in the climb"),
+        Rule(C.RECOVERED | C.STARTED | C.RETRIES_LEFT | C.HIGH_ENOUGH, Phase.APPROACH, "target back"),
+        Rule(C.RECOVERED | C.RETRIES_LEFT | C.HIGH_ENOUGH, Phase.TAKEOFF, "target back", unless=C.STARTED),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "target did not come back"),
+    ),
+    Phase.ABORT: (),
+}  # fmt: skip
+
+
+def next_phase(phase: Phase, conditions: Condition) -> tuple[Phase, str] | None:
+    """First matching rule of the phase as ``(next phase, reason)``; ``None`` if the phase stays."""
+    for rule in TABLE[phase]:
+        if rule.when in conditions and not rule.unless & conditions:
+            return rule.to, rule.reason
+    return None

@@ -1,0 +1,110 @@
+"""Which target samples to believe, and where the target is now.
+
+Default deny: a sample counts only if it is finite, of the right robot, newer than the last, in time and where
+the last one could have gone. What was refused is counted by reason.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+from flightstack.config import Checks
+from flightstack.types import TargetSample, Vec3
+
+
+class Verdict(Enum):
+    """What became of a sample."""
+
+    ACCEPTED = "accepted"
+    NOT_FINITE = "not finite"
+    WRONG_ROBOT = "from another robot or frame"
+    REPEATED = "repeated"
+    OUT_OF_ORDER = "out of order"
+    LATE = "too late"
+    TOO_FAST = "faster than allowed"
+    JUMP = "jumped"
+
+
+@dataclass(frozen=True, slots=True)
+class TargetState:
+    """The target at the time asked for."""
+
+    age_s: float
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    yaw_rad: float
+
+
+class TargetTrack:
+    """Newest believed sample, and the counts of the others."""
+
+    def __init__(self, checks: Checks) -> None:
+        self._checks = checks
+        self._last: TargetSample | None = None
+        self._offset_s = math.inf  # smallest arrival - stamp seen: clock offset plus the shortest delay
+        self.accepted = 0
+        self.rejected = 0
+
+    def accept(self, sample: TargetSample) -> Verdict:
+        """Take or refuse one sample."""
+        verdict = self._judge(sample)
+        if verdict is Verdict.ACCEPTED:
+            self._last = sample
+            self._offset_s = min(self._offset_s, sample.arrival_s - sample.source_time_s)
+            self.accepted += 1
+        else:
+            self.rejected += 1
+        return verdict
+
+    def _judge(self, sample: TargetSample) -> Verdict:
+        checks, last = self._checks, self._last
+        numbers = (*sample.position_enu_m, *sample.velocity_enu_m_s, sample.yaw_rad, sample.source_time_s)
+        if not all(map(math.isfinite, numbers)):
+            return Verdict.NOT_FINITE
+        if (sample.frame_id, sample.child_frame_id) != (checks.target_frame, checks.target_child_frame):
+            return Verdict.WRONG_ROBOT
+        vx, vy, vz = sample.velocity_enu_m_s
+        if vx * vx + vy * vy + vz * vz > checks.target_speed_max_m_s**2:
+            return Verdict.TOO_FAST
+        if last is None:
+            return Verdict.ACCEPTED
+        if sample.arrival_s - last.arrival_s > checks.target_age_max_s:
+            # The track is lost: nothing older binds the new one, but time must not run backwards unless the
+            # sender started anew, which shows as a stamp far outside of any delay.
+            restarted = abs(sample.source_time_s - last.source_time_s) > 10.0
+            if not restarted and sample.source_time_s <= last.source_time_s:
+                return Verdict.OUT_OF_ORDER
+            if restarted:
+                self._offset_s = math.inf
+            return Verdict.ACCEPTED
+        step_s = sample.source_time_s - last.source_time_s
+        if step_s == 0.0:
+            return Verdict.REPEATED
+        if step_s < 0.0:
+            return Verdict.OUT_OF_ORDER
+        if sample.arrival_s - sample.source_time_s - self._offset_s > checks.target_age_max_s:
+            return Verdict.LATE
+        dx, dy, dz = (
+            p - q - v * step_s
+            for p, q, v in zip(sample.position_enu_m, last.position_enu_m, last.velocity_enu_m_s, strict=True)
+        )
+        if dx * dx + dy * dy + dz * dz > checks.target_jump_max_m**2:
+            return Verdict.JUMP
+        return Verdict.ACCEPTED
+
+    def at(self, now_s: float) -> TargetState | None:
+        """Target moved on to now with its last velocity; ``None`` before the first sample.
+
+        The age counts from the measurement, less the shortest delay seen (clocks of two machines differ).
+        """
+        last = self._last
+        if last is None:
+            return None
+        age_s = max(0.0, now_s - last.source_time_s - self._offset_s)
+        ahead_s = min(age_s, self._checks.target_age_max_s)
+        x, y, z = last.position_enu_m
+        vx, vy, vz = last.velocity_enu_m_s
+        position = (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s)
+        return TargetState(age_s, position, last.velocity_enu_m_s, last.yaw_rad)

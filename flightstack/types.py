@@ -1,0 +1,115 @@
+"""The words of the stack: what goes into a controller step and what comes out.
+
+Everything is ENU, metres, seconds, radians. Times named ``*_s`` are on the stack's own clock unless the
+name says otherwise. A value that is absent is ``None``, never zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+Vec3 = tuple[float, float, float]
+ZERO: Vec3 = (0.0, 0.0, 0.0)
+
+
+class Phase(IntEnum):
+    """Phases of a flight; the transitions are a table in ``phases.py``."""
+
+    WAIT = 0
+    TAKEOFF = 1
+    APPROACH = 2
+    LAND = 3
+    TOUCHDOWN = 4
+    LANDED = 5
+    HOLD = 6
+    CLIMB = 7
+    ABORT = 8
+
+
+class Request(IntEnum):
+    """What the stack wants of the vehicle's mode, held as a level until the heartbeat shows it.
+
+    The bridge turns a level into commands with bounded retries; the controller never sees MAVLink.
+    """
+
+    NONE = 0
+    TAKEOFF = 1  # armed and climbing to the take-off height under the autopilot's own control
+    EXTERNAL = 2  # armed and following our velocity set-points
+    LAND = 3  # the autopilot's own landing, where it is
+    MOTORS_OFF = 4  # forced disarm
+
+
+class Mode(IntEnum):
+    """Flight mode of the vehicle, reduced to what the stack needs to know."""
+
+    UNKNOWN = 0
+    EXTERNAL = 1
+    TAKEOFF = 2
+    HOLD = 3
+    LAND = 4
+    OTHER = 5
+
+
+class Landed(IntEnum):
+    """Landed state as the vehicle reports it (MAV_LANDED_STATE)."""
+
+    UNKNOWN = 0
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4
+
+
+class Operator(IntEnum):
+    """Commands of a person, above every phase."""
+
+    NONE = 0
+    ABORT = 1
+    EMERGENCY_STOP = 2
+
+
+@dataclass(frozen=True, slots=True)
+class OwnState:
+    """The vehicle's own state estimate, as the link delivered it."""
+
+    arrival_s: float
+    source_time_s: float  # vehicle boot clock
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    yaw_rad: float  # heading of the nose, counter-clockwise from east
+
+
+@dataclass(frozen=True, slots=True)
+class TargetSample:
+    """One odometry sample of the target; velocities already turned into the world frame."""
+
+    arrival_s: float
+    source_time_s: float  # header stamp of the sender, Unix time or simulated time
+    frame_id: str
+    child_frame_id: str
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    yaw_rad: float
+    yaw_rate_rad_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleStatus:
+    """What the heartbeat and the landed state say."""
+
+    arrival_s: float
+    armed: bool
+    mode: Mode
+    landed: Landed
+    ready_to_arm: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Everything one tick may look at: the newest of each link, and the samples that came since the last."""
+
+    own: OwnState | None = None
+    status: VehicleStatus | None = None
+    target_samples: tuple[TargetSample, ...] = ()
+    operator: Operator = Operator.NONE

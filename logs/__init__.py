@@ -1,0 +1,1 @@
+"""The flight log: recording, reading, judging, reporting."""

@@ -1,0 +1,1 @@
+"""The software-in-the-loop vehicle, its ground robot and their world."""
