@@ -3,7 +3,7 @@
 On the boundary h = 0 the program needs some u in the box with ``g . (u - v_target) >= 0``. The gradient is
 ``(-s n, 1)`` with a horizontal unit vector n and a slope s between -alpha beta / e^2 and alpha beta. The best
 u gives ``v_z + |s| (|n_x| v_x + |n_y| v_y)``, the worst target takes ``|s| v_target``. Their difference is
-linear in s and smallest along the tighter axis, so that the worst point is an end of the slope's range and the
+linear in s and smallest along the tighter axis: the worst point is an end of the slope's range, and the
 bound below is exact, not a sample.
 """
 

@@ -14,6 +14,9 @@ from flightstack.config import Checks
 from flightstack.types import TargetSample, Vec3
 
 
+RESTART_S = 10.0  # stamps this far apart after a silence: the sender's clock started anew
+
+
 class Verdict(Enum):
     """What became of a sample."""
 
@@ -70,22 +73,19 @@ class TargetTrack:
             return Verdict.TOO_FAST
         if last is None:
             return Verdict.ACCEPTED
-        if sample.arrival_s - last.arrival_s > checks.target_age_max_s:
-            # The track is lost: nothing older binds the new one, but time must not run backwards unless the
-            # sender started anew, which shows as a stamp far outside of any delay.
-            restarted = abs(sample.source_time_s - last.source_time_s) > 10.0
-            if not restarted and sample.source_time_s <= last.source_time_s:
-                return Verdict.OUT_OF_ORDER
-            if restarted:
-                self._offset_s = math.inf
-            return Verdict.ACCEPTED
         step_s = sample.source_time_s - last.source_time_s
+        lost = sample.arrival_s - last.arrival_s > checks.target_age_max_s
+        if lost and abs(step_s) > RESTART_S:
+            self._offset_s = math.inf
+            return Verdict.ACCEPTED
         if step_s == 0.0:
             return Verdict.REPEATED
         if step_s < 0.0:
             return Verdict.OUT_OF_ORDER
         if sample.arrival_s - sample.source_time_s - self._offset_s > checks.target_age_max_s:
             return Verdict.LATE
+        if lost:
+            return Verdict.ACCEPTED  # nothing so old binds where it is now
         dx, dy, dz = (
             p - q - v * step_s
             for p, q, v in zip(sample.position_enu_m, last.position_enu_m, last.velocity_enu_m_s, strict=True)

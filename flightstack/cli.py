@@ -1,0 +1,323 @@
+"""The command ``flightstack``: verbs only, the work is elsewhere."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from flightstack.config import FilterKind
+from flightstack.strict_toml import ConfigError
+
+LANDED, FLEW, WRONG_INPUT = 0, 1, 2
+
+CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
+
+
+class Verbs(click.Group):
+    """Turns wrong input into one clear line and exit status 2."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb."""
+        try:
+            return super().invoke(ctx)
+        except (ConfigError, ValueError, OSError) as error:
+            click.echo(f"flightstack: {error}", err=True)
+            ctx.exit(WRONG_INPUT)
+
+
+@click.group(cls=Verbs, context_settings=CONTEXT)
+@click.version_option(package_name="crazyflie-flightstack", message="flightstack %(version)s")
+def main() -> None:
+    """Land a Crazyflie on a moving target: safely, over MAVLink and Zenoh, everything recorded."""
+
+
+def _scenario(required: bool = True) -> Callable[[Any], Any]:
+    return click.option(
+        "--scenario",
+        required=required,
+        metavar="NAME_OR_FILE",
+        help="Scenario: a name (see `scenarios`) or a file.",
+    )
+
+
+_seed = click.option(
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all chance."
+)
+_lockstep = click.option(
+    "--lockstep", is_flag=True, help="Simulated time, as fast as possible, deterministic."
+)
+_rate = click.option(
+    "--rate", "rate_hz", type=click.IntRange(10, 500), default=100, show_default=True, help="Ticks a second."
+)
+_connect = click.option(
+    "--connect",
+    multiple=True,
+    metavar="ENDPOINT",
+    help="Zenoh endpoint to connect to, e.g. tcp/10.0.0.2:7447; repeatable.",
+)
+_listen = click.option(
+    "--listen",
+    multiple=True,
+    metavar="ENDPOINT",
+    help="Zenoh endpoint to listen on; default: a free port of loopback.",
+)
+_recorder = click.option(
+    "--recorder",
+    type=click.Path(path_type=Path),
+    metavar="SOCKET",
+    help="Socket of a running `record`; without it nothing is recorded.",
+)
+_namespace = click.option(
+    "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."
+)
+_duration = click.option(
+    "--duration",
+    "duration_s",
+    type=click.FloatRange(min=0.1),
+    metavar="S",
+    help="End after so many seconds of stack time.",
+)
+
+
+@main.command()
+@_scenario()
+@_seed
+@click.option(
+    "--filter",
+    "filter_name",
+    type=click.Choice([k.value for k in FilterKind]),
+    help="Safety filter; default: the scenario's.",
+)
+@_lockstep
+@_duration
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for log and report; default: a new one in runs/.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object as the last line.")
+@click.option(
+    "--report/--no-report", "with_report", default=True, show_default=True, help="Write the HTML report."
+)
+def sitl(
+    scenario: str, seed: int, filter_name: str | None, lockstep: bool, duration_s: float | None,
+    out: Path | None, as_json: bool, with_report: bool,
+) -> None:  # fmt: skip
+    """Fly a scenario in software: vehicle, target, onboard process and recorder, all over the real wires.
+
+    Exit status: 0 landed, 1 anything else that flew, 2 wrong input.
+    """
+    from flightstack import sitl as runner
+    from flightstack.launch import RunOptions
+
+    kind = FilterKind(filter_name) if filter_name else None
+    options = RunOptions(scenario, seed, kind, lockstep, duration_s, out, live=not as_json)
+    sys.exit(runner.fly(options, as_json=as_json, with_report=with_report))
+
+
+@main.command()
+@click.option(
+    "--vehicle",
+    "vehicle_url",
+    required=True,
+    metavar="URL",
+    help="MAVLink URL: udpin:HOST:PORT or udpout:HOST:PORT.",
+)
+@click.option(
+    "--target",
+    "target_key",
+    default="cf1/target/odom",
+    show_default=True,
+    metavar="KEY",
+    help="Zenoh key of the target's odometry.",
+)
+@click.option(
+    "--config",
+    "config_file",
+    required=True,
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Configuration (TOML).",
+)
+@_connect
+@_listen
+@_namespace
+@_recorder
+@_lockstep
+@_duration
+@click.option(
+    "--system-id",
+    type=click.IntRange(1, 255),
+    default=1,
+    show_default=True,
+    help="MAVLink system id of the vehicle.",
+)
+def onboard(
+    vehicle_url: str, target_key: str, config_file: Path, connect: tuple[str, ...], listen: tuple[str, ...],
+    namespace: str, recorder: Path | None, lockstep: bool, duration_s: float | None, system_id: int,
+) -> None:  # fmt: skip
+    """Run the onboard process against any vehicle and target.
+
+    Ctrl-C asks for an abort (fly clear, land); a second one ends the process at once.
+    """
+    from flightstack import config
+    from flightstack import onboard as process
+
+    options = process.Options(
+        vehicle_url,
+        target_key,
+        list(connect),
+        list(listen),
+        namespace,
+        recorder,
+        lockstep,
+        duration_s,
+        system_id,
+    )
+    ended = process.run(config.load(config_file), options, say=click.echo)
+    click.echo(f"{ended.phase.name}: {ended.reason}")
+    sys.exit(ended.exit_code)
+
+
+@main.command()
+@_scenario()
+@_seed
+@click.option(
+    "--url",
+    default="udpin:127.0.0.1:14580",
+    show_default=True,
+    help="MAVLink URL to serve; port 0 takes a free one.",
+)
+@_connect
+@_listen
+@_namespace
+@_recorder
+@_rate
+@_lockstep
+@_duration
+def vehicle(
+    scenario: str, seed: int, url: str, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str,
+    recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None,
+) -> None:  # fmt: skip
+    """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's truth on Zenoh."""
+    from sim.vehicle_process import vehicle_main
+
+    from sim.scenario import load
+
+    sys.exit(
+        vehicle_main(
+            load(scenario), seed, url, lockstep=lockstep, rate_hz=rate_hz,
+            feed_socket=str(recorder) if recorder else None, zenoh_connect=list(connect),
+            zenoh_listen=list(listen), namespace=namespace, duration_s=duration_s,
+        )
+    )  # fmt: skip
+
+
+@main.command()
+@_scenario()
+@_seed
+@_connect
+@_listen
+@_namespace
+@_rate
+@_lockstep
+@_duration
+def target(
+    scenario: str, seed: int, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str, rate_hz: int,
+    lockstep: bool, duration_s: float | None,
+) -> None:  # fmt: skip
+    """Run the ground robot: drives the scenario's path and publishes its odometry on Zenoh."""
+    from sim.target_process import target_main
+
+    from sim.scenario import load
+
+    sys.exit(
+        target_main(
+            load(scenario), seed, lockstep=lockstep, rate_hz=rate_hz, listen=list(listen),
+            connect=list(connect), namespace=namespace, duration_s=duration_s,
+        )
+    )  # fmt: skip
+
+
+@main.command()
+@click.option(
+    "--socket",
+    "socket_path",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Socket to serve; the other verbs take it as --recorder.",
+)
+@click.option(
+    "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="MCAP file to write."
+)
+@click.option(
+    "--until-clients", type=click.IntRange(min=1), help="End after so many clients have come and gone."
+)
+@_connect
+@click.option(
+    "--key",
+    "keys",
+    multiple=True,
+    metavar="EXPR",
+    help="Zenoh keys to record besides, e.g. 'cf1/**'; repeatable.",
+)
+def record(
+    socket_path: Path, out: Path, until_clients: int | None, connect: tuple[str, ...], keys: tuple[str, ...]
+) -> None:
+    """Record what the other processes send, until ended; the log is readable at any time."""
+    from logs.recorder import record_main
+
+    sys.exit(record_main(socket_path, out, until_clients, connect=list(connect), keys=list(keys)))
+
+
+@main.command()
+@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="HTML file; default: report.html next to the log.",
+)
+def report(log: Path, out: Path | None) -> None:
+    """Write the report of a LOG: one self-contained HTML page."""
+    from logs.report import write_report
+
+    click.echo(write_report(log, out))
+
+
+@main.command()
+@click.argument("log_a", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("log_b", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+def compare(log_a: Path, log_b: Path) -> None:
+    """Compare two logs message by message; exit status 0 equal, 1 different.
+
+    Wall-clock measurements (loop timing) are left out.
+    """
+    from logs.compare import compare as compare_logs
+
+    differences = compare_logs(log_a, log_b)
+    for difference in differences[:20]:
+        click.echo(str(difference))
+    if len(differences) > 20:
+        click.echo(f"... and {len(differences) - 20} more")
+    click.echo("equal" if not differences else f"{len(differences)} differences")
+    sys.exit(1 if differences else 0)
+
+
+@main.command()
+@click.argument("name", required=False)
+def scenarios(name: str | None) -> None:
+    """List the scenarios that come with the simulator, or print the one NAMEd."""
+    from sim import scenario
+
+    if name is not None:
+        click.echo(scenario.path_of(name).read_text(), nl=False)
+        return
+    for known in scenario.names():
+        click.echo(f"{known:18} {scenario.load(known).description}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,284 @@
+"""The onboard process: links in, step, links out, at a fixed rate.
+
+Real time: wait for the deadline, drain every link, step, send. Lockstep: wait for the vehicle's tick and the
+target's, step, answer. The order of work in a tick is the same.
+"""
+
+from __future__ import annotations
+
+import signal
+import struct
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import NamedTuple
+
+from bridge import zenoh_link
+from bridge.odometry import OdometryError, OdometrySubscriber, RawSample, sample_from_cdr
+from bridge.vehicle import VehicleLink
+from flightstack.certificate import problems
+from flightstack.config import FlightConfig
+from flightstack.controller import ERROR, WARN, Controller, Outputs
+from flightstack.onboard_log import OnboardLog
+from flightstack.pacing import LockstepClock, RealTimePacer, Tick, quiet_garbage_collector
+from flightstack.strict_toml import ConfigError
+from flightstack.types import Inputs, Operator, Phase, TargetSample
+from logs.feed import Feed
+
+CREDIT = struct.Struct("<qq")  # tick reached, tick at which the target may drive or -1
+MARKER = struct.Struct("<qq")  # tick of the target, odometry samples put so far
+CREDIT_EVERY = 5  # ticks
+WINDOW = 20  # ticks that the target may run ahead of the credit
+WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
+FIRST_WAIT_MAX_S = 30.0  # s of wall time until vehicle and target have shown up
+LATER_WAIT_MAX_S = 3.0  # s of wall time after which one that stopped counts as gone
+LOST_RUN_MAX_S = 15.0  # s of wall time without the vehicle after which the process ends
+_SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
+
+
+@dataclass(frozen=True)
+class Options:
+    """Where the onboard process is plugged in."""
+
+    vehicle_url: str
+    target_key: str
+    connect: list[str] = field(default_factory=list)
+    listen: list[str] = field(default_factory=list)
+    namespace: str = "cf1"
+    recorder: Path | None = None
+    lockstep: bool = False
+    duration_s: float | None = None
+    system_id: int = 1
+
+
+class Ended(NamedTuple):
+    """How the process ended."""
+
+    phase: Phase
+    reason: str
+    exit_code: int
+
+
+class Signals:
+    """Ctrl-C asks for an abort; a second one or SIGTERM ends the process, and the vehicle lands itself."""
+
+    def __init__(self) -> None:
+        self.operator = Operator.NONE
+        self.stop = False
+        signal.signal(signal.SIGINT, self._interrupt)
+        signal.signal(signal.SIGTERM, self._terminate)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.stop = self.operator is Operator.ABORT
+        self.operator = Operator.ABORT
+
+    def _terminate(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.stop = True
+
+
+class Onboard:
+    """Owns the links and the controller; ``tick`` is the body of the loop."""
+
+    def __init__(self, config: FlightConfig, options: Options) -> None:
+        self.options, self.config = options, config
+        rate_hz = config.loop.rate_hz
+        self.controller = Controller(config)
+        self.session = zenoh_link.open_session(options.listen, options.connect)
+        self.link = VehicleLink.open(
+            options.vehicle_url,
+            takeoff_height_m=config.takeoff.height_m,
+            rate_hz=rate_hz,
+            system_id=options.system_id,
+            defer_timesync=options.lockstep,
+        )
+        self.odometry = OdometrySubscriber(
+            self.session, options.target_key, lossless=options.lockstep, capacity=1024
+        )
+        recorder = str(options.recorder) if options.recorder else None
+        self.feed = Feed.connect(recorder, "onboard", lossless=options.lockstep)
+        self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz)
+        self.link.endpoint.tap = self.log.tap
+        self.foreign = 0
+
+    def tick(
+        self, tick: Tick, raw: list[RawSample], operator: Operator, overruns: int
+    ) -> tuple[Outputs, float]:
+        """One pass: decode, step, send; the datagram goes out before anything is logged."""
+        started_s = time.perf_counter()
+        samples, bad = self._decode(raw, tick.now_s)
+        link = self.link
+        inputs = Inputs(link.own, link.status, samples, operator)
+        out = self.controller.step(inputs, tick.now_s, command_failed=link.failed is not None)
+        if out.setpoint is not None:
+            link.send_setpoint(out.setpoint, tick.now_s)
+        link.command(out.request, tick.now_s)
+        timesync = [link.timesync_reply(round(tick.now_s * 1e9))] if self.options.lockstep else []
+        link.flush(timesync)
+        exec_s = time.perf_counter() - started_s
+        self.log.samples(raw, tick.unix_ns)
+        for text in bad:
+            self.log.event(tick.unix_ns, WARN, text)
+        for severity, text in link.take_texts():
+            self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
+        if link.counters.foreign != self.foreign:
+            self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
+            self.foreign = link.counters.foreign
+        payload = self.log.step(tick, out)
+        self.log.timing(tick, out, exec_s, overruns, self.feed.dropped, payload)
+        return out, exec_s
+
+    @staticmethod
+    def _decode(raw: list[RawSample], now_s: float) -> tuple[tuple[TargetSample, ...], list[str]]:
+        samples, bad = [], []
+        for one in raw:
+            try:
+                samples.append(sample_from_cdr(one.payload, now_s))
+            except OdometryError as error:
+                bad.append(f"target sample refused: {error}")
+        return tuple(samples), bad
+
+    def close(self) -> None:
+        """Close all links; the feed says goodbye to the recorder."""
+        self.feed.close()
+        self.link.close()
+        self.session.close()
+
+
+def run(config: FlightConfig, options: Options, say: Callable[[str], None] = print) -> Ended:
+    """Fly until landed, aborted, told to end, or out of time.
+
+    Raises:
+        ConfigError: the configuration must not fly.
+        ValueError: a URL or endpoint that is not understood.
+        OSError: an address that cannot be opened.
+    """
+    found = problems(config)
+    if found:
+        raise ConfigError("refused before take-off: " + "; ".join(found))
+    signals = Signals()
+    onboard = Onboard(config, options)
+    try:
+        say("ready")
+        sys.stdout.flush()
+        quiet_garbage_collector()
+        return (_lockstep if options.lockstep else _real_time)(onboard, signals, say)
+    finally:
+        onboard.close()
+
+
+def _done(onboard: Onboard, out: Outputs, now_s: float, signals: Signals) -> Ended | None:
+    memory, limit_s = onboard.controller.memory, onboard.options.duration_s
+    if out.finished:
+        return Ended(out.phase, memory.reason, 0 if out.phase is Phase.LANDED else 1)
+    if signals.stop:
+        return Ended(out.phase, "ended by the operator", 1)
+    if limit_s is not None and now_s >= limit_s:
+        return Ended(out.phase, f"{limit_s:g} s are over", 1)
+    return None
+
+
+def _say_events(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
+    for event in out.events:
+        if "->" in event.text:
+            say(f"{tick.now_s:8.2f} s  {event.text}")
+
+
+def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
+    pacer = RealTimePacer(onboard.config.loop.rate_hz)
+    while True:
+        tick = pacer.wait()
+        onboard.link.poll(tick.now_s)
+        out, _ = onboard.tick(tick, onboard.odometry.poll(), signals.operator, pacer.overruns)
+        _say_events(out, tick, say)
+        ended = _done(onboard, out, tick.now_s, signals)
+        if ended is not None:
+            return ended
+
+
+class _Lockstep:
+    """Waits for the vehicle's tick and the target's, each bounded in wall time."""
+
+    def __init__(self, onboard: Onboard, signals: Signals) -> None:
+        self.onboard, self.signals = onboard, signals
+        namespace = onboard.options.namespace
+        self._markers = zenoh_link.fifo_subscriber(onboard.session, f"{namespace}/sim/target/tick")
+        self._credit = zenoh_link.blocking_publisher(onboard.session, f"{namespace}/sim/credit")
+        self._marker_tick, self._marker_count, self._received = -1, 0, 0
+        self._pool: list[RawSample] = []
+        self._counts: dict[int, int] = {}
+        self._last_ns = -1
+        self.go_tick = -1
+        self.target_gone = False
+
+    def vehicle(self) -> int | None:
+        """Simulated time of the next tick, ns; ``None`` when the vehicle is gone or the process is to end."""
+        link = self.onboard.link
+        limit_s = FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S
+        until = time.monotonic() + limit_s
+        while True:
+            link.poll(max(0, self._last_ns) / 1e9)
+            sim_ns = link.take_timesync()
+            if sim_ns is not None and sim_ns != self._last_ns:
+                self._last_ns = sim_ns
+                return sim_ns
+            if sim_ns is not None:
+                link.flush([link.timesync_reply(sim_ns)])
+            if self.signals.stop or time.monotonic() > until:
+                return None
+            link.endpoint.wait(WAIT_SLICE_S)
+
+    def target(self, tick: int) -> list[RawSample]:
+        """Samples that the target released up to this tick."""
+        if tick % CREDIT_EVERY == 0 or tick == 0:
+            self._credit.put(CREDIT.pack(tick, self.go_tick))
+        until = time.monotonic() + (FIRST_WAIT_MAX_S if self._marker_tick < 0 else LATER_WAIT_MAX_S)
+        repeat_at = time.monotonic() + WAIT_SLICE_S
+        while not self.target_gone and not self._complete(tick):
+            now = time.monotonic()
+            if now > until or self.signals.stop:
+                self.target_gone = True
+            if now > repeat_at:
+                self._credit.put(CREDIT.pack(tick, self.go_tick))
+                repeat_at = now + WAIT_SLICE_S
+            time.sleep(2e-5)
+        due = self._counts.pop(tick, self._received + len(self._pool)) - self._received
+        released, self._pool = self._pool[:due], self._pool[due:]
+        self._received += len(released)
+        return released
+
+    def _complete(self, tick: int) -> bool:
+        """The marker of this tick has come, and all samples it counts."""
+        for sample in zenoh_link.drain(self._markers):
+            number, count = MARKER.unpack(sample.payload.to_bytes())
+            self._counts[number] = count
+            self._marker_tick = max(self._marker_tick, number)
+        self._pool += self.onboard.odometry.poll()
+        return tick in self._counts and self._received + len(self._pool) >= self._counts[tick]
+
+    def announce_start(self, tick: int) -> None:
+        """Tell the target when it may drive: later than anything it may have run ahead to."""
+        self.go_tick = tick + WINDOW + 1
+        self._credit.put(CREDIT.pack(tick, self.go_tick))
+
+
+def _lockstep(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
+    clock, wires = LockstepClock(onboard.config.loop.rate_hz), _Lockstep(onboard, signals)
+    out: Outputs | None = None
+    while True:
+        sim_ns = wires.vehicle()
+        if sim_ns is None:
+            phase = out.phase if out is not None else Phase.WAIT
+            return Ended(phase, "ended by the operator" if signals.stop else "the vehicle fell silent", 1)
+        tick = clock.tick(sim_ns)
+        out, _ = onboard.tick(tick, wires.target(tick.number), signals.operator, 0)
+        _say_events(out, tick, say)
+        if wires.go_tick < 0 and onboard.controller.memory.started_s <= tick.now_s:
+            wires.announce_start(tick.number)
+        ended = _done(onboard, out, tick.now_s, signals)
+        if ended is not None:
+            return ended

@@ -1,0 +1,92 @@
+"""Child processes of one run: started, watched, ended in order, each wait bounded."""
+
+from __future__ import annotations
+
+import os
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+START_TIME_MAX_S = 30.0  # s until a child says ready: imports on a slow machine
+END_TIME_MAX_S = 5.0  # s until a child that was asked to end has ended
+
+
+class LaunchError(RuntimeError):
+    """A child that did not start; the text holds what it said."""
+
+
+class Child:
+    """One process of the run, its output kept in a file."""
+
+    def __init__(self, name: str, arguments: list[str], folder: Path) -> None:
+        self.name = name
+        self.output = folder / f"{name}.txt"
+        with self.output.open("wb") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "flightstack.cli", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,  # Ctrl-C reaches the launcher alone, which ends the children in order
+            )
+        assert self.process.stdout is not None
+        os.set_blocking(self.process.stdout.fileno(), False)
+        self._text = b""
+
+    def wait_ready(self) -> str:
+        """Wait for the line ``ready ...`` and return what follows the word.
+
+        Raises:
+            LaunchError: the process ended or said nothing in time.
+        """
+        until = time.monotonic() + START_TIME_MAX_S
+        while time.monotonic() < until:
+            for line in self.lines(0.1):
+                if line.startswith("ready"):
+                    return line.removeprefix("ready").strip()
+            if self.process.poll() is not None:
+                break
+        self.end()
+        raise LaunchError(f"{self.name} did not start: {self.errors() or 'no reason given'}")
+
+    def lines(self, timeout_s: float) -> list[str]:
+        """Whole lines of output that came within the time."""
+        assert self.process.stdout is not None
+        with selectors.DefaultSelector() as selector:
+            selector.register(self.process.stdout, selectors.EVENT_READ)
+            if selector.select(timeout_s):
+                self._text += self.process.stdout.read() or b""
+        *whole, self._text = self._text.split(b"\n")
+        return [line.decode(errors="replace") for line in whole]
+
+    def errors(self) -> str:
+        """Last lines that it wrote to standard error."""
+        return "\n".join(self.output.read_text(errors="replace").strip().splitlines()[-5:])
+
+    def alive(self) -> bool:
+        """Whether it still runs."""
+        return self.process.poll() is None
+
+    def end(self) -> int:
+        """Ask it to end, then make it; its exit status."""
+        if self.alive():
+            self.process.send_signal(signal.SIGTERM)
+        try:
+            code = self.process.wait(END_TIME_MAX_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            code = self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+        return code
+
+
+def free_port() -> int:
+    """A TCP port of loopback that is free now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

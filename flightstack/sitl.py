@@ -1,0 +1,88 @@
+"""``flightstack sitl``: run, judge, report, and say what was reached."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from logs.flight import load_flight
+from logs.report import write_report
+from logs.verdict import judge
+from rich.console import Console
+from rich.table import Table
+
+from flightstack.launch import Run, RunOptions, result_json, run
+from flightstack.processes import LaunchError
+from logs.reader import LogError
+
+_ROWS = (
+    ("outcome", "outcome", ""),
+    ("violation", "violation", ""),
+    ("lowest h", "h_min_m", "m"),
+    ("lowest h outside the pad", "h_min_outside_pad_m", "m"),
+    ("touchdown error", "touchdown_error_m", "m"),
+    ("touchdown speed, vertical", "touchdown_speed_vertical_m_s", "m/s"),
+    ("touchdown speed, horizontal", "touchdown_speed_horizontal_m_s", "m/s"),
+    ("time to land", "time_to_land_s", "s"),
+    ("real-time factor", "realtime_factor", ""),
+)
+
+
+def fly(options: RunOptions, *, as_json: bool, with_report: bool) -> int:
+    """Fly, judge, print; the exit status.
+
+    Raises:
+        ConfigError: wrong input.
+    """
+    console = Console(stderr=as_json, highlight=False)
+    try:
+        flown = run(options, console)
+    except LaunchError as error:
+        print(f"flightstack: {error}", file=sys.stderr)
+        return 1
+    return conclude(flown, options, console, as_json=as_json, with_report=with_report)
+
+
+def conclude(flown: Run, options: RunOptions, console: Console, *, as_json: bool, with_report: bool) -> int:
+    """Judge the log of a run and print what was reached."""
+    try:
+        flight = load_flight(flown.log)
+    except LogError as error:
+        print(f"flightstack: no result: {flown.problem or ''} {error}", file=sys.stderr)
+        return 1
+    verdict = judge(flight)
+    report = flown.folder / "report.html"
+    if with_report:
+        write_report(flown.log, report)
+    text = result_json(flown, options, verdict.to_json_dict(), flight.duration_s, report)
+    values = json.loads(text)
+    if as_json:
+        print(text)
+    else:
+        console.print(_table(values, flown, verdict.reason))
+        _paths(console, flown.log, report if with_report else None)
+    if flown.problem:
+        print(f"flightstack: {flown.problem}", file=sys.stderr)
+    return 0 if values["outcome"] == "landed" and flown.problem is None else 1
+
+
+def _table(values: dict[str, object], flown: Run, reason: str) -> Table:
+    table = Table(
+        title=f"{values['scenario']}, seed {values['seed']}, filter {values['filter']}", title_justify="left"
+    )
+    table.add_column("result")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    for name, key, unit in _ROWS:
+        value = values[key]
+        shown = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
+        table.add_row(name, shown, unit)
+    table.caption = reason if flown.problem is None else f"{reason}; {flown.problem}"
+    return table
+
+
+def _paths(console: Console, log: Path, report: Path | None) -> None:
+    console.print(f"log     {log}", soft_wrap=True)
+    if report is not None:
+        console.print(f"report  {report}", soft_wrap=True)

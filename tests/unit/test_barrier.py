@@ -1,0 +1,79 @@
+"""The barrier against its definition, its derivatives against finite differences, eq. 7 against numbers."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flightstack.barrier import Barrier
+
+lengths = st.floats(-3.0, 3.0)
+speeds = st.floats(-1.0, 1.0)
+shapes = st.builds(Barrier, st.floats(0.2, 5.0), st.floats(0.1, 3.0), st.just(0.005))
+
+
+@given(shapes, lengths, lengths, lengths)
+def test_h_is_eq_9(barrier, ex, ey, ez):
+    d = math.hypot(ex, ey)
+    expected = ez - barrier.beta_m * barrier.alpha_1_m * d * math.exp(-barrier.alpha_1_m * d)
+    assert barrier.h((ex, ey, ez)) == pytest.approx(expected, abs=1e-12)
+    assert barrier.evaluate((ex, ey, ez), (0.0, 0.0, 0.0))[0] == pytest.approx(expected, abs=1e-12)
+
+
+@given(shapes, lengths, lengths, lengths)
+def test_gradient_is_the_derivative_of_h(barrier, ex, ey, ez):
+    if math.hypot(ex, ey) < 0.3:
+        return  # by the apex the gradient is smoothed: see below
+    _, g, _ = barrier.evaluate((ex, ey, ez), (0.0, 0.0, 0.0))
+    step = 1e-6
+    for axis in range(3):
+        plus, minus = [ex, ey, ez], [ex, ey, ez]
+        plus[axis] += step
+        minus[axis] -= step
+        numeric = (barrier.h(tuple(plus)) - barrier.h(tuple(minus))) / (2 * step)
+        # the smoothing shortens the gradient by (s/d)^2 / 2
+        assert g[axis] == pytest.approx(numeric, abs=1e-6 + barrier.slope_max * 0.5 * (0.005 / 0.3) ** 2)
+
+
+@given(shapes, lengths, lengths, lengths, speeds, speeds, speeds)
+def test_time_derivative_is_that_of_a_moving_target(barrier, ex, ey, ez, vx, vy, vz):
+    if math.hypot(ex, ey) < 0.3:
+        return
+    _, _, dh_dt = barrier.evaluate((ex, ey, ez), (vx, vy, vz))
+    step = 1e-6
+    later = barrier.h((ex - vx * step, ey - vy * step, ez - vz * step))
+    sooner = barrier.h((ex + vx * step, ey + vy * step, ez + vz * step))
+    shortened = barrier.slope_max * 0.5 * (0.005 / 0.3) ** 2 * math.hypot(vx, vy)
+    assert dh_dt == pytest.approx((later - sooner) / (2 * step), abs=1e-5 + shortened)
+
+
+@given(shapes, st.floats(0.0, 2 * math.pi), st.floats(1e-9, 0.02))
+def test_at_the_apex_the_gradient_fades_and_never_exceeds_the_slope(barrier, angle, d):
+    _, (gx, gy, gz), _ = barrier.evaluate((d * math.cos(angle), d * math.sin(angle), 0.1), (0.0, 0.0, 0.0))
+    assert gz == 1.0
+    assert math.hypot(gx, gy) <= barrier.slope_max
+    assert math.hypot(gx, gy) <= barrier.slope_max * d / barrier.smoothing_m + 1e-12
+
+
+def test_at_the_apex_itself_the_gradient_is_vertical():
+    h, gradient, dh_dt = Barrier(1.0, 1.5).evaluate((0.0, 0.0, 0.1), (0.3, -0.2, 0.0))
+    assert (h, gradient, dh_dt) == (0.1, (0.0, 0.0, 1.0), 0.0)
+
+
+@given(st.floats(0.1, 2.0), st.floats(0.1, 3.0))
+def test_a_peak_stands_where_it_was_asked_for(height, distance):
+    barrier = Barrier.from_peak(height, distance)
+    assert barrier.height(distance) == pytest.approx(height)
+    assert barrier.height(distance * 0.99) < barrier.height(distance) > barrier.height(distance * 1.01)
+
+
+def test_the_papers_numbers_follow_from_its_geometry_once_eq_7_has_units():
+    barrier = Barrier.from_cone(0.55, math.radians(60.0))
+    assert barrier.beta_m == pytest.approx(1.495, abs=1e-3)
+    assert barrier.alpha_1_m == pytest.approx(1.0498, abs=1e-4)  # 1 / (0.55 m tan 60 deg)
+    as_printed = 0.55 * math.tan(math.radians(60.0))  # a length
+    assert as_printed == pytest.approx(0.9526, abs=1e-4)
+    assert round(barrier.alpha_1_m, 1) in (1.0, 1.1)
+    assert round(as_printed, 1) == 1.0
+    assert Barrier(1.0, 1.5).peak_height_m == pytest.approx(0.5518, abs=1e-4)

@@ -1,0 +1,101 @@
+"""Configurations that fly, and those that are refused with the reason."""
+
+import pytest
+
+from flightstack.certificate import problems
+from flightstack.config import FlightConfig, load
+from flightstack.strict_toml import ConfigError, dumps, from_table, to_table
+from sim import scenario
+
+PAPER = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}}
+
+
+def config(**sections):
+    return from_table(FlightConfig, {**PAPER, **sections})
+
+
+def test_the_papers_set_flies():
+    assert problems(config()) == []
+
+
+@pytest.mark.parametrize(
+    ("sections", "words"),
+    [
+        (
+            {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5, "gamma": 1}},
+            ["barrier.gamma", "unknown key", "alpha_1_m"],
+        ),
+        ({"barrier": {"alpha_m": 1.0, "beta_m": 1.5}}, ["wrong unit", "found [m]", "alpha_1_m [1_m]"]),
+        ({"checks": {"hold_time_ms": 1000.0}}, ["wrong unit", "found [ms]", "hold_time_s"]),
+        ({"checks": {"hold_tim_s": 1.0}}, ["unknown key", "did you mean hold_time_s"]),
+        ({"loop": {"rate_hz": 1000}}, ["loop.rate_hz", "1000", "10 to 500"]),
+        ({"loop": {"rate_hz": 100.5}}, ["loop.rate_hz", "int"]),
+        ({"limits": {"velocity_max_m_s": [0.2, 0.2]}}, ["found 2 values", "exactly 3"]),
+        ({"barrier": {"alpha_1_m": 1.0}}, ["barrier", "give alpha_1_m and beta_m"]),
+        ({"barrier": {"alpha_1_m": 1.0, "beta_m": float("nan")}}, ["beta_m", "finite"]),
+        ({"filter": "best"}, ["filter", "'best'", "paper, robust"]),
+        ({"limits": {"altitude_max_m": 0.6}}, ["altitude_max_m", "peak"]),
+        ({"barrier": 3}, ["a table [barrier] is needed"]),
+    ],
+)
+def test_wrong_configurations_are_refused_with_the_reason(sections, words):
+    with pytest.raises(ConfigError) as error:
+        config(**sections)
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("sections", "word"),
+    [
+        # slope 1.5, box 0.2: a target of v outruns it when 0.5 + 1.5 (0.2 - v) < 0, so v > 0.533
+        ({"touchdown": {"target_speed_max_m_s": 0.54}}, "outruns the box"),
+        (
+            {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5, "omega_1_s": 20.0}, "loop": {"rate_hz": 20}},
+            "omega_1_s",
+        ),
+        ({"limits": {"slew_max_m_s2": [50.0, 50.0, 50.0]}}, "slew_max_m_s2[0]"),
+        ({"barrier": {"alpha_1_m": 20.0, "beta_m": 0.1}, "touchdown": {"pad_radius_m": 0.2}}, "peak"),
+    ],
+)
+def test_infeasible_sets_are_found(sections, word):
+    assert any(word in problem for problem in problems(config(**sections)))
+
+
+def test_the_feasibility_bound_is_where_the_program_really_fails():
+    assert problems(config(touchdown={"target_speed_max_m_s": 0.533})) == []
+    from flightstack.safety_filter import FilterStatus, SafetyFilter
+
+    barrier = config().barrier.build()
+    e = (1e-1, 0.0, barrier.height(1e-1))  # on the boundary by the apex, target coming along x
+    for speed, expected in ((0.5, FilterStatus.SOLVED), (0.7, FilterStatus.INFEASIBLE)):
+        h, g, dh_dt = barrier.evaluate(e, (-speed, 0.0, 0.0))
+        h2, g2, dh_dt2 = barrier.evaluate(e, (speed, 0.0, 0.0))
+        found = {
+            SafetyFilter(0.7).solve((0.0, 0.0, 0.0), *state, (-0.2, -0.2, -0.5), (0.2, 0.2, 0.5)).status
+            for state in ((h, g, dh_dt), (h2, g2, dh_dt2))
+        }
+        assert expected in found
+
+
+def test_a_file_names_itself_in_the_error(tmp_path):
+    path = tmp_path / "wrong.toml"
+    path.write_text("[barrier\n")
+    with pytest.raises(ConfigError, match=r"wrong\.toml: not TOML"):
+        load(path)
+    with pytest.raises(ConfigError, match="can't be read"):
+        load(tmp_path / "absent.toml")
+
+
+@pytest.mark.parametrize("name", scenario.names())
+def test_every_scenario_loads_is_feasible_and_survives_writing(name):
+    import tomllib
+
+    loaded = scenario.load(name)
+    assert problems(loaded.onboard) == []
+    assert from_table(scenario.Scenario, tomllib.loads(dumps(to_table(loaded)))) == loaded
+
+
+def test_an_unknown_scenario_is_refused_with_the_names():
+    with pytest.raises(ConfigError, match="paper_moving_1"):
+        scenario.load("nowhere")
