@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from types import MappingProxyType
 
@@ -156,7 +156,7 @@ PX4 = Profile(
     unset=math.nan,
 )
 
-OWN_SITL = PX4  # our simulated vehicle takes PX4's personality
+OWN_SITL = replace(PX4, name="sitl")  # our simulated vehicle takes PX4's personality
 
 ARDUPILOT = Profile(
     name="ardupilot",
@@ -203,7 +203,7 @@ ARDUPILOT = Profile(
     unset=0.0,
 )
 
-PROFILES: Mapping[str, Profile] = MappingProxyType({profile.name: profile for profile in (PX4, ARDUPILOT)})
+PROFILES: Mapping[str, Profile] = MappingProxyType({p.name: p for p in (OWN_SITL, PX4, ARDUPILOT)})
 
 
 def profile(name: str) -> Profile:

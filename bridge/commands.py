@@ -1,7 +1,7 @@
 """Turns a request, held as a level, into MAVLink commands until the heartbeat shows what was wanted.
 
-Telemetry is the truth. Acknowledgements decide nothing (PX4 answers a mode change twice, the first time always
-with ACCEPTED, and one can be lost): they only go into the reason when a request fails.
+Telemetry is the truth. Acknowledgements decide nothing (PX4 answers a mode change twice, the first time
+always with ACCEPTED, and one can be lost): they only go into the reason when a request fails.
 """
 
 from __future__ import annotations
@@ -56,7 +56,16 @@ class CommandSequencer:
         self._stream_start_s: float | None = None
         self._stream_last_s = -math.inf
         self.home_amsl_m = 0.0
-        self._begin(Request.NONE, -math.inf)
+        self.failed: str | None = None
+        self.reached = False
+        self._request = Request.NONE
+        self._since_s = -math.inf
+        self._step: Step | None = None
+        self._tries = 0
+        self._first_try_s = -math.inf
+        self._last_try_s = -math.inf
+        self._last_result: str | None = None
+        self._texts: list[str] = []
 
     @property
     def request(self) -> Request:
@@ -88,13 +97,14 @@ class CommandSequencer:
             now_s: the stack's clock.
         """
         if request is not self._request:
-            self._begin(request, now_s)
+            self._request, self._since_s = request, now_s
+            self.failed, self.reached = None, False
+            self._enter(None)
         if self.reached or self.failed is not None:
             return []
         step = self._next_step(status)
         if step is not self._step:
-            self._step, self._tries, self._last_try_s = step, 0, -math.inf
-            self._last_result, self._texts = None, []
+            self._enter(step)
         if step is None:
             self.reached = status is not None and status.arrival_s > self._since_s
             return []
@@ -109,16 +119,9 @@ class CommandSequencer:
         self._last_try_s = now_s
         return [self._message(step)]
 
-    def _begin(self, request: Request, now_s: float) -> None:
-        self._request = request
-        self._since_s = now_s
-        self._step: Step | None = None
-        self._tries = 0
-        self._first_try_s = self._last_try_s = -math.inf
-        self._last_result: str | None = None
-        self._texts: list[str] = []
-        self.failed: str | None = None
-        self.reached = False
+    def _enter(self, step: Step | None) -> None:
+        self._step, self._tries, self._last_try_s = step, 0, -math.inf
+        self._last_result, self._texts = None, []
 
     def _next_step(self, status: VehicleStatus | None) -> Step | None:
         steps = self._profile.sequences[self._request]

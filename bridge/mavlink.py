@@ -25,7 +25,7 @@ _SOCKET_BUFFER = 1 << 20  # bytes, asked for; the kernel may give less
 _URL = re.compile(r"^(udpin|udpout):(?://)?([^:/\s]+):(\d{1,5})$")
 _URL_HELP = (
     "allowed is 'udpin:HOST:PORT' (listen; port 0 takes any free one) or 'udpout:HOST:PORT' (send there "
-    "first), HOST being an IPv4 address or a name, for example udpin:127.0.0.1:14540"
+    "first), HOST an IPv4 address or a name, PORT up to 65535, for example udpin:127.0.0.1:14540"
 )
 
 
@@ -68,8 +68,7 @@ def parse_url(url: str) -> tuple[str, str, int]:
         raise ValueError(f"MAVLink URL {url!r} is not understood: {_URL_HELP}")
     kind, host, port = match.group(1), match.group(2), int(match.group(3))
     if port > 65535 or (port == 0 and kind == "udpout"):
-        lowest = 1 if kind == "udpout" else 0
-        raise ValueError(f"MAVLink URL {url!r} has port {port}: {kind} allows {lowest} to 65535")
+        raise ValueError(f"MAVLink URL {url!r} has port {port}: {_URL_HELP}")
     return kind, host, port
 
 

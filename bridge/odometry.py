@@ -54,7 +54,7 @@ def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
         arrival_s: when it arrived, on the stack's clock.
 
     Raises:
-        OdometryError: malformed, a number is not finite or beyond 1e9, or the orientation is not a unit quaternion.
+        OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
     """
     stamp_ns, frame_id, child_frame_id, n = decode_pose_and_twist(payload)
     if not (math.isfinite(sum(n)) and max(n) < _LARGEST and min(n) > -_LARGEST):

@@ -14,7 +14,7 @@ from bridge.autopilots import PX4, Profile
 from bridge.commands import CommandSequencer
 from bridge.decoding import Message
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
-from bridge.mavlink import Endpoint, Peer, Received
+from bridge.mavlink import Endpoint, Peer
 from bridge.streams import StreamRequests
 from bridge.texts import TextAssembler
 from bridge.vehicle_state import VehicleState
@@ -64,7 +64,7 @@ class VehicleLink:
 
     def __init__(
         self,
-        endpoint: Endpoint,
+        url: str,
         *,
         takeoff_height_m: float,
         rate_hz: float = 100.0,
@@ -73,10 +73,10 @@ class VehicleLink:
         component_id: int = 1,
         defer_timesync: bool = False,
     ) -> None:
-        """Take over an endpoint.
+        """Open the link.
 
         Args:
-            endpoint: opened with the vehicle's system id and component 191; the link closes it.
+            url: MAVLink URL, ``udpin:HOST:PORT`` or ``udpout:HOST:PORT``.
             takeoff_height_m: height above home of ``Request.TAKEOFF``, m.
             rate_hz: rate of the loop, asked of the vehicle for position and attitude.
             profile: what the autopilot wants.
@@ -85,11 +85,11 @@ class VehicleLink:
             defer_timesync: lockstep, see above.
 
         Raises:
-            ValueError: a rate or height that is not positive.
+            ValueError: bad URL or id, or a rate or height that is not positive.
+            OSError: the address cannot be opened.
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
-        self.endpoint = endpoint
         self.state = VehicleState(profile)
         self.counters = LinkCounters()
         self.defer_timesync = defer_timesync
@@ -103,9 +103,10 @@ class VehicleLink:
         }
         self._streams = StreamRequests(rates_hz, system_id, component_id, profile.unset)
         self._assembler = TextAssembler()
+        self.endpoint = Endpoint(url, system_id, COMPONENT_ID)  # the companion shares the vehicle's system id
         self._texts: list[tuple[int, str]] = []
         self._outgoing: list[Message] = []
-        self._held: list[Received] = []
+        self._held: list[Message] = []
         self._timesync_ns: int | None = None
         self._vehicle: Peer | None = None
         self._heartbeat_at_s = -math.inf
@@ -116,39 +117,6 @@ class VehicleLink:
             dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
             dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
         }
-
-    @classmethod
-    def open(
-        cls,
-        url: str,
-        *,
-        takeoff_height_m: float,
-        rate_hz: float = 100.0,
-        profile: Profile = PX4,
-        system_id: int = 1,
-        component_id: int = 1,
-        defer_timesync: bool = False,
-    ) -> VehicleLink:
-        """Open an endpoint on ``url`` and link to the vehicle there.
-
-        Raises:
-            ValueError: bad URL, id, rate or height.
-            OSError: the address cannot be opened.
-        """
-        endpoint = Endpoint(url, system_id, COMPONENT_ID)
-        try:
-            return cls(
-                endpoint,
-                takeoff_height_m=takeoff_height_m,
-                rate_hz=rate_hz,
-                profile=profile,
-                system_id=system_id,
-                component_id=component_id,
-                defer_timesync=defer_timesync,
-            )
-        except ValueError:
-            endpoint.close()
-            raise
 
     @property
     def own(self) -> OwnState | None:
@@ -178,21 +146,26 @@ class VehicleLink:
                 simulated time of the TIMESYNC request that follows a message, ``ts1 / 1e9``; what no request
                 has followed yet waits for the next call.
         """
+        tick_s: float | None = None if self.defer_timesync else now_s
         for received in self.endpoint.receive():
-            header = received.message.get_header()
+            message = received.message
+            header = message.get_header()
             if (header.srcSystem, header.srcComponent) != self._target:
                 self.counters.foreign += 1
                 continue
             self._vehicle = received.peer
             if not self.defer_timesync:
-                self._handle(received.message, now_s)
+                self._handle(message, now_s)
                 continue
-            self._held.append(received)
-            if received.message.id == dialect.MAVLINK_MSG_ID_TIMESYNC and received.message.tc1 == 0:
-                now_s = received.message.ts1 / 1e9
-                self._release(now_s)
+            self._held.append(message)
+            if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
+                tick_s = message.ts1 / 1e9
+                self._release(tick_s)
         self._shorten_held()
-        self._queue_due(now_s)
+        if self._vehicle is None:
+            self._say_hello()
+        elif tick_s is not None:
+            self._queue_due(tick_s)
 
     def command(self, request: Request, now_s: float) -> None:
         """Work towards a request; call it every tick with the level that is wanted."""
@@ -208,8 +181,8 @@ class VehicleLink:
             now_s: the stack's clock.
 
         Returns:
-            False when it was refused: a number is not finite, or the autopilot would take it as the end of its
-            own take-off.
+            False when it was refused: a number is not finite, or the autopilot would take it as the end of
+            its own take-off.
         """
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
         taking_off = self._sequencer.request is Request.TAKEOFF and not self._profile.stream_in_takeoff
@@ -263,8 +236,8 @@ class VehicleLink:
 
     def _release(self, arrival_s: float) -> None:
         held, self._held = self._held, []
-        for received in held:
-            self._handle(received.message, arrival_s)
+        for message in held:
+            self._handle(message, arrival_s)
 
     def _shorten_held(self) -> None:
         surplus = len(self._held) - _HELD_MAX
@@ -273,8 +246,9 @@ class VehicleLink:
             del self._held[:surplus]
 
     def _handle(self, message: Message, arrival_s: float) -> None:
-        self._streams.seen(message.id)
-        handler = self._handlers.get(message.id)
+        message_id: int = message.get_msgId()  # not .id: in STATUSTEXT that is a field
+        self._streams.seen(message_id)
+        handler = self._handlers.get(message_id)
         if handler is not None:
             handler(message, arrival_s)
         else:
@@ -299,25 +273,17 @@ class VehicleLink:
             reply = dialect.MAVLink_timesync_message(max(1, round(arrival_s * 1e9)), message.ts1)
             self.endpoint.send([reply], self._vehicle)
 
+    def _say_hello(self) -> None:
+        # The vehicle may be waiting to learn where we are; before that, no clock but the wall's counts.
+        wall_s = time.monotonic()
+        if wall_s - self._hello_at_s >= _HELLO_S:
+            self._hello_at_s = wall_s
+            self.endpoint.send([_heartbeat()])
+
     def _queue_due(self, now_s: float) -> None:
-        heartbeat = dialect.MAVLink_heartbeat_message(
-            dialect.MAV_TYPE_ONBOARD_CONTROLLER,
-            dialect.MAV_AUTOPILOT_INVALID,
-            0,
-            0,
-            dialect.MAV_STATE_ACTIVE,
-            3,
-        )
-        if self._vehicle is None:
-            # The vehicle may be waiting to learn where we are; no clock of its own counts before that.
-            wall_s = time.monotonic()
-            if wall_s - self._hello_at_s >= _HELLO_S:
-                self._hello_at_s = wall_s
-                self.endpoint.send([heartbeat])
-            return
         if now_s - self._heartbeat_at_s >= _HEARTBEAT_S - 1e-9:
             self._heartbeat_at_s = now_s
-            self._outgoing.append(heartbeat)
+            self._outgoing.append(_heartbeat())
         if self.state.autopilot is not None:
             self._outgoing += self._streams.step(now_s)
         self._warn_autopilot()
@@ -328,9 +294,15 @@ class VehicleLink:
             self._warned_autopilot = found
             self._say(
                 dialect.MAV_SEVERITY_ERROR,
-                f"the vehicle's heartbeat says autopilot {found}, but the profile '{self._profile.name}' is for "
-                f"{self._profile.autopilot}: it is not flown; choose the profile that fits",
+                f"the vehicle's heartbeat says autopilot {found}, but profile '{self._profile.name}' is for "
+                f"autopilot {self._profile.autopilot}: it is not flown; choose the profile that fits",
             )
 
     def _say(self, severity: int, text: str) -> None:
         self._texts = [*self._texts, (severity, text)][-_TEXTS_MAX:]
+
+
+def _heartbeat() -> Message:
+    return dialect.MAVLink_heartbeat_message(
+        dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
+    )

@@ -67,7 +67,7 @@ class VehicleState:
             message: decoded MAVLink message.
             arrival_s: when it arrived, on the stack's clock.
         """
-        handler = self._handlers.get(message.id)
+        handler = self._handlers.get(message.get_msgId())  # not .id: in STATUSTEXT that is a field
         if handler is not None:
             handler(message, arrival_s)
 

@@ -89,7 +89,7 @@ class Onboard:
         rate_hz = config.loop.rate_hz
         self.controller = Controller(config)
         self.session = zenoh_link.open_session(options.listen, options.connect)
-        self.link = VehicleLink.open(
+        self.link = VehicleLink(
             options.vehicle_url,
             takeoff_height_m=config.takeoff.height_m,
             rate_hz=rate_hz,

@@ -13,7 +13,6 @@ from enum import Enum
 from flightstack.config import Checks
 from flightstack.types import TargetSample, Vec3
 
-
 RESTART_S = 10.0  # stamps this far apart after a silence: the sender's clock started anew
 
 
@@ -47,6 +46,8 @@ class TargetTrack:
         self._checks = checks
         self._last: TargetSample | None = None
         self._offset_s = math.inf  # smallest arrival - stamp seen: clock offset plus the shortest delay
+        self._elsewhere: TargetSample | None = None  # newest of samples that jumped but agree with each other
+        self._elsewhere_since_s = 0.0
         self.accepted = 0
         self.rejected = 0
 
@@ -75,7 +76,7 @@ class TargetTrack:
             return Verdict.ACCEPTED
         step_s = sample.source_time_s - last.source_time_s
         lost = sample.arrival_s - last.arrival_s > checks.target_age_max_s
-        if lost and abs(step_s) > RESTART_S:
+        if lost and abs(step_s - (sample.arrival_s - last.arrival_s)) > RESTART_S:
             self._offset_s = math.inf
             return Verdict.ACCEPTED
         if step_s == 0.0:
@@ -84,15 +85,30 @@ class TargetTrack:
             return Verdict.OUT_OF_ORDER
         if sample.arrival_s - sample.source_time_s - self._offset_s > checks.target_age_max_s:
             return Verdict.LATE
-        if lost:
+        if lost and self._elsewhere is None:
             return Verdict.ACCEPTED  # nothing so old binds where it is now
-        dx, dy, dz = (
-            p - q - v * step_s
-            for p, q, v in zip(sample.position_enu_m, last.position_enu_m, last.velocity_enu_m_s, strict=True)
+        if self._near(last, sample) or self._proved(sample, lost):
+            self._elsewhere = None
+            return Verdict.ACCEPTED
+        return Verdict.JUMP
+
+    def _near(self, before: TargetSample, after: TargetSample) -> bool:
+        """Whether the target could have gone from one sample to the other."""
+        step_s = after.source_time_s - before.source_time_s
+        expected = (
+            p + v * step_s for p, v in zip(before.position_enu_m, before.velocity_enu_m_s, strict=True)
         )
-        if dx * dx + dy * dy + dz * dz > checks.target_jump_max_m**2:
-            return Verdict.JUMP
-        return Verdict.ACCEPTED
+        return math.dist(tuple(expected), after.position_enu_m) <= self._checks.target_jump_max_m
+
+    def _proved(self, sample: TargetSample, lost: bool) -> bool:
+        """Whether samples elsewhere have agreed with each other for long enough, the old track being lost."""
+        if self._elsewhere is None or not self._near(self._elsewhere, sample):
+            self._elsewhere, self._elsewhere_since_s = sample, sample.arrival_s
+            return False
+        self._elsewhere = sample
+        # longer than the age limit, so that the vehicle holds in between
+        proof_s = self._checks.target_age_max_s + self._checks.recovery_time_s
+        return lost and sample.arrival_s - self._elsewhere_since_s >= proof_s
 
     def at(self, now_s: float) -> TargetState | None:
         """Target moved on to now with its last velocity; ``None`` before the first sample.

@@ -1,0 +1,132 @@
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge import frames
+
+S = math.sqrt(0.5)
+finite = st.floats(-1e3, 1e3)
+vectors = st.tuples(finite, finite, finite)
+angles = st.floats(-50.0, 50.0)
+
+
+@st.composite
+def unit_quaternions(draw):
+    raw = draw(st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: sum(c * c for c in q) > 1e-2))
+    norm = math.sqrt(sum(c * c for c in raw))
+    return tuple(c / norm for c in raw)
+
+
+def same_rotation(a, b):
+    return abs(sum(x * y for x, y in zip(a, b, strict=True))) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_east_north_up_becomes_north_east_down():
+    assert frames.ned_from_enu((1.0, 2.0, 3.0)) == (2.0, 1.0, -3.0)
+    assert frames.enu_from_ned((2.0, 1.0, -3.0)) == (1.0, 2.0, 3.0)
+
+
+def test_forward_left_up_becomes_forward_right_down():
+    assert frames.frd_from_flu((1.0, 2.0, 3.0)) == (1.0, -2.0, -3.0)
+
+
+@given(vectors)
+def test_vectors_round_trip(v):
+    assert frames.enu_from_ned(frames.ned_from_enu(v)) == v
+    assert frames.flu_from_frd(frames.frd_from_flu(v)) == v
+
+
+@pytest.mark.parametrize(
+    ("yaw_enu_deg", "yaw_ned_deg"), [(0, 90), (90, 0), (180, -90), (-90, 180), (45, 45), (-135, -135)]
+)
+def test_headings_by_hand(yaw_enu_deg, yaw_ned_deg):
+    assert frames.yaw_ned_from_enu(math.radians(yaw_enu_deg)) == pytest.approx(math.radians(yaw_ned_deg))
+    assert frames.yaw_enu_from_ned(math.radians(yaw_ned_deg)) == pytest.approx(math.radians(yaw_enu_deg))
+
+
+@given(angles)
+def test_heading_round_trip_and_range(yaw):
+    there = frames.yaw_ned_from_enu(yaw)
+    back = frames.yaw_enu_from_ned(there)
+    assert -math.pi < there <= math.pi
+    assert -math.pi < back <= math.pi
+    assert math.remainder(back - yaw, math.tau) == pytest.approx(0.0, abs=1e-12)
+
+
+@given(angles)
+def test_wrapped_angle_is_in_half_open_range(angle):
+    assert -math.pi < frames.wrap_angle(angle) <= math.pi
+
+
+def test_minus_pi_wraps_to_plus_pi():
+    assert frames.wrap_angle(-math.pi) == math.pi
+    assert frames.wrap_angle(3 * math.pi) == pytest.approx(math.pi)
+
+
+def test_level_nose_east_is_yaw_90_in_ned():
+    assert frames.ned_frd_from_enu_flu((1.0, 0.0, 0.0, 0.0)) == pytest.approx((S, 0.0, 0.0, S))
+
+
+def test_level_nose_north_is_identity_in_ned():
+    assert frames.ned_frd_from_enu_flu((S, 0.0, 0.0, S)) == pytest.approx((1.0, 0.0, 0.0, 0.0))
+
+
+def test_nose_north_rolled_right_30_degrees():
+    # Right wing down, nose to the north: +30 deg of roll in NED/FRD, and in ENU/FLU the same 30 deg of roll
+    # after the turn to the north.
+    half = math.radians(15)
+    ned = (math.cos(half), math.sin(half), 0.0, 0.0)
+    enu = (S * math.cos(half), S * math.sin(half), S * math.sin(half), S * math.cos(half))
+    assert same_rotation(frames.ned_frd_from_enu_flu(enu), ned)
+
+
+@given(unit_quaternions())
+def test_attitude_round_trip(q):
+    assert frames.enu_flu_from_ned_frd(frames.ned_frd_from_enu_flu(q)) == pytest.approx(q, abs=1e-12)
+
+
+@given(unit_quaternions(), vectors)
+def test_attitude_and_vector_conversions_agree(q, v_flu):
+    """Body to world to NED is the same as body FLU to FRD to NED."""
+    through_enu = frames.ned_from_enu(frames.world_from_body(q, v_flu))
+    through_frd = frames.world_from_body(frames.ned_frd_from_enu_flu(q), frames.frd_from_flu(v_flu))
+    assert through_enu == pytest.approx(through_frd, abs=1e-9)
+
+
+@given(unit_quaternions(), vectors)
+def test_rotation_round_trip_keeps_length(q, v):
+    world = frames.world_from_body_velocity(q, v)
+    assert math.dist(world, (0, 0, 0)) == pytest.approx(math.dist(v, (0, 0, 0)), abs=1e-9)
+    assert frames.body_from_world_velocity(q, world) == pytest.approx(v, abs=1e-9)
+
+
+def test_rotation_by_hand_about_two_axes():
+    # Yaw +90 deg, then pitch the nose down by 90 deg about the body's own y axis: forward points down,
+    # left points west, up points north.
+    q = (0.5, -0.5, 0.5, 0.5)
+    assert frames.world_from_body(q, (1.0, 0.0, 0.0)) == pytest.approx((0.0, 0.0, -1.0))
+    assert frames.world_from_body(q, (0.0, 1.0, 0.0)) == pytest.approx((-1.0, 0.0, 0.0))
+    assert frames.world_from_body(q, (0.0, 0.0, 1.0)) == pytest.approx((0.0, 1.0, 0.0))
+
+
+@given(st.floats(-math.pi, math.pi, exclude_min=True))
+def test_yaw_of_a_level_quaternion(yaw):
+    q = frames.quaternion_from_yaw(yaw)
+    assert math.remainder(frames.yaw_from_quaternion(q) - yaw, math.tau) == pytest.approx(0.0, abs=1e-12)
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-1.4, 1.4), st.floats(-3.1, 3.1))
+def test_yaw_survives_pitch_and_roll_and_agrees_between_frames(yaw, pitch, roll):
+    cy, sy, cp, sp, cr, sr = (f(a / 2) for a in (yaw, pitch, roll) for f in (math.cos, math.sin))
+    q = (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+    yaw_enu = frames.yaw_from_quaternion(q)
+    yaw_ned = frames.yaw_from_quaternion(frames.ned_frd_from_enu_flu(q))
+    assert math.remainder(yaw_enu - yaw, math.tau) == pytest.approx(0.0, abs=1e-9)
+    assert math.remainder(yaw_ned - frames.yaw_ned_from_enu(yaw), math.tau) == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,282 @@
+import random
+import socket
+import struct
+
+import pytest
+
+from bridge.decoding import decode
+from bridge.framing import FrameCounters, split_frames
+from bridge.mavlink import Direction, Endpoint, dialect, parse_url
+
+
+def position(x=1.5):
+    return dialect.MAVLink_local_position_ned_message(10, x, 2.0, 3.0, 4.0, 5.0, 6.0)
+
+
+def frames_of(count, seed=0):
+    rng = random.Random(seed)
+    mav = dialect.MAVLink(None, 1, 1)
+    makers = (
+        lambda: position(rng.uniform(-9, 9)),
+        lambda: dialect.MAVLink_heartbeat_message(2, 12, 81, rng.getrandbits(32), 3, 3),
+        lambda: dialect.MAVLink_statustext_message(4, b"rejected: \xfd\xfe " * 3, 0, 0),
+        lambda: dialect.MAVLink_timesync_message(0, rng.getrandbits(60)),
+    )
+    return [rng.choice(makers)().pack(mav) for _ in range(count)]
+
+
+def raw_frame(message_id, payload, flags=0):
+    body = bytes([len(payload), flags, 0, 7, 3, 4]) + message_id.to_bytes(3, "little") + payload
+    crc = dialect.x25crc(body + bytes([dialect.mavlink_map[message_id].crc_extra])).crc
+    return b"\xfd" + body + struct.pack("<H", crc) + (bytes(range(13)) if flags else b"")
+
+
+@pytest.fixture
+def pair():
+    server = Endpoint("udpin:127.0.0.1:0", 1, 1)
+    client = Endpoint(f"udpout://127.0.0.1:{server.local_port}", 1, 191)
+    yield server, client
+    server.close()
+    client.close()
+
+
+def take(endpoint, count):
+    received = []
+    while len(received) < count:
+        assert endpoint.wait(5.0), f"only {len(received)} of {count} frames came"
+        received += endpoint.receive()
+    return received
+
+
+# --- framing
+
+
+def test_frames_of_one_datagram_come_in_order():
+    frames = frames_of(20)
+    assert list(split_frames(b"".join(frames))) == frames
+
+
+def test_stray_start_byte_costs_no_good_frame():
+    frames = frames_of(8)
+    counters = FrameCounters()
+    assert list(split_frames(b"\xfd\xff\x00" + b"".join(frames), counters)) == frames
+    assert counters.garbage_bytes == 3
+
+
+def test_bad_checksum_is_counted_and_the_next_frame_survives():
+    first, second = frames_of(2)
+    broken = first[:-1] + bytes([first[-1] ^ 1])
+    counters = FrameCounters()
+    assert list(split_frames(broken + second, counters)) == [second]
+    assert counters.bad_crc == 1
+    assert counters.garbage_bytes == len(broken)
+
+
+def test_version_1_frames_are_dropped_and_counted():
+    mav = dialect.MAVLink(None, 1, 1)
+    old = position().pack(mav, force_mavlink1=True)
+    new = position().pack(mav)
+    counters = FrameCounters()
+    assert list(split_frames(old + new + old, counters)) == [new]
+    assert counters.version_1 == 2
+    assert counters.garbage_bytes == 0
+
+
+def test_unknown_message_is_dropped_and_counted():
+    good = frames_of(1)[0]
+    unknown = b"\xfd\x02\x00\x00\x00\x01\x01\xff\xff\xff\x01\x02\x03\x04"
+    counters = FrameCounters()
+    assert list(split_frames(unknown + good, counters)) == [good]
+    assert counters.unknown_id == 1
+
+
+def test_signed_frame_is_kept_whole_and_unknown_flags_are_refused():
+    payload = bytes(range(9))
+    signed = raw_frame(0, payload, flags=1)
+    strange = raw_frame(0, payload, flags=2)
+    assert list(split_frames(strange + signed)) == [signed]
+
+
+@pytest.mark.parametrize("cut", [1, 5, 11, 20])
+def test_truncated_frame_is_garbage(cut):
+    frame = frames_of(1)[0][:cut]
+    counters = FrameCounters()
+    assert list(split_frames(frame, counters)) == []
+    assert counters.garbage_bytes == cut
+
+
+def test_fuzz_never_raises_and_never_loses_a_good_frame():
+    """20 000 datagrams: random bytes, mutations, cuts and good frames, mixed in any order."""
+    rng = random.Random(1)
+    pool = frames_of(200, seed=2)
+    for _ in range(20_000):
+        pieces, good = [], []
+        for _ in range(rng.randrange(1, 5)):
+            kind = rng.randrange(5)
+            frame = rng.choice(pool)
+            if kind == 0:
+                pieces.append(rng.randbytes(rng.randrange(0, 40)))
+            elif kind == 1:
+                mutated = bytearray(frame)
+                mutated[rng.randrange(len(mutated))] ^= 1 << rng.randrange(8)
+                pieces.append(bytes(mutated))
+            elif kind == 2:
+                pieces.append(frame[: rng.randrange(len(frame))])
+            elif kind == 3:
+                pieces.append(bytes([0xFD, rng.randrange(256), rng.randrange(2)]))
+            else:
+                pieces.append(frame)
+                good.append(frame)
+        counters = FrameCounters()
+        datagram = b"".join(pieces)
+        found = list(split_frames(datagram, counters))
+        assert sum(map(len, found)) + counters.garbage_bytes == len(datagram) or counters.version_1
+        remaining = iter(found)
+        assert all(any(frame == other for other in remaining) for frame in good), datagram.hex()
+        for frame in found:
+            decode(frame)
+
+
+# --- decoding
+
+
+def test_decoding_equals_pymavlink_for_every_message():
+    rng = random.Random(3)
+    mav = dialect.MAVLink(None, 1, 1)
+    for message_id, cls in dialect.mavlink_map.items():
+        for length in (cls.unpacker.size, rng.randrange(0, 256)):
+            frame = raw_frame(message_id, rng.randbytes(min(length, 255)), flags=rng.getrandbits(1))
+            ours, theirs = decode(frame), mav.decode(bytearray(frame))
+            ours_header, theirs_header = (
+                vars(ours.__dict__.pop("_header")),
+                vars(theirs.__dict__.pop("_header")),
+            )
+            assert ours_header == theirs_header
+            assert type(ours) is type(theirs)
+            assert repr(ours.__dict__) == repr(theirs.__dict__), cls.msgname  # repr: NaN equals itself
+
+
+# --- endpoint
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "udp:1:2",
+        "udpin:127.0.0.1",
+        "udpin:127.0.0.1:99999",
+        "udpout:127.0.0.1:0",
+        "tcp:1.2.3.4:5",
+        "udpin:a b:1",
+    ],
+)
+def test_bad_url_says_what_is_allowed(url):
+    with pytest.raises(ValueError, match="udpin"):
+        parse_url(url)
+
+
+@pytest.mark.parametrize("ids", [(0, 1), (1, 256)])
+def test_bad_ids_are_refused(ids):
+    with pytest.raises(ValueError, match="allowed is 1 to 255"):
+        Endpoint("udpin:127.0.0.1:0", *ids)
+
+
+def test_port_in_use_is_a_clear_error():
+    first = Endpoint("udpin:127.0.0.1:0", 1, 1)
+    try:
+        with pytest.raises(OSError, match="another process"):
+            Endpoint(f"udpin:127.0.0.1:{first.local_port}", 1, 1)
+    finally:
+        first.close()
+
+
+def test_messages_travel_in_one_datagram_with_our_ids_and_numbers(pair):
+    server, client = pair
+    client.send([position(), dialect.MAVLink_timesync_message(0, 5)])
+    assert server.wait(5.0)
+    received = server.receive()
+    assert [r.message.get_type() for r in received] == ["LOCAL_POSITION_NED", "TIMESYNC"]
+    assert [r.message.get_seq() for r in received] == [0, 1]
+    assert {(r.message.get_srcSystem(), r.message.get_srcComponent()) for r in received} == {(1, 191)}
+    assert received[0].peer == ("127.0.0.1", client.local_port)
+    assert received[0].raw == bytes(received[0].message.get_msgbuf())
+
+
+def test_listener_learns_its_peer_and_answers(pair):
+    server, client = pair
+    server.send([position()])  # nobody known: nothing is sent, no number is used
+    client.send([position()])
+    take(server, 1)
+    assert server.peers == (("127.0.0.1", client.local_port),)
+    server.send([position()])
+    assert take(client, 1)[0].message.get_seq() == 0
+
+
+def test_garbage_teaches_no_peer(pair):
+    server, _ = pair
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(b"\xfdhello", ("127.0.0.1", server.local_port))
+        assert server.wait(5.0)
+        assert server.receive() == []
+    assert server.peers == ()
+    assert server.counters.garbage_bytes == 6
+
+
+def test_peer_table_is_bounded_and_expires(monkeypatch):
+    now = 100.0
+    monkeypatch.setattr("bridge.mavlink.time.monotonic", lambda: now)
+    server = Endpoint("udpin:127.0.0.1:0", 1, 1, max_peers=2)
+    clients = [Endpoint(f"udpout:127.0.0.1:{server.local_port}", 1, 191) for _ in range(3)]
+    try:
+        for client in clients:
+            client.send([position()])
+        assert len(take(server, 3)) == 3
+        assert len(server.peers) == 2
+        assert server.counters.peers_refused == 1
+        now = 111.0  # all silent for longer than 10 s
+        clients[2].send([position()])
+        take(server, 1)
+        assert server.peers == (("127.0.0.1", clients[2].local_port),)
+    finally:
+        for endpoint in (server, *clients):
+            endpoint.close()
+
+
+def test_tap_sees_every_frame_both_ways(pair):
+    server, client = pair
+    seen = []
+    server.tap = lambda direction, frame, peer: seen.append((direction, frame, peer))
+    client.send([position(), position()])
+    incoming = [r.raw for r in take(server, 2)]
+    server.send([dialect.MAVLink_timesync_message(1, 2)])
+    outgoing = take(client, 1)[0].raw
+    peer = ("127.0.0.1", client.local_port)
+    assert seen == [(Direction.IN, frame, peer) for frame in incoming] + [(Direction.OUT, outgoing, peer)]
+
+
+def test_too_much_for_one_datagram_is_split_in_order(pair):
+    server, client = pair
+    texts = [dialect.MAVLink_statustext_message(6, f"{i:050d}".encode(), 0, 0) for i in range(60)]
+    client.send(texts)
+    assert [int(r.message.text) for r in take(server, 60)] == list(range(60))
+
+
+def test_endpoint_survives_a_flood_of_garbage(pair):
+    server, client = pair
+    rng = random.Random(4)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for _ in range(100):
+            for _ in range(20):
+                stranger.sendto(rng.randbytes(rng.randrange(0, 300)), ("127.0.0.1", server.local_port))
+            server.receive()
+    client.send([position(7.0)])
+    assert take(server, 1)[0].message.x == 7.0
+
+
+def test_wait_gives_up_after_the_time_and_close_can_be_repeated():
+    endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1)
+    assert endpoint.wait(0.001) is False
+    assert endpoint.receive() == []
+    endpoint.close()
+    endpoint.close()
