@@ -71,10 +71,10 @@ _PHASE_TIME_S: dict[Phase, Callable[[FlightConfig], float]] = {
 
 def gather(
     config: FlightConfig, barrier: Barrier, memory: Memory, seen: View, command_failed: bool, now_s: float
-) -> C:
+) -> int:
     """Build the word. Also keeps the timers in ``memory`` that conditions are made of."""
     inputs, status, own = seen.inputs, seen.inputs.status, seen.inputs.own
-    word = C(0)
+    word = 0
     if inputs.operator is Operator.EMERGENCY_STOP:
         word |= C.EMERGENCY
     if inputs.operator is Operator.ABORT:
@@ -112,10 +112,10 @@ def gather(
     return word
 
 
-def _status_conditions(memory: Memory, seen: View, good: bool) -> C:
+def _status_conditions(memory: Memory, seen: View, good: bool) -> int:
     status = seen.inputs.status
     assert status is not None
-    word = C(0)
+    word = 0
     if status.armed:
         word |= C.ARMED
         memory.was_armed = True
@@ -133,12 +133,14 @@ def _status_conditions(memory: Memory, seen: View, good: bool) -> C:
     return word
 
 
-def _place_conditions(config: FlightConfig, barrier: Barrier, memory: Memory, seen: View, now_s: float) -> C:
+def _place_conditions(
+    config: FlightConfig, barrier: Barrier, memory: Memory, seen: View, now_s: float
+) -> int:
     own, target, e = seen.inputs.own, seen.target, seen.e_m
     assert own is not None
     assert target is not None
     assert e is not None
-    word = C(0)
+    word = 0
     takeoff, touchdown = config.takeoff, config.touchdown
     start = start_point(config, target)
     if memory.climbed and (

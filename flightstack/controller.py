@@ -131,7 +131,7 @@ class Controller:
                 events.append(Event(WARN, f"target sample refused: {verdict.value}"))
         return events
 
-    def _enter(self, phase: Phase, reason: str, word: Condition, now_s: float) -> Event:
+    def _enter(self, phase: Phase, reason: str, word: int, now_s: float) -> Event:
         memory = self.memory
         text = f"{memory.phase.name} -> {phase.name}: {reason}"
         if memory.phase in (Phase.HOLD, Phase.CLIMB) and phase in (Phase.APPROACH, Phase.TAKEOFF):
@@ -144,15 +144,15 @@ class Controller:
         memory.phase, memory.phase_since_s, memory.reason = phase, now_s, reason
         return Event(ERROR if phase is Phase.ABORT else WARN if phase is Phase.HOLD else INFO, text)
 
-    def _abort_way(self, word: Condition) -> AbortWay:
+    def _abort_way(self, word: int) -> AbortWay:
         c = Condition
-        if c.EMERGENCY in word:
+        if word & c.EMERGENCY:
             return AbortWay.MOTORS_OFF
-        if c.WAS_ARMED not in word or c.ARMED not in word:
+        if not word & c.WAS_ARMED or not word & c.ARMED:
             return AbortWay.HANDS_OFF
-        if c.WAS_EXTERNAL in word and c.EXTERNAL not in word and c.LINK_LOST not in word:
+        if word & c.WAS_EXTERNAL and not word & c.EXTERNAL and not word & c.LINK_LOST:
             return AbortWay.HANDS_OFF
-        if c.OWN_LOST in word or c.LINK_LOST in word or self.memory.target_position_enu_m is None:
+        if word & c.OWN_LOST or word & c.LINK_LOST or self.memory.target_position_enu_m is None:
             return AbortWay.LAND_HERE
         return AbortWay.FLY_CLEAR
 

@@ -222,7 +222,7 @@ class _Lockstep:
         until = time.monotonic() + limit_s
         while True:
             link.poll(max(0, self._last_ns) / 1e9)
-            sim_ns = link.take_timesync()
+            sim_ns: int | None = link.take_timesync()
             if sim_ns is not None and sim_ns != self._last_ns:
                 self._last_ns = sim_ns
                 return sim_ns

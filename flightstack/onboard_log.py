@@ -86,7 +86,7 @@ class OnboardLog:
         for direction, frame in frames:
             self._sequence += 1
             self._feed.write(
-                self._mavlink[direction], unix_ns, unix_ns, self._sequence, pack_mavlink(frame, unix_ns)
+                self._mavlink[direction], unix_ns, unix_ns, self._sequence, pack_mavlink(unix_ns, frame)
             )
         for event in out.events:
             self.event(unix_ns, event.level, event.text)

@@ -8,49 +8,49 @@ again takes a new process, which is an operator's decision.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntFlag, auto
+from enum import IntEnum
 
 from flightstack.types import Phase
 
 
-class Condition(IntFlag):
-    """What the table may ask about the world."""
+class Condition(IntEnum):
+    """What the table may ask about the world: one bit each; a word is a plain int, for speed."""
 
-    EMERGENCY = auto()  # operator's emergency stop
-    ABORT_ASKED = auto()  # operator's abort
-    OWN_LOST = auto()  # own state missing or too old
-    LINK_LOST = auto()  # heartbeat missing or too old
-    TARGET_LOST = auto()  # target missing or too old
-    READY = auto()  # all inputs fresh; vehicle ready to arm or already flying
-    ARMED = auto()
-    WAS_ARMED = auto()  # seen armed earlier in this flight
-    EXTERNAL = auto()  # follows our set-points
-    WAS_EXTERNAL = auto()  # did so earlier in this flight
-    STANDING = auto()  # the vehicle says that it stands
-    AT_START = auto()  # where the landing begins
-    STARTED = auto()  # the landing had begun
-    OVER_PAD = auto()  # inside the descending cone
-    TOUCH = auto()  # the touchdown rule is met
-    RECOVERED = auto()  # inputs were good again for long enough
-    RETRIES_LEFT = auto()
-    HIGH_ENOUGH = auto()  # above everything of the target
-    PHASE_TIME_OVER = auto()  # the longest time allowed in this phase
-    LANDING_TIME_OVER = auto()
-    COMMAND_FAILED = auto()  # the vehicle refused a command for good
+    EMERGENCY = 1 << 0  # operator's emergency stop
+    ABORT_ASKED = 1 << 1  # operator's abort
+    OWN_LOST = 1 << 2  # own state missing or too old
+    LINK_LOST = 1 << 3  # heartbeat missing or too old
+    TARGET_LOST = 1 << 4  # target missing or too old
+    READY = 1 << 5  # all inputs fresh; vehicle ready to arm or already flying
+    ARMED = 1 << 6
+    WAS_ARMED = 1 << 7  # seen armed earlier in this flight
+    EXTERNAL = 1 << 8  # follows our set-points
+    WAS_EXTERNAL = 1 << 9  # did so earlier in this flight
+    STANDING = 1 << 10  # the vehicle says that it stands
+    AT_START = 1 << 11  # where the landing begins
+    STARTED = 1 << 12  # the landing had begun
+    OVER_PAD = 1 << 13  # inside the descending cone
+    TOUCH = 1 << 14  # the touchdown rule is met
+    RECOVERED = 1 << 15  # inputs were good again for long enough
+    RETRIES_LEFT = 1 << 16
+    HIGH_ENOUGH = 1 << 17  # above everything of the target
+    PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase
+    LANDING_TIME_OVER = 1 << 19
+    COMMAND_FAILED = 1 << 20  # the vehicle refused a command for good
 
 
 C = Condition
-NONE = C(0)
+NONE = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
     """One row: go ``to`` when all of ``when`` and none of ``unless`` hold, because of ``reason``."""
 
-    when: Condition
+    when: int
     to: Phase
     reason: str
-    unless: Condition = NONE
+    unless: int = NONE
 
 
 _OPERATOR = (
@@ -94,7 +94,7 @@ TABLE: dict[Phase, tuple[Rule, ...]] = {
         *_INPUTS,
         Rule(C.LANDING_TIME_OVER, Phase.ABORT, "landing took too long"),
         Rule(C.TOUCH, Phase.TOUCHDOWN, "touchdown rule met"),
-        Rule(C(0), Phase.APPROACH, "left the descending cone", unless=C.OVER_PAD),
+        Rule(NONE, Phase.APPROACH, "left the descending cone", unless=C.OVER_PAD),
     ),
     Phase.TOUCHDOWN: (
         *_OPERATOR,
@@ -122,9 +122,9 @@ TABLE: dict[Phase, tuple[Rule, ...]] = {
 }  # fmt: skip
 
 
-def next_phase(phase: Phase, conditions: Condition) -> tuple[Phase, str] | None:
+def next_phase(phase: Phase, conditions: int) -> tuple[Phase, str] | None:
     """First matching rule of the phase as ``(next phase, reason)``; ``None`` if the phase stays."""
     for rule in TABLE[phase]:
-        if rule.when in conditions and not rule.unless & conditions:
+        if conditions & rule.when == rule.when and not conditions & rule.unless:
             return rule.to, rule.reason
     return None

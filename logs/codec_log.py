@@ -74,4 +74,5 @@ def unpack_log(data: bytes) -> LogRow:
         (line,) = _U32.unpack_from(data, at)
     except struct.error as error:
         raise ValueError(f"event of {len(data)} bytes is cut short: {error}") from error
-    return LogRow(seconds * _NS + nanoseconds, level, *texts, line)
+    name, message, file, function = texts
+    return LogRow(seconds * _NS + nanoseconds, level, name, message, file, function, line)

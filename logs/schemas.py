@@ -57,9 +57,9 @@ def schema_text(name: str) -> str:
     Raises:
         UnknownSchemaError: No such type.
     """
-    generated, _ = _known(name).generate_msgdef(name, ros_version=2)
+    generated: str = _known(name).generate_msgdef(name, ros_version=2)[0]
     if name not in _OURS:
-        return str(generated)
+        return generated
     _, separator, used = generated.partition(_SEPARATOR)
     return _own_text(name).rstrip("\n") + "\n" + separator + used
 
@@ -84,4 +84,5 @@ def _known(name: str) -> Typestore:
 
 
 def _own_text(name: str) -> str:
-    return (files("logs") / "msg" / _OURS[name]).read_text(encoding="ascii")
+    text: str = (files("logs") / "msg" / _OURS[name]).read_text(encoding="ascii")
+    return text

@@ -5,18 +5,38 @@ Deterministic in (scenario, seed). Knows nothing of MAVLink or of the wall clock
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from flightstack.types import Vec3
-from sim.scenario import Scenario
+from flightstack.barrier import Barrier
+from flightstack.types import ZERO, Vec3
+from sim.firmware.mixer import OFF
+from sim.firmware.paper_loop import axes_from_force
+from sim.firmware.setpoint import STOP, Setpoint
+from sim.firmware.stack import Firmware
+from sim.firmware.supervisor import State
+from sim.params import CONTROL_STEP_S, STEP_S, Plant, load
+from sim.rotors import BatteryModel, Four, GroundEffect, Rotors
+from sim.scenario import Scenario, StartKind
+from sim.sensors import Imu, MeasurementChannel, stream
+from sim.target import TargetModel
+from sim.wind import WindModel
+from sim.world import ContactBit, World, quaternion_from_axes, rotation_axes
 
-STEP_S = 0.001
+CONTACT_PAD = ContactBit.PAD.value
+CONTACT_GROUND = ContactBit.GROUND.value
+CONTACT_ROBOT = ContactBit.ROBOT.value
+CONTACT_PAD_EDGE = ContactBit.PAD_EDGE.value
+CONTACT_TUMBLED = ContactBit.TUMBLED.value
 
-CONTACT_PAD = 1
-CONTACT_GROUND = 2
-CONTACT_ROBOT = 4
-CONTACT_PAD_EDGE = 8
-CONTACT_TUMBLED = 16
+WIND_EVERY_MS = 5
+BATTERY_EVERY_MS = 10
+CONTACT_GAP_MS = 30  # a bounce shorter than this does not end a contact
+LANDED_AFTER_MS = 150  # in contact for this long is landed
+AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
+NS_PER_MS = 1_000_000
+NONE_MS = -1_000_000
+NAN3: Vec3 = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +67,7 @@ class Truth:
     h_min_m: float
     h_min_outside_pad_m: float  # +inf if no step was outside the pad's radius
     contacts: int  # bits CONTACT_*
-    first_touch_relative_position_enu_m: Vec3
+    first_touch_relative_position_enu_m: Vec3  # NaN until there was one
     first_touch_relative_velocity_enu_m_s: Vec3
     first_touch_time_s: float  # NaN until there was one
     motors_running: bool
@@ -56,25 +76,293 @@ class Truth:
 
 
 class VehicleSim:
-    """One vehicle with its deck."""
+    """One vehicle with its deck.
 
-    time_s: float
-    battery_v: float
-    armed: bool
-    locked: bool
-    state_text: str  # supervisor state and why
-    on_pad: bool
-    on_ground: bool
-    landed: bool
-    motors_running: bool
+    Attributes:
+        time_s: simulated time.
+        trim_velocity_enu_m_s: set-point that holds a hover start against weight and mean wind; zero otherwise.
+        plant: factors by which this vehicle differs from the nominal one.
 
-    def __init__(self, scenario: Scenario, seed: int) -> None: ...
-    def set_deck(self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float) -> None: ...
-    def advance(self, steps: int) -> None: ...
-    def arm(self) -> str | None: ...
-    def disarm(self, force: bool) -> str | None: ...
-    def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None: ...
-    def stop_setpoint(self) -> None: ...
-    def begin_judging(self) -> None: ...
-    def estimate(self) -> Estimate: ...
-    def truth(self) -> Truth: ...
+    Args:
+        scenario: plant, wind, target, start, judge.
+        seed: of the run.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self._params = params = load()
+        self.plant = plant = Plant.draw(scenario.vehicle, seed)
+        self._mass = params.body.mass_kg * plant.mass
+        self._gravity = params.contact.gravity_m_s2
+        self._judge = Barrier(scenario.judge.alpha_1_m, scenario.judge.beta_m)
+        self._pad_radius = scenario.target.pad_radius_m
+        self._world = World(params, self._mass, scenario.target)
+        self._rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S)
+        self._ground = GroundEffect(params.rotor, scenario.vehicle.ground_effect_gain, self._pad_radius)
+        self._hover_rpm = params.rotor.rpm(self._mass * self._gravity / 4.0 / plant.thrust)
+        self._battery = BatteryModel(params.battery, self._hover_rpm)
+        self._wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S)
+        self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed)
+        self._firmware = Firmware(scenario.vehicle, params, self._imu)
+        mocap = scenario.vehicle.mocap
+        noise = mocap.position_noise_m
+        self._mocap = MeasurementChannel(mocap, (noise, noise, noise, mocap.yaw_noise_rad), seed, "mocap")
+        self._ms = 0
+        self._contact_since_ms = self._pad_ms = self._ground_ms = NONE_MS
+        self._touch: tuple[float, Vec3, Vec3] | None = None
+        self._contacts = 0
+        self._h_min = self._h_min_outside = math.inf
+        self.trim_velocity_enu_m_s: Vec3 = ZERO
+        target = TargetModel(scenario.target, seed)
+        pose = target.pose
+        self.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
+        self._judging = scenario.start.kind is StartKind.HOVER
+        if scenario.start.kind is StartKind.HOVER:
+            self._start_hover(scenario, seed)
+        else:
+            x, y = scenario.start.ground_position_m
+            self._world.set_vehicle((x, y, -params.geometry.foot_bottom_m - 1e-5))
+            self._ground_ms = self._contact_since_ms = -LANDED_AFTER_MS
+        self._settle()
+
+    def _start_hover(self, scenario: Scenario, seed: int) -> None:
+        """Place the vehicle at rest in the air, rotors and firmware trimmed for the mean wind."""
+        offset = scenario.start.offset_m or self._draw_offset(scenario, seed)
+        deck = self._world.deck_position
+        position = (deck[0] + offset[0], deck[1] + offset[1], deck[2] + offset[2])
+        wx, wy, wz = self._wind.mean_enu_m_s
+        drag_xy, _, drag_z = self._params.body.drag_n_s_m
+        zx, zy, zz = 0.0, 0.0, 1.0
+        fx = fy = fz = 0.0
+        for _ in range(20):  # drag depends on the tilt, the tilt on the drag
+            along = (drag_z - drag_xy) * (wx * zx + wy * zy + wz * zz)
+            fx, fy = -drag_xy * wx - along * zx, -drag_xy * wy - along * zy
+            fz = self._mass * self._gravity - drag_xy * wz - along * zz
+            length = math.sqrt(fx * fx + fy * fy + fz * fz)
+            zx, zy, zz = fx / length, fy / length, fz / length
+        self._world.set_vehicle(position, quaternion_from_axes(axes_from_force(fx, fy, fz, 1.0, 0.0)))
+        rpm = self._params.rotor.rpm(length / 4.0 / self.plant.thrust)
+        self._rotors.rpm = (rpm, rpm, rpm, rpm)
+        self._firmware.commands = self._rotors.rpm
+        scale = self.plant.thrust
+        trim = self._firmware.controller.trim((fx / scale, fy / scale, fz / scale))
+        self.trim_velocity_enu_m_s = trim
+        self._firmware.start_flying(Setpoint(*trim))
+
+    def _draw_offset(self, scenario: Scenario, seed: int) -> Vec3:
+        rng = stream(seed, "start")
+        distance = rng.uniform(*scenario.start.distance_m)
+        bearing = rng.uniform(-math.pi, math.pi)
+        height = rng.uniform(*scenario.start.h_m) + self._judge.height(distance)
+        return (distance * math.cos(bearing), distance * math.sin(bearing), height)
+
+    def _settle(self) -> None:
+        """Start with a converged estimate."""
+        world = self._world
+        axes = rotation_axes(world.quaternion)
+        g = self._gravity
+        self._imu.settle(world.velocity, (g * axes[2], g * axes[5], g * axes[8]))
+        bias = self._imu.accel_bias
+        self._firmware.estimator.settle(world.position, world.velocity, axes, world.quaternion, bias)
+
+    def set_deck(
+        self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float
+    ) -> None:
+        """True pose and twist of the pad centre now; it moves on an arc until the next call."""
+        self._world.set_deck(position_enu_m, yaw_rad, velocity_enu_m_s, yaw_rate_rad_s)
+
+    def advance(self, steps: int) -> None:
+        """Run ``steps`` physics steps of 1 ms."""
+        world, rotors, firmware, mocap, wind = self._world, self._rotors, self._firmware, self._mocap, self._wind
+        battery = self._battery
+        drag_xy, _, drag_z = self._params.body.drag_n_s_m
+        drag_along = drag_z - drag_xy
+        weight = self._mass * self._gravity
+        height_of, sqrt, pad_radius_sq = self._judge.height, math.sqrt, self._pad_radius**2
+        h_min, h_min_outside = self._h_min, self._h_min_outside
+        axes = rotation_axes(world.quaternion)
+        cushion = self._cushion(axes)
+        for now_ms in range(self._ms, self._ms + steps):
+            now_ns = now_ms * NS_PER_MS
+            if now_ms >= firmware.next_setpoint_ms:
+                firmware.receive(now_ms)
+            if now_ns >= mocap.due_ns:
+                axes = rotation_axes(world.quaternion)
+                mocap.sample(now_ns, (*world.position, math.atan2(axes[1], axes[0])))
+            if now_ns >= mocap.release_ns:
+                for _, sample in mocap.release(now_ns):
+                    firmware.estimator.correct(sample[0], sample[1], sample[2], sample[3])
+            if not now_ms & 1:
+                axes = rotation_axes(world.quaternion)
+                firmware.tick(now_ms, world.velocity, world.rates, axes, battery.rpm_max)
+                cushion = self._cushion(axes)
+            if now_ms % WIND_EVERY_MS == 0:
+                wind.step()
+                if now_ms % BATTERY_EVERY_MS == 0:
+                    battery.step(rotors.rpm, BATTERY_EVERY_MS * STEP_S)
+            x, y, z = world.position
+            dx, dy, dz = world.deck_position
+            ex, ey, ez = x - dx, y - dy, z - dz
+            wx, wy, _ = world.rates
+            rotors.step(firmware.commands, cushion, wx, wy)
+            w, qx, qy, qz = world.quaternion
+            zx, zy, zz = 2.0 * (qx * qz + w * qy), 2.0 * (qy * qz - w * qx), 1.0 - 2.0 * (qx * qx + qy * qy)
+            vx, vy, vz = velocity = world.velocity
+            ax, ay, az = wind.x - vx, wind.y - vy, wind.z - vz
+            along = rotors.thrust_n + drag_along * (ax * zx + ay * zy + az * zz)
+            contacts = world.step(
+                (drag_xy * ax + along * zx, drag_xy * ay + along * zy, drag_xy * az + along * zz - weight),
+                (rotors.torque_x, rotors.torque_y, rotors.torque_z),
+            )
+            if contacts:
+                self._contacts |= contacts
+                self._note_contact(contacts, now_ms, (ex, ey, ez), velocity)
+            x, y, z = world.position
+            dx, dy, dz = world.deck_position
+            ex, ey = x - dx, y - dy
+            square = ex * ex + ey * ey
+            h = z - dz - height_of(sqrt(square))
+            if h < h_min:
+                h_min = h
+            if h < h_min_outside and square > pad_radius_sq:
+                h_min_outside = h
+        self._h_min, self._h_min_outside = h_min, h_min_outside
+        self._ms += steps
+        if not self._judging and self._ms - max(self._pad_ms, self._ground_ms) > AIRBORNE_AFTER_MS:
+            self._judging = True
+
+    def _cushion(self, axes: tuple[float, ...]) -> Four | None:
+        """Ground-effect factors; None for none."""
+        if self._rotors.thrust_n <= 0.0:
+            return None
+        x, y, z = self._world.position
+        dx, dy, dz = self._world.deck_position
+        return self._ground.factors(x - dx, y - dy, z - dz, dz, axes)
+
+    def _note_contact(self, contacts: int, now_ms: int, e: Vec3, velocity: Vec3) -> None:
+        """Keep contact times; latch the state before the first judged touch of the pad."""
+        if contacts & (CONTACT_PAD | CONTACT_GROUND):
+            if now_ms - max(self._pad_ms, self._ground_ms) > CONTACT_GAP_MS:
+                self._contact_since_ms = now_ms
+            if contacts & CONTACT_PAD:
+                self._pad_ms = now_ms
+            if contacts & CONTACT_GROUND:
+                self._ground_ms = now_ms
+        if contacts & CONTACT_PAD and self._judging and self._touch is None:
+            pad = self._world.pad_surface_velocity(e[0], e[1])
+            relative = (velocity[0] - pad[0], velocity[1] - pad[1], velocity[2] - pad[2])
+            self._touch = (now_ms * STEP_S, e, relative)
+
+    def arm(self) -> str | None:
+        """Arm; None if accepted (or armed already), else why not."""
+        return self._firmware.arm(self._ms, self._battery.voltage_v)
+
+    def disarm(self, force: bool) -> str | None:
+        """Disarm, motors off at once; without ``force`` only in contact with pad or ground. None if accepted."""
+        if not force and self.armed and self.motors_running and not (self.on_pad or self.on_ground):
+            return "in the air; land first, or force"
+        self._firmware.disarm(self._ms)
+        return None
+
+    def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
+        """Send a velocity set-point; it takes effect after the radio's delay, and its age counts from there."""
+        self._firmware.send(Setpoint(*velocity_enu_m_s, yaw_rad), self._ms)
+
+    def stop_setpoint(self) -> None:
+        """Send a stop set-point: motors off while it is the newest. It ages like any other."""
+        self._firmware.send(STOP, self._ms)
+
+    def begin_judging(self) -> None:
+        """The landing begins: the next touch of the pad is the first."""
+        self._judging = True
+        self._touch = None
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return self._ms * STEP_S
+
+    @property
+    def battery_v(self) -> float:
+        """Voltage under load."""
+        return self._battery.voltage_v
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors may turn."""
+        return self._firmware.supervisor.motors_allowed
+
+    @property
+    def locked(self) -> bool:
+        """Whether only a reboot (a new object) helps."""
+        return self._firmware.supervisor.state is State.LOCKED
+
+    @property
+    def crashed(self) -> bool:
+        """Whether the supervisor saw a tumble; disarm to clear."""
+        return self._firmware.supervisor.state is State.CRASHED
+
+    @property
+    def state_text(self) -> str:
+        """State of the supervisor in words."""
+        return self._firmware.supervisor.state.value
+
+    @property
+    def motors_running(self) -> bool:
+        """Whether any motor is commanded to turn."""
+        return self._firmware.commands != OFF
+
+    @property
+    def on_pad(self) -> bool:
+        """In contact with the pad's top (true contact; bounces shorter than 30 ms don't count)."""
+        return self._ms - self._pad_ms <= CONTACT_GAP_MS
+
+    @property
+    def on_ground(self) -> bool:
+        """In contact with the floor."""
+        return self._ms - self._ground_ms <= CONTACT_GAP_MS
+
+    @property
+    def landed(self) -> bool:
+        """In contact with pad or floor for 0.15 s."""
+        return (self.on_pad or self.on_ground) and self._ms - self._contact_since_ms >= LANDED_AFTER_MS
+
+    def estimate(self) -> Estimate:
+        """Return what the estimator believes now."""
+        estimator = self._firmware.estimator
+        sensed = estimator.sensed
+        return Estimate(
+            sensed.position, sensed.velocity, sensed.quaternion, sensed.rates, estimator.valid
+        )
+
+    def truth(self) -> Truth:
+        """Return the true state now and the extremes and contacts since the last call; those start anew."""
+        world = self._world
+        px, py, pz = world.position
+        dx, dy, dz = world.deck_position
+        h = self._judge.h((px - dx, py - dy, pz - dz))
+        touch_s, touch_e, touch_v = self._touch or (math.nan, NAN3, NAN3)
+        rpm: Four = self._rotors.rpm
+        truth = Truth(
+            time_s=self.time_s,
+            position_enu_m=world.position,
+            velocity_enu_m_s=world.velocity,
+            quaternion=world.quaternion,
+            angular_velocity_flu_rad_s=world.rates,
+            rotor_rpm=rpm,
+            pad_position_enu_m=world.deck_position,
+            pad_velocity_enu_m_s=world.deck_velocity,
+            pad_yaw_rad=math.remainder(world.deck_yaw, 2.0 * math.pi),
+            h_m=h,
+            h_min_m=min(h, self._h_min),
+            h_min_outside_pad_m=self._h_min_outside,
+            contacts=self._contacts,
+            first_touch_relative_position_enu_m=touch_e,
+            first_touch_relative_velocity_enu_m_s=touch_v,
+            first_touch_time_s=touch_s,
+            motors_running=self.motors_running,
+            battery_v=self._battery.voltage_v,
+            wind_enu_m_s=(self._wind.x, self._wind.y, self._wind.z),
+        )
+        self._h_min = self._h_min_outside = math.inf
+        self._contacts = 0
+        return truth

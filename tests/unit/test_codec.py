@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 
 import numpy as np
 import pytest
@@ -59,11 +58,12 @@ def as_message(row, name):
     return T[name](**values)
 
 
-
 @given(rows(codec.ControllerStepRow))
 def test_controller_step_equals_the_generic_codec(row):
     data = codec.pack_controller_step(row)
-    assert data == bytes(STORE.serialize_cdr(as_message(row, schemas.CONTROLLER_STEP), schemas.CONTROLLER_STEP))
+    assert data == bytes(
+        STORE.serialize_cdr(as_message(row, schemas.CONTROLLER_STEP), schemas.CONTROLLER_STEP)
+    )
     assert codec.pack_controller_step(codec.unpack_controller_step(data)) == data
 
 

@@ -99,3 +99,20 @@ def test_every_scenario_loads_is_feasible_and_survives_writing(name):
 def test_an_unknown_scenario_is_refused_with_the_names():
     with pytest.raises(ConfigError, match="paper_moving_1"):
         scenario.load("nowhere")
+
+
+def test_the_documented_configuration_names_every_key_and_its_default():
+    from pathlib import Path
+
+    file = Path(__file__).parents[2] / "docs" / "onboard.toml"
+    documented = to_table(load(file))
+    defaults = to_table(config())
+    text = file.read_text()
+    for section, values in to_table(from_table(FlightConfig, PAPER)).items():
+        assert section in text
+        for key in values if isinstance(values, dict) else ():
+            assert key in text
+    changed = {"filter", "touchdown", "takeoff"}
+    assert {k: v for k, v in documented.items() if k not in changed} == {
+        k: v for k, v in defaults.items() if k not in changed
+    }

@@ -1,0 +1,200 @@
+"""Chunked MCAP output with a fast path for messages (MCAP specification, format version 0).
+
+The package's own writer spends two thirds of the recorder's time on building one message record from seven
+small pieces and a dataclass. Here a message is one ``struct`` call; everything rare is still written by the
+records of the ``mcap`` package, and its readers check the result in the tests.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol
+
+import lz4.frame  # type: ignore[import-untyped]
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+
+_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+_MESSAGE_OVERHEAD = 22  # bytes of a message record besides its data
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)
+_INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
+_FOOTER_LENGTH = 8 + 8 + 4  # the part of the footer its checksum covers begins with opcode and length
+
+
+class Output(Protocol):
+    """Where the bytes go; each ``write`` is one or more whole records."""
+
+    def write(self, data: bytes) -> int:
+        """Write everything."""
+
+    def tell(self) -> int:
+        """Return the position in the file."""
+
+
+class ChunkedWriter:
+    """Writes one MCAP file; not thread-safe."""
+
+    def __init__(self, output: Output, chunk_bytes: int) -> None:
+        """Write to ``output``; a chunk is closed when it holds more than ``chunk_bytes`` uncompressed."""
+        self._output = output
+        self._chunk_bytes = chunk_bytes
+        self._chunk = bytearray()
+        self._entries: dict[int, list[int]] = {}  # channel -> log time, offset, log time, offset, ...
+        self._counts: dict[int, int] = {}
+        self._start_ns: int | None = None
+        self._end_ns = 0
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._chunks: list[ChunkIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+
+    def start(self, profile: str, library: str) -> None:
+        """Write the head of the file."""
+        self._output.write(MCAP0_MAGIC + _encoded(Header(profile, library)))
+
+    def register_schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Add a schema and return its number, from 1."""
+        schema = Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name)
+        self._chunk += _encoded(schema)
+        self._schemas.append(schema)
+        return len(self._schemas)
+
+    def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
+        """Add a channel and return its number, from 1."""
+        number = len(self._channels) + 1
+        channel = Channel(number, topic, encoding, dict(metadata), schema)
+        self._chunk += _encoded(channel)
+        self._channels.append(channel)
+        self._entries[number] = []
+        self._counts[number] = 0
+        return number
+
+    def add_message(
+        self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, data: bytes
+    ) -> None:
+        """Add one message to the open chunk."""
+        chunk = self._chunk
+        self._entries[channel] += (log_time_ns, len(chunk))
+        length = _MESSAGE_OVERHEAD + len(data)
+        chunk += _MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence, log_time_ns, publish_time_ns)
+        chunk += data
+        if len(chunk) > self._chunk_bytes:
+            self.flush()
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+        data = _encoded(Metadata(name=name, metadata=dict(values)))
+        self._metadata.append(MetadataIndex(self._output.tell(), len(data), name))
+        self._output.write(data)
+
+    def add_attachment(self, log_time_ns: int, name: str, media_type: str, content: bytes) -> None:
+        """Write a file into the file."""
+        data = _encoded(Attachment(log_time_ns, log_time_ns, name, media_type, content))
+        at = self._output.tell()
+        self._attachments.append(
+            AttachmentIndex(at, len(data), log_time_ns, log_time_ns, len(content), name, media_type)
+        )
+        self._output.write(data)
+
+    def flush(self) -> None:
+        """Close the open chunk, if it holds a message, and write it."""
+        entries = {channel: flat for channel, flat in self._entries.items() if flat}
+        if not entries:
+            return
+        raw = bytes(self._chunk)
+        start_ns = min(min(flat[0::2]) for flat in entries.values())
+        end_ns = max(max(flat[0::2]) for flat in entries.values())
+        packed = lz4.frame.compress(raw)
+        chunk = _encoded(Chunk("lz4", packed, end_ns, start_ns, zlib.crc32(raw), len(raw)))
+        at = self._output.tell()
+        self._output.write(chunk)
+        offsets: dict[int, int] = {}
+        index = bytearray()
+        for channel, flat in entries.items():
+            offsets[channel] = at + len(chunk) + len(index)
+            size = 8 * len(flat)
+            index += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size)
+            index += struct.pack(f"<{len(flat)}Q", *flat)
+            self._counts[channel] += len(flat) // 2
+        self._output.write(bytes(index))
+        self._chunks.append(
+            ChunkIndex(
+                chunk_length=len(chunk),
+                chunk_start_offset=at,
+                compression="lz4",
+                compressed_size=len(packed),
+                message_end_time=end_ns,
+                message_index_length=len(index),
+                message_index_offsets=offsets,
+                message_start_time=start_ns,
+                uncompressed_size=len(raw),
+            )
+        )
+        self._start_ns = start_ns if self._start_ns is None else min(self._start_ns, start_ns)
+        self._end_ns = max(self._end_ns, end_ns)
+        self._chunk.clear()
+        self._entries = {channel: [] for channel in self._entries}
+
+    def finish(self) -> None:
+        """Write the last chunk, the summary and the end of the file."""
+        self.flush()
+        self._output.write(_encoded(DataEnd(0)))  # 0: the data section has no checksum of its own
+        start = self._output.tell()
+        summary = bytearray()
+        offsets = bytearray()
+        groups: tuple[tuple[Opcode, Iterable[Any]], ...] = (
+            (Opcode.SCHEMA, self._schemas),
+            (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, (self._statistics(),)),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._metadata),
+        )
+        for opcode, records in groups:
+            group = b"".join(_encoded(record) for record in records)
+            if group:
+                offsets += _encoded(SummaryOffset(opcode, start + len(summary), len(group)))
+            summary += group
+        offsets_at = start + len(summary)
+        summary += offsets
+        head = struct.pack("<BQQQ", Opcode.FOOTER, _FOOTER_LENGTH, start, offsets_at)
+        crc = zlib.crc32(head, zlib.crc32(summary))
+        self._output.write(bytes(summary) + _encoded(Footer(start, offsets_at, crc)) + MCAP0_MAGIC)
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts={channel: count for channel, count in self._counts.items() if count},
+            chunk_count=len(self._chunks),
+            message_count=sum(self._counts.values()),
+            message_end_time=self._end_ns,
+            message_start_time=self._start_ns or 0,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+
+
+def _encoded(record: Any) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())

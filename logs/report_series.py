@@ -1,0 +1,220 @@
+"""Figures over time: barrier (paper Fig. 9a, 13a), velocities (9b-d, 13b-d), loop timing, age of the data."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from logs.flight_data import Flight, Floats, Steps
+from logs.report_style import (
+    BOUNDARY,
+    COMMAND,
+    ESTIMATED,
+    FILTERED,
+    INK,
+    LIMIT,
+    NOMINAL,
+    TARGET,
+    TRUE,
+    add_phases,
+    layout,
+    light,
+    line,
+    low_envelope,
+    shown_range,
+    thin,
+    time_axis,
+    zero_s,
+)
+from logs.verdict_types import VIOLATION_LIMIT_M, Verdict
+
+_AXES = ("x, east", "y, north", "z, up")
+_HISTOGRAM_BINS = 80
+
+
+def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
+    """h over time with h = 0, the violation limit, and the lowest h outside the pad."""
+    zero, figure = zero_s(flight), go.Figure()
+    shown: list[tuple[Floats, Floats]] = []
+    if flight.steps is not None:
+        t, h = flight.steps.t_s - zero, np.where(flight.steps.both_valid, flight.steps.h_m, np.nan)
+        shown.append((t, h))
+        figure.add_trace(line(t, h, "h (estimate)", ESTIMATED, dash="dash", width=1.5))
+    if flight.truth is not None:
+        t, h = low_envelope(flight.truth.t_s - zero, flight.truth.h_min_m)
+        shown.append((t, h))
+        figure.add_trace(line(t, h, "h (true, lowest between ticks)", TRUE, width=2.2))
+        outside = np.where(flight.truth.t_s > zero, flight.truth.h_min_outside_pad_m, np.inf)
+        _mark_lowest(figure, flight.truth.t_s - zero, outside)
+    elif flight.steps is not None:
+        outside = (flight.steps.d_m > flight.pad_radius_m) & (flight.steps.t_s >= zero)
+        _mark_lowest(figure, flight.steps.t_s - zero, np.where(outside, flight.steps.h_m, np.inf))
+    if not shown or all(np.isnan(h).all() for _, h in shown):
+        return None
+    figure.add_hline(0.0, line={"color": BOUNDARY, "width": 1.8})
+    if verdict.started_safe is not False:
+        figure.add_hline(VIOLATION_LIMIT_M, line={"color": BOUNDARY, "width": 1, "dash": "dot"})
+    layout(figure, 380)
+    add_phases(figure, flight)
+    time_axis(figure, flight)
+    figure.update_yaxes(title_text="h [m]", range=_value_range(flight, shown))
+    return figure
+
+
+def _mark_lowest(figure: go.Figure, t: Floats, h: Floats) -> None:
+    known = np.where(np.isfinite(h), h, np.inf)
+    at = int(np.argmin(known))
+    if not np.isfinite(known[at]):
+        return
+    style = {"symbol": "triangle-down", "size": 12, "color": INK, "line": {"color": "white", "width": 1}}
+    name = f"lowest outside the pad: {h[at]:.4f} m"
+    figure.add_trace(go.Scatter(x=[float(t[at])], y=[float(h[at])], mode="markers", name=name, marker=style))
+
+
+def _value_range(flight: Flight, shown: list[tuple[Floats, Floats]]) -> list[float]:
+    """Range of the values within the time axis' first range, zero included, with some air."""
+    low_s, high_s = shown_range(flight)
+    inside = np.concatenate(
+        [h[(t >= low_s) & (t <= high_s) & np.isfinite(h)] for t, h in shown] + [np.zeros(1)]
+    )
+    low, high = float(inside.min()), float(inside.max())
+    air = 0.06 * max(high - low, 0.02)
+    return [low - air, high + air]
+
+
+def velocities(flight: Flight) -> go.Figure | None:
+    """Nominal, filtered and sent velocity of each axis with the admissible box."""
+    steps = flight.steps
+    if steps is None or not np.isfinite(steps.nominal_enu_m_s).any():
+        return None
+    zero = zero_s(flight)
+    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.045)
+    t = steps.t_s - zero
+    sent = np.where(steps.setpoint_sent[:, None], steps.command_enu_m_s, np.nan)
+    for axis in range(3):
+        row, legend = axis + 1, axis == 0
+        shown = [(t, v[:, axis]) for v in (steps.nominal_enu_m_s, steps.filtered_enu_m_s, sent)]
+        style = (("nominal u'", NOMINAL, "dash", 1.6), ("filtered u*", FILTERED, "solid", 2.4),
+                 ("sent, after slew limit and gate", COMMAND, "dot", 2.0))  # fmt: skip
+        for (_, values), (name, color, dash, width) in zip(shown, style, strict=True):
+            trace = line(t, values, name, color, dash=dash, width=width, legendgroup=name, showlegend=legend)
+            figure.add_trace(trace, row=row, col=1)
+        if flight.truth is not None:
+            true = flight.truth.velocity_enu_m_s[:, axis]
+            trace = line(
+                flight.truth.t_s - zero, true, "vehicle (true)", LIMIT, width=1.0, legendgroup="true",
+                showlegend=legend, visible="legendonly",
+            )  # fmt: skip
+            figure.add_trace(trace, row=row, col=1)
+        limit = None if flight.velocity_max_m_s is None else flight.velocity_max_m_s[axis]
+        low, high = _value_range(flight, shown)
+        if limit is not None:
+            low, high = min(low, -1.15 * limit), max(high, 1.15 * limit)
+            _limits(figure, flight, limit, row, legend)
+        floor = low - 0.03 * (high - low)
+        figure.add_trace(_active(steps, t, floor, legend), row=row, col=1)
+        figure.update_yaxes(
+            title_text=f"{_AXES[axis]} [m/s]", range=[floor - 0.02 * (high - low), high], row=row, col=1
+        )
+    layout(figure, 720, legend_y=-0.08)
+    add_phases(figure, flight, rows=3)
+    time_axis(figure, flight, rows=3)
+    return figure
+
+
+def _limits(figure: go.Figure, flight: Flight, limit_m_s: float, row: int, legend: bool) -> None:
+    ends = np.array([-zero_s(flight), flight.duration_s - zero_s(flight)])
+    for sign in (-1.0, 1.0):
+        trace = line(
+            ends, np.full(2, sign * limit_m_s), "admissible box", LIMIT, dash="dashdot", width=1.0,
+            legendgroup="box", showlegend=legend and sign > 0.0, hoverinfo="skip",
+        )  # fmt: skip
+        figure.add_trace(trace, row=row, col=1)
+
+
+def _active(steps: Steps, t: Floats, floor: float, legend: bool) -> go.Scatter:
+    """A bar along the bottom while the barrier changes the command."""
+    y = np.where(steps.barrier_active, floor, np.nan)
+    return line(
+        t, y, "barrier active", BOUNDARY, width=5, legendgroup="active", showlegend=legend, hoverinfo="skip"
+    )
+
+
+def loop_timing(flight: Flight) -> go.Figure | None:
+    """Period of the loop as series and histogram; time spent in a tick and in the solver."""
+    timing = flight.timing
+    if timing is None:
+        return None
+    zero = zero_s(flight)
+    t = timing.t_s - zero
+    figure = make_subplots(
+        rows=2,
+        cols=2,
+        specs=[[{}, {}], [{"colspan": 2}, None]],
+        vertical_spacing=0.17,
+        horizontal_spacing=0.09,
+    )
+    period_ms = timing.period_s * 1e3
+    figure.add_trace(line(t, period_ms, "period", TRUE, width=1.2, showlegend=False), row=1, col=1)
+    counts, edges = np.histogram(period_ms[np.isfinite(period_ms)], bins=_HISTOGRAM_BINS)
+    bars = go.Bar(
+        x=light((edges[:-1] + edges[1:]) / 2), y=counts, width=float(edges[1] - edges[0]), marker_color=TRUE,
+        showlegend=False, name="ticks",
+    )  # fmt: skip
+    figure.add_trace(bars, row=1, col=2)
+    figure.add_trace(line(t, timing.exec_s * 1e6, "whole tick", COMMAND, width=1.4), row=2, col=1)
+    figure.add_trace(line(t, timing.solve_s * 1e6, "quadratic program", NOMINAL, width=1.4), row=2, col=1)
+    figure.add_trace(
+        line(t, timing.lateness_s * 1e6, "start after deadline", LIMIT, width=1.0, visible="legendonly"),
+        row=2,
+        col=1,
+    )
+    layout(figure, 560, legend_y=-0.1)
+    label = "time since the landing began [s]" if flight.landing_start_s is not None else "time [s]"
+    figure.update_xaxes(title_text=label, row=1, col=1)
+    figure.update_xaxes(title_text="period [ms]", row=1, col=2)
+    figure.update_xaxes(title_text=label, row=2, col=1)
+    figure.update_yaxes(title_text="period [ms]", row=1, col=1)
+    figure.update_yaxes(title_text="ticks", type="log", row=1, col=2)
+    figure.update_yaxes(title_text="wall time [µs]", type="log", row=2, col=1)
+    return figure
+
+
+def data_age(flight: Flight) -> go.Figure | None:
+    """Age of the target state and of the own state at each tick, with the limits of the configuration."""
+    steps = flight.steps
+    if steps is None or not np.isfinite(steps.target_age_s).any():
+        return None
+    t, figure = steps.t_s - zero_s(flight), go.Figure()
+    ages = []
+    for name, values, color in (
+        ("target state", steps.target_age_s, TARGET),
+        ("own state", steps.own_age_s, TRUE),
+    ):
+        age_ms = np.where(np.isfinite(values), values, np.nan) * 1e3
+        ages.append((t, age_ms))
+        figure.add_trace(line(t, age_ms, name, color, width=1.4))
+    low, high = _value_range(flight, ages)
+    if flight.config is not None:
+        limits = {"target": flight.config.checks.target_age_max_s, "own": flight.config.checks.own_age_max_s}
+        for name, limit_s in limits.items():
+            figure.add_hline(
+                limit_s * 1e3, line={"color": LIMIT, "width": 1, "dash": "dash"},
+                annotation={"text": f"limit, {name} state", "font": {"size": 11, "color": LIMIT}},
+            )  # fmt: skip
+            high = max(high, 1.1e3 * limit_s)
+    refused = np.flatnonzero(np.diff(steps.target_rejected) > 0) + 1
+    if len(refused):
+        keep = refused[thin(len(refused))]
+        figure.add_trace(
+            go.Scatter(
+                x=light(t[keep]), y=np.zeros(len(keep), np.float32), mode="markers", name="sample refused",
+                marker={"symbol": "x-thin", "size": 8, "line": {"color": BOUNDARY, "width": 1.5}},
+            )
+        )  # fmt: skip
+    layout(figure, 340, legend_y=-0.2)
+    add_phases(figure, flight)
+    time_axis(figure, flight)
+    figure.update_yaxes(title_text="age at the tick [ms]", range=[low, high])
+    return figure

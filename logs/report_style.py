@@ -1,0 +1,138 @@
+"""How every figure of the report looks: colours, layout, phase bands, thinning.
+
+Colours are those of Okabe and Ito (2008), which stay apart for colour-blind readers and in grey print; a
+colour means the same in every figure, and true and estimated values also differ by dash.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from flightstack.types import Phase
+from logs.flight_data import Flight, Floats
+
+TRUE = "#0072B2"  # blue
+ESTIMATED = "#56B4E9"  # sky blue
+TARGET = "#CC79A7"  # reddish purple
+BOUNDARY = "#D55E00"  # vermillion
+UNSAFE = "rgba(213, 94, 0, 0.13)"
+NOMINAL = "#E69F00"  # orange
+FILTERED = "#0072B2"
+COMMAND = "#009E73"  # bluish green
+LIMIT = "#666666"
+GRID = "#e4e7eb"
+INK = "#1f2933"
+
+PHASE_BANDS = {
+    Phase.WAIT: "rgba(150, 150, 150, 0.10)",
+    Phase.TAKEOFF: "rgba(150, 150, 150, 0.20)",
+    Phase.APPROACH: "rgba(86, 180, 233, 0.12)",
+    Phase.LAND: "rgba(0, 158, 115, 0.14)",
+    Phase.TOUCHDOWN: "rgba(240, 228, 66, 0.40)",
+    Phase.LANDED: "rgba(0, 158, 115, 0.05)",
+    Phase.HOLD: "rgba(230, 159, 0, 0.22)",
+    Phase.CLIMB: "rgba(204, 121, 167, 0.20)",
+    Phase.ABORT: "rgba(213, 94, 0, 0.22)",
+}
+POINTS_MAX = 6000  # of one line; more cannot be seen, and the page has to stay light
+LABEL_SHARE = 0.05  # a band narrower than this share of the axis carries no name
+BEFORE_S, AFTER_S = 1.0, 3.0  # shown around the landing; zooming out shows all
+
+
+def layout(figure: go.Figure, height_px: int, *, legend_y: float = -0.16) -> go.Figure:
+    """Give a figure the common look."""
+    figure.update_layout(
+        template="plotly_white",
+        height=height_px,
+        margin={"l": 64, "r": 20, "t": 26, "b": 56},
+        font={"family": "Inter, Segoe UI, Helvetica, Arial, sans-serif", "size": 13, "color": INK},
+        legend={"orientation": "h", "x": 0.0, "y": legend_y, "yanchor": "top"},
+        hovermode="closest",
+        paper_bgcolor="white",
+        plot_bgcolor="white",
+    )
+    figure.update_xaxes(gridcolor=GRID, zeroline=False, linecolor="#9aa5b1", showline=True, ticks="outside")
+    figure.update_yaxes(gridcolor=GRID, zeroline=False, linecolor="#9aa5b1", showline=True, ticks="outside")
+    return figure
+
+
+def zero_s(flight: Flight) -> float:
+    """Time that the figures call zero: the begin of the landing, else of the log."""
+    return flight.landing_start_s or 0.0
+
+
+def shown_range(flight: Flight) -> list[float]:
+    """Range of the time axis at first: the landing with some seconds around it."""
+    start = flight.landing_start_s
+    spans = flight.phase_spans()
+    last = flight.duration_s
+    ends = [begin for phase, begin, _ in spans if phase in (Phase.LANDED, Phase.ABORT)]
+    if start is None:
+        return [0.0, last]
+    end = min(ends[0] + AFTER_S, last) if ends else last
+    return [max(-BEFORE_S, -start), end - start]
+
+
+def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
+    """Shade the phases over the whole height of each row and name them at the top."""
+    low, high = shown_range(flight)
+    zero = zero_s(flight)
+    for phase, begin_s, end_s in flight.phase_spans():
+        begin, end = begin_s - zero, end_s - zero
+        color = PHASE_BANDS.get(Phase(phase), "rgba(0,0,0,0.05)") if isinstance(phase, Phase) else GRID
+        for row in range(1, rows + 1):
+            axis = "" if row == 1 else str(row)
+            figure.add_shape(
+                type="rect", xref=f"x{axis}", yref=f"y{axis} domain", x0=begin, x1=end, y0=0, y1=1,
+                fillcolor=color, line_width=0, layer="below",
+            )  # fmt: skip
+        left, right = max(begin, low), min(end, high)
+        if right - left >= LABEL_SHARE * (high - low):
+            figure.add_annotation(
+                x=(left + right) / 2, y=1.0, xref="x", yref="y domain", yanchor="bottom", showarrow=False,
+                text=phase.name if isinstance(phase, Phase) else f"phase {phase}",
+                font={"size": 10, "color": "#616e7c"},
+            )  # fmt: skip
+
+
+def time_axis(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
+    """Label and limit the common time axis."""
+    what = "since the landing began" if flight.landing_start_s is not None else "since the log began"
+    figure.update_xaxes(range=shown_range(flight))
+    figure.update_xaxes(
+        title_text=f"time {what} [s]", row=rows if rows > 1 else None, col=1 if rows > 1 else None
+    )
+
+
+def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter:
+    """One line, thinned; keyword arguments go to the line (``dash``, ``width``) or the trace."""
+    keep = thin(len(x))
+    style = {"color": color, "width": more.pop("width", 1.8), "dash": more.pop("dash", "solid")}
+    return go.Scatter(x=light(x[keep]), y=light(y[keep]), name=name, mode="lines", line=style, **more)
+
+
+def thin(n: int) -> slice:
+    """Every k-th of n points, so that few enough are left."""
+    return slice(None, None, max(1, -(-n // POINTS_MAX)))
+
+
+def low_envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Thin by keeping the smallest of each block, so that no dip is lost."""
+    step = max(1, -(-len(x) // POINTS_MAX))
+    starts = np.arange(0, len(x), step)
+    return x[starts], np.fmin.reduceat(y, starts) if len(x) else y
+
+
+def light(values: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """Four-byte numbers: seven digits are plenty on a screen and halve the page."""
+    return np.asarray(values, dtype=np.float32)
+
+
+def boundary_height_m(flight: Flight, d_m: Floats) -> Floats:
+    """Boundary b(d) in metres (paper eq. 5) for an array of horizontal distances; needs a barrier."""
+    assert flight.barrier is not None
+    ad = flight.barrier.alpha_1_m * d_m
+    return np.asarray(flight.barrier.beta_m * ad * np.exp(-ad))

@@ -1,0 +1,83 @@
+"""Velocity set-points from the wire: what is accepted, from whom."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.frames import enu_from_ned, flu_from_frd, quaternion_from_yaw, world_from_body, yaw_enu_from_ned
+from flightstack.types import Vec3
+
+SPEED_MAX_M_S = 5.0  # m/s; far above what any controller of this stack may ask for
+YAW_RATE_MAX_RAD_S = 6.0  # rad/s
+
+# POSITION_TARGET_TYPEMASK: a set bit means "ignore".
+_POSITION = 0b000000111
+_VELOCITY = 0b000111000
+_ACCELERATION = 0b111000000
+_FORCE = 1 << 9  # says how to read the acceleration, which is not used
+_YAW = 1 << 10
+_YAW_RATE = 1 << 11
+
+Sender = tuple[int, int]  # system id, component id
+
+
+class Setpoint(NamedTuple):
+    """A velocity to fly, with the heading to go with it."""
+
+    velocity_enu_m_s: Vec3
+    yaw_rad: float | None  # heading to hold; None: see the rate
+    yaw_rate_rad_s: float  # counter-clockwise; 0 holds the heading there is
+
+
+def read_setpoint(message: Any, yaw_rad: float) -> Setpoint | str:
+    """Turn SET_POSITION_TARGET_LOCAL_NED into a set-point, or into the reason why it is none.
+
+    Args:
+        message: the message; frame LOCAL_NED, or BODY_NED which is turned by the heading only (as PX4 does).
+        yaw_rad: present heading of the vehicle, counter-clockwise from east.
+    """
+    mask = message.type_mask
+    if mask & _POSITION != _POSITION or mask & _ACCELERATION != _ACCELERATION or mask & _VELOCITY:
+        return f"Set-point dropped: mask {mask}, only velocity (2503)"
+    v = (message.vx, message.vy, message.vz)
+    if not math.isfinite(sum(v)):
+        return "Set-point dropped: velocity not finite"
+    if v[0] * v[0] + v[1] * v[1] + v[2] * v[2] > SPEED_MAX_M_S**2:
+        return f"Set-point dropped: above {SPEED_MAX_M_S:g} m/s"
+    if message.coordinate_frame == dialect.MAV_FRAME_LOCAL_NED:
+        velocity = enu_from_ned(v)
+    elif message.coordinate_frame == dialect.MAV_FRAME_BODY_NED:
+        velocity = world_from_body(quaternion_from_yaw(yaw_rad), flu_from_frd(v))
+    else:
+        return f"Set-point dropped: frame {message.coordinate_frame}, only 1 or 8"
+    if not mask & _YAW:
+        if not math.isfinite(message.yaw):
+            return "Set-point dropped: yaw not finite"
+        return Setpoint(velocity, yaw_enu_from_ned(message.yaw), 0.0)
+    if not mask & _YAW_RATE:
+        if not abs(message.yaw_rate) <= YAW_RATE_MAX_RAD_S:  # also refuses NaN
+            return f"Set-point dropped: yaw rate above {YAW_RATE_MAX_RAD_S:g} rad/s"
+        return Setpoint(velocity, None, -message.yaw_rate)
+    return Setpoint(velocity, None, 0.0)
+
+
+class ControlOwner:
+    """One sender of set-points at a time; it keeps control until it has been silent for a while."""
+
+    def __init__(self) -> None:
+        self._owner: Sender | None = None
+        self._heard_s = -math.inf
+
+    def admit(self, sender: Sender, now_s: float, silence_s: float) -> str | None:
+        """Whether a valid set-point of this sender counts; the reason if not."""
+        if sender != self._owner and self._owner is not None and now_s - self._heard_s <= silence_s:
+            return f"Set-point dropped: {self._owner[0]}/{self._owner[1]} has control"
+        self._owner, self._heard_s = sender, now_s
+        return None
+
+    def release(self) -> None:
+        """Free for anybody, for example after disarming."""
+        self._owner = None

@@ -1,0 +1,55 @@
+"""What the controllers are given: a set-point and the sensed state."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from flightstack.types import ZERO, Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """A velocity in the world (ENU, m/s) with a yaw; ``stop`` means motors off (firmware: null set-point)."""
+
+    vx: float = 0.0
+    vy: float = 0.0
+    vz: float = 0.0
+    yaw_rad: float = 0.0
+    stop: bool = False
+    cos_yaw: float = field(init=False)
+    sin_yaw: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cos_yaw", math.cos(self.yaw_rad))
+        object.__setattr__(self, "sin_yaw", math.sin(self.yaw_rad))
+
+
+STOP = Setpoint(stop=True)
+
+
+class SensedState:
+    """The estimator's output at 500 Hz; ENU, FLU, SI."""
+
+    __slots__ = ("axes", "position", "quaternion", "rates", "velocity")
+
+    def __init__(self) -> None:
+        self.position: Vec3 = ZERO
+        self.velocity: Vec3 = ZERO
+        self.quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+        self.axes: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+        self.rates: Vec3 = ZERO  # gyro
+
+
+class VelocityController(Protocol):
+    """A velocity loop with all that is below it, down to counts; called at 500 Hz."""
+
+    def reset(self) -> None:
+        """Forget integrals."""
+
+    def update(self, sensed: SensedState, setpoint: Setpoint, level: bool) -> tuple[float, tuple[int, int, int]]:
+        """Return ``(thrust counts per motor, moment counts about body x, y, z)``."""
+
+    def trim(self, force: Vec3) -> Vec3:
+        """Prepare for hover under ``force`` (world, N, nominal scale); return the set-point that holds it."""

@@ -1,0 +1,56 @@
+"""What the vehicle process is made of, whatever its clock: vehicle, autopilot, endpoint, log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from bridge.decoding import Message
+from bridge.mavlink import Endpoint, Received
+from logs.codec import Severity
+from sim.autopilot import Autopilot
+from sim.autopilot_modes import FlightMode
+from sim.process_deck import DeckState
+from sim.process_vehicle_log import VehicleLog
+from sim.vehicle import Truth, VehicleSim
+
+
+@dataclass(slots=True)
+class VehicleNode:
+    """One simulated vehicle on the wire."""
+
+    vehicle: VehicleSim
+    autopilot: Autopilot
+    endpoint: Endpoint
+    log: VehicleLog
+    _judged: bool = field(default=False, init=False)
+    _state_text: str = field(default="", init=False)
+
+    def answer(self, received: Received, now_s: float) -> list[Message]:
+        """Let the autopilot act on a frame; returns what to answer its sender."""
+        header = received.message.get_header()
+        return self.autopilot.handle(received.message, (header.srcSystem, header.srcComponent), now_s)
+
+    def control(self, now_s: float) -> None:
+        """Let the autopilot fly; its first flight by the companion's set-points begins the judging."""
+        self.autopilot.control(now_s)
+        if not self._judged:
+            flight = self.autopilot.flight
+            if flight.mode is FlightMode.OFFBOARD and flight.airborne:
+                self._judged = True
+                self.vehicle.begin_judging()
+
+    def move_deck(self, deck: DeckState) -> None:
+        """Give the deck a pose and a twist."""
+        self.vehicle.set_deck(deck.position_enu_m, deck.yaw_rad, deck.velocity_enu_m_s, deck.yaw_rate_rad_s)
+
+    def write_log(self, tick: int, now_ns: int) -> Truth:
+        """Log the true state, what the autopilot said and what the firmware's supervisor did."""
+        truth = self.vehicle.truth()
+        self.log.truth(tick, now_ns, truth)
+        for text in self.autopilot.take_texts():
+            self.log.statustext(now_ns, text.severity, text.text)
+        state_text = self.vehicle.state_text
+        if state_text != self._state_text:
+            self._state_text = state_text
+            self.log.event(now_ns, Severity.INFO, f"firmware: {state_text}")
+        return truth

@@ -1,0 +1,93 @@
+"""The simulated vehicle as a process: MAVLink on one side, the robot's true pose on the other."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+
+from bridge import zenoh_link
+from bridge.mavlink import Endpoint, parse_url
+from flightstack.pacing import EPOCH_NS, quiet_garbage_collector
+from logs.feed import Feed, FeedError
+from sim.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.pacing import NoAnswerError, StopSignal, TickGrid
+from sim.process_deck import LockstepDeck, RealTimeDeck
+from sim.process_lockstep import LockstepLoop
+from sim.process_realtime import RealTimeLoop
+from sim.process_vehicle import VehicleNode
+from sim.process_vehicle_log import VehicleLog
+from sim.scenario import Scenario
+from sim.vehicle import VehicleSim
+
+
+def vehicle_main(
+    scenario: Scenario,
+    seed: int,
+    url: str,
+    *,
+    lockstep: bool,
+    rate_hz: int,
+    feed_socket: str | None = None,
+    zenoh_connect: Sequence[str] = (),
+    zenoh_listen: Sequence[str] = (),
+    namespace: str = "cf1",
+    duration_s: float | None = None,
+    ready_line: bool = True,
+) -> int:
+    """Run the vehicle until SIGTERM, SIGINT or ``duration_s``; prints ``ready URL`` when it can be reached.
+
+    Without any Zenoh endpoint there is no link to the robot, and the deck stands where the scenario puts it.
+
+    Args:
+        scenario: vehicle, start, wind.
+        seed: chance.
+        url: MAVLink endpoint, ``udpin:HOST:PORT`` (port 0: a free one, printed) or ``udpout:HOST:PORT``.
+        lockstep: simulated time goes on with the companion's answers, instead of real time.
+        rate_hz: ticks per second; in lockstep that of the onboard process.
+        feed_socket: flight recorder, if there is one.
+        zenoh_connect: Zenoh endpoints to connect to.
+        zenoh_listen: Zenoh endpoints to listen on.
+        namespace: first part of all Zenoh keys.
+        duration_s: how long, simulated or real; None: no end.
+        ready_line: print the line.
+
+    Returns:
+        Exit status: 0 in order, 1 when something it needs did not come.
+    """
+    stop = StopSignal().install()
+    try:
+        with ExitStack() as stack:
+            kind, host, port = parse_url(url)
+            endpoint = Endpoint(url, SYSTEM_ID, COMPONENT_ID)
+            stack.callback(endpoint.close)
+            linked = bool(zenoh_connect or zenoh_listen)
+            session = zenoh_link.open_session(zenoh_listen, zenoh_connect) if linked else None
+            if session is not None:
+                stack.callback(session.close)
+            vehicle = VehicleSim(scenario, seed)
+            epoch_ns = EPOCH_NS if lockstep else time.time_ns()
+            feed = Feed.connect(feed_socket, "vehicle", lossless=lockstep)
+            stack.callback(feed.close)
+            autopilot = Autopilot(
+                vehicle, rate_hz, epoch_ns=epoch_ns, trim_enu_m_s=vehicle.trim_velocity_enu_m_s
+            )
+            node = VehicleNode(vehicle, autopilot, endpoint, VehicleLog(feed, epoch_ns, namespace))
+            grid = TickGrid(rate_hz)
+            loop: LockstepLoop | RealTimeLoop
+            if lockstep:
+                deck = LockstepDeck(session, namespace) if session is not None else None
+                loop = LockstepLoop(node, deck, grid, stop)
+            else:
+                follower = RealTimeDeck(session, namespace) if session is not None else None
+                loop = RealTimeLoop(node, follower, grid, stop)
+            if ready_line:
+                bound = endpoint.local_port if kind == "udpin" else port
+                print(f"ready {kind}:{host}:{bound}", flush=True)
+            quiet_garbage_collector()
+            loop.run(grid.count(duration_s))
+    except (ValueError, OSError, zenoh_link.ZenohLinkError, FeedError, NoAnswerError) as error:
+        print(f"vehicle: {error}", file=sys.stderr)
+        return 1
+    return 0

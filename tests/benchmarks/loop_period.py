@@ -1,0 +1,34 @@
+"""Real time at 100 Hz: relative standard deviation of the period, and overruns, over one flight."""
+
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from logs.codec import unpack_loop_timing
+from logs.reader import LogFile
+
+
+def main() -> None:
+    """Run and print."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(
+            [sys.executable, "-m", "flightstack.cli", "sitl", "--scenario", "paper_moving_1", "--json",
+             "--no-report", "--out", folder],
+            capture_output=True, timeout=300, check=False,
+        )  # fmt: skip
+        log = LogFile(Path(folder) / "flight.mcap")
+        rows = [unpack_loop_timing(m.data) for m in log.messages(["/cf1/loop/timing"])]
+    periods = [row.period_s for row in rows[1:]]
+    mean = statistics.fmean(periods)
+    spread = statistics.pstdev(periods) / mean
+    exec_us = sorted(row.exec_s * 1e6 for row in rows)
+    print(f"{len(rows)} ticks: mean period {mean * 1e3:.3f} ms, overruns {rows[-1].overruns} (limit 0)")
+    print(f"relative standard deviation of the period {spread:.2%} (limit 5 %)")
+    p50, p99 = (exec_us[int(len(exec_us) * share)] for share in (0.5, 0.99))
+    print(f"decode, step and send: p50 {p50:.0f} us, p99 {p99:.0f} us")
+
+
+if __name__ == "__main__":
+    main()

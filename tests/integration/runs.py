@@ -1,0 +1,112 @@
+"""Starts ``flightstack`` as a person would, and reads what it says."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+COMMAND = [sys.executable, "-m", "flightstack.cli"]
+WALL_MAX_S = 240.0
+
+
+@dataclass
+class Result:
+    """One ended run."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict:
+        return json.loads(self.out.strip().splitlines()[-1])
+
+
+def flightstack(*arguments, cwd=None) -> Result:
+    """Run a verb to its end."""
+    done = subprocess.run(
+        [*COMMAND, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=WALL_MAX_S,
+        cwd=cwd,
+        check=False,
+    )
+    return Result(done.returncode, done.stdout, done.stderr)
+
+
+def fly(out: Path, scenario: str, seed: int = 0, *more) -> Result:
+    """One lockstep run."""
+    return flightstack(
+        "sitl",
+        "--scenario",
+        scenario,
+        "--seed",
+        seed,
+        "--lockstep",
+        "--json",
+        "--no-report",
+        "--out",
+        out,
+        *more,
+    )
+
+
+class Flying:
+    """A run in the background, to be disturbed."""
+
+    def __init__(self, out: Path, *arguments):
+        self.out = out
+        self.process = subprocess.Popen(
+            [*COMMAND, "sitl", "--no-report", "--out", str(out), *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self.lines = []
+
+    def wait_for(self, word: str) -> None:
+        """Read its output until a line holds the word."""
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip())
+            if word in line:
+                return
+        raise AssertionError(f"ended without {word!r}: {self.lines}")
+
+    def children(self) -> dict[str, int]:
+        """Process ids of the run by verb."""
+        pid = self.process.pid
+        found = {}
+        for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+            words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+            if b"flightstack.cli" in words:
+                found[words[words.index(b"flightstack.cli") + 1].decode()] = int(child)
+        return found
+
+    def end(self) -> int:
+        """Wait for its end, bounded; the exit status."""
+        self.lines += self.process.communicate(timeout=WALL_MAX_S)[0].splitlines()
+        return self.process.returncode
+
+
+def kill(pid: int, number: int = signal.SIGKILL) -> None:
+    """Send a signal."""
+    os.kill(pid, number)
+
+
+def gone(pid: int, within_s: float = 10.0) -> bool:
+    """Whether a process has ended, waiting for it at most so long."""
+    until = time.monotonic() + within_s
+    while time.monotonic() < until:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except FileNotFoundError:
+            return True
+        if state == "Z":
+            return True
+        time.sleep(0.02)  # polling another process: nothing to wait on
+    return False
