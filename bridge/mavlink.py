@@ -21,6 +21,7 @@ Peer = tuple[str, int]
 _PEER_EXPIRY_S = 10.0  # s of wall time; a vehicle or companion that is alive sends a heartbeat every second
 _DATAGRAMS_PER_CALL = 512  # a flood must not keep the loop in receive() for ever
 _DATAGRAM_MAX = 1400  # bytes; below an Ethernet frame and PX4's 1600-byte buffer (mavlink_receiver.cpp)
+SPIN_S = 0.002
 _SOCKET_BUFFER = 1 << 20  # bytes, asked for; the kernel may give less
 _URL = re.compile(r"^(udpin|udpout):(?://)?([^:/\s]+):(\d{1,5})$")
 _URL_HELP = (
@@ -151,6 +152,12 @@ class Endpoint:
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until a datagram is there; False when none came in ``timeout_s``."""
+        import os
+        spin_until = time.monotonic() + min(timeout_s, SPIN_S)
+        while time.monotonic() < spin_until:
+            if select.select((self._socket,), (), (), 0.0)[0]:
+                return True
+            os.sched_yield()
         readable, _, _ = select.select((self._socket,), (), (), max(0.0, timeout_s))
         return bool(readable)
 

@@ -90,6 +90,8 @@ def run(options: RunOptions, console: Console) -> Run:
     folder = options.out or _new_folder(scenario, options)
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / "flight.mcap"
+    if log.exists():
+        raise ConfigError(f"--out: {log} exists and is not written over; give another folder")
     scenario_file, config_file = folder / "scenario.toml", folder / "onboard.toml"
     scenario_file.write_text(dumps(to_table(scenario)))
     config_file.write_text(dumps(to_table(scenario.onboard)))

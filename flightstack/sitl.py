@@ -6,15 +6,15 @@ import json
 import sys
 from pathlib import Path
 
-from logs.flight import load_flight
-from logs.report import write_report
-from logs.verdict import judge
 from rich.console import Console
 from rich.table import Table
 
 from flightstack.launch import Run, RunOptions, result_json, run
 from flightstack.processes import LaunchError
+from logs.flight import load_flight
 from logs.reader import LogError
+from logs.report import ReportError, write_report
+from logs.verdict import judge
 
 _ROWS = (
     ("outcome", "outcome", ""),
@@ -54,7 +54,10 @@ def conclude(flown: Run, options: RunOptions, console: Console, *, as_json: bool
     verdict = judge(flight)
     report = flown.folder / "report.html"
     if with_report:
-        write_report(flown.log, report)
+        try:
+            write_report(flown.log, report)
+        except ReportError as error:  # the run counts all the same
+            print(f"flightstack: {error}", file=sys.stderr)
     text = result_json(flown, options, verdict.to_json_dict(), flight.duration_s, report)
     values = json.loads(text)
     if as_json:

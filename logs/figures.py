@@ -50,7 +50,7 @@ def panels(flight: Flight, verdict: Verdict) -> list[Panel]:
         ),
         Panel(
             "velocity", "Velocity: nominal, filtered, sent", "Fig. 9b–d, 13b–d",
-            _VELOCITY,
+            _VELOCITY + (_SWITCH if flight.truth is not None else ""),
             velocities(flight),
         ),
         Panel("plan", "Paths from above", "Fig. 12", f"{source} {_PLAN}", plan_view(flight, touch)),
@@ -60,9 +60,10 @@ def panels(flight: Flight, verdict: Verdict) -> list[Panel]:
 
 
 _VELOCITY = (
-    "Computed by the controller from its estimates; the vehicle's true velocity can be switched on in the "
-    "legend. The bar at the bottom shows when the barrier changed the command."
+    "Computed by the controller from its estimates. The bar at the bottom shows when the barrier changed the "
+    "command."
 )
+_SWITCH = " The vehicle's true velocity can be switched on in the legend."
 _PLAN = "Circles: where the landing began. Triangle: first contact with the pad. Squares: end of the log."
 
 

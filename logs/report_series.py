@@ -31,6 +31,7 @@ from logs.verdict_types import VIOLATION_LIMIT_M, Verdict
 
 _AXES = ("x, east", "y, north", "z, up")
 _HISTOGRAM_BINS = 80
+_WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # labels of the axis of wall times
 
 
 def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
@@ -40,7 +41,8 @@ def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
     if flight.steps is not None:
         t, h = flight.steps.t_s - zero, np.where(flight.steps.both_valid, flight.steps.h_m, np.nan)
         shown.append((t, h))
-        figure.add_trace(line(t, h, "h (estimate)", ESTIMATED, dash="dash", width=1.5))
+        dash = "solid" if flight.truth is None else "dash"
+        figure.add_trace(line(t, h, "h (estimate)", ESTIMATED, dash=dash, width=1.5))
     if flight.truth is not None:
         t, h = low_envelope(flight.truth.t_s - zero, flight.truth.h_min_m)
         shown.append((t, h))
@@ -55,7 +57,7 @@ def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
     figure.add_hline(0.0, line={"color": BOUNDARY, "width": 1.8})
     if verdict.started_safe is not False:
         figure.add_hline(VIOLATION_LIMIT_M, line={"color": BOUNDARY, "width": 1, "dash": "dot"})
-    layout(figure, 380)
+    layout(figure, 420)
     add_phases(figure, flight)
     time_axis(figure, flight)
     figure.update_yaxes(title_text="h [m]", range=_value_range(flight, shown))
@@ -117,7 +119,7 @@ def velocities(flight: Flight) -> go.Figure | None:
         figure.update_yaxes(
             title_text=f"{_AXES[axis]} [m/s]", range=[floor - 0.02 * (high - low), high], row=row, col=1
         )
-    layout(figure, 720, legend_y=-0.08)
+    layout(figure, 760)
     add_phases(figure, flight, rows=3)
     time_axis(figure, flight, rows=3)
     return figure
@@ -170,14 +172,14 @@ def loop_timing(flight: Flight) -> go.Figure | None:
         row=2,
         col=1,
     )
-    layout(figure, 560, legend_y=-0.1)
+    layout(figure, 600)
     label = "time since the landing began [s]" if flight.landing_start_s is not None else "time [s]"
     figure.update_xaxes(title_text=label, row=1, col=1)
     figure.update_xaxes(title_text="period [ms]", row=1, col=2)
     figure.update_xaxes(title_text=label, row=2, col=1)
     figure.update_yaxes(title_text="period [ms]", row=1, col=1)
-    figure.update_yaxes(title_text="ticks", type="log", row=1, col=2)
-    figure.update_yaxes(title_text="wall time [µs]", type="log", row=2, col=1)
+    figure.update_yaxes(title_text="ticks", type="log", dtick=1, row=1, col=2)
+    figure.update_yaxes(title_text="wall time [µs]", type="log", tickvals=_WALL_US, row=2, col=1)
     return figure
 
 
@@ -213,7 +215,7 @@ def data_age(flight: Flight) -> go.Figure | None:
                 marker={"symbol": "x-thin", "size": 8, "line": {"color": BOUNDARY, "width": 1.5}},
             )
         )  # fmt: skip
-    layout(figure, 340, legend_y=-0.2)
+    layout(figure, 380)
     add_phases(figure, flight)
     time_axis(figure, flight)
     figure.update_yaxes(title_text="age at the tick [ms]", range=[low, high])

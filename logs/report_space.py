@@ -50,7 +50,7 @@ def relative_tracks(flight: Flight) -> list[Track]:
     tracks = []
     if flight.steps is not None:
         seen = flight.steps.e_m[flight.steps.t_s >= start_s]
-        tracks.append(Track("estimate", ESTIMATED, "dash", seen))
+        tracks.append(Track("estimate", ESTIMATED, "solid" if flight.truth is None else "dash", seen))
     if flight.truth is not None:
         tracks.append(Track("true", TRUE, "solid", flight.truth.e_m[flight.truth.t_s >= start_s]))
     return [t for t in tracks if np.isfinite(t.points_m).all(1).any()]
@@ -87,16 +87,18 @@ def trajectory_3d(flight: Flight, touch: int | None) -> go.Figure | None:
     if touch is not None and flight.truth is not None:
         _marker_3d(figure, flight.truth.e_m[touch], "touchdown", "diamond")
     _marker_3d(figure, known[-1], "end", "square")
-    layout(figure, 620, legend_y=-0.02)
+    layout(figure, 640)
     axis = {"gridcolor": GRID, "backgroundcolor": "white", "zerolinecolor": GRID}
     figure.update_layout(
-        margin={"l": 0, "r": 0, "t": 10, "b": 10},
+        margin={"l": 0, "r": 0, "t": 10, "b": 40},
+        legend={"y": -0.02},
         scene={
-            "xaxis": {"title": {"text": "e_x, east [m]"}, **axis},
-            "yaxis": {"title": {"text": "e_y, north [m]"}, **axis},
-            "zaxis": {"title": {"text": "e_z, up [m]"}, **axis},
-            "aspectmode": "data",
-            "camera": {"eye": _camera(known[0])},
+            "xaxis": {"title": {"text": "e<sub>x</sub>, east [m]"}, **axis},
+            "yaxis": {"title": {"text": "e<sub>y</sub>, north [m]"}, **axis},
+            "zaxis": {"title": {"text": "e<sub>z</sub>, up [m]"}, **axis},
+            "aspectmode": "manual",  # heights drawn larger than distances, as in the paper's figures
+            "aspectratio": {"x": 1.3, "y": 1.3, "z": 0.75},
+            "camera": {"eye": _camera(known[0]), "center": {"x": 0.0, "y": 0.0, "z": -0.2}},
         },
     )
     return figure
@@ -105,7 +107,7 @@ def trajectory_3d(flight: Flight, touch: int | None) -> go.Figure | None:
 def _camera(start_m: Floats) -> dict[str, float]:
     """Look from beside the approach, so that the path stands before the surface and not behind it."""
     bearing = float(np.arctan2(start_m[1], start_m[0])) - 0.9
-    return {"x": 1.35 * float(np.cos(bearing)), "y": 1.35 * float(np.sin(bearing)), "z": 0.75}
+    return {"x": 1.8 * float(np.cos(bearing)), "y": 1.8 * float(np.sin(bearing)), "z": 0.9}
 
 
 def _surface(flight: Flight, distance_max_m: float) -> go.Surface:
@@ -123,7 +125,7 @@ def _surface(flight: Flight, distance_max_m: float) -> go.Surface:
     }
     return go.Surface(
         x=light(np.outer(d, np.cos(angle))), y=light(np.outer(d, np.sin(angle))), z=light(height),
-        colorscale=_SURFACE_COLORS, showscale=False, opacity=0.62, name="h = 0", showlegend=True,
+        colorscale=_SURFACE_COLORS, showscale=False, opacity=0.55, name="h = 0", showlegend=True,
         contours={"z": contour}, hoverinfo="skip",
     )  # fmt: skip
 
@@ -164,18 +166,18 @@ def altitude_over_distance(flight: Flight, touch: int | None) -> go.Figure | Non
         )
     path = tracks[-1].points_m
     known = path[np.isfinite(path).all(1)]
-    points = [("start", known[0], "circle"), ("end", known[-1], "square")]
+    points = [("start", known[0], "circle"), ("end", known[-1], "square-open")]
     if touch is not None and flight.truth is not None:
-        points.insert(1, ("touchdown", flight.truth.e_m[touch], "triangle-up"))
+        points.append(("touchdown", flight.truth.e_m[touch], "triangle-up"))
     for name, e_m, symbol in points:
         _marker(figure, float(np.hypot(e_m[0], e_m[1])), float(e_m[2]), name, symbol, INK)
     figure.add_vline(
         flight.pad_radius_m, line={"color": LIMIT, "width": 1, "dash": "dot"},
-        annotation={"text": "pad radius", "font": {"size": 11, "color": LIMIT}, "yanchor": "top"},
+        annotation={"text": "pad radius", "font": {"size": 12, "color": LIMIT}, "yanchor": "top"},
     )  # fmt: skip
     layout(figure, 460)
     figure.update_xaxes(title_text="horizontal distance d [m]", range=[0.0, far])
-    figure.update_yaxes(title_text="relative altitude e_z [m]", range=[bottom, top * 1.08])
+    figure.update_yaxes(title_text="relative altitude e<sub>z</sub> [m]", range=[bottom, top * 1.08])
     return figure
 
 
@@ -233,9 +235,10 @@ def _ground_paths(flight: Flight) -> list[tuple[str, str, str, Floats, Floats]]:
 
 
 def _marker(figure: go.Figure, x: float, y: float, name: str, symbol: str, color: str) -> None:
+    edge = color if symbol.endswith("open") else "white"
     figure.add_trace(
         go.Scatter(
             x=[float(x)], y=[float(y)], mode="markers", name=name,
-            marker={"symbol": symbol, "size": 11, "color": color, "line": {"color": "white", "width": 1.5}},
+            marker={"symbol": symbol, "size": 12, "color": color, "line": {"color": edge, "width": 1.5}},
         )
     )  # fmt: skip

@@ -37,19 +37,27 @@ PHASE_BANDS = {
     Phase.CLIMB: "rgba(204, 121, 167, 0.20)",
     Phase.ABORT: "rgba(213, 94, 0, 0.22)",
 }
+_TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and the legend's distance below the axis
 POINTS_MAX = 6000  # of one line; more cannot be seen, and the page has to stay light
 LABEL_SHARE = 0.05  # a band narrower than this share of the axis carries no name
 BEFORE_S, AFTER_S = 1.0, 3.0  # shown around the landing; zooming out shows all
 
 
-def layout(figure: go.Figure, height_px: int, *, legend_y: float = -0.16) -> go.Figure:
-    """Give a figure the common look."""
+def layout(figure: go.Figure, height_px: int) -> go.Figure:
+    """Give a figure the common look; the legend stands below the title of the time axis."""
+    plot_px = height_px - _TOP_PX - _BOTTOM_PX
     figure.update_layout(
         template="plotly_white",
         height=height_px,
-        margin={"l": 64, "r": 20, "t": 26, "b": 56},
+        margin={"l": 64, "r": 20, "t": _TOP_PX, "b": _BOTTOM_PX},
         font={"family": "Inter, Segoe UI, Helvetica, Arial, sans-serif", "size": 13, "color": INK},
-        legend={"orientation": "h", "x": 0.0, "y": legend_y, "yanchor": "top"},
+        legend={
+            "orientation": "h",
+            "x": 0.0,
+            "y": -_LEGEND_PX / plot_px,
+            "yanchor": "top",
+            "traceorder": "normal",
+        },
         hovermode="closest",
         paper_bgcolor="white",
         plot_bgcolor="white",
@@ -101,6 +109,7 @@ def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
 def time_axis(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
     """Label and limit the common time axis."""
     what = "since the landing began" if flight.landing_start_s is not None else "since the log began"
+    figure.update_layout(hovermode="x unified")
     figure.update_xaxes(range=shown_range(flight))
     figure.update_xaxes(
         title_text=f"time {what} [s]", row=rows if rows > 1 else None, col=1 if rows > 1 else None

@@ -7,7 +7,7 @@ from html import escape
 
 from logs.codec_log import Severity
 from logs.flight_data import Flight
-from logs.verdict_types import Outcome, Verdict
+from logs.verdict_types import ESTIMATE, Outcome, Verdict
 
 _EVENTS_MAX = 500  # a page with more is not read
 _HEADLINES = {
@@ -30,6 +30,8 @@ _RUN_NAMES = {
 def headline(verdict: Verdict) -> tuple[str, str]:
     """Outcome in words, and the style class of its badge."""
     text, style = _HEADLINES[verdict.outcome]
+    if verdict.judged_from == ESTIMATE:
+        text = f"{text}, by its own estimate"
     if verdict.violation:
         return f"{text}, with a barrier violation", "fair" if style == "good" else style
     return text, style

@@ -93,7 +93,7 @@ class Autopilot:
         Returns:
             What to answer to this sender.
         """
-        handler = self._handlers.get(message.id)
+        handler = self._handlers.get(message.get_msgId())  # some messages have a field named id
         if handler is None or sender == (self.system_id, COMPONENT_ID) or not self._for_us(message):
             return []
         return handler(message, sender, now_s)
@@ -139,7 +139,7 @@ class Autopilot:
         return system in (0, self.system_id) and getattr(message, "target_component", 0) in (0, COMPONENT_ID)
 
     def _on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        setpoint = read_setpoint(message, self.flight.yaw_rad())
+        setpoint = read_setpoint(message, self.flight.yaw_rad)
         refused = (
             setpoint if isinstance(setpoint, str) else self.flight.take_setpoint(setpoint, sender, now_s)
         )

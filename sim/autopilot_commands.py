@@ -51,7 +51,7 @@ class Command:
 def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
     """Bring a COMMAND_LONG or COMMAND_INT into one form; None if its numbers are no numbers."""
     m = message
-    if m.id == dialect.MAVLINK_MSG_ID_COMMAND_INT:
+    if m.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_INT:
         if m.x == m.y == _INT_NAN:
             return None
         params = (m.param1, m.param2, m.param3, m.param4, m.x * _INT_SCALE, m.y * _INT_SCALE, m.z)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -32,12 +33,12 @@ class Setpoint(NamedTuple):
     yaw_rate_rad_s: float  # counter-clockwise; 0 holds the heading there is
 
 
-def read_setpoint(message: Any, yaw_rad: float) -> Setpoint | str:
+def read_setpoint(message: Any, yaw_rad: Callable[[], float]) -> Setpoint | str:
     """Turn SET_POSITION_TARGET_LOCAL_NED into a set-point, or into the reason why it is none.
 
     Args:
         message: the message; frame LOCAL_NED, or BODY_NED which is turned by the heading only (as PX4 does).
-        yaw_rad: present heading of the vehicle, counter-clockwise from east.
+        yaw_rad: gives the present heading of the vehicle, counter-clockwise from east.
     """
     mask = message.type_mask
     if mask & _POSITION != _POSITION or mask & _ACCELERATION != _ACCELERATION or mask & _VELOCITY:
@@ -50,7 +51,7 @@ def read_setpoint(message: Any, yaw_rad: float) -> Setpoint | str:
     if message.coordinate_frame == dialect.MAV_FRAME_LOCAL_NED:
         velocity = enu_from_ned(v)
     elif message.coordinate_frame == dialect.MAV_FRAME_BODY_NED:
-        velocity = world_from_body(quaternion_from_yaw(yaw_rad), flu_from_frd(v))
+        velocity = world_from_body(quaternion_from_yaw(yaw_rad()), flu_from_frd(v))
     else:
         return f"Set-point dropped: frame {message.coordinate_frame}, only 1 or 8"
     if not mask & _YAW:

@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.decoding import Message
 from bridge.mavlink import Peer, Received
 from flightstack.types import ZERO
+from sim.autopilot_packing import Timesync
 from sim.pacing import SILENCE_S, STARTUP_S, NoAnswerError, StopSignal, TickGrid, wait_until
 from sim.process_deck import STALE_S, DeckState, LockstepDeck, reckon
 from sim.process_vehicle import VehicleNode
@@ -66,11 +67,13 @@ class LockstepLoop:
                 now_s = now_ns / 1e9
                 if self._deck is not None:
                     self._move_deck(self._deck, tick, now_ns)
-                self._exchange(now_ns, now_s)
-                node.control(now_s)
+                self._send(now_ns, now_s)
+                # The state of this tick is written while the companion works on it.
                 node.write_log(tick, now_ns)
                 if tick % _FLUSH_EVERY == 0:
                     node.log.feed.flush()
+                self._await_answer(now_ns, now_s)
+                node.control(now_s)
                 node.vehicle.advance(grid.ms(tick + 1) - grid.ms(tick))
                 tick += 1
         finally:
@@ -113,9 +116,8 @@ class LockstepLoop:
             node.move_deck(stopped)
             node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, "Robot's pose too old: deck stopped")
 
-    def _exchange(self, now_ns: int, now_s: float) -> None:
-        """Send this tick and handle everything up to its answer."""
-        self._send(now_ns, now_s)
+    def _await_answer(self, now_ns: int, now_s: float) -> None:
+        """Handle everything up to the companion's answer for this tick."""
         late, self._late = self._late, []
         answered = self._take(late, now_ns, now_s)
         if not self._answers:
@@ -140,7 +142,7 @@ class LockstepLoop:
     def _send(self, now_ns: int, now_s: float) -> None:
         endpoint, companion = self._node.endpoint, self._companion
         messages = self._node.autopilot.telemetry(now_s)
-        request = dialect.MAVLink_timesync_message(0, now_ns)
+        request = Timesync(0, now_ns)
         if companion is not None:
             for peer in endpoint.peers:
                 if peer != companion:
@@ -161,7 +163,7 @@ class LockstepLoop:
         """Handle frames up to the answer for this tick; True when it was there."""
         for i, received in enumerate(frames):
             message = received.message
-            if message.id == _TIMESYNC and message.tc1 != 0:
+            if message.get_msgId() == _TIMESYNC and message.tc1 != 0:
                 if self._is_answer(received, now_ns):
                     self._late += frames[i + 1 :]
                     return True

@@ -1,11 +1,11 @@
 """Four rotors: lag, thrust, drag torque, reaction and gyroscopic torque, ground effect, battery.
 
-Body frame FLU. M1 front right turns counter-clockwise, M2 rear right clockwise, M3 rear left counter-clockwise,
-M4 front left clockwise (seen from above; firmware power_distribution_quadrotor.c). A counter-clockwise rotor
-turns the body clockwise, which is a negative yaw torque.
+Body frame FLU. M1 front right turns counter-clockwise, M2 rear right clockwise, M3 rear left
+counter-clockwise, M4 front left clockwise (seen from above; firmware power_distribution_quadrotor.c). A
+counter-clockwise rotor turns the body clockwise, which is a negative yaw torque.
 
-With MIX_YAW_i = -1 for counter-clockwise rotors, the rotors' angular momentum is h_z = -I_p sum(MIX_YAW_i w_i),
-and the body feels -dh/dt - w x h.
+With MIX_YAW_i = -1 for counter-clockwise rotors, the rotors' angular momentum is h_z = -I_p sum(MIX_YAW_i
+w_i), and the body feels -dh/dt - w x h.
 """
 
 from __future__ import annotations
@@ -82,7 +82,9 @@ class Rotors:
         self.rpm = (r1, r2, r3, r4)
         p1, p2, q1, q2 = self._p1, self._p2, self._q1, self._q2
         t1, t2, t3, t4 = (p1 + p2 * r1) * r1, (p1 + p2 * r2) * r2, (p1 + p2 * r3) * r3, (p1 + p2 * r4) * r4
-        if r1 < 3000.0 or r2 < 3000.0 or r3 < 3000.0 or r4 < 3000.0:  # the fitted parabola dips below zero there
+        if (
+            r1 < 3000.0 or r2 < 3000.0 or r3 < 3000.0 or r4 < 3000.0
+        ):  # the fitted parabola dips below zero there
             t1, t2, t3, t4 = max(t1, 0.0), max(t2, 0.0), max(t3, 0.0), max(t4, 0.0)
         if factors is not None:
             f1, f2, f3, f4 = factors
@@ -101,8 +103,9 @@ class GroundEffect:
     """Thrust gain close to a surface: Cheeseman and Bennett 1955, T/T0 = 1 / (1 - (R/4h)^2), per rotor.
 
     ``gain`` multiplies the increase: measurements on small quadrotors lie 1 to 4 times above the formula
-    (Sanchez-Cuevas 2017). Heights below 20 mm count as 20 mm; the effect fades out between 3 R and 4 R. A rotor over
-    the edge of the pad gets the share of its disc that is over the pad, linear across its diameter.
+    (Sanchez-Cuevas 2017). Heights below 20 mm count as 20 mm; the effect fades out between 3 R and 4 R. A
+    rotor over the edge of the pad gets the share of its disc that is over the pad, linear across its
+    diameter.
     """
 
     __slots__ = ("_above", "_arm", "_gain", "_pad_radius", "_radius", "_reach")

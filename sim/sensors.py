@@ -1,4 +1,4 @@
-"""Sensors: measurements on their way (rate, noise, loss, drop-outs, delay), the IMU, and seeded random streams."""
+"""Sensors: measurements on their way (noise, loss, delay), the IMU, and seeded random streams."""
 
 from __future__ import annotations
 
@@ -45,9 +45,10 @@ class Normals:
 class MeasurementChannel:
     """Samples a quantity at the link's rate and hands the samples out after the link's delay, in order.
 
-    Sample k is measured at time k / rate. A lost sample, or one taken within a drop-out, never comes. Drop-outs
-    begin as a Poisson process of mean distance ``dropout_every_s`` and last uniformly up to ``dropout_max_s``.
-    Times are integer nanoseconds. ``due_ns`` and ``release_ns`` tell when the next call has something to do.
+    Sample k is measured at time k / rate. A lost sample, or one taken within a drop-out, never comes.
+    Drop-outs begin as a Poisson process of mean distance ``dropout_every_s`` and last uniformly up to
+    ``dropout_max_s``. Times are integer nanoseconds. ``due_ns`` and ``release_ns`` tell when the next call
+    has something to do.
 
     Args:
         link: rate, delay, loss, drop-outs.
@@ -57,8 +58,8 @@ class MeasurementChannel:
     """
 
     __slots__ = (
-        "_delay_ns", "_drop_end_ns", "_drop_start_ns", "_index", "_link", "_normals", "_queue", "_rate", "_rng",
-        "_sigmas", "due_ns", "lost", "release_ns", "taken",
+        "_delay_ns", "_drop_end_ns", "_drop_start_ns", "_index", "_link", "_normals", "_queue", "_rate",
+        "_rng", "_sigmas", "due_ns", "lost", "release_ns", "taken",
     )  # fmt: skip
 
     def __init__(self, link: OdometryLink, sigmas: Sequence[float], seed: int, purpose: str) -> None:

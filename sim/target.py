@@ -1,7 +1,7 @@
 """The ground robot: a unicycle with speed and acceleration limits on a path, and its odometry.
 
-Between steps the twist is constant and the pose moves on the exact arc; a step ends by choosing the twist of the
-next interval. Whoever integrates pose and twist over the same interval ends on the same pose.
+Between steps the twist is constant and the pose moves on the exact arc; a step ends by choosing the twist of
+the next interval. Whoever integrates pose and twist over the same interval ends on the same pose.
 """
 
 from __future__ import annotations
@@ -86,13 +86,14 @@ DEMANDS: dict[PathKind, Demand] = {
 class TargetModel:
     """True motion of the target.
 
-    ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s`` and ``yaw_rate_rad_s`` are of the pad centre at ``time_s``;
-    the body-frame twist holds until the next step. Heave goes on all the time, driving or not: it is the sea's.
+    ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s`` and ``yaw_rate_rad_s`` are of the pad centre at
+    ``time_s``; the body-frame twist holds until the next step. Heave goes on all the time, driving or not: it
+    is the sea's.
 
     Args:
         spec: path, speeds, limits, pad.
-        seed: draws speed, turn rate and heading where the spec asks for it, the time until the first change of
-            stop-and-go and reversing, and the phase of the heave.
+        seed: draws speed, turn rate and heading where the spec asks for it, the time until the first change
+            of stop-and-go and reversing, and the phase of the heave.
         step_s: expected time between steps (used to choose the heave velocity of the first interval).
     """
 
@@ -119,7 +120,7 @@ class TargetModel:
         return self.spec.pad_height_m + self.spec.heave_amplitude_m * math.sin(angle)
 
     def step(self, dt_s: float, driving: bool) -> None:
-        """Move on by ``dt_s`` with the twist chosen before, then choose the next one; not driving means braking."""
+        """Move on by ``dt_s`` with the twist chosen before, then choose the next; not driving: braking."""
         forward, left = arc(self._v * dt_s, self._w * dt_s)
         c, s = math.cos(self._yaw), math.sin(self._yaw)
         self._x += c * forward - s * left
@@ -153,8 +154,8 @@ class TargetModel:
 class TargetOdometry:
     """Odometry of the target through its link.
 
-    Call ``step`` at time zero and after every step of the model: it measures when a sample is due and returns the
-    samples released by now, oldest first. One sample a call at most, so step at least at the link's rate.
+    Call ``step`` at time zero and after every step of the model: it measures when a sample is due and returns
+    the samples released by now, oldest first. One sample a call at most, so step at least at the link's rate.
     Yaw-rate noise is that of two wheels with the given speed noise: velocity noise over half the track.
     """
 

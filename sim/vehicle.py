@@ -80,7 +80,8 @@ class VehicleSim:
 
     Attributes:
         time_s: simulated time.
-        trim_velocity_enu_m_s: set-point that holds a hover start against weight and mean wind; zero otherwise.
+        trim_velocity_enu_m_s: set-point that holds a hover start against weight and mean wind; zero
+            otherwise.
         plant: factors by which this vehicle differs from the nominal one.
 
     Args:
@@ -121,7 +122,7 @@ class VehicleSim:
         else:
             x, y = scenario.start.ground_position_m
             self._world.set_vehicle((x, y, -params.geometry.foot_bottom_m - 1e-5))
-            self._ground_ms = self._contact_since_ms = -LANDED_AFTER_MS
+            self._ground_ms, self._contact_since_ms = 0, -LANDED_AFTER_MS
         self._settle()
 
     def _start_hover(self, scenario: Scenario, seed: int) -> None:
@@ -172,7 +173,13 @@ class VehicleSim:
 
     def advance(self, steps: int) -> None:
         """Run ``steps`` physics steps of 1 ms."""
-        world, rotors, firmware, mocap, wind = self._world, self._rotors, self._firmware, self._mocap, self._wind
+        world, rotors, firmware, mocap, wind = (
+            self._world,
+            self._rotors,
+            self._firmware,
+            self._mocap,
+            self._wind,
+        )
         battery = self._battery
         drag_xy, _, drag_z = self._params.body.drag_n_s_m
         drag_along = drag_z - drag_xy
@@ -257,14 +264,14 @@ class VehicleSim:
         return self._firmware.arm(self._ms, self._battery.voltage_v)
 
     def disarm(self, force: bool) -> str | None:
-        """Disarm, motors off at once; without ``force`` only in contact with pad or ground. None if accepted."""
+        """Disarm, motors off at once; without ``force`` only in contact. None if accepted, else why not."""
         if not force and self.armed and self.motors_running and not (self.on_pad or self.on_ground):
             return "in the air; land first, or force"
         self._firmware.disarm(self._ms)
         return None
 
     def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
-        """Send a velocity set-point; it takes effect after the radio's delay, and its age counts from there."""
+        """Send a velocity set-point; it takes effect, and its age counts, after the radio's delay."""
         self._firmware.send(Setpoint(*velocity_enu_m_s, yaw_rad), self._ms)
 
     def stop_setpoint(self) -> None:
@@ -330,9 +337,7 @@ class VehicleSim:
         """Return what the estimator believes now."""
         estimator = self._firmware.estimator
         sensed = estimator.sensed
-        return Estimate(
-            sensed.position, sensed.velocity, sensed.quaternion, sensed.rates, estimator.valid
-        )
+        return Estimate(sensed.position, sensed.velocity, sensed.quaternion, sensed.rates, estimator.valid)
 
     def truth(self) -> Truth:
         """Return the true state now and the extremes and contacts since the last call; those start anew."""

@@ -1,7 +1,7 @@
 """Wind: a constant mean and gusts.
 
-Each gust component is an Ornstein-Uhlenbeck process, dg = -g/T dt + rms sqrt(2/T) dW, the first-order spectrum
-that Dryden's model has along the wind. T and the vertical share stand in ``crazyflie20.toml``.
+Each gust component is an Ornstein-Uhlenbeck process, dg = -g/T dt + rms sqrt(2/T) dW, the first-order
+spectrum that Dryden's model has along the wind. T and the vertical share stand in ``crazyflie20.toml``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from sim.sensors import Normals, stream
 
 
 class WindModel:
-    """Wind at the vehicle, world ENU. ``x``, ``y``, ``z`` in m/s; horizontal components have the scenario's rms.
+    """Wind at the vehicle: ``x``, ``y``, ``z`` in m/s, world ENU.
 
     Args:
         wind: mean, gust rms, direction towards which the mean blows (drawn from the seed if None).
@@ -25,8 +25,8 @@ class WindModel:
     """
 
     __slots__ = (
-        "_decay_h", "_decay_v", "_gust", "_gx", "_gy", "_gz", "_kick_h", "_kick_v", "_normals", "mean_enu_m_s",
-        "x", "y", "z",
+        "_decay_h", "_decay_v", "_gust", "_gx", "_gy", "_gz", "_kick_h", "_kick_v", "_normals",
+        "mean_enu_m_s", "x", "y", "z",
     )  # fmt: skip
 
     def __init__(self, wind: Wind, shape: WindShape, seed: int, step_s: float) -> None:
@@ -45,7 +45,11 @@ class WindModel:
         self._kick_h = rms_h * math.sqrt(1.0 - self._decay_h**2)
         self._kick_v = rms_v * math.sqrt(1.0 - self._decay_v**2)
         take = self._normals.take
-        self._gx, self._gy, self._gz = rms_h * take(), rms_h * take(), rms_v * take()  # stationary from the start
+        self._gx, self._gy, self._gz = (
+            rms_h * take(),
+            rms_h * take(),
+            rms_v * take(),
+        )  # stationary from the start
         self._add()
 
     def _add(self) -> None:

@@ -1,7 +1,8 @@
 """Rigid bodies, contact and the moving deck, by MuJoCo in 1 ms steps.
 
-MuJoCo's Euler step moves the position with the velocity at the end of the step. Out of contact the position is put
-back by half of that step's velocity change (trapezoidal rule), which makes constant acceleration exact.
+MuJoCo's Euler step moves the position with the velocity at the end of the step. Out of contact the position
+is put back by half of that step's velocity change (trapezoidal rule), which makes constant acceleration
+exact.
 """
 
 from __future__ import annotations
@@ -61,8 +62,8 @@ class World:
     """
 
     __slots__ = (
-        "_applied", "_arc", "_model", "_pad", "_kinds", "_qpos", "_qvel", "data", "deck_position", "deck_rate",
-        "deck_velocity", "deck_yaw", "position", "quaternion", "rates", "velocity",
+        "_applied", "_arc", "_kinds", "_model", "_pad", "_qpos", "_qvel", "data", "deck_position",
+        "deck_rate", "deck_velocity", "deck_yaw", "position", "quaternion", "rates", "velocity",
     )  # fmt: skip
 
     def __init__(self, params: Params, mass_kg: float, target: TargetSpec) -> None:
@@ -93,7 +94,7 @@ class World:
         _SIX.pack_into(self._qvel, 0, *velocity, *rates)
 
     def set_deck(self, position: Vec3, yaw: float, velocity: Vec3, rate: float) -> None:
-        """Place the deck; from here it moves on an arc: speed, climb and turn rate constant, velocity turning."""
+        """Place the deck; from here on it moves on an arc: body-frame speed, climb and turn rate constant."""
         self.deck_position, self.deck_yaw, self.deck_velocity, self.deck_rate = position, yaw, velocity, rate
         turn = rate * STEP_S
         chord = math.sin(0.5 * turn) / (0.5 * turn) if turn else 1.0  # chord over arc length
@@ -103,7 +104,11 @@ class World:
         )  # fmt: skip
 
     def step(self, force: Vec3, torque: Vec3) -> int:
-        """Advance by one step under a force (world, with weight, at the centre of mass) and a torque (body frame).
+        """Advance by one step.
+
+        Args:
+            force: on the centre of mass, weight included, world frame, N.
+            torque: body frame, N m.
 
         Returns:
             Contact bits of the state the step began with.

@@ -1,8 +1,8 @@
 """The MuJoCo model as XML text: floor, ground robot with pad, vehicle.
 
-The robot is a body on three slides and a hinge, so that it has a velocity and friction carries what stands on it
-(a mocap body has none). Its state is imposed every step; it weighs so much that no contact moves it in between.
-Gravity is off and the vehicle's weight is applied as a force, so that the robot needs no support.
+The robot is a body on three slides and a hinge, so that it has a velocity and friction carries what stands on
+it (a mocap body has none). Its state is imposed every step; it weighs so much that no contact moves it in
+between. Gravity is off and the vehicle's weight is applied as a force, so that the robot needs no support.
 """
 
 from __future__ import annotations

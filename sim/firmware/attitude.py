@@ -2,9 +2,9 @@
 
     M = -kR eR - kw w + ki int(-eR) - kd dw/dt,   eR = (Rd' R - R' Rd) as a vector
 
-Quirks kept: eR without the 1/2 of the literature, so that kR counts twice on a small angle; a D-term on roll and
-pitch rate as a raw difference at 500 Hz, which acts as inertia (200 counts make 2.4e-5 kg m^2, more than the
-body's own); outputs clamped to 32000 counts and cut to whole counts.
+Quirks kept: eR without the 1/2 of the literature, so that kR counts twice on a small angle; a D-term on roll
+and pitch rate as a raw difference at 500 Hz, which acts as inertia (200 counts make 2.4e-5 kg m^2, more than
+the body's own); outputs clamped to 32000 counts and cut to whole counts.
 The firmware's pitch has the other sign inside; in FLU moments nothing of that remains.
 """
 
@@ -14,7 +14,8 @@ import math
 
 from sim.params import CONTROL_STEP_S
 
-# paper V: K1 = diag(7, 7, 0.5)e4, K2 = diag(2, 2, 0.2)e4; the roll and pitch gains are the firmware's defaults
+# paper V: K1 = diag(7, 7, 0.5)e4, K2 = diag(2, 2, 0.2)e4; the roll and pitch gains are the firmware's
+# defaults
 K_R_XY = 70000.0  # counts per unit of eR
 K_R_Z = 5000.0
 K_W_XY = 20000.0  # counts per rad/s
@@ -68,7 +69,9 @@ class MellingerAttitude:
         mx = -K_R_XY * ex - K_W_XY * wx - K_D_OMEGA_RP * ax
         my = -K_R_XY * ey - K_W_XY * wy - K_D_OMEGA_RP * ay
         mz = -K_R_Z * ez - K_W_Z * wz + K_I_Z * integral
-        if not (-MOMENT_MAX < mx < MOMENT_MAX and -MOMENT_MAX < my < MOMENT_MAX and -MOMENT_MAX < mz < MOMENT_MAX):
+        if not (
+            -MOMENT_MAX < mx < MOMENT_MAX and -MOMENT_MAX < my < MOMENT_MAX and -MOMENT_MAX < mz < MOMENT_MAX
+        ):
             mx = max(-MOMENT_MAX, min(MOMENT_MAX, mx))
             my = max(-MOMENT_MAX, min(MOMENT_MAX, my))
             mz = max(-MOMENT_MAX, min(MOMENT_MAX, mz))

@@ -1,15 +1,15 @@
 """On-board state estimate: IMU at 500 Hz, corrected by position and yaw from the motion capture.
 
-It stands for the Crazyflie's Kalman filter with external pose: same noise figures, same weakness (samples are taken
-as if they were new, so that the estimate lags by the capture's delay when it moves), but with the filter's
-stationary gains instead of a covariance. Per axis the states are position, velocity and an acceleration error;
-horizontally the latter is a tilt of the attitude estimate (a tilt d makes g d of acceleration), vertically it is the
-accelerometer's bias. Unlike the firmware in flight, which takes body z alone, all three accelerometer axes count, so
-that wind does not pass for tilt.
+It stands for the Crazyflie's Kalman filter with external pose: same noise figures, same weakness (samples are
+taken as if they were new, so that the estimate lags by the capture's delay when it moves), but with the
+filter's stationary gains instead of a covariance. Per axis the states are position, velocity and an
+acceleration error; horizontally the latter is a tilt of the attitude estimate (a tilt d makes g d of
+acceleration), vertically it is the accelerometer's bias. Unlike the firmware in flight, which takes body z
+alone, all three accelerometer axes count, so that wind does not pass for tilt.
 
 Gains: steady state of the discrete Kalman filter at the capture's rate. Noise from firmware
-kalman_core_params_defaults.h and kalman_core.c, which add (sigma dt)^2 every 1 ms: procNoiseAcc 0.5 and 1.0 m/s^2,
-gyro 0.1 rad/s; crtp_localization_service.c: position 0.01 m, quaternion 4.5e-3.
+kalman_core_params_defaults.h and kalman_core.c, which add (sigma dt)^2 every 1 ms: procNoiseAcc 0.5 and 1.0
+m/s^2, gyro 0.1 rad/s; crtp_localization_service.c: position 0.01 m, quaternion 4.5e-3.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ class Estimator:
     """
 
     __slots__ = (
-        "_bias_z", "_gravity", "_half", "_kp", "_kp_z", "_kt", "_kv", "_kv_z", "_kyaw", "_kz", "_step", "sensed",
-        "since_sample_s",
+        "_bias_z", "_gravity", "_half", "_kp", "_kp_z", "_kt", "_kv", "_kv_z", "_kyaw", "_kz", "_step",
+        "sensed", "since_sample_s",
     )  # fmt: skip
 
     def __init__(self, mocap_period_s: float, step_s: float, gravity_m_s2: float) -> None:
@@ -129,7 +129,17 @@ class Estimator:
         x2, y2, z2 = x + x, y + y, z + z
         xx, yy, zz, xy, xz, yz = x * x2, y * y2, z * z2, x * y2, x * z2, y * z2
         wx, wy, wz = w * x2, w * y2, w * z2
-        axes = (1.0 - yy - zz, xy + wz, xz - wy, xy - wz, 1.0 - xx - zz, yz + wx, xz + wy, yz - wx, 1.0 - xx - yy)
+        axes = (
+            1.0 - yy - zz,
+            xy + wz,
+            xz - wy,
+            xy - wz,
+            1.0 - xx - zz,
+            yz + wx,
+            xz + wy,
+            yz - wx,
+            1.0 - xx - yy,
+        )
         sensed.axes = axes
         sensed.rates = gyro
         fx, fy, fz = accel

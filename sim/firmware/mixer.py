@@ -1,8 +1,8 @@
 """Legacy power distribution and the thrust map: counts to rotor speed commands.
 
-After firmware power_distribution_quadrotor.c and motors.c: what a motor lacks above 65535 counts is taken from all
-four; counts are linear in thrust (65535 = THRUST_MAX) since the battery is compensated for; below THRUST_MIN a
-motor stops.
+After firmware power_distribution_quadrotor.c and motors.c: what a motor lacks above 65535 counts is taken
+from all four; counts are linear in thrust (65535 = THRUST_MAX) since the battery is compensated for; below
+THRUST_MIN a motor stops.
 """
 
 from __future__ import annotations

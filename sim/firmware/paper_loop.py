@@ -1,8 +1,9 @@
 """The paper's velocity controller, eq. 8: tau_p = -K_v (v - u*) + m G, and geometric attitude control.
 
-The stock Mellinger controller refuses velocity set-points, so that this law is what must have run beside it. It
-knows the nominal mass and the nominal thrust scale, not this vehicle's. At the paper's K_v = 0.5 N s/m on 32 g the
-velocity gain is 16 1/s against about 8 1/s of attitude bandwidth: the loop is under-damped by design.
+The stock Mellinger controller refuses velocity set-points, so that this law is what must have run beside it.
+It knows the nominal mass and the nominal thrust scale, not this vehicle's. At the paper's K_v = 0.5 N s/m on
+32 g the velocity gain is 16 1/s against about 8 1/s of attitude bandwidth: the loop is under-damped by
+design.
 
 Not in the paper: the desired force keeps an upward share and a tilt limit. Without them a downward step of
 0.63 m/s asks for no thrust and a larger one for flying upside down.
@@ -18,7 +19,9 @@ from sim.params import Params
 
 K_V_N_S_M = 0.5  # paper V: K_v = 0.5 I
 UP_SHARE_MIN = 0.2  # of the weight
-TAN_TILT_MAX = math.tan(math.radians(40.0))  # the thrust still carries the weight up to acos(1 / 1.53) = 49 degrees
+TAN_TILT_MAX = math.tan(
+    math.radians(40.0)
+)  # the thrust still carries the weight up to acos(1 / 1.53) = 49 degrees
 
 
 class PaperLoop:
@@ -62,7 +65,7 @@ class PaperLoop:
 
 
 def axes_from_force(fx: float, fy: float, fz: float, cos_yaw: float, sin_yaw: float) -> Axes:
-    """Body axes whose z axis is along the force and whose x axis points to the yaw (controller_mellinger.c)."""
+    """Body axes with z along the force and x towards the yaw (controller_mellinger.c)."""
     scale = 1.0 / math.sqrt(fx * fx + fy * fy + fz * fz)
     zx, zy, zz = fx * scale, fy * scale, fz * scale
     yx, yy, yz = -zz * sin_yaw, zz * cos_yaw, zx * sin_yaw - zy * cos_yaw

@@ -1,9 +1,10 @@
 """The Crazyflie's PID cascade: velocity at 100 Hz, attitude and rate at 500 Hz.
 
 After firmware position_controller_pid.c, attitude_pid_controller.c, controller_pid.c and pid.c, gains of
-platform_defaults_cf2.h. Angles in degrees inside, as there. FLU throughout: the firmware's inverted pitch cancels.
-Kept: no integral limit but 5000 in the velocity loop (so it winds up), thrust never below 20000 counts in flight,
-derivative of the measurement, all integrals gone when the mode changes or the thrust is zero.
+platform_defaults_cf2.h. Angles in degrees inside, as there. FLU throughout: the firmware's inverted pitch
+cancels.
+Kept: no integral limit but 5000 in the velocity loop (so it winds up), thrust never below 20000 counts in
+flight, derivative of the measurement, all integrals gone when the mode changes or the thrust is zero.
 """
 
 from __future__ import annotations

@@ -48,7 +48,9 @@ class VelocityController(Protocol):
     def reset(self) -> None:
         """Forget integrals."""
 
-    def update(self, sensed: SensedState, setpoint: Setpoint, level: bool) -> tuple[float, tuple[int, int, int]]:
+    def update(
+        self, sensed: SensedState, setpoint: Setpoint, level: bool
+    ) -> tuple[float, tuple[int, int, int]]:
         """Return ``(thrust counts per motor, moment counts about body x, y, z)``."""
 
     def trim(self, force: Vec3) -> Vec3:

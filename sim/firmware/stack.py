@@ -88,9 +88,7 @@ class Firmware:
         self.supervisor.disarm(now_ms)
         self.commands = OFF
 
-    def tick(
-        self, now_ms: int, velocity: Vec3, rates: Vec3, axes: tuple[float, ...], rpm_max: float
-    ) -> None:
+    def tick(self, now_ms: int, velocity: Vec3, rates: Vec3, axes: tuple[float, ...], rpm_max: float) -> None:
         """Run one control step (500 Hz): measure the true motion, estimate, control, mix."""
         imu, estimator, supervisor = self._imu, self.estimator, self.supervisor
         imu.measure(velocity, rates, axes)

@@ -1,7 +1,8 @@
 """Supervisor: arming, set-point watchdog, tumble detection; transitions as data.
 
-After firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated at 25 Hz, of a build that requires
-arming. Differences: LANDED goes back to FLYING when the motors run again, and READY counts no set-point age.
+After firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated at 25 Hz, of a build that
+requires arming. Differences: LANDED goes back to FLYING when the motors run again, and READY counts no
+set-point age.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ class Supervisor:
         if self.motors_allowed:
             return None
         if self.state is not State.DISARMED:
-            return self.state.value
+            return str(self.state.value)
         self.motors_last_ms = now_ms - FLYING_HYSTERESIS_MS - 1
         self.tilted_since_ms = self.upside_down_since_ms = None
         self.enter(State.READY, now_ms)
@@ -113,7 +114,9 @@ class Supervisor:
         if self.state is not State.DISARMED and self.state is not State.LOCKED:
             self.enter(State.DISARMED, now_ms)
 
-    def update(self, now_ms: int, setpoint_age_ms: int, motors_running: bool, accel_g: tuple[float, ...]) -> None:
+    def update(
+        self, now_ms: int, setpoint_age_ms: int, motors_running: bool, accel_g: tuple[float, ...]
+    ) -> None:
         """Evaluate the transitions; call every ``PERIOD_MS`` with the accelerometer's reading in g."""
         if motors_running:
             self.motors_last_ms = now_ms

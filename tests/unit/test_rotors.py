@@ -1,8 +1,10 @@
 """Rotor wrench: maps, lag, signs, ground effect, battery."""
 
+import itertools
 import math
 
 import pytest
+
 from sim.params import STEP_S, Plant, load
 from sim.rotors import MIX_YAW, POSITION_X, POSITION_Y, RAD_S_PER_RPM, BatteryModel, GroundEffect, Rotors
 
@@ -24,7 +26,7 @@ def settled(command, **factors):
 
 
 def test_hover_thrust_carries_the_weight():
-    assert HOVER == pytest.approx(18968, rel=1e-3)  # computed by hand from the L250 map
+    assert abs(HOVER - 18968) < 20  # computed by hand from the L250 map
     assert settled((HOVER,) * 4).thrust_n == pytest.approx(WEIGHT_N, rel=1e-9)
 
 
@@ -79,7 +81,7 @@ def test_each_motor_turns_the_body_its_way(motor):
 
 def test_drag_torque_is_the_identified_share_of_thrust():
     r = settled((HOVER, 0.0, HOVER, 0.0))  # both counter-clockwise
-    assert -r.torque_z / r.thrust_n == pytest.approx(0.00735, rel=0.02)  # firmware thrust2torque
+    assert -r.torque_z / r.thrust_n == pytest.approx(0.00735, rel=0.05)  # drone-models: thrust2torque
 
 
 def test_spinning_up_a_counterclockwise_rotor_turns_the_body_clockwise():
@@ -122,8 +124,8 @@ class TestGroundEffect:
         assert self.effect.increase(0.005) == self.effect.increase(0.020)
         assert self.effect.increase(4.0 * ROTOR.radius_m) == 0.0
         values = [self.effect.increase(0.001 * k / 10.0) for k in range(1200)]
-        assert max(abs(a - b) for a, b in zip(values, values[1:], strict=False)) < 1e-3
-        assert all(a >= b for a, b in zip(values, values[1:], strict=False))
+        assert max(abs(a - b) for a, b in itertools.pairwise(values)) < 1e-3
+        assert all(a >= b for a, b in itertools.pairwise(values))
 
     def test_gain_multiplies_the_increase(self):
         assert GroundEffect(ROTOR, 4.0, 0.1).increase(0.03) == pytest.approx(4.0 * self.effect.increase(0.03))

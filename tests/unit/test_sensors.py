@@ -1,9 +1,11 @@
 """Measurement channel, IMU and wind: statistics, order, determinism."""
 
+import itertools
 import math
 import statistics
 
 import pytest
+
 from sim.params import CONTROL_STEP_S, load
 from sim.scenario import OdometryLink, Wind
 from sim.sensors import NS, Imu, MeasurementChannel, Normals, stream
@@ -59,7 +61,7 @@ def test_noise_has_its_deviation_and_no_mean():
 def test_drop_outs_come_and_end():
     link = OdometryLink(100.0, dropout_every_s=2.0, dropout_max_s=0.3)
     _, out = run_channel(link, 200.0, step_ms=10)
-    gaps = [(b[1] - a[1]) / NS for a, b in zip(out, out[1:], strict=False) if b[1] - a[1] > 15 * MS]
+    gaps = [(b[1] - a[1]) / NS for a, b in itertools.pairwise(out) if b[1] - a[1] > 15 * MS]
     assert 60 < len(gaps) < 130  # one per 2.15 s on average
     assert max(gaps) <= 0.3 + 0.02
     assert max(gaps) > 0.2
@@ -72,7 +74,7 @@ def test_streams_are_independent_of_each_other_and_fixed_by_the_seed():
     other = Normals(7, "b")
     second = [other.take() for _ in range(2000)]
     assert abs(statistics.correlation(first, second)) < 0.08
-    assert first != [x for x in stream(8, "a").standard_normal(2000)]
+    assert first != list(stream(8, "a").standard_normal(2000))
 
 
 def imu_run(seed, n=20000):
@@ -97,7 +99,9 @@ def test_imu_at_rest_feels_gravity_bias_and_filtered_noise():
         ):
             tau = math.sqrt(2.0) / (2.0 * math.pi * cut)
             assert statistics.pstdev(values) == pytest.approx(density * math.sqrt(0.25 / tau), rel=0.1)
-        assert statistics.mean(accel) - (9.81 if i == 2 else 0.0) == pytest.approx(imu.accel_bias[i], abs=2e-3)
+        assert statistics.mean(accel) - (9.81 if i == 2 else 0.0) == pytest.approx(
+            imu.accel_bias[i], abs=2e-3
+        )
         assert abs(statistics.mean(gyro)) < 4 * p.gyro_bias_rad_s
 
 

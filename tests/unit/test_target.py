@@ -1,9 +1,11 @@
 """The target: limits, exact arcs, twist that fits the pose, odometry statistics."""
 
+import itertools
 import math
 import statistics
 
 import pytest
+
 from sim.scenario import OdometryLink, PathKind, TargetSpec
 from sim.target import TargetModel, TargetOdometry, arc, wrap
 
@@ -92,11 +94,11 @@ def test_waits_until_told_and_brakes_when_told():
 def test_pose_follows_from_the_twist_given_before():
     """Who moves the pad on an arc with the twist given at the start of an interval ends on its true pose."""
     spec = TargetSpec(
-        path=PathKind.REVERSING, speed_m_s=0.5, turn_rate_rad_s=0.4, speed_max_m_s=0.5, pad_behind_axle_m=0.032,
-        heave_amplitude_m=0.15, heave_rate_hz=0.25,
+        path=PathKind.REVERSING, speed_m_s=0.5, turn_rate_rad_s=0.4, speed_max_m_s=0.5,
+        pad_behind_axle_m=0.032, heave_amplitude_m=0.15, heave_rate_hz=0.25,
     )  # fmt: skip
     _, states = drive(spec)
-    for (_, pose, v, w), (_, after, _, _) in zip(states, states[1:], strict=False):
+    for (_, pose, v, w), (_, after, _, _) in itertools.pairwise(states):
         c, s = math.cos(w * DT), math.sin(w * DT)
         sx, sy = (s / w, (1.0 - c) / w) if w else (DT, 0.0)
         x, y, z = pose.position_enu_m

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+
 from sim.params import STEP_S, load
 from sim.scenario import TargetSpec
 from sim.world import ContactBit, World, quaternion_from_axes, rotation_axes

@@ -1,0 +1,123 @@
+"""Helpers for the tests of the simulator's processes: start one, speak to it, end it; every wait is bounded."""
+
+from __future__ import annotations
+
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 20.0
+NAN = float("nan")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def process(module: str, function: str, call: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run ``function(call)`` of a module with ``scenario`` = paper_moving_1; yields it and its ready line."""
+    code = (
+        "import sys; from sim.scenario import load; "
+        f"from {module} import {function}; scenario = load('paper_moving_1'); sys.exit({function}({call}))"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert child.stdout is not None
+        assert select.select([child.stdout], [], [], PATIENCE_S)[0], "no ready line"
+        yield child, child.stdout.readline().strip()
+    finally:
+        if child.poll() is None:
+            child.kill()
+        child.communicate(timeout=PATIENCE_S)
+
+
+def terminate(child: subprocess.Popen[str], number: signal.Signals = signal.SIGTERM) -> float:
+    """Ask it to end; returns how long that took."""
+    start_s = time.monotonic()
+    child.send_signal(number)
+    assert child.wait(PATIENCE_S) == 0
+    return time.monotonic() - start_s
+
+
+def wait_for(done: Callable[[], bool], what: str) -> None:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < deadline_s, f"{what} did not come"
+        time.sleep(0.001)
+
+
+class Client:
+    """A MAVLink client made of a socket and pymavlink's own parser, nothing of this project."""
+
+    def __init__(self, url: str, system: int = 1, component: int = 191, *, listen: bool = False) -> None:
+        kind, host, port = url.split(":")
+        assert kind == "udpin"
+        self._to = (host, int(port))
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(self._to if listen else ("127.0.0.1", 0))
+        self._mav = mav.MAVLink(None, system, component)
+        self.frames: list[bytes] = []
+        self.log: list = []
+
+    def send(self, *messages) -> None:
+        data = b""
+        for message in messages:
+            data += message.pack(self._mav)
+            self._mav.seq = (self._mav.seq + 1) % 256
+        self._socket.sendto(data, self._to)
+
+    def hello(self) -> None:
+        self.send(mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
+
+    def command(self, number: int, *params: float):
+        return mav.MAVLink_command_long_message(1, 1, number, 0, *params, *[NAN] * (7 - len(params)))
+
+    def receive(self, timeout_s: float = PATIENCE_S) -> list:
+        """Messages of the next datagram; empty if none came in time."""
+        if not select.select([self._socket], [], [], timeout_s)[0]:
+            return []
+        data, self._to = self._socket.recvfrom(65536)
+        messages = self._mav.parse_buffer(data) or []
+        self.frames += [bytes(m.get_msgbuf()) for m in messages]
+        self.log += messages
+        return messages
+
+    def until(self, wanted: Callable[[object], bool], timeout_s: float = PATIENCE_S, each=None):
+        """First message that is wanted; ``each`` is called after every datagram."""
+        deadline_s = time.monotonic() + timeout_s
+        while time.monotonic() < deadline_s:
+            for message in self.receive(0.1):
+                if wanted(message):
+                    return message
+            if each is not None:
+                each()
+        raise AssertionError("the message waited for did not come")
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def is_a(name: str, **fields) -> Callable[[object], bool]:
+    """Predicate: a message of this type with these field values."""
+    return lambda m: m.get_type() == name and all(getattr(m, k) == v for k, v in fields.items())
+
+
+def setpoint(north=0.0, east=0.0, down=0.0):
+    zeros = (0.0, 0.0, 0.0)
+    return mav.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, 1, 2503, *zeros, north, east, down, *zeros, 1.5708, 0.0
+    )
