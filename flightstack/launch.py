@@ -156,6 +156,9 @@ class _Launcher:
             )  # fmt: skip
             target.wait_ready()
             onboard.wait_ready()
+            if not self.options.lockstep:
+                recorder.yield_to_others(10)
+                target.yield_to_others(5)
             started = time.monotonic()
             problem = self._watch(onboard, [vehicle, target, recorder], onboard_at, console)
             wall_s = time.monotonic() - started

@@ -23,7 +23,7 @@ from flightstack.certificate import problems
 from flightstack.config import FlightConfig
 from flightstack.controller import ERROR, WARN, Controller, Outputs
 from flightstack.onboard_log import OnboardLog
-from flightstack.pacing import LockstepClock, RealTimePacer, Tick, quiet_garbage_collector
+from flightstack.pacing import LockstepClock, RealTimePacer, Tick, ask_for_priority, quiet_garbage_collector
 from flightstack.strict_toml import ConfigError
 from flightstack.types import Inputs, Operator, Phase, TargetSample
 from logs.feed import Feed
@@ -189,6 +189,7 @@ def _say_events(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
 
 
 def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
+    ask_for_priority()
     pacer = RealTimePacer(onboard.config.loop.rate_hz)
     while True:
         tick = pacer.wait()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import selectors
 import signal
@@ -36,6 +37,11 @@ class Child:
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
+
+    def yield_to_others(self, steps: int) -> None:
+        """Lower its priority, so that it does not delay the flight."""
+        with contextlib.suppress(OSError):  # a help, not a need
+            os.setpriority(os.PRIO_PROCESS, self.process.pid, steps)
 
     def wait_ready(self) -> str:
         """Wait for the line ``ready ...`` and return what follows the word.

@@ -1,4 +1,4 @@
-"""Helpers for the tests of the simulator's processes: start one, speak to it, end it; every wait is bounded."""
+"""Starts the simulator's processes for tests, speaks to them and ends them; every wait is bounded."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 import time
@@ -95,7 +96,7 @@ def test_robot_stands_until_the_go_tick_and_the_truth_is_consistent() -> None:
     moved = math.dist(poses[-1].position_m, poses[GO_TICK].position_m)
     assert 0.08 < moved < 0.16
     assert {(p.frame_id, p.child_frame_id) for p in poses} == {("map", "target")}
-    assert {b.stamp_ns - a.stamp_ns for a, b in zip(poses, poses[1:], strict=False)} == {10_000_000}
+    assert {b.stamp_ns - a.stamp_ns for a, b in itertools.pairwise(poses)} == {10_000_000}
     late = [decode_odometry(payload) for payload in reader.samples]
     assert late[0].stamp_ns == poses[0].stamp_ns
     assert reader.markers[0][1] == 0  # the scenario's tracker is 10 ms late
@@ -130,8 +131,8 @@ def test_real_time_rate_and_start_with_the_landing() -> None:
             reader.samples.clear()
             start_s = time.monotonic()
             wait_for(lambda: reader.poll() or time.monotonic() > start_s + 1.0, "a second")
-            assert 80 <= len(reader.truths) <= 110
-            assert 80 <= len(reader.samples) <= 110
+            assert 60 <= len(reader.truths) <= 110  # a busy machine may lose some tenths
+            assert 60 <= len(reader.samples) <= 110
             steps.put(controller_step(Phase.TAKEOFF))
             steps.put(b"rubbish")
             last = decode_odometry(reader.truths[-1][1])
@@ -197,5 +198,5 @@ def controller_step(phase: Phase) -> bytes:
             0,
             0,
             0,
-        )  # fmt: skip
+        )
     )

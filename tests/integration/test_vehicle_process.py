@@ -1,14 +1,19 @@
-"""The vehicle process over its real wires: real time with a plain client, lockstep with a minimal companion."""
+"""The vehicle process on its real wires: real time with a plain client, lockstep with a small companion."""
 
 from __future__ import annotations
 
+import itertools
 import signal
+import struct
 import time
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from tests.integration.sim_processes import Client, free_port, is_a, process, setpoint, terminate
+from bridge import zenoh_link
+from bridge.odometry import OdometryPublisher
+from flightstack.types import ZERO
+from tests.integration.sim_processes import Client, free_port, is_a, process, setpoint, terminate, wait_for
 
 ARMED = 128
 OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000
@@ -57,8 +62,8 @@ def test_flies_in_real_time_with_a_plain_client() -> None:
         while time.monotonic() < start_s + 1.0:
             client.receive(0.1)
         times_ms = [m.time_boot_ms for m in client.log if m.get_type() == "LOCAL_POSITION_NED"]
-        assert 85 <= len(times_ms) <= 115
-        assert {b - a for a, b in zip(times_ms, times_ms[1:], strict=False)} == {10}
+        assert 60 <= len(times_ms) <= 110  # a busy machine may lose some tenths
+        assert {b - a for a, b in itertools.pairwise(times_ms)} == {10}
         assert terminate(child) < 1.0
 
 
@@ -177,3 +182,28 @@ def test_vehicle_that_calls_loses_nothing_of_the_first_tick() -> None:
         assert child.wait(5.0) == 0
     times_ms = [m.time_boot_ms for m in companion.log if m.get_type() == "LOCAL_POSITION_NED"]
     assert times_ms == list(range(0, 200, 10))
+
+
+def test_robot_that_falls_silent_stops_the_deck_but_not_the_flight() -> None:
+    port = free_port()
+    session = zenoh_link.open_session([f"tcp/127.0.0.1:{port}"], [])
+    robot = OdometryPublisher(session, "cf1/sim/target/truth", lossless=True)
+    try:
+        with vehicle(2, lockstep=True, more=f", zenoh_connect=['tcp/127.0.0.1:{port}']") as (child, ready):
+            wait_for(lambda: robot.matched, "the vehicle's subscription")
+            for tick in range(50):
+                pose = robot.encode(
+                    tick, (0.001 * tick, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0), ZERO
+                )
+                robot.put(pose, tick, struct.pack("<qq", tick, 0))
+            companion = Companion(ready.removeprefix("ready "))
+            for _ in range(200):
+                assert companion.step()
+            texts = [m.text for m in companion.log if m.get_type() == "STATUSTEXT"]
+            assert texts[-2:] == [
+                "Robot silent for 3 s: going on without",
+                "Robot's pose too old: deck stopped",
+            ]
+            assert terminate(child) < 1.0
+    finally:
+        session.close()
