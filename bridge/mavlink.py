@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import select
 import socket
@@ -21,7 +22,6 @@ Peer = tuple[str, int]
 _PEER_EXPIRY_S = 10.0  # s of wall time; a vehicle or companion that is alive sends a heartbeat every second
 _DATAGRAMS_PER_CALL = 512  # a flood must not keep the loop in receive() for ever
 _DATAGRAM_MAX = 1400  # bytes; below an Ethernet frame and PX4's 1600-byte buffer (mavlink_receiver.cpp)
-SPIN_S = 0.002
 _SOCKET_BUFFER = 1 << 20  # bytes, asked for; the kernel may give less
 _URL = re.compile(r"^(udpin|udpout):(?://)?([^:/\s]+):(\d{1,5})$")
 _URL_HELP = (
@@ -150,10 +150,15 @@ class Endpoint:
                 received.append(Received(message, frame, peer))
         return received
 
-    def wait(self, timeout_s: float) -> bool:
-        """Wait until a datagram is there; False when none came in ``timeout_s``."""
-        import os
-        spin_until = time.monotonic() + min(timeout_s, SPIN_S)
+    def wait(self, timeout_s: float, *, spin_s: float = 0.0) -> bool:
+        """Wait until a datagram is there; False when none came in ``timeout_s``.
+
+        Args:
+            timeout_s: wall time.
+            spin_s: look without sleeping for so long at first, giving way to others between looks: waking a
+                sleeping process on another core takes 0.1 ms and more, which is what lockstep waits for.
+        """
+        spin_until = time.monotonic() + min(timeout_s, spin_s)
         while time.monotonic() < spin_until:
             if select.select((self._socket,), (), (), 0.0)[0]:
                 return True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from flightstack.barrier import Barrier
 from flightstack.config import FlightConfig, TouchdownRule
@@ -20,8 +20,7 @@ CONTACT_GAP_M = 0.01  # feet this close to the pad count as standing: noise and 
 TOUCHDOWN_TIME_S = 2.0  # the vehicle answers a forced disarm at once; two heartbeats may be lost
 
 
-@dataclass(frozen=True, slots=True)
-class View:
+class View(NamedTuple):
     """One tick's inputs, judged by age."""
 
     inputs: Inputs

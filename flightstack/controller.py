@@ -8,7 +8,7 @@ Live flight, lockstep simulation, campaigns and log replay all call this.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from flightstack.conditions import View, gather, view
 from flightstack.config import FlightConfig
@@ -26,8 +26,7 @@ ABORT_SETTLE_S = 1.0
 ABORT_TIME_MAX_S = 60.0
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(NamedTuple):
     """Something a person wants to read later. ``level`` as in rcl_interfaces/msg/Log."""
 
     level: int
@@ -37,8 +36,7 @@ class Event:
 INFO, WARN, ERROR = 20, 30, 40
 
 
-@dataclass(frozen=True, slots=True)
-class Barriers:
+class Barriers(NamedTuple):
     """The landing barrier in this tick, and what the filter made of it."""
 
     h_m: float
@@ -48,8 +46,7 @@ class Barriers:
     result: FilterResult
 
 
-@dataclass(frozen=True, slots=True)
-class Outputs:
+class Outputs(NamedTuple):
     """What a tick decided, and all it was decided from."""
 
     phase: Phase

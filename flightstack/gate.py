@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from flightstack.barrier import Barrier
 from flightstack.safety_filter import FilterStatus
@@ -45,8 +46,7 @@ class ApprovedSetpoint:
         self.yaw_rad = yaw_rad
 
 
-@dataclass(frozen=True, slots=True)
-class BarrierCheck:
+class BarrierCheck(NamedTuple):
     """What the gate needs to re-check the barrier: relative position, target velocity, filter's word."""
 
     e_m: Vec3

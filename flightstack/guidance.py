@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from flightstack.barrier import Barrier
 from flightstack.conditions import View, high_enough_m, start_point
@@ -17,8 +17,7 @@ LEVEL_FIRST_M = 0.1  # fly sideways to the start only at its height
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 
 
-@dataclass(frozen=True, slots=True)
-class Wish:
+class Wish(NamedTuple):
     """What a phase asks for. ``filtered``: the landing barrier applies and the target must be fresh."""
 
     request: Request
@@ -26,8 +25,7 @@ class Wish:
     filtered: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Situation:
+class Situation(NamedTuple):
     """Everything a phase may look at."""
 
     config: FlightConfig

@@ -23,14 +23,21 @@ from flightstack.certificate import problems
 from flightstack.config import FlightConfig
 from flightstack.controller import ERROR, WARN, Controller, Outputs
 from flightstack.onboard_log import OnboardLog
-from flightstack.pacing import LockstepClock, RealTimePacer, Tick, ask_for_priority, quiet_garbage_collector
+from flightstack.pacing import (
+    LOCKSTEP_SPIN_S,
+    LockstepClock,
+    RealTimePacer,
+    Tick,
+    ask_for_priority,
+    quiet_garbage_collector,
+)
 from flightstack.strict_toml import ConfigError
 from flightstack.types import Inputs, Operator, Phase, TargetSample
 from logs.feed import Feed
 
 CREDIT = struct.Struct("<qq")  # tick reached, tick at which the target may drive or -1
 MARKER = struct.Struct("<qq")  # tick of the target, odometry samples put so far
-CREDIT_EVERY = 5  # ticks
+CREDIT_EVERY = 10  # ticks
 WINDOW = 20  # ticks that the target may run ahead of the credit
 WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
 FIRST_WAIT_MAX_S = 30.0  # s of wall time until vehicle and target have shown up
@@ -231,7 +238,7 @@ class _Lockstep:
                 link.flush([link.timesync_reply(sim_ns)])
             if self.signals.stop or time.monotonic() > until:
                 return None
-            link.endpoint.wait(WAIT_SLICE_S)
+            link.endpoint.wait(WAIT_SLICE_S, spin_s=LOCKSTEP_SPIN_S)
 
     def target(self, tick: int) -> list[RawSample]:
         """Samples that the target released up to this tick."""

@@ -15,6 +15,9 @@ from dataclasses import dataclass
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simulated clocks
 
 
+LOCKSTEP_SPIN_S = 0.001  # s; an answer in lockstep takes half a millisecond
+
+
 @dataclass(frozen=True, slots=True)
 class Tick:
     """One tick: its time on the stack's clock, and how the wall clock kept it."""

@@ -17,11 +17,11 @@ from flightstack.types import Vec3
 
 def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
     """Point of the box with the largest ``g . u``; an axis with no gradient stays where zero is nearest."""
-    x, y, z = (
-        hi if gi > 0.0 else lo if gi < 0.0 else min(max(0.0, lo), hi)
-        for gi, lo, hi in zip(g, lower, upper, strict=True)
+    return (
+        upper[0] if g[0] > 0.0 else lower[0] if g[0] < 0.0 else min(max(0.0, lower[0]), upper[0]),
+        upper[1] if g[1] > 0.0 else lower[1] if g[1] < 0.0 else min(max(0.0, lower[1]), upper[1]),
+        upper[2] if g[2] > 0.0 else lower[2] if g[2] < 0.0 else min(max(0.0, lower[2]), upper[2]),
     )
-    return (x, y, z)
 
 
 def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 | None:

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from osqp import ext_builtin as osqp
@@ -42,8 +42,7 @@ class FilterStatus(IntEnum):
     REJECTED = 4  # inputs not finite; no result
 
 
-@dataclass(frozen=True, slots=True)
-class FilterResult:
+class FilterResult(NamedTuple):
     """Filtered velocity and everything needed to judge it.
 
     Attributes:
@@ -108,7 +107,7 @@ class SafetyFilter:
             upper: upper corner, m/s.
         """
         bound = -self.omega_1_s * h_m - dh_dt_m_s
-        if not all(map(math.isfinite, (*nominal, bound, *gradient, *lower, *upper))):
+        if not math.isfinite(sum(nominal) + bound + sum(gradient) + sum(lower) + sum(upper)):
             return FilterResult((0.0, 0.0, 0.0), math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
         gx, gy, gz = gradient
         corner = best_corner(gradient, lower, upper)

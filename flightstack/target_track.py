@@ -7,8 +7,8 @@ the last one could have gone. What was refused is counted by reason.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from flightstack.config import Checks
 from flightstack.types import TargetSample, Vec3
@@ -29,8 +29,7 @@ class Verdict(Enum):
     JUMP = "jumped"
 
 
-@dataclass(frozen=True, slots=True)
-class TargetState:
+class TargetState(NamedTuple):
     """The target at the time asked for."""
 
     age_s: float
@@ -64,12 +63,12 @@ class TargetTrack:
 
     def _judge(self, sample: TargetSample) -> Verdict:
         checks, last = self._checks, self._last
-        numbers = (*sample.position_enu_m, *sample.velocity_enu_m_s, sample.yaw_rad, sample.source_time_s)
-        if not all(map(math.isfinite, numbers)):
-            return Verdict.NOT_FINITE
-        if (sample.frame_id, sample.child_frame_id) != (checks.target_frame, checks.target_child_frame):
-            return Verdict.WRONG_ROBOT
+        x, y, z = sample.position_enu_m
         vx, vy, vz = sample.velocity_enu_m_s
+        if not math.isfinite(x + y + z + vx + vy + vz + sample.yaw_rad + sample.source_time_s):
+            return Verdict.NOT_FINITE
+        if sample.frame_id != checks.target_frame or sample.child_frame_id != checks.target_child_frame:
+            return Verdict.WRONG_ROBOT
         if vx * vx + vy * vy + vz * vz > checks.target_speed_max_m_s**2:
             return Verdict.TOO_FAST
         if last is None:
@@ -95,10 +94,13 @@ class TargetTrack:
     def _near(self, before: TargetSample, after: TargetSample) -> bool:
         """Whether the target could have gone from one sample to the other."""
         step_s = after.source_time_s - before.source_time_s
-        expected = (
-            p + v * step_s for p, v in zip(before.position_enu_m, before.velocity_enu_m_s, strict=True)
+        (x0, y0, z0), (vx, vy, vz), (x, y, z) = (
+            before.position_enu_m,
+            before.velocity_enu_m_s,
+            after.position_enu_m,
         )
-        return math.dist(tuple(expected), after.position_enu_m) <= self._checks.target_jump_max_m
+        dx, dy, dz = x - x0 - vx * step_s, y - y0 - vy * step_s, z - z0 - vz * step_s
+        return dx * dx + dy * dy + dz * dz <= self._checks.target_jump_max_m**2
 
     def _proved(self, sample: TargetSample, lost: bool) -> bool:
         """Whether samples elsewhere have agreed with each other for long enough, the old track being lost."""

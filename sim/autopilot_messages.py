@@ -22,7 +22,6 @@ from bridge.frames import (
 from flightstack.types import Vec3
 from sim.autopilot_flight import Flight
 from sim.autopilot_modes import CODES, EstimateLike
-from sim.autopilot_packing import Attitude, LocalPositionNed
 
 # The simulated room lies where PX4's SITL has its home (PX4 gz_bridge defaults), at sea level: clients differ
 # in whether a take-off altitude counts from there or from home.
@@ -121,12 +120,12 @@ def _extended_sys_state(s: Snapshot) -> Message:
 def _local_position_ned(s: Snapshot) -> Message:
     x, y, z = ned_from_enu(s.estimate.position_enu_m)
     vx, vy, vz = ned_from_enu(s.estimate.velocity_enu_m_s)
-    return LocalPositionNed(s.boot_ms, x, y, z, vx, vy, vz)
+    return dialect.MAVLink_local_position_ned_message(s.boot_ms, x, y, z, vx, vy, vz)
 
 
 def _attitude(s: Snapshot) -> Message:
     rates = frd_from_flu(s.estimate.angular_velocity_flu_rad_s)
-    return Attitude(s.boot_ms, *_euler(s.estimate.quaternion), *rates)
+    return dialect.MAVLink_attitude_message(s.boot_ms, *_euler(s.estimate.quaternion), *rates)
 
 
 def _attitude_quaternion(s: Snapshot) -> Message:

@@ -16,8 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.decoding import Message
 from bridge.mavlink import Peer, Received
+from flightstack.pacing import LOCKSTEP_SPIN_S
 from flightstack.types import ZERO
-from sim.autopilot_packing import Timesync
 from sim.pacing import SILENCE_S, STARTUP_S, NoAnswerError, StopSignal, TickGrid, wait_until
 from sim.process_deck import STALE_S, DeckState, LockstepDeck, reckon
 from sim.process_vehicle import VehicleNode
@@ -34,8 +34,10 @@ class LockstepLoop:
     """Runs ticks until the end."""
 
     def __init__(
-        self, node: VehicleNode, deck: LockstepDeck | None, grid: TickGrid, stop: StopSignal
+        self, node: VehicleNode, deck: LockstepDeck | None, grid: TickGrid, stop: StopSignal, radio_s: float
     ) -> None:
+        """Prepare; ``radio_s`` is the delay of set-points on their way to the vehicle."""
+        self._radio_ms = round(radio_s * 1000.0)
         self._node, self._deck, self._grid, self._stop = node, deck, grid, stop
         self._companion: Peer | None = None  # whoever answered first
         self._answers = True  # the companion is waited for
@@ -72,9 +74,14 @@ class LockstepLoop:
                 node.write_log(tick, now_ns)
                 if tick % _FLUSH_EVERY == 0:
                     node.log.feed.flush()
+                # Whatever the answer is, the radio delays it: so much can be simulated before it is known.
+                steps = grid.ms(tick + 1) - grid.ms(tick)
+                ahead = min(steps, self._radio_ms)
+                node.vehicle.advance(ahead)
+                node.vehicle.sent_before_ms = ahead
                 self._await_answer(now_ns, now_s)
                 node.control(now_s)
-                node.vehicle.advance(grid.ms(tick + 1) - grid.ms(tick))
+                node.vehicle.advance(steps - ahead)
                 tick += 1
         finally:
             self._socket.close()
@@ -125,7 +132,9 @@ class LockstepLoop:
             return
         sent_s = repeat_s = time.monotonic()
         while not answered and not self._stop.is_set:
-            self._node.endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
+            self._node.endpoint.wait(
+                _WAIT_S if self._companion else _REPEAT_UNHEARD_S, spin_s=LOCKSTEP_SPIN_S
+            )
             answered = self._take(self._node.endpoint.receive(), now_ns, now_s)
             wall_s = time.monotonic()
             if answered:
@@ -142,7 +151,7 @@ class LockstepLoop:
     def _send(self, now_ns: int, now_s: float) -> None:
         endpoint, companion = self._node.endpoint, self._companion
         messages = self._node.autopilot.telemetry(now_s)
-        request = Timesync(0, now_ns)
+        request = dialect.MAVLink_timesync_message(0, now_ns)
         if companion is not None:
             for peer in endpoint.peers:
                 if peer != companion:

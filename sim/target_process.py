@@ -156,7 +156,7 @@ def target_main(
         duration_s: how long, simulated or real; None: no end.
 
     Returns:
-        Exit status: 0 in order, 1 when something it needs did not come.
+        Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
     stop = StopSignal().install()
     try:
@@ -172,7 +172,10 @@ def target_main(
                 _Lockstep(robot, session, namespace, log, stop).run(ticks)
             else:
                 _RealTime(robot, session, namespace, log, stop).run(ticks)
-    except (ValueError, zenoh_link.ZenohLinkError, FeedError, NoAnswerError) as error:
+    except ValueError as error:
+        print(f"target: {error}", file=sys.stderr)
+        return 2
+    except (zenoh_link.ZenohLinkError, FeedError, NoAnswerError) as error:
         print(f"target: {error}", file=sys.stderr)
         return 1
     return 0

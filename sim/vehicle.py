@@ -83,6 +83,8 @@ class VehicleSim:
         trim_velocity_enu_m_s: set-point that holds a hover start against weight and mean wind; zero
             otherwise.
         plant: factors by which this vehicle differs from the nominal one.
+        sent_before_ms: how long ago the set-points handed over now were sent, at most the radio's delay; a
+            simulation may run ahead by that much before it has to know them.
 
     Args:
         scenario: plant, wind, target, start, judge.
@@ -113,6 +115,7 @@ class VehicleSim:
         self._contacts = 0
         self._h_min = self._h_min_outside = math.inf
         self.trim_velocity_enu_m_s: Vec3 = ZERO
+        self.sent_before_ms = 0
         target = TargetModel(scenario.target, seed)
         pose = target.pose
         self.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
@@ -272,11 +275,11 @@ class VehicleSim:
 
     def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
         """Send a velocity set-point; it takes effect, and its age counts, after the radio's delay."""
-        self._firmware.send(Setpoint(*velocity_enu_m_s, yaw_rad), self._ms)
+        self._firmware.send(Setpoint(*velocity_enu_m_s, yaw_rad), self._ms - self.sent_before_ms)
 
     def stop_setpoint(self) -> None:
         """Send a stop set-point: motors off while it is the newest. It ages like any other."""
-        self._firmware.send(STOP, self._ms)
+        self._firmware.send(STOP, self._ms - self.sent_before_ms)
 
     def begin_judging(self) -> None:
         """The landing begins: the next touch of the pad is the first."""

@@ -54,7 +54,7 @@ def vehicle_main(
         ready_line: print the line.
 
     Returns:
-        Exit status: 0 in order, 1 when something it needs did not come.
+        Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
     stop = StopSignal().install()
     try:
@@ -78,7 +78,7 @@ def vehicle_main(
             loop: LockstepLoop | RealTimeLoop
             if lockstep:
                 deck = LockstepDeck(session, namespace) if session is not None else None
-                loop = LockstepLoop(node, deck, grid, stop)
+                loop = LockstepLoop(node, deck, grid, stop, scenario.vehicle.setpoint_delay_s)
             else:
                 follower = RealTimeDeck(session, namespace) if session is not None else None
                 loop = RealTimeLoop(node, follower, grid, stop)
@@ -87,7 +87,10 @@ def vehicle_main(
                 print(f"ready {kind}:{host}:{bound}", flush=True)
             quiet_garbage_collector()
             loop.run(grid.count(duration_s))
-    except (ValueError, OSError, zenoh_link.ZenohLinkError, FeedError, NoAnswerError) as error:
+    except ValueError as error:
+        print(f"vehicle: {error}", file=sys.stderr)
+        return 2
+    except (OSError, zenoh_link.ZenohLinkError, FeedError, NoAnswerError) as error:
         print(f"vehicle: {error}", file=sys.stderr)
         return 1
     return 0

@@ -1,6 +1,6 @@
 """The paper's four runs, twenty seeds each, in lockstep: the table of the README.
 
-    python -m tests.benchmarks.paper_runs [SEEDS]
+python -m tests.benchmarks.paper_runs [SEEDS]
 """
 
 import statistics

@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.decoding import decode
 from bridge.framing import split_frames
 from sim.autopilot_modes import CODES, FlightMode
-from sim.autopilot_packing import Attitude, LocalPositionNed
 from tests.unit.autopilot_fakes import (
     COMPANION,
     FEET_M,
@@ -183,24 +182,6 @@ def test_everything_it_says_can_be_serialised() -> None:
     for message in [*rig.telemetry, *rig.handle(mav.MAVLink_param_request_list_message(1, 1))]:
         (frame,) = split_frames(message.pack(link))
         assert decode(frame).get_msgId() == message.get_msgId()
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda cls: cls(1234, 1.0, -2.0, 3.0, 0.5, 0.0, 0.0),
-        lambda cls: cls(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        lambda cls: cls(1, NAN, 1e30, -0.0, 1.0, 2.0, 3.0),
-    ],
-)
-def test_fast_packing_gives_the_bytes_of_pymavlink(make) -> None:
-    for fast, slow in (
-        (LocalPositionNed, mav.MAVLink_local_position_ned_message),
-        (Attitude, mav.MAVLink_attitude_message),
-    ):
-        link = mav.MAVLink(None, 1, 1)
-        link.seq = 201
-        assert make(fast).pack(link) == make(slow).pack(link)
 
 
 def test_messages_from_itself_and_of_no_interest_do_nothing() -> None:
