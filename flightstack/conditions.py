@@ -7,17 +7,17 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from flightstack.barrier import Barrier
-from flightstack.config import FlightConfig, TouchdownRule
+from flightstack.config import FlightConfig
 from flightstack.memory import Memory
 from flightstack.phases import C
 from flightstack.target_track import TargetState
 from flightstack.types import Inputs, Landed, Mode, Operator, Phase, Vec3
 
 CLIMB_MARGIN_M = 0.2  # above the barrier's peak: clear of everything the barrier guards
-CONTACT_SPEED_M_S = 0.05  # slower than any descent that the position loop still commands at 5 cm
-CONTACT_TIME_S = 0.1  # ten samples at 100 Hz
-CONTACT_GAP_M = 0.01  # feet this close to the pad count as standing: noise and pad tilt
-TOUCHDOWN_TIME_S = 2.0  # the vehicle answers a forced disarm at once; two heartbeats may be lost
+CONTACT_GAP_M = 0.01  # feet this close to the pad may stand on it: noise of two positions, tilt of the pad
+CONTACT_SPEED_M_S = 0.05  # a quarter of the commanded descent: something holds it up
+CONTACT_TIME_S = 0.1  # s of that; ten samples at 100 Hz
+TOUCHDOWN_TIME_S = 2.0  # s; the descent takes 0.3, a forced disarm shows with the next heartbeat
 
 
 class View(NamedTuple):
@@ -108,6 +108,8 @@ def gather(
         word |= C.HIGH_ENOUGH
     if good:
         word |= _place_conditions(config, barrier, memory, seen, now_s)
+    elif memory.phase is Phase.TOUCHDOWN and not seen.target_ok and word & C.STANDING:
+        memory.contact = True  # the target went out of sight in the last centimetres
     return word
 
 
@@ -155,17 +157,25 @@ def _place_conditions(
     radius = touchdown.pad_radius_m * (1.5 if memory.phase is Phase.LAND else 1.0)
     if d <= radius and e[2] < max(barrier.peak_height_m, touchdown.height_m):
         word |= C.OVER_PAD
-    if touchdown.rule is TouchdownRule.PAPER:
-        if e[2] < touchdown.height_m and d <= touchdown.pad_radius_m and barrier.h(e) >= 0.0:
-            word |= C.TOUCH
-        return word
-    gap_m = e[2] - touchdown.feet_below_reference_m
-    sinking = abs(own.velocity_enu_m_s[2] - target.velocity_enu_m_s[2])
-    standing = seen.inputs.status is not None and seen.inputs.status.landed is Landed.ON_GROUND
-    if d <= touchdown.pad_radius_m and gap_m < CONTACT_GAP_M and (standing or sinking < CONTACT_SPEED_M_S):
-        memory.contact_since_s = min(memory.contact_since_s, now_s)
-    else:
-        memory.contact_since_s = math.inf
-    if now_s - memory.contact_since_s >= CONTACT_TIME_S:
+    if e[2] < touchdown.height_m and d <= touchdown.pad_radius_m and barrier.h(e) >= 0.0:
         word |= C.TOUCH
+    if memory.phase is Phase.TOUCHDOWN:
+        memory.contact = memory.contact or _contact(config, memory, seen, d, now_s)
     return word
+
+
+def _contact(config: FlightConfig, memory: Memory, seen: View, d_m: float, now_s: float) -> bool:
+    """The vehicle stands on the pad: it says so, or it is there and no longer sinks though it should."""
+    own, target, status, e = seen.inputs.own, seen.target, seen.inputs.status, seen.e_m
+    assert own is not None
+    assert target is not None
+    assert e is not None
+    near = d_m <= config.touchdown.pad_radius_m
+    near = near and e[2] - config.touchdown.feet_below_reference_m < CONTACT_GAP_M
+    sinking = target.velocity_enu_m_s[2] - own.velocity_enu_m_s[2]
+    if not near or sinking > CONTACT_SPEED_M_S:
+        memory.contact_since_s = math.inf
+        return False
+    memory.contact_since_s = min(memory.contact_since_s, now_s)
+    standing = status is not None and status.landed is Landed.ON_GROUND
+    return standing or now_s - memory.contact_since_s >= CONTACT_TIME_S

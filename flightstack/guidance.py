@@ -8,12 +8,13 @@ from typing import NamedTuple
 
 from flightstack.barrier import Barrier
 from flightstack.conditions import View, high_enough_m, start_point
-from flightstack.config import FlightConfig
+from flightstack.config import FlightConfig, TouchdownRule
 from flightstack.memory import AbortWay, Memory
 from flightstack.position_loop import limit, nominal_velocity
 from flightstack.types import ZERO, Landed, Phase, Request, Vec3
 
 LEVEL_FIRST_M = 0.1  # fly sideways to the start only at its height
+DESCENT_M_S = 0.2  # relative to the pad, the last centimetres to contact
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 
 
@@ -69,6 +70,20 @@ def _land(s: Situation) -> Wish:
     return Wish(Request.EXTERNAL, nominal, filtered=True)
 
 
+def _touchdown(s: Situation) -> Wish:
+    """Motors off at once by the paper's rule; else straight down to contact, above the pad's middle.
+
+    Below ``touchdown.height_m`` the cone is narrower than the pad and no longer what guards the landing.
+    """
+    target, e = s.seen.target, s.seen.e_m
+    if s.config.touchdown.rule is TouchdownRule.PAPER or s.memory.contact:
+        return Wish(Request.MOTORS_OFF)
+    if target is None or e is None:
+        return Wish(Request.EXTERNAL)
+    x, y, _ = nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
+    return Wish(Request.EXTERNAL, (x, y, target.velocity_enu_m_s[2] - DESCENT_M_S))
+
+
 def _hold(_: Situation) -> Wish:
     return Wish(Request.EXTERNAL, ZERO)
 
@@ -118,7 +133,7 @@ _PHASES: dict[Phase, Callable[[Situation], Wish]] = {
     Phase.TAKEOFF: _takeoff,
     Phase.APPROACH: _land,
     Phase.LAND: _land,
-    Phase.TOUCHDOWN: lambda _: Wish(Request.MOTORS_OFF),
+    Phase.TOUCHDOWN: _touchdown,
     Phase.LANDED: lambda _: Wish(Request.NONE),
     Phase.HOLD: _hold,
     Phase.CLIMB: _climb,

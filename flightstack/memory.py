@@ -29,6 +29,7 @@ class Memory:
     bad_since_s: float = inf  # start of the present input loss
     good_since_s: float = inf  # since when all inputs have been good
     contact_since_s: float = inf
+    contact: bool = False  # stands on the pad
     was_armed: bool = False
     was_external: bool = False
     climbed: bool = False  # the take-off climb is over

@@ -99,7 +99,8 @@ TABLE: dict[Phase, tuple[Rule, ...]] = {
     Phase.TOUCHDOWN: (
         *_OPERATOR,
         Rule(C.WAS_ARMED, Phase.LANDED, "motors off", unless=C.ARMED | C.LINK_LOST),
-        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "motors did not stop"),
+        Rule(C.OWN_LOST, Phase.ABORT, "own state lost at touchdown"),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "no contact, or motors did not stop"),
     ),
     Phase.LANDED: (),
     Phase.HOLD: (

@@ -31,6 +31,15 @@ def test_the_papers_runs_land(tmp_path, scenario, filter_name):
         assert -0.2 < found["h_min_outside_pad_m"] < 1.0
 
 
+@pytest.mark.parametrize("scenario", ["straight", "stop_and_go", "reversing"])
+def test_other_paths_loops_and_a_start_in_hover_land_by_contact(tmp_path, scenario):
+    result = fly(tmp_path, scenario)
+    assert result.code == 0, result.err
+    assert result.json["outcome"] == "landed"
+    assert result.json["touchdown_error_m"] <= 0.10
+    assert result.json["touchdown_speed_vertical_m_s"] < 0.35  # set down; a fall from 5 cm ends with 0.75 m/s
+
+
 def test_the_same_seed_makes_the_same_log_and_another_one_does_not(tmp_path):
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
         assert fly(tmp_path / name, "paper_moving_2", seed).code == 0
