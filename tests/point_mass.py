@@ -38,6 +38,9 @@ class World:
     landed: Landed = Landed.IN_AIR
     pad: tuple = (0.0, 0.0, 0.2)
     heading: float = 0.0
+    solid_pad: bool = False
+    says_standing: bool = True
+    touched_s: float = math.inf
     stream_s: float = -math.inf
     sent: list = field(default_factory=list)
     texts: list = field(default_factory=list)
@@ -100,6 +103,12 @@ class World:
         if not self.armed:
             self.velocity = (0.0, 0.0, 0.0)
         self.position = tuple(p + v * DT_S for p, v in zip(self.position, self.velocity, strict=True))
+        top = self.pad[2] + 0.0144
+        if self.solid_pad and math.dist(self.position[:2], self.pad[:2]) < 0.1 and self.position[2] <= top:
+            self.position, self.velocity = (*self.position[:2], top), (*self.velocity[:2], 0.0)
+            self.touched_s = min(self.touched_s, self.t_s)
+            if self.says_standing and self.t_s - self.touched_s > 0.3:
+                self.landed = Landed.ON_GROUND
         if self.position[2] <= 0.015:
             self.position, self.landed = (*self.position[:2], 0.015), Landed.ON_GROUND
             if self.mode is Mode.LAND:
