@@ -21,7 +21,7 @@ from bridge import zenoh_link
 from flightstack.certificate import problems
 from flightstack.config import FilterKind
 from flightstack.live import REFRESH_HZ, LiveView
-from flightstack.processes import Child, free_port
+from flightstack.processes import Child, Port
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from logs.feed import Feed
 from sim.scenario import Scenario, path_of
@@ -128,6 +128,7 @@ class _Launcher:
         self.options, self.scenario, self.folder, self.log = options, scenario, folder, log
         self.socket = socket_path
         self.children: list[Child] = []
+        self.ports: list[Port] = []
         self.interrupted = False
 
     def run(self, scenario_file: Path, config_file: Path, console: Console) -> Run:
@@ -137,7 +138,8 @@ class _Launcher:
             lockstep = ["--lockstep"] if self.options.lockstep else []
             duration_s = self.scenario.duration_max_s
             rate_hz = self.scenario.onboard.loop.rate_hz
-            target_at, onboard_at = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+            self.ports = [Port(), Port()]
+            target_at, onboard_at = (port.endpoint for port in self.ports)
             recorder = self._start("record", "--socket", str(self.socket), "--out", str(self.log))
             recorder.wait_ready()
             self._describe(scenario_file, config_file)
@@ -173,6 +175,8 @@ class _Launcher:
         for child in reversed(self.children):
             child.end()
         self.children.clear()
+        for port in self.ports:
+            port.close()
 
     def _start(self, verb: str, *arguments: str) -> Child:
         child = Child(verb, [verb, *arguments], self.folder)

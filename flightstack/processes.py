@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 import selectors
 import signal
 import socket
@@ -91,8 +92,36 @@ class Child:
         return code
 
 
-def free_port() -> int:
-    """A TCP port of loopback that is free now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+class Port:
+    """A TCP port of loopback for a server to come, kept from other runs as long as this object is open.
+
+    A port found free by binding to port 0 is from the range that outgoing connections draw from, and may be
+    gone a moment later. These lie below that range, and the same number under UDP serves as the reservation.
+    """
+
+    _RANGE = range(20_000, 32_000)  # Linux draws outgoing ports from 32768 on (ip_local_port_range)
+    _TRIES = 200
+
+    def __init__(self) -> None:
+        chance = random.SystemRandom()
+        for _ in range(self._TRIES):
+            self.number = chance.choice(self._RANGE)
+            self._reservation = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            try:
+                self._reservation.bind(("127.0.0.1", self.number))
+                with socket.socket() as probe:
+                    probe.bind(("127.0.0.1", self.number))
+            except OSError:
+                self._reservation.close()
+                continue
+            return
+        raise LaunchError(f"no free TCP port of loopback found in {self._TRIES} tries from {self._RANGE}")
+
+    @property
+    def endpoint(self) -> str:
+        """As a Zenoh endpoint."""
+        return f"tcp/127.0.0.1:{self.number}"
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._reservation.close()

@@ -58,7 +58,8 @@ def conclude(flown: Run, options: RunOptions, console: Console, *, as_json: bool
             write_report(flown.log, report)
         except ReportError as error:  # the run counts all the same
             print(f"flightstack: {error}", file=sys.stderr)
-    text = result_json(flown, options, verdict.to_json_dict(), flight.duration_s, report)
+    flown_s = float(flight.steps.t_s[-1] - flight.steps.t_s[0]) if flight.steps is not None else 0.0
+    text = result_json(flown, options, verdict.to_json_dict(), flown_s, report)
     values = json.loads(text)
     if as_json:
         print(text)

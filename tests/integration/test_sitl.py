@@ -74,7 +74,7 @@ def test_an_interrupted_run_ends_everything_and_says_what_was_reached(tmp_path, 
 
 
 def test_a_killed_onboard_process_leaves_a_vehicle_that_lands_itself(tmp_path):
-    run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
+    run = Flying(tmp_path, "--scenario", "paper_static_1", "--lockstep")  # begins well away from the robot
     run.wait_for("-> APPROACH")
     kill(run.children()["onboard"])
     assert run.end() == 1

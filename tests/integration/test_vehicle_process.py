@@ -79,7 +79,7 @@ def test_bad_url_is_an_error_with_a_reason() -> None:
     call = "scenario, 1, 'tcp:127.0.0.1:1', lockstep=False, rate_hz=100"
     with process("sim.vehicle_process", "vehicle_main", call) as (child, _):
         _, err = child.communicate(timeout=10.0)
-        assert child.returncode == 1
+        assert child.returncode == 2
         assert "udpin:HOST:PORT" in err
 
 

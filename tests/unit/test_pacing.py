@@ -52,3 +52,15 @@ def test_lockstep_time_is_the_simulators():
     clock = LockstepClock(100)
     tick = clock.tick(1_230_000_000)
     assert (tick.number, tick.now_s, tick.unix_ns) == (123, 1.23, EPOCH_NS + 1_230_000_000)
+
+
+def test_ports_kept_for_a_run_are_not_given_to_another():
+    from flightstack.processes import Port
+
+    ports = [Port() for _ in range(20)]
+    try:
+        assert len({port.number for port in ports}) == 20
+        assert all(port.number < 32_768 for port in ports)
+    finally:
+        for port in ports:
+            port.close()
