@@ -7,7 +7,6 @@ target's, step, answer. The order of work in a tick is the same.
 from __future__ import annotations
 
 import signal
-import struct
 import sys
 import time
 from collections.abc import Callable
@@ -22,9 +21,9 @@ from bridge.vehicle import VehicleLink
 from flightstack.certificate import problems
 from flightstack.config import FlightConfig
 from flightstack.controller import ERROR, WARN, Controller, Outputs
+from flightstack.lockstep import LockstepWires
 from flightstack.onboard_log import OnboardLog
 from flightstack.pacing import (
-    LOCKSTEP_SPIN_S,
     LockstepClock,
     RealTimePacer,
     Tick,
@@ -35,14 +34,6 @@ from flightstack.strict_toml import ConfigError
 from flightstack.types import Inputs, Operator, Phase, TargetSample
 from logs.feed import Feed
 
-CREDIT = struct.Struct("<qq")  # tick reached, tick at which the target may drive or -1
-MARKER = struct.Struct("<qq")  # tick of the target, odometry samples put so far
-CREDIT_EVERY = 10  # ticks
-WINDOW = 20  # ticks that the target may run ahead of the credit
-WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
-FIRST_WAIT_MAX_S = 30.0  # s of wall time until vehicle and target have shown up
-LATER_WAIT_MAX_S = 3.0  # s of wall time after which one that stopped counts as gone
-LOST_RUN_MAX_S = 15.0  # s of wall time without the vehicle after which the process ends
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
 
 
@@ -208,74 +199,13 @@ def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
             return ended
 
 
-class _Lockstep:
-    """Waits for the vehicle's tick and the target's, each bounded in wall time."""
-
-    def __init__(self, onboard: Onboard, signals: Signals) -> None:
-        self.onboard, self.signals = onboard, signals
-        namespace = onboard.options.namespace
-        self._markers = zenoh_link.fifo_subscriber(onboard.session, f"{namespace}/sim/target/tick")
-        self._credit = zenoh_link.blocking_publisher(onboard.session, f"{namespace}/sim/credit")
-        self._marker_tick, self._marker_count, self._received = -1, 0, 0
-        self._pool: list[RawSample] = []
-        self._counts: dict[int, int] = {}
-        self._last_ns = -1
-        self.go_tick = -1
-        self.target_gone = False
-
-    def vehicle(self) -> int | None:
-        """Simulated time of the next tick, ns; ``None`` when the vehicle is gone or the process is to end."""
-        link = self.onboard.link
-        limit_s = FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S
-        until = time.monotonic() + limit_s
-        while True:
-            link.poll(max(0, self._last_ns) / 1e9)
-            sim_ns: int | None = link.take_timesync()
-            if sim_ns is not None and sim_ns != self._last_ns:
-                self._last_ns = sim_ns
-                return sim_ns
-            if sim_ns is not None:
-                link.flush([link.timesync_reply(sim_ns)])
-            if self.signals.stop or time.monotonic() > until:
-                return None
-            link.endpoint.wait(WAIT_SLICE_S, spin_s=LOCKSTEP_SPIN_S)
-
-    def target(self, tick: int) -> list[RawSample]:
-        """Samples that the target released up to this tick."""
-        if tick % CREDIT_EVERY == 0 or tick == 0:
-            self._credit.put(CREDIT.pack(tick, self.go_tick))
-        until = time.monotonic() + (FIRST_WAIT_MAX_S if self._marker_tick < 0 else LATER_WAIT_MAX_S)
-        repeat_at = time.monotonic() + WAIT_SLICE_S
-        while not self.target_gone and not self._complete(tick):
-            now = time.monotonic()
-            if now > until or self.signals.stop:
-                self.target_gone = True
-            if now > repeat_at:
-                self._credit.put(CREDIT.pack(tick, self.go_tick))
-                repeat_at = now + WAIT_SLICE_S
-            time.sleep(2e-5)
-        due = self._counts.pop(tick, self._received + len(self._pool)) - self._received
-        released, self._pool = self._pool[:due], self._pool[due:]
-        self._received += len(released)
-        return released
-
-    def _complete(self, tick: int) -> bool:
-        """The marker of this tick has come, and all samples it counts."""
-        for sample in zenoh_link.drain(self._markers):
-            number, count = MARKER.unpack(sample.payload.to_bytes())
-            self._counts[number] = count
-            self._marker_tick = max(self._marker_tick, number)
-        self._pool += self.onboard.odometry.poll()
-        return tick in self._counts and self._received + len(self._pool) >= self._counts[tick]
-
-    def announce_start(self, tick: int) -> None:
-        """Tell the target when it may drive: later than anything it may have run ahead to."""
-        self.go_tick = tick + WINDOW + 1
-        self._credit.put(CREDIT.pack(tick, self.go_tick))
+def _wires(onboard: Onboard, signals: Signals) -> LockstepWires:
+    namespace = onboard.options.namespace
+    return LockstepWires(onboard.link, onboard.odometry, onboard.session, namespace, lambda: signals.stop)
 
 
 def _lockstep(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
-    clock, wires = LockstepClock(onboard.config.loop.rate_hz), _Lockstep(onboard, signals)
+    clock, wires = LockstepClock(onboard.config.loop.rate_hz), _wires(onboard, signals)
     out: Outputs | None = None
     while True:
         sim_ns = wires.vehicle()

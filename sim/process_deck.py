@@ -10,9 +10,9 @@ from typing import NamedTuple
 from bridge import zenoh_link
 from bridge.frames import world_from_body, yaw_from_quaternion
 from bridge.odometry import OdometryError, OdometrySubscriber, decode_odometry
+from flightstack.pacing import PAIR
 from flightstack.types import ZERO, Vec3
 
-_PAIR = struct.Struct("<qq")
 _STRINGS_AT = 12  # bytes: CDR header and stamp come before the frame names
 _DOUBLES_BYTES = 85 * 8
 # position, orientation x y z w, 36 covariances passed over, linear and angular twist
@@ -75,10 +75,10 @@ class LockstepDeck:
         if waiting:
             return waiting[0][0] == tick
         for raw in self._subscriber.poll():
-            if raw.attachment is None or len(raw.attachment) != _PAIR.size:
+            if raw.attachment is None or len(raw.attachment) != PAIR.size:
                 self.bad += 1
                 continue
-            number = _PAIR.unpack(raw.attachment)[0]
+            number = PAIR.unpack(raw.attachment)[0]
             if number >= tick:
                 waiting.append((number, raw.payload))
         return bool(waiting) and waiting[0][0] == tick

@@ -11,7 +11,6 @@ Keys under the name space (``cf1`` by default):
 
 from __future__ import annotations
 
-import struct
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -20,7 +19,7 @@ from contextlib import ExitStack
 from bridge import zenoh_link
 from bridge.frames import quaternion_from_yaw
 from bridge.odometry import OdometryPublisher
-from flightstack.pacing import EPOCH_NS, RealTimePacer, quiet_garbage_collector
+from flightstack.pacing import EPOCH_NS, NO_GO, PAIR, RUN_AHEAD_TICKS, RealTimePacer, quiet_garbage_collector
 from flightstack.types import Phase
 from logs.codec import Severity, unpack_controller_step
 from logs.feed import FeedError
@@ -29,9 +28,6 @@ from sim.process_log import EventLog
 from sim.scenario import Scenario
 from sim.target import TargetMeasurement, TargetModel, TargetOdometry
 
-PAIR = struct.Struct("<qq")
-RUN_AHEAD = 20  # ticks the robot may be ahead of the reader's credit
-NO_GO = -1
 _CREDIT_PAUSE_S = 500e-6  # s between two looks for credit; far less than the run-ahead lasts
 _MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
@@ -127,7 +123,7 @@ class Credit:
     def covers(self, tick: int) -> bool:
         """Whether this tick may be made by now."""
         self.poll()
-        return tick <= self.tick + RUN_AHEAD
+        return tick <= self.tick + RUN_AHEAD_TICKS
 
 
 def target_main(
@@ -221,7 +217,7 @@ class _Lockstep:
         if go_tick < tick:
             text = f"the go-tick {go_tick} came when the robot was at {tick} already: not repeatable"
             self._log.event(now_ns, Severity.ERROR, text)
-            print(f"target: {text}; it must lie more than {RUN_AHEAD} ticks ahead", file=sys.stderr)
+            print(f"target: {text}; it must lie more than {RUN_AHEAD_TICKS} ticks ahead", file=sys.stderr)
 
     def _await_subscribers(self) -> None:
         # What is put before a subscriber is known is lost, and a lost tick would never be made up for.

@@ -34,7 +34,7 @@ def row(scenario: str, seeds: int, filter_name: str) -> str:
 def main() -> None:
     """Run and print."""
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 20
-    for filter_name in ("paper", "robust"):
+    for filter_name in sys.argv[2:] or ("paper", "robust"):
         print(f"filter {filter_name}")
         for scenario in SCENARIOS:
             print(row(scenario, seeds, filter_name), flush=True)
