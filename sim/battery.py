@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.jit import jitted
 from sim.params import Battery
-from sim.records import F64, Record, new
+from sim.records import F64, Record, cell, new
 from sim.rotors import Four
 
 
@@ -52,10 +52,11 @@ class BatteryModel:
         record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = ("record",)
+    __slots__ = ("_voltage", "record")
 
     def __init__(self, battery: Battery, hover_rpm: float, record: BatteryRecord | None = None) -> None:
         self.record = b = new(BatteryRecord) if record is None else record
+        self._voltage = cell(b)["voltage_v"]
         b.hover_power = 4.0 * hover_rpm**3
         b.charge_a_s, b.full_v, b.empty_v = battery.charge_a_s, battery.full_v, battery.empty_v
         b.resistance_ohm = battery.resistance_ohm
@@ -71,7 +72,7 @@ class BatteryModel:
     @property
     def voltage_v(self) -> float:
         """Voltage under load."""
-        return float(self.record.voltage_v)
+        return float(self._voltage[0])
 
     @property
     def rpm_max(self) -> float:

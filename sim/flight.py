@@ -18,7 +18,7 @@ from sim.ground_effect import GroundRecord, ground_effect
 from sim.imu import ImuRecord, measure
 from sim.jit import jitted
 from sim.params import STEP_S
-from sim.records import Record, Vector
+from sim.records import Cell, Record, Vector
 from sim.rotation import rotation_axes
 from sim.rotors import RotorRecord, turn_rotors
 from sim.wind import WindRecord, blow
@@ -70,8 +70,9 @@ _height = cast("Callable[[JudgeRecord, float], float]", jitted(Barrier.height))
 
 
 @jitted
-def sense(v: VehicleRecord) -> None:
+def sense(vehicle: Cell[VehicleRecord]) -> None:
     """Measure and estimate (500 Hz)."""
+    v = vehicle[0]
     measure(v.imu, v.body.velocity, v.body.rates, rotation_axes(v.body.quaternion))
     predict(v.firmware.estimator, v.imu.gyro, v.imu.accel)
 
@@ -119,11 +120,11 @@ def judge(v: VehicleRecord) -> None:
 
 
 @jitted
-def fly(v: VehicleRecord, m: Memory, now_ms: int, end_ms: int) -> int:
+def fly(vehicle: Cell[VehicleRecord], m: Memory, now_ms: int, end_ms: int) -> int:
     """Run steps of 1 ms until ``end_ms``, or until after a step that found contacts.
 
     Args:
-        v: changed in place; its noise must suffice (``Tape.top_up``).
+        vehicle: changed in place; its noise must suffice (``Tape.top_up``).
         m: MuJoCo's memory.
         now_ms: time of the first step. If the supervisor is due then, ``sense`` and it have already run.
         end_ms: not beyond the next event.
@@ -131,10 +132,11 @@ def fly(v: VehicleRecord, m: Memory, now_ms: int, end_ms: int) -> int:
     Returns:
         Time reached.
     """
+    v = vehicle[0]
     while now_ms < end_ms:
         if now_ms % CONTROL_EVERY_MS == 0:
             if now_ms % PERIOD_MS != 0:
-                sense(v)
+                sense(vehicle)
             control(v.firmware, speed_limit(v.battery))
             cushion(v)
         if now_ms % WIND_EVERY_MS == 0:

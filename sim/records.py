@@ -8,7 +8,7 @@ doubles, written ``Annotated[F64, length]``. A nested record is a view: what it 
 from __future__ import annotations
 
 from functools import cache
-from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Protocol, TypeVar, cast, get_args, get_origin, get_type_hints, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,7 @@ class Record:
 
 
 R = TypeVar("R", bound=Record)
+R_co = TypeVar("R_co", bound=Record, covariant=True)
 
 
 def _field(hint: Any) -> object:
@@ -61,7 +62,20 @@ def new(declaration: type[R], values: tuple[object, ...] | None = None) -> R:
     return cast(R, array[0])
 
 
-def put(record: Record, values: tuple[object, ...]) -> None:
-    """Set all fields of a record, in their order."""
-    made = cast(np.record, record)
-    made.setfield(values, made.dtype)
+class Cell(Protocol[R_co]):
+    """A record as an array of one element, as compiled code takes it."""
+
+    @overload
+    def __getitem__(self, key: int) -> R_co: ...
+    @overload
+    def __getitem__(self, key: str) -> npt.NDArray[Any]: ...
+    def __setitem__(self, key: int, values: tuple[object, ...]) -> None:
+        """Set all fields, in their order."""
+
+
+def cell(record: R) -> Cell[R]:
+    """View of a record for hot code: numba takes it in 0.3 us, the record itself in up to 20 us.
+
+    ``cell(record)["name"]`` is a view of the field with one element more in front.
+    """
+    return cast("Cell[R]", np.asarray(cast(np.record, record)).reshape(1))

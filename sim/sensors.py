@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from sim.jit import jitted
-from sim.records import F64, Record, new
+from sim.records import F64, Record, cell
 from sim.scenario import OdometryLink
 
 NS = 1_000_000_000
@@ -61,21 +61,20 @@ def take(tape: TapeRecord) -> float:
 class Tape:
     """The numbers of ``Normals`` for compiled code, which cannot draw its own."""
 
-    __slots__ = ("_normals", "record")
+    __slots__ = ("_next", "_normals", "_numbers")
 
-    def __init__(self, seed: int, purpose: str, record: TapeRecord | None = None) -> None:
+    def __init__(self, seed: int, purpose: str, record: TapeRecord) -> None:
         self._normals = Normals(seed, purpose)
-        self.record = new(TapeRecord) if record is None else record
-        self.record.numbers[:BLOCK] = self._normals.block()
-        self.record.numbers[BLOCK:] = self._normals.block()
+        self._next, self._numbers = cell(record)["next"], record.numbers
+        self._numbers[:BLOCK] = self._normals.block()
+        self._numbers[BLOCK:] = self._normals.block()
 
     def top_up(self) -> None:
         """See to it that at least ``BLOCK`` numbers are left."""
-        record = self.record
-        if record.next >= BLOCK:
-            record.numbers[:BLOCK] = record.numbers[BLOCK:]
-            record.numbers[BLOCK:] = self._normals.block()
-            record.next -= BLOCK
+        if self._next[0] >= BLOCK:
+            self._numbers[:BLOCK] = self._numbers[BLOCK:]
+            self._numbers[BLOCK:] = self._normals.block()
+            self._next -= BLOCK
 
 
 class MeasurementChannel:

@@ -20,7 +20,7 @@ from sim.flight import WIND_EVERY_MS, VehicleRecord, fly, sense
 from sim.ground_effect import GroundEffect
 from sim.imu import Imu
 from sim.params import CONTROL_STEP_S, STEP_S, Plant, load
-from sim.records import new, put
+from sim.records import cell, new
 from sim.rotation import quaternion_from_axes, rotation_axes
 from sim.rotors import Rotors
 from sim.scenario import Scenario, StartKind
@@ -101,7 +101,9 @@ class VehicleSim:
         self._mass = params.body.mass_kg * plant.mass
         self._gravity = params.contact.gravity_m_s2
         self._judge = Barrier(scenario.judge.alpha_1_m, scenario.judge.beta_m)
-        self._record = r = new(VehicleRecord)
+        r = new(VehicleRecord)
+        self._vehicle = cell(r)
+        self._before_e, self._before_velocity = r.before_e, r.before_velocity
         self._world = World(params, self._mass, scenario.target, r.body, r.deck)
         self._memory = self._world.memory
         self._rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
@@ -115,7 +117,12 @@ class VehicleSim:
         drag_xy, _, drag_z = params.body.drag_n_s_m
         r.drag.xy, r.drag.along, r.drag.weight = drag_xy, drag_z - drag_xy, self._mass * self._gravity
         judge = scenario.judge
-        put(r.judge, (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False))
+        verdict = cell(r.judge)
+        verdict[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
+        self._h_min, self._h_min_outside, self._tumbled = (
+            verdict["h_min"], verdict["h_min_outside"], verdict["tumbled"],
+        )  # fmt: skip
+
         mocap = scenario.vehicle.mocap
         noise = mocap.position_noise_m
         self._mocap = MeasurementChannel(mocap, (noise, noise, noise, mocap.yaw_noise_rad), seed, "mocap")
@@ -187,7 +194,7 @@ class VehicleSim:
         """Run ``steps`` physics steps of 1 ms."""
         end_ms = self._ms + steps
         while self._ms < end_ms:
-            self._ms = fly(self._record, self._memory, self._ms, min(end_ms, self._events()))
+            self._ms = fly(self._vehicle, self._memory, self._ms, min(end_ms, self._events()))
             if self._memory.contacts[0]:
                 bits = self._world.contacts()
                 self._contacts |= bits
@@ -210,7 +217,7 @@ class VehicleSim:
         if now_ms % PERIOD_MS == 0:
             self._imu.top_up()
             self._wind.top_up()
-            sense(self._record)
+            sense(self._vehicle)
             firmware.supervise(now_ms, self._imu.accel)
         next_ns = min(mocap.due_ns, mocap.release_ns)
         supervisor_ms = (now_ms // PERIOD_MS + 1) * PERIOD_MS
@@ -226,8 +233,8 @@ class VehicleSim:
             if contacts & CONTACT_GROUND:
                 self._ground_ms = now_ms
         if contacts & CONTACT_PAD and self._judging and self._touch is None:
-            ex, ey, ez = self._record.before_e.tolist()
-            vx, vy, vz = self._record.before_velocity.tolist()
+            ex, ey, ez = self._before_e.tolist()
+            vx, vy, vz = self._before_velocity.tolist()
             pad = self._world.pad_surface_velocity(ex, ey)
             self._touch = (now_ms * STEP_S, (ex, ey, ez), (vx - pad[0], vy - pad[1], vz - pad[2]))
 
@@ -307,10 +314,8 @@ class VehicleSim:
 
     def estimate(self) -> Estimate:
         """Return what the estimator believes now."""
-        estimator = self._firmware.estimator
-        sensed = self._firmware.estimator.sensed
-        return Estimate(
-            (*sensed.position.tolist(),), (*sensed.velocity.tolist(),), (*sensed.quaternion.tolist(),), (*sensed.rates.tolist(),), estimator.valid)
+        e = self._firmware.estimator
+        return Estimate(e.position, e.velocity, e.quaternion, e.rates, e.valid)
 
     def truth(self) -> Truth:
         """Return the true state now and the extremes and contacts since the last call; those start anew."""
@@ -319,8 +324,7 @@ class VehicleSim:
         dx, dy, dz = world.deck_position
         h = self._judge.h((px - dx, py - dy, pz - dz))
         touch_s, touch_e, touch_v = self._touch or (math.nan, NAN3, NAN3)
-        judge = self._record.judge
-        tumbled = CONTACT_TUMBLED if judge.tumbled else 0
+        tumbled = CONTACT_TUMBLED if self._tumbled[0] else 0
         truth = Truth(
             time_s=self.time_s,
             position_enu_m=world.position,
@@ -332,8 +336,8 @@ class VehicleSim:
             pad_velocity_enu_m_s=world.deck_velocity,
             pad_yaw_rad=math.remainder(world.deck_yaw, 2.0 * math.pi),
             h_m=h,
-            h_min_m=min(h, float(judge.h_min)),
-            h_min_outside_pad_m=float(judge.h_min_outside),
+            h_min_m=min(h, float(self._h_min[0])),
+            h_min_outside_pad_m=float(self._h_min_outside[0]),
             contacts=self._contacts | tumbled,
             first_touch_relative_position_enu_m=touch_e,
             first_touch_relative_velocity_enu_m_s=touch_v,
@@ -342,7 +346,7 @@ class VehicleSim:
             battery_v=self._battery.voltage_v,
             wind_enu_m_s=self._wind.now_enu_m_s,
         )
-        judge.h_min = judge.h_min_outside = math.inf
-        judge.tumbled = False
+        self._h_min[0] = self._h_min_outside[0] = math.inf
+        self._tumbled[0] = False
         self._contacts = 0
         return truth

@@ -17,7 +17,7 @@ from flightstack.types import Vec3
 from sim.jit import jitted
 from sim.mujoco_step import I32, contact_count, mj_step
 from sim.params import STEP_S, Params
-from sim.records import F64, Quaternion, Record, Vector, new, put
+from sim.records import F64, Quaternion, Record, Vector, cell, new
 from sim.scenario import TargetSpec
 from sim.world_xml import model_xml
 
@@ -146,7 +146,7 @@ class World:
     """
 
     __slots__ = (
-        "_deck_position", "_deck_velocity", "_kinds", "_model", "_position", "_quaternion", "_rates",
+        "_deck", "_deck_position", "_deck_rate", "_deck_velocity", "_deck_yaw", "_kinds", "_model", "_position", "_quaternion", "_rates",
         "_velocity", "body", "data", "deck", "memory",
     )  # fmt: skip
 
@@ -169,7 +169,9 @@ class World:
         b = self.body
         self._position, self._velocity = b.position, b.velocity
         self._quaternion, self._rates = b.quaternion, b.rates
+        self._deck = cell(self.deck)
         self._deck_position, self._deck_velocity = self.deck.position, self.deck.velocity
+        self._deck_yaw, self._deck_rate = self._deck["yaw"], self._deck["rate"]
         self.set_vehicle((0.0, 0.0, 1.0))
         self.set_deck((*target.position_m, target.pad_height_m), 0.0, (0.0, 0.0, 0.0), 0.0)
 
@@ -191,7 +193,7 @@ class World:
         turn = rate * STEP_S
         chord = math.sin(0.5 * turn) / (0.5 * turn) if turn else 1.0  # chord over arc length
         along, across = chord * math.cos(0.5 * turn) * STEP_S, chord * math.sin(0.5 * turn) * STEP_S
-        put(self.deck, (position, velocity, yaw, rate, math.cos(turn), math.sin(turn), along, across))
+        self._deck[0] = (position, velocity, yaw, rate, math.cos(turn), math.sin(turn), along, across)
 
     def step(self, force: Vec3, torque: Vec3) -> int:
         """Do one ``physics_step``.
@@ -241,7 +243,7 @@ class World:
     @property
     def deck_yaw(self) -> float:
         """Of the deck, rad; not wrapped."""
-        return float(self.deck.yaw)
+        return float(self._deck_yaw[0])
 
     def contacts(self) -> int:
         """Contact bits of the state the last step began with."""
@@ -261,5 +263,5 @@ class World:
     def pad_surface_velocity(self, rx: float, ry: float) -> Vec3:
         """Velocity of the point of the pad at (rx, ry) from its centre, world axes."""
         vx, vy, vz = self.deck_velocity
-        rate = float(self.deck.rate)
+        rate = float(self._deck_rate[0])
         return (vx - rate * ry, vy + rate * rx, vz)

@@ -22,7 +22,7 @@ import numpy as np
 from flightstack.types import Vec3
 from sim.firmware.setpoint import SensedState
 from sim.jit import jitted
-from sim.records import F64, Record, new
+from sim.records import F64, Cell, Record, cell, new
 from sim.rotation import rotation_axes
 
 FIRMWARE_STEP_S = 0.001
@@ -120,8 +120,9 @@ def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
 
 
 @jitted
-def correct(e: EstimatorRecord, x: float, y: float, z: float, yaw: float) -> None:
+def correct(estimator: Cell[EstimatorRecord], x: float, y: float, z: float, yaw: float) -> None:
     """Take a motion-capture sample as if it were measured now."""
+    e = estimator[0]
     p, v = e.sensed.position, e.sensed.velocity
     rx, ry, rz = x - p[0], y - p[1], z - p[2]
     p[0], p[1], p[2] = p[0] + e.kp * rx, p[1] + e.kp * ry, p[2] + e.kp_z * rz
@@ -159,7 +160,7 @@ class Estimator:
         record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = ("record", "sensed")
+    __slots__ = ("_age_s", "_cell", "_position", "_quaternion", "_rates", "_velocity", "record", "sensed")
 
     def __init__(
         self,
@@ -169,7 +170,12 @@ class Estimator:
         record: EstimatorRecord | None = None,
     ) -> None:
         self.record = r = new(EstimatorRecord) if record is None else record
-        self.sensed = r.sensed
+        self.sensed = s = r.sensed
+        self._cell = cell(r)
+        self._age_s = self._cell["since_sample_s"]
+        self._position, self._velocity, self._quaternion, self._rates = (
+            s.position, s.velocity, s.quaternion, s.rates,
+        )  # fmt: skip
         r.kp, r.kv, accel = axis_gains(mocap_period_s, ACCEL_XY_M_S2, gravity_m_s2)
         r.kt = accel / gravity_m_s2
         r.kp_z, r.kv_z, r.kz = axis_gains(mocap_period_s, ACCEL_Z_M_S2, gravity_m_s2)
@@ -201,9 +207,33 @@ class Estimator:
 
     def correct(self, x: float, y: float, z: float, yaw: float) -> None:
         """Take a motion-capture sample, see ``correct``."""
-        correct(self.record, x, y, z, yaw)
+        correct(self._cell, x, y, z, yaw)
+
+    @property
+    def position(self) -> Vec3:
+        """ENU, m."""
+        x, y, z = self._position.tolist()
+        return (x, y, z)
+
+    @property
+    def velocity(self) -> Vec3:
+        """ENU, m/s."""
+        x, y, z = self._velocity.tolist()
+        return (x, y, z)
+
+    @property
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """w, x, y, z; FLU body in ENU world."""
+        w, x, y, z = self._quaternion.tolist()
+        return (w, x, y, z)
+
+    @property
+    def rates(self) -> Vec3:
+        """Gyro, FLU, rad/s."""
+        x, y, z = self._rates.tolist()
+        return (x, y, z)
 
     @property
     def valid(self) -> bool:
         """Whether samples still come."""
-        return bool(self.record.since_sample_s < INNOVATION_AGE_MAX_S)
+        return bool(self._age_s[0] < INNOVATION_AGE_MAX_S)

@@ -13,7 +13,7 @@ from sim.firmware.setpoint import STOP, Setpoint, SetpointRecord, VelocityContro
 from sim.firmware.supervisor import State, Supervisor
 from sim.jit import jitted
 from sim.params import CONTROL_STEP_S, Params
-from sim.records import Motors, Record, put
+from sim.records import Motors, Record, cell
 from sim.rotors import Four
 from sim.scenario import VehicleSpec, VelocityLoop
 
@@ -76,6 +76,8 @@ class Firmware:
     def __init__(self, spec: VehicleSpec, params: Params, record: FirmwareRecord) -> None:
         self.record = record
         self._commands = record.commands
+        self._setpoint = cell(record.setpoint)
+        self._allowed, self._level = cell(record)["motors_allowed"], cell(record)["level"]
         self._delay_ms = round(spec.setpoint_delay_s * 1000.0)
         self._gravity = params.contact.gravity_m_s2
         ThrustMap(params.rotor, record.thrust_map)
@@ -102,12 +104,11 @@ class Firmware:
 
     def _take(self, setpoint: Setpoint, since_ms: int) -> None:
         self._setpoint_ms = since_ms
-        put(self.record.setpoint, setpoint.fields())
+        self._setpoint[0] = setpoint.fields()
 
     def _obey(self) -> None:
         """Hand the supervisor's decision to the controllers."""
-        self.record.motors_allowed = self.supervisor.motors_allowed
-        self.record.level = self.supervisor.level
+        self._allowed[0], self._level[0] = self.supervisor.motors_allowed, self.supervisor.level
 
     def start_flying(self, setpoint: Setpoint) -> None:
         """Begin armed and in the air at time zero."""
