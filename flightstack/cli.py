@@ -203,9 +203,8 @@ def vehicle(
     recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None,
 ) -> None:  # fmt: skip
     """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's truth on Zenoh."""
-    from sim.vehicle_process import vehicle_main
-
     from sim.scenario import load
+    from sim.vehicle_process import vehicle_main
 
     sys.exit(
         vehicle_main(
@@ -230,9 +229,8 @@ def target(
     lockstep: bool, duration_s: float | None,
 ) -> None:  # fmt: skip
     """Run the ground robot: drives the scenario's path and publishes its odometry on Zenoh."""
-    from sim.target_process import target_main
-
     from sim.scenario import load
+    from sim.target_process import target_main
 
     sys.exit(
         target_main(

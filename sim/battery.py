@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sim.jit import jitted
@@ -29,8 +31,10 @@ class BatteryRecord(Record):
 @jitted
 def drain(b: BatteryRecord, rpm: F64, dt_s: float) -> None:
     """Draw current for ``dt_s``; power grows with the cube of the speed, scaled to the hover current."""
-    m1, m2, m3, m4 = rpm[0], rpm[1], rpm[2], rpm[3]
-    power = (m1 * m1 * m1 + m2 * m2 * m2 + m3 * m3 * m3 + m4 * m4 * m4) / b.hover_power
+    power = 0.0
+    for i in range(4):
+        power += math.pow(rpm[i], 3.0)
+    power /= b.hover_power
     current = b.idle_current_a + b.hover_current_a * power
     b.used_a_s = min(b.charge_a_s, b.used_a_s + current * dt_s)
     rest = b.full_v - (b.full_v - b.empty_v) * b.used_a_s / b.charge_a_s

@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar, cast
 
-import numba
+from numba import config, njit
 
 from flightstack import barrier
 
@@ -54,6 +54,6 @@ def jitted(function: F) -> F:
     """Compile ``function`` when it is first called; the machine code is cached on disk if possible."""
     directory = cache_directory()
     if directory is None:
-        return cast(F, numba.njit(function))
-    numba.config.CACHE_DIR = str(directory)
-    return cast(F, numba.njit(cache=True)(function))
+        return cast(F, njit(function))
+    config.CACHE_DIR = str(directory)
+    return cast(F, njit(cache=True)(function))

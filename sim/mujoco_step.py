@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import cast
 
 import mujoco
-import numba
 import numpy as np
 import numpy.typing as npt
 from llvmlite import binding
+from numba import config, types
 
 I32 = npt.NDArray[np.int32]
 
@@ -35,12 +35,11 @@ def _library() -> str:
 def _load() -> Callable[[int, int], None]:
     """Make ``mj_step(address of mjModel, address of mjData)``, callable from compiled code."""
     path = _library()
-    if numba.config.DISABLE_JIT:
+    if config.DISABLE_JIT:
         function = ctypes.CDLL(path).mj_step
         function.argtypes, function.restype = (ctypes.c_void_p, ctypes.c_void_p), None
         return cast("Callable[[int, int], None]", function)
     binding.load_library_permanently(path)  # now compiled code finds its symbols
-    types = numba.types
     signature = types.void(types.intp, types.intp)
     return cast("Callable[[int, int], None]", types.ExternalFunction("mj_step", signature))
 

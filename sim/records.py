@@ -51,7 +51,7 @@ def layout(declaration: type[Record]) -> np.dtype[np.void]:
             raise AttributeError(f"{declaration.__name__}.{name}: numpy.record has that already; rename it")
         kind: Any = _field(hint)
         fields.append((name, *kind) if isinstance(kind, tuple) else (name, kind))
-    return cast("np.dtype[np.void]", np.dtype((np.record, np.dtype(fields))))
+    return np.dtype((np.record, np.dtype(fields)))
 
 
 def new(declaration: type[R], values: tuple[object, ...] | None = None) -> R:

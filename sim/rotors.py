@@ -16,9 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim.jit import jitted
-from sim.params import Battery, Plant, Rotor
+from sim.params import Plant, Rotor
 from sim.records import F64, Motors, Record, new
-from sim.rotation import Nine
 
 Four = tuple[float, float, float, float]
 

@@ -146,7 +146,8 @@ class World:
     """
 
     __slots__ = (
-        "_deck", "_deck_position", "_deck_rate", "_deck_velocity", "_deck_yaw", "_kinds", "_model", "_position", "_quaternion", "_rates",
+        "_deck", "_deck_position", "_deck_rate", "_deck_velocity", "_deck_yaw", "_kinds",
+        "_model", "_position", "_quaternion", "_rates",
         "_velocity", "body", "data", "deck", "memory",
     )  # fmt: skip
 

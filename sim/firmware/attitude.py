@@ -40,9 +40,7 @@ class AttitudeRecord(Record):
 
 
 @jitted
-def attitude_moments(
-    a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy: float, wz: float
-) -> Counts:
+def attitude_moments(a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy: float, wz: float) -> Counts:
     """Return the moments in counts; call at 500 Hz.
 
     Args:

@@ -23,7 +23,6 @@ from flightstack.types import Vec3
 from sim.firmware.setpoint import SensedState
 from sim.jit import jitted
 from sim.records import F64, Cell, Record, cell, new
-from sim.rotation import rotation_axes
 
 FIRMWARE_STEP_S = 0.001
 ACCEL_XY_M_S2, ACCEL_Z_M_S2 = 0.5, 1.0  # procNoiseAcc_xy, procNoiseAcc_z
@@ -103,8 +102,13 @@ def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
         z + az * w + ay * x - ax * y,
     )
     scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one Newton step of 1 / sqrt
-    q[0], q[1], q[2], q[3] = w * scale, x * scale, y * scale, z * scale
-    axes = rotation_axes(q)
+    w, x, y, z = w * scale, x * scale, y * scale, z * scale
+    q[0], q[1], q[2], q[3] = w, x, y, z
+    # not rotation_axes: a product in another order, rounded otherwise, would change every recorded run
+    x2, y2, z2 = x + x, y + y, z + z
+    xx, yy, zz, xy, xz, yz = x * x2, y * y2, z * z2, x * y2, x * z2, y * z2
+    wx, wy, wz = w * x2, w * y2, w * z2
+    axes = (1.0 - yy - zz, xy + wz, xz - wy, xy - wz, 1.0 - xx - zz, yz + wx, xz + wy, yz - wx, 1.0 - xx - yy)
     for i in range(9):
         s.axes[i] = axes[i]
     fx, fy, fz = accel[0], accel[1], accel[2]
