@@ -7,6 +7,7 @@ doubles, written ``Annotated[F64, length]``. A nested record is a view: what it 
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from functools import cache
 from typing import Annotated, Any, Protocol, TypeVar, cast, get_args, get_origin, get_type_hints, overload
 
@@ -33,7 +34,11 @@ R_co = TypeVar("R_co", bound=Record, covariant=True)
 def _field(hint: Any) -> object:
     if get_origin(hint) is Annotated:
         return ("f8", (get_args(hint)[1],))
-    return SCALARS[hint] if hint in SCALARS else layout(hint)
+    if hint in SCALARS:
+        return SCALARS[hint]
+    if isinstance(hint, type) and issubclass(hint, Record):
+        return layout(cast("Hashable", hint))
+    raise TypeError(f"record field: found {hint}, allowed are float, int, bool, arrays and records")
 
 
 @cache
@@ -41,7 +46,7 @@ def layout(declaration: type[Record]) -> np.dtype[np.void]:
     """Memory layout of a declared record.
 
     Raises:
-        KeyError: a field of a kind that records cannot hold.
+        TypeError: a field of a kind that records cannot hold.
         AttributeError: a field that has the name of a method of numpy's records.
     """
     hints = get_type_hints(declaration, include_extras=True)
@@ -56,7 +61,7 @@ def layout(declaration: type[Record]) -> np.dtype[np.void]:
 
 def new(declaration: type[R], values: tuple[object, ...] | None = None) -> R:
     """Make a record, zeroed or with ``values`` in the order of its fields."""
-    array = np.zeros(1, layout(declaration))
+    array = np.zeros(1, layout(cast("Hashable", declaration)))
     if values is not None:
         array[0] = values
     return cast(R, array[0])
