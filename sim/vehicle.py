@@ -122,7 +122,6 @@ class VehicleSim:
         self._h_min, self._h_min_outside, self._tumbled = (
             verdict["h_min"], verdict["h_min_outside"], verdict["tumbled"],
         )  # fmt: skip
-
         mocap = scenario.vehicle.mocap
         noise = mocap.position_noise_m
         self._mocap = MeasurementChannel(mocap, (noise, noise, noise, mocap.yaw_noise_rad), seed, "mocap")

@@ -67,7 +67,10 @@ class DeckRecord(Record):
 
 
 class Memory(NamedTuple):
-    """Where MuJoCo keeps what is exchanged every step. MuJoCo never moves these arrays."""
+    """Where MuJoCo keeps what is exchanged every step.
+
+    MuJoCo never moves these arrays. The memory is good as long as the ``World`` it came from.
+    """
 
     qpos: F64
     qvel: F64
