@@ -1,20 +1,17 @@
-"""Sensors: measurements on their way (noise, loss, delay), the IMU, and seeded random streams."""
+"""Measurements on their way (noise, loss, delay), and seeded random streams."""
 
 from __future__ import annotations
 
-import math
 import zlib
 from collections import deque
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 import numpy as np
 
-from flightstack.types import Vec3
+from sim.jit import jitted
+from sim.records import F64, Record, cell
 from sim.scenario import OdometryLink
-
-if TYPE_CHECKING:
-    from sim.params import Imu as ImuParams
 
 NS = 1_000_000_000
 NEVER_NS = 1 << 62
@@ -35,11 +32,48 @@ class Normals:
         self._rng = stream(seed, purpose)
         self._left: list[float] = []
 
+    def block(self) -> F64:
+        """Draw the next ``BLOCK`` numbers, in the order of use."""
+        return self._rng.standard_normal(BLOCK)[::-1]
+
     def take(self) -> float:
         """Return the next number."""
         if not self._left:
-            self._left = self._rng.standard_normal(BLOCK).tolist()
+            self._left = self.block()[::-1].tolist()
         return self._left.pop()
+
+
+class TapeRecord(Record):
+    """Normal numbers drawn ahead for compiled code, in the order of use."""
+
+    numbers: Annotated[F64, 2 * BLOCK]
+    next: int
+
+
+@jitted
+def take(tape: TapeRecord) -> float:
+    """Return the next number; there must be one (``Tape.top_up``)."""
+    tape.next += 1
+    return float(tape.numbers[tape.next - 1])
+
+
+class Tape:
+    """The numbers of ``Normals`` for compiled code, which cannot draw its own."""
+
+    __slots__ = ("_next", "_normals", "_numbers")
+
+    def __init__(self, seed: int, purpose: str, record: TapeRecord) -> None:
+        self._normals = Normals(seed, purpose)
+        self._next, self._numbers = cell(record)["next"], record.numbers
+        self._numbers[:BLOCK] = self._normals.block()
+        self._numbers[BLOCK:] = self._normals.block()
+
+    def top_up(self) -> None:
+        """See to it that at least ``BLOCK`` numbers are left."""
+        if self._next[0] >= BLOCK:
+            self._numbers[:BLOCK] = self._numbers[BLOCK:]
+            self._numbers[BLOCK:] = self._normals.block()
+            self._next -= BLOCK
 
 
 class MeasurementChannel:
@@ -109,73 +143,3 @@ class MeasurementChannel:
             out.append((measured_ns, values))
         self.release_ns = queue[0][0] if queue else NEVER_NS
         return out
-
-
-class Imu:
-    """Gyro and accelerometer: bias drawn from the seed, white noise, first-order filter, at the control rate.
-
-    The filters have the group delay of the firmware's second-order Butterworth filters, sqrt(2) / (2 pi f).
-
-    Attributes:
-        gyro: rad/s, body FLU.
-        accel: specific force, m/s^2, body FLU.
-        accel_bias: the bias drawn.
-
-    Args:
-        imu: noise, biases, filters.
-        gravity_m_s2: of the place.
-        step_s: time between calls of ``measure``.
-        seed: of the run.
-    """
-
-    __slots__ = (
-        "_accel_gain", "_accel_sigma", "_gravity", "_gyro_bias", "_gyro_gain", "_gyro_sigma", "_normals",
-        "_per_step", "_velocity", "accel", "accel_bias", "gyro",
-    )  # fmt: skip
-
-    def __init__(self, imu: ImuParams, gravity_m_s2: float, step_s: float, seed: int) -> None:
-        rng = stream(seed, "imu.bias")
-        self._gyro_bias: list[float] = (imu.gyro_bias_rad_s * rng.standard_normal(3)).tolist()
-        self.accel_bias: list[float] = (imu.accel_bias_m_s2 * rng.standard_normal(3)).tolist()
-        band = math.sqrt(0.5 / step_s)  # white noise of density n has n * sqrt(rate / 2) per sample
-        self._gyro_sigma = imu.gyro_noise_rad_s_sqrthz * band
-        self._accel_sigma = imu.accel_noise_m_s2_sqrthz * band
-        self._gyro_gain = -math.expm1(-step_s * math.sqrt(2.0) * math.pi * imu.gyro_filter_hz)
-        self._accel_gain = -math.expm1(-step_s * math.sqrt(2.0) * math.pi * imu.accel_filter_hz)
-        self._per_step = 1.0 / step_s
-        self._gravity = gravity_m_s2
-        self._normals = Normals(seed, "imu.noise")
-        self._velocity: Vec3 = (0.0, 0.0, 0.0)
-        self.gyro: Vec3 = (0.0, 0.0, 0.0)
-        self.accel: Vec3 = (0.0, 0.0, gravity_m_s2)
-
-    def settle(self, velocity: Vec3, specific_force: Vec3) -> None:
-        """Start as if it had measured this for long (specific force in the body frame)."""
-        self._velocity = velocity
-        fx, fy, fz = specific_force
-        bx, by, bz = self.accel_bias
-        self.accel = (fx + bx, fy + by, fz + bz)
-        self.gyro = (self._gyro_bias[0], self._gyro_bias[1], self._gyro_bias[2])
-
-    def measure(self, velocity: Vec3, rates: Vec3, axes: tuple[float, ...]) -> None:
-        """Measure: mean acceleration since the last call, and the rates now."""
-        per_step = self._per_step
-        ox, oy, oz = self._velocity
-        self._velocity = velocity
-        vx, vy, vz = velocity
-        ax, ay, az = (vx - ox) * per_step, (vy - oy) * per_step, (vz - oz) * per_step + self._gravity
-        xx, xy, xz, yx, yy, yz, zx, zy, zz = axes
-        take = self._normals.take
-        s, gain, (bx, by, bz), (fx, fy, fz) = self._accel_sigma, self._accel_gain, self.accel_bias, self.accel
-        self.accel = (
-            fx + gain * (xx * ax + xy * ay + xz * az + bx + s * take() - fx),
-            fy + gain * (yx * ax + yy * ay + yz * az + by + s * take() - fy),
-            fz + gain * (zx * ax + zy * ay + zz * az + bz + s * take() - fz),
-        )
-        wx, wy, wz = rates
-        s, gain, (bx, by, bz), (fx, fy, fz) = self._gyro_sigma, self._gyro_gain, self._gyro_bias, self.gyro
-        self.gyro = (
-            fx + gain * (wx + bx + s * take() - fx),
-            fy + gain * (wy + by + s * take() - fy),
-            fz + gain * (wz + bz + s * take() - fz),
-        )

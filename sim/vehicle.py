@@ -10,18 +10,24 @@ from dataclasses import dataclass
 
 from flightstack.barrier import Barrier
 from flightstack.types import ZERO, Vec3
+from sim.battery import BatteryModel
 from sim.firmware.mixer import OFF
 from sim.firmware.paper_loop import axes_from_force
 from sim.firmware.setpoint import STOP, Setpoint
 from sim.firmware.stack import Firmware
-from sim.firmware.supervisor import State
+from sim.firmware.supervisor import PERIOD_MS, State
+from sim.flight import WIND_EVERY_MS, VehicleRecord, fly, sense
+from sim.ground_effect import GroundEffect
+from sim.imu import Imu
 from sim.params import CONTROL_STEP_S, STEP_S, Plant, load
-from sim.rotors import BatteryModel, Four, GroundEffect, Rotors
+from sim.records import cell, new
+from sim.rotation import quaternion_from_axes, rotation_axes
+from sim.rotors import Rotors
 from sim.scenario import Scenario, StartKind
-from sim.sensors import Imu, MeasurementChannel, stream
+from sim.sensors import MeasurementChannel, stream
 from sim.target import TargetModel
 from sim.wind import WindModel
-from sim.world import ContactBit, World, quaternion_from_axes, rotation_axes
+from sim.world import ContactBit, World
 
 CONTACT_PAD = ContactBit.PAD.value
 CONTACT_GROUND = ContactBit.GROUND.value
@@ -29,8 +35,6 @@ CONTACT_ROBOT = ContactBit.ROBOT.value
 CONTACT_PAD_EDGE = ContactBit.PAD_EDGE.value
 CONTACT_TUMBLED = ContactBit.TUMBLED.value
 
-WIND_EVERY_MS = 5
-BATTERY_EVERY_MS = 10
 CONTACT_GAP_MS = 30  # a bounce shorter than this does not end a contact
 LANDED_AFTER_MS = 150  # in contact for this long is landed
 AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
@@ -97,15 +101,27 @@ class VehicleSim:
         self._mass = params.body.mass_kg * plant.mass
         self._gravity = params.contact.gravity_m_s2
         self._judge = Barrier(scenario.judge.alpha_1_m, scenario.judge.beta_m)
-        self._pad_radius = scenario.target.pad_radius_m
-        self._world = World(params, self._mass, scenario.target)
-        self._rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S)
-        self._ground = GroundEffect(params.rotor, scenario.vehicle.ground_effect_gain, self._pad_radius)
-        self._hover_rpm = params.rotor.rpm(self._mass * self._gravity / 4.0 / plant.thrust)
-        self._battery = BatteryModel(params.battery, self._hover_rpm)
-        self._wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S)
-        self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed)
-        self._firmware = Firmware(scenario.vehicle, params, self._imu)
+        r = new(VehicleRecord)
+        self._vehicle = cell(r)
+        self._before_e, self._before_velocity = r.before_e, r.before_velocity
+        self._world = World(params, self._mass, scenario.target, r.body, r.deck)
+        self._memory = self._world.memory
+        self._rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
+        pad_radius = scenario.target.pad_radius_m
+        GroundEffect(params.rotor, scenario.vehicle.ground_effect_gain, pad_radius, r.ground)
+        hover_rpm = params.rotor.rpm(self._mass * self._gravity / 4.0 / plant.thrust)
+        self._battery = BatteryModel(params.battery, hover_rpm, r.battery)
+        self._wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
+        self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed, r.imu)
+        self._firmware = Firmware(scenario.vehicle, params, r.firmware)
+        drag_xy, _, drag_z = params.body.drag_n_s_m
+        r.drag.xy, r.drag.along, r.drag.weight = drag_xy, drag_z - drag_xy, self._mass * self._gravity
+        judge = scenario.judge
+        verdict = cell(r.judge)
+        verdict[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
+        self._h_min, self._h_min_outside, self._tumbled = (
+            verdict["h_min"], verdict["h_min_outside"], verdict["tumbled"],
+        )  # fmt: skip
         mocap = scenario.vehicle.mocap
         noise = mocap.position_noise_m
         self._mocap = MeasurementChannel(mocap, (noise, noise, noise, mocap.yaw_noise_rad), seed, "mocap")
@@ -113,7 +129,6 @@ class VehicleSim:
         self._contact_since_ms = self._pad_ms = self._ground_ms = NONE_MS
         self._touch: tuple[float, Vec3, Vec3] | None = None
         self._contacts = 0
-        self._h_min = self._h_min_outside = math.inf
         self.trim_velocity_enu_m_s: Vec3 = ZERO
         self.sent_before_ms = 0
         target = TargetModel(scenario.target, seed)
@@ -176,79 +191,38 @@ class VehicleSim:
 
     def advance(self, steps: int) -> None:
         """Run ``steps`` physics steps of 1 ms."""
-        world, rotors, firmware, mocap, wind = (
-            self._world,
-            self._rotors,
-            self._firmware,
-            self._mocap,
-            self._wind,
-        )
-        battery = self._battery
-        drag_xy, _, drag_z = self._params.body.drag_n_s_m
-        drag_along = drag_z - drag_xy
-        weight = self._mass * self._gravity
-        height_of, sqrt, pad_radius_sq = self._judge.height, math.sqrt, self._pad_radius**2
-        h_min, h_min_outside = self._h_min, self._h_min_outside
-        axes = rotation_axes(world.quaternion)
-        cushion = self._cushion(axes)
-        for now_ms in range(self._ms, self._ms + steps):
-            now_ns = now_ms * NS_PER_MS
-            if now_ms >= firmware.next_setpoint_ms:
-                firmware.receive(now_ms)
-            if now_ns >= mocap.due_ns:
-                axes = rotation_axes(world.quaternion)
-                mocap.sample(now_ns, (*world.position, math.atan2(axes[1], axes[0])))
-            if now_ns >= mocap.release_ns:
-                for _, sample in mocap.release(now_ns):
-                    firmware.estimator.correct(sample[0], sample[1], sample[2], sample[3])
-            if not now_ms & 1:
-                axes = rotation_axes(world.quaternion)
-                firmware.tick(now_ms, world.velocity, world.rates, axes, battery.rpm_max)
-                cushion = self._cushion(axes)
-            if now_ms % WIND_EVERY_MS == 0:
-                wind.step()
-                if now_ms % BATTERY_EVERY_MS == 0:
-                    battery.step(rotors.rpm, BATTERY_EVERY_MS * STEP_S)
-            x, y, z = world.position
-            dx, dy, dz = world.deck_position
-            ex, ey, ez = x - dx, y - dy, z - dz
-            wx, wy, _ = world.rates
-            rotors.step(firmware.commands, cushion, wx, wy)
-            w, qx, qy, qz = world.quaternion
-            zx, zy, zz = 2.0 * (qx * qz + w * qy), 2.0 * (qy * qz - w * qx), 1.0 - 2.0 * (qx * qx + qy * qy)
-            vx, vy, vz = velocity = world.velocity
-            ax, ay, az = wind.x - vx, wind.y - vy, wind.z - vz
-            along = rotors.thrust_n + drag_along * (ax * zx + ay * zy + az * zz)
-            contacts = world.step(
-                (drag_xy * ax + along * zx, drag_xy * ay + along * zy, drag_xy * az + along * zz - weight),
-                (rotors.torque_x, rotors.torque_y, rotors.torque_z),
-            )
-            if contacts:
-                self._contacts |= contacts
-                self._note_contact(contacts, now_ms, (ex, ey, ez), velocity)
-            x, y, z = world.position
-            dx, dy, dz = world.deck_position
-            ex, ey = x - dx, y - dy
-            square = ex * ex + ey * ey
-            h = z - dz - height_of(sqrt(square))
-            if h < h_min:
-                h_min = h
-            if h < h_min_outside and square > pad_radius_sq:
-                h_min_outside = h
-        self._h_min, self._h_min_outside = h_min, h_min_outside
-        self._ms += steps
+        end_ms = self._ms + steps
+        while self._ms < end_ms:
+            self._ms = fly(self._vehicle, self._memory, self._ms, min(end_ms, self._events()))
+            if self._memory.contacts[0]:
+                bits = self._world.contacts()
+                self._contacts |= bits
+                self._note_contact(bits, self._ms - 1)
         if not self._judging and self._ms - max(self._pad_ms, self._ground_ms) > AIRBORNE_AFTER_MS:
             self._judging = True
 
-    def _cushion(self, axes: tuple[float, ...]) -> Four | None:
-        """Ground-effect factors; None for none."""
-        if self._rotors.thrust_n <= 0.0:
-            return None
-        x, y, z = self._world.position
-        dx, dy, dz = self._world.deck_position
-        return self._ground.factors(x - dx, y - dy, z - dz, dz, axes)
+    def _events(self) -> int:
+        """Handle what is due now; return the time of the next event, in ms."""
+        now_ms, firmware, mocap, world = self._ms, self._firmware, self._mocap, self._world
+        now_ns = now_ms * NS_PER_MS
+        if now_ms >= firmware.next_setpoint_ms:
+            firmware.receive(now_ms)
+        if now_ns >= mocap.due_ns:
+            axes = rotation_axes(world.quaternion)
+            mocap.sample(now_ns, (*world.position, math.atan2(axes[1], axes[0])))
+        if now_ns >= mocap.release_ns:
+            for _, sample in mocap.release(now_ns):
+                firmware.estimator.correct(sample[0], sample[1], sample[2], sample[3])
+        if now_ms % PERIOD_MS == 0:
+            self._imu.top_up()
+            self._wind.top_up()
+            sense(self._vehicle)
+            firmware.supervise(now_ms, self._imu.accel)
+        next_ns = min(mocap.due_ns, mocap.release_ns)
+        supervisor_ms = (now_ms // PERIOD_MS + 1) * PERIOD_MS
+        return min(firmware.next_setpoint_ms, -(-next_ns // NS_PER_MS), supervisor_ms)
 
-    def _note_contact(self, contacts: int, now_ms: int, e: Vec3, velocity: Vec3) -> None:
+    def _note_contact(self, contacts: int, now_ms: int) -> None:
         """Keep contact times; latch the state before the first judged touch of the pad."""
         if contacts & (CONTACT_PAD | CONTACT_GROUND):
             if now_ms - max(self._pad_ms, self._ground_ms) > CONTACT_GAP_MS:
@@ -258,9 +232,10 @@ class VehicleSim:
             if contacts & CONTACT_GROUND:
                 self._ground_ms = now_ms
         if contacts & CONTACT_PAD and self._judging and self._touch is None:
-            pad = self._world.pad_surface_velocity(e[0], e[1])
-            relative = (velocity[0] - pad[0], velocity[1] - pad[1], velocity[2] - pad[2])
-            self._touch = (now_ms * STEP_S, e, relative)
+            ex, ey, ez = self._before_e.tolist()
+            vx, vy, vz = self._before_velocity.tolist()
+            pad = self._world.pad_surface_velocity(ex, ey)
+            self._touch = (now_ms * STEP_S, (ex, ey, ez), (vx - pad[0], vy - pad[1], vz - pad[2]))
 
     def arm(self) -> str | None:
         """Arm; None if accepted (or armed already), else why not."""
@@ -338,9 +313,8 @@ class VehicleSim:
 
     def estimate(self) -> Estimate:
         """Return what the estimator believes now."""
-        estimator = self._firmware.estimator
-        sensed = estimator.sensed
-        return Estimate(sensed.position, sensed.velocity, sensed.quaternion, sensed.rates, estimator.valid)
+        e = self._firmware.estimator
+        return Estimate(e.position, e.velocity, e.quaternion, e.rates, e.valid)
 
     def truth(self) -> Truth:
         """Return the true state now and the extremes and contacts since the last call; those start anew."""
@@ -349,28 +323,29 @@ class VehicleSim:
         dx, dy, dz = world.deck_position
         h = self._judge.h((px - dx, py - dy, pz - dz))
         touch_s, touch_e, touch_v = self._touch or (math.nan, NAN3, NAN3)
-        rpm: Four = self._rotors.rpm
+        tumbled = CONTACT_TUMBLED if self._tumbled[0] else 0
         truth = Truth(
             time_s=self.time_s,
             position_enu_m=world.position,
             velocity_enu_m_s=world.velocity,
             quaternion=world.quaternion,
             angular_velocity_flu_rad_s=world.rates,
-            rotor_rpm=rpm,
+            rotor_rpm=self._rotors.rpm,
             pad_position_enu_m=world.deck_position,
             pad_velocity_enu_m_s=world.deck_velocity,
             pad_yaw_rad=math.remainder(world.deck_yaw, 2.0 * math.pi),
             h_m=h,
-            h_min_m=min(h, self._h_min),
-            h_min_outside_pad_m=self._h_min_outside,
-            contacts=self._contacts,
+            h_min_m=min(h, float(self._h_min[0])),
+            h_min_outside_pad_m=float(self._h_min_outside[0]),
+            contacts=self._contacts | tumbled,
             first_touch_relative_position_enu_m=touch_e,
             first_touch_relative_velocity_enu_m_s=touch_v,
             first_touch_time_s=touch_s,
             motors_running=self.motors_running,
             battery_v=self._battery.voltage_v,
-            wind_enu_m_s=(self._wind.x, self._wind.y, self._wind.z),
+            wind_enu_m_s=self._wind.now_enu_m_s,
         )
-        self._h_min = self._h_min_outside = math.inf
+        self._h_min[0] = self._h_min_outside[0] = math.inf
+        self._tumbled[0] = False
         self._contacts = 0
         return truth

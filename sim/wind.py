@@ -9,9 +9,32 @@ from __future__ import annotations
 import math
 
 from flightstack.types import Vec3
+from sim.jit import jitted
 from sim.params import WindShape
+from sim.records import Record, Vector, new
 from sim.scenario import Wind
-from sim.sensors import Normals, stream
+from sim.sensors import Tape, TapeRecord, stream, take
+
+
+class WindRecord(Record):
+    """Wind at the vehicle, m/s, world ENU."""
+
+    now: Vector
+    steady: Vector  # the mean
+    gust: Vector
+    decay: Vector  # of the gust in one step
+    kick: Vector  # standard deviation that one step adds
+    gusty: bool
+    noise: TapeRecord
+
+
+@jitted
+def blow(w: WindRecord) -> None:
+    """Advance the gusts by one step; takes three numbers from the tape."""
+    if w.gusty:
+        for i in range(3):
+            w.gust[i] = w.decay[i] * w.gust[i] + w.kick[i] * take(w.noise)
+            w.now[i] = w.steady[i] + w.gust[i]
 
 
 class WindModel:
@@ -22,14 +45,16 @@ class WindModel:
         shape: correlation times and vertical share.
         seed: of the run.
         step_s: time between calls of ``step``.
+        record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = (
-        "_decay_h", "_decay_v", "_gust", "_gx", "_gy", "_gz", "_kick_h", "_kick_v", "_normals",
-        "mean_enu_m_s", "x", "y", "z",
-    )  # fmt: skip
+    __slots__ = ("_now", "_tape", "mean_enu_m_s", "record")
 
-    def __init__(self, wind: Wind, shape: WindShape, seed: int, step_s: float) -> None:
+    def __init__(
+        self, wind: Wind, shape: WindShape, seed: int, step_s: float, record: WindRecord | None = None
+    ) -> None:
+        self.record = r = new(WindRecord) if record is None else record
+        self._now = r.now
         drawn = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
         direction = drawn if wind.direction_rad is None else wind.direction_rad
         self.mean_enu_m_s: Vec3 = (
@@ -37,31 +62,28 @@ class WindModel:
             wind.mean_m_s * math.sin(direction),
             0.0,
         )
-        self._normals = Normals(seed, "wind.gust")
-        self._gust = wind.gust_rms_m_s > 0.0
+        r.steady[:] = self.mean_enu_m_s
+        r.gusty = wind.gust_rms_m_s > 0.0
+        self._tape = Tape(seed, "wind.gust", r.noise)
         rms_h, rms_v = wind.gust_rms_m_s, wind.gust_rms_m_s * shape.vertical_share
-        self._decay_h = math.exp(-step_s / shape.horizontal_time_s)  # exact discretisation
-        self._decay_v = math.exp(-step_s / shape.vertical_time_s)
-        self._kick_h = rms_h * math.sqrt(1.0 - self._decay_h**2)
-        self._kick_v = rms_v * math.sqrt(1.0 - self._decay_v**2)
-        take = self._normals.take
-        self._gx, self._gy, self._gz = (
-            rms_h * take(),
-            rms_h * take(),
-            rms_v * take(),
-        )  # stationary from the start
-        self._add()
+        times = (shape.horizontal_time_s, shape.horizontal_time_s, shape.vertical_time_s)
+        for i, (rms, time) in enumerate(zip((rms_h, rms_h, rms_v), times, strict=True)):
+            decay = math.exp(-step_s / time)  # exact discretisation
+            r.decay[i], r.kick[i] = decay, rms * math.sqrt(1.0 - decay**2)
+            r.gust[i] = rms * take(r.noise)  # stationary from the start
+            r.now[i] = r.steady[i] + r.gust[i]
 
-    def _add(self) -> None:
-        mean = self.mean_enu_m_s
-        self.x, self.y, self.z = mean[0] + self._gx, mean[1] + self._gy, mean[2] + self._gz
+    def top_up(self) -> None:
+        """Draw noise for at least 340 steps."""
+        self._tape.top_up()
 
     def step(self) -> None:
         """Advance by ``step_s``."""
-        if not self._gust:
-            return
-        take = self._normals.take
-        self._gx = self._decay_h * self._gx + self._kick_h * take()
-        self._gy = self._decay_h * self._gy + self._kick_h * take()
-        self._gz = self._decay_v * self._gz + self._kick_v * take()
-        self._add()
+        self.top_up()
+        blow(self.record)
+
+    @property
+    def now_enu_m_s(self) -> Vec3:
+        """Wind now."""
+        x, y, z = self._now.tolist()
+        return (x, y, z)

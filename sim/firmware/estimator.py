@@ -21,6 +21,8 @@ import numpy as np
 
 from flightstack.types import Vec3
 from sim.firmware.setpoint import SensedState
+from sim.jit import jitted
+from sim.records import F64, Cell, Record, cell, new
 
 FIRMWARE_STEP_S = 0.001
 ACCEL_XY_M_S2, ACCEL_Z_M_S2 = 0.5, 1.0  # procNoiseAcc_xy, procNoiseAcc_z
@@ -68,6 +70,90 @@ def yaw_gain(period_s: float) -> float:
     return p / (p + r)
 
 
+class EstimatorRecord(Record):
+    """Estimate, gains of the corrections, and constants."""
+
+    sensed: SensedState
+    bias_z: float  # of the vertical accelerometer, negative, m/s^2
+    since_sample_s: float
+    kp: float  # horizontal: position
+    kv: float  # velocity, 1/s
+    kt: float  # tilt, rad per m
+    kp_z: float  # vertical
+    kv_z: float
+    kz: float  # bias, 1/s^2
+    kyaw: float
+    step: float  # s
+    gravity: float
+
+
+@jitted
+def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
+    """Advance by one step with what the IMU measured (rad/s and m/s^2, body)."""
+    s = e.sensed
+    half = 0.5 * e.step
+    ax, ay, az = gyro[0] * half, gyro[1] * half, gyro[2] * half
+    q = s.quaternion
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    w, x, y, z = (
+        w - ax * x - ay * y - az * z,
+        x + ax * w + az * y - ay * z,
+        y + ay * w + ax * z - az * x,
+        z + az * w + ay * x - ax * y,
+    )
+    scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one Newton step of 1 / sqrt
+    w, x, y, z = w * scale, x * scale, y * scale, z * scale
+    q[0], q[1], q[2], q[3] = w, x, y, z
+    # not rotation_axes: a product in another order, rounded otherwise, would change every recorded run
+    x2, y2, z2 = x + x, y + y, z + z
+    xx, yy, zz, xy, xz, yz = x * x2, y * y2, z * z2, x * y2, x * z2, y * z2
+    wx, wy, wz = w * x2, w * y2, w * z2
+    axes = (1.0 - yy - zz, xy + wz, xz - wy, xy - wz, 1.0 - xx - zz, yz + wx, xz + wy, yz - wx, 1.0 - xx - yy)
+    for i in range(9):
+        s.axes[i] = axes[i]
+    fx, fy, fz = accel[0], accel[1], accel[2]
+    for i in range(3):
+        s.rates[i] = gyro[i]
+        felt = axes[i] * fx + axes[3 + i] * fy + axes[6 + i] * fz
+        if i == 2:
+            felt = felt - e.gravity + e.bias_z
+        change = felt * e.step
+        s.position[i] += (s.velocity[i] + 0.5 * change) * e.step
+        s.velocity[i] += change
+    e.since_sample_s += e.step
+
+
+@jitted
+def correct(estimator: Cell[EstimatorRecord], x: float, y: float, z: float, yaw: float) -> None:
+    """Take a motion-capture sample as if it were measured now."""
+    e = estimator[0]
+    p, v = e.sensed.position, e.sensed.velocity
+    rx, ry, rz = x - p[0], y - p[1], z - p[2]
+    p[0], p[1], p[2] = p[0] + e.kp * rx, p[1] + e.kp * ry, p[2] + e.kp_z * rz
+    v[0], v[1], v[2] = v[0] + e.kv * rx, v[1] + e.kv * ry, v[2] + e.kv_z * rz
+    e.bias_z += e.kz * rz
+    error = yaw - math.atan2(e.sensed.axes[1], e.sensed.axes[0])
+    turn = e.kyaw * math.atan2(math.sin(error), math.cos(error))
+    turn_estimate(e.sensed, -e.kt * ry, e.kt * rx, turn)  # tilt d makes the acceleration g (d_y, -d_x)
+    e.since_sample_s = 0.0
+
+
+@jitted
+def turn_estimate(s: SensedState, dx: float, dy: float, dz: float) -> None:
+    """Turn the attitude estimate by a small rotation vector in the world frame."""
+    dx, dy, dz = 0.5 * dx, 0.5 * dy, 0.5 * dz
+    q = s.quaternion
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    w, x, y, z = (
+        w - dx * x - dy * y - dz * z,
+        x + dx * w + dy * z - dz * y,
+        y + dy * w + dz * x - dx * z,
+        z + dz * w + dx * y - dy * x,
+    )
+    scale = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    q[0], q[1], q[2], q[3] = w * scale, x * scale, y * scale, z * scale
+
+
 class Estimator:
     """Predict and correct. ``sensed`` holds the result, updated in place.
 
@@ -75,24 +161,33 @@ class Estimator:
         mocap_period_s: time between motion-capture samples.
         step_s: time between calls of ``predict``.
         gravity_m_s2: of the place.
+        record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = (
-        "_bias_z", "_gravity", "_half", "_kp", "_kp_z", "_kt", "_kv", "_kv_z", "_kyaw", "_kz", "_step",
-        "sensed", "since_sample_s",
-    )  # fmt: skip
+    __slots__ = ("_age_s", "_cell", "_position", "_quaternion", "_rates", "_velocity", "record", "sensed")
 
-    def __init__(self, mocap_period_s: float, step_s: float, gravity_m_s2: float) -> None:
-        self._kp, self._kv, accel = axis_gains(mocap_period_s, ACCEL_XY_M_S2, gravity_m_s2)
-        self._kt = accel / gravity_m_s2  # rad per m
-        self._kp_z, self._kv_z, self._kz = axis_gains(mocap_period_s, ACCEL_Z_M_S2, gravity_m_s2)
-        self._kyaw = yaw_gain(mocap_period_s)
-        self._step = step_s
-        self._half = 0.5 * step_s
-        self._gravity = gravity_m_s2
-        self._bias_z = 0.0
-        self.sensed = SensedState()
-        self.since_sample_s = 0.0
+    def __init__(
+        self,
+        mocap_period_s: float,
+        step_s: float,
+        gravity_m_s2: float,
+        record: EstimatorRecord | None = None,
+    ) -> None:
+        self.record = r = new(EstimatorRecord) if record is None else record
+        self.sensed = s = r.sensed
+        self._cell = cell(r)
+        self._age_s = self._cell["since_sample_s"]
+        self._position, self._velocity, self._quaternion, self._rates = (
+            s.position, s.velocity, s.quaternion, s.rates,
+        )  # fmt: skip
+        r.kp, r.kv, accel = axis_gains(mocap_period_s, ACCEL_XY_M_S2, gravity_m_s2)
+        r.kt = accel / gravity_m_s2
+        r.kp_z, r.kv_z, r.kz = axis_gains(mocap_period_s, ACCEL_Z_M_S2, gravity_m_s2)
+        r.kyaw = yaw_gain(mocap_period_s)
+        r.step = step_s
+        r.gravity = gravity_m_s2
+        self.sensed.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
+        self.sensed.axes[:] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
     def settle(
         self,
@@ -103,89 +198,46 @@ class Estimator:
         accel_bias: list[float],
     ) -> None:
         """Start converged: where the corrections would have balanced the accelerometer's bias."""
-        sensed = self.sensed
-        sensed.position, sensed.velocity, sensed.quaternion = position, velocity, quaternion
+        sensed, gravity = self.sensed, float(self.record.gravity)
+        sensed.position[:], sensed.velocity[:], sensed.quaternion[:] = position, velocity, quaternion
         a, b, c = accel_bias
         bx, by, bz = (axes[i] * a + axes[3 + i] * b + axes[6 + i] * c for i in range(3))
-        self._bias_z = -bz
-        self._turn(by / self._gravity, -bx / self._gravity, 0.0)
+        self.record.bias_z = -bz
+        turn_estimate(sensed, by / gravity, -bx / gravity, 0.0)
 
     def predict(self, gyro: Vec3, accel: Vec3) -> None:
-        """Advance by one step with what the IMU measured (rad/s and m/s^2, body)."""
-        sensed = self.sensed
-        gx, gy, gz = gyro
-        half = self._half
-        ax, ay, az = gx * half, gy * half, gz * half
-        w, x, y, z = sensed.quaternion
-        w, x, y, z = (
-            w - ax * x - ay * y - az * z,
-            x + ax * w + az * y - ay * z,
-            y + ay * w + ax * z - az * x,
-            z + az * w + ay * x - ax * y,
-        )
-        scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one Newton step of 1 / sqrt
-        w, x, y, z = w * scale, x * scale, y * scale, z * scale
-        sensed.quaternion = (w, x, y, z)
-        x2, y2, z2 = x + x, y + y, z + z
-        xx, yy, zz, xy, xz, yz = x * x2, y * y2, z * z2, x * y2, x * z2, y * z2
-        wx, wy, wz = w * x2, w * y2, w * z2
-        axes = (
-            1.0 - yy - zz,
-            xy + wz,
-            xz - wy,
-            xy - wz,
-            1.0 - xx - zz,
-            yz + wx,
-            xz + wy,
-            yz - wx,
-            1.0 - xx - yy,
-        )
-        sensed.axes = axes
-        sensed.rates = gyro
-        fx, fy, fz = accel
-        step = self._step
-        dvx = (axes[0] * fx + axes[3] * fy + axes[6] * fz) * step
-        dvy = (axes[1] * fx + axes[4] * fy + axes[7] * fz) * step
-        dvz = (axes[2] * fx + axes[5] * fy + axes[8] * fz - self._gravity + self._bias_z) * step
-        px, py, pz = sensed.position
-        vx, vy, vz = sensed.velocity
-        sensed.position = (
-            px + (vx + 0.5 * dvx) * step,
-            py + (vy + 0.5 * dvy) * step,
-            pz + (vz + 0.5 * dvz) * step,
-        )
-        sensed.velocity = (vx + dvx, vy + dvy, vz + dvz)
-        self.since_sample_s += step
+        """Do one ``predict``."""
+        predict(self.record, np.array(gyro), np.array(accel))
 
     def correct(self, x: float, y: float, z: float, yaw: float) -> None:
-        """Take a motion-capture sample as if it were measured now."""
-        sensed = self.sensed
-        px, py, pz = sensed.position
-        vx, vy, vz = sensed.velocity
-        rx, ry, rz = x - px, y - py, z - pz
-        sensed.position = (px + self._kp * rx, py + self._kp * ry, pz + self._kp_z * rz)
-        sensed.velocity = (vx + self._kv * rx, vy + self._kv * ry, vz + self._kv_z * rz)
-        self._bias_z += self._kz * rz
-        error = yaw - math.atan2(sensed.axes[1], sensed.axes[0])
-        turn = self._kyaw * math.atan2(math.sin(error), math.cos(error))
-        self._turn(-self._kt * ry, self._kt * rx, turn)  # tilt d makes the acceleration g (d_y, -d_x)
-        self.since_sample_s = 0.0
+        """Take a motion-capture sample, see ``correct``."""
+        correct(self._cell, x, y, z, yaw)
 
-    def _turn(self, dx: float, dy: float, dz: float) -> None:
-        """Turn the attitude estimate by a small rotation vector in the world frame."""
-        sensed = self.sensed
-        dx, dy, dz = 0.5 * dx, 0.5 * dy, 0.5 * dz
-        w, x, y, z = sensed.quaternion
-        w, x, y, z = (
-            w - dx * x - dy * y - dz * z,
-            x + dx * w + dy * z - dz * y,
-            y + dy * w + dz * x - dx * z,
-            z + dz * w + dx * y - dy * x,
-        )
-        scale = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
-        sensed.quaternion = (w * scale, x * scale, y * scale, z * scale)
+    @property
+    def position(self) -> Vec3:
+        """ENU, m."""
+        x, y, z = self._position.tolist()
+        return (x, y, z)
+
+    @property
+    def velocity(self) -> Vec3:
+        """ENU, m/s."""
+        x, y, z = self._velocity.tolist()
+        return (x, y, z)
+
+    @property
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """w, x, y, z; FLU body in ENU world."""
+        w, x, y, z = self._quaternion.tolist()
+        return (w, x, y, z)
+
+    @property
+    def rates(self) -> Vec3:
+        """Gyro, FLU, rad/s."""
+        x, y, z = self._rates.tolist()
+        return (x, y, z)
 
     @property
     def valid(self) -> bool:
         """Whether samples still come."""
-        return self.since_sample_s < INNOVATION_AGE_MAX_S
+        return bool(self._age_s[0] < INNOVATION_AGE_MAX_S)

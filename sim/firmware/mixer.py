@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import math
 
+from sim.jit import jitted
 from sim.params import Rotor
+from sim.records import Record, new
 from sim.rotors import Four
 
 COUNTS_MAX = 65535.0
 OFF: Four = (0.0, 0.0, 0.0, 0.0)
 
 
+@jitted
 def mix(thrust: float, moments: tuple[int, int, int]) -> Four:
     """Counts of M1..M4 from thrust counts and moment counts about body x, y, z (FLU), capped to 0..65535."""
     mx, my, mz = moments
@@ -32,32 +35,42 @@ def mix(thrust: float, moments: tuple[int, int, int]) -> Four:
     return (m1, m2, m3, m4)
 
 
+class MapRecord(Record):
+    """Inverse of the thrust map: rpm = (b + sqrt(b^2 + four_a counts)) inverse."""
+
+    b: float
+    four_a: float
+    inverse: float
+    off_below: float  # counts
+
+
+@jitted
+def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
+    """Commanded speed, rpm, not above ``rpm_max`` (what the battery allows)."""
+    if counts < m.off_below:
+        return 0.0
+    return min((m.b + math.sqrt(m.b * m.b + m.four_a * counts)) * m.inverse, rpm_max)
+
+
 class ThrustMap:
     """Counts of a motor to the speed that gives that thrust with the nominal propeller.
 
     Args:
         rotor: nominal static map and thrust limits.
+        record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = ("_b", "_bb", "_four_a", "_inverse", "_n_per_count", "_off_below")
+    __slots__ = ("record",)
 
-    def __init__(self, rotor: Rotor) -> None:
-        self._b = -rotor.thrust_linear_n_rpm
-        self._bb = self._b * self._b
-        self._n_per_count = rotor.thrust_max_n / COUNTS_MAX
-        self._four_a = 4.0 * rotor.thrust_square_n_rpm2 * self._n_per_count
-        self._inverse = 0.5 / rotor.thrust_square_n_rpm2
-        self._off_below = rotor.thrust_min_n / self._n_per_count
+    def __init__(self, rotor: Rotor, record: MapRecord | None = None) -> None:
+        self.record = m = new(MapRecord) if record is None else record
+        n_per_count = rotor.thrust_max_n / COUNTS_MAX
+        m.b = -rotor.thrust_linear_n_rpm
+        m.four_a = 4.0 * rotor.thrust_square_n_rpm2 * n_per_count
+        m.inverse = 0.5 / rotor.thrust_square_n_rpm2
+        m.off_below = rotor.thrust_min_n / n_per_count
 
     def speeds(self, counts: Four, rpm_max: float) -> Four:
         """Commanded speeds, rpm, not above ``rpm_max`` (what the battery allows)."""
-        b, bb, k, inverse, off = self._b, self._bb, self._four_a, self._inverse, self._off_below
-        sqrt = math.sqrt
-        m1, m2, m3, m4 = counts
-        r1 = (b + sqrt(bb + k * m1)) * inverse if m1 >= off else 0.0
-        r2 = (b + sqrt(bb + k * m2)) * inverse if m2 >= off else 0.0
-        r3 = (b + sqrt(bb + k * m3)) * inverse if m3 >= off else 0.0
-        r4 = (b + sqrt(bb + k * m4)) * inverse if m4 >= off else 0.0
-        if r1 > rpm_max or r2 > rpm_max or r3 > rpm_max or r4 > rpm_max:
-            return (min(r1, rpm_max), min(r2, rpm_max), min(r3, rpm_max), min(r4, rpm_max))
-        return (r1, r2, r3, r4)
+        m1, m2, m3, m4 = (motor_speed(self.record, c, rpm_max) for c in counts)
+        return (m1, m2, m3, m4)

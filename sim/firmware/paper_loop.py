@@ -13,9 +13,13 @@ from __future__ import annotations
 
 import math
 
-from sim.firmware.attitude import Axes, Counts, MellingerAttitude
-from sim.firmware.setpoint import SensedState, Setpoint
+from sim.firmware.attitude import AttitudeRecord, Counts, MellingerAttitude, attitude_moments
+from sim.firmware.mixer import COUNTS_MAX
+from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
+from sim.jit import jitted
 from sim.params import Params
+from sim.records import Record, new
+from sim.rotation import Nine, nine
 
 K_V_N_S_M = 0.5  # paper V: K_v = 0.5 I
 UP_SHARE_MIN = 0.2  # of the weight
@@ -24,47 +28,8 @@ TAN_TILT_MAX = math.tan(
 )  # the thrust still carries the weight up to acos(1 / 1.53) = 49 degrees
 
 
-class PaperLoop:
-    """Velocity set-point in, thrust counts (per motor) and moment counts out; call at 500 Hz."""
-
-    def __init__(self, params: Params) -> None:
-        self._weight = params.body.mass_kg * params.contact.gravity_m_s2
-        self._counts_per_n = 65535.0 / (4.0 * params.rotor.thrust_max_n)
-        self._attitude = MellingerAttitude()
-
-    def reset(self) -> None:
-        """Forget integrals."""
-        self._attitude.reset()
-
-    def trim(self, force: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Return the set-point at which the loop, at rest, asks for ``force`` (world, N)."""
-        return (force[0] / K_V_N_S_M, force[1] / K_V_N_S_M, (force[2] - self._weight) / K_V_N_S_M)
-
-    def update(self, sensed: SensedState, setpoint: Setpoint, level: bool) -> tuple[float, Counts]:
-        """Return ``(thrust counts per motor, moment counts)``; ``level`` keeps roll and pitch at zero."""
-        vx, vy, vz = sensed.velocity
-        weight = self._weight
-        fz = max(UP_SHARE_MIN * weight, K_V_N_S_M * (setpoint.vz - vz) + weight)
-        if level:
-            fx = fy = 0.0
-        else:
-            fx, fy = K_V_N_S_M * (setpoint.vx - vx), K_V_N_S_M * (setpoint.vy - vy)
-            side, most = math.sqrt(fx * fx + fy * fy), TAN_TILT_MAX * fz
-            if side > most:
-                fx, fy = fx * most / side, fy * most / side
-        axes = sensed.axes
-        thrust = fx * axes[6] + fy * axes[7] + fz * axes[8]
-        desired = axes_from_force(fx, fy, fz, setpoint.cos_yaw, setpoint.sin_yaw)
-        counts = thrust * self._counts_per_n
-        wx, wy, wz = sensed.rates
-        moments = self._attitude.update(axes, desired, wx, wy, wz)
-        if counts <= 0.0:  # controller_mellinger.c: no thrust, no moments, integrals gone
-            self.reset()
-            return 0.0, (0, 0, 0)
-        return counts, moments
-
-
-def axes_from_force(fx: float, fy: float, fz: float, cos_yaw: float, sin_yaw: float) -> Axes:
+@jitted
+def axes_from_force(fx: float, fy: float, fz: float, cos_yaw: float, sin_yaw: float) -> Nine:
     """Body axes with z along the force and x towards the yaw (controller_mellinger.c)."""
     scale = 1.0 / math.sqrt(fx * fx + fy * fy + fz * fz)
     zx, zy, zz = fx * scale, fy * scale, fz * scale
@@ -72,3 +37,63 @@ def axes_from_force(fx: float, fy: float, fz: float, cos_yaw: float, sin_yaw: fl
     scale = 1.0 / math.sqrt(yx * yx + yy * yy + yz * yz)
     yx, yy, yz = yx * scale, yy * scale, yz * scale
     return (yy * zz - yz * zy, yz * zx - yx * zz, yx * zy - yy * zx, yx, yy, yz, zx, zy, zz)
+
+
+class PaperRecord(Record):
+    """The loop's constants and its attitude controller."""
+
+    weight: float  # N, nominal
+    counts_per_n: float
+    attitude: AttitudeRecord
+
+
+@jitted
+def paper_update(
+    p: PaperRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
+) -> tuple[float, Counts]:
+    """Return ``(thrust counts per motor, moment counts)``; ``level`` keeps roll and pitch at zero."""
+    vx, vy, vz = sensed.velocity[0], sensed.velocity[1], sensed.velocity[2]
+    fx = fy = 0.0
+    fz = max(UP_SHARE_MIN * p.weight, K_V_N_S_M * (setpoint.vz - vz) + p.weight)
+    if not level:
+        fx, fy = K_V_N_S_M * (setpoint.vx - vx), K_V_N_S_M * (setpoint.vy - vy)
+        side, most = math.sqrt(fx * fx + fy * fy), TAN_TILT_MAX * fz
+        if side > most:
+            fx, fy = fx * most / side, fy * most / side
+    axes = nine(sensed.axes)
+    counts = (fx * axes[6] + fy * axes[7] + fz * axes[8]) * p.counts_per_n
+    desired = axes_from_force(fx, fy, fz, setpoint.cos_yaw, setpoint.sin_yaw)
+    rates = sensed.rates
+    moments = attitude_moments(p.attitude, axes, desired, rates[0], rates[1], rates[2])
+    if counts <= 0.0:  # controller_mellinger.c: no thrust, no moments, integrals gone
+        paper_reset(p)
+        return 0.0, (0, 0, 0)
+    return counts, moments
+
+
+@jitted
+def paper_reset(p: PaperRecord) -> None:
+    """Forget integrals."""
+    p.attitude.integral_z = 0.0
+
+
+class PaperLoop:
+    """Velocity set-point in, thrust counts (per motor) and moment counts out; call at 500 Hz."""
+
+    def __init__(self, params: Params, record: PaperRecord | None = None) -> None:
+        self.record = r = new(PaperRecord) if record is None else record
+        r.weight = self._weight = params.body.mass_kg * params.contact.gravity_m_s2
+        r.counts_per_n = COUNTS_MAX / (4.0 * params.rotor.thrust_max_n)
+        MellingerAttitude(r.attitude)
+
+    def reset(self) -> None:
+        """Forget integrals."""
+        paper_reset(self.record)
+
+    def trim(self, force: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return the set-point at which the loop, at rest, asks for ``force`` (world, N)."""
+        return (force[0] / K_V_N_S_M, force[1] / K_V_N_S_M, (force[2] - self._weight) / K_V_N_S_M)
+
+    def update(self, sensed: SensedState, setpoint: Setpoint, level: bool) -> tuple[float, Counts]:
+        """Do one ``paper_update``."""
+        return paper_update(self.record, sensed, new(SetpointRecord, setpoint.fields()), level)

@@ -13,8 +13,10 @@ import math
 
 from flightstack.types import Vec3
 from sim.firmware.attitude import Counts
-from sim.firmware.setpoint import SensedState, Setpoint
+from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
+from sim.jit import jitted
 from sim.params import CONTROL_STEP_S, Params
+from sim.records import F64, Record, new
 
 POSITION_EVERY = 5  # firmware stabilizer_types.h: POSITION_RATE 100 Hz
 POSITION_STEP_S = POSITION_EVERY * CONTROL_STEP_S
@@ -27,116 +29,161 @@ INT16_MAX = 32767.0
 DEG = 180.0 / math.pi
 
 
-class Pid:
-    """One PID of pid.c."""
+class PidRecord(Record):
+    """Gains, limits and memory of one PID of pid.c."""
 
-    __slots__ = ("_dt", "_i_limit", "_kd", "_ki", "_kp", "_limit", "_previous", "integral")
+    kp: float
+    ki: float
+    kd: float
+    i_limit: float
+    dt: float  # s
+    limit: float  # of the output
+    integral: float
+    previous: float  # last measurement; NaN before the first
 
-    def __init__(
-        self, kp: float, ki: float, kd: float, i_limit: float, dt: float, limit: float = math.inf
-    ) -> None:
-        self._kp, self._ki, self._kd, self._i_limit, self._dt, self._limit = kp, ki, kd, i_limit, dt, limit
-        self.integral = 0.0
-        self._previous: float | None = None
 
-    def reset(self) -> None:
-        """Forget integral and previous measurement."""
-        self.integral = 0.0
-        self._previous = None
+@jitted
+def pid_output(p: PidRecord, error: float, measured: float) -> float:
+    """Return the output for an error; ``measured`` feeds the derivative."""
+    p.integral = max(-p.i_limit, min(p.i_limit, p.integral + error * p.dt))
+    out = p.kp * error + p.ki * p.integral
+    if p.kd != 0.0:
+        if not math.isnan(p.previous):
+            out -= p.kd * (measured - p.previous) / p.dt
+        p.previous = measured
+    return max(-p.limit, min(p.limit, out))
 
-    def hold(self, output: float) -> None:
-        """Set the integral so that this output comes at zero error."""
-        self.integral = output / self._ki
 
-    def update(self, error: float, measured: float) -> float:
-        """Return the output for an error; ``measured`` feeds the derivative."""
-        integral = self.integral + error * self._dt
-        limit = self._i_limit
-        self.integral = integral = max(-limit, min(limit, integral))
-        out = self._kp * error + self._ki * integral
-        if self._kd:
-            if self._previous is not None:
-                out -= self._kd * (measured - self._previous) / self._dt
-            self._previous = measured
-        return max(-self._limit, min(self._limit, out))
+@jitted
+def pid_forget(p: PidRecord) -> None:
+    """Forget integral and previous measurement."""
+    p.integral, p.previous = 0.0, math.nan
+
+
+def pid_record(
+    kp: float, ki: float, kd: float, i_limit: float, dt: float, limit: float = math.inf
+) -> PidRecord:
+    """A PID that has not run yet."""
+    return new(PidRecord, (kp, ki, kd, i_limit, dt, limit, 0.0, math.nan))
+
+
+class CascadeRecord(Record):
+    """The nine PIDs and what they share."""
+
+    vx: PidRecord  # body velocities to tilt, degrees
+    vy: PidRecord
+    vz: PidRecord  # to thrust
+    roll: PidRecord  # angles to rates, degrees
+    pitch: PidRecord
+    yaw: PidRecord
+    roll_rate: PidRecord  # to counts
+    pitch_rate: PidRecord
+    yaw_rate: PidRecord
+    calls: int  # since the last reset
+    mode: int  # LEVEL, FREE or UNKNOWN
+    roll_wanted: float  # degrees
+    pitch_wanted: float
+    thrust_wanted: float  # counts
+
+
+UNKNOWN, FREE, LEVEL = -1, 0, 1
+
+
+@jitted
+def cascade_reset(c: CascadeRecord) -> None:
+    """Forget integrals."""
+    pid_forget(c.vx)
+    pid_forget(c.vy)
+    pid_forget(c.vz)
+    pid_forget(c.roll)
+    pid_forget(c.pitch)
+    pid_forget(c.yaw)
+    pid_forget(c.roll_rate)
+    pid_forget(c.pitch_rate)
+    pid_forget(c.yaw_rate)
+    c.calls = 0
+
+
+@jitted
+def clamp(value: float, limit: float) -> float:
+    """Cut to +-limit."""
+    return max(-limit, min(limit, value))
+
+
+@jitted
+def velocity_pids(c: CascadeRecord, velocity: F64, setpoint: SetpointRecord, yaw: float) -> None:
+    """Find the wanted tilt and thrust (100 Hz)."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    ex, ey = setpoint.vx - velocity[0], setpoint.vy - velocity[1]
+    c.pitch_wanted = clamp(pid_output(c.vx, cos * ex + sin * ey, 0.0), TILT_MAX_DEG)
+    c.roll_wanted = clamp(-pid_output(c.vy, cos * ey - sin * ex, 0.0), TILT_MAX_DEG)
+    thrust = THRUST_SCALE * pid_output(c.vz, setpoint.vz - velocity[2], 0.0) + THRUST_BASE
+    c.thrust_wanted = max(THRUST_MIN, min(COUNTS_MAX, thrust))
+
+
+@jitted
+def cascade_update(
+    c: CascadeRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
+) -> tuple[float, Counts]:
+    """Return ``(thrust counts per motor, moment counts)``; ``level`` keeps roll and pitch at zero."""
+    mode = LEVEL if level else FREE
+    if c.mode != mode:  # controller_pid.c: a change of mode resets all PIDs
+        if c.mode != UNKNOWN:
+            cascade_reset(c)
+        c.mode = mode
+    axes = sensed.axes
+    yaw = math.atan2(axes[1], axes[0])
+    if c.calls % POSITION_EVERY == 0:
+        velocity_pids(c, sensed.velocity, setpoint, yaw)
+    c.calls += 1
+    roll_wanted, pitch_wanted = (0.0, 0.0) if level else (c.roll_wanted, c.pitch_wanted)
+    roll = math.atan2(axes[5], axes[8]) * DEG
+    pitch = -math.asin(clamp(axes[2], 1.0)) * DEG
+    error = setpoint.yaw_rad - yaw
+    yaw_error = math.atan2(math.sin(error), math.cos(error)) * DEG
+    wx, wy, wz = sensed.rates[0] * DEG, sensed.rates[1] * DEG, sensed.rates[2] * DEG
+    rx = pid_output(c.roll, roll_wanted - roll, roll) - wx
+    ry = pid_output(c.pitch, pitch_wanted - pitch, pitch) - wy
+    rz = pid_output(c.yaw, yaw_error, -yaw_error) - wz  # minus the error: continuous where yaw jumps
+    return c.thrust_wanted, (
+        int(clamp(pid_output(c.roll_rate, rx, wx), INT16_MAX)),
+        int(clamp(pid_output(c.pitch_rate, ry, wy), INT16_MAX)),
+        int(clamp(pid_output(c.yaw_rate, rz, wz), INT16_MAX)),
+    )
 
 
 class PidLoop:
     """Velocity set-point in, thrust counts (per motor) and moment counts out; call at 500 Hz."""
 
-    def __init__(self, params: Params) -> None:
-        self._counts_per_n = COUNTS_MAX / (4.0 * params.rotor.thrust_max_n)
+    def __init__(self, params: Params, record: CascadeRecord | None = None) -> None:
+        self.record = c = new(CascadeRecord) if record is None else record
         slow, fast = POSITION_STEP_S, CONTROL_STEP_S
-        self._vx = Pid(25.0, 1.0, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_X
-        self._vy = Pid(25.0, 1.0, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_Y
-        self._vz = Pid(25.0, 15.0, 0.0, 5000.0, slow, 32.767)  # PID_VEL_Z, UINT16_MAX / 2 / thrustScale
-        self._roll = Pid(6.0, 3.0, 0.0, 20.0, fast)  # PID_ROLL
-        self._pitch = Pid(6.0, 3.0, 0.0, 20.0, fast)  # PID_PITCH
-        self._yaw = Pid(6.0, 1.0, 0.35, 360.0, fast)  # PID_YAW
-        self._roll_rate = Pid(250.0, 500.0, 2.5, 33.3, fast)  # PID_ROLL_RATE
-        self._pitch_rate = Pid(250.0, 500.0, 2.5, 33.3, fast)  # PID_PITCH_RATE
-        self._yaw_rate = Pid(120.0, 16.7, 0.0, 166.7, fast)  # PID_YAW_RATE
-        self._all = (
-            self._vx, self._vy, self._vz, self._roll, self._pitch, self._yaw,
-            self._roll_rate, self._pitch_rate, self._yaw_rate,
-        )  # fmt: skip
-        self._count = 0
-        self._level: bool | None = None
-        self._wanted = (0.0, 0.0, 0.0)  # roll, pitch in degrees, thrust in counts
+        c.vx = pid_record(25.0, 1.0, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_X
+        c.vy = pid_record(25.0, 1.0, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_Y
+        c.vz = pid_record(25.0, 15.0, 0.0, 5000.0, slow, 32.767)  # PID_VEL_Z, UINT16_MAX / 2 / thrustScale
+        c.roll = pid_record(6.0, 3.0, 0.0, 20.0, fast)  # PID_ROLL
+        c.pitch = pid_record(6.0, 3.0, 0.0, 20.0, fast)  # PID_PITCH
+        c.yaw = pid_record(6.0, 1.0, 0.35, 360.0, fast)  # PID_YAW
+        c.roll_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)  # PID_ROLL_RATE
+        c.pitch_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)  # PID_PITCH_RATE
+        c.yaw_rate = pid_record(120.0, 16.7, 0.0, 166.7, fast)  # PID_YAW_RATE
+        self._counts_per_n = COUNTS_MAX / (4.0 * params.rotor.thrust_max_n)
+        c.mode = UNKNOWN
 
     def reset(self) -> None:
         """Forget integrals."""
-        for pid in self._all:
-            pid.reset()
-        self._count = 0
+        cascade_reset(self.record)
 
     def trim(self, force: Vec3) -> Vec3:
         """Load the integrals for hover at yaw 0 under ``force`` (world, N); the set-point is then zero."""
-        self._level = False
+        c = self.record
+        c.mode = FREE
         thrust = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-        self._vx.hold(math.atan2(force[0], force[2]) * DEG)
-        self._vy.hold(math.asin(force[1] / thrust) * DEG)
-        self._vz.hold((thrust * self._counts_per_n - THRUST_BASE) / THRUST_SCALE)
+        c.vx.integral = math.atan2(force[0], force[2]) * DEG / c.vx.ki
+        c.vy.integral = math.asin(force[1] / thrust) * DEG / c.vy.ki
+        c.vz.integral = (thrust * self._counts_per_n - THRUST_BASE) / THRUST_SCALE / c.vz.ki
         return (0.0, 0.0, 0.0)
 
-    def _position(self, sensed: SensedState, setpoint: Setpoint, yaw: float) -> tuple[float, float, float]:
-        c, s = math.cos(yaw), math.sin(yaw)
-        vx, vy, vz = sensed.velocity
-        ex, ey = setpoint.vx - vx, setpoint.vy - vy
-        pitch = self._vx.update(c * ex + s * ey, 0.0)
-        roll = -self._vy.update(c * ey - s * ex, 0.0)
-        thrust = THRUST_SCALE * self._vz.update(setpoint.vz - vz, 0.0) + THRUST_BASE
-        return (
-            max(-TILT_MAX_DEG, min(TILT_MAX_DEG, roll)),
-            max(-TILT_MAX_DEG, min(TILT_MAX_DEG, pitch)),
-            max(THRUST_MIN, min(COUNTS_MAX, thrust)),
-        )
-
     def update(self, sensed: SensedState, setpoint: Setpoint, level: bool) -> tuple[float, Counts]:
-        """Return ``(thrust counts per motor, moment counts)``; ``level`` keeps roll and pitch at zero."""
-        if level is not self._level:  # controller_pid.c: a change of mode resets all PIDs
-            if self._level is not None:
-                self.reset()
-            self._level = level
-        axes = sensed.axes
-        yaw = math.atan2(axes[1], axes[0])
-        if self._count % POSITION_EVERY == 0:
-            self._wanted = self._position(sensed, setpoint, yaw)
-        self._count += 1
-        roll_wanted, pitch_wanted, thrust = self._wanted
-        if level:
-            roll_wanted = pitch_wanted = 0.0
-        roll = math.atan2(axes[5], axes[8]) * DEG
-        pitch = -math.asin(max(-1.0, min(1.0, axes[2]))) * DEG
-        error = setpoint.yaw_rad - yaw
-        yaw_error = math.atan2(math.sin(error), math.cos(error)) * DEG
-        wx, wy, wz = sensed.rates
-        wx, wy, wz = wx * DEG, wy * DEG, wz * DEG
-        rx = self._roll.update(roll_wanted - roll, roll) - wx
-        ry = self._pitch.update(pitch_wanted - pitch, pitch) - wy
-        rz = self._yaw.update(yaw_error, -yaw_error) - wz  # minus the error: continuous where yaw jumps
-        return thrust, (
-            int(max(-INT16_MAX, min(INT16_MAX, self._roll_rate.update(rx, wx)))),
-            int(max(-INT16_MAX, min(INT16_MAX, self._pitch_rate.update(ry, wy)))),
-            int(max(-INT16_MAX, min(INT16_MAX, self._yaw_rate.update(rz, wz)))),
-        )
+        """Do one ``cascade_update``."""
+        return cascade_update(self.record, sensed, new(SetpointRecord, setpoint.fields()), level)

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from flightstack.types import ZERO, Vec3
+from flightstack.types import Vec3
+from sim.records import Axes, Quaternion, Record, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,21 +26,34 @@ class Setpoint:
         object.__setattr__(self, "cos_yaw", math.cos(self.yaw_rad))
         object.__setattr__(self, "sin_yaw", math.sin(self.yaw_rad))
 
+    def fields(self) -> tuple[float, float, float, float, bool, float, float]:
+        """All fields, as ``SetpointRecord`` has them."""
+        return (self.vx, self.vy, self.vz, self.yaw_rad, self.stop, self.cos_yaw, self.sin_yaw)
+
 
 STOP = Setpoint(stop=True)
 
 
-class SensedState:
+class SetpointRecord(Record):
+    """A ``Setpoint`` for compiled code; the same fields in the same order."""
+
+    vx: float
+    vy: float
+    vz: float
+    yaw_rad: float
+    stop: bool
+    cos_yaw: float
+    sin_yaw: float
+
+
+class SensedState(Record):
     """The estimator's output at 500 Hz; ENU, FLU, SI."""
 
-    __slots__ = ("axes", "position", "quaternion", "rates", "velocity")
-
-    def __init__(self) -> None:
-        self.position: Vec3 = ZERO
-        self.velocity: Vec3 = ZERO
-        self.quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-        self.axes: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-        self.rates: Vec3 = ZERO  # gyro
+    position: Vector
+    velocity: Vector
+    quaternion: Quaternion
+    axes: Axes
+    rates: Vector  # gyro
 
 
 class VelocityController(Protocol):

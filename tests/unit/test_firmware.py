@@ -11,12 +11,13 @@ from sim.firmware.attitude import MellingerAttitude
 from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, Estimator, axis_gains, yaw_gain
 from sim.firmware.mixer import ThrustMap, mix
 from sim.firmware.paper_loop import PaperLoop, axes_from_force
-from sim.firmware.pid import THRUST_MIN, Pid, PidLoop
+from sim.firmware.pid import THRUST_MIN, PidLoop, pid_output, pid_record
 from sim.firmware.setpoint import SensedState, Setpoint
 from sim.firmware.supervisor import PERIOD_MS, TRANSITIONS, State, Supervisor
 from sim.params import CONTROL_STEP_S, STEP_S, Plant, load
+from sim.records import new
+from sim.rotation import quaternion_from_axes, rotation_axes
 from sim.rotors import Rotors
-from sim.world import quaternion_from_axes, rotation_axes
 
 PARAMS = load()
 WEIGHT = PARAMS.body.mass_kg * PARAMS.contact.gravity_m_s2
@@ -117,7 +118,7 @@ class TestMellingerAttitude:
 
 
 def sensed_at(velocity=(0.0, 0.0, 0.0), axes=LEVEL, rates=NO_RATES):
-    sensed = SensedState()
+    sensed = new(SensedState)
     sensed.velocity, sensed.axes, sensed.rates = velocity, axes, rates
     return sensed
 
@@ -169,13 +170,13 @@ class TestPaperLoop:
 
 class TestPid:
     def test_single_pid(self):
-        pid = Pid(2.0, 3.0, 0.5, 1.0, 0.1, 100.0)
-        assert pid.update(1.0, 5.0) == pytest.approx(2.0 + 3.0 * 0.1)
-        assert pid.update(1.0, 5.2) == pytest.approx(2.0 + 3.0 * 0.2 - 0.5 * 2.0)
+        pid = pid_record(2.0, 3.0, 0.5, 1.0, 0.1, 100.0)
+        assert pid_output(pid, 1.0, 5.0) == pytest.approx(2.0 + 3.0 * 0.1)
+        assert pid_output(pid, 1.0, 5.2) == pytest.approx(2.0 + 3.0 * 0.2 - 0.5 * 2.0)
         for _ in range(100):
-            pid.update(1.0, 5.2)
+            pid_output(pid, 1.0, 5.2)
         assert pid.integral == 1.0
-        assert Pid(2.0, 0.0, 0.0, 1.0, 0.1, 1.5).update(1.0, 0.0) == 1.5
+        assert pid_output(pid_record(2.0, 0.0, 0.0, 1.0, 0.1, 1.5), 1.0, 0.0) == 1.5
 
     def test_base_thrust_and_limits(self):
         up, _ = PidLoop(PARAMS).update(sensed_at(), Setpoint(), level=False)

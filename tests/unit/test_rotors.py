@@ -5,8 +5,10 @@ import math
 
 import pytest
 
+from sim.battery import BatteryModel
+from sim.ground_effect import GroundEffect
 from sim.params import STEP_S, Plant, load
-from sim.rotors import MIX_YAW, POSITION_X, POSITION_Y, RAD_S_PER_RPM, BatteryModel, GroundEffect, Rotors
+from sim.rotors import MIX_YAW, POSITION_X, POSITION_Y, RAD_S_PER_RPM, Rotors
 
 PARAMS = load()
 ROTOR = PARAMS.rotor
@@ -144,8 +146,8 @@ class TestGroundEffect:
         assert factors == pytest.approx([1.0 + self.effect.increase(0.0264)] * 4)
 
     def test_nothing_near_nothing_gained(self):
-        assert self.effect.factors(0.0, 0.0, 0.5, 0.2, LEVEL) is None
-        assert self.effect.factors(1.0, 0.0, 0.1, 0.2, LEVEL) is None
+        assert self.effect.factors(0.0, 0.0, 0.5, 0.2, LEVEL) == (1.0,) * 4
+        assert self.effect.factors(1.0, 0.0, 0.1, 0.2, LEVEL) == (1.0,) * 4
 
 
 def test_battery_sags_in_hover_and_drains_in_seven_minutes():

@@ -6,9 +6,10 @@ import statistics
 
 import pytest
 
+from sim.imu import Imu
 from sim.params import CONTROL_STEP_S, load
 from sim.scenario import OdometryLink, Wind
-from sim.sensors import NS, Imu, MeasurementChannel, Normals, stream
+from sim.sensors import NS, MeasurementChannel, Normals, stream
 from sim.wind import WindModel
 
 MS = NS // 1000
@@ -122,8 +123,9 @@ def test_wind_has_mean_direction_rms_and_correlation_time():
     xs, zs = [], []
     for _ in range(200_000):
         wind.step()
-        xs.append(wind.x)
-        zs.append(wind.z)
+        x, _, z = wind.now_enu_m_s
+        xs.append(x)
+        zs.append(z)
     assert statistics.pstdev(xs) == pytest.approx(1.0, rel=0.1)
     assert statistics.pstdev(zs) == pytest.approx(0.5, rel=0.1)
     shift = round(load().wind.horizontal_time_s / 0.01)
@@ -139,4 +141,4 @@ def test_wind_direction_comes_from_the_seed():
 def test_no_wind_is_still():
     wind = WindModel(Wind(), load().wind, 1, 0.01)
     wind.step()
-    assert (wind.x, wind.y, wind.z) == (0.0, 0.0, 0.0)
+    assert wind.now_enu_m_s == (0.0, 0.0, 0.0)

@@ -5,8 +5,9 @@ import math
 import pytest
 
 from sim.params import STEP_S, load
+from sim.rotation import quaternion_from_axes, rotation_axes
 from sim.scenario import TargetSpec
-from sim.world import ContactBit, World, quaternion_from_axes, rotation_axes
+from sim.world import ContactBit, World
 
 PARAMS = load()
 MASS = PARAMS.body.mass_kg

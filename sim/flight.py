@@ -1,0 +1,151 @@
+"""The vehicle's record, and the loop that flies it: compiled, everything between two events.
+
+An event is what needs Python: a set-point or a motion-capture sample that arrives, the supervisor, a contact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import cast
+
+from flightstack.barrier import Barrier
+from sim.battery import BatteryRecord, drain, speed_limit
+from sim.firmware.estimator import predict
+from sim.firmware.stack import FirmwareRecord, control
+from sim.firmware.supervisor import PERIOD_MS
+from sim.ground_effect import GroundRecord, ground_effect
+from sim.imu import ImuRecord, measure
+from sim.jit import jitted
+from sim.params import STEP_S
+from sim.records import Cell, Record, Vector
+from sim.rotation import rotation_axes
+from sim.rotors import RotorRecord, turn_rotors
+from sim.wind import WindRecord, blow
+from sim.world import BodyRecord, DeckRecord, Memory, physics_step
+
+CONTROL_EVERY_MS = 2
+WIND_EVERY_MS = 5
+BATTERY_EVERY_MS = 10
+
+
+class JudgeRecord(Record):
+    """The barrier flown against, and the extremes since they were last asked for."""
+
+    alpha_1_m: float
+    beta_m: float
+    pad_radius: float
+    h_min: float
+    h_min_outside: float  # the same outside the pad's radius
+    tumbled: bool
+
+
+class DragRecord(Record):
+    """Rotor drag and weight."""
+
+    xy: float  # N s/m
+    along: float  # what drag along body z adds to that
+    weight: float  # N
+
+
+class VehicleRecord(Record):
+    """Everything that changes every step."""
+
+    body: BodyRecord
+    deck: DeckRecord
+    rotors: RotorRecord
+    ground: GroundRecord
+    battery: BatteryRecord
+    wind: WindRecord
+    drag: DragRecord
+    imu: ImuRecord
+    firmware: FirmwareRecord
+    judge: JudgeRecord
+    before_e: Vector  # vehicle minus pad at the beginning of the last step
+    before_velocity: Vector
+
+
+# the very formula of the controller, compiled; a record stands in for the object
+_height = cast("Callable[[JudgeRecord, float], float]", jitted(Barrier.height))
+
+
+@jitted
+def sense(vehicle: Cell[VehicleRecord]) -> None:
+    """Measure and estimate (500 Hz)."""
+    v = vehicle[0]
+    measure(v.imu, v.body.velocity, v.body.rates, rotation_axes(v.body.quaternion))
+    predict(v.firmware.estimator, v.imu.gyro, v.imu.accel)
+
+
+@jitted
+def cushion(v: VehicleRecord) -> None:
+    """Find what the ground effect does to the thrusts."""
+    p, d = v.body.position, v.deck.position
+    if v.rotors.thrust_n > 0.0:
+        axes = rotation_axes(v.body.quaternion)
+        ground_effect(v.ground, p[0] - d[0], p[1] - d[1], p[2] - d[2], d[2], axes, v.rotors.cushion)
+    else:
+        v.rotors.cushion[:] = 1.0
+
+
+@jitted
+def move(v: VehicleRecord, m: Memory) -> None:
+    """Move rotors, body and deck by one step under thrust, drag and weight."""
+    body, rotors, drag = v.body, v.rotors, v.drag
+    for i in range(3):
+        v.before_e[i] = body.position[i] - v.deck.position[i]
+        v.before_velocity[i] = body.velocity[i]
+    turn_rotors(rotors, v.firmware.commands, body.rates[0], body.rates[1])
+    axes = rotation_axes(body.quaternion)
+    zx, zy, zz = axes[6], axes[7], axes[8]
+    wind, u = v.wind.now, body.velocity
+    ax, ay, az = wind[0] - u[0], wind[1] - u[1], wind[2] - u[2]
+    along = rotors.thrust_n + drag.along * (ax * zx + ay * zy + az * zz)
+    force = (drag.xy * ax + along * zx, drag.xy * ay + along * zy, drag.xy * az + along * zz - drag.weight)
+    torque = (rotors.torque_x, rotors.torque_y, rotors.torque_z)
+    if physics_step(body, v.deck, m, force, torque):
+        v.judge.tumbled = True
+
+
+@jitted
+def judge(v: VehicleRecord) -> None:
+    """Keep the smallest h."""
+    j, p, d = v.judge, v.body.position, v.deck.position
+    ex, ey = p[0] - d[0], p[1] - d[1]
+    square = ex * ex + ey * ey
+    h = p[2] - d[2] - _height(j, math.sqrt(square))
+    j.h_min = min(j.h_min, h)
+    if square > j.pad_radius * j.pad_radius:
+        j.h_min_outside = min(j.h_min_outside, h)
+
+
+@jitted
+def fly(vehicle: Cell[VehicleRecord], m: Memory, now_ms: int, end_ms: int) -> int:
+    """Run steps of 1 ms until ``end_ms``, or until after a step that found contacts.
+
+    Args:
+        vehicle: changed in place; its noise must suffice (``Tape.top_up``).
+        m: MuJoCo's memory.
+        now_ms: time of the first step. If the supervisor is due then, ``sense`` and it have already run.
+        end_ms: not beyond the next event.
+
+    Returns:
+        Time reached.
+    """
+    v = vehicle[0]
+    while now_ms < end_ms:
+        if now_ms % CONTROL_EVERY_MS == 0:
+            if now_ms % PERIOD_MS != 0:
+                sense(vehicle)
+            control(v.firmware, speed_limit(v.battery))
+            cushion(v)
+        if now_ms % WIND_EVERY_MS == 0:
+            blow(v.wind)
+        if now_ms % BATTERY_EVERY_MS == 0:
+            drain(v.battery, v.rotors.rpm, BATTERY_EVERY_MS * STEP_S)
+        move(v, m)
+        judge(v)
+        now_ms += 1
+        if m.contacts[0] > 0:
+            break
+    return now_ms

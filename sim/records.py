@@ -1,0 +1,86 @@
+"""Flat, typed records: one block of memory that compiled and plain Python code both read and write.
+
+A record is declared as a class with annotations, which is all that the type checker needs; ``new`` makes a
+zeroed numpy record of the same fields. Fields are ``float``, ``int``, ``bool``, other records, and arrays of
+doubles, written ``Annotated[F64, length]``. A nested record is a view: what it holds stands in the outer one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from functools import cache
+from typing import Annotated, Any, Protocol, TypeVar, cast, get_args, get_origin, get_type_hints, overload
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+Vector = Annotated[F64, 3]
+Quaternion = Annotated[F64, 4]  # w, x, y, z
+Motors = Annotated[F64, 4]  # M1..M4
+Axes = Annotated[F64, 9]  # body x, y and z axis in the world
+
+SCALARS: dict[object, str] = {float: "f8", int: "i8", bool: "i8"}  # all of 8 bytes: no gaps
+
+
+class Record:
+    """Base of the declarations; never made itself."""
+
+
+R = TypeVar("R", bound=Record)
+R_co = TypeVar("R_co", bound=Record, covariant=True)
+
+
+def _field(hint: Any) -> object:
+    if get_origin(hint) is Annotated:
+        return ("f8", (get_args(hint)[1],))
+    if hint in SCALARS:
+        return SCALARS[hint]
+    if isinstance(hint, type) and issubclass(hint, Record):
+        return layout(cast("Hashable", hint))
+    raise TypeError(f"record field: found {hint}, allowed are float, int, bool, arrays and records")
+
+
+@cache
+def layout(declaration: type[Record]) -> np.dtype[np.void]:
+    """Memory layout of a declared record.
+
+    Raises:
+        TypeError: a field of a kind that records cannot hold.
+        AttributeError: a field that has the name of a method of numpy's records.
+    """
+    hints = get_type_hints(declaration, include_extras=True)
+    fields: list[Any] = []
+    for name, hint in hints.items():
+        if hasattr(np.record, name):
+            raise AttributeError(f"{declaration.__name__}.{name}: numpy.record has that already; rename it")
+        kind: Any = _field(hint)
+        fields.append((name, *kind) if isinstance(kind, tuple) else (name, kind))
+    return np.dtype((np.record, np.dtype(fields)))
+
+
+def new(declaration: type[R], values: tuple[object, ...] | None = None) -> R:
+    """Make a record, zeroed or with ``values`` in the order of its fields."""
+    array = np.zeros(1, layout(cast("Hashable", declaration)))
+    if values is not None:
+        array[0] = values
+    return cast(R, array[0])
+
+
+class Cell(Protocol[R_co]):
+    """A record as an array of one element, as compiled code takes it."""
+
+    @overload
+    def __getitem__(self, key: int) -> R_co: ...
+    @overload
+    def __getitem__(self, key: str) -> npt.NDArray[Any]: ...
+    def __setitem__(self, key: int, values: tuple[object, ...]) -> None:
+        """Set all fields, in their order."""
+
+
+def cell(record: R) -> Cell[R]:
+    """View of a record for hot code: numba takes it in 0.3 us, the record itself in up to 20 us.
+
+    ``cell(record)["name"]`` is a view of the field with one element more in front.
+    """
+    return cast("Cell[R]", np.asarray(cast(np.record, record)).reshape(1))
