@@ -146,11 +146,11 @@ class _Launcher:
             common = ["--scenario", str(scenario_file), "--seed", str(self.options.seed)]
             common += ["--rate", str(rate_hz), "--duration", str(duration_s + 10.0), *lockstep]
             feed = ["--recorder", str(self.socket)]
-            target = self._start("target", *common, "--listen", target_at, "--connect", onboard_at)
             vehicle = self._start(
                 "vehicle", *common, *feed, "--connect", target_at, "--url", "udpin:127.0.0.1:0"
             )
             url = vehicle.wait_ready().replace("udpin", "udpout")
+            target = self._start("target", *common, "--listen", target_at, "--connect", onboard_at)
             onboard = self._start(
                 "onboard", "--vehicle", url, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
                 "--listen", onboard_at, "--config", str(config_file), "--duration", str(duration_s),

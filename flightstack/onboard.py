@@ -99,7 +99,7 @@ class Onboard:
         )
         recorder = str(options.recorder) if options.recorder else None
         self.feed = Feed.connect(recorder, "onboard", lossless=options.lockstep)
-        self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz)
+        self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz, options.lockstep)
         self.link.endpoint.tap = self.log.tap
         self.foreign = 0
 

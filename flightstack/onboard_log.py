@@ -41,7 +41,9 @@ class FeedLike(Protocol):
 class OnboardLog:
     """Turns one tick into log messages, and every so often into live ones."""
 
-    def __init__(self, feed: FeedLike, session: zenoh_link.Session, namespace: str, rate_hz: int) -> None:
+    def __init__(
+        self, feed: FeedLike, session: zenoh_link.Session, namespace: str, rate_hz: int, lockstep: bool
+    ) -> None:
         self._feed = feed
         self._odom = feed.channel(f"/{namespace}/target/odom", "nav_msgs/msg/Odometry")
         self._mavlink = {
@@ -53,6 +55,7 @@ class OnboardLog:
         self._rosout = feed.channel("/rosout", "rcl_interfaces/msg/Log")
         self._frames: list[tuple[Direction, bytes]] = []
         self._sequence = 0
+        self._flush_every = 10 if lockstep else 1  # ticks; fewer wake-ups of the recorder, 0.1 s of flight
         self._every = max(1, round(rate_hz / STATUS_HZ))
         encoding = "application/cdr;flightstack_msgs/msg/"
         self._live_step = zenoh_link.dropping_publisher(
@@ -107,7 +110,8 @@ class OnboardLog:
         if tick.number % self._every == 0:
             self._live_step.put(step)
             self._live_timing.put(payload)
-        self._feed.flush()
+        if tick.number % self._flush_every == 0:
+            self._feed.flush()
 
 
 def _row(tick: Tick, out: Outputs) -> ControllerStepRow:

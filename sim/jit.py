@@ -10,9 +10,7 @@ what that function calls. The cache directory therefore carries a hash of all th
 from __future__ import annotations
 
 import hashlib
-import importlib
 import os
-import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -25,23 +23,6 @@ from flightstack import barrier
 F = TypeVar("F", bound=Callable[..., object])
 
 HERE = Path(__file__).parent
-
-
-def _load_numba() -> None:
-    """Load numba's array functions without scipy, in which they look for a BLAS that nothing here uses.
-
-    Takes 0.1 to 0.2 s off every start.
-    """
-    blas = "scipy.linalg.cython_blas"
-    if blas not in sys.modules:
-        sys.modules[blas] = None  # type: ignore[assignment]  # Python's way to say: this cannot be imported
-        try:
-            importlib.import_module("numba.np.arraymath")
-        finally:
-            del sys.modules[blas]
-
-
-_load_numba()
 
 
 def _fingerprint() -> str:

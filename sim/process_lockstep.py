@@ -26,7 +26,7 @@ _WAIT_S = 0.05  # s of wall time between two looks at the signals
 _REPEAT_S = 0.5  # s of wall time until a request is repeated
 _REPEAT_UNHEARD_S = 0.05  # s, the same while nobody was ever heard
 _DECK_YIELDS = 20  # looks for the deck's pose before sleeping: it is there, or due any moment
-_FLUSH_EVERY = 4  # ticks; the recorder is not woken for every single one
+_FLUSH_EVERY = 10  # ticks; the recorder is not woken for every single one
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 
 

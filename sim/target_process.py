@@ -28,7 +28,7 @@ from sim.process_log import EventLog
 from sim.scenario import Scenario
 from sim.target import TargetMeasurement, TargetModel, TargetOdometry
 
-_CREDIT_PAUSE_S = 500e-6  # s between two looks for credit; far less than the run-ahead lasts
+_CREDIT_PAUSE_S = 0.002  # s between two looks for credit; far less than the run-ahead lasts
 _MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
 

@@ -19,7 +19,7 @@ from sim.process_realtime import RealTimeLoop
 from sim.process_vehicle import VehicleNode
 from sim.process_vehicle_log import VehicleLog
 from sim.scenario import Scenario
-from sim.vehicle import VehicleSim
+from sim.vehicle import VehicleSim, warm_up
 
 
 def vehicle_main(
@@ -66,6 +66,7 @@ def vehicle_main(
             session = zenoh_link.open_session(zenoh_listen, zenoh_connect) if linked else None
             if session is not None:
                 stack.callback(session.close)
+            warm_up(scenario)
             vehicle = VehicleSim(scenario, seed)
             epoch_ns = EPOCH_NS if lockstep else time.time_ns()
             feed = Feed.connect(feed_socket, "vehicle", lossless=lockstep)
