@@ -202,6 +202,17 @@ class Endpoint:
             for frame in frames:
                 self.tap(Direction.OUT, frame, peers[0])
 
+    def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
+        """Send a frame again, byte for byte: no new sequence number, not shown to the tap.
+
+        How often that happens is a matter of wall time; so it stays out of log and numbering.
+        """
+        for to in (peer,) if peer is not None else self.peers:
+            try:
+                self._socket.sendto(frame, to)
+            except OSError:
+                self.counters.send_errors += 1
+
     def close(self) -> None:
         """Close the socket; may be called twice."""
         self._socket.close()

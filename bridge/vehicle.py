@@ -111,6 +111,7 @@ class VehicleLink:
         self._vehicle: Peer | None = None
         self._heartbeat_at_s = -math.inf
         self._hello_at_s = -math.inf
+        self._hello = b""  # heartbeat sent first, repeated until the vehicle has been heard
         self._warned_autopilot: int | None = None
         self._handlers: dict[int, Callable[[Message, float], None]] = {
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
@@ -278,7 +279,12 @@ class VehicleLink:
         wall_s = time.monotonic()
         if wall_s - self._hello_at_s >= _HELLO_S:
             self._hello_at_s = wall_s
-            self.endpoint.send([_heartbeat()])
+            if self._hello:
+                self.endpoint.repeat(self._hello)
+                return
+            heartbeat = _heartbeat()
+            self.endpoint.send([heartbeat])
+            self._hello = bytes(heartbeat.get_msgbuf() or b"")
 
     def _queue_due(self, now_s: float) -> None:
         if now_s - self._heartbeat_at_s >= _HEARTBEAT_S - 1e-9:

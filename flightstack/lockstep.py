@@ -40,6 +40,7 @@ class LockstepWires:
         self._counts: dict[int, int] = {}
         self._last_ns = -1
         self.go_tick = NO_GO
+        self.reply = b""  # frame of the last answer, for a vehicle that asks again
         self.target_gone = False
 
     def vehicle(self) -> int | None:
@@ -54,7 +55,7 @@ class LockstepWires:
                 self._last_ns = sim_ns
                 return sim_ns
             if sim_ns is not None:
-                link.flush([link.timesync_reply(sim_ns)])
+                link.endpoint.repeat(self.reply)
             if self._stopped() or time.monotonic() > until:
                 return None
             link.endpoint.wait(WAIT_SLICE_S, spin_s=LOCKSTEP_SPIN_S)

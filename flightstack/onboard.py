@@ -102,6 +102,7 @@ class Onboard:
         self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz, options.lockstep)
         self.link.endpoint.tap = self.log.tap
         self.foreign = 0
+        self.reply = b""  # lockstep: frame of the last answer
 
     def tick(
         self, tick: Tick, raw: list[RawSample], operator: Operator, overruns: int
@@ -117,6 +118,7 @@ class Onboard:
         link.command(out.request, tick.now_s)
         timesync = [link.timesync_reply(round(tick.now_s * 1e9))] if self.options.lockstep else []
         link.flush(timesync)
+        self.reply = bytes(timesync[0].get_msgbuf() or b"") if timesync else b""
         exec_s = time.perf_counter() - started_s
         self.log.samples(raw, tick.unix_ns)
         for text in bad:
@@ -214,6 +216,7 @@ def _lockstep(onboard: Onboard, signals: Signals, say: Callable[[str], None]) ->
             return Ended(phase, "ended by the operator" if signals.stop else "the vehicle fell silent", 1)
         tick = clock.tick(sim_ns)
         out, _ = onboard.tick(tick, wires.target(tick.number), signals.operator, 0)
+        wires.reply = onboard.reply
         _say_events(out, tick, say)
         if wires.go_tick < 0 and onboard.controller.memory.started_s <= tick.now_s:
             wires.announce_start(tick.number)

@@ -21,6 +21,7 @@ from logs.codec import (
 )
 
 STATUS_HZ = 20.0  # of the live topics
+TIMESYNC_ID = 111  # low byte of the message id, which is at offset 7 of a MAVLink 2 frame
 
 
 class FeedLike(Protocol):
@@ -54,6 +55,7 @@ class OnboardLog:
         self._timing = feed.channel(f"/{namespace}/loop/timing", "flightstack_msgs/msg/LoopTiming")
         self._rosout = feed.channel("/rosout", "rcl_interfaces/msg/Log")
         self._frames: list[tuple[Direction, bytes]] = []
+        self._asked = b""  # last TIMESYNC that came
         self._sequence = 0
         self._flush_every = 10 if lockstep else 1  # ticks; fewer wake-ups of the recorder, 0.1 s of flight
         self._every = max(1, round(rate_hz / STATUS_HZ))
@@ -68,6 +70,10 @@ class OnboardLog:
     def tap(self, direction: Direction, frame: bytes, peer: Peer) -> None:
         """Keep a MAVLink frame until its tick is known; the endpoint's tap."""
         del peer
+        if direction is Direction.IN and frame[7] == TIMESYNC_ID:
+            if frame == self._asked:
+                return  # a repeated question of lockstep, the same to the byte: a matter of wall time
+            self._asked = frame
         self._frames.append((direction, frame))
 
     def samples(self, samples: list[RawSample], unix_ns: int) -> None:

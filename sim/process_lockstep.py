@@ -8,8 +8,6 @@ world: after 3 s of wall time the simulation runs on, so that fail-safes act, un
 
 from __future__ import annotations
 
-import os
-import socket
 import time
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -47,9 +45,6 @@ class LockstepLoop:
         self._deck_last: DeckState | None = None
         self._deck_s = 0.0  # time of the last true pose
         self._request = b""
-        # The same socket under a second name: a repeated request must be the same bytes, sequence number and
-        # all, or the number of repeats, a matter of wall time, would show in the rest of the log.
-        self._socket = socket.socket(fileno=os.dup(node.endpoint.fileno()))
 
     def run(self, ticks: int | None) -> None:
         """Simulate.
@@ -61,30 +56,27 @@ class LockstepLoop:
             NoAnswerError: companion or target never came.
         """
         node, grid = self._node, self._grid
-        try:
-            self._await_start()
-            tick = 0
-            while not self._stop.is_set and tick != ticks:
-                now_ns = grid.ns(tick)
-                now_s = now_ns / 1e9
-                if self._deck is not None:
-                    self._move_deck(self._deck, tick, now_ns)
-                self._send(now_ns, now_s)
-                # The state of this tick is written while the companion works on it.
-                node.write_log(tick, now_ns)
-                if tick % _FLUSH_EVERY == 0:
-                    node.log.feed.flush()
-                # Whatever the answer is, the radio delays it: so much can be simulated before it is known.
-                steps = grid.ms(tick + 1) - grid.ms(tick)
-                ahead = min(steps, self._radio_ms)
-                node.vehicle.advance(ahead)
-                node.vehicle.sent_before_ms = ahead
-                self._await_answer(now_ns, now_s)
-                node.control(now_s)
-                node.vehicle.advance(steps - ahead)
-                tick += 1
-        finally:
-            self._socket.close()
+        self._await_start()
+        tick = 0
+        while not self._stop.is_set and tick != ticks:
+            now_ns = grid.ns(tick)
+            now_s = now_ns / 1e9
+            if self._deck is not None:
+                self._move_deck(self._deck, tick, now_ns)
+            self._send(now_ns, now_s)
+            # The state of this tick is written while the companion works on it.
+            node.write_log(tick, now_ns)
+            if tick % _FLUSH_EVERY == 0:
+                node.log.feed.flush()
+            # Whatever the answer is, the radio delays it: so much can be simulated before it is known.
+            steps = grid.ms(tick + 1) - grid.ms(tick)
+            ahead = min(steps, self._radio_ms)
+            node.vehicle.advance(ahead)
+            node.vehicle.sent_before_ms = ahead
+            self._await_answer(now_ns, now_s)
+            node.control(now_s)
+            node.vehicle.advance(steps - ahead)
+            tick += 1
 
     def _await_start(self) -> None:
         """Until somebody can be sent to, and the deck's first pose is there: tick 0 must be whole."""
@@ -163,10 +155,8 @@ class LockstepLoop:
     def _repeat(self) -> None:
         peers = self._node.endpoint.peers if self._companion is None else (self._companion,)
         for peer in peers:
-            try:
-                self._socket.sendto(self._request, peer)
-            except OSError:
-                self._node.endpoint.counters.send_errors += 1
+            # The same bytes, or the number of repeats, a matter of wall time, would show in the log.
+            self._node.endpoint.repeat(self._request, peer)
 
     def _take(self, frames: list[Received], now_ns: int, now_s: float) -> bool:
         """Handle frames up to the answer for this tick; True when it was there."""
