@@ -104,8 +104,8 @@ def gather(
     limit = _PHASE_TIME_S.get(memory.phase)
     if limit is not None and now_s - memory.phase_since_s > limit(config):
         word |= C.PHASE_TIME_OVER
-    if own is not None and own.position_enu_m[2] >= high_enough_m(barrier, memory):
-        word |= C.HIGH_ENOUGH
+    if memory.phase is Phase.CLIMB and own is not None:
+        word |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(barrier, memory) else 0
     if good:
         word |= _place_conditions(config, barrier, memory, seen, now_s)
     elif memory.phase is Phase.TOUCHDOWN and not seen.target_ok and word & C.STANDING:
@@ -143,15 +143,13 @@ def _place_conditions(
     assert e is not None
     word = 0
     takeoff, touchdown = config.takeoff, config.touchdown
-    start = start_point(config, target)
-    if memory.climbed and (
-        start is None
-        or (
+    if memory.phase is Phase.TAKEOFF and memory.climbed:
+        start = start_point(config, target)
+        if start is None or (
             math.dist(own.position_enu_m, start) < takeoff.arrival_radius_m
             and math.hypot(*own.velocity_enu_m_s) < takeoff.arrival_speed_m_s
-        )
-    ):
-        word |= C.AT_START
+        ):
+            word |= C.AT_START
     d = math.hypot(e[0], e[1])
     # the cone is left at a wider radius than it is entered, so that noise does not make the phases chatter
     radius = touchdown.pad_radius_m * (1.5 if memory.phase is Phase.LAND else 1.0)

@@ -149,8 +149,8 @@ class _Launcher:
             vehicle = self._start(
                 "vehicle", *common, *feed, "--connect", target_at, "--url", "udpin:127.0.0.1:0"
             )
-            url = vehicle.wait_ready().replace("udpin", "udpout")
             target = self._start("target", *common, "--listen", target_at, "--connect", onboard_at)
+            url = vehicle.wait_ready().replace("udpin", "udpout")
             onboard = self._start(
                 "onboard", "--vehicle", url, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
                 "--listen", onboard_at, "--config", str(config_file), "--duration", str(duration_s),

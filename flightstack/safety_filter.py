@@ -23,11 +23,11 @@ from scipy import sparse
 from flightstack.projection import best_corner, project
 from flightstack.types import Vec3
 
-# Solver settings, by a scan over random programs of this size: solved 4,996 of 5,000 within 4,000 iterations,
-# median 50, largest distance to the exact projection 3e-8 m/s.
+# Solver settings, by a scan over random programs of this size: of 99,842 feasible ones 99,817 were solved within
+# 4,000 iterations, median 40, largest distance to the exact projection 8e-8 m/s.
 EPS = 1e-9  # absolute and relative tolerance, m/s
 RHO = 1.0
-RELAXATION = 1.6
+RELAXATION = 1.5
 ITERATIONS_MAX = 4000  # about 1 ms; beyond it the exact projection takes over
 RESIDUAL_MAX_M_S = 1e-6  # what a result may miss box or barrier by before it is refused
 
@@ -83,7 +83,7 @@ class SafetyFilter:
         settings.warm_starting = 0
         settings.scaling = 0  # scaling and unscaling at each update would round a history into the data
         settings.max_iter = ITERATIONS_MAX
-        settings.check_termination = 10
+        settings.check_termination = 5
         self._q = np.zeros(3)
         self._lower = np.full(4, -1.0)
         self._upper = np.full(4, osqp.OSQP_INFTY)
@@ -107,9 +107,10 @@ class SafetyFilter:
             upper: upper corner, m/s.
         """
         bound = -self.omega_1_s * h_m - dh_dt_m_s
-        if not math.isfinite(sum(nominal) + bound + sum(gradient) + sum(lower) + sum(upper)):
-            return FilterResult((0.0, 0.0, 0.0), math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
         gx, gy, gz = gradient
+        finite = bound + gx + gy + gz + nominal[0] + nominal[1] + nominal[2] + lower[0] + lower[1] + lower[2]
+        if not math.isfinite(finite + upper[0] + upper[1] + upper[2]):
+            return FilterResult((0.0, 0.0, 0.0), math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
         corner = best_corner(gradient, lower, upper)
         slack = gx * corner[0] + gy * corner[1] + gz * corner[2] - bound
         if slack < 0.0:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import FrameType
 
 NS_PER_S = 1_000_000_000
-STARTUP_S = 30.0  # s of wall time the processes of a run give each other to come up
+STARTUP_S = 60.0  # s of wall time the processes of a run give each other to come up, compiling included
 SILENCE_S = 3.0  # s of wall time without an answer after which a process counts as dead
 _PAUSE_S = 50e-6  # s; with the system's timer slack about 0.1 ms
 
