@@ -23,8 +23,8 @@ from scipy import sparse
 from flightstack.projection import best_corner, project
 from flightstack.types import Vec3
 
-# Solver settings, by a scan over random programs of this size: of 99,842 feasible ones 99,817 were solved within
-# 4,000 iterations, median 40, largest distance to the exact projection 8e-8 m/s.
+# Solver settings, by a scan over random programs of this size: of 99,842 feasible ones 99,817 were solved
+# within 4,000 iterations, median 40, largest distance to the exact projection 8e-8 m/s.
 EPS = 1e-9  # absolute and relative tolerance, m/s
 RHO = 1.0
 RELAXATION = 1.5
