@@ -31,7 +31,6 @@ class GateVerdict(IntEnum):
     OUTSIDE_BOX = 5
     BARRIER = 6  # the next sample would lie lower than the filter promised
     TOO_HIGH = 7
-    STOPPED = 8  # a refused set-point was replaced by zero velocity
 
 
 class ApprovedSetpoint:

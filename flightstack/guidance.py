@@ -99,7 +99,8 @@ def _climb(s: Situation) -> Wish:
 
 
 def _fly_clear(s: Situation) -> Wish:
-    own, target, memory = s.seen.inputs.own, memory_target(s.memory), s.memory
+    own, memory = s.seen.inputs.own, s.memory
+    target = memory.target_position_enu_m
     if own is None or not s.seen.own_ok or target is None or memory.clear:
         return Wish(Request.LAND)
     dx, dy = own.position_enu_m[0] - target[0], own.position_enu_m[1] - target[1]
@@ -113,11 +114,6 @@ def _fly_clear(s: Situation) -> Wish:
         return Wish(Request.EXTERNAL, (0.0, 0.0, vz))
     away = (dx / d, dy / d) if d > 1e-6 else (1.0, 0.0)
     return Wish(Request.EXTERNAL, limit((away[0] * vx, away[1] * vy, 0.0), (vx, vy, vz)))
-
-
-def memory_target(memory: Memory) -> Vec3 | None:
-    """Where the target was last."""
-    return memory.target_position_enu_m
 
 
 _ABORT: dict[AbortWay, Callable[[Situation], Wish]] = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import threading
 import time
@@ -11,24 +10,11 @@ import pytest
 
 from bridge.attachment import pack_attachment
 from bridge.zenoh_link import blocking_publisher, is_matched, open_session
-from logs import codec, schemas
+from logs import schemas
 from logs.reader import LogFile
 from logs.record_zenoh import ZenohSource, topic_and_schema
 from logs.recorder import RecorderError, RecorderProcess
-
-DEADLINE_S = 30.0  # a test that waits this long has failed
-EPOCH_NS = 1_577_836_800_000_000_000
-
-
-def timing(tick):
-    return codec.pack_loop_timing(codec.LoopTimingRow(EPOCH_NS + tick, tick, 0.01, 0.0, 0.0, 0.0, 0, 0))
-
-
-def wait_until(condition, what):
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {DEADLINE_S} s for {what}"
-        os.sched_yield()
+from tests.unit.recorder_helpers import DEADLINE_S, timing, wait_until
 
 
 def free_port():

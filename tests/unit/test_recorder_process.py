@@ -17,20 +17,7 @@ from logs import codec, schemas
 from logs.feed import Feed
 from logs.mcap_file import McapFile, SafeStream
 from logs.reader import LogFile
-
-DEADLINE_S = 30.0  # a test that waits this long has failed
-EPOCH_NS = 1_577_836_800_000_000_000
-
-
-def timing(tick):
-    return codec.pack_loop_timing(codec.LoopTimingRow(EPOCH_NS + tick, tick, 0.01, 0.0, 0.0, 0.0, 0, 0))
-
-
-def wait_until(condition, what):
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {DEADLINE_S} s for {what}"
-        os.sched_yield()
+from tests.unit.recorder_helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
 
 
 def start(tmp_path, *, file_limit=None, until="None"):
