@@ -18,7 +18,7 @@ _HEADER_V1 = 6  # bytes: marker, length, sequence, system, component, id
 _HEADER_V2 = 10  # bytes: as above with two flag bytes and an id of three bytes
 _CHECKSUM = 2  # bytes
 _SIGNATURE = 13  # bytes: link id, timestamp, signature
-_FLAG_SIGNED = 0x01  # the only incompatibility flag MAVLink 2 defines
+FLAG_SIGNED = 0x01  # the only incompatibility flag MAVLink 2 defines
 
 # CRC_EXTRA of every message of the dialect: the checksum also covers the message's definition.
 _CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in dialect.mavlink_map.items()}
@@ -65,12 +65,37 @@ def split_frames(datagram: bytes, counters: FrameCounters | None = None) -> Iter
         pos += 1
 
 
+def with_signed_flag(frame: bytes) -> bytes:
+    """Set the flag of an unsigned frame and correct its checksum; 13 bytes of signature come behind it."""
+    return _with_flags(frame, len(frame), FLAG_SIGNED)
+
+
+def without_signature(frame: bytes) -> bytes:
+    """Turn a signed frame into the same frame as it would have been sent without signing."""
+    return _with_flags(frame, len(frame) - _SIGNATURE, 0)
+
+
+def intact(frame: bytes) -> bool:
+    """Whether a whole unsigned frame of a known message still has the checksum it was made with."""
+    return _frame_end(frame, 0, len(frame), FrameCounters()) == len(frame)
+
+
+def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
+    crc_at = end - _CHECKSUM
+    changed = bytearray(frame[:end])
+    changed[2] = flags
+    extra = _CRC_EXTRA[frame[7] | frame[8] << 8 | frame[9] << 16]
+    crc = _crc(bytes(changed[1:crc_at]) + extra)
+    changed[crc_at], changed[crc_at + 1] = crc & 0xFF, crc >> 8
+    return bytes(changed)
+
+
 def _frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
     """End of the valid frame that starts at ``pos``, or 0."""
     if data[pos] != _MARKER_V2 or pos + _HEADER_V2 + _CHECKSUM > size:
         return 0
     flags = data[pos + 2]
-    if flags & ~_FLAG_SIGNED:
+    if flags & ~FLAG_SIGNED:
         return 0  # a flag we do not know means a frame we must not interpret (MAVLink 2 packet format)
     crc_at = pos + _HEADER_V2 + data[pos + 1]
     end = crc_at + _CHECKSUM + (_SIGNATURE if flags else 0)

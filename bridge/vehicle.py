@@ -15,6 +15,7 @@ from bridge.commands import CommandSequencer
 from bridge.decoding import Message
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
 from bridge.mavlink import Endpoint, Peer
+from bridge.signing_key import SigningKey
 from bridge.streams import StreamRequests
 from bridge.texts import TextAssembler
 from bridge.vehicle_state import VehicleState
@@ -72,6 +73,9 @@ class VehicleLink:
         system_id: int = 1,
         component_id: int = 1,
         defer_timesync: bool = False,
+        signing_key: SigningKey | None = None,
+        allow_unsigned: bool = False,
+        endpoint: Endpoint | None = None,
     ) -> None:
         """Open the link.
 
@@ -83,9 +87,12 @@ class VehicleLink:
             system_id: the one vehicle that is listened to.
             component_id: its autopilot.
             defer_timesync: lockstep, see above.
+            signing_key: sign everything, and hear nothing unsigned.
+            allow_unsigned: listen to a network without a key.
+            endpoint: takes the place of one opened here, and of the URL and key.
 
         Raises:
-            ValueError: bad URL or id, or a rate or height that is not positive.
+            ValueError: bad URL or id, a rate or height that is not positive, or a network without a key.
             OSError: the address cannot be opened.
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
@@ -103,7 +110,13 @@ class VehicleLink:
         }
         self._streams = StreamRequests(rates_hz, system_id, component_id, profile.unset)
         self._assembler = TextAssembler()
-        self.endpoint = Endpoint(url, system_id, COMPONENT_ID)  # the companion shares the vehicle's system id
+        self.endpoint = endpoint or Endpoint(
+            url,
+            system_id,  # the companion shares the vehicle's
+            COMPONENT_ID,
+            signing_key=signing_key,
+            allow_unsigned=allow_unsigned,
+        )
         self._texts: list[tuple[int, str]] = []
         self._outgoing: list[Message] = []
         self._held: list[Message] = []

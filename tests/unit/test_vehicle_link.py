@@ -24,8 +24,8 @@ from tests.unit.vehicle_link_fakes import (
 class FakeAutopilot:
     """Listens on UDP, answers nothing by itself; a test says what it sends and looks at what came."""
 
-    def __init__(self, system_id=1, component_id=1):
-        self.endpoint = Endpoint("udpin:127.0.0.1:0", system_id, component_id)
+    def __init__(self, url="udpin:127.0.0.1:0"):
+        self.endpoint = Endpoint(url, 1, 1)
         self.armed = False
         self.mode = LOITER
 
@@ -85,11 +85,13 @@ def test_state_and_status_come_through(vehicle, link):
 
 
 @pytest.mark.parametrize("ids", [(2, 1), (1, 190), (255, 190)])
-def test_others_are_counted_and_ignored(link, ids):
+def test_others_are_counted_and_ignored(ids):
+    link = VehicleLink("udpin:127.0.0.1:0", takeoff_height_m=HEIGHT)
     other = Endpoint(f"udpout:127.0.0.1:{link.endpoint.local_port}", *ids)
     other.send([heartbeat(OFFBOARD, armed=True), attitude(1), position(1)])
     poll(link, 1.0)
     other.close()
+    link.close()
     assert (link.own, link.status, link.heard) == (None, None, False)
     assert link.counters.foreign == 3
 
@@ -275,15 +277,25 @@ def test_lockstep_holds_a_bounded_number_of_messages(vehicle):
     link.close()
 
 
-def test_link_follows_a_vehicle_that_comes_back_on_another_port(vehicle, link):
+def test_listening_link_follows_a_vehicle_that_comes_back_on_another_port():
+    link = VehicleLink("udpin:127.0.0.1:0", takeoff_height_m=HEIGHT)
+    for now_s in (0.0, 0.1):
+        vehicle = FakeAutopilot(f"udpout:127.0.0.1:{link.endpoint.local_port}")
+        vehicle.beat()
+        poll(link, now_s)
+        link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), now_s)
+        link.flush()
+        assert vehicle.take("SET_POSITION_TARGET_LOCAL_NED")
+        vehicle.endpoint.close()
+    link.close()
+
+
+def test_calling_link_hears_nobody_but_the_vehicle_it_calls(vehicle, link):
+    other = FakeAutopilot(f"udpout:127.0.0.1:{link.endpoint.local_port}")
+    other.beat()
     vehicle.beat()
-    poll(link, 0.0)
-    other = FakeAutopilot()
-    other.send(heartbeat(), peer=("127.0.0.1", link.endpoint.local_port))
     poll(link, 0.1)
-    link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.1)
-    link.flush()
-    assert other.take("SET_POSITION_TARGET_LOCAL_NED")
+    assert link.endpoint.counters.received == 1
     other.endpoint.close()
 
 

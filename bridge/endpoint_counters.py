@@ -1,0 +1,40 @@
+"""What an endpoint let pass and what it threw away."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from bridge.framing import FrameCounters
+
+_PASSED = ("received", "sent")
+
+
+@dataclass(slots=True)
+class EndpointCounters(FrameCounters):
+    """Counts of one endpoint; each reason to drop something has one of its own."""
+
+    received: int = 0  # frames decoded
+    sent: int = 0  # frames handed to the socket, once per peer
+    send_errors: int = 0  # datagrams the system did not take
+    peers_refused: int = 0  # heartbeats of senders for whom the peer table had no room
+    oversize: int = 0  # datagrams longer than 4096 bytes
+    withheld: int = 0  # answers not sent: more bytes than a sender without heartbeat had sent us
+    setup_signing: int = 0  # attempts to set a key over the network, never obeyed
+    unchecked: int = 0  # without a key: signed frames, taken as if they were unsigned
+    # With a key only:
+    unsigned: int = 0  # frames without a signature
+    bad_signature: int = 0  # signed with another key, forged or changed
+    replayed: int = 0  # not later than the last frame of the same stream
+    stale: int = 0  # a new stream that is a minute or more behind our clock
+    ahead: int = 0  # more than an hour ahead of our clock
+    reflected: int = 0  # frames with our own ids
+    streams_refused: int = 0  # a new stream for which the table had no room
+
+    def add(self, name: str) -> None:
+        """Count one more of ``name``."""
+        setattr(self, name, getattr(self, name) + 1)
+
+    def dropped(self) -> str:
+        """What was thrown away, as one line; empty when nothing was."""
+        counts = asdict(self)
+        return ", ".join(f"{name} {n}" for name, n in counts.items() if n and name not in _PASSED)
