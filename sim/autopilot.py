@@ -13,22 +13,30 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.decoding import Message
 from flightstack.types import ZERO, Vec3
+from sim.autopilot_actions import Actions
 from sim.autopilot_commands import Commands
-from sim.autopilot_flight import Flight, Text
-from sim.autopilot_messages import Snapshot, heartbeat
-from sim.autopilot_modes import VehicleLike, mode_from_custom_mode
+from sim.autopilot_flight import Flight
+from sim.autopilot_modes import FlightMode, VehicleLike, codes, mode_from_custom_mode, why_no_mode
+from sim.autopilot_owner import Right, Sender
 from sim.autopilot_parameters import Parameters
+from sim.autopilot_requests import Requests
 from sim.autopilot_services import Handler, Services
-from sim.autopilot_setpoints import Sender, read_setpoint
+from sim.autopilot_setpoints import read_setpoint
+from sim.autopilot_snapshot import Snapshot
+from sim.autopilot_status import heartbeat
 from sim.autopilot_streams import Streams
+from sim.autopilot_texts import Text, TextWire
 
 SYSTEM_ID = 1
 COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot nowhere else
 _HEARTBEAT_S = 1.0
-_TEXT_CHUNK = 50  # characters of one STATUSTEXT
-_TEXT_GAP_S = 1.0  # s between two texts about set-points, which may be wrong a hundred times a second
+_LOG_MAX = 1024  # texts kept for a log that nobody takes
 _BROADCAST = frozenset(  # the only commands PX4 obeys when sent to system 0
-    {dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, dialect.MAV_CMD_REQUEST_MESSAGE}
+    {
+        dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
+        dialect.MAV_CMD_REQUEST_MESSAGE,
+        dialect.MAV_CMD_REQUEST_PROTOCOL_VERSION,
+    }
 )
 _EXTENDED_SYS_STATE = dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
 
@@ -65,15 +73,15 @@ class Autopilot:
         self.flight = Flight(vehicle, self.parameters, 1.0 / rate_hz, trim_enu_m_s)
         self._vehicle = vehicle
         self._streams = Streams(rate_hz)
-        self._home_xy_m = vehicle.estimate().position_enu_m[:2]
         self._epoch_ns = epoch_ns
-        self._commands = Commands(self.flight, self._streams, self._snapshot)
+        actions = Actions(self.flight, self.parameters, self._streams)
+        requests = Requests(self._streams, self._snapshot)
+        self._commands = Commands({**actions.table, **requests.table}, self.flight.texts, self.flight.forbids)
         self._heartbeat_due_s = -math.inf
         self._shown: object = None  # what heartbeat and status said last
         self._landed_shown = self.flight.landed_state
-        self._setpoint_text_s = -math.inf
         self._texts_to_log: list[Text] = []
-        self._text_id = 0
+        self._wire = TextWire()
         self._handlers: dict[int, Handler] = {
             dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self._on_setpoint,
             dialect.MAVLINK_MSG_ID_COMMAND_LONG: self._on_command,
@@ -81,6 +89,16 @@ class Autopilot:
             dialect.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
             **Services(self.flight, self.parameters).handlers,
         }
+
+    @property
+    def commands(self) -> Commands:
+        """What it does for COMMAND_LONG and COMMAND_INT."""
+        return self._commands
+
+    @property
+    def handled(self) -> frozenset[int]:
+        """Ids of the messages it acts on."""
+        return frozenset(self._handlers)
 
     def handle(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
         """Act on one message.
@@ -117,12 +135,14 @@ class Autopilot:
         if flight.landed_state != self._landed_shown:
             self._landed_shown = flight.landed_state
             self._streams.hasten(_EXTENDED_SYS_STATE)
-        if flight.texts:
-            for text in flight.texts:
-                messages += self._statustext(text)
-            self._texts_to_log += flight.texts
-            flight.texts.clear()
+        if flight.texts.waiting:
+            texts = flight.texts.take()
+            for text in texts:
+                messages += self._wire.messages(text)
+            self._texts_to_log = [*self._texts_to_log, *texts][-_LOG_MAX:]
         messages += self._streams.due(snapshot)
+        if self.parameters.left_to_list:
+            messages += self.parameters.listing()
         return messages
 
     def take_texts(self) -> list[Text]:
@@ -131,7 +151,7 @@ class Autopilot:
         return texts
 
     def _snapshot(self, now_s: float) -> Snapshot:
-        return Snapshot(self.flight, self._vehicle.estimate(), now_s, self._epoch_ns, self._home_xy_m)
+        return Snapshot(self.flight, self._vehicle.estimate(), now_s, self._epoch_ns)
 
     def _for_us(self, message: Any) -> bool:
         """Whether it is addressed to us or to all; messages without an address are for all."""
@@ -143,9 +163,8 @@ class Autopilot:
         refused = (
             setpoint if isinstance(setpoint, str) else self.flight.take_setpoint(setpoint, sender, now_s)
         )
-        if refused is not None and now_s - self._setpoint_text_s >= _TEXT_GAP_S:
-            self._setpoint_text_s = now_s
-            self.flight.say(dialect.MAV_SEVERITY_WARNING, refused)
+        if refused is not None:
+            self.flight.texts.refuse(refused, now_s, "set-point")
         return []
 
     def _on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
@@ -154,21 +173,16 @@ class Autopilot:
         return self._commands.run(message, sender, now_s)
 
     def _on_set_mode(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        del sender  # this old message has no answer
-        mode = mode_from_custom_mode(message.custom_mode)
-        if message.target_system == self.system_id and mode is not None:
-            self._commands.set_mode(mode, now_s)
+        """SET_MODE, which has no answer but the text."""
+        if message.target_system != self.system_id:
+            return []
+        flight, mode = self.flight, mode_from_custom_mode(message.custom_mode)
+        if mode is None:
+            reason: str | None = why_no_mode(*codes(message.custom_mode))
+        else:
+            right = Right.ANYBODY if mode is FlightMode.LAND else Right.OWNER
+            reason = flight.forbids(sender, right, now_s)
+            reason = flight.set_mode(mode, now_s) if reason is None else f"Mode refused: {reason}"
+        if reason is not None:
+            flight.texts.refuse(reason, now_s)
         return []
-
-    def _statustext(self, text: Text) -> list[Message]:
-        raw = text.text.encode("ascii", "replace")
-        if len(raw) <= _TEXT_CHUNK:
-            return [dialect.MAVLink_statustext_message(text.severity, raw)]
-        self._text_id = self._text_id % 0xFFFF + 1  # 0 would mean "not in chunks"
-        # A chunk shorter than 50 ends the text; a full last one is followed by an empty one.
-        return [
-            dialect.MAVLink_statustext_message(
-                text.severity, raw[at : at + _TEXT_CHUNK], self._text_id, at // _TEXT_CHUNK
-            )
-            for at in range(0, len(raw) + 1, _TEXT_CHUNK)
-        ]

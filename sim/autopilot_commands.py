@@ -1,24 +1,22 @@
-"""MAVLink commands of the simulated autopilot: one table from MAV_CMD to what is done.
+"""MAVLink commands of the simulated autopilot: COMMAND_LONG and COMMAND_INT in, acknowledgement out.
 
 Every command may come again, since an acknowledgement can be lost and MAVSDK does not count its repeats:
-what is already so is ACCEPTED. A parameter that is NaN means "the default".
+what is already so is ACCEPTED. A parameter that is NaN means "the default". No command takes long, so
+nothing is ever IN_PROGRESS; ACCEPTED means "valid, and being done".
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.decoding import Message
-from sim.autopilot_flight import Flight
-from sim.autopilot_messages import BUILDERS, Snapshot
-from sim.autopilot_modes import FlightMode, mode_from_code
-from sim.autopilot_setpoints import Sender
-from sim.autopilot_streams import Streams
+from sim.autopilot_owner import Right, Sender
+from sim.autopilot_texts import Texts
 
 ACCEPTED: int = dialect.MAV_RESULT_ACCEPTED
 REJECTED: int = dialect.MAV_RESULT_TEMPORARILY_REJECTED
@@ -26,11 +24,12 @@ DENIED: int = dialect.MAV_RESULT_DENIED
 UNSUPPORTED: int = dialect.MAV_RESULT_UNSUPPORTED
 FAILED: int = dialect.MAV_RESULT_FAILED
 
-FORCE = 21196.0  # magic of a forced disarm (MAV_CMD_COMPONENT_ARM_DISARM, param2)
-_CUSTOM_MODE = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-_INT32_MAX = float(2**31 - 1)
+_INT32_MAX = 2**31 - 1
 _INT_NAN = 0x7FF80000  # how a careless client's NaN looks as an integer (PX4 mavlink_receiver.cpp)
 _INT_SCALE = 1e-7  # COMMAND_INT carries degrees times 1e7
+# Frames of COMMAND_INT in which z is above sea level, or above home. COMMAND_LONG has none: sea level.
+_AMSL_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT})
+_HOME_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +40,47 @@ class Command:
     params: tuple[float, float, float, float, float, float, float]
     sender: Sender
     now_s: float
+    frame: int = dialect.MAV_FRAME_GLOBAL
 
     def given(self, n: int) -> float | None:
         """Parameter n (from 1), None when it was left out."""
         value = self.params[n - 1]
         return None if math.isnan(value) else value
+
+    @property
+    def above_home(self) -> bool:
+        """Whether param7 counts from home instead of from sea level."""
+        return self.frame in _HOME_FRAMES
+
+    @property
+    def frame_known(self) -> bool:
+        """Whether a place in this frame can be understood."""
+        return self.frame in _HOME_FRAMES or self.frame in _AMSL_FRAMES
+
+
+class Answer(NamedTuple):
+    """What a command came to."""
+
+    result: int = ACCEPTED  # MAV_RESULT
+    reason: str | None = None  # said when it was refused
+    messages: tuple[Message, ...] = ()  # for the sender, after the acknowledgement
+
+
+def answer(reason: str | None, result: int = REJECTED) -> Answer:
+    """ACCEPTED without a reason, else refused."""
+    return Answer() if reason is None else Answer(result, reason)
+
+
+class Entry(NamedTuple):
+    """One line of the command table."""
+
+    run: Callable[[Command], Answer]
+    right: Right  # who may, while somebody has control
+    place: bool = False  # has a position or height: the frame of COMMAND_INT matters
+    right_of: Callable[[Command], Right] | None = None  # when it depends on the parameters
+
+
+Table = Mapping[int, Entry]
 
 
 def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
@@ -54,139 +89,68 @@ def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
     if m.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_INT:
         if m.x == m.y == _INT_NAN:
             return None
-        params = (m.param1, m.param2, m.param3, m.param4, m.x * _INT_SCALE, m.y * _INT_SCALE, m.z)
+        params = (m.param1, m.param2, m.param3, m.param4, _degrees(m.x), _degrees(m.y), m.z)
+        frame = m.frame
     else:
         params = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
+        frame = dialect.MAV_FRAME_GLOBAL
         if abs(m.param5) >= _INT32_MAX or abs(m.param6) >= _INT32_MAX:
             return None
     if any(map(math.isinf, params)):
         return None
-    return Command(m.command, params, sender, now_s)
+    return Command(m.command, params, sender, now_s, frame)
+
+
+def integer(value: float | None) -> int | None:
+    """A parameter that is a whole number, None if it is not."""
+    return int(value) if value is not None and value == int(value) else None
 
 
 class Commands:
-    """Runs commands. Handlers return MAV_RESULT and leave messages for the sender in ``extra``."""
+    """Runs the commands of a table, and says why one is refused."""
 
-    def __init__(self, flight: Flight, streams: Streams, snapshot: Callable[[float], Snapshot]) -> None:
-        self._flight = flight
-        self._streams = streams
-        self._snapshot = snapshot
-        self.extra: list[Message] = []
-        m = dialect
-        self._table: dict[int, Callable[[Command], int]] = {
-            m.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
-            m.MAV_CMD_NAV_TAKEOFF: self._take_off,
-            m.MAV_CMD_NAV_LAND: self._land,
-            m.MAV_CMD_DO_SET_MODE: self._set_mode,
-            m.MAV_CMD_DO_FLIGHTTERMINATION: self._terminate,
-            m.MAV_CMD_RUN_PREARM_CHECKS: self._prearm_checks,
-            m.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
-            m.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
-            m.MAV_CMD_REQUEST_MESSAGE: self._request_message,
-            m.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
-            m.MAV_CMD_GET_HOME_POSITION: self._home,
-        }
+    def __init__(
+        self, table: Table, texts: Texts, forbids: Callable[[Sender, Right, float], str | None]
+    ) -> None:
+        """Set up.
+
+        Args:
+            table: MAV_CMD to what is done.
+            texts: for reasons.
+            forbids: why a sender may not use a right now.
+        """
+        self.table = table
+        self._texts = texts
+        self._forbids = forbids
 
     def run(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
         """Run a command that is meant for us; returns the acknowledgement and what was asked for."""
-        self.extra = []
+        result, reason, messages = self._run(message, sender, now_s)
+        if reason is not None:
+            entry = self.table.get(message.command)
+            # A ground station asks for what it can use and does without: no reason to call its pilot.
+            question = entry is not None and entry.right is Right.ANYBODY
+            severity = dialect.MAV_SEVERITY_DEBUG if question else dialect.MAV_SEVERITY_WARNING
+            self._texts.refuse(reason, now_s, severity=severity)
+        ack = dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *sender)
+        return [ack, *messages]
+
+    def _run(self, message: Message, sender: Sender, now_s: float) -> Answer:
         command = read_command(message, sender, now_s)
         if command is None:
-            self._flight.say(dialect.MAV_SEVERITY_WARNING, f"Command {message.command} denied: bad parameter")
-            result = DENIED
-        else:
-            handler = self._table.get(command.number)
-            if handler is None:
-                self._flight.say(dialect.MAV_SEVERITY_WARNING, f"Command {command.number} is not supported")
-                result = UNSUPPORTED
-            else:
-                result = handler(command)
-        ack = dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *sender)
-        return [ack, *self.extra]
-
-    def _refuse(self, reason: str | None, result: int = REJECTED) -> int:
-        if reason is None:
-            return ACCEPTED
-        self._flight.say(dialect.MAV_SEVERITY_WARNING, reason)
-        return result
-
-    def _arm_disarm(self, command: Command) -> int:
-        arm, force = command.given(1), command.given(2)
-        if arm is None or round(arm) not in (0, 1):
-            return self._refuse("Arm or disarm? param1 must be 0 or 1", UNSUPPORTED)
-        if round(arm) == 1:
-            return self._refuse(self._flight.arm(command.now_s))  # force does not skip checks, as with PX4
-        return self._refuse(self._flight.disarm(force=force == FORCE))
-
-    def _take_off(self, command: Command) -> int:
-        return self._refuse(self._flight.take_off(command.given(7)))
-
-    def _land(self, command: Command) -> int:
-        del command
-        self._flight.land()
-        return ACCEPTED
-
-    def _set_mode(self, command: Command) -> int:
-        base, main, sub = command.given(1) or 0.0, command.given(2), command.given(3) or 0.0
-        if not int(base) & _CUSTOM_MODE or main is None:
-            return self._refuse("Mode refused: only PX4's custom modes", DENIED)
-        mode = mode_from_code(round(main), round(sub))
-        if mode is None:
-            return self._refuse(f"Mode {main:.0f}/{sub:.0f} refused: there is none", DENIED)
-        return self.set_mode(mode, command.now_s)
-
-    def set_mode(self, mode: FlightMode, now_s: float) -> int:
-        """Change the mode, saying why not."""
-        return self._refuse(self._flight.set_mode(mode, now_s))
-
-    def _terminate(self, command: Command) -> int:
-        if not (command.given(1) or 0.0) > 0.5:
-            return ACCEPTED
-        if not self._flight.vehicle.armed:
-            return self._refuse("Termination refused: not armed", DENIED)
-        return self._refuse(self._flight.disarm(force=True))
-
-    def _prearm_checks(self, command: Command) -> int:
-        del command
-        if self._flight.vehicle.armed:
-            return self._refuse("Checks refused: armed")
-        for problem in self._flight.problems():
-            self._flight.say(dialect.MAV_SEVERITY_WARNING, f"Preflight fail: {problem}")
-        return ACCEPTED
-
-    def _set_interval(self, command: Command) -> int:
-        message_id, interval_us = _integer(command.given(1)), command.given(2) or 0.0
-        if message_id is None or not self._streams.known(message_id):
-            return FAILED  # as PX4 does, HEARTBEAT included
-        self._streams.set_interval(message_id, interval_us, command.now_s)
-        return ACCEPTED
-
-    def _get_interval(self, command: Command) -> int:
-        message_id = _integer(command.given(1))
-        if message_id is None or not self._streams.known(message_id):
-            return FAILED
-        interval_us = self._streams.interval_us(message_id)
-        self.extra.append(dialect.MAVLink_message_interval_message(message_id, interval_us))
-        return ACCEPTED
-
-    def _request_message(self, command: Command) -> int:
-        return self._give(_integer(command.given(1)), command.now_s)
-
-    def _capabilities(self, command: Command) -> int:
-        if command.given(1) != 1.0:
-            return DENIED
-        return self._give(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, command.now_s)
-
-    def _home(self, command: Command) -> int:
-        return self._give(dialect.MAVLINK_MSG_ID_HOME_POSITION, command.now_s)
-
-    def _give(self, message_id: int | None, now_s: float) -> int:
-        builder = BUILDERS.get(message_id) if message_id is not None else None
-        if builder is None:
-            return DENIED  # QGroundControl takes an ACCEPTED as a promise and waits for it
-        self.extra.append(builder(self._snapshot(now_s)))
-        return ACCEPTED
+            return Answer(DENIED, f"Command {message.command} denied: bad parameter")
+        entry = self.table.get(command.number)
+        if entry is None:
+            return Answer(UNSUPPORTED, f"Command {command.number} is not supported")
+        right = entry.right if entry.right_of is None else entry.right_of(command)
+        forbidden = self._forbids(sender, right, now_s)
+        if forbidden is not None:
+            return Answer(REJECTED, f"Command {command.number} refused: {forbidden}")
+        if entry.place and not command.frame_known:
+            # PX4 does not look at the frame, and would fly somewhere else than was meant.
+            return Answer(DENIED, f"Command {command.number} denied: frame {command.frame}, only global")
+        return entry.run(command)
 
 
-def _integer(value: float | None) -> int | None:
-    return int(value) if value is not None and value == int(value) else None
+def _degrees(scaled: int) -> float:
+    return math.nan if scaled == _INT32_MAX else scaled * _INT_SCALE

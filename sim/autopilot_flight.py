@@ -1,33 +1,41 @@
-"""What the autopilot does with its vehicle: arming, modes, its own flying, and fail-safes."""
+"""What the autopilot does with its vehicle: arming, modes, and fail-safes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import yaw_from_quaternion
 from flightstack.types import ZERO, Vec3
-from sim.autopilot_control import OwnLimits, PositionHold
-from sim.autopilot_modes import AIRBORNE_STATE, EstimateLike, FlightMode, VehicleLike
+from sim.autopilot_battery import Charge
+from sim.autopilot_ground import Standing
+from sim.autopilot_modes import AIRBORNE_STATE, FlightMode, VehicleLike
+from sim.autopilot_owner import ControlOwner, Right, Sender
 from sim.autopilot_parameters import Parameters
-from sim.autopilot_setpoints import ControlOwner, Sender, Setpoint
+from sim.autopilot_pilot import Event, Goal, Pilot
+from sim.autopilot_setpoints import Setpoint
+from sim.autopilot_texts import Texts
+from sim.autopilot_watches import STREAM_LOST, Action, Alarm, Watches
 
-_CONTACT_S = 0.3  # s of unbroken contact until the vehicle counts as standing; bounces are shorter
-_NO_CONTACT_S = 0.1  # s without contact until it counts as flying again
 _ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself
-_ARRIVED_M = 0.05  # m, half the Crazyflie's size: take-off height reached
-_ARRIVED_M_S = 0.15  # m/s
-_TAKEOFF_RANGE_M = (0.1, 20.0)  # m; the room is lower
+_HEIGHT_RANGE_M = (0.1, 20.0)  # m above home of take-off and reposition; the room is lower
+_REACH_M = 50.0  # m from home that it may be sent to by itself
+_HOME_REACH_M = 100.0  # m from the room's origin
 
-
-class Text(NamedTuple):
-    """Something a person should know."""
-
-    severity: int  # MAV_SEVERITY
-    text: str
+_FAILSAFE_MODES: Mapping[Action, FlightMode] = MappingProxyType(
+    {Action.HOLD: FlightMode.HOLD, Action.RETURN: FlightMode.RETURN, Action.LAND: FlightMode.LAND}
+)
+_DOING: Mapping[Action, str] = MappingProxyType(
+    {Action.HOLD: "holding", Action.RETURN: "returning", Action.LAND: "landing"}
+)
+# A mode that already does what a fail-safe wants, or more.
+_STRENGTH: Mapping[FlightMode, Action] = MappingProxyType(
+    {FlightMode.RETURN: Action.RETURN, FlightMode.LAND: Action.LAND}
+)
+_MODES_TO_LEAVE = frozenset({FlightMode.LAND, FlightMode.RETURN})  # no arming in these, as in PX4
 
 
 class Flight:
@@ -36,8 +44,9 @@ class Flight:
     Attributes:
         mode: flight mode; meaningful also while disarmed.
         failsafe: the present mode was not asked for but forced by a failure.
-        standing: on the ground or on the pad, not just touching.
-        texts: what happened since somebody cleared the list.
+        texts: what it says.
+        pilot: flies the mode.
+        watches: slow fail-safes, with the battery.
     """
 
     def __init__(
@@ -46,38 +55,39 @@ class Flight:
         self.vehicle = vehicle
         self.mode = FlightMode.HOLD
         self.failsafe = False
-        self.standing = vehicle.landed or vehicle.on_pad or vehicle.on_ground
-        self.texts: list[Text] = []
-        self.velocity_setpoint_enu_m_s: Vec3 | None = None  # handed to the firmware last
+        self.texts = Texts()
+        x, y, _ = vehicle.estimate().position_enu_m
+        self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s)
+        self.watches = Watches(parameters, vehicle)
         self._parameters = parameters
-        self._hold = PositionHold(trim_enu_m_s)
+        self._ground = Standing(vehicle)
         self._owner = ControlOwner()
-        self._setpoint: Setpoint | None = None
         self._setpoint_s = -math.inf
-        self._fresh = False  # the set-point has not been handed on yet
-        self._engaged = False  # the position loop has taken over in this mode
-        self._takeoff_height_m = parameters["MIS_TAKEOFF_ALT"]
-        self._yaw_rad = 0.0  # heading to hold
         self._was_armed = vehicle.armed
-        self._flew = vehicle.armed and not self.standing  # since arming
+        self._flew = vehicle.armed and not self._ground.now  # since arming
         self._control_s: float | None = None
         self._period_s = period_s
-        self._contact_changed_s = 0.0
-        self._contact = self.standing
         self._armed_s = 0.0
-        self._standing_since_s = 0.0
         self._estimate_seen_s = 0.0
-        self._fly: dict[FlightMode, Callable[[EstimateLike, float], None]] = {
-            FlightMode.HOLD: self._fly_hold,
-            FlightMode.TAKEOFF: self._fly_takeoff,
-            FlightMode.LAND: self._fly_land,
-            FlightMode.OFFBOARD: self._fly_offboard,
-        }
+
+    @property
+    def standing(self) -> bool:
+        """On the ground or on the pad, not just touching."""
+        return self._ground.now
+
+    @property
+    def home_enu_m(self) -> Vec3:
+        """Home, local."""
+        return self.pilot.home_enu_m
 
     @property
     def landed_state(self) -> int:
         """MAV_LANDED_STATE."""
-        return dialect.MAV_LANDED_STATE_ON_GROUND if self.standing else AIRBORNE_STATE[self.mode]
+        if self.standing:
+            return int(dialect.MAV_LANDED_STATE_ON_GROUND)
+        if self.mode is FlightMode.RETURN and self.pilot.going_down:
+            return int(dialect.MAV_LANDED_STATE_LANDING)
+        return AIRBORNE_STATE[self.mode]
 
     @property
     def airborne(self) -> bool:
@@ -88,22 +98,31 @@ class Flight:
         """Reasons why the vehicle would not arm now; empty when ready."""
         found = []
         if self.vehicle.locked:
-            found.append("firmware is locked, restart it")
+            found.append("firmware is locked, restart it (command 246)")
         if not self.vehicle.estimate().valid:
             found.append("no position estimate")
+        if self.watches.battery.level >= Charge.CRITICAL:
+            found.append(f"battery at {100 * self.watches.battery.remaining:.0f} %")
         return found
+
+    def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
+        """Why this sender may not do something now; on the ground and disarmed everybody may."""
+        if not self.vehicle.armed:
+            return None
+        return self._owner.forbids(sender, right, now_s, self._parameters["COM_OF_LOSS_T"])
 
     def arm(self, now_s: float) -> str | None:
         """Arm; nothing moves before a mode says so."""
         if self.vehicle.armed:
             return None
         problems = self.problems()
-        if self.mode is FlightMode.LAND:
-            problems.append("mode is land")
+        if self.mode in _MODES_TO_LEAVE:
+            problems.append(f"mode is {self.mode.value}")
         reason = problems[0] if problems else self.vehicle.arm()
         if reason is not None:
             return f"Arming refused: {reason}"
-        self._armed_s, self._flew, self._was_armed, self._engaged = now_s, False, True, False
+        self._armed_s, self._flew, self._was_armed = now_s, False, True
+        self.pilot.begin()
         self.say(dialect.MAV_SEVERITY_INFO, "Armed")
         return None
 
@@ -120,21 +139,41 @@ class Flight:
         self._after_disarm("Disarmed by force" if force else "Disarmed")
         return None
 
+    def reboot(self) -> str | None:
+        """Restart the firmware, also a locked one; parameters, home and boot clock stay."""
+        if self.vehicle.armed:
+            return "Reboot refused: armed"
+        reason = self.vehicle.reboot()
+        if reason is not None:
+            return f"Reboot refused: {reason}"
+        self._enter(FlightMode.HOLD)
+        self.say(dialect.MAV_SEVERITY_INFO, "Firmware restarted")
+        return None
+
     def take_off(self, height_m: float | None) -> str | None:
-        """Climb to a height above home and hold there; when disarmed, as soon as it is armed.
+        """Climb and hold there; when disarmed, as soon as it is armed. It never descends for that.
 
         Args:
-            height_m: 0.1 to 20 m; None: MIS_TAKEOFF_ALT.
+            height_m: local height, 0.1 to 20 m above home; None: MIS_TAKEOFF_ALT above where it stands.
         """
-        height_m = self._parameters["MIS_TAKEOFF_ALT"] if height_m is None else height_m
-        low, high = _TAKEOFF_RANGE_M
-        if not low <= height_m <= high:
-            return f"Take-off refused: {height_m:.4g} m, {low:g} to {high:g}"
-        if not self.vehicle.estimate().valid:
+        estimate = self.vehicle.estimate()
+        if not estimate.valid:
             return "Take-off refused: no position estimate"
-        if self.mode is FlightMode.TAKEOFF and height_m == self._takeoff_height_m:
+        z, home_m = estimate.position_enu_m[2], self.home_enu_m[2]
+        taking_off = self.mode is FlightMode.TAKEOFF
+        if height_m is None:
+            if taking_off:
+                return None
+            height_m = (z if self.standing else home_m) + self._parameters["MIS_TAKEOFF_ALT"]
+        low, high = _HEIGHT_RANGE_M
+        if not low <= height_m - home_m <= high:
+            return f"Take-off refused: {height_m - home_m:.4g} m above home, {low:g} to {high:g}"
+        if taking_off and height_m == self.pilot.takeoff_height_m:
             return None
-        self._takeoff_height_m = height_m
+        if not self.standing and height_m < z:
+            self.say(dialect.MAV_SEVERITY_NOTICE, "Already higher than the take-off height")
+            height_m = z
+        self.pilot.takeoff_height_m = height_m
         self._enter(FlightMode.TAKEOFF)
         return None
 
@@ -154,14 +193,44 @@ class Flight:
             return f"Mode {mode.value} refused: no position estimate"
         if mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
             return "Mode offboard refused: no set-points"
-        self._enter(mode)
+        if mode is FlightMode.RETURN and not self.vehicle.armed:
+            return "Mode return refused: not armed"
+        self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
+        return None
+
+    def reposition(self, goal: Goal) -> str | None:
+        """Fly to a point near home and hold there."""
+        if not self.vehicle.estimate().valid:
+            return "Reposition refused: no position estimate"
+        if not self.airborne:
+            return "Reposition refused: not in the air"
+        x, y, z = (a - b for a, b in zip(goal.point_enu_m, self.home_enu_m, strict=True))
+        low, high = _HEIGHT_RANGE_M
+        if not low <= z <= high:
+            return f"Reposition refused: {z:.4g} m above home, {low:g} to {high:g}"
+        if math.hypot(x, y) > _REACH_M:
+            return f"Reposition refused: {math.hypot(x, y):.4g} m from home, at most {_REACH_M:g}"
+        outside = self.watches.outside(goal.point_enu_m, self.home_enu_m)
+        if outside is not None:
+            return f"Reposition refused: {outside}"
+        if self.mode is not FlightMode.HOLD or goal != self.pilot.goal:
+            self._enter(FlightMode.HOLD, restart=True, goal=goal)
+        return None
+
+    def set_home(self, point_enu_m: Vec3) -> str | None:
+        """Move home; local coordinates stay as they are."""
+        distance_m = max(map(abs, point_enu_m))
+        if distance_m > _HOME_REACH_M:
+            return f"Home refused: {distance_m:.4g} m from the origin, at most {_HOME_REACH_M:g}"
+        self.pilot.home_enu_m = point_enu_m
         return None
 
     def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
         """Take a valid set-point; it is flown in OFFBOARD only, but keeps the stream alive in all modes."""
         reason = self._owner.admit(sender, now_s, self._parameters["COM_OF_LOSS_T"])
         if reason is None:
-            self._setpoint, self._setpoint_s, self._fresh = setpoint, now_s, True
+            self.pilot.take(setpoint)
+            self._setpoint_s = now_s
         return reason
 
     def yaw_rad(self) -> float:
@@ -170,55 +239,63 @@ class Flight:
 
     def say(self, severity: int, text: str) -> None:
         """Tell whoever listens."""
-        self.texts.append(Text(severity, text))
+        self.texts.say(severity, text)
 
     def control(self, now_s: float) -> None:
         """Fly: call it at every tick, after the messages and before the physics."""
         dt_s = now_s - self._control_s if self._control_s is not None else self._period_s
         self._control_s = now_s
-        estimate = self.vehicle.estimate()
+        vehicle, ground = self.vehicle, self._ground
+        estimate, armed = vehicle.estimate(), vehicle.armed
         if estimate.valid:
             self._estimate_seen_s = now_s
-        self._watch_contact(now_s)
-        if self._was_armed and not self.vehicle.armed:
+        ground.watch(now_s, armed)
+        standing = ground.now
+        if not standing:
+            self._flew = True
+        if self._was_armed and not armed:
             self._after_disarm("Disarmed by the firmware", dialect.MAV_SEVERITY_CRITICAL)
         self._failsafes(now_s)
-        if self.vehicle.armed:
+        if now_s >= self.watches.due_s:
+            position, flying = estimate.position_enu_m, armed and not standing
+            for alarm in self.watches.step(now_s, position, self.home_enu_m, flying=flying):
+                self._act(alarm)
+        if armed and standing:
             self._disarm_idle(now_s)
-        if self.vehicle.armed:
-            self._fly[self.mode](estimate, dt_s)
+            armed = vehicle.armed
+        if armed:
+            event = self.pilot.fly(self.mode, estimate, standing, dt_s)
+            if event is not None:
+                self._follow(event, now_s)
 
-    def _enter(self, mode: FlightMode, *, failsafe: bool = False) -> None:
+    def _follow(self, event: Event, now_s: float) -> None:
+        if event is Event.ARRIVED:
+            self._enter(FlightMode.HOLD)
+            self.pilot.go_on()
+        elif event is Event.LANDED:
+            self._try_disarm("Landed, disarmed")
+        else:
+            self.texts.refuse("Set-point clipped to MPC_XY_VEL_MAX or MPC_Z_VEL_MAX", now_s)
+
+    def _enter(
+        self, mode: FlightMode, *, failsafe: bool = False, restart: bool = False, goal: Goal | None = None
+    ) -> None:
         self.failsafe = failsafe
-        if mode is self.mode:
+        if mode is self.mode and not restart:
             return
+        if mode is not self.mode:
+            self.say(dialect.MAV_SEVERITY_INFO, f"Mode {mode.value}")
         self.mode = mode
-        self._engaged = False
-        self._fresh = True
-        self.say(dialect.MAV_SEVERITY_INFO, f"Mode {mode.value}")
+        self.pilot.begin(goal)
 
     def _after_disarm(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
         self.say(severity, text)
-        self.vehicle.stop_setpoint()
+        self.pilot.stop()
         self._owner.release()
         self._was_armed = self._flew = False
-        self.velocity_setpoint_enu_m_s = None
         if self.mode is not FlightMode.OFFBOARD:  # that one ends with its stream, as the companion expects
             self._enter(FlightMode.HOLD)
         self.failsafe = False
-
-    def _watch_contact(self, now_s: float) -> None:
-        vehicle = self.vehicle
-        contact = vehicle.on_pad or vehicle.on_ground or vehicle.landed
-        if contact != self._contact:
-            self._contact, self._contact_changed_s = contact, now_s
-        if contact == self.standing:
-            return
-        lasted_s = now_s - self._contact_changed_s
-        if not vehicle.armed or lasted_s >= (_CONTACT_S if contact else _NO_CONTACT_S) - 1e-9:
-            self.standing = contact or not vehicle.armed
-            self._standing_since_s = now_s
-            self._flew = self._flew or not self.standing
 
     def _stream_alive(self, now_s: float) -> bool:
         return now_s - self._setpoint_s <= self._parameters["COM_OF_LOSS_T"] + 1e-9
@@ -227,96 +304,38 @@ class Flight:
         if self.mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
             if self.vehicle.armed:
                 limit_s = self._parameters["COM_OF_LOSS_T"]
-                self.say(dialect.MAV_SEVERITY_CRITICAL, f"No set-points for {limit_s:.3g} s: landing")
-                self._enter(FlightMode.LAND, failsafe=True)
+                action = STREAM_LOST[int(self._parameters["COM_OBL_RC_ACT"])]
+                self._act(Alarm(action, f"No set-points for {limit_s:.3g} s"))
             else:
                 self._enter(FlightMode.HOLD)
         lost = now_s - self._estimate_seen_s > _ESTIMATE_LOST_S
         if lost and self.airborne and self.mode is not FlightMode.LAND:
-            self.say(dialect.MAV_SEVERITY_CRITICAL, "No position estimate: landing")
-            self._enter(FlightMode.LAND, failsafe=True)
+            self._act(Alarm(Action.LAND, "No position estimate"))
+
+    def _act(self, alarm: Alarm) -> None:
+        """Do what a fail-safe wants, unless the present mode does as much."""
+        action, text = alarm
+        if action is Action.NONE:
+            return
+        if action is Action.WARN or not self.vehicle.armed:
+            self.say(dialect.MAV_SEVERITY_WARNING, text)
+            return
+        if self.standing or not self.vehicle.estimate().valid:
+            action = Action.LAND  # which disarms what stands, and needs no position
+        if _STRENGTH.get(self.mode, Action.NONE) >= action:
+            self.say(dialect.MAV_SEVERITY_CRITICAL, text)
+            return
+        self.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {_DOING[action]}")
+        self._enter(_FAILSAFE_MODES[action], failsafe=True, restart=True)
 
     def _disarm_idle(self, now_s: float) -> None:
-        if not self.standing:
-            return
         if not self._flew:
             if now_s - self._armed_s >= self._parameters["COM_DISARM_PRFLT"]:
                 self._try_disarm("Disarmed: no take-off")
-        elif now_s - self._standing_since_s >= self._parameters["COM_DISARM_LAND"]:
+        elif now_s - self._ground.since_s >= self._parameters["COM_DISARM_LAND"]:
             self._try_disarm("Disarmed: landed")
 
     def _try_disarm(self, text: str) -> None:
         self.vehicle.stop_setpoint()
         if self.vehicle.disarm(False) is None:
             self._after_disarm(text)
-
-    def _limits(self) -> OwnLimits:
-        p = self._parameters
-        return OwnLimits(
-            p["MPC_XY_P"], p["MPC_Z_P"], p["MPC_XY_CRUISE"], p["MPC_TKO_SPEED"], p["MPC_LAND_SPEED"]
-        )
-
-    def _engage(self, estimate: EstimateLike) -> None:
-        if not self._engaged:
-            self._hold.engage(
-                estimate.position_enu_m, estimate.velocity_enu_m_s, self._parameters["MPC_XY_P"]
-            )
-            self._yaw_rad = yaw_from_quaternion(estimate.quaternion)
-            self._engaged = True
-
-    def _command(self, velocity_enu_m_s: Vec3) -> None:
-        self.velocity_setpoint_enu_m_s = velocity_enu_m_s
-        self.vehicle.set_velocity(velocity_enu_m_s, self._yaw_rad)
-
-    def _fly_hold(self, estimate: EstimateLike, dt_s: float) -> None:
-        if self.standing:
-            # Sent again and again: for the firmware silence after a flight is a lost link, which locks it.
-            self.vehicle.stop_setpoint()
-            self.velocity_setpoint_enu_m_s = None
-            self._engaged = False
-            return
-        self._engage(estimate)
-        if estimate.valid:
-            self._command(self._hold.step(estimate.position_enu_m, self._limits(), dt_s))
-        else:
-            self._command(self._hold.sink(0.0, dt_s))
-
-    def _fly_takeoff(self, estimate: EstimateLike, dt_s: float) -> None:
-        self._engage(estimate)
-        z = estimate.position_enu_m[2]
-        goal = self._takeoff_height_m
-        self._hold.aim(goal)
-        if not estimate.valid:
-            self._command(self._hold.sink(0.0, dt_s))
-            return
-        step = self._hold.step(estimate.position_enu_m, self._limits(), dt_s, learn=not self.standing)
-        self._command(step)
-        if abs(goal - z) < _ARRIVED_M and abs(estimate.velocity_enu_m_s[2]) < _ARRIVED_M_S:
-            self._enter(FlightMode.HOLD)
-            self._engaged = True  # goes on from here, with what it has learnt
-
-    def _fly_land(self, estimate: EstimateLike, dt_s: float) -> None:
-        if self.standing:
-            self._try_disarm("Landed, disarmed")
-            return
-        self._engage(estimate)
-        down_m_s = -self._parameters["MPC_LAND_SPEED"]
-        if estimate.valid:
-            position = estimate.position_enu_m
-            self._command(self._hold.step(position, self._limits(), dt_s, vertical_m_s=down_m_s))
-        else:
-            self._command(self._hold.sink(down_m_s, dt_s))
-
-    def _fly_offboard(self, estimate: EstimateLike, dt_s: float) -> None:
-        setpoint = self._setpoint
-        if setpoint is None:  # the stream's check comes first
-            return
-        if not self._engaged:
-            self._yaw_rad, self._engaged = yaw_from_quaternion(estimate.quaternion), True
-        if setpoint.yaw_rad is not None:
-            self._yaw_rad = setpoint.yaw_rad
-        self._yaw_rad += setpoint.yaw_rate_rad_s * dt_s
-        # Only news is handed on, so that the firmware's own watchdog sees a broken stream too.
-        if self._fresh or setpoint.yaw_rate_rad_s:
-            self._fresh = False
-            self._command(setpoint.velocity_enu_m_s)

@@ -63,6 +63,10 @@ class VehicleLike(Protocol):
     def landed(self) -> bool:
         """At rest on something."""
 
+    @property
+    def motor_commands(self) -> tuple[float, float, float, float]:
+        """Commands of the motors M1 to M4, 0 to 1 of the highest speed there is now."""
+
     def arm(self) -> str | None:
         """Arm; the reason if refused."""
 
@@ -78,6 +82,16 @@ class VehicleLike(Protocol):
     def estimate(self) -> EstimateLike:
         """Return what the estimator believes now."""
 
+    def reboot(self) -> str | None:
+        """Restart the firmware, which also unlocks it; the reason if refused."""
+
+    def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
+        """Let something fail: numbers of FAILURE_UNIT and FAILURE_TYPE, instance 0 for all.
+
+        Returns:
+            None when it took effect, else why not.
+        """
+
 
 class FlightMode(Enum):
     """What the autopilot can do."""
@@ -85,6 +99,7 @@ class FlightMode(Enum):
     HOLD = "hold"
     TAKEOFF = "take-off"
     LAND = "land"
+    RETURN = "return"
     OFFBOARD = "offboard"
 
 
@@ -109,10 +124,29 @@ CODES: Mapping[FlightMode, Code] = MappingProxyType(
         FlightMode.HOLD: Code(4, 3, _AUTO),  # AUTO.LOITER
         FlightMode.TAKEOFF: Code(4, 2, _AUTO),
         FlightMode.LAND: Code(4, 6, _AUTO),
+        FlightMode.RETURN: Code(4, 5, _AUTO),  # AUTO.RTL
         FlightMode.OFFBOARD: Code(6, 0, _EXTERNAL),
     }
 )
 _BY_CODE = {(code.main, code.sub): mode for mode, code in CODES.items()}
+
+# PX4's other modes, and why there is none here.
+_STICKS = "no stick input"
+_NOT_HERE: Mapping[tuple[int, int], str] = MappingProxyType(
+    {
+        (1, 0): f"manual: {_STICKS}",
+        (2, 0): f"altitude: {_STICKS}",
+        (3, 0): f"position: {_STICKS}",
+        (5, 0): f"acro: {_STICKS}",
+        (7, 0): f"stabilized: {_STICKS}",
+        (8, 0): f"rattitude: {_STICKS}",
+        (10, 0): "termination: use command 185",
+        (4, 1): "ready: use hold",
+        (4, 4): "mission: no missions",
+        (4, 8): "follow: not supported",
+        (4, 9): "precision land: not supported",
+    }
+)
 
 # What EXTENDED_SYS_STATE says in the air; on the ground it is always ON_GROUND.
 AIRBORNE_STATE: Mapping[FlightMode, int] = MappingProxyType(
@@ -120,6 +154,7 @@ AIRBORNE_STATE: Mapping[FlightMode, int] = MappingProxyType(
         FlightMode.HOLD: dialect.MAV_LANDED_STATE_IN_AIR,
         FlightMode.TAKEOFF: dialect.MAV_LANDED_STATE_TAKEOFF,
         FlightMode.LAND: dialect.MAV_LANDED_STATE_LANDING,
+        FlightMode.RETURN: dialect.MAV_LANDED_STATE_IN_AIR,
         FlightMode.OFFBOARD: dialect.MAV_LANDED_STATE_IN_AIR,
     }
 )
@@ -130,6 +165,17 @@ def mode_from_code(main: int, sub: int) -> FlightMode | None:
     return _BY_CODE.get((main, 0 if main == CODES[FlightMode.OFFBOARD].main else sub))
 
 
+def why_no_mode(main: int, sub: int) -> str:
+    """Why a pair of codes is no mode of this autopilot."""
+    reason = _NOT_HERE.get((main, sub if main == CODES[FlightMode.HOLD].main else 0))
+    return f"Mode refused: {reason}" if reason else f"Mode {main}/{sub} refused: there is none"
+
+
+def codes(custom_mode: int) -> tuple[int, int]:
+    """Main and sub code of a whole ``custom_mode``."""
+    return custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+
+
 def mode_from_custom_mode(custom_mode: int) -> FlightMode | None:
     """Mode of a whole ``custom_mode``, None if the autopilot has no such mode."""
-    return mode_from_code(custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)
+    return mode_from_code(*codes(custom_mode))

@@ -1,4 +1,4 @@
-"""The small protocols around flying: parameters, clock, ping, and honest noes to missions and files."""
+"""The small protocols around flying: parameters, clock, ping, heartbeats, and things it does not do."""
 
 from __future__ import annotations
 
@@ -9,57 +9,114 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.decoding import Message
 from sim.autopilot_flight import Flight
-from sim.autopilot_parameters import Parameters
-from sim.autopilot_setpoints import Sender
-
-# FILE_TRANSFER_PROTOCOL payload (mavlink.io, services/ftp): silence would cost clients seconds of retries.
-_FTP_NAK = 129
-_FTP_FAIL = 1
-_FTP_BYTES = 251
-_FTP_HEADER = 12  # bytes: sequence (2), session, opcode, size, requested opcode, burst, padding, offset (4)
+from sim.autopilot_geo import degrees_e7
+from sim.autopilot_missions import (
+    file_transfer,
+    log_list,
+    mission_clear,
+    mission_count,
+    mission_item_wanted,
+    mission_list,
+    mission_refused,
+)
+from sim.autopilot_owner import Right, Sender
+from sim.autopilot_parameters import NOT_NOW, Parameters, Refused
 
 Handler = Callable[[Any, Sender, float], list[Message]]
 
 
 class Services:
-    """Handlers by message id; each returns the answer to the sender."""
+    """Handlers by message id; each returns the answer to the sender.
+
+    REQUEST_DATA_STREAM is missing on purpose, as in PX4: the rates are one table for all, and what MAVProxy
+    and dronekit ask for at their start (4 Hz of everything) would starve the companion of its position.
+    """
 
     def __init__(self, flight: Flight, parameters: Parameters) -> None:
         self._flight = flight
         self._parameters = parameters
         m = dialect
         self.handlers: dict[int, Handler] = {
+            m.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
             m.MAVLINK_MSG_ID_TIMESYNC: _timesync,
             m.MAVLINK_MSG_ID_PING: _ping,
             m.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: self._parameter_list,
             m.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._parameter_read,
             m.MAVLINK_MSG_ID_PARAM_SET: self._parameter_set,
-            m.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _mission_list,
-            m.MAVLINK_MSG_ID_MISSION_COUNT: _mission_count,
-            m.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _mission_clear,
-            m.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _file_transfer,
+            m.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: mission_list,
+            m.MAVLINK_MSG_ID_MISSION_COUNT: mission_count,
+            m.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: mission_clear,
+            m.MAVLINK_MSG_ID_MISSION_REQUEST: mission_item_wanted,
+            m.MAVLINK_MSG_ID_MISSION_REQUEST_INT: mission_item_wanted,
+            m.MAVLINK_MSG_ID_MISSION_ITEM: mission_refused,
+            m.MAVLINK_MSG_ID_MISSION_ITEM_INT: mission_refused,
+            m.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: mission_refused,
+            m.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST: mission_refused,
+            m.MAVLINK_MSG_ID_LOG_REQUEST_LIST: log_list,
+            m.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: file_transfer,
+            m.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN: self._set_origin,
+            m.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: self._refuse_setpoint("attitude"),
+            m.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: self._refuse_setpoint("global position"),
         }
+
+    def _heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        del sender
+        if self._flight.watches.heartbeat(message.type, now_s):
+            self._flight.say(dialect.MAV_SEVERITY_INFO, "Ground station is back")
+        return []
 
     def _parameter_list(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
         del message, sender, now_s
-        return self._parameters.messages()
+        self._parameters.list_all()  # goes out with the telemetry of the next ticks
+        return []
 
     def _parameter_read(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        del sender, now_s
+        del now_s
         name = self._parameters.find(_text(message.param_id), message.param_index)
-        return [] if name is None else [self._parameters.message(name)]
+        return [_no_parameter(message, sender)] if name is None else [self._parameters.message(name)]
 
     def _parameter_set(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        del sender, now_s
         name = self._parameters.find(_text(message.param_id), -1)
         if name is None:
-            return []  # as PX4: the client sees that nothing comes
-        reason = self._parameters.set(
-            name, message.param_value, message.param_type, armed=self._flight.vehicle.armed
-        )
-        if reason is not None:
-            self._flight.say(dialect.MAV_SEVERITY_WARNING, reason)
-        return [self._parameters.message(name)]  # the value in force, whatever was asked
+            return [_no_parameter(message, sender)]
+        forbidden = self._flight.forbids(sender, Right.OWNER, now_s)
+        if forbidden is not None:
+            refused: Refused | None = Refused(NOT_NOW, f"{name} refused: {forbidden}")
+        else:
+            refused = self._parameters.set(
+                name, message.param_value, message.param_type, armed=self._flight.vehicle.armed
+            )
+        in_force = self._parameters.message(name)
+        if refused is None:
+            return [in_force]
+        self._flight.texts.refuse(refused.reason, now_s)
+        # The error first: MAVSDK takes a value that differs for a lost write and sends it five times more.
+        return [_parameter_error(name.encode(), -1, refused.error, sender), in_force]
+
+    def _set_origin(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        del message, sender
+        self._flight.texts.refuse("Origin refused: the simulated room does not move", now_s)
+        latitude, longitude = degrees_e7(0.0, 0.0)
+        return [dialect.MAVLink_gps_global_origin_message(latitude, longitude, 0, round(now_s * 1e6))]
+
+    def _refuse_setpoint(self, kind: str) -> Handler:
+        def refuse(message: Any, sender: Sender, now_s: float) -> list[Message]:
+            del message, sender
+            self._flight.texts.refuse(f"Set-point dropped: {kind}, only local velocity", now_s)
+            return []
+
+        return refuse
+
+
+def _no_parameter(message: Any, sender: Sender) -> Message:
+    """PX4 1.16 says nothing here, and clients wait for seconds (mavlink.io, services/parameter)."""
+    index = getattr(message, "param_index", -1)
+    name = _text(message.param_id).encode("ascii", "replace")
+    return _parameter_error(name, index, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST, sender)
+
+
+def _parameter_error(name: bytes, index: int, error: int, sender: Sender) -> Message:
+    return dialect.MAVLink_param_error_message(*sender, name, index, error)
 
 
 def _text(field: str | bytes) -> str:
@@ -79,30 +136,3 @@ def _ping(message: Any, sender: Sender, now_s: float) -> list[Message]:
     if message.target_system != 0 or message.target_component != 0:
         return []  # an answer
     return [dialect.MAVLink_ping_message(message.time_usec, message.seq, *sender)]
-
-
-def _mission_list(message: Any, sender: Sender, now_s: float) -> list[Message]:
-    del now_s
-    return [dialect.MAVLink_mission_count_message(*sender, 0, message.mission_type)]
-
-
-def _mission_count(message: Any, sender: Sender, now_s: float) -> list[Message]:
-    del now_s
-    result = dialect.MAV_MISSION_UNSUPPORTED if message.count else dialect.MAV_MISSION_ACCEPTED
-    return [dialect.MAVLink_mission_ack_message(*sender, result, message.mission_type)]
-
-
-def _mission_clear(message: Any, sender: Sender, now_s: float) -> list[Message]:
-    del now_s
-    return [dialect.MAVLink_mission_ack_message(*sender, dialect.MAV_MISSION_ACCEPTED, message.mission_type)]
-
-
-def _file_transfer(message: Any, sender: Sender, now_s: float) -> list[Message]:
-    del now_s
-    asked = bytes(message.payload)
-    sequence = (int.from_bytes(asked[:2], "little") + 1) & 0xFFFF
-    answer = bytearray(_FTP_BYTES)
-    answer[:2] = sequence.to_bytes(2, "little")
-    answer[2:6] = bytes((asked[2], _FTP_NAK, 1, asked[3]))
-    answer[_FTP_HEADER] = _FTP_FAIL
-    return [dialect.MAVLink_file_transfer_protocol_message(0, *sender, answer)]

@@ -1,4 +1,4 @@
-"""Velocity set-points from the wire: what is accepted, from whom."""
+"""Velocity set-points from the wire: what is accepted."""
 
 from __future__ import annotations
 
@@ -21,8 +21,6 @@ _ACCELERATION = 0b111000000
 _FORCE = 1 << 9  # says how to read the acceleration, which is not used
 _YAW = 1 << 10
 _YAW_RATE = 1 << 11
-
-Sender = tuple[int, int]  # system id, component id
 
 
 class Setpoint(NamedTuple):
@@ -65,20 +63,12 @@ def read_setpoint(message: Any, yaw_rad: Callable[[], float]) -> Setpoint | str:
     return Setpoint(velocity, None, 0.0)
 
 
-class ControlOwner:
-    """One sender of set-points at a time; it keeps control until it has been silent for a while."""
-
-    def __init__(self) -> None:
-        self._owner: Sender | None = None
-        self._heard_s = -math.inf
-
-    def admit(self, sender: Sender, now_s: float, silence_s: float) -> str | None:
-        """Whether a valid set-point of this sender counts; the reason if not."""
-        if sender != self._owner and self._owner is not None and now_s - self._heard_s <= silence_s:
-            return f"Set-point dropped: {self._owner[0]}/{self._owner[1]} has control"
-        self._owner, self._heard_s = sender, now_s
-        return None
-
-    def release(self) -> None:
-        """Free for anybody, for example after disarming."""
-        self._owner = None
+def clip(velocity_enu_m_s: Vec3, xy_m_s: float, up_m_s: float, down_m_s: float) -> Vec3:
+    """Shorten a velocity to the vehicle's limits; the direction over ground stays."""
+    x, y, z = velocity_enu_m_s
+    if x * x + y * y <= xy_m_s * xy_m_s and -down_m_s <= z <= up_m_s:
+        return velocity_enu_m_s
+    speed_m_s = math.hypot(x, y)
+    if speed_m_s > xy_m_s:
+        x, y = x * xy_m_s / speed_m_s, y * xy_m_s / speed_m_s
+    return (x, y, min(max(z, -down_m_s), up_m_s))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
@@ -41,6 +42,10 @@ class FakeVehicle:
     yaw_rad: float = 0.0
     setpoints: int = 0
     stops: int = 0
+    motor_commands: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    reboots: int = 0
+    failures: dict[tuple[int, int], int] = field(default_factory=dict)  # (unit, instance) to type
+    failure_refusal: str | None = None
 
     @property
     def landed(self) -> bool:
@@ -67,6 +72,16 @@ class FakeVehicle:
 
     def estimate(self) -> FakeEstimate:
         return self.state
+
+    def reboot(self) -> str | None:
+        self.reboots += 1
+        self.locked = False
+        return None
+
+    def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
+        if self.failure_refusal is None:
+            self.failures[unit, instance] = kind
+        return self.failure_refusal
 
     def advance(self, dt_s: float) -> None:
         wanted = self.setpoint if self.armed and self.setpoint is not None else (0.0, 0.0, -3.0)
@@ -134,6 +149,16 @@ class Rig:
         assert self.command(176, *OFFBOARD) == mav.MAV_RESULT_ACCEPTED
         return self
 
+    def listed(self) -> list:
+        """PARAM_VALUE of everything, as it comes with the telemetry."""
+        self.handle(mav.MAVLink_param_request_list_message(1, 1))
+        found: list = []
+        while not found or len(found) < found[0].param_count:
+            values = [m for m in self.autopilot.telemetry(self.now_s) if m.get_type() == "PARAM_VALUE"]
+            assert values
+            found += values
+        return found
+
     def seen(self, message_id: int) -> list:
         return [m for m in self.telemetry if m.get_msgId() == message_id]
 
@@ -147,4 +172,10 @@ def setpoint(n=0.0, e=0.0, d=0.0, *, frame=1, mask=2503, yaw=0.0, rate=0.0, targ
 
 def set_real(rig: Rig, name: str, value: float) -> float:
     message = mav.MAVLink_param_set_message(1, 1, name.encode(), value, mav.MAV_PARAM_TYPE_REAL32)
-    return rig.handle(message)[0].param_value
+    return rig.handle(message)[-1].param_value
+
+
+def set_int(rig: Rig, name: str, value: int, sender=COMPANION) -> int:
+    wire = struct.unpack("<f", struct.pack("<i", value))[0]
+    message = mav.MAVLink_param_set_message(1, 1, name.encode(), wire, mav.MAV_PARAM_TYPE_INT32)
+    return struct.unpack("<i", struct.pack("<f", rig.handle(message, sender)[-1].param_value))[0]

@@ -94,7 +94,7 @@ def test_repeated_commands_are_accepted_and_change_nothing() -> None:
     assert rig.texts() == ["Mode hold", "Mode offboard", "Mode land"]
 
 
-@pytest.mark.parametrize(("number", "result"), [(31000, 3), (20, 3), (241, 3)])
+@pytest.mark.parametrize(("number", "result"), [(31000, 3), (252, 3), (241, 3)])
 def test_unknown_commands_are_unsupported(number: int, result: int) -> None:
     rig = Rig()
     assert rig.command(number) == result
@@ -140,6 +140,8 @@ def test_termination_only_when_armed() -> None:
     rig = Rig()
     assert rig.command(185, 1.0) == mav.MAV_RESULT_DENIED
     rig.fly()
+    assert rig.command(185, 0.0) == mav.MAV_RESULT_DENIED
+    assert rig.vehicle.armed
     assert rig.command(185, 1.0) == mav.MAV_RESULT_ACCEPTED
     assert not rig.vehicle.armed
 
