@@ -63,11 +63,11 @@ def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
     r1, r2, r3, r4 = r.rpm[0], r.rpm[1], r.rpm[2], r.rpm[3]
     c1, c2, c3, c4 = command[0], command[1], command[2], command[3]
     d1, d2, d3, d4 = c1 - r1, c2 - r2, c3 - r3, c4 - r4
-    if r.slow:
-        d1 *= r.slow_rise if d1 > 0.0 else r.slow_fall * (c1 + r1)
-        d2 *= r.slow_rise if d2 > 0.0 else r.slow_fall * (c2 + r2)
-        d3 *= r.slow_rise if d3 > 0.0 else r.slow_fall * (c3 + r3)
-        d4 *= r.slow_rise if d4 > 0.0 else r.slow_fall * (c4 + r4)
+    if r.slow:  # falling: d rpm/dt = k (c^2 - r^2), linearly implicit, second order; rising: exact
+        d1 *= r.slow_rise if d1 > 0.0 else r.slow_fall * (c1 + r1) / (1.0 + r.slow_fall * r1)
+        d2 *= r.slow_rise if d2 > 0.0 else r.slow_fall * (c2 + r2) / (1.0 + r.slow_fall * r2)
+        d3 *= r.slow_rise if d3 > 0.0 else r.slow_fall * (c3 + r3) / (1.0 + r.slow_fall * r3)
+        d4 *= r.slow_rise if d4 > 0.0 else r.slow_fall * (c4 + r4) / (1.0 + r.slow_fall * r4)
     else:
         d1, d2, d3, d4 = r.gain * d1, r.gain * d2, r.gain * d3, r.gain * d4
     r1, r2, r3, r4 = r1 + d1, r2 + d2, r3 + d3, r4 + d4

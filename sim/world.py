@@ -1,8 +1,9 @@
 """Rigid bodies, contact and the moving deck, by MuJoCo in 1 ms steps.
 
-MuJoCo's Euler step moves the position with the velocity at the end of the step. Out of contact the position
-is put back by half of that step's velocity change (trapezoidal rule), which makes constant acceleration
-exact.
+MuJoCo's Euler step takes the gyroscopic torque from the start of the step and moves position and attitude
+with the velocities at its end. Here the gyroscopic torque is the midpoint rule's, which keeps the energy of a
+free rotation, and out of contact position and attitude are put back by half of the step's velocity change
+(trapezoidal rule), which makes constant acceleration exact.
 """
 
 from __future__ import annotations
@@ -12,14 +13,19 @@ from enum import IntFlag
 from typing import NamedTuple
 
 import mujoco
+import numpy as np
+import numpy.typing as npt
 
 from flightstack.types import Vec3
 from sim.jit import jitted
-from sim.mujoco_step import I32, contact_count, mj_step
+from sim.mujoco_step import I32, contacts, mj_step
 from sim.params import STEP_S, Params
 from sim.records import F64, Quaternion, Record, Vector, cell, new
 from sim.scenario import TargetSpec
+from sim.world_rotation import midpoint_torque, turn_back
 from sim.world_xml import model_xml
+
+I64 = npt.NDArray[np.int64]
 
 
 class ContactBit(IntFlag):
@@ -39,8 +45,10 @@ KIND_OF_GEOM = {
     "lidar": ContactBit.ROBOT,
 }
 TOP_NORMAL = 0.7  # a contact whose normal is within 45 degrees of the vertical is with the pad's top
+RIM_M = 0.002  # a contact lower than this under the pad's top is with its edge
 TUMBLE_COS = 0.5  # tilt beyond 60 degrees
 
+PAD, PAD_EDGE = ContactBit.PAD.value, ContactBit.PAD_EDGE.value
 QPOS_DECK, QVEL_DECK = 7, 6  # where the deck's joints begin; the vehicle's free joint comes first
 
 
@@ -76,6 +84,11 @@ class Memory(NamedTuple):
     qvel: F64
     applied: F64
     contacts: I32  # number of contacts, one element
+    geoms: I32  # the contacts, see ``mujoco_step.Contacts``
+    place: F64
+    frame: F64
+    kinds: I64  # ``ContactBit`` of each geom
+    inertia: F64  # of the vehicle, kg m^2
     model: int  # addresses
     data: int
 
@@ -118,10 +131,14 @@ def physics_step(
         Whether the vehicle is tumbled.
     """
     deck_step(deck, m)
+    torque = midpoint_torque(m.inertia, body.rates, torque)
     for i in range(3):  # a free joint takes its force in the world frame and its torque in the body frame
         m.applied[i], m.applied[3 + i] = force[i], torque[i]
     mj_step(m.model, m.data)
     half = 0.5 * STEP_S
+    if m.contacts[0] == 0:
+        x, y, z = m.qvel[3] - body.rates[0], m.qvel[4] - body.rates[1], m.qvel[5] - body.rates[2]
+        turn_back(m.qpos, half * x, half * y, half * z)
     for i in range(3):
         if m.contacts[0] == 0:
             m.qpos[i] -= half * (m.qvel[i] - body.velocity[i])
@@ -130,6 +147,18 @@ def physics_step(
         body.quaternion[i] = m.qpos[3 + i]
     qx, qy = body.quaternion[1], body.quaternion[2]
     return bool(qx * qx + qy * qy > 0.5 * (1.0 - TUMBLE_COS))  # body z axis: 1 - 2 (qx^2 + qy^2)
+
+
+@jitted
+def touched(m: Memory) -> int:
+    """Contact bits of the state the last step began with."""
+    bits = 0
+    for i in range(m.contacts[0]):
+        kind = m.kinds[m.geoms[i, 0]] | m.kinds[m.geoms[i, 1]]
+        if kind == PAD and (abs(m.frame[i, 2]) < TOP_NORMAL or m.place[i, 2] < m.qpos[QPOS_DECK + 2] - RIM_M):
+            kind = PAD_EDGE
+        bits |= kind
+    return bits
 
 
 class World:
@@ -149,7 +178,7 @@ class World:
     """
 
     __slots__ = (
-        "_deck", "_deck_position", "_deck_rate", "_deck_velocity", "_deck_yaw", "_kinds",
+        "_deck", "_deck_position", "_deck_rate", "_deck_velocity", "_deck_yaw",
         "_model", "_position", "_quaternion", "_rates",
         "_velocity", "body", "data", "deck", "memory",
     )  # fmt: skip
@@ -164,10 +193,11 @@ class World:
     ) -> None:
         self._model = model = mujoco.MjModel.from_xml_string(model_xml(params, mass_kg, target))
         self.data = data = mujoco.MjData(model)
+        kinds = [int(KIND_OF_GEOM.get(model.geom(i).name, 0)) for i in range(model.ngeom)]
         self.memory = Memory(
-            data.qpos, data.qvel, data.qfrc_applied, contact_count(model, data), model._address, data._address
-        )
-        self._kinds = [int(KIND_OF_GEOM.get(model.geom(i).name, 0)) for i in range(model.ngeom)]
+            data.qpos, data.qvel, data.qfrc_applied, *contacts(model, data), np.array(kinds),
+            model.body("vehicle").inertia.copy(), model._address, data._address,
+        )  # fmt: skip
         self.body = new(BodyRecord) if body is None else body
         self.deck = new(DeckRecord) if deck is None else deck
         b = self.body
@@ -251,18 +281,7 @@ class World:
 
     def contacts(self) -> int:
         """Contact bits of the state the last step began with."""
-        if not self.data.ncon:
-            return 0
-        contact = self.data.contact
-        bits = 0
-        for (a, b), z, normal_z in zip(
-            contact.geom.tolist(), contact.pos[:, 2].tolist(), contact.frame[:, 2].tolist(), strict=True
-        ):
-            kind = self._kinds[a] | self._kinds[b]
-            if kind == ContactBit.PAD.value and (abs(normal_z) < TOP_NORMAL or z < self.data.qpos[9] - 0.002):
-                kind = ContactBit.PAD_EDGE.value
-            bits |= kind
-        return bits
+        return touched(self.memory)
 
     def pad_surface_velocity(self, rx: float, ry: float) -> Vec3:
         """Velocity of the point of the pad at (rx, ry) from its centre, world axes."""

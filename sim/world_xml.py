@@ -2,7 +2,8 @@
 
 The robot is a body on three slides and a hinge, so that it has a velocity and friction carries what stands on
 it (a mocap body has none). Its state is imposed every step; it weighs so much that no contact moves it in
-between. Gravity is off and the vehicle's weight is applied as a force, so that the robot needs no support.
+between. The friction cone is elliptic: the pyramid would hold diagonally with 0.7 of the friction only.
+Gravity is off and the vehicle's weight is applied as a force, so that the robot needs no support.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ def model_xml(params: Params, mass_kg: float, target: TargetSpec) -> str:
     return f"""
 <mujoco model="landing">
   <compiler autolimits="false"/>
-  <option timestep="{STEP_S}" gravity="0 0 0" integrator="Euler" cone="pyramidal" solver="Newton"
+  <option timestep="{STEP_S}" gravity="0 0 0" integrator="Euler" cone="elliptic" solver="Newton"
       iterations="30" tolerance="1e-10">
     <flag equality="disable" frictionloss="disable" limit="disable" clampctrl="disable" sensor="disable"
         actuation="disable" eulerdamp="disable" island="disable" autoreset="disable"/>

@@ -4,7 +4,8 @@ After firmware position_controller_pid.c, attitude_pid_controller.c, controller_
 platform_defaults_cf2.h. Angles in degrees inside, as there. FLU throughout: the firmware's inverted pitch
 cancels.
 Kept: no integral limit but 5000 in the velocity loop (so it winds up), thrust never below 20000 counts in
-flight, derivative of the measurement, all integrals gone when the mode changes or the thrust is zero.
+flight, derivative of the measurement, all integrals gone when the mode changes or the thrust is zero; the
+rate loops then also forget the rate, so that their derivative kicks once.
 """
 
 from __future__ import annotations
@@ -101,6 +102,7 @@ def cascade_reset(c: CascadeRecord) -> None:
     pid_forget(c.roll_rate)
     pid_forget(c.pitch_rate)
     pid_forget(c.yaw_rate)
+    c.roll_rate.previous = c.pitch_rate.previous = c.yaw_rate.previous = 0.0  # attitudeControllerResetAllPID
     c.calls = 0
 
 
@@ -108,6 +110,15 @@ def cascade_reset(c: CascadeRecord) -> None:
 def clamp(value: float, limit: float) -> float:
     """Cut to +-limit."""
     return max(-limit, min(limit, value))
+
+
+@jitted
+def continued(before: float, angle: float) -> float:
+    """Angle in degrees, without its jump at 180, next to ``before`` (NaN: none)."""
+    if math.isnan(before):
+        return angle
+    turn = angle - before + 180.0
+    return before + turn - 360.0 * math.floor(turn / 360.0) - 180.0
 
 
 @jitted
@@ -128,8 +139,7 @@ def cascade_update(
     """Return ``(thrust counts per motor, moment counts)``; ``level`` keeps roll and pitch at zero."""
     mode = LEVEL if level else FREE
     if c.mode != mode:  # controller_pid.c: a change of mode resets all PIDs
-        if c.mode != UNKNOWN:
-            cascade_reset(c)
+        cascade_reset(c)
         c.mode = mode
     axes = sensed.axes
     yaw = math.atan2(axes[1], axes[0])
@@ -144,7 +154,7 @@ def cascade_update(
     wx, wy, wz = sensed.rates[0] * DEG, sensed.rates[1] * DEG, sensed.rates[2] * DEG
     rx = pid_output(c.roll, roll_wanted - roll, roll) - wx
     ry = pid_output(c.pitch, pitch_wanted - pitch, pitch) - wy
-    rz = pid_output(c.yaw, yaw_error, -yaw_error) - wz  # minus the error: continuous where yaw jumps
+    rz = pid_output(c.yaw, yaw_error, continued(c.yaw.previous, yaw * DEG)) - wz
     return c.thrust_wanted, (
         int(clamp(pid_output(c.roll_rate, rx, wx), INT16_MAX)),
         int(clamp(pid_output(c.pitch_rate, ry, wy), INT16_MAX)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from flightstack.types import Vec3
@@ -41,9 +42,10 @@ class FirmwareRecord(Record):
 
 @jitted
 def forget(f: FirmwareRecord) -> None:
-    """Reset the velocity loop."""
+    """Reset the velocity loop; the rates of the last flight are nothing to take a derivative with."""
     if f.loop == PAPER:
         paper_reset(f.paper)
+        f.paper.attitude.wx = math.nan
     else:
         cascade_reset(f.pid)
 

@@ -1,8 +1,9 @@
 """Supervisor: arming, set-point watchdog, tumble detection; transitions as data.
 
 After firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated at 25 Hz, of a build that
-requires arming. Differences: LANDED goes back to FLYING when the motors run again, and READY counts no
-set-point age.
+requires arming. Left out: the checks before arming and the spin-up (they count as DISARMED), emergency stop
+and deck faults; what the firmware passes through on its way to DISARMED or LOCKED takes no time here. A
+disarm takes effect at once and also ends CRASHED, for which the firmware has a request of its own.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ READY_TIMEOUT_MS = 30_000  # platform_defaults.h: preflight timeout
 LANDED_TIMEOUT_MS = 3000  # platform_defaults.h: landing timeout
 TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # platform_defaults.h
 TUMBLE_UPSIDE_DOWN_G, TUMBLE_UPSIDE_DOWN_MS = -0.2, 100
-FREE_FALL_G = 0.1  # supervisor.c: no verdict while nothing is felt at all
+FREE_FALL_G = 0.1  # supervisor.c: the clock starts anew while nothing is felt at all
 
 
 class State(Enum):
@@ -50,7 +51,7 @@ class Condition(IntFlag):
 TRANSITIONS: dict[State, tuple[tuple[Condition, State], ...]] = {
     State.DISARMED: (),
     State.READY: (
-        (Condition.TUMBLED, State.CRASHED),
+        (Condition.TUMBLED, State.DISARMED),
         (Condition.FLYING, State.FLYING),
         (Condition.STAYED_READY, State.DISARMED),
     ),
@@ -65,7 +66,7 @@ TRANSITIONS: dict[State, tuple[tuple[Condition, State], ...]] = {
         (Condition.TUMBLED, State.LOCKED),
         (Condition.FRESH, State.FLYING),
     ),
-    State.LANDED: ((Condition.FLYING, State.FLYING), (Condition.STAYED_LANDED, State.DISARMED)),
+    State.LANDED: ((Condition.STAYED_LANDED, State.DISARMED), (Condition.FLYING, State.FLYING)),
     State.LOCKED: (),
     State.CRASHED: (),
 }
@@ -80,7 +81,6 @@ class Supervisor:
     since_ms: int = 0
     motors_last_ms: int = -FLYING_HYSTERESIS_MS - 1
     tilted_since_ms: int | None = None
-    upside_down_since_ms: int | None = None
     history: list[tuple[int, State]] = field(default_factory=list)
 
     @property
@@ -105,7 +105,7 @@ class Supervisor:
         if self.state is not State.DISARMED:
             return str(self.state.value)
         self.motors_last_ms = now_ms - FLYING_HYSTERESIS_MS - 1
-        self.tilted_since_ms = self.upside_down_since_ms = None
+        self.tilted_since_ms = None
         self.enter(State.READY, now_ms)
         return None
 
@@ -120,7 +120,7 @@ class Supervisor:
         """Evaluate the transitions; call every ``PERIOD_MS`` with the accelerometer's reading in g."""
         if motors_running:
             self.motors_last_ms = now_ms
-        flying = now_ms - self.motors_last_ms <= FLYING_HYSTERESIS_MS
+        flying = now_ms - self.motors_last_ms < FLYING_HYSTERESIS_MS
         holds = Condition.FLYING if flying else Condition.NOT_FLYING
         holds |= Condition.WARNING if setpoint_age_ms > WARNING_MS else Condition.FRESH
         if setpoint_age_ms > TIMEOUT_MS:
@@ -138,18 +138,15 @@ class Supervisor:
                 return
 
     def _tumbled(self, now_ms: int, accel_g: tuple[float, ...]) -> bool:
+        """Upside down counts from when it was tilted first (supervisor.c: isTumbledCheck)."""
         ax, ay, az = accel_g
         if abs(ax) < FREE_FALL_G and abs(ay) < FREE_FALL_G and abs(az) < FREE_FALL_G:
-            self.tilted_since_ms = self.upside_down_since_ms = None
+            self.tilted_since_ms = None
+        if az >= TUMBLE_TILTED_G:
+            self.tilted_since_ms = None
             return False
-        self.tilted_since_ms = _since(self.tilted_since_ms, now_ms, az < TUMBLE_TILTED_G)
-        self.upside_down_since_ms = _since(self.upside_down_since_ms, now_ms, az < TUMBLE_UPSIDE_DOWN_G)
-        tilted = self.tilted_since_ms is not None and now_ms - self.tilted_since_ms >= TUMBLE_TILTED_MS
-        over = self.upside_down_since_ms is not None
-        return tilted or (over and now_ms - (self.upside_down_since_ms or 0) >= TUMBLE_UPSIDE_DOWN_MS)
-
-
-def _since(before: int | None, now_ms: int, holds: bool) -> int | None:
-    if not holds:
-        return None
-    return now_ms if before is None else before
+        if self.tilted_since_ms is None:
+            self.tilted_since_ms = now_ms
+        lasts_ms = now_ms - self.tilted_since_ms
+        upside_down = az < TUMBLE_UPSIDE_DOWN_G and lasts_ms > TUMBLE_UPSIDE_DOWN_MS
+        return upside_down or lasts_ms > TUMBLE_TILTED_MS

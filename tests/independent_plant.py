@@ -1,0 +1,88 @@
+"""A second model of the vehicle in free flight, written from the equations; shares nothing with ``sim``.
+
+Rigid body and four rotors with vertical shafts, angular momentum balance of the whole:
+
+    m dv/dt = T z_B - D (v - wind) - m g e_3,   D = diag(d) along the body axes
+    J dw/dt = M_arms + M_drag - dh/dt - w x (J w + h),   h = e_3 sum(I_p s_i Omega_i)
+
+with s_i = +1 for a rotor that turns counter-clockwise seen from above. The drag of the air on such a rotor
+acts clockwise, on the rotor and through the motor on the body. Speeds follow their commands with the
+first-order or the slow lag. Numbers are those of the L250 identification (drone-models 0.1.0) and its
+geometry; integrated with an error control far below what is compared.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+G = 9.81  # m/s^2
+MASS = 0.0319  # kg
+INERTIA = np.array([16.8e-6, 16.8e-6, 29.8e-6])  # kg m^2
+DRAG = np.array([0.0147, 0.0147, 0.0128])  # N s/m
+ARM = 0.03253  # m, along x and along y
+ROTOR_XY = ARM * np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]])  # M1 front right, then clockwise from above
+SPIN = np.array([1, -1, 1, -1])  # M1 and M3 counter-clockwise
+THRUST = np.array([2.4583e-10, -5.382e-7, 0.0])  # N of rpm
+TORQUE = np.array([1.4593e-12, 1.4105e-9, 0.0])  # N m of rpm
+ROTOR_INERTIA = 34.5e-9  # kg m^2
+RAD_S = 2.0 * np.pi / 60.0
+
+
+@dataclass(frozen=True)
+class Lag:
+    """First order with ``time_s``, or rates up (1/s of the difference) and down (1/(rpm s) of squares)."""
+
+    time_s: float = 0.07
+    rise_1_s: float | None = None
+    fall_1_rpm_s: float = 0.0
+
+    def rate(self, rpm, command):
+        """Change of the speeds, rpm/s."""
+        if self.rise_1_s is None:
+            return (command - rpm) / self.time_s
+        return np.where(
+            command > rpm, self.rise_1_s * (command - rpm), self.fall_1_rpm_s * (command**2 - rpm**2)
+        )
+
+
+SLOW = Lag(rise_1_s=7.3556, fall_1_rpm_s=2.4444e-4)
+
+
+def rotation(q):
+    """Matrix of a quaternion w, x, y, z, body to world."""
+    w, v = q[0], q[1:]
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+
+
+def derivative(state, command, lag, drag, wind):
+    """Of position, velocity, quaternion, body rates and rotor speeds (17 numbers)."""
+    v, q, w, rpm = state[3:6], state[6:10], state[10:13], state[13:]
+    r = rotation(q / np.linalg.norm(q))
+    thrusts, speed_rate = np.polyval(THRUST, rpm), lag.rate(rpm, command)
+    force = r @ (np.array([0, 0, thrusts.sum()]) - drag * (r.T @ (v - wind)))
+    arms = np.array([ROTOR_XY[:, 1] @ thrusts, -ROTOR_XY[:, 0] @ thrusts, 0.0])
+    air = np.array([0, 0, -SPIN @ np.polyval(TORQUE, rpm)])
+    h = np.array([0, 0, ROTOR_INERTIA * RAD_S * (SPIN @ rpm)])
+    h_rate = np.array([0, 0, ROTOR_INERTIA * RAD_S * (SPIN @ speed_rate)])
+    w_rate = (arms + air - h_rate - np.cross(w, INERTIA * w + h)) / INERTIA
+    q_rate = 0.5 * np.concatenate([[-q[1:] @ w], q[0] * w + np.cross(q[1:], w)])
+    return np.concatenate([v, force / MASS - (0, 0, G), q_rate, w_rate, speed_rate])
+
+
+def fly(state, commands, hold_s, lag=None, drag=DRAG, wind=(0.0, 0.0, 0.0)):
+    """Integrate through commands (n, 4), each held for ``hold_s``; states after each (n, 17)."""
+    out = []
+    for command in np.asarray(commands, float):
+        solved = solve_ivp(
+            lambda _, s, c=command: derivative(s, c, lag or Lag(), drag, np.asarray(wind)),
+            (0.0, hold_s),
+            state,
+            method="DOP853",
+            rtol=1e-11,
+            atol=1e-12,
+        )
+        state = solved.y[:, -1]
+        out.append(state)
+    return np.array(out)
