@@ -107,7 +107,8 @@ def _convert(hint: Any, value: Any, at: str) -> Any:
     if origin is tuple:
         inner = get_args(hint)
         if not isinstance(value, list):
-            raise ConfigError(f"{at}: found {value!r}, an array is needed")
+            needed = f"an array of tables [[{at}]]" if dataclasses.is_dataclass(inner[0]) else "an array"
+            raise ConfigError(f"{at}: found {value!r}, {needed} is needed")
         if len(inner) == 2 and inner[1] is Ellipsis:
             inner = (inner[0],) * len(value)
         if len(value) != len(inner):
@@ -145,21 +146,30 @@ def to_table(value: Any) -> Any:
 
 
 def dumps(table: dict[str, Any]) -> str:
-    """Write plain nested tables of scalars and arrays as TOML text, readable by ``tomllib``."""
+    """Write plain nested tables of scalars, arrays and arrays of tables as text readable by ``tomllib``."""
     lines: list[str] = []
     _write_table(table, "", lines)
     return "\n".join(lines) + "\n"
 
 
+def _tables(value: Any) -> list[dict[str, Any]]:
+    """Tables of an array of tables; empty for anything else."""
+    is_array = isinstance(value, list) and all(isinstance(item, dict) for item in value)
+    return value if is_array else []
+
+
 def _write_table(table: dict[str, Any], prefix: str, lines: list[str]) -> None:
     for key, value in table.items():
-        if not isinstance(value, dict):
+        if not isinstance(value, dict) and not _tables(value):
             lines.append(f"{key} = {_scalar(value)}")
     for key, value in table.items():
+        name = f"{prefix}.{key}" if prefix else key
         if isinstance(value, dict):
-            name = f"{prefix}.{key}" if prefix else key
             lines.extend(["", f"[{name}]"])
             _write_table(value, name, lines)
+        for item in _tables(value):
+            lines.extend(["", f"[[{name}]]"])
+            _write_table(item, name, lines)
 
 
 def _scalar(value: Any) -> str:

@@ -1,6 +1,6 @@
 """The vehicle's record, and the loop that flies it: compiled, everything between two events.
 
-An event is what needs Python: a set-point or a motion-capture sample that arrives, the supervisor, a contact.
+An event is what needs Python: a set-point or a motion-capture sample that arrives, the supervisor.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import cast
 
 from flightstack.barrier import Barrier
 from sim.battery import BatteryRecord, drain, speed_limit
+from sim.contact import ContactRecord, note_contact
 from sim.firmware.estimator import predict
 from sim.firmware.stack import FirmwareRecord, control
 from sim.firmware.supervisor import PERIOD_MS
@@ -18,11 +19,11 @@ from sim.ground_effect import GroundRecord, ground_effect
 from sim.imu import ImuRecord, measure
 from sim.jit import jitted
 from sim.params import STEP_S
-from sim.records import Cell, Record, Vector
+from sim.records import Cell, Motors, Record, Vector
 from sim.rotation import rotation_axes
 from sim.rotors import RotorRecord, turn_rotors
 from sim.wind import WindRecord, blow
-from sim.world import BodyRecord, DeckRecord, Memory, physics_step
+from sim.world import BodyRecord, DeckRecord, Memory, physics_step, touched
 
 CONTROL_EVERY_MS = 2
 WIND_EVERY_MS = 5
@@ -61,6 +62,10 @@ class VehicleRecord(Record):
     imu: ImuRecord
     firmware: FirmwareRecord
     judge: JudgeRecord
+    contact: ContactRecord
+    motor_share: Motors  # speed a motor aims at = share * command + held (1 and 0 without a fault)
+    motor_held: Motors  # rpm
+    drive: Motors  # that speed, rpm
     before_e: Vector  # vehicle minus pad at the beginning of the last step
     before_velocity: Vector
 
@@ -95,7 +100,9 @@ def move(v: VehicleRecord, m: Memory) -> None:
     for i in range(3):
         v.before_e[i] = body.position[i] - v.deck.position[i]
         v.before_velocity[i] = body.velocity[i]
-    turn_rotors(rotors, v.firmware.commands, body.rates[0], body.rates[1])
+    for i in range(4):
+        v.drive[i] = v.motor_share[i] * v.firmware.commands[i] + v.motor_held[i]
+    turn_rotors(rotors, v.drive, body.rates[0], body.rates[1])
     axes = rotation_axes(body.quaternion)
     zx, zy, zz = axes[6], axes[7], axes[8]
     wind, u = v.wind.now, body.velocity
@@ -121,7 +128,7 @@ def judge(v: VehicleRecord) -> None:
 
 @jitted
 def fly(vehicle: Cell[VehicleRecord], m: Memory, now_ms: int, end_ms: int) -> int:
-    """Run steps of 1 ms until ``end_ms``, or until after a step that found contacts.
+    """Run steps of 1 ms until ``end_ms``.
 
     Args:
         vehicle: changed in place; its noise must suffice (``Tape.top_up``).
@@ -145,7 +152,7 @@ def fly(vehicle: Cell[VehicleRecord], m: Memory, now_ms: int, end_ms: int) -> in
             drain(v.battery, v.rotors.rpm, BATTERY_EVERY_MS * STEP_S)
         move(v, m)
         judge(v)
-        now_ms += 1
         if m.contacts[0] > 0:
-            break
+            note_contact(v.contact, v.deck, touched(m), now_ms, v.before_e, v.before_velocity)
+        now_ms += 1
     return now_ms

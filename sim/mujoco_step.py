@@ -1,4 +1,4 @@
-"""``mj_step`` for compiled code: the C function itself, and the number of contacts where MuJoCo keeps it.
+"""``mj_step`` for compiled code: the C function itself, and the contacts where MuJoCo keeps them.
 
 Called this way a step costs no more than it does in C. Unlike under the Python binding, an internal error of
 MuJoCo ends the process instead of raising.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import mujoco
 import numpy as np
@@ -17,7 +17,18 @@ import numpy.typing as npt
 from llvmlite import binding
 from numba import config, types
 
+from sim.records import F64
+
 I32 = npt.NDArray[np.int32]
+
+
+class Contacts(NamedTuple):
+    """The contacts of the last step, in MuJoCo's memory: only the first ``number[0]`` rows count."""
+
+    number: I32  # one element
+    geoms: I32  # (n, 2)
+    place: F64  # (n, 3), world, m
+    frame: F64  # (n, 9), the normal first
 
 
 def _library() -> str:
@@ -47,11 +58,12 @@ def _load() -> Callable[[int, int], None]:
 mj_step = _load()
 
 
-def contact_count(model: mujoco.MjModel, data: mujoco.MjData) -> I32:
-    """View of ``data.ncon``, one element, that compiled code can read.
+def contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Contacts:
+    """Views of ``data.ncon`` and ``data.contact`` that compiled code can read; they never move.
 
     In mjdata.h ``ncon`` follows the array ``timer``, whose elements end in an int and four bytes of padding.
     The Python binding shows the array's memory but not that of ``ncon``; so this is checked on two states.
+    ``contact`` is at the beginning of the arena, which is made once, so that its room bounds the rows.
 
     Raises:
         RuntimeError: ``ncon`` is not there, as another MuJoCo might have it.
@@ -59,13 +71,14 @@ def contact_count(model: mujoco.MjModel, data: mujoco.MjData) -> I32:
     last = data.timer.number[-1:]
     address = last.__array_interface__["data"][0] + 2 * ctypes.sizeof(ctypes.c_int)
     count = np.ctypeslib.as_array((ctypes.c_int * 1).from_address(address))
-    counts = []
+    counts, found = [], []
     scratch = (data.qpos.copy(), data.qvel.copy())
     for height_m in (0.0, 100.0):  # the vehicle in the floor, and in the air
         data.qpos[:] = 0.0
         data.qpos[2:4] = height_m, 1.0
         mujoco.mj_forward(model, data)
         counts.append((data.ncon, int(count[0])))
+        found.append([getattr(data.contact, name) for name in ("geom", "pos", "frame")])
     data.qpos[:], data.qvel[:] = scratch
     mujoco.mj_resetData(model, data)
     if any(a != b for a, b in counts) or counts[0][0] == counts[1][0]:
@@ -73,4 +86,8 @@ def contact_count(model: mujoco.MjModel, data: mujoco.MjData) -> I32:
             f"MuJoCo {mujoco.__version__}: number of contacts and what stands in memory: {counts}, "
             "equal pairs are needed; this MuJoCo keeps ncon elsewhere, see mjdata.h"
         )
-    return count
+    views = [
+        np.lib.stride_tricks.as_strided(a, (data.narena // a.strides[0], a.shape[1]), a.strides)
+        for a in found[0]
+    ]
+    return Contacts(count, *views)

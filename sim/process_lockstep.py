@@ -4,6 +4,7 @@ Tick k is at t = k / rate. The vehicle sends what is due and TIMESYNC(tc1=0, ts1
 companion acts on it and answers with TIMESYNC(tc1 != 0, ts1=t). Everything that came before that answer is
 handled at t, then the physics goes on to the next tick. A companion that stops answering does not stop the
 world: after 3 s of wall time the simulation runs on, so that fail-safes act, until it answers again.
+Faults of the wire concern everything but this handshake.
 """
 
 from __future__ import annotations
@@ -117,6 +118,8 @@ class LockstepLoop:
 
     def _await_answer(self, now_ns: int, now_s: float) -> None:
         """Handle everything up to the companion's answer for this tick."""
+        for received in self._node.wire.late(now_ns):
+            self._answer(received, now_ns, now_s)
         late, self._late = self._late, []
         answered = self._take(late, now_ns, now_s)
         if not self._answers:
@@ -143,12 +146,18 @@ class LockstepLoop:
     def _send(self, now_ns: int, now_s: float) -> None:
         endpoint, companion = self._node.endpoint, self._companion
         messages = self._node.autopilot.telemetry(now_s)
+        replies, self._replies = self._replies, []
         request = dialect.MAVLink_timesync_message(0, now_ns)
-        if companion is not None:
+        if not self._node.wire.sound:
+            companions = endpoint.peers if companion is None else (companion,)
+            others = [peer for peer in endpoint.peers if peer not in companions]
+            self._node.wire.send(messages, (*companions, *others), now_ns)
+            self._node.wire.send(replies, companions, now_ns)
+            messages = replies = []
+        elif companion is not None:
             for peer in endpoint.peers:
                 if peer != companion:
                     endpoint.send(messages, peer)
-        replies, self._replies = self._replies, []
         endpoint.send([*messages, *replies, request], companion)
         self._request = bytes(request.get_msgbuf())
 
@@ -167,14 +176,21 @@ class LockstepLoop:
                     self._late += frames[i + 1 :]
                     return True
                 continue
-            replies = self._node.answer(received, now_s)
-            if not replies:
-                continue
-            if received.peer == self._companion or self._companion is None:
-                self._replies += replies
-            else:
-                self._node.endpoint.send(replies, received.peer)
+            for arrived in self._node.wire.receive(received, now_ns):
+                self._answer(arrived, now_ns, now_s)
         return False
+
+    def _answer(self, received: Received, now_ns: int, now_s: float) -> None:
+        """Let the autopilot act; what it answers the companion goes with the next tick."""
+        replies = self._node.answer(received, now_s)
+        if not replies:
+            return
+        if received.peer == self._companion or self._companion is None:
+            self._replies += replies
+        elif self._node.wire.sound:
+            self._node.endpoint.send(replies, received.peer)
+        else:
+            self._node.wire.send(replies, (received.peer,), now_ns)
 
     def _is_answer(self, received: Received, now_ns: int) -> bool:
         """Whether the companion has answered for this tick; an older answer shows that it is alive."""

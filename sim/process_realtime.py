@@ -16,6 +16,7 @@ from sim.process_vehicle import VehicleNode
 
 _BEHIND_MAX_S = 0.1  # s; after a longer pause of the machine, simulated time is put back instead of caught up
 _MS = 1e-3
+_NS_PER_MS = 1_000_000
 
 
 class RealTimeLoop:
@@ -56,7 +57,10 @@ class RealTimeLoop:
         self._receive()
         node.control(now_s)
         messages = node.autopilot.telemetry(now_s)
-        node.endpoint.send(messages)
+        if node.wire.sound:
+            node.endpoint.send(messages)
+        else:
+            node.wire.send(messages, node.endpoint.peers, now_ns)
         truth = node.write_log(tick, now_ns)
         if self._deck is not None:
             for payload in self._deck.poll(now_s):
@@ -73,11 +77,16 @@ class RealTimeLoop:
     def _receive(self) -> None:
         """Act on what has come, now."""
         node, now_s = self._node, self._ms * _MS
-        frames = node.endpoint.receive()
+        now_ns = self._ms * _NS_PER_MS
+        frames = node.wire.late(now_ns)
+        for received in node.endpoint.receive():
+            frames += node.wire.receive(received, now_ns)
         for received in frames:
             replies = node.answer(received, now_s)
-            if replies:
+            if replies and node.wire.sound:
                 node.endpoint.send(replies, received.peer)
+            elif replies:
+                node.wire.send(replies, (received.peer,), now_ns)
         if frames:
             node.control(now_s)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
 from bridge.decoding import Message
 from bridge.mavlink import Endpoint, Received
 from logs.codec import Severity
@@ -11,7 +13,9 @@ from sim.autopilot import Autopilot
 from sim.autopilot_modes import FlightMode
 from sim.process_deck import DeckState
 from sim.process_vehicle_log import VehicleLog
-from sim.vehicle import Truth, VehicleSim
+from sim.process_wire import Wire
+from sim.vehicle import VehicleSim
+from sim.vehicle_types import Truth
 
 
 @dataclass(slots=True)
@@ -22,8 +26,12 @@ class VehicleNode:
     autopilot: Autopilot
     endpoint: Endpoint
     log: VehicleLog
+    wire: Wire = field(init=False)
     _judged: bool = field(default=False, init=False)
     _state_text: str = field(default="", init=False)
+
+    def __post_init__(self) -> None:
+        self.wire = Wire(self.endpoint, self.vehicle.faults.link)
 
     def answer(self, received: Received, now_s: float) -> list[Message]:
         """Let the autopilot act on a frame; returns what to answer its sender."""
@@ -33,6 +41,9 @@ class VehicleNode:
     def control(self, now_s: float) -> None:
         """Let the autopilot fly; its first flight by the companion's set-points begins the judging."""
         self.autopilot.control(now_s)
+        for fault in self.vehicle.faults.take_texts():
+            severity = dialect.MAV_SEVERITY_WARNING if fault.begins else dialect.MAV_SEVERITY_NOTICE
+            self.autopilot.flight.say(severity, str(fault))
         if not self._judged:
             flight = self.autopilot.flight
             if flight.mode is FlightMode.OFFBOARD and flight.airborne:

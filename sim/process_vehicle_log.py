@@ -6,7 +6,8 @@ from logs import schemas
 from logs.codec import Severity, TrueStateRow, pack_true_state
 from logs.feed import Feed
 from sim.process_log import EventLog
-from sim.vehicle import CONTACT_GROUND, CONTACT_PAD, CONTACT_PAD_EDGE, CONTACT_ROBOT, CONTACT_TUMBLED, Truth
+from sim.vehicle import CONTACT_GROUND, CONTACT_PAD, CONTACT_PAD_EDGE, CONTACT_ROBOT, CONTACT_TUMBLED
+from sim.vehicle_types import Truth
 
 _CONTACTS = {
     CONTACT_PAD: (Severity.INFO, "contact with the pad"),

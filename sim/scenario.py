@@ -15,6 +15,7 @@ from typing import Annotated
 from flightstack.config import FilterKind, FlightConfig
 from flightstack.strict_toml import ConfigError, Range, from_table, read_toml
 from flightstack.types import Vec3
+from sim.fault_spec import Fault
 
 
 class StartKind(Enum):
@@ -136,6 +137,7 @@ class Scenario:
     vehicle: VehicleSpec = field(default_factory=VehicleSpec)
     wind: Wind = field(default_factory=Wind)
     judge: Judge = field(default_factory=Judge)
+    fault: tuple[Fault, ...] = ()  # [[fault]], in any order
 
     def __post_init__(self) -> None:
         if self.target.speed_m_s > self.target.speed_max_m_s + 1e-9:

@@ -26,7 +26,8 @@ from logs.feed import FeedError
 from sim.pacing import STARTUP_S, NoAnswerError, StopSignal, TickGrid, wait_until
 from sim.process_log import EventLog
 from sim.scenario import Scenario
-from sim.target import TargetMeasurement, TargetModel, TargetOdometry
+from sim.target import TargetMeasurement
+from sim.target_motion import TargetMotion
 
 _CREDIT_PAUSE_S = 0.002  # s between two looks for credit; far less than the run-ahead lasts
 _MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
@@ -47,28 +48,25 @@ class Robot:
         *,
         lossless: bool,
     ) -> None:
-        spec = scenario.target
         self.grid = TickGrid(rate_hz)
         self.epoch_ns = epoch_ns
-        self.drives_at_once = not spec.wait_for_landing
         self.samples = 0
-        self.tick = 0
-        self._model = TargetModel(spec, seed, step_s=self.grid.period_s)
-        self._odometry = TargetOdometry(scenario.odometry, seed)
-        # The odometry takes one sample a step at most.
-        self._substeps = -(-round(scenario.odometry.rate_hz) // rate_hz)
+        self._motion = TargetMotion(scenario, seed, self.grid)
+        self.faults = self._motion.faults
+        self.drives_at_once = self._motion.drives_at_once
         key = f"{namespace}/sim/target/truth"
         self.truth = OdometryPublisher(session, key, child_frame_id="target", lossless=lossless)
         key = f"{namespace}/target/odom"
         self.odom = OdometryPublisher(session, key, child_frame_id="target", lossless=lossless)
-        self._due = self._odometry.step(self._model)
+
+    @property
+    def tick(self) -> int:
+        """Where it is."""
+        return self._motion.tick
 
     def step(self, driving: bool) -> None:
         """Go on to the next tick."""
-        self.tick += 1
-        for _ in range(self._substeps):
-            self._model.step(self.grid.period_s / self._substeps, driving)
-            self._due += self._odometry.step(self._model)
+        self._motion.step(driving)
 
     def publish(self, sent_ns: int) -> None:
         """Publish the true state of this tick, and the samples released since the last.
@@ -76,7 +74,7 @@ class Robot:
         Args:
             sent_ns: time of sending, Unix time or simulated.
         """
-        model = self._model
+        model = self._motion.model
         stamp_ns = self.epoch_ns + self.grid.ns(self.tick)
         payload = self.truth.encode(
             stamp_ns,
@@ -86,10 +84,10 @@ class Robot:
             (0.0, 0.0, model.yaw_rate_rad_s),
         )
         self.truth.put(payload, sent_ns, PAIR.pack(self.tick, 0))
-        for sample in self._due:
+        due, self._motion.due = self._motion.due, []
+        for sample in due:
             self.odom.put(self._encode(sample), sent_ns)
             self.samples += 1
-        self._due = []
 
     def _encode(self, sample: TargetMeasurement) -> bytes:
         return self.odom.encode(
@@ -201,11 +199,14 @@ class _Lockstep:
         while not self._stop.is_set:
             robot.publish(robot.epoch_ns + robot.grid.ns(robot.tick))
             self._marker.put(PAIR.pack(robot.tick, robot.samples))
+            log_faults(robot, self._log)
             self._log.feed.flush()
             tick = robot.tick + 1
             if tick == ticks or not self._await_credit(tick):
                 return
             go_tick = self._credit.go_tick
+            if NO_GO < go_tick <= tick:
+                robot.faults.landing_began(robot.grid.ns(go_tick))
             if not driving and NO_GO < go_tick <= tick:
                 driving = True
                 self._report_start(tick, go_tick)
@@ -265,7 +266,11 @@ class _RealTime:
             while robot.tick < due:
                 robot.step(driving)
             robot.publish(now.unix_ns)
-            if not driving and self._landing_began():
+            log_faults(robot, self._log)
+            landing = (not driving or robot.faults.waits_for_landing) and self._landing_began()
+            if landing:
+                robot.faults.landing_began(robot.grid.ns(robot.tick))
+            if landing and not driving:
                 driving = True
                 self._log.event(
                     robot.grid.ns(robot.tick), Severity.INFO, "the landing began: the robot drives"
@@ -279,6 +284,13 @@ class _RealTime:
             (phase := phase_of(sample.payload.to_bytes())) is not None and phase in _LANDING
             for sample in zenoh_link.drain(self._steps)
         )
+
+
+def log_faults(robot: Robot, log: EventLog) -> None:
+    """Write which faults have begun and ended."""
+    for fault in robot.faults.take_texts():
+        level = Severity.WARN if fault.begins else Severity.INFO
+        log.event(robot.grid.ns(robot.tick), level, str(fault))
 
 
 def phase_of(payload: bytes) -> int | None:

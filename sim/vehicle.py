@@ -6,16 +6,19 @@ Deterministic in (scenario, seed). Knows nothing of MAVLink or of the wall clock
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from flightstack.barrier import Barrier
 from flightstack.types import ZERO, Vec3
 from sim.battery import BatteryModel
+from sim.contact import GAP_MS, NONE_MS
+from sim.fault_battery import BatteryFaults
+from sim.fault_motors import MotorFaults
+from sim.faults import Faults
 from sim.firmware.mixer import OFF
 from sim.firmware.paper_loop import axes_from_force
 from sim.firmware.setpoint import STOP, Setpoint
 from sim.firmware.stack import Firmware
-from sim.firmware.supervisor import PERIOD_MS, State
+from sim.firmware.supervisor import PERIOD_MS, State, Supervisor
 from sim.flight import WIND_EVERY_MS, VehicleRecord, fly, sense
 from sim.ground_effect import GroundEffect
 from sim.imu import Imu
@@ -26,6 +29,7 @@ from sim.rotors import Rotors
 from sim.scenario import Scenario, StartKind
 from sim.sensors import MeasurementChannel, stream
 from sim.target import TargetModel
+from sim.vehicle_types import Estimate, Truth
 from sim.wind import WindModel
 from sim.world import ContactBit, World
 
@@ -35,49 +39,11 @@ CONTACT_ROBOT = ContactBit.ROBOT.value
 CONTACT_PAD_EDGE = ContactBit.PAD_EDGE.value
 CONTACT_TUMBLED = ContactBit.TUMBLED.value
 
-CONTACT_GAP_MS = 30  # a bounce shorter than this does not end a contact
 LANDED_AFTER_MS = 150  # in contact for this long is landed
 AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
 WARM_UP_MS = 100  # every loop of the firmware has run by then, and motion capture has come
 NS_PER_MS = 1_000_000
-NONE_MS = -1_000_000
 NAN3: Vec3 = (math.nan, math.nan, math.nan)
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """What the on-board estimator believes."""
-
-    position_enu_m: Vec3
-    velocity_enu_m_s: Vec3
-    quaternion: tuple[float, float, float, float]  # w, x, y, z; FLU body in ENU world
-    angular_velocity_flu_rad_s: Vec3
-    valid: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """The true state and what happened since the last call of ``truth`` (fields of TrueState.msg)."""
-
-    time_s: float
-    position_enu_m: Vec3
-    velocity_enu_m_s: Vec3
-    quaternion: tuple[float, float, float, float]  # w, x, y, z; FLU body in ENU world
-    angular_velocity_flu_rad_s: Vec3
-    rotor_rpm: tuple[float, float, float, float]
-    pad_position_enu_m: Vec3
-    pad_velocity_enu_m_s: Vec3
-    pad_yaw_rad: float
-    h_m: float
-    h_min_m: float
-    h_min_outside_pad_m: float  # +inf if no step was outside the pad's radius
-    contacts: int  # bits CONTACT_*
-    first_touch_relative_position_enu_m: Vec3  # NaN until there was one
-    first_touch_relative_velocity_enu_m_s: Vec3
-    first_touch_time_s: float  # NaN until there was one
-    motors_running: bool
-    battery_v: float
-    wind_enu_m_s: Vec3
 
 
 class VehicleSim:
@@ -85,6 +51,7 @@ class VehicleSim:
 
     Attributes:
         time_s: simulated time.
+        faults: what fails, when; its ``link`` is for whoever has the MAVLink wire.
         trim_velocity_enu_m_s: set-point that holds a hover start against weight and mean wind; zero
             otherwise.
         plant: factors by which this vehicle differs from the nominal one.
@@ -104,7 +71,6 @@ class VehicleSim:
         self._judge = Barrier(scenario.judge.alpha_1_m, scenario.judge.beta_m)
         r = new(VehicleRecord)
         self._vehicle = cell(r)
-        self._before_e, self._before_velocity = r.before_e, r.before_velocity
         self._world = World(params, self._mass, scenario.target, r.body, r.deck)
         self._memory = self._world.memory
         self._rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
@@ -126,22 +92,27 @@ class VehicleSim:
         mocap = scenario.vehicle.mocap
         noise = mocap.position_noise_m
         self._mocap = MeasurementChannel(mocap, (noise, noise, noise, mocap.yaw_noise_rad), seed, "mocap")
+        motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, hover_rpm)
+        self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
         self._ms = 0
-        self._contact_since_ms = self._pad_ms = self._ground_ms = NONE_MS
-        self._touch: tuple[float, Vec3, Vec3] | None = None
-        self._contacts = 0
+        c = cell(r.contact)
+        self._since_ms, self._pad_ms, self._ground_ms = c["since_ms"], c["pad_ms"], c["ground_ms"]
+        self._touch_ms, self._judging, self._contacts = c["touch_ms"], c["judging"], c["bits"]
+        self._touch_e, self._touch_velocity = r.contact.touch_e, r.contact.touch_velocity
+        for times in (self._since_ms, self._pad_ms, self._ground_ms, self._touch_ms):
+            times[0] = NONE_MS
         self.trim_velocity_enu_m_s: Vec3 = ZERO
         self.sent_before_ms = 0
         target = TargetModel(scenario.target, seed)
         pose = target.pose
         self.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
-        self._judging = scenario.start.kind is StartKind.HOVER
+        self._judging[0] = scenario.start.kind is StartKind.HOVER
         if scenario.start.kind is StartKind.HOVER:
             self._start_hover(scenario, seed)
         else:
             x, y = scenario.start.ground_position_m
             self._world.set_vehicle((x, y, -params.geometry.foot_bottom_m - 1e-5))
-            self._ground_ms, self._contact_since_ms = 0, -LANDED_AFTER_MS
+            self._ground_ms[0], self._since_ms[0] = 0, -LANDED_AFTER_MS
         self._settle()
 
     def _start_hover(self, scenario: Scenario, seed: int) -> None:
@@ -195,24 +166,26 @@ class VehicleSim:
         end_ms = self._ms + steps
         while self._ms < end_ms:
             self._ms = fly(self._vehicle, self._memory, self._ms, min(end_ms, self._events()))
-            if self._memory.contacts[0]:
-                bits = self._world.contacts()
-                self._contacts |= bits
-                self._note_contact(bits, self._ms - 1)
-        if not self._judging and self._ms - max(self._pad_ms, self._ground_ms) > AIRBORNE_AFTER_MS:
-            self._judging = True
+        if not self._judging[0] and self._off_the_ground:
+            self._judging[0] = True
 
     def _events(self) -> int:
         """Handle what is due now; return the time of the next event, in ms."""
         now_ms, firmware, mocap, world = self._ms, self._firmware, self._mocap, self._world
+        faults = self.faults
         now_ns = now_ms * NS_PER_MS
+        if not faults.quiet:
+            self._fail(now_ms)
         if now_ms >= firmware.next_setpoint_ms:
             firmware.receive(now_ms)
         if now_ns >= mocap.due_ns:
             axes = rotation_axes(world.quaternion)
             mocap.sample(now_ns, (*world.position, math.atan2(axes[1], axes[0])))
-        if now_ns >= mocap.release_ns:
-            for _, sample in mocap.release(now_ns):
+        if now_ns >= mocap.release_ns or now_ns >= faults.mocap.release_ns:
+            samples = [sample for _, sample in mocap.release(now_ns)]
+            if faults.mocap.active:
+                samples = faults.mocap.deliver(now_ns, samples)
+            for sample in samples:
                 firmware.estimator.correct(sample[0], sample[1], sample[2], sample[3])
         if now_ms % PERIOD_MS == 0:
             self._imu.top_up()
@@ -220,23 +193,43 @@ class VehicleSim:
             sense(self._vehicle)
             firmware.supervise(now_ms, self._imu.accel)
         next_ns = min(mocap.due_ns, mocap.release_ns)
+        if not faults.quiet:
+            next_ns = min(next_ns, faults.next_ns)
         supervisor_ms = (now_ms // PERIOD_MS + 1) * PERIOD_MS
         return min(firmware.next_setpoint_ms, -(-next_ns // NS_PER_MS), supervisor_ms)
 
-    def _note_contact(self, contacts: int, now_ms: int) -> None:
-        """Keep contact times; latch the state before the first judged touch of the pad."""
-        if contacts & (CONTACT_PAD | CONTACT_GROUND):
-            if now_ms - max(self._pad_ms, self._ground_ms) > CONTACT_GAP_MS:
-                self._contact_since_ms = now_ms
-            if contacts & CONTACT_PAD:
-                self._pad_ms = now_ms
-            if contacts & CONTACT_GROUND:
-                self._ground_ms = now_ms
-        if contacts & CONTACT_PAD and self._judging and self._touch is None:
-            ex, ey, ez = self._before_e.tolist()
-            vx, vy, vz = self._before_velocity.tolist()
-            pad = self._world.pad_surface_velocity(ex, ey)
-            self._touch = (now_ms * STEP_S, (ex, ey, ez), (vx - pad[0], vy - pad[1], vz - pad[2]))
+    def _fail(self, now_ms: int) -> None:
+        """Let faults begin and end, and the own state go its faulty way."""
+        faults, now_ns = self.faults, now_ms * NS_PER_MS
+        if now_ms % PERIOD_MS == 0 and faults.waits_for_takeoff and self._off_the_ground:
+            faults.took_off(now_ns)
+        if now_ns >= faults.next_ns:
+            faults.run(now_ns)
+        if now_ns >= faults.own_state.due_ns:
+            faults.own_state.sample(now_ns, self._believed())
+
+    @property
+    def _first_touch(self) -> tuple[float, Vec3, Vec3]:
+        """Time, place and velocity relative to the pad; NaN until there was one."""
+        if self._touch_ms[0] == NONE_MS:
+            return (math.nan, NAN3, NAN3)
+        (ex, ey, ez), (vx, vy, vz) = self._touch_e.tolist(), self._touch_velocity.tolist()
+        return (float(self._touch_ms[0] * STEP_S), (ex, ey, ez), (vx, vy, vz))
+
+    @property
+    def _off_the_ground(self) -> bool:
+        last_ms = max(self._pad_ms[0], self._ground_ms[0])
+        return bool(self._ms - last_ms > AIRBORNE_AFTER_MS)
+
+    def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
+        """Fail, or heal, as MAV_CMD_INJECT_FAILURE asks; None when done, else why not.
+
+        Args:
+            unit: FAILURE_UNIT.
+            kind: FAILURE_TYPE.
+            instance: 0 all, else which one, from 1.
+        """
+        return self.faults.inject(unit, kind, instance, self._ms * NS_PER_MS)
 
     def arm(self) -> str | None:
         """Arm; None if accepted (or armed already), else why not."""
@@ -249,6 +242,15 @@ class VehicleSim:
         self._firmware.disarm(self._ms)
         return None
 
+    def reboot(self) -> str | None:
+        """Restart the firmware, which also unlocks it; None when done, else why not."""
+        if self.armed:
+            return "armed; disarm first"
+        self._firmware.supervisor = Supervisor()
+        self._firmware.disarm(self._ms)
+        self.stop_setpoint()
+        return None
+
     def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
         """Send a velocity set-point; it takes effect, and its age counts, after the radio's delay."""
         self._firmware.send(Setpoint(*velocity_enu_m_s, yaw_rad), self._ms - self.sent_before_ms)
@@ -259,8 +261,8 @@ class VehicleSim:
 
     def begin_judging(self) -> None:
         """The landing begins: the next touch of the pad is the first."""
-        self._judging = True
-        self._touch = None
+        self._judging[0] = True
+        self._touch_ms[0] = NONE_MS
 
     @property
     def time_s(self) -> float:
@@ -298,22 +300,36 @@ class VehicleSim:
         return self._firmware.commands != OFF
 
     @property
+    def motor_commands(self) -> tuple[float, float, float, float]:
+        """Commands of M1..M4, 0 to 1 of the highest speed that the battery still allows."""
+        limit = self._battery.rpm_max
+        m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self._firmware.commands)
+        return (m1, m2, m3, m4)
+
+    @property
     def on_pad(self) -> bool:
         """In contact with the pad's top (true contact; bounces shorter than 30 ms don't count)."""
-        return self._ms - self._pad_ms <= CONTACT_GAP_MS
+        return bool(self._ms - self._pad_ms[0] <= GAP_MS)
 
     @property
     def on_ground(self) -> bool:
         """In contact with the floor."""
-        return self._ms - self._ground_ms <= CONTACT_GAP_MS
+        return bool(self._ms - self._ground_ms[0] <= GAP_MS)
 
     @property
     def landed(self) -> bool:
         """In contact with pad or floor for 0.15 s."""
-        return (self.on_pad or self.on_ground) and self._ms - self._contact_since_ms >= LANDED_AFTER_MS
+        stands = self.on_pad or self.on_ground
+        return stands and bool(self._ms - self._since_ms[0] >= LANDED_AFTER_MS)
 
     def estimate(self) -> Estimate:
-        """Return what the estimator believes now."""
+        """Return what has reached the autopilot of what the estimator believes."""
+        believed = self._believed()
+        if self.faults.quiet:
+            return believed
+        return self.faults.own_state.report(self._ms * NS_PER_MS, believed)
+
+    def _believed(self) -> Estimate:
         e = self._firmware.estimator
         return Estimate(e.position, e.velocity, e.quaternion, e.rates, e.valid)
 
@@ -323,7 +339,7 @@ class VehicleSim:
         px, py, pz = world.position
         dx, dy, dz = world.deck_position
         h = self._judge.h((px - dx, py - dy, pz - dz))
-        touch_s, touch_e, touch_v = self._touch or (math.nan, NAN3, NAN3)
+        touch_s, touch_e, touch_v = self._first_touch
         tumbled = CONTACT_TUMBLED if self._tumbled[0] else 0
         truth = Truth(
             time_s=self.time_s,
@@ -338,7 +354,7 @@ class VehicleSim:
             h_m=h,
             h_min_m=min(h, float(self._h_min[0])),
             h_min_outside_pad_m=float(self._h_min_outside[0]),
-            contacts=self._contacts | tumbled,
+            contacts=int(self._contacts[0]) | tumbled,
             first_touch_relative_position_enu_m=touch_e,
             first_touch_relative_velocity_enu_m_s=touch_v,
             first_touch_time_s=touch_s,
@@ -348,7 +364,7 @@ class VehicleSim:
         )
         self._h_min[0] = self._h_min_outside[0] = math.inf
         self._tumbled[0] = False
-        self._contacts = 0
+        self._contacts[0] = 0
         return truth
 
 

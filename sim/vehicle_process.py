@@ -6,9 +6,11 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
+from pathlib import Path
 
 from bridge import zenoh_link
-from bridge.mavlink import Endpoint, parse_url
+from bridge.mavlink import Endpoint, parse_peer, parse_url
+from bridge.signing_key import load_key
 from flightstack.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.feed import Feed, FeedError
 from sim.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
@@ -35,6 +37,9 @@ def vehicle_main(
     namespace: str = "cf1",
     duration_s: float | None = None,
     ready_line: bool = True,
+    signing_key: Path | None = None,
+    peers: Sequence[str] = (),
+    allow_unsigned: bool = False,
 ) -> int:
     """Run the vehicle until SIGTERM, SIGINT or ``duration_s``; prints ``ready URL`` when it can be reached.
 
@@ -52,6 +57,9 @@ def vehicle_main(
         namespace: first part of all Zenoh keys.
         duration_s: how long, simulated or real; None: no end.
         ready_line: print the line.
+        signing_key: file of the key that every MAVLink frame must be signed with.
+        peers: ``HOST:PORT`` of those who get telemetry before they speak; real time only.
+        allow_unsigned: listen to a network without a key.
 
     Returns:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
@@ -60,8 +68,19 @@ def vehicle_main(
     try:
         with ExitStack() as stack:
             kind, host, port = parse_url(url)
-            endpoint = Endpoint(url, SYSTEM_ID, COMPONENT_ID)
-            stack.callback(endpoint.close)
+            if lockstep and peers:
+                raise ValueError("--peer is for real time: in lockstep the companion calls first")
+            endpoint = Endpoint(
+                url,
+                SYSTEM_ID,
+                COMPONENT_ID,
+                signing_key=load_key(signing_key) if signing_key else None,
+                always=[parse_peer(peer) for peer in peers],
+                allow_unsigned=allow_unsigned,
+            )
+            stack.callback(_close, endpoint)
+            for warning in endpoint.warnings:
+                print(f"vehicle: WARNING: {warning}", file=sys.stderr)
             linked = bool(zenoh_connect or zenoh_listen)
             session = zenoh_link.open_session(zenoh_listen, zenoh_connect) if linked else None
             if session is not None:
@@ -95,3 +114,10 @@ def vehicle_main(
         print(f"vehicle: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _close(endpoint: Endpoint) -> None:
+    dropped = endpoint.counters.dropped()
+    if dropped:
+        print(f"vehicle: MAVLink not let through: {dropped}", file=sys.stderr)
+    endpoint.close()
