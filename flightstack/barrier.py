@@ -72,6 +72,11 @@ class Barrier:
         ad = self.alpha_1_m * d_m
         return self.beta_m * ad * math.exp(-ad)
 
+    def slope(self, d_m: float) -> float:
+        """Slope b'(d) of the boundary at horizontal distance ``d_m``."""
+        ad = self.alpha_1_m * d_m
+        return self.beta_m * self.alpha_1_m * (1.0 - ad) * math.exp(-ad)
+
     def h(self, e_m: Vec3) -> float:
         """Barrier value in metres at the relative position ``e_m`` (eq. 9)."""
         return e_m[2] - self.height(math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from flightstack.barrier import Barrier
-from flightstack.config import FlightConfig
+from flightstack.config import FilterKind, FlightConfig
 from flightstack.memory import Memory
 from flightstack.phases import C
 from flightstack.target_track import TargetState
@@ -17,6 +17,11 @@ CLIMB_MARGIN_M = 0.2  # above the barrier's peak: clear of everything the barrie
 CONTACT_GAP_M = 0.01  # feet this close to the pad may stand on it: noise of two positions, tilt of the pad
 CONTACT_SPEED_M_S = 0.05  # a quarter of the commanded descent: something holds it up
 CONTACT_TIME_S = 0.1  # s of that; ten samples at 100 Hz
+TOLD_SHARE, STOPPED_SHARE = 0.6, 0.4  # of the descent: told to sink so fast, sinking slower than that
+STOPPED_TIME_S = 0.03  # s of that; three samples at 100 Hz
+DRIFT_TIME_S = 0.3  # s ahead: what the horizontal loop needs to answer
+DRIFT_SHARE = 0.6  # of the corridor's radius; nearer to the middle nothing is lost yet
+DRIFT_H_M = 0.03  # of h left to climb away with
 TOUCHDOWN_TIME_S = 2.0  # s; the descent takes 0.3, a forced disarm shows with the next heartbeat
 
 
@@ -155,11 +160,63 @@ def _place_conditions(
     radius = touchdown.pad_radius_m * (1.5 if memory.phase is Phase.LAND else 1.0)
     if d <= radius and e[2] < max(barrier.peak_height_m, touchdown.height_m):
         word |= C.OVER_PAD
-    if e[2] < touchdown.height_m and d <= touchdown.pad_radius_m and barrier.h(e) >= 0.0:
+    if _MAY_TOUCH[config.filter](config, barrier, seen, e, d):
         word |= C.TOUCH
     if memory.phase is Phase.TOUCHDOWN:
-        memory.contact = memory.contact or _contact(config, memory, seen, d, now_s)
+        memory.contact = memory.contact or _CONTACT[config.filter](config, memory, seen, d, now_s)
+        if not memory.contact and _DRIFTED[config.filter](config, barrier, seen, e, d):
+            word |= C.DRIFTED
     return word
+
+
+def _may_touch_paper(config: FlightConfig, barrier: Barrier, seen: View, e: Vec3, d_m: float) -> bool:
+    del seen
+    touchdown = config.touchdown
+    return e[2] < touchdown.height_m and d_m <= touchdown.pad_radius_m and barrier.h(e) >= 0.0
+
+
+def _may_touch_robust(config: FlightConfig, barrier: Barrier, seen: View, e: Vec3, d_m: float) -> bool:
+    """Low, in the middle and moving with the target; or on the pad already, pressed down by a gust."""
+    del barrier
+    robust, touchdown = config.robust, config.touchdown
+    if d_m <= touchdown.pad_radius_m and e[2] < touchdown.feet_below_reference_m + CONTACT_GAP_M:
+        return True
+    return (
+        e[2] < robust.commit_height_m
+        and d_m < robust.commit_radius_m
+        and _slip(seen) < robust.commit_speed_m_s
+    )
+
+
+def _slip(seen: View) -> float:
+    """Horizontal speed against the target."""
+    own, target = seen.inputs.own, seen.target
+    assert own is not None
+    assert target is not None
+    v, t = own.velocity_enu_m_s, target.velocity_enu_m_s
+    return math.hypot(v[0] - t[0], v[1] - t[1])
+
+
+def _drifted_robust(config: FlightConfig, barrier: Barrier, seen: View, e: Vec3, d_m: float) -> bool:
+    """Going to leave the corridor above the pad, while still high enough above the cone to climb away."""
+    own, target, corridor_m = seen.inputs.own, seen.target, config.robust.corridor_m
+    assert own is not None
+    assert target is not None
+    if d_m < DRIFT_SHARE * corridor_m or barrier.h(e) < DRIFT_H_M:
+        return False
+    v, t = own.velocity_enu_m_s, target.velocity_enu_m_s
+    outward = (e[0] * (v[0] - t[0]) + e[1] * (v[1] - t[1])) / d_m
+    return d_m + outward * DRIFT_TIME_S > corridor_m
+
+
+_MAY_TOUCH: dict[FilterKind, Callable[[FlightConfig, Barrier, View, Vec3, float], bool]] = {
+    FilterKind.PAPER: _may_touch_paper,
+    FilterKind.ROBUST: _may_touch_robust,
+}
+_DRIFTED: dict[FilterKind, Callable[[FlightConfig, Barrier, View, Vec3, float], bool]] = {
+    FilterKind.PAPER: lambda *_: False,
+    FilterKind.ROBUST: _drifted_robust,
+}
 
 
 def _contact(config: FlightConfig, memory: Memory, seen: View, d_m: float, now_s: float) -> bool:
@@ -177,3 +234,29 @@ def _contact(config: FlightConfig, memory: Memory, seen: View, d_m: float, now_s
     memory.contact_since_s = min(memory.contact_since_s, now_s)
     standing = status is not None and status.landed is Landed.ON_GROUND
     return standing or now_s - memory.contact_since_s >= CONTACT_TIME_S
+
+
+def _contact_robust(config: FlightConfig, memory: Memory, seen: View, d_m: float, now_s: float) -> bool:
+    """As above, or: low over the pad, told to sink, and not sinking.
+
+    The velocity estimate tells that within two samples; heights of two noisy positions do not.
+    """
+    own, target, e = seen.inputs.own, seen.target, seen.e_m
+    assert own is not None
+    assert target is not None
+    assert e is not None
+    robust = config.robust
+    told_m_s = target.velocity_enu_m_s[2] - memory.command[2]
+    sinking_m_s = target.velocity_enu_m_s[2] - own.velocity_enu_m_s[2]
+    stopped = told_m_s > TOLD_SHARE * robust.descent_m_s and sinking_m_s < STOPPED_SHARE * robust.descent_m_s
+    if not (stopped and e[2] < robust.touch_height_m and d_m <= config.touchdown.pad_radius_m):
+        memory.stopped_since_s = math.inf
+        return _contact(config, memory, seen, d_m, now_s)
+    memory.stopped_since_s = min(memory.stopped_since_s, now_s)
+    return now_s - memory.stopped_since_s >= STOPPED_TIME_S
+
+
+_CONTACT: dict[FilterKind, Callable[[FlightConfig, Memory, View, float, float], bool]] = {
+    FilterKind.PAPER: _contact,
+    FilterKind.ROBUST: _contact_robust,
+}

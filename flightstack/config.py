@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 from flightstack.barrier import Barrier
+from flightstack.robust_config import OwnStateLink, Robust, TargetLink, VelocityLoop
 from flightstack.strict_toml import ConfigError, Range, from_table, read_toml
 from flightstack.types import Vec3
 
@@ -147,6 +148,11 @@ class FlightConfig:
     touchdown: Touchdown = field(default_factory=Touchdown)
     takeoff: Takeoff = field(default_factory=Takeoff)
     checks: Checks = field(default_factory=Checks)
+    # what the robust filter assumes; the paper's does not look at it
+    robust: Robust = field(default_factory=Robust)
+    velocity_loop: VelocityLoop = field(default_factory=VelocityLoop)
+    own: OwnStateLink = field(default_factory=OwnStateLink)
+    target: TargetLink = field(default_factory=TargetLink)
 
     def __post_init__(self) -> None:
         peak = self.barrier.build().peak_height_m

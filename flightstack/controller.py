@@ -14,7 +14,8 @@ from flightstack.conditions import View, gather, view
 from flightstack.config import FlightConfig
 from flightstack.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
 from flightstack.guidance import Situation, Wish, wish
-from flightstack.memory import AbortWay, Memory
+from flightstack.law import LAWS
+from flightstack.memory import AbortWay, Memory, State
 from flightstack.phases import Condition, next_phase
 from flightstack.position_loop import limit, slew
 from flightstack.safety_filter import FilterResult, FilterStatus, SafetyFilter
@@ -34,10 +35,20 @@ class Event(NamedTuple):
 
 
 INFO, WARN, ERROR = 20, 30, 40
+TRIED = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
+TRY_AGAIN = frozenset({Phase.APPROACH, Phase.TAKEOFF})
 
 
 class Barriers(NamedTuple):
-    """The landing barrier in this tick, and what the filter made of it."""
+    """The landing barrier in this tick, and what the filter made of it.
+
+    Attributes:
+        h_m: the barrier, paper eq. 9.
+        gradient: of the barrier the filter holds, with its margin.
+        dh_dt_m_s: the same by time.
+        nominal: u'.
+        result: u*.
+    """
 
     h_m: float
     gradient: Vec3
@@ -63,25 +74,35 @@ class Outputs(NamedTuple):
 
 
 class Controller:
-    """The pure core. ``memory`` is all of its state besides the target track."""
+    """The pure core. ``state`` is all that a step depends on besides its inputs and the configuration."""
 
     def __init__(self, config: FlightConfig) -> None:
         self.config = config
         self.barrier = config.barrier.build()
         self.memory = Memory()
         self.track = TargetTrack(config.checks)
-        self._filter = SafetyFilter(config.barrier.omega_1_s)
+        self._law = LAWS[config.filter](config, self.barrier)
+        self._filter = SafetyFilter(self._law.rate_1_s)
         self._period_s = 1.0 / config.loop.rate_hz
         limits = config.limits
         self._gate = Gate(
-            self.barrier,
-            config.barrier.omega_1_s,
+            self._law.rate_1_s,
             limits.velocity_max_m_s,
             limits.altitude_max_m,
             self._period_s,
         )
-        step = tuple(a * self._period_s for a in limits.slew_max_m_s2)
+        step = tuple(a * self._period_s for a in self._law.acceleration_max_m_s2)
         self._slew_step: Vec3 = (step[0], step[1], step[2])
+
+    @property
+    def state(self) -> State:
+        """What it remembers; still in use, so to be written down before the next step."""
+        return State(self.memory, self.track.memory, self._law.motion, self._law.tracking)
+
+    def restore(self, state: State) -> None:
+        """Go on from a state that was written down."""
+        self.memory, self.track.memory = state.memory, state.track
+        self._law.motion, self._law.tracking = state.motion, state.tracking
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
         """Run one tick.
@@ -91,9 +112,13 @@ class Controller:
             now_s: stack clock.
             command_failed: the bridge gave up on a requested mode.
         """
-        memory = self.memory
+        memory, law = self.memory, self._law
         events = self._take_samples(inputs)
-        target = self.track.at(now_s)
+        target = law.target(self.track, now_s)
+        if inputs.own is not None:
+            own = law.own(inputs.own)
+            inputs = Inputs(own, inputs.status, inputs.target_samples, inputs.operator)
+            law.observe(own.velocity_enu_m_s, commanding=memory.commanding)
         seen = view(self.config, inputs, target, now_s)
         if target is not None and seen.target_ok:
             memory.target_position_enu_m = target.position_enu_m
@@ -124,14 +149,16 @@ class Controller:
         events = []
         for sample in inputs.target_samples:
             verdict = self.track.accept(sample)
-            if verdict is not Verdict.ACCEPTED:
+            if verdict is Verdict.ACCEPTED:
+                self._law.take(sample)
+            else:
                 events.append(Event(WARN, f"target sample refused: {verdict.value}"))
         return events
 
     def _enter(self, phase: Phase, reason: str, word: int, now_s: float) -> Event:
         memory = self.memory
         text = f"{memory.phase.name} -> {phase.name}: {reason}"
-        if memory.phase in (Phase.HOLD, Phase.CLIMB) and phase in (Phase.APPROACH, Phase.TAKEOFF):
+        if memory.phase in TRIED and phase in TRY_AGAIN:
             memory.retries += 1
         if phase is Phase.APPROACH and memory.started_s == math.inf:
             memory.started_s = now_s
@@ -157,13 +184,17 @@ class Controller:
         """Barrier and filter; the values are computed whenever they can be, the filter only for landing."""
         if seen.e_m is None or seen.target is None:
             return None
-        h_m, gradient, dh_dt = self.barrier.evaluate(seen.e_m, seen.target.velocity_enu_m_s)
+        held_m, gradient, dh_dt = self._law.held(seen).evaluate(seen.e_m, seen.target.velocity_enu_m_s)
+        h_m = self.barrier.h(seen.e_m)
         nominal = asked.velocity if asked.velocity is not None else ZERO
         if not asked.filtered or asked.velocity is None or not (seen.own_ok and seen.target_ok):
             idle = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
             return Barriers(h_m, gradient, dh_dt, nominal, idle)
         lower, upper = self._box(seen)
-        result = self._filter.solve(nominal, h_m, gradient, dh_dt, lower, upper)
+        climb_m_s = self._law.climb_m_s(held_m, gradient, self._base(seen), seen)
+        if climb_m_s > lower[2]:
+            lower = (lower[0], lower[1], min(climb_m_s, upper[2]))
+        result = self._filter.solve(nominal, held_m, gradient, dh_dt, lower, upper)
         return Barriers(h_m, gradient, dh_dt, nominal, result)
 
     def _base(self, seen: View) -> Vec3:
@@ -197,13 +228,17 @@ class Controller:
         check = None
         if asked.filtered and barrier is not None and seen.e_m is not None and seen.target is not None:
             wanted = barrier.result.velocity_enu_m_s
-            check = BarrierCheck(seen.e_m, seen.target.velocity_enu_m_s, barrier.result.status)
+            check = BarrierCheck(
+                self._law.held(seen), seen.e_m, seen.target.velocity_enu_m_s, barrier.result.status
+            )
         else:
             most = self.config.limits.velocity_max_m_s
             wanted = slew(self._base(seen), limit(asked.velocity, most), self._slew_step)
+        before = self._base(seen)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
         verdict, setpoint = self._gate.check(
             wanted,
+            self._law.setpoint(before, wanted, seen),
             yaw_rad,
             own_fresh=seen.own_ok,
             target_fresh=seen.target_ok or not asked.filtered,
@@ -212,9 +247,11 @@ class Controller:
         )
         if setpoint is None:
             setpoint = self._gate.stop(yaw_rad, own_fresh=seen.own_ok)
+            memory.command = self._law.tracking.setpoint_m_s = ZERO
+        else:
+            memory.command = wanted
         following = seen.inputs.status is not None and seen.inputs.status.mode is Mode.EXTERNAL
         memory.commanding = setpoint is not None and following
-        memory.command = setpoint.velocity_enu_m_s if setpoint is not None else ZERO
         return verdict, setpoint, wanted
 
     def _finished(self, inputs: Inputs, now_s: float) -> bool:

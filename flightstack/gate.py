@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
-from flightstack.barrier import Barrier
 from flightstack.safety_filter import FilterStatus
 from flightstack.types import Vec3
 
@@ -45,9 +44,25 @@ class ApprovedSetpoint:
         self.yaw_rad = yaw_rad
 
 
-class BarrierCheck(NamedTuple):
-    """What the gate needs to re-check the barrier: relative position, target velocity, filter's word."""
+class HeldBarrier(Protocol):
+    """What the gate asks of a barrier."""
 
+    @property
+    def smoothing_m(self) -> float:
+        """Radius of the apex within which the filter's gradient fades."""
+
+    @property
+    def slope_max(self) -> float:
+        """Steepest slope of the boundary."""
+
+    def h(self, e_m: Vec3) -> float:
+        """Value at a relative position."""
+
+
+class BarrierCheck(NamedTuple):
+    """What the gate needs to re-check the barrier held, besides what the filter says of its result."""
+
+    barrier: HeldBarrier
     e_m: Vec3
     target_velocity_enu_m_s: Vec3
     status: FilterStatus
@@ -57,7 +72,6 @@ class BarrierCheck(NamedTuple):
 class Gate:
     """Limits of everything that goes out."""
 
-    barrier: Barrier
     omega_1_s: float
     velocity_max_m_s: Vec3
     altitude_max_m: float
@@ -66,6 +80,7 @@ class Gate:
     def check(
         self,
         velocity: Vec3,
+        setpoint: Vec3,
         yaw_rad: float,
         *,
         own_fresh: bool,
@@ -76,7 +91,8 @@ class Gate:
         """Approve a velocity, or say why not.
 
         Args:
-            velocity: command, m/s, ENU.
+            velocity: the vehicle is to fly, m/s, ENU; what the barrier is checked for.
+            setpoint: that is to make it fly so; the same where its lag is not corrected for.
             yaw_rad: heading to hold.
             own_fresh: the own state is young enough.
             target_fresh: the target is young enough, or the phase does not need it.
@@ -84,8 +100,10 @@ class Gate:
             barrier_check: ``None`` in phases that do not land.
         """
         verdict = self._verdict(velocity, yaw_rad, own_fresh, target_fresh, altitude_m, barrier_check)
+        if verdict is GateVerdict.APPROVED and setpoint != velocity:
+            verdict = self._verdict(setpoint, yaw_rad, own_fresh, target_fresh, altitude_m, None)
         if verdict is GateVerdict.APPROVED:
-            return verdict, ApprovedSetpoint(_KEY, velocity, yaw_rad)
+            return verdict, ApprovedSetpoint(_KEY, setpoint, yaw_rad)
         return verdict, None
 
     def stop(self, yaw_rad: float, *, own_fresh: bool) -> ApprovedSetpoint | None:
@@ -131,10 +149,10 @@ class Gate:
             return False
         t = self.period_s
         (ex, ey, ez), (tx, ty, tz), (vx, vy, vz) = check.e_m, check.target_velocity_enu_m_s, velocity
-        now = self.barrier.h(check.e_m)
-        then = self.barrier.h((ex + (vx - tx) * t, ey + (vy - ty) * t, ez + (vz - tz) * t))
+        now = check.barrier.h(check.e_m)
+        then = check.barrier.h((ex + (vx - tx) * t, ey + (vy - ty) * t, ez + (vz - tz) * t))
         tolerance = CURVATURE_TOLERANCE_M
-        if ex * ex + ey * ey < (8.0 * self.barrier.smoothing_m) ** 2:
+        if ex * ex + ey * ey < (8.0 * check.barrier.smoothing_m) ** 2:
             # by the apex the filter's gradient is smoothed: allow the slope it left out
-            tolerance += self.barrier.slope_max * t * math.hypot(vx - tx, vy - ty)
+            tolerance += check.barrier.slope_max * t * math.hypot(vx - tx, vy - ty)
         return then >= now * (1.0 - self.omega_1_s * t) - tolerance

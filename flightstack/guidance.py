@@ -8,13 +8,16 @@ from typing import NamedTuple
 
 from flightstack.barrier import Barrier
 from flightstack.conditions import View, high_enough_m, start_point
-from flightstack.config import FlightConfig, TouchdownRule
+from flightstack.config import FilterKind, FlightConfig, TouchdownRule
 from flightstack.memory import AbortWay, Memory
 from flightstack.position_loop import limit, nominal_velocity
+from flightstack.target_track import TargetState
 from flightstack.types import ZERO, Landed, Phase, Request, Vec3
 
 LEVEL_FIRST_M = 0.1  # fly sideways to the start only at its height
-DESCENT_M_S = 0.2  # relative to the pad, the last centimetres to contact
+DESCENT_M_S = 0.2  # relative to the pad, the last centimetres to contact (paper filter)
+DESCENT_GAIN = 1.5  # of the robust landing's horizontal gain: there is less time to mend an error
+LAND_MIN_M_S = 0.1  # slowest descent of the robust landing while above its waiting height
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 
 
@@ -66,22 +69,59 @@ def _land(s: Situation) -> Wish:
     target, e = s.seen.target, s.seen.e_m
     if target is None or e is None:
         return Wish(Request.EXTERNAL)
-    nominal = nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
-    return Wish(Request.EXTERNAL, nominal, filtered=True)
+    return Wish(Request.EXTERNAL, _LANDING[s.config.filter](s, target, e), filtered=True)
+
+
+def _land_paper(s: Situation, target: TargetState, e: Vec3) -> Vec3:
+    return nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
+
+
+def _land_robust(s: Situation, target: TargetState, e: Vec3) -> Vec3:
+    """To a place low above the pad's middle, where it waits until it may go down in one go."""
+    gain = s.config.robust.gain_1_s
+    above = e[2] - s.config.robust.wait_height_m
+    x, y, z = nominal_velocity((e[0], e[1], above), (gain, gain, gain), target.velocity_enu_m_s)
+    return (x, y, min(z, target.velocity_enu_m_s[2] - LAND_MIN_M_S) if above > 0.0 else z)
+
+
+_LANDING: dict[FilterKind, Callable[[Situation, TargetState, Vec3], Vec3]] = {
+    FilterKind.PAPER: _land_paper,
+    FilterKind.ROBUST: _land_robust,
+}
 
 
 def _touchdown(s: Situation) -> Wish:
-    """Motors off at once by the paper's rule; else straight down to contact, above the pad's middle.
+    """Motors off by the rule; until then straight down, above the pad's middle.
 
-    Below ``touchdown.height_m`` the cone is narrower than the pad and no longer what guards the landing.
+    Within the pad's radius the cone is narrower than the pad and no longer what guards the landing.
     """
     target, e = s.seen.target, s.seen.e_m
-    if s.config.touchdown.rule is TouchdownRule.PAPER or s.memory.contact:
+    if s.memory.contact:
         return Wish(Request.MOTORS_OFF)
     if target is None or e is None:
         return Wish(Request.EXTERNAL)
+    return _DESCENT[s.config.filter](s, target, e)
+
+
+def _descend_paper(s: Situation, target: TargetState, e: Vec3) -> Wish:
+    if s.config.touchdown.rule is TouchdownRule.PAPER:
+        return Wish(Request.MOTORS_OFF)
     x, y, _ = nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
     return Wish(Request.EXTERNAL, (x, y, target.velocity_enu_m_s[2] - DESCENT_M_S))
+
+
+def _descend_robust(s: Situation, target: TargetState, e: Vec3) -> Wish:
+    if s.config.touchdown.rule is TouchdownRule.PAPER and e[2] < s.config.touchdown.height_m:
+        return Wish(Request.MOTORS_OFF)
+    gain = DESCENT_GAIN * s.config.robust.gain_1_s
+    x, y, _ = nominal_velocity(e, (gain, gain, gain), target.velocity_enu_m_s)
+    return Wish(Request.EXTERNAL, (x, y, target.velocity_enu_m_s[2] - s.config.robust.descent_m_s))
+
+
+_DESCENT: dict[FilterKind, Callable[[Situation, TargetState, Vec3], Wish]] = {
+    FilterKind.PAPER: _descend_paper,
+    FilterKind.ROBUST: _descend_robust,
+}
 
 
 def _hold(_: Situation) -> Wish:

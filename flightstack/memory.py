@@ -1,12 +1,15 @@
-"""What the controller remembers from tick to tick; everything else is computed anew."""
+"""What the controller remembers from tick to tick; everything else is computed anew.
+
+Plain values only, of the types ``state_text`` can write: that is how the state gets into the log and back.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from math import inf
+from math import inf, nan
 
-from flightstack.types import ZERO, Phase, Vec3
+from flightstack.types import ZERO, Phase, TargetSample, Vec3
 
 
 class AbortWay(IntEnum):
@@ -21,7 +24,7 @@ class AbortWay(IntEnum):
 
 @dataclass(slots=True)
 class Memory:
-    """Plain values only, so that it can be logged and compared."""
+    """Of the phase machine and the commands."""
 
     phase: Phase = Phase.WAIT
     phase_since_s: float = 0.0
@@ -29,6 +32,7 @@ class Memory:
     bad_since_s: float = inf  # start of the present input loss
     good_since_s: float = inf  # since when all inputs have been good
     contact_since_s: float = inf
+    stopped_since_s: float = inf  # told to sink and not sinking
     contact: bool = False  # stands on the pad
     was_armed: bool = False
     was_external: bool = False
@@ -37,8 +41,57 @@ class Memory:
     retries: int = 0
     ground_z_m: float = inf  # height at which it stood
     yaw_rad: float | None = None  # heading held in the whole flight
-    command: Vec3 = ZERO  # last command; base of the slew limit
+    command: Vec3 = (
+        ZERO  # last velocity wanted, before corrections for the vehicle's lag; base of the slew limit
+    )
     commanding: bool = False  # a command went out in the last tick
     target_position_enu_m: Vec3 | None = None  # last known
     abort_way: AbortWay = AbortWay.NONE
     reason: str = ""
+
+
+@dataclass(slots=True)
+class TrackMemory:
+    """Of the target track."""
+
+    last: TargetSample | None = None  # newest believed sample
+    offset_s: float = inf  # smallest arrival - stamp seen: clock offset plus the shortest delay
+    elsewhere: TargetSample | None = None  # newest of samples that jumped but agree with each other
+    elsewhere_since_s: float = 0.0
+    accepted: int = 0
+    rejected: int = 0
+
+
+Covariance = tuple[float, float, float, float, float, float]  # pp, pv, pa, vv, va, aa
+
+
+@dataclass(slots=True)
+class MotionMemory:
+    """Of the target's estimator."""
+
+    time_s: float = nan  # stamp of the newest sample, on the sender's clock; NaN before the first
+    position_enu_m: Vec3 = ZERO  # at that time, like the rest
+    velocity_enu_m_s: Vec3 = ZERO
+    acceleration_enu_m_s2: Vec3 = ZERO
+    covariance: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of one axis: all have the same
+
+
+@dataclass(slots=True)
+class TrackingMemory:
+    """Of the corrections for the vehicle's velocity loop."""
+
+    slope_m_s2: Vec3 = ZERO  # smoothed derivative of the velocity wanted
+    setpoint_m_s: Vec3 = ZERO  # sent last
+    model_m_s: Vec3 = ZERO  # velocity that the model of the loop predicts
+    model_m_s2: Vec3 = ZERO  # its derivative
+    disturbance_m_s: Vec3 = ZERO  # what the model does not explain: wind, drag, weight
+
+
+@dataclass(slots=True)
+class State:
+    """All of it: with a configuration and the inputs to come it determines every further output."""
+
+    memory: Memory
+    track: TrackMemory
+    motion: MotionMemory
+    tracking: TrackingMemory

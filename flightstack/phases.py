@@ -37,6 +37,7 @@ class Condition(IntEnum):
     PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase
     LANDING_TIME_OVER = 1 << 19
     COMMAND_FAILED = 1 << 20  # the vehicle refused a command for good
+    DRIFTED = 1 << 21  # about to leave the corridor above the pad while still above the cone
 
 
 C = Condition
@@ -100,6 +101,8 @@ TABLE: dict[Phase, tuple[Rule, ...]] = {
         *_OPERATOR,
         Rule(C.WAS_ARMED, Phase.LANDED, "motors off", unless=C.ARMED | C.LINK_LOST),
         Rule(C.OWN_LOST, Phase.ABORT, "own state lost at touchdown"),
+        Rule(C.DRIFTED | C.RETRIES_LEFT, Phase.APPROACH, "going to miss the pad: go around"),
+        Rule(C.DRIFTED, Phase.ABORT, "going to miss the pad, and no retry left"),
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "no contact, or motors did not stop"),
     ),
     Phase.LANDED: (),

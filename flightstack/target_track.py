@@ -11,6 +11,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from flightstack.config import Checks
+from flightstack.memory import TrackMemory
 from flightstack.types import TargetSample, Vec3
 
 RESTART_S = 10.0  # stamps this far apart after a silence: the sender's clock started anew
@@ -36,33 +37,40 @@ class TargetState(NamedTuple):
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     yaw_rad: float
+    position_sigma_m: float = 0.0  # standard deviation on each axis; 0 where it is not estimated
 
 
 class TargetTrack:
-    """Newest believed sample, and the counts of the others."""
+    """Newest believed sample, and the counts of the others; ``memory`` is all of its state."""
 
     def __init__(self, checks: Checks) -> None:
         self._checks = checks
-        self._last: TargetSample | None = None
-        self._offset_s = math.inf  # smallest arrival - stamp seen: clock offset plus the shortest delay
-        self._elsewhere: TargetSample | None = None  # newest of samples that jumped but agree with each other
-        self._elsewhere_since_s = 0.0
-        self.accepted = 0
-        self.rejected = 0
+        self.memory = TrackMemory()
+
+    @property
+    def accepted(self) -> int:
+        """Samples accepted so far."""
+        return self.memory.accepted
+
+    @property
+    def rejected(self) -> int:
+        """Samples refused so far."""
+        return self.memory.rejected
 
     def accept(self, sample: TargetSample) -> Verdict:
         """Take or refuse one sample."""
-        verdict = self._judge(sample)
+        verdict, memory = self._judge(sample), self.memory
         if verdict is Verdict.ACCEPTED:
-            self._last = sample
-            self._offset_s = min(self._offset_s, sample.arrival_s - sample.source_time_s)
-            self.accepted += 1
+            memory.last = sample
+            memory.offset_s = min(memory.offset_s, sample.arrival_s - sample.source_time_s)
+            memory.accepted += 1
         else:
-            self.rejected += 1
+            memory.rejected += 1
         return verdict
 
     def _judge(self, sample: TargetSample) -> Verdict:
-        checks, last = self._checks, self._last
+        checks, memory = self._checks, self.memory
+        last = memory.last
         x, y, z = sample.position_enu_m
         vx, vy, vz = sample.velocity_enu_m_s
         if not math.isfinite(x + y + z + vx + vy + vz + sample.yaw_rad + sample.source_time_s):
@@ -76,18 +84,18 @@ class TargetTrack:
         step_s = sample.source_time_s - last.source_time_s
         lost = sample.arrival_s - last.arrival_s > checks.target_age_max_s
         if lost and abs(step_s - (sample.arrival_s - last.arrival_s)) > RESTART_S:
-            self._offset_s = math.inf
+            memory.offset_s = math.inf
             return Verdict.ACCEPTED
         if step_s == 0.0:
             return Verdict.REPEATED
         if step_s < 0.0:
             return Verdict.OUT_OF_ORDER
-        if sample.arrival_s - sample.source_time_s - self._offset_s > checks.target_age_max_s:
+        if sample.arrival_s - sample.source_time_s - memory.offset_s > checks.target_age_max_s:
             return Verdict.LATE
-        if lost and self._elsewhere is None:
+        if lost and memory.elsewhere is None:
             return Verdict.ACCEPTED  # nothing so old binds where it is now
         if self._near(last, sample) or self._proved(sample, lost):
-            self._elsewhere = None
+            memory.elsewhere = None
             return Verdict.ACCEPTED
         return Verdict.JUMP
 
@@ -104,23 +112,24 @@ class TargetTrack:
 
     def _proved(self, sample: TargetSample, lost: bool) -> bool:
         """Whether samples elsewhere have agreed with each other for long enough, the old track being lost."""
-        if self._elsewhere is None or not self._near(self._elsewhere, sample):
-            self._elsewhere, self._elsewhere_since_s = sample, sample.arrival_s
+        memory = self.memory
+        if memory.elsewhere is None or not self._near(memory.elsewhere, sample):
+            memory.elsewhere, memory.elsewhere_since_s = sample, sample.arrival_s
             return False
-        self._elsewhere = sample
+        memory.elsewhere = sample
         # longer than the age limit, so that the vehicle holds in between
         proof_s = self._checks.target_age_max_s + self._checks.recovery_time_s
-        return lost and sample.arrival_s - self._elsewhere_since_s >= proof_s
+        return lost and sample.arrival_s - memory.elsewhere_since_s >= proof_s
 
     def at(self, now_s: float) -> TargetState | None:
         """Target moved on to now with its last velocity; ``None`` before the first sample.
 
         The age counts from the measurement, less the shortest delay seen (clocks of two machines differ).
         """
-        last = self._last
+        last = self.memory.last
         if last is None:
             return None
-        age_s = max(0.0, now_s - last.source_time_s - self._offset_s)
+        age_s = max(0.0, now_s - last.source_time_s - self.memory.offset_s)
         ahead_s = min(age_s, self._checks.target_age_max_s)
         x, y, z = last.position_enu_m
         vx, vy, vz = last.velocity_enu_m_s

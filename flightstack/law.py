@@ -1,0 +1,194 @@
+"""What differs between the filters: how the world is seen, which barrier is held, what goes on the wire.
+
+``PAPER`` takes the newest sample as it came, holds the barrier itself and sends the filtered velocity, as
+printed. ``ROBUST`` estimates, holds the barrier with a margin, minds the velocity that is really flown, and
+corrects the set-point for the vehicle's lag (docs/robust_filter.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import hypot
+from types import MappingProxyType
+from typing import Protocol
+
+from flightstack.barrier import Barrier
+from flightstack.conditions import View
+from flightstack.config import FilterKind, FlightConfig
+from flightstack.memory import MotionMemory, TrackingMemory
+from flightstack.robust_barrier import RobustBarrier
+from flightstack.target_estimator import TargetEstimator
+from flightstack.target_track import TargetState, TargetTrack
+from flightstack.types import OwnState, TargetSample, Vec3
+from flightstack.velocity_tracking import VelocityTracking
+
+Held = Barrier | RobustBarrier
+
+
+class Law(Protocol):
+    """One filter's view of the world and way to the wire.
+
+    Attributes:
+        rate_1_s: at which h may be used up.
+        acceleration_max_m_s2: of the velocity wanted.
+        motion: state of the estimator.
+        tracking: state of the corrections.
+    """
+
+    rate_1_s: float
+    acceleration_max_m_s2: Vec3
+    motion: MotionMemory
+    tracking: TrackingMemory
+
+    def take(self, sample: TargetSample) -> None:
+        """Take a believed sample."""
+
+    def target(self, track: TargetTrack, now_s: float) -> TargetState | None:
+        """Where the target is now."""
+
+    def own(self, own: OwnState) -> OwnState:
+        """Where the vehicle is now."""
+
+    def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
+        """Look at the velocity really flown."""
+
+    def held(self, seen: View) -> Held:
+        """Barrier the filter holds."""
+
+    def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, seen: View) -> float:
+        """Least vertical velocity, with the horizontal velocity there is; -inf for no such bound."""
+
+    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View) -> Vec3:
+        """Set-point that makes the vehicle fly the velocity wanted."""
+
+
+class PaperLaw:
+    """Eq. 11 as printed."""
+
+    def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
+        self.rate_1_s = config.barrier.omega_1_s
+        self.acceleration_max_m_s2 = config.limits.slew_max_m_s2
+        self.motion, self.tracking = MotionMemory(), TrackingMemory()
+        self._barrier = barrier
+
+    def take(self, sample: TargetSample) -> None:
+        """Nothing to learn: the track keeps the newest sample."""
+
+    def target(self, track: TargetTrack, now_s: float) -> TargetState | None:
+        """Newest sample, carried on with its velocity."""
+        return track.at(now_s)
+
+    def own(self, own: OwnState) -> OwnState:
+        """As it came."""
+        return own
+
+    def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
+        """The velocity loop is taken to be perfect."""
+
+    def held(self, seen: View) -> Held:
+        """The barrier itself."""
+        del seen
+        return self._barrier
+
+    def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, seen: View) -> float:
+        """No bound besides the program's."""
+        del h_m, gradient, before_m_s, seen
+        return -float("inf")
+
+    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View) -> Vec3:
+        """The velocity wanted."""
+        del before_m_s, seen
+        return wanted_m_s
+
+
+class RobustLaw:
+    """Eq. 11 with what the paper leaves out."""
+
+    def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
+        self.rate_1_s = config.robust.rate_1_s
+        self.acceleration_max_m_s2 = config.robust.acceleration_max_m_s2
+        self._config, self._barrier = config, barrier
+        self._most = config.limits.velocity_max_m_s
+        self._estimator = TargetEstimator(config.target)
+        self._tracking = VelocityTracking(config.velocity_loop, 1.0 / config.loop.rate_hz)
+        self._slope = barrier.slope(config.touchdown.pad_radius_m)  # steepest outside the pad
+        self._lag_z_s = config.velocity_loop.lag_z_s
+
+    @property
+    def motion(self) -> MotionMemory:
+        """State of the estimator."""
+        return self._estimator.memory
+
+    @motion.setter
+    def motion(self, memory: MotionMemory) -> None:
+        self._estimator.memory = memory
+
+    @property
+    def tracking(self) -> TrackingMemory:
+        """State of the corrections."""
+        return self._tracking.memory
+
+    @tracking.setter
+    def tracking(self, memory: TrackingMemory) -> None:
+        self._tracking.memory = memory
+
+    def take(self, sample: TargetSample) -> None:
+        """Update the estimate."""
+        self._estimator.update(sample.source_time_s, sample.position_enu_m, sample.velocity_enu_m_s)
+
+    def target(self, track: TargetTrack, now_s: float) -> TargetState | None:
+        """Estimate carried on to now; the shortest delay, which no clock shows, is a parameter."""
+        last = track.at(now_s)
+        if last is None:
+            return None
+        delay_s = self._config.target.delay_s
+        motion = self._estimator.at(now_s - track.memory.offset_s + delay_s)
+        return TargetState(
+            last.age_s + delay_s,
+            motion.position_enu_m,
+            motion.velocity_enu_m_s,
+            last.yaw_rad,
+            motion.position_sigma_m,
+        )
+
+    def own(self, own: OwnState) -> OwnState:
+        """Carried on by its delay."""
+        t, (x, y, z), (vx, vy, vz) = self._config.own.delay_s, own.position_enu_m, own.velocity_enu_m_s
+        position = (x + t * vx, y + t * vy, z + t * vz)
+        return OwnState(own.arrival_s, own.source_time_s, position, own.velocity_enu_m_s, own.yaw_rad)
+
+    def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
+        """Learn the disturbance."""
+        self._tracking.observe(velocity_enu_m_s, commanding=commanding)
+
+    def held(self, seen: View) -> Held:
+        """The barrier with a margin for what is uncertain now."""
+        robust = self._config.robust
+        sigma_m = seen.target.position_sigma_m if seen.target is not None else 0.0
+        margin_m = robust.margin_m(self._slope, hypot(sigma_m, self._config.own.position_noise_m))
+        return RobustBarrier(self._barrier, margin_m, robust.fade_radius_m)
+
+    def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, seen: View) -> float:
+        """Vertical velocity that holds the barrier whatever the horizontal loop is still doing.
+
+        Horizontal velocity follows late, vertical velocity sooner: so the horizontal velocity is taken as
+        measured. Of h counts what is left when the vertical loop has caught up with the velocity wanted.
+        """
+        own, target = seen.inputs.own, seen.target
+        assert own is not None
+        assert target is not None
+        v, t = own.velocity_enu_m_s, target.velocity_enu_m_s
+        left_m = h_m + self._lag_z_s * min(0.0, v[2] - before_m_s[2])
+        inward = gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1])
+        return t[2] - self.rate_1_s * left_m - inward
+
+    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View) -> Vec3:
+        """Corrected for lag and disturbance."""
+        own = seen.inputs.own
+        velocity = own.velocity_enu_m_s if own is not None else wanted_m_s
+        return self._tracking.command(before_m_s, wanted_m_s, velocity, self._most)
+
+
+LAWS: Mapping[FilterKind, Callable[[FlightConfig, Barrier], Law]] = MappingProxyType(
+    {FilterKind.PAPER: PaperLaw, FilterKind.ROBUST: RobustLaw}
+)

@@ -1,0 +1,79 @@
+"""What the robust filter assumes of vehicle, target and links; every assumption is a number with a unit.
+
+docs/robust_filter.md derives the margin from them. The vehicle's numbers are identified from a log.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from flightstack.strict_toml import Range
+from flightstack.types import Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityLoop:
+    """How the vehicle answers a velocity set-point, and how much its loop is helped.
+
+    Defaults: Crazyflie firmware's PID loops on the simulated Crazyflie 2.0, by step responses.
+    """
+
+    lag_xy_s: Annotated[float, Range(0.0, 2.0)] = 0.27  # group delay of the closed loop at low frequency
+    lag_z_s: Annotated[float, Range(0.0, 2.0)] = 0.17
+    rate_xy_1_s: Annotated[float, Range(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
+    rate_z_1_s: Annotated[float, Range(0.5, 50.0)] = 8.0
+    damping: Annotated[float, Range(0.1, 2.0)] = 0.68
+    gain_xy: Annotated[float, Range(0.0, 2.0)] = 0.3  # of measured tracking error, added to the set-point
+    gain_z: Annotated[float, Range(0.0, 2.0)] = 0.5
+    slope_time_s: Annotated[float, Range(0.01, 1.0)] = 0.05  # smoothing of the wanted acceleration
+    disturbance_time_s: Annotated[float, Range(0.1, 10.0)] = 0.6  # low-pass of wind, drag, weight error
+
+
+@dataclass(frozen=True, slots=True)
+class OwnStateLink:
+    """How the vehicle's own state reaches us."""
+
+    delay_s: Annotated[float, Range(0.0, 0.2)] = 0.01  # age of a position when it arrives
+    position_noise_m: Annotated[float, Range(0.0, 0.2)] = 0.002  # standard deviation on each axis
+
+
+@dataclass(frozen=True, slots=True)
+class TargetLink:
+    """How the target moves and how its odometry reaches us."""
+
+    delay_s: Annotated[float, Range(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
+    position_noise_m: Annotated[float, Range(1e-4, 0.5)] = 0.005  # standard deviation on each axis
+    velocity_noise_m_s: Annotated[float, Range(1e-4, 1.0)] = 0.02
+    jerk_m_s3_sqrthz: Annotated[float, Range(0.01, 20.0)] = 0.6  # about 0.5 m/s^2 changing every second
+    acceleration_m_s2: Annotated[float, Range(0.01, 10.0)] = 0.3  # before anything is known
+
+
+@dataclass(frozen=True, slots=True)
+class Robust:
+    """The filter itself."""
+
+    rate_1_s: Annotated[float, Range(0.1, 10.0)] = 1.5  # at which h may be used up; below the velocity loop's
+    tracking_error_m_s: Annotated[float, Range(0.0, 1.0)] = 0.04  # vertical velocity not flown as wanted
+    sigma_factor: Annotated[float, Range(0.0, 6.0)] = 2.0  # standard deviations of position that are covered
+    fade_radius_m: Annotated[float, Range(0.01, 1.0)] = 0.06  # the margin fades within it, for the touchdown
+    acceleration_max_m_s2: Annotated[Vec3, Range(0.2, 20.0)] = (2.0, 2.0, 2.5)  # of the wanted velocity
+    gain_1_s: Annotated[float, Range(0.1, 5.0)] = 1.2  # position loop of the landing
+    wait_height_m: Annotated[float, Range(0.03, 3.0)] = 0.1  # above the pad until it may go down
+    commit_height_m: Annotated[float, Range(0.05, 3.0)] = 0.22  # from here it goes down in one go
+    commit_radius_m: Annotated[float, Range(0.005, 1.0)] = 0.04  # if it is so near to the middle
+    commit_speed_m_s: Annotated[float, Range(0.01, 1.0)] = 0.12  # and so slow against the target
+    corridor_m: Annotated[float, Range(0.01, 2.0)] = 0.085  # going to leave this radius: go around
+    descent_m_s: Annotated[float, Range(0.05, 1.0)] = 0.22  # relative to the pad, to contact
+    touch_height_m: Annotated[float, Range(0.005, 0.5)] = 0.05  # below it a stopped descent is contact
+
+    def margin_m(self, slope: float, position_sigma_m: float) -> float:
+        """Margin on h that covers tracking and position errors.
+
+        Args:
+            slope: of the barrier where it binds; turns a horizontal error into one of h.
+            position_sigma_m: of vehicle minus target, each axis.
+        """
+        horizontal_and_vertical = self.sigma_factor * position_sigma_m * math.hypot(slope, 1.0)
+        return self.tracking_error_m_s / self.rate_1_s + horizontal_and_vertical
