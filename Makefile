@@ -27,8 +27,9 @@ $(VENV)/.fly: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(PIP) --editable '.[sim,report]'
 	@touch $@
 
-$(VENV)/.test: pyproject.toml constraints.txt | $(VENV)/bin/python
+$(VENV)/.test: pyproject.toml constraints.txt tests/requirements-nodeps.txt | $(VENV)/bin/python
 	$(PIP) --editable '.[all]'
+	$(PIP) --no-deps --requirement tests/requirements-nodeps.txt
 	@touch $@ $(VENV)/.fly
 
 clean:

@@ -63,7 +63,8 @@ def test_what_clients_wait_for_is_there_in_the_first_two_seconds() -> None:
     rig = Rig()
     rig.run(2.0)
     status = rig.seen(mav.MAVLINK_MSG_ID_SYS_STATUS)[-1]
-    wanted = 1 | 2 | 4 | 32  # gyro, accelerometer, magnetometer, GPS
+    # gyro, accelerometer, magnetometer, GPS; and no fence that is broken
+    wanted = 1 | 2 | 4 | 32 | mav.MAV_SYS_STATUS_GEOFENCE
     assert status.onboard_control_sensors_health & wanted == wanted
     assert status.onboard_control_sensors_health & mav.MAV_SYS_STATUS_PREARM_CHECK
     home = rig.seen(mav.MAVLINK_MSG_ID_HOME_POSITION)[0]
