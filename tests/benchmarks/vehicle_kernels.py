@@ -1,0 +1,76 @@
+"""What the compiled parts of a vehicle's millisecond cost, each called in a compiled loop of its own."""
+
+from __future__ import annotations
+
+import statistics
+import time
+
+from numba import njit
+
+from sim.battery import speed_limit
+from sim.firmware.stack import control
+from sim.flight import cushion, move, sense
+from sim.params import CONTROL_STEP_S, STEP_S
+from sim.vehicle import VehicleSim
+
+CALLS = 50  # short enough to stay near the state they begin in; the noise drawn ahead is enough
+REPEATS = 201
+CONTROL_MS = round(CONTROL_STEP_S / STEP_S)
+
+
+@njit
+def moves(vehicle, memory, calls):
+    """Rotors, forces, MuJoCo."""
+    for _ in range(calls):
+        move(vehicle[0], memory)
+
+
+@njit
+def controls(vehicle, memory, calls):
+    """Velocity loop, attitude loop, mixer."""
+    for _ in range(calls):
+        control(vehicle[0].firmware, speed_limit(vehicle[0].battery))
+
+
+@njit
+def cushions(vehicle, memory, calls):
+    """Ground effect."""
+    for _ in range(calls):
+        cushion(vehicle[0])
+
+
+@njit
+def senses(vehicle, memory, calls):
+    """IMU and the estimator's prediction."""
+    for _ in range(calls):
+        sense(vehicle)
+
+
+KERNELS = {
+    "physics: rotors, drag, ground effect, MuJoCo": ((moves, 1), (cushions, CONTROL_MS)),
+    "firmware: velocity and attitude loop, mixer": ((controls, CONTROL_MS),),
+    "IMU and estimator": ((senses, CONTROL_MS),),
+}
+
+
+def cost_us(kernel, vehicle: VehicleSim) -> float:
+    """Median cost of one call, microseconds; the state is put back every time."""
+    state, memory = vehicle._vehicle, vehicle._memory
+    kernel(state, memory, 0)
+    vehicle._imu.top_up()
+    saved, qpos, qvel = state.copy(), memory.qpos.copy(), memory.qvel.copy()
+    times_s = []
+    for _ in range(REPEATS):
+        start_s = time.perf_counter()
+        kernel(state, memory, CALLS)
+        times_s.append(time.perf_counter() - start_s)
+        state[:], memory.qpos[:], memory.qvel[:] = saved, qpos, qvel
+    return statistics.median(times_s) / CALLS * 1e6
+
+
+def kernel_us_per_ms(vehicle: VehicleSim) -> dict[str, float]:
+    """Cost of each part in microseconds per simulated millisecond."""
+    return {
+        name: sum(cost_us(kernel, vehicle) / every_ms for kernel, every_ms in parts)
+        for name, parts in KERNELS.items()
+    }

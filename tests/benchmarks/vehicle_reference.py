@@ -1,0 +1,100 @@
+"""Published numbers the simulated vehicle is compared with, and what follows from them by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.firmware.paper_loop import K_V_N_S_M
+from tests.linear_analysis import MASS, PARAMS, G
+
+F64 = npt.NDArray[np.float64]
+ROTOR = PARAMS.rotor
+
+# Bitcraze 2015, propeller bench (crazyflie-firmware docs/functional-areas/pwm-to-thrust.md): all four motors
+BENCH = (  # grams, rpm, duty cycle, battery V
+    (28.6, 17174.0, 0.5625, 3.67),
+    (57.9, 23882.0, 0.9375, 3.30),
+)
+BENCH_FIT = (1.0942e-7, -2.1059e-4, 0.15417)  # the same page: grams from rpm
+BENCH_STEP_S = 0.180  # Bitcraze blog, step test: standing to 25000 rpm
+FOERSTER_LAG_S = 0.002 / -math.log(0.9695404)  # 2015: pole at 500 Hz
+ESCHMANN_LAG_S = 0.072  # quoted by rotorpy 3.0.0, crazyflie_params.py
+L250_RISE_S, L250_FALL_S = 0.136, 0.108  # drone-models 0.1.0, params.toml: reciprocal of its rates, at hover
+L250_HOVER_RPM, L250_HOVER_COUNTS = 18968.0, 42700.0  # its curve solved for 31.9 g; firmware's scale
+DATA_SHEET_HOVER_S = 7.0 * 60.0  # Bitcraze, Crazyflie 2.0: flight time
+# firmware supervisor_state_machine.c, compiled and stepped at 25 Hz: ms after the last set-point, or after
+# the first stop set-point
+SUPERVISOR_MS = {
+    False: {"set-points too old": 520, "locked": 2040},  # motors off in its state ExceptFreeFall
+    True: {"landed, motors off": 2000, "disarmed": 5080},
+}
+
+
+def bench_rpm(grams: float) -> float:
+    """Speed at which Bitcraze's bench fit gives this thrust of all four rotors."""
+    a, b, c = BENCH_FIT
+    return (-b + math.sqrt(b * b - 4.0 * a * (c - grams))) / (2.0 * a)
+
+
+def cheeseman_bennett(height: F64, radius: float = ROTOR.radius_m) -> F64:
+    """T/T0 of one rotor (1955)."""
+    return 1.0 / (1.0 - (radius / (4.0 * height)) ** 2)
+
+
+def pybullet_drones(height: F64) -> F64:
+    """T/T0 of gym-pybullet-drones (BaseAviary.py), height not below 37.8 mm."""
+    return 1.0 + 11.36859 * (0.0231348 / (4.0 * np.maximum(height, 0.0378))) ** 2
+
+
+def sanchez_cuevas(height: F64, body_lift: float, radius: float = ROTOR.radius_m) -> F64:
+    """T/T0 of a whole quadrotor (Sanchez-Cuevas 2017), rotors d = 65 mm apart, diagonal b = 92 mm.
+
+    ``body_lift`` K_b stands for the fountain below the body: 2 in the publication, not identified for a
+    vehicle this small.
+    """
+    z, d, b = height, 0.065, 0.092
+    r2 = radius * radius
+    loss = (radius / (4.0 * z)) ** 2
+    loss = loss + r2 * z / np.sqrt((d * d + 4.0 * z * z) ** 3)
+    loss = loss + 0.5 * r2 * z / np.sqrt((2.0 * d * d + 4.0 * z * z) ** 3)
+    loss = loss + 2.0 * r2 * z * body_lift / np.sqrt((b * b + 4.0 * z * z) ** 3)
+    return 1.0 / (1.0 - loss)
+
+
+def descend(
+    height_m: float, speed_m_s: float, *, motors_off: bool, step_s: float = 1e-4
+) -> tuple[float, float]:
+    """Point mass with rotors that comes down to the surface: time and speed of the first touch.
+
+    Vertical only, without sensors: paper's velocity law, rotor lag, thrust curve, Cheeseman-Bennett, drag.
+
+    Args:
+        height_m: of the feet at the start.
+        speed_m_s: of the descent, at the start and commanded.
+        motors_off: cut at the start instead.
+        step_s: of the integration.
+    """
+    p1, p2 = ROTOR.thrust_linear_n_rpm, ROTOR.thrust_square_n_rpm2
+    plane = ROTOR.above_com_m - PARAMS.geometry.foot_bottom_m  # of the rotors above the feet
+    drag, weight = PARAMS.body.drag_n_s_m[2], MASS * G
+    z, v, t = height_m, -speed_m_s, 0.0
+    wanted = -speed_m_s * (1.0 + drag / K_V_N_S_M) if motors_off else -speed_m_s
+    rpm = ROTOR.rpm((weight - drag * speed_m_s) / 4.0)
+    while z > 0.0:
+        force = max(0.2 * weight, K_V_N_S_M * (wanted - v) + weight)
+        command = 0.0 if motors_off else ROTOR.rpm(force / 4.0)
+        rpm += (command - rpm) * step_s / ROTOR.lag_s
+        ratio = ROTOR.radius_m / (4.0 * max(z + plane, 0.02))
+        thrust = 4.0 * max(0.0, (p1 + p2 * rpm) * rpm) / (1.0 - ratio * ratio)
+        v += ((thrust - drag * v) / MASS - G) * step_s
+        z += v * step_s
+        t += step_s
+    return t, -v
+
+
+def gust_density(frequency_hz: F64, rms_m_s: float, time_s: float) -> F64:
+    """One-sided power density of a first-order gust, m^2/s^2/Hz (MIL-F-8785C, Dryden along the wind)."""
+    return 4.0 * rms_m_s**2 * time_s / (1.0 + (2.0 * math.pi * frequency_hz * time_s) ** 2)
