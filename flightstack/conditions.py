@@ -21,7 +21,7 @@ TOLD_SHARE, STOPPED_SHARE = 0.6, 0.4  # of the descent: told to sink so fast, si
 STOPPED_TIME_S = 0.03  # s of that; three samples at 100 Hz
 DRIFT_TIME_S = 0.3  # s ahead: what the horizontal loop needs to answer
 DRIFT_SHARE = 0.6  # of the corridor's radius; nearer to the middle nothing is lost yet
-DRIFT_H_M = 0.03  # of h left to climb away with
+DRIFT_H_M = 0.08  # of h left to climb away with
 TOUCHDOWN_TIME_S = 2.0  # s; the descent takes 0.3, a forced disarm shows with the next heartbeat
 
 
@@ -181,11 +181,10 @@ def _may_touch_robust(config: FlightConfig, barrier: Barrier, seen: View, e: Vec
     robust, touchdown = config.robust, config.touchdown
     if d_m <= touchdown.pad_radius_m and e[2] < touchdown.feet_below_reference_m + CONTACT_GAP_M:
         return True
-    return (
-        e[2] < robust.commit_height_m
-        and d_m < robust.commit_radius_m
-        and _slip(seen) < robust.commit_speed_m_s
-    )
+    if not (e[2] < robust.commit_height_m and _slip(seen) < robust.commit_speed_m_s):
+        return False
+    sigma_m = seen.target.position_sigma_m if seen.target is not None else math.inf
+    return d_m < robust.commit_radius_m and d_m + robust.sigma_factor * sigma_m < robust.corridor_m
 
 
 def _slip(seen: View) -> float:

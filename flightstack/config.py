@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 from flightstack.barrier import Barrier
-from flightstack.robust_config import OwnStateLink, Robust, TargetLink, VelocityLoop
+from flightstack.robust_config import Envelope, OwnStateLink, Robust, TargetLink, VelocityLoop
 from flightstack.strict_toml import ConfigError, Range, from_table, read_toml
 from flightstack.types import Vec3
 
@@ -121,7 +121,7 @@ class Checks:
     """Limits on what the links deliver, and how long to bear with it."""
 
     own_age_max_s: Annotated[float, Range(0.02, 0.4)] = 0.2
-    target_age_max_s: Annotated[float, Range(0.02, 0.4)] = 0.25
+    target_age_max_s: Annotated[float, Range(0.02, 1.0)] = 0.25
     status_age_max_s: Annotated[float, Range(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
     target_speed_max_m_s: Annotated[float, Range(0.1, 10.0)] = 1.5
     target_jump_max_m: Annotated[float, Range(0.02, 5.0)] = 0.3
@@ -153,6 +153,7 @@ class FlightConfig:
     velocity_loop: VelocityLoop = field(default_factory=VelocityLoop)
     own: OwnStateLink = field(default_factory=OwnStateLink)
     target: TargetLink = field(default_factory=TargetLink)
+    envelope: Envelope = field(default_factory=Envelope)  # what `check` proves it for
 
     def __post_init__(self) -> None:
         peak = self.barrier.build().peak_height_m

@@ -16,7 +16,7 @@ from flightstack.types import ZERO, Landed, Phase, Request, Vec3
 
 LEVEL_FIRST_M = 0.1  # fly sideways to the start only at its height
 DESCENT_M_S = 0.2  # relative to the pad, the last centimetres to contact (paper filter)
-DESCENT_GAIN = 1.5  # of the robust landing's horizontal gain: there is less time to mend an error
+HOLD_CLIMB_M_S = 0.4  # of the robust hold, while the target is out of sight
 LAND_MIN_M_S = 0.1  # slowest descent of the robust landing while above its waiting height
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 
@@ -78,9 +78,11 @@ def _land_paper(s: Situation, target: TargetState, e: Vec3) -> Vec3:
 
 def _land_robust(s: Situation, target: TargetState, e: Vec3) -> Vec3:
     """To a place low above the pad's middle, where it waits until it may go down in one go."""
-    gain = s.config.robust.gain_1_s
-    above = e[2] - s.config.robust.wait_height_m
-    x, y, z = nominal_velocity((e[0], e[1], above), (gain, gain, gain), target.velocity_enu_m_s)
+    robust = s.config.robust
+    gain = robust.gain_1_s
+    over = robust.gain_over_pad_1_s if s.memory.phase is Phase.LAND else gain
+    above = e[2] - robust.wait_height_m
+    x, y, z = nominal_velocity((e[0], e[1], above), (over, over, gain), target.velocity_enu_m_s)
     return (x, y, min(z, target.velocity_enu_m_s[2] - LAND_MIN_M_S) if above > 0.0 else z)
 
 
@@ -113,7 +115,7 @@ def _descend_paper(s: Situation, target: TargetState, e: Vec3) -> Wish:
 def _descend_robust(s: Situation, target: TargetState, e: Vec3) -> Wish:
     if s.config.touchdown.rule is TouchdownRule.PAPER and e[2] < s.config.touchdown.height_m:
         return Wish(Request.MOTORS_OFF)
-    gain = DESCENT_GAIN * s.config.robust.gain_1_s
+    gain = s.config.robust.gain_over_pad_1_s
     x, y, _ = nominal_velocity(e, (gain, gain, gain), target.velocity_enu_m_s)
     return Wish(Request.EXTERNAL, (x, y, target.velocity_enu_m_s[2] - s.config.robust.descent_m_s))
 
@@ -124,8 +126,17 @@ _DESCENT: dict[FilterKind, Callable[[Situation, TargetState, Vec3], Wish]] = {
 }
 
 
-def _hold(_: Situation) -> Wish:
-    return Wish(Request.EXTERNAL, ZERO)
+def _hold(s: Situation) -> Wish:
+    """Stand still; with an estimator: up, and on with a target that was followed until a moment ago.
+
+    Standing still in the cone of a target that drives on is leaving the cone sideways.
+    """
+    target, memory = s.seen.target, s.memory
+    if s.config.filter is FilterKind.PAPER or target is None or memory.started_s == math.inf:
+        return Wish(Request.EXTERNAL, ZERO)
+    x, y, z = target.velocity_enu_m_s
+    up = min(s.config.limits.velocity_max_m_s[2], max(0.0, z) + HOLD_CLIMB_M_S)
+    return Wish(Request.EXTERNAL, limit((x, y, up), s.config.limits.velocity_max_m_s))
 
 
 def _climb(s: Situation) -> Wish:

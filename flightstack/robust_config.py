@@ -27,6 +27,9 @@ class VelocityLoop:
     damping: Annotated[float, Range(0.1, 2.0)] = 0.68
     gain_xy: Annotated[float, Range(0.0, 2.0)] = 0.3  # of measured tracking error, added to the set-point
     gain_z: Annotated[float, Range(0.0, 2.0)] = 0.5
+    error_max_m_s: Annotated[float, Range(0.05, 10.0)] = (
+        0.6  # horizontal set-point against velocity: bounds tilt
+    )
     slope_time_s: Annotated[float, Range(0.01, 1.0)] = 0.05  # smoothing of the wanted acceleration
     disturbance_time_s: Annotated[float, Range(0.1, 10.0)] = 0.6  # low-pass of wind, drag, weight error
 
@@ -51,6 +54,16 @@ class TargetLink:
 
 
 @dataclass(frozen=True, slots=True)
+class Envelope:
+    """What the certificate must hold for, besides ``touchdown.target_speed_max_m_s``; flight ignores it."""
+
+    target_climb_max_m_s: Annotated[float, Range(0.0, 2.0)] = 0.0  # heave of the pad
+    target_acceleration_max_m_s2: Annotated[float, Range(0.0, 10.0)] = 0.5  # braking, reversing, turning
+    target_rate_hz: Annotated[float, Range(1.0, 500.0)] = 50.0  # of its odometry
+    lag_spread: Annotated[float, Range(0.0, 0.9)] = 0.3  # share by which a vehicle may lag more than told
+
+
+@dataclass(frozen=True, slots=True)
 class Robust:
     """The filter itself."""
 
@@ -59,7 +72,8 @@ class Robust:
     sigma_factor: Annotated[float, Range(0.0, 6.0)] = 2.0  # standard deviations of position that are covered
     fade_radius_m: Annotated[float, Range(0.01, 1.0)] = 0.06  # the margin fades within it, for the touchdown
     acceleration_max_m_s2: Annotated[Vec3, Range(0.2, 20.0)] = (2.0, 2.0, 2.5)  # of the wanted velocity
-    gain_1_s: Annotated[float, Range(0.1, 5.0)] = 1.2  # position loop of the landing
+    gain_1_s: Annotated[float, Range(0.1, 5.0)] = 1.2  # position loop on the way to the pad
+    gain_over_pad_1_s: Annotated[float, Range(0.1, 5.0)] = 1.8  # the same horizontally, over the pad
     wait_height_m: Annotated[float, Range(0.03, 3.0)] = 0.1  # above the pad until it may go down
     commit_height_m: Annotated[float, Range(0.05, 3.0)] = 0.22  # from here it goes down in one go
     commit_radius_m: Annotated[float, Range(0.005, 1.0)] = 0.04  # if it is so near to the middle

@@ -12,6 +12,7 @@ cannot destabilise; it is clamped, as the model is not perfect.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from flightstack.memory import TrackingMemory
@@ -27,6 +28,7 @@ class _Axis(NamedTuple):
     lag_s: float  # group delay at low frequency
     rate_1_s: float  # natural frequency of the second-order model
     gain: float  # k above
+    error_max_m_s: float  # of set-point against velocity: a loop that tilts hard loses lift
 
 
 class VelocityTracking:
@@ -39,8 +41,8 @@ class VelocityTracking:
 
     def __init__(self, loop: VelocityLoop, period_s: float) -> None:
         self.memory = TrackingMemory()
-        horizontal = _Axis(loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy)
-        self._axes = (horizontal, horizontal, _Axis(loop.lag_z_s, loop.rate_z_1_s, loop.gain_z))
+        horizontal = _Axis(loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy, loop.error_max_m_s)
+        self._axes = (horizontal, horizontal, _Axis(loop.lag_z_s, loop.rate_z_1_s, loop.gain_z, math.inf))
         self._damping = loop.damping
         self._period_s = period_s
         self._slope_share = min(1.0, period_s / loop.slope_time_s)
@@ -90,6 +92,7 @@ class VelocityTracking:
         ):  # fmt: skip
             s_ = s + self._slope_share * ((r - b) / t - s)
             u = r + axis.lag_s * s_ + axis.gain * (r - v) - d
+            u = max(v - axis.error_max_m_s, min(v + axis.error_max_m_s, u))
             slope.append(s_)
             out.append(max(-most, min(most, u)))
         memory.slope_m_s2 = (slope[0], slope[1], slope[2])

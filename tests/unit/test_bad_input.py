@@ -1,11 +1,12 @@
 """What goes wrong on the links, and what the vehicle does about it: holds, climbs or lands away, in time."""
 
+import itertools
 import math
 from dataclasses import replace
 
 import pytest
 
-from flightstack.config import FlightConfig
+from flightstack.config import FilterKind, FlightConfig
 from flightstack.memory import AbortWay
 from flightstack.safety_filter import FilterStatus
 from flightstack.strict_toml import from_table
@@ -209,13 +210,30 @@ def test_a_solver_that_fails_in_flight_is_replaced_and_the_landing_goes_on(monke
     assert {o.barrier.result.status for o in landing} <= {FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE}
 
 
-def test_every_set_point_is_inside_the_box_and_changes_no_faster_than_allowed():
-    world = World(CONFIG).run(60.0)
-    for (t0, before), (t1, after) in zip(world.sent, world.sent[1:], strict=False):
+@pytest.mark.parametrize("kind", list(FilterKind))
+def test_every_set_point_is_inside_the_box_and_what_is_wanted_changes_no_faster_than_allowed(kind):
+    config = replace(CONFIG, filter=kind)
+    world = World(config).run(60.0)
+    fastest = {
+        FilterKind.PAPER: config.limits.slew_max_m_s2,
+        FilterKind.ROBUST: config.robust.acceleration_max_m_s2,
+    }
+    assert len(world.sent) > 200
+    for _, setpoint in world.sent:
         for axis in range(3):
-            assert abs(after[axis]) <= CONFIG.limits.velocity_max_m_s[axis] + 1e-9
-            if t1 - t0 < 1.5 * DT_S:
-                assert abs(after[axis] - before[axis]) <= CONFIG.limits.slew_max_m_s2[axis] * DT_S + 1e-9
+            assert abs(setpoint[axis]) <= config.limits.velocity_max_m_s[axis] + 1e-9
+    for before, after in itertools.pairwise(world.outputs):
+        if (
+            before.setpoint is None
+            or after.setpoint is None
+            or before.seen.inputs.status.mode is not Mode.EXTERNAL
+        ):
+            continue
+        for axis in range(3):
+            change = abs(after.wanted[axis] - before.wanted[axis])
+            assert change <= fastest[kind][axis] * DT_S + 1e-9
+        if kind is FilterKind.PAPER:
+            assert after.setpoint.velocity_enu_m_s == after.wanted
 
 
 def test_the_same_inputs_give_the_same_outputs_to_the_last_bit():
