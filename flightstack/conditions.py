@@ -113,8 +113,10 @@ def gather(
         word |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(barrier, memory) else 0
     if good:
         word |= _place_conditions(config, barrier, memory, seen, now_s)
-    elif memory.phase is Phase.TOUCHDOWN and not seen.target_ok and word & C.STANDING:
-        memory.contact = True  # the target went out of sight in the last centimetres
+    elif memory.phase is Phase.TOUCHDOWN and not seen.target_ok:
+        # the target went out of sight in the last centimetres
+        blind = _CONTACT_BLIND[config.filter](config, memory, seen, now_s)
+        memory.contact = memory.contact or blind or bool(word & C.STANDING)
     return word
 
 
@@ -235,27 +237,40 @@ def _contact(config: FlightConfig, memory: Memory, seen: View, d_m: float, now_s
     return standing or now_s - memory.contact_since_s >= CONTACT_TIME_S
 
 
-def _contact_robust(config: FlightConfig, memory: Memory, seen: View, d_m: float, now_s: float) -> bool:
-    """As above, or: low over the pad, told to sink, and not sinking.
-
-    The velocity estimate tells that within two samples; heights of two noisy positions do not.
-    """
-    own, target, e = seen.inputs.own, seen.target, seen.e_m
-    assert own is not None
-    assert target is not None
-    assert e is not None
-    robust = config.robust
+def _stopped(config: FlightConfig, memory: Memory, seen: View, now_s: float) -> bool:
+    """Told to sink, and not sinking, for some samples: the velocity estimate tells that soonest."""
+    own, target, robust = seen.inputs.own, seen.target, config.robust
+    if own is None or target is None or not seen.own_ok:
+        return False
     told_m_s = target.velocity_enu_m_s[2] - memory.command[2]
     sinking_m_s = target.velocity_enu_m_s[2] - own.velocity_enu_m_s[2]
-    stopped = told_m_s > TOLD_SHARE * robust.descent_m_s and sinking_m_s < STOPPED_SHARE * robust.descent_m_s
-    if not (stopped and e[2] < robust.touch_height_m and d_m <= config.touchdown.pad_radius_m):
+    if not (told_m_s > TOLD_SHARE * robust.descent_m_s and sinking_m_s < STOPPED_SHARE * robust.descent_m_s):
         memory.stopped_since_s = math.inf
-        return _contact(config, memory, seen, d_m, now_s)
+        return False
     memory.stopped_since_s = min(memory.stopped_since_s, now_s)
     return now_s - memory.stopped_since_s >= STOPPED_TIME_S
+
+
+def _contact_robust(config: FlightConfig, memory: Memory, seen: View, d_m: float, now_s: float) -> bool:
+    """As the paper filter's, or: low over the pad and stopped; two noisy heights do not tell so soon."""
+    e = seen.e_m
+    assert e is not None
+    low = e[2] < config.robust.touch_height_m and d_m <= config.touchdown.pad_radius_m
+    stopped = _stopped(config, memory, seen, now_s)
+    return (low and stopped) or _contact(config, memory, seen, d_m, now_s)
+
+
+def _contact_blind(config: FlightConfig, memory: Memory, seen: View, now_s: float) -> bool:
+    """The same with a target carried on from its last samples: its height does not change in that time."""
+    low = seen.e_m is not None and seen.e_m[2] < config.robust.touch_height_m
+    return _stopped(config, memory, seen, now_s) and low
 
 
 _CONTACT: dict[FilterKind, Callable[[FlightConfig, Memory, View, float, float], bool]] = {
     FilterKind.PAPER: _contact,
     FilterKind.ROBUST: _contact_robust,
+}
+_CONTACT_BLIND: dict[FilterKind, Callable[[FlightConfig, Memory, View, float], bool]] = {
+    FilterKind.PAPER: lambda *_: False,
+    FilterKind.ROBUST: _contact_blind,
 }

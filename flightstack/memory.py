@@ -73,7 +73,8 @@ class MotionMemory:
     position_enu_m: Vec3 = ZERO  # at that time, like the rest
     velocity_enu_m_s: Vec3 = ZERO
     acceleration_enu_m_s2: Vec3 = ZERO
-    covariance: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of one axis: all have the same
+    covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of x and of y: they have the same
+    covariance_z: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(slots=True)

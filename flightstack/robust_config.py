@@ -25,7 +25,7 @@ class VelocityLoop:
     rate_xy_1_s: Annotated[float, Range(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
     rate_z_1_s: Annotated[float, Range(0.5, 50.0)] = 8.0
     damping: Annotated[float, Range(0.1, 2.0)] = 0.68
-    gain_xy: Annotated[float, Range(0.0, 2.0)] = 0.3  # of measured tracking error, added to the set-point
+    gain_xy: Annotated[float, Range(0.0, 2.0)] = 0.6  # of measured tracking error, added to the set-point
     gain_z: Annotated[float, Range(0.0, 2.0)] = 0.5
     error_max_m_s: Annotated[float, Range(0.05, 10.0)] = (
         0.6  # horizontal set-point against velocity: bounds tilt
@@ -49,8 +49,10 @@ class TargetLink:
     delay_s: Annotated[float, Range(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
     position_noise_m: Annotated[float, Range(1e-4, 0.5)] = 0.005  # standard deviation on each axis
     velocity_noise_m_s: Annotated[float, Range(1e-4, 1.0)] = 0.02
-    jerk_m_s3_sqrthz: Annotated[float, Range(0.01, 20.0)] = 0.6  # about 0.5 m/s^2 changing every second
-    acceleration_m_s2: Annotated[float, Range(0.01, 10.0)] = 0.3  # before anything is known
+    jerk_xy_m_s3_sqrthz: Annotated[float, Range(0.01, 20.0)] = 0.6  # about 0.5 m/s^2 changing every second
+    jerk_z_m_s3_sqrthz: Annotated[float, Range(0.01, 20.0)] = 0.02  # it drives on a floor; 0.6 on a ship
+    acceleration_xy_m_s2: Annotated[float, Range(0.001, 10.0)] = 0.3  # before anything is known
+    acceleration_z_m_s2: Annotated[float, Range(0.001, 10.0)] = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,7 @@ class Robust:
     fade_radius_m: Annotated[float, Range(0.01, 1.0)] = 0.06  # the margin fades within it, for the touchdown
     acceleration_max_m_s2: Annotated[Vec3, Range(0.2, 20.0)] = (2.0, 2.0, 2.5)  # of the wanted velocity
     gain_1_s: Annotated[float, Range(0.1, 5.0)] = 1.2  # position loop on the way to the pad
-    gain_over_pad_1_s: Annotated[float, Range(0.1, 5.0)] = 1.8  # the same horizontally, over the pad
+    gain_over_pad_1_s: Annotated[float, Range(0.1, 5.0)] = 2.0  # the same horizontally, over the pad
     wait_height_m: Annotated[float, Range(0.03, 3.0)] = 0.1  # above the pad until it may go down
     commit_height_m: Annotated[float, Range(0.05, 3.0)] = 0.22  # from here it goes down in one go
     commit_radius_m: Annotated[float, Range(0.005, 1.0)] = 0.04  # if it is so near to the middle
