@@ -44,6 +44,7 @@ class RunOptions:
     duration_s: float | None = None
     out: Path | None = None
     live: bool = True
+    signing_key: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -142,19 +143,21 @@ class _Launcher:
             target_at, onboard_at = (port.endpoint for port in self.ports)
             recorder = self._start("record", "--socket", str(self.socket), "--out", str(self.log))
             recorder.wait_ready()
-            self._describe(scenario_file, config_file)
+            self._describe(scenario_file)
             common = ["--scenario", str(scenario_file), "--seed", str(self.options.seed)]
             common += ["--rate", str(rate_hz), "--duration", str(duration_s + 10.0), *lockstep]
             feed = ["--recorder", str(self.socket)]
+            key = self.options.signing_key
+            wire = ["--signing-key", str(key)] if key is not None else []
             vehicle = self._start(
-                "vehicle", *common, *feed, "--connect", target_at, "--url", "udpin:127.0.0.1:0"
+                "vehicle", *common, *feed, *wire, "--connect", target_at, "--url", "udpin:127.0.0.1:0"
             )
-            target = self._start("target", *common, "--listen", target_at, "--connect", onboard_at)
+            target = self._start("target", *common, *feed, "--listen", target_at, "--connect", onboard_at)
             url = vehicle.wait_ready().replace("udpin", "udpout")
             onboard = self._start(
                 "onboard", "--vehicle", url, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
                 "--listen", onboard_at, "--config", str(config_file), "--duration", str(duration_s),
-                *feed, *lockstep,
+                *feed, *lockstep, *wire,
             )  # fmt: skip
             target.wait_ready()
             onboard.wait_ready()
@@ -237,8 +240,8 @@ class _Launcher:
             if any(line.startswith("disarmed") for line in vehicle.lines(0.2)):
                 return
 
-    def _describe(self, scenario_file: Path, config_file: Path) -> None:
-        """Write into the log what is needed to read it, and to fly it again."""
+    def _describe(self, scenario_file: Path) -> None:
+        """Write into the log what is needed to read it and to fly it again; onboard writes its own part."""
         shape = self.scenario.onboard.barrier.build()
         limits = self.scenario.onboard.limits.velocity_max_m_s
         feed = Feed.connect(str(self.socket), "launcher", lossless=True)
@@ -276,7 +279,6 @@ class _Launcher:
             },
         )
         feed.attachment("scenario.toml", "application/toml", scenario_file.read_bytes())
-        feed.attachment("onboard.toml", "application/toml", config_file.read_bytes())
         feed.attachment(
             "scenario_source.toml", "application/toml", path_of(self.options.scenario).read_bytes()
         )

@@ -16,11 +16,13 @@ from types import FrameType
 from typing import NamedTuple
 
 from bridge import zenoh_link
-from bridge.odometry import OdometryError, OdometrySubscriber, RawSample, sample_from_cdr
+from bridge.odometry import OdometrySubscriber, RawSample
+from bridge.signing_key import load_key
 from bridge.vehicle import VehicleLink
 from flightstack.certificate import problems
 from flightstack.config import FlightConfig
 from flightstack.controller import ERROR, WARN, Controller, Outputs
+from flightstack.exchange import answer, take
 from flightstack.lockstep import LockstepWires
 from flightstack.onboard_log import OnboardLog
 from flightstack.pacing import (
@@ -30,8 +32,8 @@ from flightstack.pacing import (
     ask_for_priority,
     quiet_garbage_collector,
 )
-from flightstack.strict_toml import ConfigError
-from flightstack.types import Inputs, Operator, Phase, TargetSample
+from flightstack.strict_toml import ConfigError, dumps, to_table
+from flightstack.types import Operator, Phase
 from logs.feed import Feed
 
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
@@ -50,6 +52,8 @@ class Options:
     lockstep: bool = False
     duration_s: float | None = None
     system_id: int = 1
+    signing_key: Path | None = None
+    allow_unsigned: bool = False
 
 
 class Ended(NamedTuple):
@@ -93,12 +97,15 @@ class Onboard:
             rate_hz=rate_hz,
             system_id=options.system_id,
             defer_timesync=options.lockstep,
+            signing_key=load_key(options.signing_key) if options.signing_key else None,
+            allow_unsigned=options.allow_unsigned,
         )
         self.odometry = OdometrySubscriber(
             self.session, options.target_key, lossless=options.lockstep, capacity=1024
         )
         recorder = str(options.recorder) if options.recorder else None
         self.feed = Feed.connect(recorder, "onboard", lossless=options.lockstep)
+        self._describe()
         self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz, options.lockstep)
         self.link.endpoint.tap = self.log.tap
         self.foreign = 0
@@ -109,41 +116,43 @@ class Onboard:
     ) -> tuple[Outputs, float]:
         """One pass: decode, step, send; the datagram goes out before anything is logged."""
         started_s = time.perf_counter()
-        samples, bad = self._decode(raw, tick.now_s)
         link = self.link
-        inputs = Inputs(link.own, link.status, samples, operator)
-        out = self.controller.step(inputs, tick.now_s, command_failed=link.failed is not None)
-        if out.setpoint is not None:
-            link.send_setpoint(out.setpoint, tick.now_s)
-        link.command(out.request, tick.now_s)
-        timesync = [link.timesync_reply(round(tick.now_s * 1e9))] if self.options.lockstep else []
-        link.flush(timesync)
-        self.reply = bytes(timesync[0].get_msgbuf() or b"") if timesync else b""
+        taken = take(link, [one.payload for one in raw], operator, tick.now_s)
+        out = self.controller.step(taken.inputs, tick.now_s, command_failed=taken.command_failed)
+        self.reply = answer(link, out, tick.now_s, lockstep=self.options.lockstep)
         exec_s = time.perf_counter() - started_s
         self.log.samples(raw, tick.unix_ns)
-        for text in bad:
+        for text in taken.problems:
             self.log.event(tick.unix_ns, WARN, text)
         for severity, text in link.take_texts():
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
         if link.counters.foreign != self.foreign:
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self.foreign = link.counters.foreign
-        payload = self.log.step(tick, out)
+        payload = self.log.step(tick, taken, out, self.controller.state)
         self.log.timing(tick, out, exec_s, overruns, self.feed.dropped, payload)
         return out, exec_s
 
-    @staticmethod
-    def _decode(raw: list[RawSample], now_s: float) -> tuple[tuple[TargetSample, ...], list[str]]:
-        samples, bad = [], []
-        for one in raw:
-            try:
-                samples.append(sample_from_cdr(one.payload, now_s))
-            except OdometryError as error:
-                bad.append(f"target sample refused: {error}")
-        return tuple(samples), bad
+    def _describe(self) -> None:
+        """Write into the log what else a replay needs: the configuration, and how we were plugged in."""
+        options = self.options
+        text = dumps(to_table(self.config))
+        self.feed.attachment("onboard.toml", "application/toml", text.encode())
+        self.feed.metadata(
+            "onboard",
+            {
+                "namespace": options.namespace,
+                "target_key": options.target_key,
+                "system_id": str(options.system_id),
+                "lockstep": str(options.lockstep).lower(),
+            },
+        )
 
     def close(self) -> None:
         """Close all links; the feed says goodbye to the recorder."""
+        dropped = self.link.endpoint.counters.dropped()
+        if dropped:
+            print(f"onboard: MAVLink not let through: {dropped}", file=sys.stderr)
         self.feed.close()
         self.link.close()
         self.session.close()
@@ -154,8 +163,8 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
 
     Raises:
         ConfigError: the configuration must not fly.
-        ValueError: a URL or endpoint that is not understood.
-        OSError: an address that cannot be opened.
+        ValueError: a URL, endpoint or key that is not understood, or a network without a key.
+        OSError: an address or file that cannot be opened.
     """
     found = problems(config)
     if found:
@@ -163,6 +172,8 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
     signals = Signals()
     onboard = Onboard(config, options)
     try:
+        for warning in onboard.link.endpoint.warnings:
+            print(f"onboard: WARNING: {warning}", file=sys.stderr)
         say("ready")
         sys.stdout.flush()
         quiet_garbage_collector()

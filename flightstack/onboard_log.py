@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from typing import Protocol
 
 from bridge import zenoh_link
 from bridge.mavlink import Direction, Peer
 from bridge.odometry import RawSample
 from flightstack.controller import Outputs
+from flightstack.exchange import Taken
+from flightstack.memory import State
 from flightstack.pacing import Tick
-from flightstack.types import ZERO
-from logs.codec import (
-    ControllerStepRow,
-    LoopTimingRow,
-    pack_controller_step,
-    pack_log,
-    pack_loop_timing,
-    pack_mavlink,
+from flightstack.state_text import StateText
+from logs.codec import LoopTimingRow, pack_controller_step, pack_log, pack_loop_timing, pack_mavlink
+from logs.codec_input import pack_controller_input, pack_controller_state
+from logs.codec_log import CONTROLLER, ONBOARD
+from logs.mavlink_peers import PeerNames
+from logs.schemas import (
+    CONTROLLER_INPUT,
+    CONTROLLER_STATE,
+    CONTROLLER_STEP,
+    LOG,
+    LOOP_TIMING,
+    MAVLINK,
+    ODOMETRY,
 )
+from logs.step_row import step_row
 
 STATUS_HZ = 20.0  # of the live topics
+STATE_HZ = 1.0  # of the snapshots a replay can begin at
 TIMESYNC_ID = 111  # low byte of the message id, which is at offset 7 of a MAVLink 2 frame
 
 
@@ -35,6 +44,9 @@ class FeedLike(Protocol):
     ) -> None:
         """Queue a message."""
 
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Queue a metadata record."""
+
     def flush(self) -> None:
         """Send what is queued."""
 
@@ -46,19 +58,25 @@ class OnboardLog:
         self, feed: FeedLike, session: zenoh_link.Session, namespace: str, rate_hz: int, lockstep: bool
     ) -> None:
         self._feed = feed
-        self._odom = feed.channel(f"/{namespace}/target/odom", "nav_msgs/msg/Odometry")
+        self._odom = feed.channel(f"/{namespace}/target/odom", ODOMETRY)
         self._mavlink = {
-            Direction.IN: feed.channel("/uas1/mavlink_source", "mavros_msgs/msg/Mavlink"),
-            Direction.OUT: feed.channel("/uas1/mavlink_sink", "mavros_msgs/msg/Mavlink"),
+            Direction.IN: feed.channel("/uas1/mavlink_source", MAVLINK),
+            Direction.OUT: feed.channel("/uas1/mavlink_sink", MAVLINK),
         }
-        self._step = feed.channel(f"/{namespace}/controller/step", "flightstack_msgs/msg/ControllerStep")
-        self._timing = feed.channel(f"/{namespace}/loop/timing", "flightstack_msgs/msg/LoopTiming")
-        self._rosout = feed.channel("/rosout", "rcl_interfaces/msg/Log")
-        self._frames: list[tuple[Direction, bytes]] = []
+        self._input = feed.channel(f"/{namespace}/controller/input", CONTROLLER_INPUT)
+        self._step = feed.channel(f"/{namespace}/controller/step", CONTROLLER_STEP)
+        self._state = feed.channel(f"/{namespace}/controller/state", CONTROLLER_STATE)
+        self._timing = feed.channel(f"/{namespace}/loop/timing", LOOP_TIMING)
+        self._rosout = feed.channel("/rosout", LOG)
+        self._frames: list[tuple[Direction, bytes, bytes]] = []  # last: name of the peer
+        self._peer_names = PeerNames(feed)
         self._asked = b""  # last TIMESYNC that came
         self._sequence = 0
         self._flush_every = 10 if lockstep else 1  # ticks; fewer wake-ups of the recorder, 0.1 s of flight
+        self._lockstep = lockstep
         self._every = max(1, round(rate_hz / STATUS_HZ))
+        self._state_every = max(1, round(rate_hz / STATE_HZ))
+        self._state_text = StateText(State)
         encoding = "application/cdr;flightstack_msgs/msg/"
         self._live_step = zenoh_link.dropping_publisher(
             session, f"{namespace}/controller/step", encoding + "ControllerStep"
@@ -69,12 +87,11 @@ class OnboardLog:
 
     def tap(self, direction: Direction, frame: bytes, peer: Peer) -> None:
         """Keep a MAVLink frame until its tick is known; the endpoint's tap."""
-        del peer
-        if direction is Direction.IN and frame[7] == TIMESYNC_ID:
+        if self._lockstep and direction is Direction.IN and frame[7] == TIMESYNC_ID:
             if frame == self._asked:
-                return  # a repeated question of lockstep, the same to the byte: a matter of wall time
+                return  # a repeated question, the same to the byte: a matter of wall time
             self._asked = frame
-        self._frames.append((direction, frame))
+        self._frames.append((direction, frame, self._peer_names(peer)))
 
     def samples(self, samples: list[RawSample], unix_ns: int) -> None:
         """Write target samples verbatim, accepted or not."""
@@ -84,23 +101,37 @@ class OnboardLog:
                 self._odom, unix_ns, source_ns, (sample.sequence or 0) & 0xFFFFFFFF, sample.payload
             )
 
-    def event(self, unix_ns: int, level: int, text: str) -> None:
+    def event(self, unix_ns: int, level: int, text: str, name: str = ONBOARD) -> None:
         """Write an event of /rosout."""
-        self._feed.write(self._rosout, unix_ns, unix_ns, 0, pack_log(unix_ns, level, "onboard", text))
+        self._feed.write(self._rosout, unix_ns, unix_ns, 0, pack_log(unix_ns, level, name, text))
 
-    def step(self, tick: Tick, out: Outputs) -> bytes:
-        """Write the frames, events and decisions of a tick; the step's message is returned."""
+    def step(self, tick: Tick, taken: Taken, out: Outputs, state: State) -> bytes:
+        """Write the frames, inputs, events and decisions of a tick; the step's message is returned.
+
+        Args:
+            tick: the tick.
+            taken: what the controller was given; what it made of that is in ``out``.
+            out: what it decided.
+            state: the controller's, after the tick; written once a second.
+        """
         unix_ns = tick.unix_ns
         frames, self._frames = self._frames, []
-        for direction, frame in frames:
+        for direction, frame, peer in frames:
             self._sequence += 1
             self._feed.write(
-                self._mavlink[direction], unix_ns, unix_ns, self._sequence, pack_mavlink(unix_ns, frame)
+                self._mavlink[direction], unix_ns, unix_ns, self._sequence, pack_mavlink(unix_ns, frame, peer)
             )
+        given = pack_controller_input(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)
+        self._feed.write(self._input, unix_ns, unix_ns, tick.number, given)
         for event in out.events:
-            self.event(unix_ns, event.level, event.text)
-        payload = pack_controller_step(_row(tick, out))
+            self.event(unix_ns, event.level, event.text, CONTROLLER)
+        payload = pack_controller_step(step_row(tick, out))
         self._feed.write(self._step, unix_ns, unix_ns, tick.number, payload)
+        if tick.number % self._state_every == 0:
+            snapshot = pack_controller_state(
+                unix_ns, tick.number, self._state_text.layout, self._state_text.dumps(state)
+            )
+            self._feed.write(self._state, unix_ns, unix_ns, tick.number, snapshot)
         return payload
 
     def timing(
@@ -118,41 +149,3 @@ class OnboardLog:
             self._live_timing.put(payload)
         if tick.number % self._flush_every == 0:
             self._feed.flush()
-
-
-def _row(tick: Tick, out: Outputs) -> ControllerStepRow:
-    """Values that are not there are NaN; zero would be a claim."""
-    own, target, barrier, seen = out.seen.inputs.own, out.seen.target, out.barrier, out.seen
-    nan = math.nan
-    none = (nan, nan, nan)
-    return ControllerStepRow(
-        stamp_ns=tick.unix_ns,
-        tick=tick.number,
-        phase=out.phase,
-        request=out.request,
-        filter_status=barrier.result.status if barrier is not None else 0,
-        gate=out.gate,
-        setpoint_sent=out.setpoint is not None,
-        barrier_active=barrier.result.active if barrier is not None else False,
-        own_valid=seen.own_ok,
-        target_valid=seen.target_ok,
-        own_age_s=tick.now_s - own.arrival_s if own is not None else nan,
-        target_age_s=target.age_s if target is not None else nan,
-        own_position_enu_m=own.position_enu_m if own is not None else none,
-        own_velocity_enu_m_s=own.velocity_enu_m_s if own is not None else none,
-        own_yaw_rad=own.yaw_rad if own is not None else nan,
-        target_position_enu_m=target.position_enu_m if target is not None else none,
-        target_velocity_enu_m_s=target.velocity_enu_m_s if target is not None else none,
-        target_yaw_rad=target.yaw_rad if target is not None else nan,
-        h_m=barrier.h_m if barrier is not None else nan,
-        gradient=barrier.gradient if barrier is not None else none,
-        dh_dt_m_s=barrier.dh_dt_m_s if barrier is not None else nan,
-        nominal_enu_m_s=barrier.nominal if barrier is not None else none,
-        filtered_enu_m_s=barrier.result.velocity_enu_m_s if barrier is not None else none,
-        command_enu_m_s=out.setpoint.velocity_enu_m_s if out.setpoint is not None else ZERO,
-        slack_m_s=barrier.result.slack_m_s if barrier is not None else nan,
-        residual=barrier.result.residual_m_s if barrier is not None else nan,
-        iterations=barrier.result.iterations if barrier is not None else 0,
-        target_accepted=out.target_accepted,
-        target_rejected=out.target_rejected,
-    )

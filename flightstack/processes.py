@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import random
 import selectors
@@ -14,6 +15,8 @@ import time
 from pathlib import Path
 
 START_TIME_MAX_S = 120.0  # s until a child says ready: the first time the simulator compiles its loops
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_PRCTL = ctypes.CDLL(None).prctl if sys.platform == "linux" else None  # looked up before any fork
 END_TIME_MAX_S = 5.0  # s until a child that was asked to end has ended
 
 
@@ -34,6 +37,7 @@ class Child:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 start_new_session=True,  # Ctrl-C reaches the launcher alone, which ends the children in order
+                preexec_fn=_end_with_parent,
             )
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
@@ -90,6 +94,12 @@ class Child:
         if self.process.stdout is not None:
             self.process.stdout.close()
         return code
+
+
+def _end_with_parent() -> None:
+    """Have the kernel ask this process to end when the launcher is killed; runs in the new process."""
+    if _PRCTL is not None:
+        _PRCTL(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
 
 
 class Port:

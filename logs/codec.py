@@ -9,6 +9,7 @@ Times are integer nanoseconds (Unix time, or simulated time from 2020-01-01 on i
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import NamedTuple
 
@@ -44,7 +45,7 @@ _MAP = b"map\x00"  # the world frame of every message here
 
 # Encapsulation, stamp, length and text of frame_id: 16 bytes of body, so what follows is aligned to 8.
 _HEADER = "<4siII4s"
-_CONTROLLER_STEP = struct.Struct(_HEADER + "Q8B32d3I")
+_CONTROLLER_STEP = struct.Struct(_HEADER + "Q8B32d3I2B2x4d")
 _LOOP_TIMING = struct.Struct(_HEADER + "Q4d2I")
 _TRUE_STATE = struct.Struct(_HEADER + "Q3d3d4d3d4d3d3d4dI4x7dB7x4d")
 
@@ -81,6 +82,10 @@ class ControllerStepRow(NamedTuple):
     iterations: int
     target_accepted: int
     target_rejected: int
+    link_valid: bool = False
+    finished: bool = False
+    wanted_enu_m_s: Vec3 = (math.nan, math.nan, math.nan)
+    command_yaw_rad: float = math.nan
 
 
 class LoopTimingRow(NamedTuple):
@@ -129,12 +134,14 @@ def pack_controller_step(row: ControllerStepRow) -> bytes:
     """
     (stamp_ns, tick, phase, request, status, gate, sent, active, own, target, own_age, target_age,
      own_p, own_v, own_yaw, target_p, target_v, target_yaw, h, gradient, dh_dt,
-     nominal, filtered, command, slack, residual, iterations, accepted, rejected) = row  # fmt: skip
+     nominal, filtered, command, slack, residual, iterations, accepted, rejected,
+     link, finished, wanted, command_yaw) = row  # fmt: skip
     return _CONTROLLER_STEP.pack(
         CDR_HEADER, stamp_ns // _NS, stamp_ns % _NS, 4, _MAP,
         tick, phase, request, status, gate, sent, active, own, target, own_age, target_age,
         *own_p, *own_v, own_yaw, *target_p, *target_v, target_yaw, h, *gradient, dh_dt,
         *nominal, *filtered, *command, slack, residual, iterations, accepted, rejected,
+        link, finished, *wanted, command_yaw,
     )  # fmt: skip
 
 
@@ -150,6 +157,7 @@ def unpack_controller_step(data: bytes) -> ControllerStepRow:
         bool(f[10]), bool(f[11]), bool(f[12]), bool(f[13]), f[14], f[15],
         f[16:19], f[19:22], f[22], f[23:26], f[26:29], f[29], f[30], f[31:34], f[34],
         f[35:38], f[38:41], f[41:44], f[44], f[45], f[46], f[47], f[48],
+        bool(f[49]), bool(f[50]), f[51:54], f[54],
     )  # fmt: skip
 
 

@@ -6,6 +6,8 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
+ONBOARD, CONTROLLER = "onboard", "controller"  # who speaks; what the controller says is part of its decisions
+
 _NS = 1_000_000_000  # nanoseconds in a second
 _PREFIX = struct.Struct("<4siIB3x")  # encapsulation, stamp, level, padding to the first string
 _U32 = struct.Struct("<I")
@@ -51,6 +53,12 @@ def pack_log(
         parts += (_U32.pack(len(raw)), raw, _PADDING[len(raw) & 3])
     parts.append(_U32.pack(line))
     return b"".join(parts)
+
+
+def pack_string(text: str) -> bytes:
+    """Return a ``std_msgs/msg/String`` as CDR."""
+    raw = text.encode() + b"\x00"
+    return b"\x00\x01\x00\x00" + _U32.pack(len(raw)) + raw
 
 
 def unpack_log(data: bytes) -> LogRow:
