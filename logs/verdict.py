@@ -10,6 +10,11 @@ whatever the controller believed:
 * timeout: everything else, also a miss that nobody declared and a log that ends too early;
 * violation: h < -5 mm while d exceeds the pad's radius, in a run that began with h >= 0.
 
+A declared abort that has flown clear ends the judging of h: after the first true state behind it that is
+farther from the target than the configured clearance distance (``checks.clearance_m``), h no longer counts,
+since landing beside the robot has h < 0 by geometry; until then it counts in full. After a declared abort a
+gentle landing on the ground is no crash.
+
 Data that is missing is never taken for safe: without it a flight has not landed, and an absent violation is
 "not known" (``None``) instead of False. A log without true states, as of real hardware, is judged by the
 vehicle's own estimate; ``judged_from`` says which.

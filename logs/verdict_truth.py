@@ -8,11 +8,12 @@ from enum import IntFlag
 
 import numpy as np
 
-from logs.flight_data import Flight, Truth
+from logs.flight_data import Truth
 from logs.verdict_types import (
     GAP_MAX_S,
     REST_TIME_S,
     TRUE_STATES,
+    Judged,
     Outcome,
     Verdict,
     abort_declared,
@@ -56,7 +57,7 @@ class _Touch:
     velocity_m_s: tuple[float, float, float]
 
 
-def judge_truth(flight: Flight, truth: Truth) -> Verdict:
+def judge_truth(flight: Judged, truth: Truth) -> Verdict:
     """Judge a flight by its true states."""
     start_s = flight.landing_start_s
     if start_s is None:
@@ -66,12 +67,13 @@ def judge_truth(flight: Flight, truth: Truth) -> Verdict:
         return _nothing(Outcome.TIMEOUT, "the true states end before the landing began")
     touch = _first_contact(truth, begin)
     outcome, reason = _outcome(flight, truth, begin, touch)
-    missing = _missing(flight, truth, start_s, begin, outcome)
+    until = _judged_until(flight, truth)
+    missing = _missing(flight, truth, start_s, begin, until, outcome)
     if outcome is Outcome.LANDED and not _covered(truth, start_s, begin):
         outcome, reason = Outcome.TIMEOUT, f"not shown to have landed: {missing}"
     started_safe = _started_safe(truth, start_s)
-    h_min_m = lowest(truth.h_min_m[begin:])
-    outside_m = lowest(truth.h_min_outside_pad_m[begin:])
+    h_min_m = lowest(truth.h_min_m[begin:until])
+    outside_m = lowest(truth.h_min_outside_pad_m[begin:until])
     if not missing and started_safe is None:
         missing = "true h is missing where the landing began"
     on_pad = touch if touch is not None and truth.contacts[touch.index] == Contact.PAD else None
@@ -91,7 +93,7 @@ def judge_truth(flight: Flight, truth: Truth) -> Verdict:
     )
 
 
-def _outcome(flight: Flight, truth: Truth, begin: int, touch: _Touch | None) -> tuple[Outcome, str]:
+def _outcome(flight: Judged, truth: Truth, begin: int, touch: _Touch | None) -> tuple[Outcome, str]:
     abort = abort_declared(flight)
     if abort and (touch is None or abort.t_s <= touch.t_s):
         if touch is None or _gentle_landing_away(truth, touch):
@@ -113,7 +115,7 @@ def _outcome(flight: Flight, truth: Truth, begin: int, touch: _Touch | None) -> 
     return outcome, reason
 
 
-def _after_touchdown(flight: Flight, truth: Truth, begin: int, touch: _Touch) -> tuple[Outcome, str]:
+def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) -> tuple[Outcome, str]:
     """Whether it rested on the pad 2 s after the motors stopped."""
     running = np.flatnonzero(truth.motors_running[begin:]) + begin
     off = int(running[-1]) + 1 if len(running) else begin
@@ -138,6 +140,21 @@ def _after_touchdown(flight: Flight, truth: Truth, begin: int, touch: _Touch) ->
         return Outcome.TIMEOUT, text
     text = f"touched {touch.d_m * 100:.1f} cm from the centre, rests on the pad 2 s after the motors stopped"
     return Outcome.LANDED, text
+
+
+def _judged_until(flight: Judged, truth: Truth) -> int:
+    """Index of the first true state whose h no longer counts: after a declared abort that has flown clear.
+
+    Who lands beside the robot ends below its pad, where h < 0 by geometry. The state that first shows the
+    vehicle outside the clearance distance still counts, with the physics steps before it. Without the
+    configuration nothing is known of a clearance distance, and all counts.
+    """
+    abort = abort_declared(flight)
+    if abort is None or flight.config is None:
+        return len(truth.t_s)
+    clear = (truth.t_s > abort.t_s) & (truth.d_m > flight.config.checks.clearance_m)
+    found = np.flatnonzero(clear)
+    return int(found[0]) + 1 if len(found) else len(truth.t_s)
 
 
 def _first_contact(truth: Truth, begin: int) -> _Touch | None:
@@ -191,14 +208,14 @@ def _covered(truth: Truth, start_s: float, begin: int) -> bool:
     return bool(np.max(np.diff(t_s)) <= GAP_MAX_S)
 
 
-def _missing(flight: Flight, truth: Truth, start_s: float, begin: int, outcome: Outcome) -> str:
+def _missing(flight: Judged, truth: Truth, start_s: float, begin: int, until: int, outcome: Outcome) -> str:
     """What keeps us from knowing that nothing else happened; empty if all is there."""
     if not _covered(truth, start_s, begin):
         return f"true states have a gap of more than {GAP_MAX_S:g} s"
     lost = int(flight.metadata.get("losses", {}).get("vehicle", "0"))
     if lost:
         return f"{lost} records of the vehicle were lost"
-    if np.isnan(truth.h_min_m[begin:]).any() or np.isnan(truth.h_min_outside_pad_m[begin:]).any():
+    if np.isnan(truth.h_min_m[begin:until]).any() or np.isnan(truth.h_min_outside_pad_m[begin:until]).any():
         return "true h is missing at some ticks"
     last_s = float(flight.steps.t_s[-1]) if flight.steps is not None else start_s
     if outcome is not Outcome.LANDED and last_s - truth.t_s[-1] > GAP_MAX_S:
@@ -208,7 +225,7 @@ def _missing(flight: Flight, truth: Truth, start_s: float, begin: int, outcome: 
     return ""
 
 
-def _never_began(flight: Flight, truth: Truth) -> Verdict:
+def _never_began(flight: Judged, truth: Truth) -> Verdict:
     hits = int(np.bitwise_or.reduce(truth.contacts)) & int(_FALLS | Contact.PAD_EDGE) & ~int(Contact.GROUND)
     abort = abort_declared(flight)
     if hits:

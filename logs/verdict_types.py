@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from flightstack.config import FlightConfig
 from flightstack.types import Phase
-from logs.flight_data import Flight, Floats
+from logs.flight_data import Event, Floats, Ints
 
 VIOLATION_LIMIT_M = -0.005  # m, h below this outside the pad is a violation
 REST_TIME_S = 2.0  # s after the motors stop
@@ -18,6 +19,50 @@ GAP_MAX_S = 0.2  # s without data beyond which nothing is known about what happe
 TRUE_STATES = "true states"
 ESTIMATE = "estimate"
 _SAID_WITHIN_S = 0.1  # an event of the tick itself, with margin for another clock
+
+
+class JudgedSteps(Protocol):
+    """Controller steps as far as a verdict by true states looks at them."""
+
+    @property
+    def t_s(self) -> Floats:
+        """(n,) time."""
+
+    @property
+    def phase(self) -> Ints:
+        """(n,) ``Phase``."""
+
+
+class Judged(Protocol):
+    """A flight as far as a verdict by true states looks at it: from a log, or of a landing in a campaign."""
+
+    @property
+    def landing_start_s(self) -> float | None:
+        """When the judging begins."""
+
+    @property
+    def steps(self) -> JudgedSteps | None:
+        """Controller steps."""
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What was said."""
+
+    @property
+    def config(self) -> FlightConfig | None:
+        """Configuration the onboard process flew with."""
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Metadata records by name; "losses" counts lost records."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is cut off."""
+
+    @property
+    def pad_radius_m(self) -> float:
+        """Of the landing pad."""
 
 
 class Outcome(StrEnum):
@@ -94,7 +139,7 @@ class Abort:
     text: str
 
 
-def abort_declared(flight: Flight) -> Abort | None:
+def abort_declared(flight: Judged) -> Abort | None:
     """Return the first step in phase ABORT with the event that said why, or ``None``."""
     if flight.steps is None:
         return None

@@ -38,6 +38,7 @@ class RealTimeLoop:
         """
         node, grid = self._node, self._grid
         self._start_s = time.monotonic()
+        node.log.epoch_ns = time.time_ns()  # making the vehicle took a while
         tick = 0
         while not self._stop.is_set and tick != ticks:
             deadline_s = self._start_s + grid.ns(tick) / 1e9

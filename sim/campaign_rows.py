@@ -1,0 +1,256 @@
+"""One row for each landing of a campaign, and the file of rows: ``rows.csv``, appended durably.
+
+Floats are written so that they read back the same to the last bit; an empty field is "not known", never zero.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from flightstack.types import Phase
+from logs.verdict_types import Outcome
+from sim.landing import Landing
+
+ERROR = "error"  # outcome of a landing that could not be flown to its end
+CELL_M = 0.1  # width and height of a cell of the map of h
+E_Z_LOW_M = -0.3  # lower edge of its lowest cells; below is counted there
+D_CELLS, E_Z_CELLS = 30, 30  # farther and higher is counted in the last ones
+_TIMED = (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.HOLD, Phase.CLIMB, Phase.ABORT)
+
+
+class RowsError(ValueError):
+    """A file of rows that cannot be used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What a campaign keeps of one landing; ``None`` where a value does not apply or is not known.
+
+    Attributes:
+        seed: of all chance.
+        outcome: ``Outcome``, or "error".
+        reason: why, in words.
+        violation: as in ``Verdict``.
+        started_safe: as in ``Verdict``.
+        h_min_m: lowest true h.
+        h_min_outside_pad_m: the same where d > pad radius.
+        h_min_d_m: d at the tick that shows it.
+        h_min_e_z_m: e_z at that tick.
+        touchdown_error_m: d at first contact.
+        touchdown_speed_vertical_m_s: relative to the pad, positive downwards.
+        touchdown_speed_horizontal_m_s: relative to the pad.
+        time_to_land_s: begin of the landing to first contact, if landed.
+        retries: times it went back to the approach.
+        approach_s, land_s, touchdown_s, hold_s, climb_s, abort_s: time in the phases.
+        own_age_max_s: greatest age of the own state since the landing began.
+        target_age_max_s: the same of the target's.
+        simulated_s: length of the run.
+        wall_s: time it took; the only value that chance does not fix.
+        cells: map of h: "i j mm" for each cell of (d, e_z) that was visited, with the lowest h there.
+    """
+
+    seed: int
+    outcome: str
+    reason: str
+    violation: bool | None = None
+    started_safe: bool | None = None
+    h_min_m: float | None = None
+    h_min_outside_pad_m: float | None = None
+    h_min_d_m: float | None = None
+    h_min_e_z_m: float | None = None
+    touchdown_error_m: float | None = None
+    touchdown_speed_vertical_m_s: float | None = None
+    touchdown_speed_horizontal_m_s: float | None = None
+    time_to_land_s: float | None = None
+    retries: int | None = None
+    approach_s: float | None = None
+    land_s: float | None = None
+    touchdown_s: float | None = None
+    hold_s: float | None = None
+    climb_s: float | None = None
+    abort_s: float | None = None
+    own_age_max_s: float | None = None
+    target_age_max_s: float | None = None
+    simulated_s: float | None = None
+    wall_s: float | None = None
+    cells: str = ""
+
+    @property
+    def landed(self) -> bool:
+        """Whether it landed."""
+        return self.outcome == Outcome.LANDED
+
+    def untimed(self) -> Row:
+        """The row without the time it took: equal for equal seeds."""
+        return replace(self, wall_s=None)
+
+
+def row_of(landing: Landing) -> Row:
+    """Make the row of a landing."""
+    verdict, seen = landing.verdict, landing.seen
+    steps, truth, start_s = seen.steps, seen.truth, seen.landing_start_s
+    begin = len(truth.t_s) if start_s is None else int(np.searchsorted(truth.t_s, start_s))
+    lowest_d_m = lowest_e_z_m = None
+    outside_m = truth.h_min_outside_pad_m[begin:]
+    if verdict.h_min_outside_pad_m is not None:
+        at = begin + int(np.argmin(np.where(np.isnan(outside_m), np.inf, outside_m)))
+        lowest_d_m, lowest_e_z_m = float(truth.d_m[at]), float(truth.e_m[at, 2])
+    # a phase lasts until the next step
+    lengths_s = np.diff(steps.t_s, append=steps.t_s[-1])
+    spent_s = {phase: float(lengths_s[steps.phase == phase].sum()) for phase in _TIMED}
+    landing_steps = slice(0, 0) if start_s is None else slice(int(np.searchsorted(steps.t_s, start_s)), None)
+    return Row(
+        seed=landing.seed,
+        outcome=verdict.outcome.value,
+        reason=verdict.reason,
+        violation=verdict.violation,
+        started_safe=verdict.started_safe,
+        h_min_m=verdict.h_min_m,
+        h_min_outside_pad_m=verdict.h_min_outside_pad_m,
+        h_min_d_m=lowest_d_m,
+        h_min_e_z_m=lowest_e_z_m,
+        touchdown_error_m=verdict.touchdown_error_m,
+        touchdown_speed_vertical_m_s=verdict.touchdown_speed_vertical_m_s,
+        touchdown_speed_horizontal_m_s=verdict.touchdown_speed_horizontal_m_s,
+        time_to_land_s=verdict.time_to_land_s,
+        retries=landing.retries,
+        **{f"{phase.name.lower()}_s": spent for phase, spent in spent_s.items()},
+        own_age_max_s=_largest(steps.own_age_s[landing_steps]),
+        target_age_max_s=_largest(steps.target_age_s[landing_steps]),
+        simulated_s=landing.simulated_s,
+        wall_s=landing.wall_s,
+        cells=_cells(truth.d_m[begin:], truth.e_m[begin:, 2], truth.h_m[begin:]),
+    )
+
+
+def error_row(seed: int, reason: str) -> Row:
+    """Row of a landing that could not be flown: a failure."""
+    return Row(seed, ERROR, " ".join(reason.split()))
+
+
+def cell_map(rows: Iterable[Row]) -> tuple[Any, Any]:
+    """Lowest h (m, NaN where nobody was) and number of landings in each cell, (E_Z_CELLS, D_CELLS) each."""
+    lowest = np.full((E_Z_CELLS, D_CELLS), np.inf)
+    visits = np.zeros((E_Z_CELLS, D_CELLS), dtype=np.int64)
+    for row in rows:
+        for cell in filter(None, row.cells.split(";")):
+            i, j, h_mm = map(int, cell.split())
+            lowest[j, i] = min(lowest[j, i], h_mm * 1e-3)
+            visits[j, i] += 1
+    return np.where(np.isfinite(lowest), lowest, np.nan), visits
+
+
+def _cells(d_m: Any, e_z_m: Any, h_m: Any) -> str:
+    i = np.clip((d_m / CELL_M).astype(np.int64), 0, D_CELLS - 1)
+    j = np.clip(((e_z_m - E_Z_LOW_M) / CELL_M).astype(np.int64), 0, E_Z_CELLS - 1)
+    cell = j * D_CELLS + i
+    order = np.lexsort((h_m, cell))  # the lowest of each cell comes first
+    visited, first = np.unique(cell[order], return_index=True)
+    h_mm = np.floor(h_m[order][first] * 1e3).astype(np.int64)
+    return ";".join(f"{c % D_CELLS} {c // D_CELLS} {h}" for c, h in zip(visited, h_mm, strict=True))
+
+
+def _largest(ages_s: Any) -> float | None:
+    known = ages_s[np.isfinite(ages_s)]
+    return float(known.max()) if len(known) else None
+
+
+_NAMES = [f.name for f in fields(Row)]
+_KINDS = {f.name: str(f.type).removesuffix(" | None") for f in fields(Row)}
+_HEADER = ",".join(_NAMES) + "\r\n"
+
+
+def _text(row: Row) -> str:
+    out = io.StringIO()
+    values = (getattr(row, name) for name in _NAMES)
+    csv.writer(out).writerow(
+        "" if v is None else str(v).lower() if isinstance(v, bool) else repr(v) if isinstance(v, float) else v
+        for v in values
+    )
+    return out.getvalue()
+
+
+def _value(name: str, text: str) -> Any:
+    kind = _KINDS[name]
+    if kind == "str":
+        return text
+    if text == "":
+        return None
+    if kind == "bool":
+        return {"true": True, "false": False}[text]
+    return int(text) if kind == "int" else float(text)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Read a file of rows; a last line that was cut off is left out.
+
+    Raises:
+        RowsError: it is not such a file, or a line in it is damaged.
+    """
+    data = path.read_bytes()
+    whole = data[: data.rfind(b"\n") + 1].decode()
+    if not whole:
+        return []
+    if not whole.startswith(_HEADER):
+        raise RowsError(f"{path}: the first line is not that of a file of rows; give another --out")
+    rows = []
+    for number, values in enumerate(csv.reader(io.StringIO(whole[len(_HEADER) :])), 2):
+        try:
+            rows.append(Row(**{n: _value(n, v) for n, v in zip(_NAMES, values, strict=True)}))
+        except (ValueError, KeyError) as error:
+            raise RowsError(f"{path}, line {number}: not a row ({error}); give another --out") from None
+    return rows
+
+
+def write_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Write all rows, by seed, in place of what is there: whole or not at all."""
+    beside = path.with_suffix(".tmp")
+    with beside.open("w", newline="") as file:
+        file.write(_HEADER)
+        file.writelines(_text(row) for row in sorted(rows, key=lambda row: row.seed))
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
+
+
+class RowsFile:
+    """Appends rows; what ``add`` was given survives any crash after it."""
+
+    def __init__(self, path: Path) -> None:
+        """Open, cutting off a line that was not finished."""
+        known = path.read_bytes() if path.exists() else b""
+        whole = known.rfind(b"\n") + 1
+        self._file = path.open("r+b" if path.exists() else "w+b")
+        self._file.truncate(whole)
+        self._file.seek(whole)
+        if not whole:
+            self._file.write(_HEADER.encode())
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Append rows and wait until they are on the disk."""
+        self._file.writelines(_text(row).encode() for row in rows)
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def __enter__(self) -> RowsFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+def missing(rows: Iterable[Row], first_seed: int, runs: int) -> Iterator[int]:
+    """Seeds without a row, in order."""
+    have = {row.seed for row in rows}
+    return (seed for seed in range(first_seed, first_seed + runs) if seed not in have)

@@ -1,0 +1,147 @@
+"""What a landing in one process keeps of itself: as much of a flight log as a verdict needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from flightstack.config import FlightConfig
+from flightstack.controller import Outputs
+from flightstack.pacing import EPOCH_NS, Tick
+from flightstack.types import Phase
+from logs.feed import Feed
+from logs.flight_data import Event, Floats, Ints, Truth
+from sim import vehicle_types
+from sim.process_vehicle_log import VehicleLog
+
+
+@dataclass(frozen=True)
+class SeenSteps:
+    """Controller steps, n of them.
+
+    Attributes:
+        t_s: (n,) time.
+        phase: (n,) ``Phase``.
+        own_age_s: (n,) age of the own state, NaN without one.
+        target_age_s: (n,) age of the target's, NaN without one.
+    """
+
+    t_s: Floats
+    phase: Ints
+    own_age_s: Floats
+    target_age_s: Floats
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A flight as the judge looks at it (``logs.verdict_types.Judged``); always whole."""
+
+    steps: SeenSteps
+    truth: Truth
+    events: tuple[Event, ...]
+    config: FlightConfig
+    pad_radius_m: float
+    complete: bool = True
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    @cached_property
+    def landing_start_s(self) -> float | None:
+        """Time of the first step in phase APPROACH."""
+        begun = np.flatnonzero(self.steps.phase == Phase.APPROACH)
+        return float(self.steps.t_s[begun[0]]) if len(begun) else None
+
+
+class Notes:
+    """Collects while it flies."""
+
+    def __init__(self, config: FlightConfig, pad_radius_m: float) -> None:
+        self._config, self._pad_radius_m = config, pad_radius_m
+        self._steps: list[tuple[int, int, float, float]] = []
+        self._truth_ticks: list[tuple[int, int]] = []
+        self._truth: list[vehicle_types.Truth] = []
+        self._events: list[Event] = []
+
+    def step(self, tick: Tick, out: Outputs) -> None:
+        """Note a controller step."""
+        seen = out.seen
+        own, target = seen.inputs.own, seen.target
+        own_age_s = tick.now_s - own.arrival_s if own is not None else math.nan
+        target_age_s = target.age_s if target is not None else math.nan
+        self._steps.append((tick.unix_ns - EPOCH_NS, int(out.phase), own_age_s, target_age_s))
+        for event in out.events:
+            self.event(tick.now_s, event.level, "controller", event.text)
+
+    def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
+        """Note a true state."""
+        self._truth_ticks.append((tick, now_ns))
+        self._truth.append(truth)
+
+    def event(self, t_s: float, level: int, source: str, text: str) -> None:
+        """Note something that was said."""
+        self._events.append(Event(t_s, level, source, text))
+
+    def seen(self) -> Seen:
+        """All of it."""
+        times_ns, phases, own_age_s, target_age_s = zip(*self._steps, strict=True)
+        return Seen(
+            SeenSteps(_seconds(times_ns), np.array(phases), np.array(own_age_s), np.array(target_age_s)),
+            self._arrays(),
+            tuple(sorted(self._events, key=lambda event: event.t_s)),
+            self._config,
+            self._pad_radius_m,
+        )
+
+    def _arrays(self) -> Truth:
+        rows = self._truth
+        w, x, y, z = np.array([t.quaternion for t in rows]).T
+        return Truth(
+            t_s=_seconds([ns for _, ns in self._truth_ticks]),
+            tick=np.array([tick for tick, _ in self._truth_ticks]),
+            position_enu_m=np.array([t.position_enu_m for t in rows]),
+            velocity_enu_m_s=np.array([t.velocity_enu_m_s for t in rows]),
+            orientation=np.column_stack((x, y, z, w)),
+            pad_position_enu_m=np.array([t.pad_position_enu_m for t in rows]),
+            pad_velocity_enu_m_s=np.array([t.pad_velocity_enu_m_s for t in rows]),
+            pad_yaw_rad=np.array([t.pad_yaw_rad for t in rows]),
+            h_m=np.array([t.h_m for t in rows]),
+            h_min_m=np.array([t.h_min_m for t in rows]),
+            h_min_outside_pad_m=np.array([t.h_min_outside_pad_m for t in rows]),
+            contacts=np.array([t.contacts for t in rows]),
+            first_touch_relative_position_enu_m=np.array(
+                [t.first_touch_relative_position_enu_m for t in rows]
+            ),
+            first_touch_relative_velocity_enu_m_s=np.array(
+                [t.first_touch_relative_velocity_enu_m_s for t in rows]
+            ),
+            first_touch_time_s=np.array([t.first_touch_time_s for t in rows]),
+            motors_running=np.array([t.motors_running for t in rows]),
+            battery_v=np.array([t.battery_v for t in rows]),
+        )
+
+
+class VehicleNotes(VehicleLog):
+    """Stands in for the log of the vehicle's process."""
+
+    def __init__(self, notes: Notes) -> None:
+        super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS)
+        self._notes = notes
+
+    def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
+        """Keep the true state."""
+        self._notes.truth(tick, now_ns, truth)
+
+    def target(self, now_ns: int, payload: bytes) -> None:
+        """Not needed: the true state holds the deck's."""
+
+    def event(self, now_ns: int, level: int, text: str) -> None:
+        """Keep what was said."""
+        self._notes.event(now_ns * 1e-9, level, "vehicle", text)
+
+
+def _seconds(times_ns: Sequence[int]) -> Floats:
+    """As in a log, whose time zero is the first tick's."""
+    return np.asarray(np.array(times_ns, dtype=np.int64) * 1e-9, dtype=np.float64)

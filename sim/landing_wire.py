@@ -1,0 +1,119 @@
+"""The MAVLink wire of a landing in one process: messages handed over as they would arrive, without bytes.
+
+A float of a message has 32 bits on the wire; that rounding is done here and nothing else of it, for packing,
+checksums and sockets change no number. What cannot be handed over so simply (strings, arrays, and whatever a
+fault of the link has touched) is packed and decoded in full.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.decoding import Message, decode
+from bridge.endpoint_counters import EndpointCounters
+from bridge.framing import split_frames
+from bridge.mavlink import Endpoint, Peer, Received
+
+PEER: Peer = ("in-process", 0)
+
+
+class _Floats(NamedTuple):
+    """How the floats of a message are read and rounded."""
+
+    read: Callable[[Message], Any]
+    pack: Callable[..., bytes]
+    unpack: Callable[[bytes], tuple[float, ...]]
+    names: tuple[str, ...]
+
+
+_Plan = _Floats | bool  # True: whole numbers alone, which pass as they are; False: goes by bytes
+
+
+def _plan(cls: Any) -> _Plan:
+    """How messages of a class pass."""
+    if any(cls.array_lengths) or {"char", "double"} & set(cls.fieldtypes):
+        return False
+    pairs = zip(cls.fieldnames, cls.fieldtypes, strict=True)
+    names = tuple(name for name, kind in pairs if kind == "float")
+    if not names:
+        return True
+    wire = struct.Struct(f"<{len(names)}f")
+    # attrgetter gives no tuple for a single name
+    read = attrgetter(*names) if len(names) > 1 else (lambda message: (getattr(message, names[0]),))
+    return _Floats(read, wire.pack, wire.unpack, names)
+
+
+_PLANS: dict[int, _Plan] = {id_: _plan(cls) for id_, cls in dialect.mavlink_map.items()}
+
+
+class Inlet(Endpoint):
+    """One end of the wire, in place of a socket.
+
+    Attributes:
+        other: the end it sends to.
+        answer: called when somebody waits here: the other side's turn.
+    """
+
+    def __init__(self, system_id: int, component_id: int) -> None:
+        self.tap = None
+        self.counters = EndpointCounters()
+        self.warnings = ()
+        self.other: Inlet = self
+        self.answer: Callable[[], None] | None = None
+        self._ids = (system_id, component_id)
+        self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        self._arrived: list[Received] = []
+
+    @property
+    def peers(self) -> tuple[Peer, ...]:
+        """The other end."""
+        return (PEER,)
+
+    def receive(self) -> list[Received]:
+        """Take what has arrived, in order."""
+        arrived, self._arrived = self._arrived, []
+        return arrived
+
+    def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
+        """Hand messages over; they may be changed."""
+        del peer
+        arrived = self.other._arrived
+        for message in messages:
+            header = message._header
+            plan = _PLANS[header.msgId]
+            if isinstance(plan, _Floats):
+                rounded = plan.unpack(plan.pack(*plan.read(message)))
+                message.__dict__.update(zip(plan.names, rounded, strict=True))
+            elif not plan:
+                self.repeat(self.pack(message))
+                continue
+            header.srcSystem, header.srcComponent = self._ids
+            arrived.append(Received(message, b"", PEER))
+
+    def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
+        """Hand over a frame; a damaged one never arrives."""
+        del peer
+        for good in split_frames(frame):
+            self.other._arrived.append(Received(decode(good), good, PEER))
+
+    def wait(self, timeout_s: float, *, spin_s: float = 0.0) -> bool:
+        """Let the other side answer now."""
+        del timeout_s, spin_s
+        if self.answer is not None:
+            self.answer()
+        return bool(self._arrived)
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def wires(vehicle: tuple[int, int], companion: tuple[int, int]) -> tuple[Inlet, Inlet]:
+    """Both ends of a wire, each given as system and component id."""
+    here, there = Inlet(*vehicle), Inlet(*companion)
+    here.other, there.other = there, here
+    return here, there

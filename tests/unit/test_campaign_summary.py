@@ -1,0 +1,151 @@
+"""Counts, bounds and limits of a campaign; what is not known counts against."""
+
+from dataclasses import replace
+
+import pytest
+from scipy.stats import beta
+
+from sim.campaign_rows import Row, error_row
+from sim.campaign_summary import count, repeat_command, summary, upper_bound, why, worst
+from sim.campaign_tiers import LIMITS, Tier, misses
+
+GOOD = Row(
+    0, "landed", "rests on the pad", False, True, 0.0, 0.03, 0.2, 0.4, 0.008, 0.2, 0.05, 5.0, 0, 3.0, 1.0,
+    1.0, 0.0, 0.0, 0.0, 0.01, 0.03, 8.0, 0.2, "",
+)  # fmt: skip
+CRASHED = replace(GOOD, outcome="crashed", reason="contact before touchdown: ground", time_to_land_s=None)
+ABORTED = replace(GOOD, outcome="aborted", reason="declared abort", time_to_land_s=None)
+TIMEOUT = replace(GOOD, outcome="timeout", reason="no contact", time_to_land_s=None)
+KEYS = [
+    "runs", "landed", "declared_aborts", "undeclared_misses", "crashes", "violations",
+    "upper_95_violation_rate", "h_min_outside_pad_m", "touchdown_error_m", "touchdown_speed_vertical_m_s",
+    "touchdown_speed_horizontal_m_s", "time_to_land_s", "wall_s", "realtime_factor", "worst",
+]  # fmt: skip
+
+
+def numbered(*rows):
+    return [replace(row, seed=seed) for seed, row in enumerate(rows)]
+
+
+@pytest.mark.parametrize("runs", [1, 2, 10, 500, 10_000])
+@pytest.mark.parametrize("events", [0, 1, 2, 7, 400])
+def test_upper_bound_is_clopper_pearsons(events, runs):
+    if events > runs:
+        with pytest.raises(ValueError, match=f"{events} events in {runs} runs"):
+            upper_bound(events, runs)
+        return
+    expected = 1.0 if events == runs else beta.ppf(0.95, events + 1, runs - events)
+    assert upper_bound(events, runs) == pytest.approx(expected, rel=1e-9)
+
+
+def test_no_event_still_has_a_bound():
+    assert upper_bound(0, 10_000) == pytest.approx(1.0 - 0.05 ** (1.0 / 10_000))
+    assert upper_bound(0, 10_000) > 2.9e-4
+
+
+def test_every_row_is_counted_once():
+    rows = numbered(GOOD, GOOD, CRASHED, ABORTED, TIMEOUT, error_row(5, "x"))
+    counts = count(rows)
+    assert (counts.landed, counts.crashes, counts.declared_aborts, counts.undeclared_misses) == (2, 1, 1, 2)
+    assert counts.runs == 6
+    assert counts.violations == 1  # of the error: it cannot be excluded
+
+
+def test_a_violation_not_known_counts():
+    assert count([replace(GOOD, violation=None), replace(GOOD, violation=True), GOOD]).violations == 2
+
+
+def test_summary_has_the_promised_keys_and_numbers():
+    errors = [0.01, 0.02, 0.03, 0.04, 0.05]
+    rows = numbered(*[replace(GOOD, touchdown_error_m=e, time_to_land_s=100 * e) for e in errors], CRASHED)
+    told = summary(rows, "fly {seed}", wall_s=2.0, flown_s=80.0)
+    assert list(told) == KEYS
+    assert told["touchdown_error_m"] == {"median": pytest.approx(0.03), "p95": pytest.approx(0.048)}
+    assert told["time_to_land_s"] == {"median": pytest.approx(3.0)}
+    assert told["realtime_factor"] == 40.0
+    assert told["h_min_outside_pad_m"] == 0.03
+    assert told["worst"][0] == {
+        "seed": 5, "why": "crashed: contact before touchdown: ground", "command": "fly 5"
+    }  # fmt: skip
+    assert told["worst"][1]["seed"] == 4
+
+
+def test_without_a_landing_quantiles_are_absent():
+    told = summary(numbered(CRASHED), "fly {seed}", wall_s=2.0, flown_s=0.0)
+    assert told["touchdown_error_m"] == {"median": None, "p95": None}
+    assert told["realtime_factor"] is None
+
+
+def test_worst_come_in_order():
+    violated = replace(GOOD, violation=True, h_min_outside_pad_m=-0.02)
+    rows = numbered(GOOD, ABORTED, TIMEOUT, violated, CRASHED, error_row(5, "died"))
+    assert [row.seed for row in worst(rows)] == [5, 4, 3, 2, 1, 0]
+    assert "-20 mm" in why(violated)
+    assert "cannot be excluded" in why(rows[5])
+
+
+def test_the_command_is_one_a_shell_takes():
+    command = repeat_command("my scenarios/{odd}.toml", "paper").format(seed=12)
+    assert (
+        command == "flightstack sitl --scenario 'my scenarios/{odd}.toml' --seed 12 --filter paper --lockstep"
+    )
+
+
+PAPER = [replace(GOOD, time_to_land_s=4.5)]
+
+
+def test_every_tier_has_limits():
+    assert set(LIMITS) == set(Tier)
+
+
+def test_good_rows_meet_all_limits():
+    for tier in Tier:
+        assert misses(tier, [GOOD] * 1000, PAPER) == []
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        (CRASHED, "crashes: 1 of 1000"),
+        (TIMEOUT, "misses nobody declared: 1 of 1000"),
+        (replace(GOOD, violation=True), "violations: 1 of 1000"),
+        (replace(GOOD, violation=None), "violations: 1 of 1000"),
+        (error_row(0, "died"), "misses nobody declared"),
+    ],
+)
+def test_one_bad_row_in_a_thousand_misses_lab(bad, said):
+    found = misses(Tier.LAB, [bad] + [GOOD] * 999, PAPER)
+    assert any(said in text for text in found)
+
+
+@pytest.mark.parametrize(
+    ("tier", "aborts"), [(Tier.LAB, 1), (Tier.FIELD, 5), (Tier.STORM, 30), (Tier.DECK, 5)]
+)
+def test_declared_aborts_are_allowed_up_to_the_share(tier, aborts):
+    assert misses(tier, [ABORTED] * aborts + [GOOD] * (1000 - aborts), PAPER) == []
+    found = misses(tier, [ABORTED] * (aborts + 1) + [GOOD] * (999 - aborts), PAPER)
+    assert [text.split(":")[0] for text in found] == ["landed"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"touchdown_error_m": 0.0251}, "touchdown error, 95 %"),
+        ({"touchdown_speed_vertical_m_s": 0.26}, "vertical"),
+        ({"touchdown_speed_horizontal_m_s": 0.11}, "horizontal"),
+    ],
+)
+def test_tails_are_limited(change, said):
+    found = misses(Tier.LAB, [replace(GOOD, **change)] * 60 + [GOOD] * 940, PAPER)
+    assert len(found) == 1
+    assert said in found[0]
+
+
+def test_slower_than_the_paper_by_more_than_a_quarter_is_a_miss():
+    assert misses(Tier.LAB, [GOOD], [replace(GOOD, time_to_land_s=4.01)]) == []
+    assert "median time" in misses(Tier.LAB, [GOOD], [replace(GOOD, time_to_land_s=3.99)])[0]
+
+
+def test_no_paper_campaign_means_the_limit_is_not_shown_to_be_met():
+    assert "not known" in misses(Tier.LAB, [GOOD], None)[0]
+    assert misses(Tier.STORM, [GOOD], None) == []
