@@ -7,8 +7,8 @@ corrects the set-point for the vehicle's lag (docs/robust_filter.md).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from math import hypot
 from types import MappingProxyType
 from typing import Protocol
 
@@ -113,6 +113,9 @@ class RobustLaw:
         self._tracking = VelocityTracking(config.velocity_loop, 1.0 / config.loop.rate_hz)
         self._slope = barrier.slope(config.touchdown.pad_radius_m)  # steepest outside the pad
         self._lag_z_s = config.velocity_loop.lag_z_s
+        # so that the margin is there in full where judging begins, at the pad's edge
+        edge = config.touchdown.pad_radius_m / config.robust.fade_radius_m
+        self._full = -math.expm1(-edge * edge)
 
     @property
     def motion(self) -> MotionMemory:
@@ -165,8 +168,8 @@ class RobustLaw:
         """The barrier with a margin for what is uncertain now."""
         robust = self._config.robust
         sigma_m = seen.target.position_sigma_m if seen.target is not None else 0.0
-        margin_m = robust.margin_m(self._slope, hypot(sigma_m, self._config.own.position_noise_m))
-        return RobustBarrier(self._barrier, margin_m, robust.fade_radius_m)
+        margin_m = robust.margin_m(self._slope, math.hypot(sigma_m, self._config.own.position_noise_m))
+        return RobustBarrier(self._barrier, margin_m / self._full, robust.fade_radius_m)
 
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, seen: View) -> float:
         """Vertical velocity that holds the barrier whatever the horizontal loop is still doing.

@@ -3,7 +3,7 @@
     h_r(e) = h(e) - m (1 - exp(-(d / w)^2))
 
 The margin m fades within the radius w around the landing spot, or the vehicle would hover over the pad for
-ever. Outside the pad it is there in full.
+ever. The law chooses m such that at the pad's edge what is needed there is left of it.
 """
 
 from __future__ import annotations

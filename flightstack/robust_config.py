@@ -62,7 +62,7 @@ class Envelope:
     target_climb_max_m_s: Annotated[float, Range(0.0, 2.0)] = 0.0  # heave of the pad
     target_acceleration_max_m_s2: Annotated[float, Range(0.0, 10.0)] = 0.5  # braking, reversing, turning
     target_rate_hz: Annotated[float, Range(1.0, 500.0)] = 50.0  # of its odometry
-    lag_spread: Annotated[float, Range(0.0, 0.9)] = 0.3  # share by which a vehicle may lag more than told
+    lag_spread: Annotated[float, Range(0.0, 0.9)] = 0.3  # share by which a vehicle may lag more or less
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
 """Where the target is now, how fast and with what acceleration: a Kalman filter over its late samples.
 
 Each axis is a triple integrator driven by white jerk; samples measure position and velocity at their own
-stamp, and the state is carried from there to now. The axes are independent; x and y have the same noise. Lost samples make the uncertainty grow, late ones are taken at the time they were measured.
+stamp, and the state is carried from there to now. The axes are independent; x and y have the same noise. Lost
+samples make the uncertainty grow, late ones are taken at the time they were measured.
 """
 
 from __future__ import annotations

@@ -1,0 +1,115 @@
+"""Everything the certificate has to hold for: how target, vehicle and estimates may be at their worst."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from flightstack.barrier import Barrier
+from flightstack.certificate_bound import Span
+from flightstack.certificate_shape import Shape
+from flightstack.conditions import View
+from flightstack.config import FlightConfig
+from flightstack.law import RobustLaw
+from flightstack.robust_barrier import RobustBarrier
+from flightstack.robust_config import TargetLink
+from flightstack.target_estimator import TargetEstimator, TargetMotion
+from flightstack.target_track import TargetState
+from flightstack.types import ZERO, Inputs
+
+SETTLE_SAMPLES = 2000  # after which the estimator's covariance no longer changes
+
+
+@dataclass(frozen=True, slots=True)
+class Extremes:
+    """Worst values of the declared envelope, for the robust filter.
+
+    Attributes:
+        barrier: the paper's.
+        shape: boundary held, with margins from the usual one to that of a target almost lost.
+        usual: the same while samples come as they should.
+        pad_radius_m: outside of it the barrier must hold.
+        box_speed_m_s: fastest closing on the target that velocity box and target allow together.
+        target_speed_m_s: of the target, horizontally; also of a vehicle that stands over a moving target.
+        target_climb_m_s: heave of the pad.
+        target_acceleration_m_s2: horizontal.
+        heave_acceleration_m_s2: vertical; 0 for a target that does not heave.
+        slip_m_s: horizontal speed against the target while it is followed.
+        position_error_m: of vehicle minus target on an axis, with the factor that is covered.
+        velocity_error_m_s: of the target's estimated velocity on an axis, likewise.
+        lag_xy_s, lag_z_s: slowest vehicle of the spread.
+    """
+
+    barrier: Barrier
+    shape: Shape
+    usual: Shape
+    pad_radius_m: float
+    box_speed_m_s: float
+    target_speed_m_s: float
+    target_climb_m_s: float
+    target_acceleration_m_s2: float
+    heave_acceleration_m_s2: float
+    slip_m_s: float
+    position_error_m: float
+    velocity_error_m_s: float
+    lag_xy_s: float
+    lag_z_s: float
+
+
+def extremes(config: FlightConfig) -> Extremes:
+    """Work out the worst values from what is declared."""
+    barrier, robust, loop = config.barrier.build(), config.robust, config.velocity_loop
+    law = RobustLaw(config, barrier)
+    envelope, pad_radius_m = config.envelope, config.touchdown.pad_radius_m
+    usual, lost = estimate_errors(config.target, envelope.target_rate_hz, config.checks.target_age_max_s)
+    near, far = (_margin_m(law, motion.position_sigma_m) for motion in (usual, lost))
+    vx, vy, _ = config.limits.velocity_max_m_s
+    acceleration = envelope.target_acceleration_max_m_s2
+    velocity_error = robust.sigma_factor * usual.velocity_sigma_m_s
+    slower = 1.0 + envelope.lag_spread
+    return Extremes(
+        barrier=barrier,
+        shape=Shape(barrier, Span(near, max(near, far)), robust.fade_radius_m),
+        usual=Shape(barrier, Span(near, near), robust.fade_radius_m),
+        pad_radius_m=pad_radius_m,
+        box_speed_m_s=math.hypot(vx, vy) + config.touchdown.target_speed_max_m_s,
+        target_speed_m_s=config.touchdown.target_speed_max_m_s,
+        target_climb_m_s=envelope.target_climb_max_m_s,
+        target_acceleration_m_s2=acceleration,
+        heave_acceleration_m_s2=acceleration if envelope.target_climb_max_m_s > 0.0 else 0.0,
+        # the set-point's lead takes out the lag that is told; where the vehicle differs remains
+        slip_m_s=envelope.lag_spread * loop.lag_xy_s * acceleration + velocity_error,
+        position_error_m=robust.sigma_factor
+        * math.hypot(usual.position_sigma_m, config.own.position_noise_m),
+        velocity_error_m_s=velocity_error,
+        lag_xy_s=slower * loop.lag_xy_s,
+        lag_z_s=slower * loop.lag_z_s,
+    )
+
+
+def _margin_m(law: RobustLaw, target_sigma_m: float) -> float:
+    """Margin the filter takes at this uncertainty; asked of the filter itself."""
+    target = TargetState(0.0, ZERO, ZERO, 0.0, target_sigma_m)
+    held = law.held(View(Inputs(), target, True, True, True, None))
+    assert isinstance(held, RobustBarrier)
+    return held.margin_m
+
+
+def estimate_errors(link: TargetLink, rate_hz: float, age_max_s: float) -> tuple[TargetMotion, TargetMotion]:
+    """Standard deviations of the target's estimate: usually at worst, and when it is almost lost.
+
+    The estimator's covariance does not depend on what is measured, so running it on zeros gives it exactly.
+    Usually the newest sample is as old as its delay and one period; almost lost means the age limit, at the
+    very first sample (when least is known) or later.
+    """
+    estimator, period_s = TargetEstimator(link), 1.0 / rate_hz
+    first: TargetMotion | None = None
+    for number in range(SETTLE_SAMPLES):
+        estimator.update(number * period_s, ZERO, ZERO)
+        if first is None:
+            first = estimator.at(age_max_s)
+    assert first is not None
+    newest_s = estimator.memory.time_s
+    usual = estimator.at(newest_s + min(age_max_s, link.delay_s + period_s))
+    later = estimator.at(newest_s + age_max_s)
+    return usual, max(first, later, key=lambda motion: motion.position_sigma_m)

@@ -1,0 +1,152 @@
+"""How a vehicle's velocity loop answers, found in what was commanded and what was flown. Pure: arrays in.
+
+Model of one axis: gain, second-order low-pass and dead time,
+
+    v(s) = gain exp(-theta s) w^2 / (s^2 + 2 zeta w s + w^2) u(s) + disturbance.
+
+Command and velocity pass the same high-pass first, which takes out wind and weight and changes nothing of
+the loop between them. How the loop was moving when a stretch of flight begins is free. The parameters
+minimise the squared difference of model and flight; their standard errors come from the scores of blocks of a
+second, since gusts make neighbouring differences alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, signal
+
+Floats = NDArray[np.float64]
+
+HIGH_PASS_S = 2.0  # s; slower changes are disturbance
+BLOCK_S = 1.0  # s over which differences are taken to be alike
+SEGMENT_MIN_S = 1.5  # s; shorter ones say little besides how they began
+TIME_MIN_S = 3.0  # s compared, all segments together
+EXCITATION_MIN_M_S = 0.04  # standard deviation of the high-passed command
+EXPLAINED_MIN = 0.6  # share of the velocity's variance that the model must explain
+ERROR_MAX = 0.2  # relative standard error of the lag
+START = (1.0, 6.0, 0.7, 0.02)  # gain, rate, damping, dead time
+LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.3)
+
+
+class TooLittleError(ValueError):
+    """The flight does not show the parameters; says what to fly."""
+
+
+class Segment(NamedTuple):
+    """Uninterrupted stretch of one axis: (n,) commands and velocities, m/s, one a tick."""
+
+    command_m_s: Floats
+    velocity_m_s: Floats
+
+
+class Loop(NamedTuple):
+    """Velocity loop of an axis; ``errors`` are the standard errors of the other fields, in their order."""
+
+    gain: float
+    rate_1_s: float
+    damping: float
+    dead_time_s: float
+    lag_s: float  # 2 damping / rate + dead time: group delay at low frequency
+    errors: tuple[float, float, float, float, float]
+    explained: float  # share of the velocity's variance
+    time_s: float  # compared
+
+    @property
+    def model_rate_1_s(self) -> float:
+        """Rate of the second-order model without dead time that lags as much: what the stack's model has."""
+        return 2.0 * self.damping / self.lag_s
+
+
+def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:
+    """Find the loop of an axis, or of several that are alike.
+
+    Args:
+        segments: what was flown.
+        period_s: of a tick.
+        axis: its name, for errors.
+
+    Raises:
+        TooLittleError: too short, too little excitation, or the model does not explain the flight.
+    """
+    kept = [s for s in segments if len(s.command_m_s) * period_s >= SEGMENT_MIN_S]
+    passed = [Segment(*(_high_pass(column, period_s) for column in s)) for s in kept]
+    time_s = sum(len(s.command_m_s) for s in passed) * period_s
+    if time_s < TIME_MIN_S:
+        raise TooLittleError(
+            f"{axis}: found {time_s:.1f} s of uninterrupted set-points, at least {TIME_MIN_S:g} s are needed "
+            f"in pieces of {SEGMENT_MIN_S:g} s: fly longer, or give several logs"
+        )
+    excitation = float(np.std(np.concatenate([s.command_m_s for s in passed])))
+    if excitation < EXCITATION_MIN_M_S:
+        raise TooLittleError(
+            f"{axis}: the command varies by {excitation:.3f} m/s, {EXCITATION_MIN_M_S:g} are needed: "
+            "fly behind a target that reverses or stops and goes, or land from farther away"
+        )
+
+    def difference(parameters: Floats) -> Floats:
+        return np.concatenate([_difference(s, parameters, period_s) for s in passed])
+
+    found = optimize.least_squares(
+        difference, START, bounds=(LOW, HIGH), x_scale=(1.0, 5.0, 0.5, 0.05), diff_step=1e-4
+    )
+    gain, rate, damping, dead_time = (float(p) for p in found.x)
+    covariance = _covariance(found.jac, found.fun, max(1, round(BLOCK_S / period_s)))
+    slope = np.array([0.0, -2.0 * damping / rate**2, 2.0 / rate, 1.0])
+    lag_s = 2.0 * damping / rate + dead_time
+    errors = np.sqrt(np.append(np.diag(covariance), slope @ covariance @ slope))
+    flown = np.concatenate([s.velocity_m_s for s in passed])
+    explained = 1.0 - float(np.mean(found.fun**2) / np.mean(flown**2))
+    if not explained >= EXPLAINED_MIN:
+        raise TooLittleError(
+            f"{axis}: the model explains {100.0 * explained:.0f} % of the velocity, at least "
+            f"{100.0 * EXPLAINED_MIN:g} are needed: fly in less wind, with larger commands"
+        )
+    if not errors[4] <= ERROR_MAX * lag_s:
+        raise TooLittleError(
+            f"{axis}: lag {lag_s:.3f} s is known to {errors[4]:.3f} s only, {100.0 * ERROR_MAX:g} % are "
+            "needed: fly longer, with larger changes of the command, or give several logs"
+        )
+    e = tuple(float(error) for error in errors)
+    return Loop(gain, rate, damping, dead_time, lag_s, (e[0], e[1], e[2], e[3], e[4]), explained, time_s)
+
+
+def _high_pass(column: Floats, period_s: float) -> Floats:
+    a = HIGH_PASS_S / (HIGH_PASS_S + period_s)
+    return np.asarray(signal.lfilter([a, -a], [1.0, -a], column - column[0]), dtype=np.float64)
+
+
+def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
+    """Flown minus model, less whatever the loop's past before the segment explains."""
+    gain, rate, damping, dead_time = parameters
+    plant = ([rate * rate], [1.0, 2.0 * damping * rate, rate * rate])
+    numerator, denominator, _ = signal.cont2discrete(plant, period_s, method="zoh")
+    count = len(passed.command_m_s)
+    ticks = np.arange(count, dtype=np.float64)
+    late = np.interp(ticks - dead_time / period_s, ticks, passed.command_m_s, left=0.0)
+    left = passed.velocity_m_s - gain * signal.lfilter(numerator.ravel(), denominator, late)
+    kick, later = np.zeros(count), np.zeros(count)
+    kick[0] = later[1] = 1.0
+    past = np.column_stack(
+        [
+            signal.lfilter(numerator.ravel(), denominator, np.ones(count)),  # another command before
+            signal.lfilter([1.0], denominator, kick),  # any speed and acceleration at the start
+            signal.lfilter([1.0], denominator, later),
+        ]
+    )
+    past = np.apply_along_axis(_high_pass, 0, past, period_s)
+    explained = past @ np.linalg.lstsq(past, left, rcond=None)[0]
+    return np.asarray(left - explained, dtype=np.float64)
+
+
+def _covariance(jacobian: Floats, difference: Floats, block: int) -> Floats:
+    """Covariance of least squares whose differences are alike within blocks."""
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    scores = jacobian * difference[:, None]
+    starts = np.arange(0, len(scores), block)
+    sums = np.add.reduceat(scores, starts, axis=0)
+    few = len(starts) / max(1, len(starts) - len(inverse))
+    return np.asarray(few * inverse @ (sums.T @ sums) @ inverse, dtype=np.float64)

@@ -1,0 +1,247 @@
+"""The certificate's claims against brute force, and each of its limits from both sides."""
+
+import math
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flightstack.certificate import checks, problems
+from flightstack.certificate_bound import Span
+from flightstack.certificate_envelope import estimate_errors, extremes
+from flightstack.certificate_paper import shortfall
+from flightstack.certificate_robust import between_ticks_m, demand, demand_change, outside
+from flightstack.certificate_types import Check, Need
+from flightstack.projection import best_corner
+from flightstack.robust_barrier import RobustBarrier
+from flightstack.robust_config import TargetLink
+from flightstack.safety_filter import FilterStatus, SafetyFilter
+from tests.unit.certificate_helpers import config, one, rooms
+
+# name of a check, what to change, the last value that passes and the first that does not
+LIMITS = [
+    ("barrier", "touchdown", "target_speed_max_m_s", 1.0, None),
+    ("robust.rate_1_s", "robust", "rate_1_s", 4.524, 4.525),  # 1 / (1.3 * 0.17 s)
+    ("sampling, robust.rate_1_s", "loop", "rate_hz", None, None),
+    ("follow", "touchdown", "target_speed_max_m_s", 1.0, 1.0001),
+    ("descent on a heaving pad", "envelope", "target_climb_max_m_s", 0.78, 0.7801),
+    ("checks.target_speed_max_m_s", "checks", "target_speed_max_m_s", 0.5401, 0.5399),
+    ("wait height", "robust", "wait_height_m", 0.214, 0.22),
+    ("touch height", "robust", "touch_height_m", 0.02, 0.0145),
+    ("corridor", "robust", "corridor_m", 0.1, 0.1001),
+    ("descent time", "robust", "descent_m_s", 0.17, 0.15),
+    ("altitude", "limits", "altitude_max_m", 0.853, 0.851),
+    ("position loop", "robust", "gain_over_pad_1_s", 2.848, 2.850),  # 1 / (1.3 * 0.27 s)
+]
+
+
+@pytest.mark.parametrize(("name", "section", "key", "passes", "fails"), LIMITS)
+def test_each_limit_from_both_sides(name, section, key, passes, fails):
+    if passes is not None:
+        assert one(name, **{section: {key: passes}}).proven
+    if fails is not None:
+        found = one(name, **{section: {key: fails}})
+        assert not found.proven
+        assert found.remedy
+        if found.need is Need.FLIGHT:
+            assert found.text in problems(config(**{section: {key: fails}}))
+
+
+def test_sampling_from_both_sides():
+    assert one("sampling, robust.rate_1_s", loop={"rate_hz": 10}, robust={"rate_1_s": 5.0}).proven
+    assert not one("sampling, robust.rate_1_s", loop={"rate_hz": 10}, robust={"rate_1_s": 5.01}).proven
+
+
+def test_the_slew_limit_must_limit_from_both_sides():
+    name = "robust.acceleration_max_m_s2[0]"
+    box = {"velocity_max_m_s": [0.05, 0.05, 1.0]}
+    low = {"target_speed_max_m_s": 0.0}
+    assert one(name, limits=box, touchdown=low, robust={"acceleration_max_m_s2": [10.0, 5.0, 2.5]}).proven
+    assert not one(
+        name, limits=box, touchdown=low, robust={"acceleration_max_m_s2": [10.01, 5.0, 2.5]}
+    ).proven
+
+
+def test_the_peak_must_clear_the_pad_from_both_sides():
+    shape = {"alpha_1_m": 2.0, "beta_m": 1.0}
+    assert one("barrier's peak", barrier=shape, touchdown={"pad_radius_m": 1.0}).proven
+    assert not one("barrier's peak", barrier=shape, touchdown={"pad_radius_m": 1.001}).proven
+
+
+def test_the_estimator_must_believe_the_target_from_both_sides():
+    assert one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.2501}).proven
+    assert not one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.2499}).proven
+    still = {"jerk_z_m_s3_sqrthz": 0.02}
+    assert one("estimator", target=still).proven  # it does not heave
+    assert not one("estimator", target=still, envelope={"target_climb_max_m_s": 0.1}).proven
+
+
+def test_the_commit_height_is_where_the_vehicle_would_hover():
+    base = one("commit height")
+    exact = config().robust.commit_height_m - base.room
+    assert one("commit height", robust={"commit_height_m": exact + 1e-4}).proven
+    assert not one("commit height", robust={"commit_height_m": exact - 1e-4}).proven
+
+
+def states(seed, x, count):
+    """Random distance, direction, margin and target velocity of the envelope, the ends included often."""
+    rng = random.Random(seed)
+
+    def some(low, high):
+        return rng.choice((low, high, rng.uniform(low, high), rng.uniform(low, high)))
+
+    for _ in range(count):
+        d = rng.choice((rng.expovariate(1.0), rng.uniform(0.0, 0.3), 0.0, x.barrier.peak_distance_m))
+        angle, heading = rng.choice((0.0, math.pi / 2, rng.uniform(0, math.tau))), rng.uniform(0, math.tau)
+        speed = some(0.0, x.target_speed_m_s)
+        target = (
+            speed * math.cos(heading),
+            speed * math.sin(heading),
+            some(-x.target_climb_m_s, x.target_climb_m_s),
+        )
+        yield d, angle, some(*x.shape.margin_m), target, rng
+
+
+SETS = [
+    {},
+    {"envelope": {"target_climb_max_m_s": 0.3}},
+    {"limits": {"velocity_max_m_s": [0.6, 0.3, 0.9]}, "touchdown": {"target_speed_max_m_s": 0.6}},
+    {"barrier": {"alpha_1_m": 2.0, "beta_m": 1.2}, "robust": {"fade_radius_m": 0.03}},
+]
+
+
+@pytest.mark.parametrize("number", range(len(SETS)))
+def test_no_state_of_the_envelope_beats_the_feasibility_bound(number):
+    settled = config(**SETS[number])
+    x = extremes(settled)
+    box = settled.limits.velocity_max_m_s
+    bound = -shortfall(x.shape, box, x.target_speed_m_s, x.target_climb_m_s).bound
+    lower = tuple(-v for v in box)
+    program = SafetyFilter(settled.robust.rate_1_s)
+    least = math.inf
+    for n, (d, angle, margin, target, _) in enumerate(states(number, x, 3000)):
+        held = RobustBarrier(x.barrier, margin, x.shape.fade_radius_m)
+        flat = (d * math.cos(angle), d * math.sin(angle))
+        e = (*flat, -held.h((*flat, 0.0)))  # h = 0
+        h, gradient, dh_dt = held.evaluate(e, target)
+        corner = best_corner(gradient, lower, box)
+        rise = sum(g * u for g, u in zip(gradient, corner, strict=True)) + dh_dt
+        assert rise >= bound - 1e-9
+        least = min(least, rise)
+        if n % 10 == 0:
+            status = program.solve((0.0, 0.0, -9.0), h, gradient, dh_dt, lower, box).status
+            assert (status is FilterStatus.INFEASIBLE) == (rise < 0.0)
+    assert least <= bound + 0.3  # and it is not far from what is really needed
+
+
+def test_a_set_beyond_the_bound_really_has_a_state_without_solution():
+    box = (0.3, 0.3, 0.5)
+    wide = {
+        "limits": {"velocity_max_m_s": list(box)},
+        "robust": {"fade_radius_m": 0.5},
+        "barrier": {"apex_smoothing_m": 0.001},
+    }
+    low, high = 0.3, 1.5
+    while high - low > 1e-4:  # largest target speed that is proven
+        speed = 0.5 * (low + high)
+        ok = one("barrier", touchdown={"target_speed_max_m_s": speed}, **wide).proven
+        low, high = (speed, high) if ok else (low, speed)
+    for speed, infeasible in ((low - 1e-3, False), (high + 2e-2, True)):
+        x = extremes(config(touchdown={"target_speed_max_m_s": speed}, **wide))
+        found = False
+        for margin in x.shape.margin_m:
+            held = RobustBarrier(x.barrier, margin, x.shape.fade_radius_m)
+            for step in range(2000):
+                e = (step * 5e-4, 0.0, 0.0)
+                _, gradient, dh_dt = held.evaluate(e, (-speed, 0.0, 0.0))  # it leaves
+                best = abs(gradient[0]) * box[0] + box[2] + dh_dt
+                found = found or best < 0.0
+        assert found is infeasible
+
+
+@pytest.mark.parametrize("number", range(len(SETS)))
+def test_demand_and_its_growth_stay_below_their_bounds(number):
+    """Fly over the boundary with speeds and accelerations of the envelope; differentiate the demand."""
+    settled = config(**SETS[number])
+    x = extremes(settled)
+    w, step_s, ahead_s = x.shape.fade_radius_m, 1e-5, 1e-3
+    largest = outside(x, lambda d: demand(x, x.shape.slope(d))).bound
+    ax, ay, _ = settled.robust.acceleration_max_m_s2
+    closest = math.inf
+    for d, angle, margin, _, rng in states(100 + number, x, 2000):
+        d += x.pad_radius_m + 0.01
+        held = RobustBarrier(x.barrier, margin, w)
+        outer = x.barrier.slope(d) + 2.0 * margin * d / w**2 * math.exp(-((d / w) ** 2)) < 0.0
+        speed = x.box_speed_m_s if outer else x.slip_m_s
+        push = (math.hypot(ax, ay) if outer else 0.0) + x.target_acceleration_m_s2
+        along, across = rng.uniform(0.0, math.tau), rng.uniform(0.0, math.tau)
+        e = (d * math.cos(angle), d * math.sin(angle))
+        v = (speed * math.cos(along), speed * math.sin(along))
+        a = (push * math.cos(across), push * math.sin(across))
+
+        def needed(t, e=e, v=v, a=a, held=held):
+            x0, y0 = (q + p * t + 0.5 * k * t * t for q, p, k in zip(e, v, a, strict=True))
+            vx, vy = (p + k * t for p, k in zip(v, a, strict=True))
+            return (held.h((x0, y0, 0.0)) - held.h((x0 + vx * step_s, y0 + vy * step_s, 0.0))) / step_s
+
+        assert needed(0.0) <= largest + 1e-3
+        grown = (needed(ahead_s) - needed(0.0)) / ahead_s
+        bound = demand_change(settled, x, x.shape, Span(d - 0.01, d + 0.01))
+        assert grown <= bound + 0.02
+        assert -grown <= demand_change(settled, x, x.shape, Span(d - 0.01, d + 0.01), -1.0) + 0.02
+        closest = min(closest, bound - x.heave_acceleration_m_s2 - grown)
+    assert closest < 0.3  # m/s^2: the bound is not far from what happens
+
+
+def test_the_estimators_own_errors_are_used_and_shrink_with_its_rate():
+    slow, fast = (estimate_errors(TargetLink(), hz, 0.25)[0] for hz in (10.0, 100.0))
+    assert fast.position_sigma_m < slow.position_sigma_m < 0.02
+    usual, lost = estimate_errors(TargetLink(), 50.0, 0.25)
+    assert usual.position_sigma_m < lost.position_sigma_m
+
+
+def test_between_ticks_h_loses_less_at_a_higher_rate_and_nothing_by_standing_still():
+    settled = config()
+    assert between_ticks_m(config(loop={"rate_hz": 200}), extremes(settled)) == pytest.approx(
+        0.5 * between_ticks_m(settled, extremes(settled))
+    )
+
+
+TIGHTER = [
+    ("robust", "tracking_error_m_s", ("recovery", "climb", "h outside the pad", "commit height"), 1.0),
+    ("own", "position_noise_m", ("h outside the pad", "drift", "commit height"), 0.1),
+    ("touchdown", "target_speed_max_m_s", ("barrier", "recovery", "climb", "follow"), 1.0),
+    ("envelope", "target_climb_max_m_s", ("barrier", "recovery", "climb", "h outside the pad"), 2.0),
+    ("envelope", "target_acceleration_max_m_s2", ("acceleration", "h outside the pad", "drift"), 4.0),
+    ("envelope", "lag_spread", ("robust.rate_1_s", "acceleration", "position loop", "drift"), 0.9),
+    ("robust", "commit_speed_m_s", ("drift",), 1.0),
+    ("robust", "commit_radius_m", ("drift", "commit height"), 0.3),
+    ("velocity_loop", "lag_z_s", ("robust.rate_1_s",), 1.0),
+]
+
+
+@pytest.mark.parametrize(("section", "key", "names", "most"), TIGHTER)
+@settings(max_examples=5, deadline=None)
+@given(shares=st.tuples(st.floats(0.05, 1.0), st.floats(0.05, 1.0)))
+def test_more_of_what_is_bad_never_leaves_more_room(section, key, names, most, shares):
+    less, more = sorted(share * most for share in shares)
+    good, bad = rooms(**{section: {key: less}}), rooms(**{section: {key: more}})
+    for name in names:
+        assert bad[name] <= good[name] + 2e-4, name
+
+
+def test_a_room_that_is_not_a_number_proves_nothing():
+    assert not Check("name", "claim", math.nan, "m", "worst", "remedy").proven
+
+
+def test_the_papers_filter_has_the_papers_checks_alone():
+    names = {check.name for check in checks(config(filter="paper"))}
+    assert "barrier" in names
+    assert not names & {"robust.rate_1_s", "drift", "h outside the pad"}
+
+
+def test_names_are_unique():
+    for kind in ("paper", "robust"):
+        names = [check.name for check in checks(config(filter=kind))]
+        assert len(names) == len(set(names))

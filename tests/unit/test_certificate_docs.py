@@ -1,0 +1,83 @@
+"""docs/robust_filter.md says what the code does: its tables and every number in its text."""
+
+import math
+import re
+from dataclasses import replace
+
+import pytest
+
+from flightstack import certificate_bound, identify
+from flightstack.barrier import Barrier
+from flightstack.certificate import checks, problems
+from flightstack.conditions import DRIFT_H_M
+from flightstack.config import FilterKind
+from flightstack.gate import CURVATURE_TOLERANCE_M
+from flightstack.identify_samples import NOISE_SAMPLES
+from flightstack.strict_toml import to_table
+from sim import scenario
+from tests.unit.certificate_helpers import config
+from tests.unit.certificate_page import PAGE, split, tables
+
+TEXT = PAGE.read_text()
+FLAT = re.sub(r"\s+", " ", TEXT)
+
+
+@pytest.mark.parametrize("name", ["worked", "verdicts"])
+def test_the_tables_are_the_codes(name):
+    _, within, _ = split(TEXT, name)
+    assert within == tables()[name], "run: python -m tests.unit.certificate_page"
+
+
+def test_every_parameter_it_names_exists():
+    known = to_table(config())
+    keys = {key for section in known.values() if isinstance(section, dict) for key in section}
+    named = set(re.findall(r"`(?:(\w+)\.)?(\w+_(?:s|m|m_s|m_s2|1_s|hz|sqrthz|factor|spread))`", TEXT))
+    assert len(named) > 15
+    for section, key in named:
+        assert key in keys, key
+        if section:
+            assert key in known[section], section
+
+
+def test_every_check_it_names_exists():
+    names = {check.name for check in checks(config())}
+    for named in re.findall(r"[Cc]heck \*([a-z ]+)\*", TEXT):
+        assert named in names, named
+
+
+@pytest.mark.parametrize(
+    ("words", "value"),
+    [
+        ("(at 2 cm height it is {} mm wide)", round(1e3 * 0.02 / 1.5)),
+        ("alpha beta / e² ({} for the paper's shape)", round(1.5 / math.e**2, 1)),
+        ("allows {} mm (check *gate*)", round(1e3 * CURVATURE_TOLERANCE_M)),
+        ("nothing more than {} can hide", f"{certificate_bound.TOLERANCE:.0e}".replace("e-0", "e-")),
+        ("with {} cm of h left", round(1e2 * DRIFT_H_M)),
+        ("what is faster than {} s", round(identify.HIGH_PASS_S)),
+        ("({} s under set-points", round(identify.TIME_MIN_S)),
+        ("commands that vary by {} cm/s", round(1e2 * identify.EXCITATION_MIN_M_S)),
+        ("explains {} % of the velocity", round(1e2 * identify.EXPLAINED_MIN)),
+        ("the lag known to {} %", round(1e2 * identify.ERROR_MAX)),
+    ],
+)
+def test_numbers_in_the_text(words, value):
+    assert words.format(value) in FLAT
+
+
+def test_parabolas_go_through_nine_samples():
+    assert NOISE_SAMPLES == 9
+    assert "parabolas through nine samples" in FLAT
+
+
+def test_what_it_says_of_storm():
+    storm = scenario.load("storm").onboard
+    assert storm.touchdown.target_speed_max_m_s == storm.limits.velocity_max_m_s[2] == 1.0
+    assert Barrier(1.0, 1.5).slope(storm.touchdown.pad_radius_m) >= 1.2
+    (climb,) = (check for check in checks(storm) if check.name == "climb")
+    assert not climb.proven
+
+
+@pytest.mark.parametrize("kind", list(FilterKind))
+@pytest.mark.parametrize("name", scenario.names())
+def test_no_shipped_scenario_is_refused_with_either_filter(name, kind):
+    assert problems(replace(scenario.load(name).onboard, filter=kind)) == []
