@@ -16,13 +16,16 @@ from typing import Any
 import numpy as np
 
 from logs.codec_log import unpack_log
+from logs.mavlink_peers import MAVLINK_PEERS
 from logs.reader import LogError, LogFile, Message
 from logs.recording import LOSSES, RECORDER, RECORDER_NAME
-from logs.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING
+from logs.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING
+from logs.tools_edit import LOG_TOOL
 
-WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING})
+WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING, DIAGNOSTIC_ARRAY})
 WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # names on /rosout
-WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER})  # whole records
+WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # whole records; ports are free ones
+PROVENANCE_METADATA = frozenset({LOG_TOOL})  # how the file came about, not what is in it
 WALL_CLOCK_METADATA_KEYS = frozenset(
     {"started", "started_unix_s", "ended", "wall_time_s", "realtime_factor", "host", "out", "log", "pid"}
 )
@@ -153,7 +156,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def _metadata(a: dict[str, dict[str, str]], b: dict[str, dict[str, str]]) -> Iterator[Difference]:
-    for name in sorted((a.keys() | b.keys()) - WALL_CLOCK_METADATA):
+    for name in sorted((a.keys() | b.keys()) - WALL_CLOCK_METADATA - PROVENANCE_METADATA):
         values_a, values_b = a.get(name, {}), b.get(name, {})
         for key in sorted((values_a.keys() | values_b.keys()) - WALL_CLOCK_METADATA_KEYS):
             x, y = values_a.get(key, ABSENT), values_b.get(key, ABSENT)

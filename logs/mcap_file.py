@@ -18,9 +18,9 @@ from logs.mcap_writer import ChunkedWriter
 from logs.schemas import schema_text, type_hash
 
 CHUNK_BYTES = 256 * 1024  # a killed recorder loses at most the open chunk
-# Kept free for the end of the file: pending chunk, schemas, and a chunk index of about 300 bytes for each
-# half second, enough for an hour.
-RESERVE_BYTES = 4 * 2**20
+# Kept free for the end of the file: the pending chunk, schemas and the index, and more as the index grows.
+RESERVE_BYTES = 2 * 2**20
+_RESERVE_STEP = 2**20  # by which it grows, so that it does so every ten minutes and not every flush
 _QOS = "[]"  # as rosbags writes it: nothing is known about the sender's quality of service
 
 
@@ -38,6 +38,7 @@ class SafeStream:
         self._raw = raw
         self._reserve = reserve
         self._position = 0
+        self._reserved = RESERVE_BYTES
         self._stopped = False
         self.failure = ""
 
@@ -59,6 +60,18 @@ class SafeStream:
 
     def flush(self) -> None:
         """Do nothing: every write has left the process already."""
+
+    def descriptor(self) -> int:
+        """Return the number of the open file."""
+        return self._raw.fileno()
+
+    def reserve(self, size: int) -> None:
+        """Keep so many bytes free; in steps, and less where the disk has no more."""
+        if self._reserve is None or size <= self._reserved:
+            return
+        self._reserved = size + _RESERVE_STEP
+        with contextlib.suppress(OSError):
+            os.posix_fallocate(self._reserve.fileno(), 0, self._reserved)
 
     def close(self) -> None:
         """Close the file and give the reserve back."""
@@ -108,6 +121,14 @@ class McapFile:
         """Why the disk stopped taking data; empty as long as it does."""
         return self._stream.failure
 
+    def fail(self, why: str) -> None:
+        """Take nothing more: the disk has not kept what it took."""
+        self._stream.failure = self._stream.failure or why
+
+    def descriptor(self) -> int:
+        """Return the descriptor of the open file, for :class:`logs.recorder_sync.Syncer`."""
+        return self._stream.descriptor()
+
     def channel(self, topic: str, schema: str) -> int:
         """Return the channel of a topic; senders of the same topic and type share it.
 
@@ -146,6 +167,7 @@ class McapFile:
         """Close the open chunk, so that a crash loses nothing written so far."""
         if not self._stream.failure:
             self._writer.flush()
+            self._stream.reserve(RESERVE_BYTES + self._writer.index_bytes)
 
     def close(self) -> None:
         """Write index and statistics and close the file."""

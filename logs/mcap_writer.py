@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import lz4.frame  # type: ignore[import-untyped]
@@ -36,6 +36,7 @@ _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log ti
 _MESSAGE_OVERHEAD = 22  # bytes of a message record besides its data
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 _INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
+_BLOCK_BYTES = 2**18  # of index records compressed at a time
 _FOOTER_LENGTH = 8 + 8 + 4  # the part of the footer its checksum covers begins with opcode and length
 
 
@@ -47,6 +48,30 @@ class Output(Protocol):
 
     def tell(self) -> int:
         """Return the position in the file."""
+
+
+class _PackedRecords:
+    """Encoded records kept for the summary, compressed in blocks: ten hours of chunks are 10^5 records."""
+
+    def __init__(self) -> None:
+        self._blocks: list[bytes] = []
+        self._open = bytearray()
+        self.count = 0
+        self.size = 0  # bytes, uncompressed
+
+    def append(self, record: bytes) -> None:
+        self._open += record
+        self.count += 1
+        self.size += len(record)
+        if len(self._open) > _BLOCK_BYTES:
+            self._blocks.append(zlib.compress(self._open, 1))
+            self._open.clear()
+
+    def __iter__(self) -> Iterator[bytes]:
+        for block in self._blocks:
+            yield zlib.decompress(block)
+        if self._open:
+            yield bytes(self._open)
 
 
 class ChunkedWriter:
@@ -63,7 +88,7 @@ class ChunkedWriter:
         self._end_ns = 0
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
+        self._chunks = _PackedRecords()
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
 
@@ -106,14 +131,22 @@ class ChunkedWriter:
         self._metadata.append(MetadataIndex(self._output.tell(), len(data), name))
         self._output.write(data)
 
-    def add_attachment(self, log_time_ns: int, name: str, media_type: str, content: bytes) -> None:
-        """Write a file into the file."""
-        data = _encoded(Attachment(log_time_ns, log_time_ns, name, media_type, content))
+    def add_attachment(
+        self, log_time_ns: int, name: str, media_type: str, content: bytes, create_time_ns: int | None = None
+    ) -> None:
+        """Write a file into the file; without a time of creation that is the log time."""
+        created_ns = log_time_ns if create_time_ns is None else create_time_ns
+        data = _encoded(Attachment(created_ns, log_time_ns, name, media_type, content))
         at = self._output.tell()
         self._attachments.append(
-            AttachmentIndex(at, len(data), log_time_ns, log_time_ns, len(content), name, media_type)
+            AttachmentIndex(at, len(data), log_time_ns, created_ns, len(content), name, media_type)
         )
         self._output.write(data)
+
+    @property
+    def index_bytes(self) -> int:
+        """Size of the part of the summary that grows with the file."""
+        return self._chunks.size
 
     def flush(self) -> None:
         """Close the open chunk, if it holds a message, and write it."""
@@ -136,19 +169,18 @@ class ChunkedWriter:
             index += struct.pack(f"<{len(flat)}Q", *flat)
             self._counts[channel] += len(flat) // 2
         self._output.write(bytes(index))
-        self._chunks.append(
-            ChunkIndex(
-                chunk_length=len(chunk),
-                chunk_start_offset=at,
-                compression="lz4",
-                compressed_size=len(packed),
-                message_end_time=end_ns,
-                message_index_length=len(index),
-                message_index_offsets=offsets,
-                message_start_time=start_ns,
-                uncompressed_size=len(raw),
-            )
+        entry = ChunkIndex(
+            chunk_length=len(chunk),
+            chunk_start_offset=at,
+            compression="lz4",
+            compressed_size=len(packed),
+            message_end_time=end_ns,
+            message_index_length=len(index),
+            message_index_offsets=offsets,
+            message_start_time=start_ns,
+            uncompressed_size=len(raw),
         )
+        self._chunks.append(_encoded(entry))
         self._start_ns = start_ns if self._start_ns is None else min(self._start_ns, start_ns)
         self._end_ns = max(self._end_ns, end_ns)
         self._chunk.clear()
@@ -159,33 +191,34 @@ class ChunkedWriter:
         self.flush()
         self._output.write(_encoded(DataEnd(0)))  # 0: the data section has no checksum of its own
         start = self._output.tell()
-        summary = bytearray()
+        crc = 0
         offsets = bytearray()
-        groups: tuple[tuple[Opcode, Iterable[Any]], ...] = (
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, (self._statistics(),)),
+        groups: tuple[tuple[Opcode, Iterable[bytes]], ...] = (
+            (Opcode.SCHEMA, map(_encoded, self._schemas)),
+            (Opcode.CHANNEL, map(_encoded, self._channels)),
+            (Opcode.STATISTICS, (_encoded(self._statistics()),)),
             (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
+            (Opcode.ATTACHMENT_INDEX, map(_encoded, self._attachments)),
+            (Opcode.METADATA_INDEX, map(_encoded, self._metadata)),
         )
         for opcode, records in groups:
-            group = b"".join(_encoded(record) for record in records)
-            if group:
-                offsets += _encoded(SummaryOffset(opcode, start + len(summary), len(group)))
-            summary += group
-        offsets_at = start + len(summary)
-        summary += offsets
+            at = self._output.tell()
+            for data in records:
+                crc = zlib.crc32(data, crc)
+                self._output.write(data)
+            if length := self._output.tell() - at:
+                offsets += _encoded(SummaryOffset(opcode, at, length))
+        offsets_at = self._output.tell()
         head = struct.pack("<BQQQ", Opcode.FOOTER, _FOOTER_LENGTH, start, offsets_at)
-        crc = zlib.crc32(head, zlib.crc32(summary))
-        self._output.write(bytes(summary) + _encoded(Footer(start, offsets_at, crc)) + MCAP0_MAGIC)
+        crc = zlib.crc32(head, zlib.crc32(offsets, crc))
+        self._output.write(bytes(offsets) + _encoded(Footer(start, offsets_at, crc)) + MCAP0_MAGIC)
 
     def _statistics(self) -> Statistics:
         return Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts={channel: count for channel, count in self._counts.items() if count},
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunks.count,
             message_count=sum(self._counts.values()),
             message_end_time=self._end_ns,
             message_start_time=self._start_ns or 0,

@@ -6,6 +6,7 @@ read; only the last, unfinished chunk is lost. Readers that want the index refus
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -15,17 +16,17 @@ from typing import Any, NamedTuple
 
 from mcap.exceptions import McapError
 from mcap.records import Attachment as AttachmentRecord
-from mcap.records import Channel, Chunk, Footer, Header, Metadata, Schema
+from mcap.records import Channel, Chunk, Footer, Metadata, Schema
 from mcap.records import Message as MessageRecord
 from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 
-from logs.schemas import typestore
+from logs.schemas import store_for
 
 _MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # MCAP specification, "Magic"
 _BROKEN = (McapError, struct.error, ValueError, OverflowError, EOFError, RuntimeError, KeyError, MemoryError)
 
 
-class LogError(Exception):
+class LogError(ValueError):
     """A file that cannot be used as a flight log; says what was found and what is needed."""
 
 
@@ -41,7 +42,7 @@ class Message(NamedTuple):
 
     def decode(self) -> Any:
         """Return the message as an object with the fields of its definition (slow path, by ``rosbags``)."""
-        return typestore().deserialize_cdr(self.data, self.schema)
+        return store_for(self.schema).deserialize_cdr(self.data, self.schema)
 
 
 class Attachment(NamedTuple):
@@ -69,6 +70,7 @@ class LogFile:
     Attributes:
         path: Where it is.
         problem: Why the last pass ended early; empty when it did not.
+        broken_at: Bytes from the start up to which the last pass could read; the size of a whole file.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -79,6 +81,7 @@ class LogFile:
         """
         self.path = Path(path)
         self.problem = ""
+        self.broken_at = 0
         try:
             with self.path.open("rb") as stream:
                 head = stream.read(len(_MAGIC))
@@ -94,25 +97,47 @@ class LogFile:
         """Whether the recorder closed the file properly and every byte before the end could be read."""
         return self._outline.complete
 
+    @property
+    def why_broken(self) -> str:
+        """Where and why a log that is not complete ends; empty for one that is."""
+        if self.complete:
+            return ""
+        return self._outline.problem or "the recorder did not close it"
+
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the messages in the order they were written, up to the end or the break.
 
         Args:
             topics: Only these; None for all.
         """
-        channels: dict[int, tuple[str, str]] = {}
+        channels: dict[int, Channel] = {}
         schemas: dict[int, str] = {}
-        for record in self._records(inside_chunks=True):
+        for record in self.records():
             if isinstance(record, MessageRecord):
-                topic, schema = channels[record.channel_id]
-                if topics is None or topic in topics:
+                channel = channels[record.channel_id]
+                if topics is None or channel.topic in topics:
                     yield Message(
-                        topic, schema, record.log_time, record.publish_time, record.sequence, record.data
-                    )
+                        channel.topic, schemas.get(channel.schema_id, ""),
+                        record.log_time, record.publish_time, record.sequence, record.data,
+                    )  # fmt: skip
             elif isinstance(record, Schema):
                 schemas[record.id] = record.name
             elif isinstance(record, Channel):
-                channels[record.id] = (record.topic, schemas.get(record.schema_id, ""))
+                channels[record.id] = record
+
+    def records(self) -> Iterator[Any]:
+        """Yield the MCAP records, those in chunks included, in the order they were written, up to a break.
+
+        A message never comes before its channel. Schemas and channels come again from the summary.
+        """
+        known: set[int] = set()
+        for record in self._records(inside_chunks=True):
+            if isinstance(record, Channel):
+                known.add(record.id)
+            elif isinstance(record, MessageRecord) and record.channel_id not in known:
+                self.problem = f"a message on channel {record.channel_id}, which was never declared"
+                return
+            yield record
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Return the metadata records by name; of several with one name the last value of each key."""
@@ -139,23 +164,25 @@ class LogFile:
         return outline
 
     def _records(self, inside_chunks: bool) -> Iterator[Any]:
-        """Yield MCAP records; stop without an exception where the file breaks, and remember why."""
+        """Yield MCAP records; stop without an exception where the file breaks, and remember where and why."""
         self.problem = ""
         with self.path.open("rb") as stream:
             # A length field that was never filled in must not make us ask for that much memory.
-            limit = max(self.path.stat().st_size, 1)
-            records = StreamReader(stream, emit_chunks=True, record_size_limit=limit).records
+            size = max(os.fstat(stream.fileno()).st_size, 1)
+            records = StreamReader(stream, emit_chunks=True, record_size_limit=size).records
             while True:
+                self.broken_at = stream.tell()
                 try:
                     record = next(records, None)
                     if record is None:
+                        self.broken_at = size  # behind the last record there is the closing magic
                         return
                     inner = _opened(record, inside_chunks)
                 except _BROKEN as error:
-                    self.problem = f"{type(error).__name__}: {error}".rstrip(": ")
+                    reason = f"{type(error).__name__}: {error}".rstrip(": ")
+                    self.problem = f"nothing after byte {self.broken_at} of {size} can be read ({reason})"
                     return
-                if not isinstance(record, Header):
-                    yield from inner
+                yield from inner
 
 
 def _opened(record: Any, inside_chunks: bool) -> Sequence[Any]:

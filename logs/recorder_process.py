@@ -13,9 +13,12 @@ from typing import Protocol
 
 from logs.feed_wire import Splitter, WireError
 from logs.mcap_file import McapFile
+from logs.recorder_sync import Syncer
 from logs.recording import Recorder, Statistics
 
-FLUSH_PERIOD_S = 0.4  # wall time; a killed recorder loses less than half a second
+# Wall time; `recording` sees to log time. A killed recorder loses this, what waits in sockets and what
+# the clients gather (0.1 s in lockstep); a power cut also the time the disk takes: half a second in all.
+FLUSH_PERIOD_S = 0.25
 READ_PERIOD_S = 0.004  # wall time; clients flush every tick, reading them in batches saves the processor
 GRACE_S = 3.0  # wall time the clients have to finish after the recorder was told to stop
 _RECEIVE_BYTES = 2**18
@@ -56,7 +59,11 @@ class RecorderProcess:
         self._socket_path = socket_path
         self._listener = _listen(socket_path) if socket_path else None
         try:
-            self._recorder = Recorder(McapFile(out))
+            file = McapFile(out)
+            self._syncer = Syncer(file.descriptor(), out)
+            if file.failure:  # not even the head of the file fits
+                out.unlink()
+                raise OSError(0, file.failure)
         except OSError as error:
             self._stop_listening()
             what = (
@@ -65,6 +72,7 @@ class RecorderProcess:
                 else error.strerror
             )
             raise RecorderError(f"cannot write the log {out}: {what}") from error
+        self._recorder = Recorder(file)
         if self._listener:
             self._selector.register(self._listener, selectors.EVENT_READ)
         self._selector.register(self._wake_in, selectors.EVENT_READ)
@@ -79,7 +87,7 @@ class RecorderProcess:
             self._wake_out.send(b"\x00")
 
     def run(self, until_clients: int | None = None) -> Statistics:
-        """Record until told to stop, or until this many clients have come and gone.
+        """Record until told to stop, the disk is full, or this many clients have come and gone.
 
         Returns:
             What was recorded. The file is closed.
@@ -91,7 +99,12 @@ class RecorderProcess:
             now_s = time.monotonic()
             if now_s - flushed_s >= FLUSH_PERIOD_S:
                 self._recorder.flush()
+                self._syncer.ask()
                 flushed_s = now_s
+            if self._syncer.failure:
+                self._recorder.fail(self._syncer.failure)
+            if self._recorder.failure:
+                break  # the clients notice at once and fly on; whoever watches this process does, too
             if self._stops and deadline_s == float("inf"):
                 deadline_s = now_s + GRACE_S
             enough = until_clients is not None and self._gone >= until_clients
@@ -180,7 +193,12 @@ class RecorderProcess:
         self._selector.close()
         self._wake_in.close()
         self._wake_out.close()
-        return self._recorder.finish()
+        counts = self._recorder.statistics
+        counts.syncs, counts.sync_worst_s = self._syncer.count, self._syncer.worst_s
+        self._recorder.finish()
+        self._syncer.close()
+        counts.failure = counts.failure or self._syncer.failure
+        return counts
 
     def _stop_listening(self) -> None:
         if self._listener and self._socket_path:

@@ -8,11 +8,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from logs.codec_log import Severity, pack_log
-from logs.derive import Deriver
+from logs.derive_recorder import Derive, Derivers
 from logs.feed_wire import Kind, Record
 from logs.mcap_file import McapFile
-from logs.schemas import CONTROLLER_STEP, LOG, UnknownSchemaError
+from logs.schemas import LOG, UnknownSchemaError
 
+# A chunk holds no more log time than this: in lockstep that runs faster than the wall clock.
+FLUSH_LOG_TIME_NS = 250_000_000
 RECORDER_NAME = "flight_recorder"  # its own events on /rosout; they depend on wall-clock time
 LOSSES = "losses"  # metadata: records dropped by each client
 RECORDER = "recorder"  # metadata: what the recorder went through
@@ -33,6 +35,8 @@ class Statistics:
     unfinished_bytes: int = 0  # of records cut by a crash of their sender
     crashed: int = 0  # clients that ended without a goodbye
     dropped: dict[str, int] = field(default_factory=dict)  # by client, as the client reports it
+    syncs: int = 0  # times the file was brought to the disk itself
+    sync_worst_s: float = 0.0  # wall time of the longest one
     failure: str = ""  # why the disk stopped taking data
 
 
@@ -40,7 +44,7 @@ class Statistics:
 class _Client:
     name: str
     channels: dict[int, int] = field(default_factory=dict)  # its channel number -> channel in the file
-    derivers: dict[int, Deriver] = field(default_factory=dict)
+    derivers: dict[int, Derive] = field(default_factory=dict)
     goodbye: bool = False
 
 
@@ -54,9 +58,9 @@ class Recorder:
     def __init__(self, file: McapFile) -> None:
         self._file = file
         self._clients: dict[int, _Client] = {}
-        self._derivers: dict[str, Deriver] = {}
-        self._run: dict[str, str] = {}
+        self._derivers = Derivers()
         self._log_time_ns = 0
+        self._flushed_log_time_ns = 0
         self._events = 0
         self.statistics = Statistics()
         self._handlers: Mapping[int, Callable[[_Client, Record], None]] = {
@@ -93,7 +97,7 @@ class Recorder:
         """Note the end of a connection; ``unfinished_bytes`` of its last record never became whole."""
         state = self._clients.pop(client, None)
         self.statistics.unfinished_bytes += unfinished_bytes
-        if state is not None and not state.goodbye:
+        if state is not None and not state.goodbye and not self._file.failure:
             self.statistics.crashed += 1
             cut = f"; {unfinished_bytes} bytes of an unfinished record lost" if unfinished_bytes else ""
             self.event(Severity.ERROR, f"{state.name} ended without a goodbye{cut}")
@@ -119,9 +123,19 @@ class Recorder:
         self._events += 1
         self.message("/rosout", LOG, now, now, self._events, pack_log(now, level, RECORDER_NAME, text))
 
+    @property
+    def failure(self) -> str:
+        """Why the disk stopped taking data; empty as long as it does."""
+        return self._file.failure
+
+    def fail(self, why: str) -> None:
+        """Stop recording: the disk has not kept what it took."""
+        self._file.fail(why)
+
     def flush(self) -> None:
         """Bring everything written so far to the disk's cache, safe from a crash of this process."""
         self._file.flush()
+        self._flushed_log_time_ns = self._log_time_ns
 
     def finish(self) -> Statistics:
         """Write the counts and the index, close the file, and return what was recorded."""
@@ -139,6 +153,8 @@ class Recorder:
                     "skipped",
                     "unfinished_bytes",
                     "crashed",
+                    "syncs",
+                    "sync_worst_s",
                     "failure",
                 )
             },
@@ -162,13 +178,15 @@ class Recorder:
             return
         if log_time_ns > self._log_time_ns:
             self._log_time_ns = log_time_ns
+            if log_time_ns - self._flushed_log_time_ns >= FLUSH_LOG_TIME_NS:
+                self.flush()
         file = self._file
         file.write(channel, log_time_ns, publish_time_ns, sequence, payload)
         deriver = client.derivers.get(number)
         if deriver is None:
             return
         try:
-            derived = deriver.step(log_time_ns, payload)
+            derived = deriver(log_time_ns, payload)
         except _NONSENSE as error:
             self._invalid(client, str(error))
             return
@@ -184,19 +202,15 @@ class Recorder:
         except UnknownSchemaError as error:
             self._invalid(client, f"channel {topic}: {error}")
             return
-        if schema == CONTROLLER_STEP:
-            deriver = self._derivers.setdefault(topic, Deriver(topic))
-            deriver.configure(self._run)
+        deriver = self._derivers.declare(topic, schema)
+        if deriver is not None:
             client.derivers[record.channel] = deriver
 
     def _metadata(self, client: _Client, record: Record) -> None:  # noqa: ARG002
         content = json.loads(record.payload)
         values = {str(k): str(v) for k, v in content["values"].items()}
         self._file.metadata(str(content["name"]), values)
-        if content["name"] == "run":
-            self._run.update(values)
-            for deriver in self._derivers.values():
-                deriver.configure(self._run)
+        self._derivers.metadata(str(content["name"]), values)
 
     def _attachment(self, client: _Client, record: Record) -> None:  # noqa: ARG002
         head, separator, data = record.payload.partition(b"\n")

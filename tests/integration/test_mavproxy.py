@@ -104,7 +104,7 @@ def land(program: Program) -> None:
     program.expect("DISARMED")
 
 
-def test_whole_flight(tmp_path: Path, flight: int) -> None:
+def test_whole_flight(tmp_path: Path, flight_number: int) -> None:
     with vehicle(tmp_path) as port:
         watch = Observer(port)
         with mavproxy(port, tmp_path, watch) as program:
@@ -184,7 +184,7 @@ def slow(m) -> bool:
     return m.vx**2 + m.vy**2 + m.vz**2 < 0.08**2
 
 
-def test_signed_flight(tmp_path: Path, flight: int) -> None:
+def test_signed_flight(tmp_path: Path, flight_number: int) -> None:
     """The key is the SHA-256 of the phrase; who has none is not heard, and hears nothing."""
     secret = hashlib.sha256(PHRASE.encode()).digest()
     key = tmp_path / "key"

@@ -52,7 +52,7 @@ def story(
 
 
 @pytest.mark.parametrize("vehicle_calls", [False, True], ids=["udpout", "udpin"])
-def test_whole_flight(vehicle_calls: bool, tmp_path: Path, flight: int) -> None:
+def test_whole_flight(vehicle_calls: bool, tmp_path: Path, flight_number: int) -> None:
     with story("flight", tmp_path, vehicle_calls=vehicle_calls) as (client, watch, _):
         client.expect(r"step parameters \d+\n")
         client.expect("step offboard")
@@ -73,7 +73,7 @@ def test_whole_flight(vehicle_calls: bool, tmp_path: Path, flight: int) -> None:
     assert -watch.last("LOCAL_POSITION_NED").z < 0.05
 
 
-def test_documented_example(tmp_path: Path, flight: int) -> None:
+def test_documented_example(tmp_path: Path, flight_number: int) -> None:
     block = re.search(r"^```python\n(.*?)^```", DOCUMENTATION.read_text(), re.MULTILINE | re.DOTALL)
     assert block is not None
     port_there = free_port()
@@ -90,7 +90,7 @@ def test_documented_example(tmp_path: Path, flight: int) -> None:
     assert max(p.x for p in watch.all("LOCAL_POSITION_NED")) > 0.0
 
 
-def test_second_client_does_not_take_over(tmp_path: Path, flight: int) -> None:
+def test_second_client_does_not_take_over(tmp_path: Path, flight_number: int) -> None:
     with story("owner", tmp_path) as (client, watch, port):
         other = Client(f"udpin:127.0.0.1:{port}", system=2)
         east = setpoint(0.0, 1.0)  # m/s
@@ -113,7 +113,7 @@ def test_second_client_does_not_take_over(tmp_path: Path, flight: int) -> None:
     assert watch.modes() == [HOLD, TAKEOFF, HOLD, OFFBOARD, LAND, HOLD]
 
 
-def test_refused_arming_has_a_reason_that_mavsdk_shows(tmp_path: Path, flight: int) -> None:
+def test_refused_arming_has_a_reason_that_mavsdk_shows(tmp_path: Path, flight_number: int) -> None:
     with story("refusals", tmp_path) as (client, watch, _):
         client.expect("step refused")
         assert watch.armings() == [False]
@@ -121,7 +121,7 @@ def test_refused_arming_has_a_reason_that_mavsdk_shows(tmp_path: Path, flight: i
 
 
 @pytest.mark.parametrize("cut", ["kill", "terminate"])
-def test_motors_stop_in_the_air_when_asked_to(cut: str, tmp_path: Path, flight: int) -> None:
+def test_motors_stop_in_the_air_when_asked_to(cut: str, tmp_path: Path, flight_number: int) -> None:
     with story(cut, tmp_path) as (client, watch, _):
         client.expect("step fallen")
     armed = watch.index(lambda m: is_a("HEARTBEAT")(m) and m.base_mode & ARMED)

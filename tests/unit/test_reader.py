@@ -70,13 +70,13 @@ def record(path, ticks=300, close=True):
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory):
+def recorded(tmp_path_factory):
     return record(tmp_path_factory.mktemp("flight") / "flight.mcap")
 
 
-def test_rosbags_opens_it_and_decodes_every_message(flight):
+def test_rosbags_opens_it_and_decodes_every_message(recorded):
     decoded: dict[str, int] = {}
-    with AnyReader([flight]) as reader:
+    with AnyReader([recorded]) as reader:
         for connection, log_time_ns, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
             assert log_time_ns >= EPOCH_NS
@@ -89,24 +89,25 @@ def test_rosbags_opens_it_and_decodes_every_message(flight):
         "/cf1/controller/step": 300, "/cf1/loop/timing": 300, "/cf1/sim/truth": 300,
         "/uas1/mavlink_source": 300, "/rosout": 3, "/tf": 150, "/tf_static": 1, "/cf1/pose": 150,
         "/cf1/odom": 150, "/cf1/target/pose": 150, "/cf1/cmd/velocity_nominal": 150,
-        "/cf1/cmd/velocity_filtered": 150, "/cf1/cbf/markers": 15,
+        "/cf1/cmd/velocity_filtered": 150, "/cf1/cbf/markers": 15, "/cf1/cmd/velocity": 150, "/cf1/run": 1,
+        "/diagnostics": 2, "/uas1/mavlink/sys1/comp1/HEARTBEAT": 300,
     }  # fmt: skip
 
 
-def test_definitions_in_the_file_carry_constants_and_hashes(flight):
-    with AnyReader([flight]) as reader:
+def test_definitions_in_the_file_carry_constants_and_hashes(recorded):
+    with AnyReader([recorded]) as reader:
         for connection in reader.connections:
             assert schemas.type_hash(connection.msgtype) == reader.typestore.hash_rihs01(connection.msgtype)
         step = reader.typestore.types[schemas.CONTROLLER_STEP]
         assert (step.PHASE_ABORT, step.FILTER_INFEASIBLE, step.GATE_APPROVED) == (8, 3, 0)
 
 
-def test_our_reader_reads_the_same(flight):
-    log = LogFile(flight)
+def test_our_reader_reads_the_same(recorded):
+    log = LogFile(recorded)
     assert log.complete
-    with AnyReader([flight]) as reader:
+    with AnyReader([recorded]) as reader:
         theirs = sorted((c.topic, t, bytes(d)) for c, t, d in reader.messages())
-    assert sorted((m.topic, m.log_time_ns, m.data) for m in open_log(flight)) == theirs
+    assert sorted((m.topic, m.log_time_ns, m.data) for m in open_log(recorded)) == theirs
     (step,) = [m for m in log.messages({"/cf1/controller/step"}) if m.sequence == 7]
     assert step.publish_time_ns == EPOCH_NS + 70_000_000
     assert step.decode().own_position_enu_m.x == 0.07
@@ -115,9 +116,9 @@ def test_our_reader_reads_the_same(flight):
     assert [(a.name, a.data) for a in log.attachments()] == [("s.toml", b"x = 1")]
 
 
-def test_cut_anywhere_it_gives_everything_before_the_cut(flight, tmp_path):
-    whole = list(open_log(flight))
-    data = flight.read_bytes()
+def test_cut_anywhere_it_gives_everything_before_the_cut(recorded, tmp_path):
+    whole = list(open_log(recorded))
+    data = recorded.read_bytes()
     cut_file = tmp_path / "cut.mcap"
     rng = random.Random(3)
     counts = []
@@ -137,16 +138,16 @@ def test_cut_anywhere_it_gives_everything_before_the_cut(flight, tmp_path):
     assert len(set(counts)) > 10
 
 
-def test_killed_before_the_end(flight, tmp_path):
+def test_killed_before_the_end(tmp_path):
     path = record(tmp_path / "killed.mcap", ticks=250, close=False)
     steps = [m for m in open_log(path) if m.topic == "/cf1/controller/step"]
     assert len(steps) == 240  # the last flush
     assert not LogFile(path).complete
 
 
-def test_one_flipped_byte_ends_the_reading_there(flight, tmp_path):
-    whole = list(open_log(flight))
-    data = bytearray(flight.read_bytes())
+def test_one_flipped_byte_ends_the_reading_there(recorded, tmp_path):
+    whole = list(open_log(recorded))
+    data = bytearray(recorded.read_bytes())
     broken_file = tmp_path / "broken.mcap"
     rng = random.Random(4)
     incomplete = 0

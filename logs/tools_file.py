@@ -1,0 +1,47 @@
+"""Output files of the log tools: whole or not there at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def new_file(path: Path, *, force: bool) -> Iterator[Path]:
+    """Yield a temporary name next to ``path``; it gets the real name when the block ends well.
+
+    Args:
+        path: The file to make.
+        force: Replace a file that is there.
+
+    Raises:
+        FileExistsError: The file is there and is not to be replaced.
+        OSError: The directory cannot be written.
+    """
+    _refuse(path, force)
+    number, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    os.close(number)
+    part = Path(name)
+    try:
+        yield part
+        with part.open("rb") as stream:
+            os.fsync(stream.fileno())
+        part.chmod(0o666 & ~_umask())
+        _refuse(path, force)  # somebody may have made it meanwhile
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _refuse(path: Path, force: bool) -> None:
+    if path.exists() and not force:
+        raise FileExistsError(f"{path} exists and is not written over; give another name or --force")
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,41 @@
+"""Whichever process is killed, whenever, and on a full disk: the log stays, and what it lacks is bounded."""
+
+from __future__ import annotations
+
+import resource
+
+import pytest
+
+from logs.reader import LogFile
+from tests.integration.crash_runs import crash
+from tests.integration.runs import Flying
+
+MISSING_MAX_S = 0.5
+CASES = [
+    ("record", False), ("record", True), ("vehicle", False), ("onboard", False), ("target", True),
+    ("launcher", True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("victim", "lockstep"), CASES)
+def test_a_kill_costs_half_a_second_of_the_log_at_most(tmp_path, victim, lockstep):
+    found = crash(tmp_path, victim, 1, lockstep=lockstep)
+    assert found.missing_s <= MISSING_MAX_S, found
+    assert found.recovered == found.messages > 100
+    assert found.complete == (victim != "record")  # whoever else dies, the recorder closes the file
+
+
+def test_a_disk_that_fills_up_in_flight_ends_the_record_and_not_the_flight(tmp_path):
+    run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
+    run.wait_for("-> TAKEOFF")
+    log = tmp_path / "flight.mcap"
+    full = log.stat().st_size + 100_000
+    resource.prlimit(run.children()["record"], resource.RLIMIT_FSIZE, (full, full))
+    run.wait_for("record ended in flight")
+    assert "writing failed (File too large)" in (tmp_path / "record.txt").read_text()
+    run.wait_for("-> LANDED")
+    assert run.end() == 1  # landed, but the record of it is not whole
+    assert log.stat().st_size <= full
+    found = LogFile(log)
+    assert sum(1 for _ in found.messages()) > 100
+    assert not found.complete
