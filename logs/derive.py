@@ -1,9 +1,9 @@
 """Standard ROS messages made from controller steps, so that any viewer shows the flight in 3-D.
 
-They hold nothing that the steps do not hold. What is made, and when, depends on the log time of the steps
-alone: two runs with equal steps give equal messages. Frames: ``map`` is the ENU world, ``map_ned`` the same
-place in NED axes, ``<ns>/base_link`` the vehicle (heading only), ``target`` the pad with its heading,
-``target_pad`` the pad without heading, in which the barrier stands still.
+They hold nothing that the steps and the run's metadata do not hold. What is made, and when, depends on the
+log time of the steps alone: two runs with equal steps give equal messages. Frames: ``map`` is the ENU world,
+``map_ned`` the same place in NED axes, ``<ns>/base_link`` the vehicle (heading only), ``target`` the pad with
+its heading, ``target_pad`` the pad without heading, in which the barrier stands still.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ import struct
 from collections.abc import Mapping
 
 from logs.codec import CDR_HEADER, ControllerStepRow, Vec3, unpack_controller_step
+from logs.codec_log import pack_string
+from logs.derive_diagnostics import Health
 from logs.derive_markers import Scene
-from logs.schemas import MARKER_ARRAY, ODOMETRY, POSE_STAMPED, TF_MESSAGE, TWIST_STAMPED
+from logs.schemas import MARKER_ARRAY, ODOMETRY, POSE_STAMPED, STRING, TF_MESSAGE, TWIST_STAMPED
 
 PERIOD_NS = 20_000_000  # 50 Hz: as fast as a screen shows it
 MARKER_PERIOD_NS = 200_000_000  # 5 Hz: pictures are large
@@ -35,8 +37,13 @@ _ORIGIN = (0.0, 0.0, 0.0)
 class Deriver:
     """Makes the viewers' messages of one vehicle."""
 
-    def __init__(self, step_topic: str) -> None:
-        """Take the name space from the topic of the steps, for example ``/cf1/controller/step``."""
+    def __init__(self, step_topic: str, health: Health | None = None) -> None:
+        """Take the name space from the topic of the steps, for example ``/cf1/controller/step``.
+
+        Args:
+            step_topic: Topic of the steps.
+            health: Is shown every step.
+        """
         space = step_topic.removesuffix(STEP_SUFFIX)
         self._base = f"{space.strip('/')}/base_link".lstrip("/")
         self._pose = space + "/pose"
@@ -44,18 +51,26 @@ class Deriver:
         self._target_pose = space + "/target/pose"
         self._nominal = space + "/cmd/velocity_nominal"
         self._filtered = space + "/cmd/velocity_filtered"
+        self._command = space + "/cmd/velocity"
         self._markers = space + "/cbf/markers"
+        self._run_topic, self._run_text = space + "/run", b""
+        self._health = health
         self._own_tf = _TransformLayout((self._base,))
         self._target_tf = _TransformLayout(("target", "target_pad"))
         self._both_tf = _TransformLayout((self._base, "target", "target_pad"))
         self._static_tf = _TransformLayout(("map_ned",))
         self._odometry = _OdometryLayout(self._base)
-        self._scene = Scene()
+        self._scene = Scene(self._base)
         self._slots: dict[int, int] = {}
 
     def configure(self, run: Mapping[str, str]) -> None:
-        """Take the barrier's shape from the metadata of the run, where it is given."""
+        """Take the barrier's shape from the metadata of the run, where it is given, and its text to show.
+
+        Raises:
+            ValueError: A shape that is not a number.
+        """
         self._scene.configure(run)
+        self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in run.items()))
 
     def step(self, log_time_ns: int, payload: bytes) -> list[Derived]:
         """Return what one controller step shows; empty between the periods.
@@ -63,13 +78,20 @@ class Deriver:
         Raises:
             ValueError: The payload is not a controller step.
         """
-        if not self._due(PERIOD_NS, log_time_ns):
+        due = self._due(PERIOD_NS, log_time_ns)
+        if not due and self._health is None:
             return []
         row = unpack_controller_step(payload)
+        if self._health is not None:
+            self._health.step(row)
+        if not due:
+            return []
         stamp = divmod(row.stamp_ns, _NS)
         made: list[Derived] = []
         if self._due(STATIC_PERIOD_NS, log_time_ns):
             made.append(("/tf_static", TF_MESSAGE, self._static_tf.pack(stamp, (_ORIGIN + _NED_IN_ENU,))))
+            if self._run_text:
+                made.append((self._run_topic, STRING, self._run_text))
         own = row.own_position_enu_m + _heading(row.own_yaw_rad)
         target = row.target_position_enu_m + _heading(row.target_yaw_rad)
         pad = row.target_position_enu_m + _NO_ROTATION
@@ -87,6 +109,8 @@ class Deriver:
             made.append((self._target_pose, POSE_STAMPED, pose))
         made.append((self._nominal, TWIST_STAMPED, _twist(stamp, row.nominal_enu_m_s)))
         made.append((self._filtered, TWIST_STAMPED, _twist(stamp, row.filtered_enu_m_s)))
+        if row.setpoint_sent:
+            made.append((self._command, TWIST_STAMPED, _twist(stamp, row.command_enu_m_s)))
         self._scene.add(log_time_ns, row)
         if self._due(MARKER_PERIOD_NS, log_time_ns):
             made.append((self._markers, MARKER_ARRAY, self._scene.pack(row)))

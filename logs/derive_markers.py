@@ -9,15 +9,18 @@ from typing import NamedTuple
 
 from flightstack.barrier import Barrier
 from logs.codec import CDR_HEADER, ControllerStepRow, Vec3
+from logs.codec_build import align, string
 
-ARROW, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 3, 4, 11  # visualization_msgs/msg/Marker
+ARROW, CUBE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 3, 4, 11  # visualization_msgs/msg/Marker
 LIFETIME_S = 0.5  # two and a half periods of 5 Hz: a picture that is not repeated disappears
 PATH_POINTS = 200  # of one path; when full, every second point goes and the spacing doubles
 PATH_PERIOD_NS = 100_000_000  # 10 Hz to begin with
 PAD_RADIUS_M = 0.10  # m, landing pad, unless the run says otherwise
+REACH = 2.5  # of the barrier surface, in distances of its peak
 SECTORS, RINGS = 24, 8  # of the barrier surface: 24 x 8 x 2 triangles
 _GRID_1_M = 1024.0  # surface points on whole 1/1024 m: sub-millimetre, and they compress well
 _ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft and head diameter, head length
+BODY_SIZE_M = (0.092, 0.092, 0.029)  # m, Bitcraze, Crazyflie 2.1 data sheet: 92 x 92 x 29 mm
 _ARROW_S = 1.0  # s: arrow lengths are velocity times this
 
 Color = tuple[float, float, float, float]  # red, green, blue, opacity
@@ -27,6 +30,10 @@ OWN_COLOR: Color = (0.12, 0.47, 0.71, 1.0)
 TARGET_COLOR: Color = (0.55, 0.34, 0.29, 1.0)
 NOMINAL_COLOR: Color = (1.0, 0.5, 0.05, 1.0)
 FILTERED_COLOR: Color = (0.17, 0.63, 0.17, 1.0)
+COMMAND_COLOR: Color = (0.58, 0.40, 0.74, 1.0)
+
+
+_NO_VELOCITY: Vec3 = (math.nan, math.nan, math.nan)
 
 
 class Marker(NamedTuple):
@@ -73,7 +80,9 @@ class Path:
 class Scene:
     """The pictures of one flight."""
 
-    def __init__(self) -> None:
+    def __init__(self, own_frame: str) -> None:
+        """Draw the vehicle in its own frame, for example ``cf1/base_link``."""
+        self._body = Marker(own_frame, "vehicle", 0, CUBE, BODY_SIZE_M, OWN_COLOR)
         self._own_path = Path()
         self._target_path = Path()
         self._surface: Marker | None = None
@@ -106,9 +115,14 @@ class Scene:
         if row.target_valid:
             markers += (self._surface, self._pad)
         if row.own_valid:
-            arrows = ((row.nominal_enu_m_s, NOMINAL_COLOR), (row.filtered_enu_m_s, FILTERED_COLOR))
+            markers.append(self._body)
+            arrows = (
+                (row.nominal_enu_m_s, NOMINAL_COLOR),
+                (row.filtered_enu_m_s, FILTERED_COLOR),
+                (row.command_enu_m_s if row.setpoint_sent else _NO_VELOCITY, COMMAND_COLOR),
+            )
             for number, (velocity_m_s, color) in enumerate(arrows):
-                if math.isfinite(sum(velocity_m_s)):  # a filter that did not run has none
+                if math.isfinite(sum(velocity_m_s)):  # else the filter did not run, or nothing was sent
                     markers.append(_arrow(number, row.own_position_enu_m, velocity_m_s, color))
         return pack_markers(row.stamp_ns, [marker for marker in markers if marker is not None])
 
@@ -116,9 +130,10 @@ class Scene:
 def surface(barrier: Barrier) -> bytes:
     """Return the boundary h = 0 around the landing spot as triangles, three doubles a point.
 
-    It reaches to four times the distance of its peak, where it has fallen to a fifth of the peak's height.
+    It reaches to two and a half times the distance of its peak, where it has fallen to about half of it;
+    further out it would only hide the flight.
     """
-    reach_m = 4.0 * barrier.peak_distance_m
+    reach_m = REACH * barrier.peak_distance_m
 
     def point(ring: int, sector: int) -> Vec3:
         d_m = reach_m * (ring / RINGS) ** 2  # finer at the apex, where the vehicle goes
@@ -150,46 +165,35 @@ def pack_markers(stamp_ns: int, markers: Sequence[Marker]) -> bytes:
     stamp = struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000))
     out = bytearray(struct.pack("<I", len(markers)))
     for marker in markers:
-        _align(out, 4)
+        align(out, 4)
         out += stamp
-        _string(out, marker.frame_id)
-        _string(out, marker.ns)
-        _align(out, 4)
+        string(out, marker.frame_id)
+        string(out, marker.ns)
+        align(out, 4)
         out += _MARKER_FIXED.pack(marker.number, marker.kind, 0)
-        _align(out, 8)
+        align(out, 8)
         # frame_locked: the viewer moves the picture with its frame between two of ours
         out += _MARKER_BODY.pack(
             *marker.position, 0.0, 0.0, 0.0, 1.0, *marker.scale, *marker.color, *_LIFETIME, True
         )
         out += struct.pack("<I", len(marker.points) // 24)
         if marker.points:
-            _align(out, 8)
+            align(out, 8)
             out += marker.points
         out += _NO_COLORS_TO_STAMP
-        _string(out, "")  # texture.header.frame_id
-        _string(out, "")  # texture.format
-        _align(out, 4)
+        string(out, "")  # texture.header.frame_id
+        string(out, "")  # texture.format
+        align(out, 4)
         out += bytes(8)  # texture.data, uv_coordinates: none
         for _ in range(3):  # text, mesh_resource, mesh_file.filename
-            _string(out, "")
-        _align(out, 4)
+            string(out, "")
+        align(out, 4)
         out += bytes(5)  # mesh_file.data: none; mesh_use_embedded_materials: false
     return CDR_HEADER + bytes(out)
 
 
 # colors: none; texture_resource: empty text, padded; texture.header.stamp: zero
 _NO_COLORS_TO_STAMP = struct.pack("<IIB3xiI", 0, 1, 0, 0, 0)
-
-
-def _align(out: bytearray, size: int) -> None:
-    out += bytes(-len(out) % size)
-
-
-def _string(out: bytearray, text: str) -> None:
-    _align(out, 4)
-    raw = text.encode() + b"\x00"
-    out += struct.pack("<I", len(raw))
-    out += raw
 
 
 def _pad(radius_m: float) -> Marker:

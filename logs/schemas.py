@@ -21,6 +21,7 @@ CONTROLLER_STATE = "flightstack_msgs/msg/ControllerState"
 TARGET_SAMPLE = "flightstack_msgs/msg/TargetSample"
 LOOP_TIMING = "flightstack_msgs/msg/LoopTiming"
 TRUE_STATE = "flightstack_msgs/msg/TrueState"
+HEALTH = "flightstack_msgs/msg/Health"
 MAVLINK = "mavros_msgs/msg/Mavlink"
 LOG = "rcl_interfaces/msg/Log"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -38,6 +39,7 @@ _OURS = {
     CONTROLLER_STATE: "ControllerState.msg",
     LOOP_TIMING: "LoopTiming.msg",
     TRUE_STATE: "TrueState.msg",
+    HEALTH: "Health.msg",
     MAVLINK: "Mavlink.msg",
 }
 _SEPARATOR = "=" * 80

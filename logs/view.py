@@ -1,0 +1,155 @@
+"""A flight log as a Rerun recording: scene, curves and events, with a layout made for landings.
+
+Rerun opens the MCAP file itself, too, but draws neither markers nor odometry and lays nothing out.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from flightstack.types import Phase
+from logs.codec_log import Severity
+from logs.derive_markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
+from logs.view_blueprint import AXES, EVENTS, PHASE, RUN, blueprint
+from logs.view_read import Floats, Ints, Seen, column, read, times
+from logs.view_scene import TRUE_COLOR, VELOCITIES, rgba, scene, truth, velocities, when
+
+ZERO_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
+_LEVELS: dict[int, str] = {
+    Severity.DEBUG: "DEBUG",
+    Severity.INFO: "INFO",
+    Severity.WARN: "WARN",
+    Severity.ERROR: "ERROR",
+    Severity.FATAL: "CRITICAL",
+}
+
+
+class Recording:
+    """One Rerun recording of one flight."""
+
+    def __init__(self, log: Path) -> None:
+        """Read the log.
+
+        Raises:
+            LogError: Not a log, or one without a flight.
+        """
+        self._seen = read(log)
+        self.problem = self._seen.problem
+        self._stream = rr.RecordingStream("flightstack")
+        self._stream.send_recording_name(f"{self._seen.run.get('scenario', 'flight')}: {log.name}")
+
+    def save(self, out: Path) -> None:
+        """Write an ``.rrd`` file."""
+        self._stream.save(out, default_blueprint=self._blueprint())
+        self._send()
+
+    def _send(self) -> None:
+        for part in (scene, velocities, truth, _curves, _events):
+            part(self._stream, self._seen)
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def _blueprint(self) -> Any:
+        """Look at the middle of what the vehicle and the target did."""
+        points = np.concatenate(
+            [
+                column(self._seen.steps, "own_position_enu_m").reshape(-1, 3),
+                column(self._seen.steps, "target_position_enu_m").reshape(-1, 3),
+                column(self._seen.truths, "position_enu_m").reshape(-1, 3),
+            ]
+        )
+        points = points[np.isfinite(points).all(axis=1)]
+        if not len(points):
+            return blueprint((0.0, 0.0, 0.0), 1.0)
+        low, high = points.min(axis=0), points.max(axis=0)
+        x, y, z = (float(v) for v in 0.5 * (low + high))
+        return blueprint((x, y, z), float(np.linalg.norm(high - low)))
+
+
+def open_viewer(recording: Path, *, web: bool) -> int:
+    """Show an ``.rrd`` file in Rerun until it is closed; its exit status.
+
+    Args:
+        recording: the file.
+        web: serve the viewer to browsers on this machine instead of opening a window.
+
+    Raises:
+        OSError: Rerun's program is not there.
+    """
+    beside = Path(sys.executable).with_name("rerun")  # of this environment, active or not
+    program = str(beside) if beside.exists() else shutil.which("rerun")
+    if program is None:
+        raise FileNotFoundError(f"no program `rerun` at {beside} or in PATH; pip install rerun-sdk again")
+    # Rerun itself would listen to every network; what flew is for this machine.
+    serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # free ports
+    return subprocess.run([program, str(recording), "--bind", "127.0.0.1", *serving], check=False).returncode
+
+
+def _curves(stream: rr.RecordingStream, seen: Seen) -> None:
+    if seen.truths:
+        _curve(stream, seen, "/safety/h/true", times(seen.truths), column(seen.truths, "h_m"), TRUE_COLOR)
+    steps = seen.steps
+    if steps:
+        at_ns = times(steps)
+        apart_m = column(steps, "own_position_enu_m") - column(steps, "target_position_enu_m")
+        apart_m[(column(steps, "own_valid") * column(steps, "target_valid")) == 0.0] = np.nan
+        _curve(stream, seen, "/safety/h/controller", at_ns, column(steps, "h_m"), OWN_COLOR)
+        _curve(stream, seen, "/safety/h/zero", at_ns[[0, -1]], np.zeros(2), ZERO_COLOR)
+        _curve(stream, seen, "/safety/slack", at_ns, column(steps, "slack_m_s"), OWN_COLOR)
+        _curve(stream, seen, "/safety/dh_dt", at_ns, column(steps, "dh_dt_m_s"), OWN_COLOR)
+        _curve(stream, seen, "/safety/active", at_ns, column(steps, "barrier_active"), OWN_COLOR)
+        _curve(stream, seen, "/distance/horizontal", at_ns, np.hypot(apart_m[:, 0], apart_m[:, 1]), OWN_COLOR)
+        _curve(stream, seen, "/distance/height", at_ns, apart_m[:, 2], TARGET_COLOR)
+        for name, field, color in VELOCITIES:
+            vector = column(steps, field)
+            if name == "command":
+                vector[column(steps, "setpoint_sent") == 0.0] = np.nan
+            for axis, values in zip(AXES, vector.T, strict=True):
+                _curve(stream, seen, f"/velocity/{axis}/{name}", at_ns, values, color)
+        for name, color in (("own", OWN_COLOR), ("target", TARGET_COLOR)):
+            _curve(stream, seen, f"/age/{name}", at_ns, 1e3 * column(steps, f"{name}_age_s"), color)
+        for name, color in (("accepted", FILTERED_COLOR), ("rejected", ZERO_COLOR)):
+            _curve(stream, seen, f"/samples/{name}", at_ns, column(steps, f"target_{name}"), color)
+        _phases(stream, seen)
+    for name, color in (("lateness", NOMINAL_COLOR), ("exec", OWN_COLOR), ("solve", FILTERED_COLOR)):
+        if seen.timings:
+            at_ns, values = times(seen.timings), 1e3 * column(seen.timings, f"{name}_s")
+            _curve(stream, seen, f"/loop/{name}", at_ns, values, color)
+
+
+def _phases(stream: rr.RecordingStream, seen: Seen) -> None:
+    phase = column(seen.steps, "phase").astype(int)
+    begins = np.concatenate(([0], np.flatnonzero(np.diff(phase)) + 1))
+    names = [Phase(p).name if p in Phase._value2member_map_ else str(p) for p in phase[begins]]
+    stream.send_columns(PHASE, when(seen, times(seen.steps)[begins]), rr.StateChange.columns(state=names))
+
+
+def _events(stream: rr.RecordingStream, seen: Seen) -> None:
+    stream.log(RUN, rr.TextDocument(_run_text(seen), media_type="text/markdown"), static=True)
+    if seen.events:
+        texts = [f"{row.name}: {row.message}" for _, row in seen.events]
+        levels = [_LEVELS.get(row.level, "INFO") for _, row in seen.events]
+        stream.send_columns(
+            EVENTS, when(seen, times(seen.events)), rr.TextLog.columns(text=texts, level=levels)
+        )
+
+
+def _curve(
+    stream: rr.RecordingStream, seen: Seen, entity: str, at_ns: Ints, values: Floats, color: Color
+) -> None:
+    """Send one curve; a gap where there is no number."""
+    stream.log(entity, rr.SeriesLines(colors=[rgba(color)], names=[entity.rpartition("/")[2]]), static=True)
+    stream.send_columns(entity, when(seen, at_ns), rr.Scalars.columns(scalars=values))
+
+
+def _run_text(seen: Seen) -> str:
+    rows = [f"| {key} | {value} |" for key, value in seen.run.items()] or ["| no metadata | |"]
+    broken = f"\n\n**The log is broken:** {seen.problem}" if seen.problem else ""
+    return "\n".join(["| run | |", "|---|---|", *rows]) + broken
