@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isfinite
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -17,7 +18,16 @@ _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 _RESTART_S = 1.0  # s; a boot clock that falls back further than this is a reboot, less is a late datagram
 _YAW_AGE_MAX_S = 0.5  # s between a position and the attitude its heading is taken from
 _LARGEST = 1e6  # m, m/s: a number beyond this is damage
+_VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
 _LANDED = {state.value: state for state in Landed}
+
+
+class Battery(NamedTuple):
+    """What SYS_STATUS says of the battery; ``None`` for what it does not know."""
+
+    arrival_s: float
+    voltage_v: float | None
+    share: float | None  # 0 to 1, charge that is left
 
 
 @dataclass(slots=True)
@@ -37,6 +47,7 @@ class VehicleState:
         own: newest own state, None until a position and an attitude have come.
         status: newest status, None until a heartbeat has come; ``arrival_s`` is the heartbeat's.
         home_amsl_m: altitude of home above sea level, None until HOME_POSITION has come.
+        battery: newest battery state, None until SYS_STATUS has come.
         autopilot: MAV_AUTOPILOT of the newest heartbeat, None before.
     """
 
@@ -47,6 +58,7 @@ class VehicleState:
         self.status: VehicleStatus | None = None
         self.home_amsl_m: float | None = None
         self.autopilot: int | None = None
+        self.battery: Battery | None = None
         self._yaw_enu_rad: float | None = None
         self._yaw_time_s = 0.0
         self._landed = Landed.UNKNOWN
@@ -109,7 +121,9 @@ class VehicleState:
         self._refresh()
 
     def _on_sys_status(self, m: Message, arrival_s: float) -> None:
-        del arrival_s
+        voltage_v = m.voltage_battery * 1e-3 if m.voltage_battery != _VOLTAGE_UNKNOWN else None
+        share = m.battery_remaining / 100.0 if m.battery_remaining >= 0 else None
+        self.battery = Battery(arrival_s, voltage_v, share)
         self._ready = bool(m.onboard_control_sensors_health & _PREARM)
         self._refresh()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,13 @@ from typing import Any
 
 import click
 
+from flightstack.cli_campaign import campaign
+from flightstack.cli_check import check
+from flightstack.cli_identify import identify
+from flightstack.cli_log import diff, log
+from flightstack.cli_replay import replay
+from flightstack.cli_view import view
+from flightstack.cli_watch import watch
 from flightstack.config import FilterKind
 from flightstack.strict_toml import ConfigError
 
@@ -74,6 +82,15 @@ _recorder = click.option(
 _namespace = click.option(
     "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."
 )
+_signing_key = click.option(
+    "--signing-key",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Sign MAVLink with this key and hear nothing unsigned (see `key`).",
+)
+_allow_unsigned = click.option(
+    "--allow-unsigned", is_flag=True, help="Listen to a network without a key: anybody there can fly it."
+)
 _duration = click.option(
     "--duration",
     "duration_s",
@@ -81,6 +98,12 @@ _duration = click.option(
     metavar="S",
     help="End after so many seconds of stack time.",
 )
+
+
+def _say(text: str) -> None:
+    """Print a line, unless nobody listens any more: a closed terminal must not end a flight."""
+    with contextlib.suppress(BrokenPipeError):
+        click.echo(text)
 
 
 @main.command()
@@ -103,9 +126,14 @@ _duration = click.option(
 @click.option(
     "--report/--no-report", "with_report", default=True, show_default=True, help="Write the HTML report."
 )
+@_signing_key
+@click.option(
+    "--listen", multiple=True, metavar="ENDPOINT",
+    help="Zenoh endpoint where others may watch, besides the one of loopback that is printed; repeatable.",
+)  # fmt: skip
 def sitl(
     scenario: str, seed: int, filter_name: str | None, lockstep: bool, duration_s: float | None,
-    out: Path | None, as_json: bool, with_report: bool,
+    out: Path | None, as_json: bool, with_report: bool, signing_key: Path | None, listen: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Fly a scenario in software: vehicle, target, onboard process and recorder, all over the real wires.
 
@@ -115,7 +143,7 @@ def sitl(
     from flightstack.launch import RunOptions
 
     kind = FilterKind(filter_name) if filter_name else None
-    options = RunOptions(scenario, seed, kind, lockstep, duration_s, out, live=not as_json)
+    options = RunOptions(scenario, seed, kind, lockstep, duration_s, out, not as_json, signing_key, listen)
     sys.exit(runner.fly(options, as_json=as_json, with_report=with_report))
 
 
@@ -155,9 +183,12 @@ def sitl(
     show_default=True,
     help="MAVLink system id of the vehicle.",
 )
+@_signing_key
+@_allow_unsigned
 def onboard(
     vehicle_url: str, target_key: str, config_file: Path, connect: tuple[str, ...], listen: tuple[str, ...],
     namespace: str, recorder: Path | None, lockstep: bool, duration_s: float | None, system_id: int,
+    signing_key: Path | None, allow_unsigned: bool,
 ) -> None:  # fmt: skip
     """Run the onboard process against any vehicle and target.
 
@@ -176,9 +207,11 @@ def onboard(
         lockstep,
         duration_s,
         system_id,
+        signing_key,
+        allow_unsigned,
     )
-    ended = process.run(config.load(config_file), options, say=click.echo)
-    click.echo(f"{ended.phase.name}: {ended.reason}")
+    ended = process.run(config.load(config_file), options, say=_say)
+    _say(f"{ended.phase.name}: {ended.reason}")
     sys.exit(ended.exit_code)
 
 
@@ -198,9 +231,19 @@ def onboard(
 @_rate
 @_lockstep
 @_duration
+@click.option(
+    "--peer",
+    "peers",
+    multiple=True,
+    metavar="HOST:PORT",
+    help="Send telemetry there without being asked, e.g. 127.0.0.1:14540 for MAVSDK; repeatable.",
+)
+@_signing_key
+@_allow_unsigned
 def vehicle(
     scenario: str, seed: int, url: str, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str,
-    recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None,
+    recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None, peers: tuple[str, ...],
+    signing_key: Path | None, allow_unsigned: bool,
 ) -> None:  # fmt: skip
     """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's truth on Zenoh."""
     from sim.scenario import load
@@ -210,7 +253,8 @@ def vehicle(
         vehicle_main(
             load(scenario), seed, url, lockstep=lockstep, rate_hz=rate_hz,
             feed_socket=str(recorder) if recorder else None, zenoh_connect=list(connect),
-            zenoh_listen=list(listen), namespace=namespace, duration_s=duration_s,
+            zenoh_listen=list(listen), namespace=namespace, duration_s=duration_s, peers=list(peers),
+            signing_key=signing_key, allow_unsigned=allow_unsigned,
         )
     )  # fmt: skip
 
@@ -221,12 +265,13 @@ def vehicle(
 @_connect
 @_listen
 @_namespace
+@_recorder
 @_rate
 @_lockstep
 @_duration
 def target(
-    scenario: str, seed: int, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str, rate_hz: int,
-    lockstep: bool, duration_s: float | None,
+    scenario: str, seed: int, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str,
+    recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None,
 ) -> None:  # fmt: skip
     """Run the ground robot: drives the scenario's path and publishes its odometry on Zenoh."""
     from sim.scenario import load
@@ -236,6 +281,7 @@ def target(
         target_main(
             load(scenario), seed, lockstep=lockstep, rate_hz=rate_hz, listen=list(listen),
             connect=list(connect), namespace=namespace, duration_s=duration_s,
+            feed_socket=str(recorder) if recorder else None,
         )
     )  # fmt: skip
 
@@ -273,35 +319,32 @@ def record(
 
 @main.command()
 @click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("other", type=click.Path(exists=True, dir_okay=False, path_type=Path), required=False)
 @click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="HTML file; default: report.html next to the log.",
+    help="HTML file; default: next to the log, flight.html for flight.mcap, or comparison.html.",
 )
-def report(log: Path, out: Path | None) -> None:
-    """Write the report of a LOG: one self-contained HTML page."""
-    from logs.report import write_report
+def report(log: Path, other: Path | None, out: Path | None) -> None:
+    """Write the report of a LOG, or a comparison with an OTHER: one self-contained HTML page."""
+    if other is None:
+        from logs.report import write_report
 
-    click.echo(write_report(log, out))
+        click.echo(write_report(log, out))
+    else:
+        from logs.report_compare import write_comparison
+
+        click.echo(write_comparison(log, other, out))
 
 
 @main.command()
-@click.argument("log_a", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument("log_b", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-def compare(log_a: Path, log_b: Path) -> None:
-    """Compare two logs message by message; exit status 0 equal, 1 different.
+@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+def key(file: Path) -> None:
+    """Make a MAVLink signing key in a new FILE that its owner alone can read (docs/security.md)."""
+    from bridge.signing_key import make_key
 
-    Wall-clock measurements (loop timing) are left out.
-    """
-    from logs.compare import compare as compare_logs
-
-    differences = compare_logs(log_a, log_b)
-    for difference in differences[:20]:
-        click.echo(str(difference))
-    if len(differences) > 20:
-        click.echo(f"... and {len(differences) - 20} more")
-    click.echo("equal" if not differences else f"{len(differences)} differences")
-    sys.exit(1 if differences else 0)
+    make_key(file)
+    click.echo(f"{file}: a new signing key; give it to both ends as --signing-key, over a channel you trust")
 
 
 @main.command()
@@ -316,6 +359,15 @@ def scenarios(name: str | None) -> None:
     for known in scenario.names():
         click.echo(f"{known:18} {scenario.load(known).description}")
 
+
+main.add_command(check)
+main.add_command(identify)
+main.add_command(replay)
+main.add_command(watch)
+main.add_command(campaign)
+main.add_command(log)
+main.add_command(view)
+main.add_command(diff, "compare")
 
 if __name__ == "__main__":
     main()

@@ -45,6 +45,7 @@ class RunOptions:
     out: Path | None = None
     live: bool = True
     signing_key: Path | None = None
+    listen: tuple[str, ...] = ()  # where others may watch, besides a free port of loopback
 
 
 @dataclass(frozen=True)
@@ -157,6 +158,7 @@ class _Launcher:
             onboard = self._start(
                 "onboard", "--vehicle", url, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
                 "--listen", onboard_at, "--config", str(config_file), "--duration", str(duration_s),
+                *(word for endpoint in self.options.listen for word in ("--listen", endpoint)),
                 *feed, *lockstep, *wire,
             )  # fmt: skip
             target.wait_ready()
@@ -164,6 +166,10 @@ class _Launcher:
             if not self.options.lockstep:
                 recorder.yield_to_others(10)
                 target.yield_to_others(5)
+            for endpoint in (onboard_at, *self.options.listen):
+                console.print(
+                    f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True
+                )
             started = time.monotonic()
             problem = self._watch(onboard, [vehicle, target, recorder], onboard_at, console)
             wall_s = time.monotonic() - started

@@ -23,6 +23,7 @@ from flightstack.certificate import problems
 from flightstack.config import FlightConfig
 from flightstack.controller import ERROR, WARN, Controller, Outputs
 from flightstack.exchange import answer, take
+from flightstack.live_health import LiveHealth
 from flightstack.lockstep import LockstepWires
 from flightstack.onboard_log import OnboardLog
 from flightstack.pacing import (
@@ -107,6 +108,7 @@ class Onboard:
         self.feed = Feed.connect(recorder, "onboard", lossless=options.lockstep)
         self._describe()
         self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz, options.lockstep)
+        self.health = LiveHealth(self.session, options.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap
         self.foreign = 0
         self.reply = b""  # lockstep: frame of the last answer
@@ -131,6 +133,8 @@ class Onboard:
             self.foreign = link.counters.foreign
         payload = self.log.step(tick, taken, out, self.controller.state)
         self.log.timing(tick, out, exec_s, overruns, self.feed.dropped, payload)
+        reason, battery = self.controller.memory.reason, link.state.battery
+        self.health.show(tick, out, reason, battery, overruns, self.feed.dropped)
         return out, exec_s
 
     def _describe(self) -> None:

@@ -144,7 +144,7 @@ class OnboardLog:
         )
         payload = pack_loop_timing(row)
         self._feed.write(self._timing, tick.unix_ns, tick.unix_ns, tick.number, payload)
-        if tick.number % self._every == 0:
+        if tick.number % self._every == 0 or out.finished:
             self._live_step.put(step)
             self._live_timing.put(payload)
         if tick.number % self._flush_every == 0:

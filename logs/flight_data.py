@@ -43,6 +43,7 @@ class Steps:
     target_position_enu_m: Floats
     target_velocity_enu_m_s: Floats
     h_m: Floats
+    gradient: Floats
     dh_dt_m_s: Floats
     nominal_enu_m_s: Floats
     filtered_enu_m_s: Floats
@@ -51,6 +52,8 @@ class Steps:
     iterations: Ints
     target_accepted: Ints
     target_rejected: Ints
+    link_valid: Bools
+    wanted_enu_m_s: Floats
 
     @cached_property
     def both_valid(self) -> Bools:
@@ -211,6 +214,11 @@ class Flight:
         return [
             (_phase(int(phase[i])), float(t_s[i]), float(end)) for i, end in zip(starts, ends, strict=True)
         ]
+
+
+def phase_name(phase: Phase | int) -> str:
+    """Name for a reader; a phase that this version does not know keeps its number."""
+    return phase.name if isinstance(phase, Phase) else f"phase {phase}"
 
 
 def _phase(number: int) -> Phase | int:

@@ -2,24 +2,41 @@
 
 from __future__ import annotations
 
-from functools import cache
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
 from logs.flight import load_flight
 from logs.flight_data import Flight
-from logs.report_tables import events_table, headline, result_table, run_table, versions_table
+from logs.report_page import ReportError, details, header, need_plotly, page, plotly_source, section
+from logs.report_repeat import repeat_section
+from logs.report_tables import (
+    ages_table,
+    definitions,
+    events_table,
+    faults_table,
+    headline,
+    links_table,
+    phases_table,
+    result_table,
+    run_table,
+    versions_table,
+)
 from logs.verdict import judge
 from logs.verdict_types import TRUE_STATES, Verdict
 
+__all__ = ["ReportError", "plotly_source", "render", "section", "write_report"]
+
 _H_TOLERANCE_M = 1e-6  # the barrier we draw has to be the one the simulator judged by
-
-
-class ReportError(RuntimeError):
-    """The page cannot be made here; says what is missing."""
+_FILES = (("onboard.toml", "Configuration of the onboard process"), ("scenario.toml", "Scenario, whole"))
+_FAULTS = "Injected on purpose; in the figures a red strip on top."
+_EVENTS = "Times since the landing began; each is a link."
+BAR = (
+    '<div class="bar"><span>All times:</span><button data-range="landing">Landing</button>'
+    '<button data-range="whole">Whole flight</button>'
+    "<span>Time axes move together; an event's time is a link.</span></div>"
+)
 
 
 def write_report(log: Path, out: Path | None = None) -> Path:
@@ -37,59 +54,63 @@ def write_report(log: Path, out: Path | None = None) -> Path:
         ReportError: the plotting library is not installed.
     """
     flight = load_flight(log)
-    page = render(flight, judge(flight))
+    text = render(flight, judge(flight))
     target = log.with_suffix(".html") if out is None else out
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(page, encoding="utf-8")
+    target.write_text(text, encoding="utf-8")
     return target
 
 
 def render(flight: Flight, verdict: Verdict) -> str:
-    """Return the page as text."""
-    try:
-        from logs.figures import panels
-    except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith("plotly"):
-            raise
-        raise ReportError(
-            'the report needs plotly, which is not installed: pip install "crazyflie-flightstack[report]"'
-        ) from error
+    """Return the page as text.
+
+    Raises:
+        ReportError: the plotting library is not installed.
+    """
+    need_plotly()
+    from logs.figures import panels
+    from logs.report_links import load_streams
+
     run = flight.metadata.get("run", {})
-    text, style = headline(verdict)
-    drawn = panels(flight, verdict)
-    values = {
-        "TITLE": escape(run.get("scenario", flight.path.stem)),
-        "STYLE": style,
-        "HEADLINE": escape(text),
-        "SUBTITLE": escape(_subtitle(run, verdict)),
-        "WARNINGS": _warnings(flight, verdict),
-        "SOURCE": escape(_source(verdict)),
-        "RESULT": result_table(flight, verdict),
-        "RUN": run_table(flight),
-        "VERSIONS": versions_table(flight),
-        "EVENTS": events_table(flight),
-        "FOOTER": escape(f"Log: {flight.path.name}. Frames: east, north, up; SI units."),
-        "FIGURES": "".join(_section(p.key, p.title, p.paper, p.note, p.figure) for p in drawn),
-        "PLOTLY": _plotly(),
-    }
-    page = (files("logs") / "report_template.html").read_text(encoding="utf-8")
-    parts = page.split("@@")  # text, NAME, text, NAME, ..., text
-    parts[1::2] = [values[name] for name in parts[1::2]]
-    return "".join(parts)
+    streams = load_streams(flight.path, flight.origin_ns)
+    title = run.get("scenario", flight.path.stem)
+    badge, style = headline(verdict)
+    timeline, *drawn = panels(flight, verdict, streams)
+    figures = {p.key: section(p.key, p.title, p.paper, p.note, p.figure) for p in (timeline, *drawn)}
+    figures["age"] += _block(
+        "links", "Links", "Counted from the recorded traffic.", links_table(streams) + ages_table(flight)
+    )
+    sources = "".join(
+        details(what, flight.attachments[name].decode(errors="replace"), name)
+        for name, what in _FILES
+        if name in flight.attachments
+    )
+    body = (
+        header(title, badge, style, _subtitle(run, verdict)),
+        _warnings(flight, verdict),
+        _block("result", "Result", _source(verdict), result_table(flight, verdict) + definitions()),
+        BAR,
+        figures.pop("timeline"),
+        '<div class="columns">',
+        _block("phases", "Phases", "Each with the reason it began.", phases_table(flight)),
+        _block("faults", "Faults", _FAULTS, faults_table(flight)),
+        "</div>",
+        *figures.values(),
+        _block("events", "Events", _EVENTS, events_table(flight), "wide events"),
+        repeat_section(flight),
+        '<div class="columns">',
+        _block("run", "Run", "", run_table(flight)),
+        _block("versions", "Versions", "", versions_table(flight)),
+        "</div>",
+        f"<section><h2>Configuration</h2>{sources or '<p>The log holds none.</p>'}</section>",
+        f"<footer>{escape(f'Log: {flight.path.name}. Frames: east, north, up; SI units.')}</footer>",
+    )
+    return page(title, "".join(body))
 
 
-def _section(key: str, title: str, paper: str, note: str, figure: object | None) -> str:
-    reference = f'<span class="paper">paper {escape(paper)}</span>' if paper else ""
-    body = ""
-    if figure is not None:
-        # a "<" in a name could end the script element
-        data = figure.to_json().replace("<", "\\u003c")  # type: ignore[attr-defined]
-        body = (
-            f'<div class="figure" id="figure-{key}"></div>'
-            f'<script type="application/json" id="figure-{key}-data">{data}</script>'
-        )
-    note = note if figure is not None else f"Not drawn: the log has no usable data for this figure. {note}"
-    return f'<section><h2>{escape(title)}{reference}</h2><p class="note">{escape(note)}</p>{body}</section>\n'
+def _block(key: str, title: str, note: str, content: str, style: str = "wide") -> str:
+    said = f'<p class="note">{escape(note)}</p>' if note else ""
+    return f'<section id="{key}"><h2>{escape(title)}</h2>{said}<div class="{style}">{content}</div></section>'
 
 
 def _subtitle(run: dict[str, str], verdict: Verdict) -> str:
@@ -110,7 +131,7 @@ def _source(verdict: Verdict) -> str:
     )
 
 
-def _warnings(flight: Flight, verdict: Verdict) -> str:
+def warnings(flight: Flight, verdict: Verdict) -> list[str]:
     """What a reader has to know before trusting the page."""
     texts = [*flight.problems]
     if flight.truth is None:
@@ -126,14 +147,12 @@ def _warnings(flight: Flight, verdict: Verdict) -> str:
         differs = np.abs(from_page - flight.truth.h_m[::50])
         if np.nanmax(differs, initial=0.0) > _H_TOLERANCE_M:
             texts.append("the boundary drawn here is not the one the simulator computed h with")
+    return texts
+
+
+def _warnings(flight: Flight, verdict: Verdict) -> str:
+    texts = warnings(flight, verdict)
     if not texts:
         return ""
     items = "".join(f"<li>{escape(text)}</li>" for text in texts)
     return f'<section class="warning"><h2>Mind when reading</h2><ul>{items}</ul></section>'
-
-
-@cache
-def _plotly() -> str:
-    """The drawing library as text; it goes into the page whole."""
-    text = (files("plotly") / "package_data" / "plotly.min.js").read_text(encoding="utf-8")
-    return text.replace("</script", "<\\/script")

@@ -1,4 +1,4 @@
-"""Figures over time: barrier (paper Fig. 9a, 13a), velocities (9b-d, 13b-d), loop timing, age of the data."""
+"""Figures over time: barrier with its margin (paper Fig. 9a, 13a), velocities (9b-d, 13b-d)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from logs.flight_data import Flight, Floats, Steps
+from logs.report_derived import held_margin_m
 from logs.report_style import (
     BOUNDARY,
     COMMAND,
@@ -14,24 +15,21 @@ from logs.report_style import (
     FILTERED,
     INK,
     LIMIT,
+    MARGIN,
     NOMINAL,
-    TARGET,
     TRUE,
     add_phases,
     layout,
-    light,
     line,
     low_envelope,
     shown_range,
-    thin,
     time_axis,
     zero_s,
 )
 from logs.verdict_types import VIOLATION_LIMIT_M, Verdict
 
-_AXES = ("x, east", "y, north", "z, up")
-_HISTOGRAM_BINS = 80
-_WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # labels of the axis of wall times
+_MARGIN_SEEN_M = 1e-4  # m; a filter without a margin has none up to rounding
+AXES = ("x, east", "y, north", "z, up")
 
 
 def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
@@ -48,33 +46,42 @@ def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
         shown.append((t, h))
         figure.add_trace(line(t, h, "h (true, lowest between ticks)", TRUE, width=2.2))
         outside = np.where(flight.truth.t_s > zero, flight.truth.h_min_outside_pad_m, np.inf)
-        _mark_lowest(figure, flight.truth.t_s - zero, outside)
+        _mark_lowest(figure, flight.truth.t_s - zero, outside, "outside the pad", "triangle-down")
+        anywhere = np.where(flight.truth.t_s > zero, flight.truth.h_min_m, np.inf)
+        _mark_lowest(figure, flight.truth.t_s - zero, anywhere, "anywhere", "triangle-down-open")
     elif flight.steps is not None:
         outside = (flight.steps.d_m > flight.pad_radius_m) & (flight.steps.t_s >= zero)
-        _mark_lowest(figure, flight.steps.t_s - zero, np.where(outside, flight.steps.h_m, np.inf))
+        h_m = np.where(outside, flight.steps.h_m, np.inf)
+        _mark_lowest(figure, flight.steps.t_s - zero, h_m, "outside the pad", "triangle-down")
     if not shown or all(np.isnan(h).all() for _, h in shown):
         return None
+    margin_m = held_margin_m(flight)
+    if margin_m is not None and flight.steps is not None and np.nanmax(margin_m) > _MARGIN_SEEN_M:
+        figure.add_trace(
+            line(flight.steps.t_s - zero, margin_m, "margin: h may not go below", MARGIN, width=2)
+        )
     figure.add_hline(0.0, line={"color": BOUNDARY, "width": 1.8})
     if verdict.started_safe is not False:
         figure.add_hline(VIOLATION_LIMIT_M, line={"color": BOUNDARY, "width": 1, "dash": "dot"})
     layout(figure, 420)
     add_phases(figure, flight)
     time_axis(figure, flight)
-    figure.update_yaxes(title_text="h [m]", range=_value_range(flight, shown))
+    figure.update_yaxes(title_text="h [m]", range=value_range(flight, shown))
     return figure
 
 
-def _mark_lowest(figure: go.Figure, t: Floats, h: Floats) -> None:
+def _mark_lowest(figure: go.Figure, t: Floats, h: Floats, where: str, symbol: str) -> None:
     known = np.where(np.isfinite(h), h, np.inf)
     at = int(np.argmin(known))
     if not np.isfinite(known[at]):
         return
-    style = {"symbol": "triangle-down", "size": 12, "color": INK, "line": {"color": "white", "width": 1}}
-    name = f"lowest outside the pad: {h[at]:.4f} m"
+    edge = INK if symbol.endswith("open") else "white"
+    style = {"symbol": symbol, "size": 12, "color": INK, "line": {"color": edge, "width": 1.5}}
+    name = f"lowest {where}: {h[at]:.4f} m".replace("-", "−")
     figure.add_trace(go.Scatter(x=[float(t[at])], y=[float(h[at])], mode="markers", name=name, marker=style))
 
 
-def _value_range(flight: Flight, shown: list[tuple[Floats, Floats]]) -> list[float]:
+def value_range(flight: Flight, shown: list[tuple[Floats, Floats]]) -> list[float]:
     """Range of the values within the time axis' first range, zero included, with some air."""
     low_s, high_s = shown_range(flight)
     inside = np.concatenate(
@@ -110,14 +117,14 @@ def velocities(flight: Flight) -> go.Figure | None:
             )  # fmt: skip
             figure.add_trace(trace, row=row, col=1)
         limit = None if flight.velocity_max_m_s is None else flight.velocity_max_m_s[axis]
-        low, high = _value_range(flight, shown)
+        low, high = value_range(flight, shown)
         if limit is not None:
             low, high = min(low, -1.15 * limit), max(high, 1.15 * limit)
             _limits(figure, flight, limit, row, legend)
         floor = low - 0.03 * (high - low)
         figure.add_trace(_active(steps, t, floor, legend), row=row, col=1)
         figure.update_yaxes(
-            title_text=f"{_AXES[axis]} [m/s]", range=[floor - 0.02 * (high - low), high], row=row, col=1
+            title_text=f"{AXES[axis]} [m/s]", range=[floor - 0.02 * (high - low), high], row=row, col=1
         )
     layout(figure, 760)
     add_phases(figure, flight, rows=3)
@@ -141,82 +148,3 @@ def _active(steps: Steps, t: Floats, floor: float, legend: bool) -> go.Scatter:
     return line(
         t, y, "barrier active", BOUNDARY, width=5, legendgroup="active", showlegend=legend, hoverinfo="skip"
     )
-
-
-def loop_timing(flight: Flight) -> go.Figure | None:
-    """Period of the loop as series and histogram; time spent in a tick and in the solver."""
-    timing = flight.timing
-    if timing is None:
-        return None
-    zero = zero_s(flight)
-    t = timing.t_s - zero
-    figure = make_subplots(
-        rows=2,
-        cols=2,
-        specs=[[{}, {}], [{"colspan": 2}, None]],
-        vertical_spacing=0.17,
-        horizontal_spacing=0.09,
-    )
-    period_ms = timing.period_s * 1e3
-    figure.add_trace(line(t, period_ms, "period", TRUE, width=1.2, showlegend=False), row=1, col=1)
-    counts, edges = np.histogram(period_ms[np.isfinite(period_ms)], bins=_HISTOGRAM_BINS)
-    bars = go.Bar(
-        x=light((edges[:-1] + edges[1:]) / 2), y=counts, width=float(edges[1] - edges[0]), marker_color=TRUE,
-        showlegend=False, name="ticks",
-    )  # fmt: skip
-    figure.add_trace(bars, row=1, col=2)
-    figure.add_trace(line(t, timing.exec_s * 1e6, "whole tick", COMMAND, width=1.4), row=2, col=1)
-    figure.add_trace(line(t, timing.solve_s * 1e6, "quadratic program", NOMINAL, width=1.4), row=2, col=1)
-    figure.add_trace(
-        line(t, timing.lateness_s * 1e6, "start after deadline", LIMIT, width=1.0, visible="legendonly"),
-        row=2,
-        col=1,
-    )
-    layout(figure, 600)
-    label = "time since the landing began [s]" if flight.landing_start_s is not None else "time [s]"
-    figure.update_xaxes(title_text=label, row=1, col=1)
-    figure.update_xaxes(title_text="period [ms]", row=1, col=2)
-    figure.update_xaxes(title_text=label, row=2, col=1)
-    figure.update_yaxes(title_text="period [ms]", row=1, col=1)
-    figure.update_yaxes(title_text="ticks", type="log", dtick=1, row=1, col=2)
-    figure.update_yaxes(title_text="wall time [µs]", type="log", tickvals=_WALL_US, row=2, col=1)
-    return figure
-
-
-def data_age(flight: Flight) -> go.Figure | None:
-    """Age of the target state and of the own state at each tick, with the limits of the configuration."""
-    steps = flight.steps
-    if steps is None or not np.isfinite(steps.target_age_s).any():
-        return None
-    t, figure = steps.t_s - zero_s(flight), go.Figure()
-    ages = []
-    for name, values, color in (
-        ("target state", steps.target_age_s, TARGET),
-        ("own state", steps.own_age_s, TRUE),
-    ):
-        age_ms = np.where(np.isfinite(values), values, np.nan) * 1e3
-        ages.append((t, age_ms))
-        figure.add_trace(line(t, age_ms, name, color, width=1.4))
-    low, high = _value_range(flight, ages)
-    if flight.config is not None:
-        limits = {"target": flight.config.checks.target_age_max_s, "own": flight.config.checks.own_age_max_s}
-        for name, limit_s in limits.items():
-            figure.add_hline(
-                limit_s * 1e3, line={"color": LIMIT, "width": 1, "dash": "dash"},
-                annotation={"text": f"limit, {name} state", "font": {"size": 11, "color": LIMIT}},
-            )  # fmt: skip
-            high = max(high, 1.1e3 * limit_s)
-    refused = np.flatnonzero(np.diff(steps.target_rejected) > 0) + 1
-    if len(refused):
-        keep = refused[thin(len(refused))]
-        figure.add_trace(
-            go.Scatter(
-                x=light(t[keep]), y=np.zeros(len(keep), np.float32), mode="markers", name="sample refused",
-                marker={"symbol": "x-thin", "size": 8, "line": {"color": BOUNDARY, "width": 1.5}},
-            )
-        )  # fmt: skip
-    layout(figure, 380)
-    add_phases(figure, flight)
-    time_axis(figure, flight)
-    figure.update_yaxes(title_text="age at the tick [ms]", range=[low, high])
-    return figure

@@ -12,7 +12,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from flightstack.types import Phase
-from logs.flight_data import Flight, Floats
+from logs.flight_data import Flight, Floats, phase_name
+from logs.report_faults import fault_spans
 
 TRUE = "#0072B2"  # blue
 ESTIMATED = "#56B4E9"  # sky blue
@@ -25,6 +26,9 @@ COMMAND = "#009E73"  # bluish green
 LIMIT = "#666666"
 GRID = "#e4e7eb"
 INK = "#1f2933"
+FAULT = "#b00020"
+FLOWN = "#882255"  # wine: what the vehicle really does
+MARGIN = "#E69F00"
 
 PHASE_BANDS = {
     Phase.WAIT: "rgba(150, 150, 150, 0.10)",
@@ -37,8 +41,21 @@ PHASE_BANDS = {
     Phase.CLIMB: "rgba(204, 121, 167, 0.20)",
     Phase.ABORT: "rgba(213, 94, 0, 0.22)",
 }
+PHASE_SOLID: dict[Phase | int, str] = {
+    Phase.WAIT: "#d5d9de",
+    Phase.TAKEOFF: "#bcc3cc",
+    Phase.APPROACH: "#b5dcf3",
+    Phase.LAND: "#9ad6c3",
+    Phase.TOUCHDOWN: "#f3e98a",
+    Phase.LANDED: "#cfe9e1",
+    Phase.HOLD: "#f5d088",
+    Phase.CLIMB: "#e5bcd2",
+    Phase.ABORT: "#efb08a",
+}
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and the legend's distance below the axis
-POINTS_MAX = 6000  # of one line; more cannot be seen, and the page has to stay light
+POINTS_MAX = 4000  # of one line; more cannot be seen, and the page has to stay light
+_EVEN_S = 1e-3  # s; times this close to evenly spaced are written as start and step
+_FAULT_STRIP = 0.965  # of a row's height: from here to the top a fault is marked
 LABEL_SHARE = 0.05  # a band narrower than this share of the axis carries no name
 BEFORE_S, AFTER_S = 1.0, 3.0  # shown around the landing; zooming out shows all
 
@@ -85,7 +102,7 @@ def shown_range(flight: Flight) -> list[float]:
 
 
 def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
-    """Shade the phases over the whole height of each row and name them at the top."""
+    """Shade the phases over the whole height of each row, name them on top, mark faults by a strip."""
     low, high = shown_range(flight)
     zero = zero_s(flight)
     for phase, begin_s, end_s in flight.phase_spans():
@@ -101,15 +118,28 @@ def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
         if right - left >= LABEL_SHARE * (high - low):
             figure.add_annotation(
                 x=(left + right) / 2, y=1.0, xref="x", yref="y domain", yanchor="bottom", showarrow=False,
-                text=phase.name if isinstance(phase, Phase) else f"phase {phase}",
+                text=phase_name(phase),
                 font={"size": 10, "color": "#616e7c"},
+            )  # fmt: skip
+
+    for fault in fault_spans(flight):
+        for row in range(1, rows + 1):
+            axis = "" if row == 1 else str(row)
+            figure.add_shape(
+                type="rect", xref=f"x{axis}", yref=f"y{axis} domain", x0=fault.begin_s - zero,
+                x1=fault.end_s - zero, y0=_FAULT_STRIP, y1=1, fillcolor=FAULT, line_width=0, layer="below",
             )  # fmt: skip
 
 
 def time_axis(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
-    """Label and limit the common time axis."""
+    """Label and limit the common time axis; the page moves all figures with this mark together."""
     what = "since the landing began" if flight.landing_start_s is not None else "since the log began"
-    figure.update_layout(hovermode="x unified")
+    zero = zero_s(flight)
+    whole = [-zero, flight.duration_s - zero]
+    figure.update_layout(
+        hovermode="x unified",
+        meta={"time": True, "rows": rows, "landing": shown_range(flight), "whole": whole},
+    )
     figure.update_xaxes(range=shown_range(flight))
     figure.update_xaxes(
         title_text=f"time {what} [s]", row=rows if rows > 1 else None, col=1 if rows > 1 else None
@@ -120,7 +150,16 @@ def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter
     """One line, thinned; keyword arguments go to the line (``dash``, ``width``) or the trace."""
     keep = thin(len(x))
     style = {"color": color, "width": more.pop("width", 1.8), "dash": more.pop("dash", "solid")}
-    return go.Scatter(x=light(x[keep]), y=light(y[keep]), name=name, mode="lines", line=style, **more)
+    return go.Scatter(**_places(x[keep]), y=light(y[keep]), name=name, mode="lines", line=style, **more)
+
+
+def _places(x: Floats) -> dict[str, Any]:
+    """Evenly spaced places as start and step, which halves the page; else all of them."""
+    if len(x) > 2 and np.isfinite(x).all():
+        step = float(x[-1] - x[0]) / (len(x) - 1)
+        if step > 0.0 and np.abs(x - (x[0] + step * np.arange(len(x)))).max() < _EVEN_S:
+            return {"x0": float(x[0]), "dx": step}
+    return {"x": light(x)}
 
 
 def thin(n: int) -> slice:

@@ -12,11 +12,13 @@ from html.parser import HTMLParser
 import pytest
 
 from logs.report import ReportError, write_report
+from logs.report_compare import write_comparison
 from tests.synthetic_flight import landing, write_log
 
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
 
-FIGURES = 7
+FIGURES = 13
+SIZE_MAX = 6e6  # bytes, drawing library included
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 BROWSER_LIMIT_S = 180
 
@@ -35,7 +37,7 @@ def browse(tmp_path):
             f"no Chromium here (looked for {', '.join(BROWSERS)} and $CHROMIUM); the page was not opened"
         )
 
-    def opened(page):
+    def opened(page, place=""):
         """What the page is after its scripts ran, and what it wrote to the console."""
         result = subprocess.run(
             [
@@ -44,7 +46,7 @@ def browse(tmp_path):
                 "--disable-sync", "--disable-background-networking", "--disable-component-update",
                 "--disable-dev-shm-usage",
                 "--enable-logging=stderr", "--virtual-time-budget=30000", "--window-size=1200,1000",
-                "--dump-dom", page.as_uri(),
+                "--dump-dom", page.as_uri() + place,
             ],
             capture_output=True, text=True, timeout=BROWSER_LIMIT_S, check=True,
         )  # fmt: skip
@@ -91,10 +93,13 @@ def errors(console):
 
 
 def test_every_figure_is_drawn_without_a_complaint(tmp_path, browse):
-    page = write_report(write_log(tmp_path / "flight.mcap", landing()))
-    dom, console = browse(page)
+    rows = landing()
+    rows.steps = [row._replace(wanted_enu_m_s=row.filtered_enu_m_s) for row in rows.steps]
+    page = write_report(write_log(tmp_path / "flight.mcap", rows))
+    dom, console = browse(page, "#t=2.5")
     assert errors(console) == []
     seen = Page(dom)
+    assert seen.body["data-shown"] == "-0.5 5.5"  # in every figure over time
     assert seen.body["data-figures"] == str(FIGURES)
     assert seen.body["data-figures-drawn"] == str(FIGURES)
     assert seen.tags["canvas"] >= 1  # the 3-D figure
@@ -123,6 +128,26 @@ def test_poor_logs_give_a_page_that_says_so(tmp_path, browse, kind):
     assert expected in seen.text
 
 
+def test_a_comparison_draws_both_flights(tmp_path, browse):
+    other = landing()
+    other.run |= {"scenario": "another", "seed": "8"}
+    other.truth = []
+    a, b = write_log(tmp_path / "a.mcap", landing()), write_log(tmp_path / "b.mcap", other, complete=False)
+    dom, console = browse(write_comparison(a, b))
+    assert errors(console) == []
+    seen = Page(dom)
+    assert int(seen.body["data-figures"]) >= 7
+    assert seen.body["data-figures"] == seen.body["data-figures-drawn"]
+    for words in (
+        "synthetic and another, compared",
+        "run.seed 7 8",
+        "B: no true states in this log",
+        "B − A",
+    ):
+        assert words in seen.text
+    assert len((tmp_path / "comparison.html").read_text(encoding="utf-8")) < SIZE_MAX
+
+
 def test_a_flight_that_never_began_to_land(tmp_path):
     rows = landing()
     rows.cut(0.5)
@@ -137,7 +162,7 @@ def test_the_page_is_whole_and_names_every_number_with_its_unit(tmp_path):
     assert out == tmp_path / "there" / "report.html"
     text = out.read_text(encoding="utf-8")
     page = Page(text)
-    assert page.sources == ["data:,"]  # nothing is fetched
+    assert all(source.startswith(("data:", "#")) for source in page.sources)  # nothing is fetched
     assert "@@" not in page.text
     for words in (
         "Landed",
@@ -153,7 +178,7 @@ def test_the_page_is_whole_and_names_every_number_with_its_unit(tmp_path):
     for figure in ("7, 10", "8, 11", "9a, 13a", "9b–d, 13b–d", "12"):
         assert f"paper Fig. {figure}" in page.text
     assert "TOUCHDOWN -> LANDED: made up" in page.text
-    assert 4e6 < len(text) < 8e6
+    assert len(text) < SIZE_MAX
 
 
 def test_text_from_the_log_stays_text(tmp_path):
@@ -168,7 +193,7 @@ def test_text_from_the_log_stays_text(tmp_path):
 
 def test_without_the_plotting_library_the_reason_is_given(tmp_path, monkeypatch):
     log = write_log(tmp_path / "flight.mcap", landing())
-    for name in [n for n in sys.modules if n.startswith(("logs.figures", "logs.report_s", "plotly"))]:
+    for name in [n for n in sys.modules if n.startswith(("logs.figures", "logs.report_", "plotly"))]:
         monkeypatch.delitem(sys.modules, name)
     real = builtins.__import__
 

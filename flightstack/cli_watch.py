@@ -1,0 +1,100 @@
+"""The verb ``watch``: a flight on another machine, in the terminal or as JSON."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import time
+from types import FrameType
+
+import click
+
+FRESH, NOTHING = 0, 1
+LOOK_S = 0.05  # between two looks
+DEFAULT = "tcp/127.0.0.1:7448"  # where docs and README let the onboard process listen
+
+
+@click.command()
+@click.option(
+    "--connect", multiple=True, metavar="ENDPOINT", default=(DEFAULT,), show_default=True,
+    help="Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable.",
+)  # fmt: skip
+@click.option(
+    "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."
+)
+@click.option("--once", is_flag=True, help="Show one fresh picture and end; exit status 1 if none comes.")
+@click.option(
+    "--json", "as_json", is_flag=True, help="One JSON object a line: one with --once, else two a second."
+)
+@click.option(
+    "--timeout", "timeout_s", type=click.FloatRange(min=0.1, max=3600.0), default=5.0, show_default=True,
+    metavar="S", help="How long --once waits.",
+)  # fmt: skip
+def watch(connect: tuple[str, ...], namespace: str, once: bool, as_json: bool, timeout_s: float) -> None:
+    """Watch a flight: phase, h, set-points, ages, battery, loop timing; Ctrl-C ends it.
+
+    Only listens. Exit status: 0 in order, 1 with --once when nothing fresh came, 2 for wrong input.
+    """
+    from bridge import zenoh_link
+
+    previous = signal.signal(signal.SIGTERM, _end)
+    session = zenoh_link.open_session([], connect)
+    try:
+        if once:
+            sys.exit(_once(session, connect, namespace, as_json, timeout_s))
+        (_stream if as_json else _live)(session, connect, namespace)
+    except (KeyboardInterrupt, BrokenPipeError):
+        pass  # how watching ends
+    finally:
+        session.close()
+        signal.signal(signal.SIGTERM, previous)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    del number, frame
+    raise KeyboardInterrupt
+
+
+def _once(session: object, connect: tuple[str, ...], namespace: str, as_json: bool, timeout_s: float) -> int:
+    from rich.console import Console
+
+    from flightstack.live import draw
+    from flightstack.watch import News, Watch
+    from flightstack.watch_json import snapshot
+
+    seen = Watch(session, namespace)
+    until_s = time.monotonic() + timeout_s
+    while not (seen.news is News.FRESH and seen.health is not None) and time.monotonic() < until_s:
+        time.sleep(LOOK_S)
+        seen.poll()
+    if as_json:
+        click.echo(json.dumps(snapshot(seen)))
+    else:
+        Console().print(draw(seen, namespace, ", ".join(connect)))
+    return FRESH if seen.news is News.FRESH else NOTHING
+
+
+def _stream(session: object, connect: tuple[str, ...], namespace: str) -> None:
+    from flightstack.watch import Watch
+    from flightstack.watch_json import snapshot
+
+    del connect
+    seen = Watch(session, namespace)
+    while True:
+        time.sleep(0.5)
+        seen.poll()
+        click.echo(json.dumps(snapshot(seen)))
+
+
+def _live(session: object, connect: tuple[str, ...], namespace: str) -> None:
+    from rich.console import Console
+
+    from flightstack.live import REFRESH_HZ, LiveView
+
+    whom = ", ".join(connect)
+    view = LiveView(session, namespace, f"{namespace} at {whom}", Console(), whom)
+    with view.live:
+        while True:
+            time.sleep(1.0 / REFRESH_HZ)
+            view.poll()
