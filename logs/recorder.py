@@ -14,6 +14,7 @@ from types import FrameType
 
 from logs.recorder_process import RecorderError, RecorderProcess, Source
 from logs.recording import Recorder, Statistics
+from logs.schemas import typestore
 
 __all__ = ["Recorder", "RecorderError", "RecorderProcess", "Statistics", "problems", "record_main", "run"]
 
@@ -68,6 +69,7 @@ def record_main(
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, stop)
+    typestore()  # half a second of work the first time: not in the middle of a flight
     print("ready", flush=True)
     counts = process.run(until_clients)
     for problem in problems(counts):
