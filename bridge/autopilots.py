@@ -93,7 +93,8 @@ def _external_or_flying(status: VehicleStatus) -> bool:
 
 
 def _landing(status: VehicleStatus) -> bool:
-    return status.mode is Mode.LAND or not status.armed
+    # Disarmed in the air: one of the two is not true, and a vehicle that stands does not mind the command.
+    return status.mode is Mode.LAND or not (status.armed or status.landed in _AIRBORNE)
 
 
 def _fixed(*params: float | None) -> Callable[[float], Params]:

@@ -22,6 +22,10 @@ STOPPED_TIME_S = 0.03  # s of that; three samples at 100 Hz
 DRIFT_TIME_S = 0.3  # s ahead: what the horizontal loop needs to answer
 DRIFT_SHARE = 0.6  # of the corridor's radius; nearer to the middle nothing is lost yet
 DRIFT_H_M = 0.08  # of h left to climb away with
+BLIND_PHASES = frozenset({Phase.HOLD, Phase.ABORT})
+BLIND_MAX_S = 4.0  # s without an own state for which set-points go out
+# s; within centimetres of the pad the vehicle sinks on with its last set-point: by then it stands
+TOUCHDOWN_BLIND_S = 0.4
 TOUCHDOWN_TIME_S = 2.0  # s; the descent takes 0.3, a forced disarm shows with the next heartbeat
 
 
@@ -34,19 +38,38 @@ class View(NamedTuple):
     target_ok: bool
     link_ok: bool
     e_m: Vec3 | None  # vehicle minus landing spot, if both are known
+    follows: bool = True  # the vehicle flies what it is told
+    now_s: float = math.nan
 
 
-def view(config: FlightConfig, inputs: Inputs, target: TargetState | None, now_s: float) -> View:
-    """Judge ages; a state from the future by more than one sample is as wrong as an old one."""
+def view(
+    config: FlightConfig,
+    inputs: Inputs,
+    target: TargetState | None,
+    now_s: float,
+    *,
+    believed: bool = True,
+    follows: bool = True,
+) -> View:
+    """Judge ages; a state from the future by more than one sample is as wrong as an old one.
+
+    Args:
+        config: of the flight.
+        inputs: of this tick.
+        target: where it is.
+        now_s: stack clock.
+        believed: the own state is plausible.
+        follows: the vehicle flies what it is told.
+    """
     checks, own, status = config.checks, inputs.own, inputs.status
-    own_ok = own is not None and -0.05 <= now_s - own.arrival_s <= checks.own_age_max_s
+    own_ok = believed and own is not None and -0.05 <= now_s - own.arrival_s <= checks.own_age_max_s
     target_ok = target is not None and target.age_s <= checks.target_age_max_s
     link_ok = status is not None and now_s - status.arrival_s <= checks.status_age_max_s
     e_m = None
     if own is not None and target is not None:
         p, q = own.position_enu_m, target.position_enu_m
         e_m = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
-    return View(inputs, target, own_ok, target_ok, link_ok, e_m)
+    return View(inputs, target, own_ok, target_ok, link_ok, e_m, follows, now_s)
 
 
 def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
@@ -62,6 +85,22 @@ def high_enough_m(barrier: Barrier, memory: Memory) -> float:
     """Height above which nothing of the target reaches."""
     base = memory.target_position_enu_m[2] if memory.target_position_enu_m else 0.0
     return base + barrier.peak_height_m + CLIMB_MARGIN_M
+
+
+def may_fly_blind(config: FlightConfig, memory: Memory, seen: View) -> bool:
+    """Whether set-points may go out that need no own state: away from the target, for seconds.
+
+    The vehicle's own loop still flies velocities, and where it does not its autopilot lands by itself.
+    Landing at once would be landing on the target.
+    """
+    if seen.own_ok or memory.phase not in BLIND_PHASES or memory.started_s == math.inf:
+        return False
+    return seen.now_s - memory.own_ok_s <= min(BLIND_MAX_S, blind_s(config) + config.checks.hold_time_s)
+
+
+def blind_s(config: FlightConfig) -> float:
+    """How long it takes to fly clear at the highest velocity, and half a second to reach that."""
+    return config.checks.clearance_m / min(config.limits.velocity_max_m_s[:2]) + 0.5
 
 
 _PHASE_TIME_S: dict[Phase, Callable[[FlightConfig], float]] = {
@@ -83,7 +122,11 @@ def gather(
         word |= C.EMERGENCY
     if inputs.operator is Operator.ABORT:
         word |= C.ABORT_ASKED
-    if not seen.own_ok:
+    if not seen.follows:
+        word |= C.NOT_FOLLOWING
+    if seen.own_ok:
+        memory.own_ok_s = now_s
+    elif memory.phase is not Phase.TOUCHDOWN or now_s - memory.own_ok_s > TOUCHDOWN_BLIND_S:
         word |= C.OWN_LOST
     if not seen.link_ok:
         word |= C.LINK_LOST
@@ -113,6 +156,8 @@ def gather(
         word |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(barrier, memory) else 0
     if good:
         word |= _place_conditions(config, barrier, memory, seen, now_s)
+    elif memory.phase is Phase.TOUCHDOWN and not seen.own_ok:
+        memory.contact = memory.contact or bool(word & C.STANDING)
     elif memory.phase is Phase.TOUCHDOWN and not seen.target_ok:
         # the target went out of sight in the last centimetres
         blind = _CONTACT_BLIND[config.filter](config, memory, seen, now_s)

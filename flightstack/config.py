@@ -122,9 +122,11 @@ class Checks:
 
     own_age_max_s: Annotated[float, Range(0.02, 0.4)] = 0.2
     target_age_max_s: Annotated[float, Range(0.02, 1.0)] = 0.25
+    own_drift_max_m: Annotated[float, Range(0.05, 2.0)] = 0.15  # position against velocity, in some 2 s
+    follow_lag_max_s: Annotated[float, Range(0.1, 5.0)] = 0.45  # at the highest velocity; behind set-points
     status_age_max_s: Annotated[float, Range(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
     target_speed_max_m_s: Annotated[float, Range(0.1, 10.0)] = 1.5
-    target_jump_max_m: Annotated[float, Range(0.02, 5.0)] = 0.3
+    target_jump_max_m: Annotated[float, Range(0.02, 5.0)] = 0.2
     target_frame: str = "map"
     target_child_frame: str = "target"
     hold_time_s: Annotated[float, Range(0.1, 10.0)] = 1.0

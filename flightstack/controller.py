@@ -10,17 +10,18 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from flightstack.conditions import View, gather, view
+from flightstack.conditions import View, gather, may_fly_blind, view
 from flightstack.config import FlightConfig
 from flightstack.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
 from flightstack.guidance import Situation, Wish, wish
 from flightstack.law import LAWS
 from flightstack.memory import AbortWay, Memory, State
 from flightstack.phases import Condition, next_phase
+from flightstack.plausibility import Plausibility
 from flightstack.position_loop import limit, slew
 from flightstack.safety_filter import FilterResult, FilterStatus, SafetyFilter
 from flightstack.target_track import TargetTrack, Verdict
-from flightstack.types import ZERO, Inputs, Mode, Phase, Request, Vec3
+from flightstack.types import ZERO, Inputs, Landed, Mode, Phase, Request, Vec3, VehicleStatus
 
 LANDED_SETTLE_S = 3.0  # the judge wants 2 s at rest on the pad
 ABORT_SETTLE_S = 1.0
@@ -36,7 +37,14 @@ class Event(NamedTuple):
 
 INFO, WARN, ERROR = 20, 30, 40
 TRIED = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
+_NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
 TRY_AGAIN = frozenset({Phase.APPROACH, Phase.TAKEOFF})
+
+
+# without these it can't be flown clear
+_NOT_FLOWN_BY_US = (
+    Condition.OWN_LOST | Condition.LINK_LOST | Condition.COMMAND_FAILED | Condition.NOT_FOLLOWING
+)
 
 
 class Barriers(NamedTuple):
@@ -81,6 +89,7 @@ class Controller:
         self.barrier = config.barrier.build()
         self.memory = Memory()
         self.track = TargetTrack(config.checks)
+        self.plausibility = Plausibility(config)
         self._law = LAWS[config.filter](config, self.barrier)
         self._filter = SafetyFilter(self._law.rate_1_s)
         self._period_s = 1.0 / config.loop.rate_hz
@@ -97,12 +106,14 @@ class Controller:
     @property
     def state(self) -> State:
         """What it remembers; still in use, so to be written down before the next step."""
-        return State(self.memory, self.track.memory, self._law.motion, self._law.tracking)
+        law = self._law
+        return State(self.memory, self.track.memory, law.motion, law.tracking, self.plausibility.memory)
 
     def restore(self, state: State) -> None:
         """Go on from a state that was written down."""
         self.memory, self.track.memory = state.memory, state.track
         self._law.motion, self._law.tracking = state.motion, state.tracking
+        self.plausibility.memory = state.plausibility
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
         """Run one tick.
@@ -112,14 +123,19 @@ class Controller:
             now_s: stack clock.
             command_failed: the bridge gave up on a requested mode.
         """
-        memory, law = self.memory, self._law
+        memory, law, plausibility = self.memory, self._law, self.plausibility
+        self.track.memory.settled = memory.phase is not Phase.WAIT
         events = self._take_samples(inputs)
         target = law.target(self.track, now_s)
         if inputs.own is not None:
+            plausibility.take(inputs.own)
+            flown = memory.commanding and plausibility.believes(now_s)
+            plausibility.follow(memory.command if flown else None, inputs.own.velocity_enu_m_s)
             own = law.own(inputs.own)
             inputs = Inputs(own, inputs.status, inputs.target_samples, inputs.operator)
-            law.observe(own.velocity_enu_m_s, commanding=memory.commanding)
-        seen = view(self.config, inputs, target, now_s)
+            law.observe(own.velocity_enu_m_s, commanding=flown)
+        believed, follows = plausibility.believes(now_s), plausibility.follows
+        seen = view(self.config, inputs, target, now_s, believed=believed, follows=follows)
         if target is not None and seen.target_ok:
             memory.target_position_enu_m = target.position_enu_m
         if memory.yaw_rad is None and inputs.own is not None:
@@ -169,14 +185,18 @@ class Controller:
         return Event(ERROR if phase is Phase.ABORT else WARN if phase is Phase.HOLD else INFO, text)
 
     def _abort_way(self, word: int) -> AbortWay:
-        c = Condition
+        c, memory = Condition, self.memory
         if word & c.EMERGENCY:
             return AbortWay.MOTORS_OFF
-        if not word & c.WAS_ARMED or not word & c.ARMED:
+        if not word & c.WAS_ARMED:
             return AbortWay.HANDS_OFF
+        if not word & c.ARMED:  # disarmed in the air: one of the two is not true
+            return AbortWay.HANDS_OFF if word & c.STANDING else AbortWay.LAND_HERE
         if word & c.WAS_EXTERNAL and not word & c.EXTERNAL and not word & c.LINK_LOST:
             return AbortWay.HANDS_OFF
-        if word & c.OWN_LOST or word & c.LINK_LOST or self.memory.target_position_enu_m is None:
+        if word & _NOT_FLOWN_BY_US or memory.target_position_enu_m is None:
+            return AbortWay.LAND_HERE
+        if memory.phase is Phase.TOUCHDOWN and memory.contact:
             return AbortWay.LAND_HERE
         return AbortWay.FLY_CLEAR
 
@@ -234,25 +254,27 @@ class Controller:
         else:
             most = self.config.limits.velocity_max_m_s
             wanted = slew(self._base(seen), limit(asked.velocity, most), self._slew_step)
-        before = self._base(seen)
+        blind = may_fly_blind(self.config, memory, seen)
+        setpoint = wanted if blind else self._law.setpoint(self._base(seen), wanted, seen)
+        own_fresh = seen.own_ok or blind
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
-        verdict, setpoint = self._gate.check(
+        verdict, approved = self._gate.check(
             wanted,
-            self._law.setpoint(before, wanted, seen),
+            setpoint,
             yaw_rad,
-            own_fresh=seen.own_ok,
+            own_fresh=own_fresh,
             target_fresh=seen.target_ok or not asked.filtered,
             altitude_m=own.position_enu_m[2] if own is not None else math.nan,
             barrier_check=check,
         )
-        if setpoint is None:
-            setpoint = self._gate.stop(yaw_rad, own_fresh=seen.own_ok)
+        if approved is None:
+            approved = self._gate.stop(yaw_rad, own_fresh=own_fresh)
             memory.command = self._law.tracking.setpoint_m_s = ZERO
         else:
             memory.command = wanted
         following = seen.inputs.status is not None and seen.inputs.status.mode is Mode.EXTERNAL
-        memory.commanding = setpoint is not None and following
-        return verdict, setpoint, wanted
+        memory.commanding = approved is not None and following
+        return verdict, approved, wanted
 
     def _finished(self, inputs: Inputs, now_s: float) -> bool:
         memory, status = self.memory, inputs.status
@@ -261,5 +283,10 @@ class Controller:
             return in_phase_s >= LANDED_SETTLE_S
         if memory.phase is not Phase.ABORT:
             return False
-        over = memory.abort_way is AbortWay.HANDS_OFF or (status is not None and not status.armed)
+        over = status is None or self._down(status, now_s)
         return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > ABORT_TIME_MAX_S
+
+    def _down(self, status: VehicleStatus, now_s: float) -> bool:
+        """Whether the vehicle stands with its motors off, as far as it says."""
+        fresh = now_s - status.arrival_s <= self.config.checks.status_age_max_s
+        return status.landed in _NOT_FLYING and not (status.armed and fresh)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from math import inf, nan
 
-from flightstack.types import ZERO, Phase, TargetSample, Vec3
+from flightstack.types import ZERO, OwnState, Phase, TargetSample, Vec3
 
 
 class AbortWay(IntEnum):
@@ -34,6 +34,7 @@ class Memory:
     contact_since_s: float = inf
     stopped_since_s: float = inf  # told to sink and not sinking
     contact: bool = False  # stands on the pad
+    own_ok_s: float = -inf  # when the own state could be flown by, last
     was_armed: bool = False
     was_external: bool = False
     climbed: bool = False  # the take-off climb is over
@@ -58,6 +59,7 @@ class TrackMemory:
     offset_s: float = inf  # smallest arrival - stamp seen: clock offset plus the shortest delay
     elsewhere: TargetSample | None = None  # newest of samples that jumped but agree with each other
     elsewhere_since_s: float = 0.0
+    settled: bool = False  # the flight has begun: the target does not turn up elsewhere any more
     accepted: int = 0
     rejected: int = 0
 
@@ -89,6 +91,16 @@ class TrackingMemory:
 
 
 @dataclass(slots=True)
+class PlausibilityMemory:
+    """Of the checks on own state and set-points."""
+
+    last: OwnState | None = None  # newest that was measured anew
+    drift_m: Vec3 = ZERO  # where no velocity took it
+    distrusted: bool = False
+    missed_m: Vec3 = ZERO  # what was wanted and not flown
+
+
+@dataclass(slots=True)
 class State:
     """All of it: with a configuration and the inputs to come it determines every further output."""
 
@@ -96,3 +108,4 @@ class State:
     track: TrackMemory
     motion: MotionMemory
     tracking: TrackingMemory
+    plausibility: PlausibilityMemory

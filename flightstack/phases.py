@@ -38,6 +38,7 @@ class Condition(IntEnum):
     LANDING_TIME_OVER = 1 << 19
     COMMAND_FAILED = 1 << 20  # the vehicle refused a command for good
     DRIFTED = 1 << 21  # about to leave the corridor above the pad while still above the cone
+    NOT_FOLLOWING = 1 << 22  # the vehicle does not fly what it is told
 
 
 C = Condition
@@ -63,6 +64,7 @@ _IN_FLIGHT = (
     Rule(C.WAS_ARMED, Phase.ABORT, "disarmed by someone else", unless=C.ARMED | C.LINK_LOST),
     Rule(C.WAS_EXTERNAL, Phase.ABORT, "mode changed by someone else", unless=C.EXTERNAL | C.LINK_LOST),
     Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
+    Rule(C.NOT_FOLLOWING, Phase.ABORT, "the vehicle does not fly what it is told"),
 )
 _INPUTS = (
     Rule(C.OWN_LOST, Phase.HOLD, "own state lost"),
@@ -101,6 +103,7 @@ TABLE: dict[Phase, tuple[Rule, ...]] = {
         *_OPERATOR,
         Rule(C.WAS_ARMED, Phase.LANDED, "motors off", unless=C.ARMED | C.LINK_LOST),
         Rule(C.OWN_LOST, Phase.ABORT, "own state lost at touchdown"),
+        Rule(C.NOT_FOLLOWING, Phase.ABORT, "the vehicle does not fly what it is told"),
         Rule(C.DRIFTED | C.RETRIES_LEFT, Phase.APPROACH, "going to miss the pad: go around"),
         Rule(C.DRIFTED, Phase.ABORT, "going to miss the pad, and no retry left"),
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "no contact, or motors did not stop"),

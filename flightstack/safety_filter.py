@@ -149,7 +149,7 @@ class SafetyFilter:
             min(max(y, lower[1]), upper[1]),
             min(max(z, lower[2]), upper[2]),
         )
-        if info.status_val != osqp.osqp_status_type.OSQP_SOLVED:
+        if info.status_val != osqp.osqp_status_type.OSQP_SOLVED or not math.isfinite(x + y + z):
             return (cx, cy, cz), math.inf, info.iter
         barrier_miss = bound - (gradient[0] * cx + gradient[1] * cy + gradient[2] * cz)
         residual = max(abs(x - cx), abs(y - cy), abs(z - cz), barrier_miss, 0.0)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from flightstack.config import Checks
 from flightstack.memory import TrackMemory
+from flightstack.plausibility import repeats
 from flightstack.types import TargetSample, Vec3
 
 RESTART_S = 10.0  # stamps this far apart after a silence: the sender's clock started anew
@@ -28,6 +29,7 @@ class Verdict(Enum):
     LATE = "too late"
     TOO_FAST = "faster than allowed"
     JUMP = "jumped"
+    FROZEN = "not measured anew"
 
 
 class TargetState(NamedTuple):
@@ -92,6 +94,8 @@ class TargetTrack:
             return Verdict.OUT_OF_ORDER
         if sample.arrival_s - sample.source_time_s - memory.offset_s > checks.target_age_max_s:
             return Verdict.LATE
+        if repeats(last.position_enu_m, sample.position_enu_m, sample.velocity_enu_m_s):
+            return Verdict.FROZEN
         if lost and memory.elsewhere is None:
             return Verdict.ACCEPTED  # nothing so old binds where it is now
         if self._near(last, sample) or self._proved(sample, lost):
@@ -119,7 +123,7 @@ class TargetTrack:
         memory.elsewhere = sample
         # longer than the age limit, so that the vehicle holds in between
         proof_s = self._checks.target_age_max_s + self._checks.recovery_time_s
-        return lost and sample.arrival_s - memory.elsewhere_since_s >= proof_s
+        return lost and not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
 
     def at(self, now_s: float) -> TargetState | None:
         """Target moved on to now with its last velocity; ``None`` before the first sample.

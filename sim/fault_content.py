@@ -15,6 +15,7 @@ from sim.sensors import NS
 Rewrite = Callable[[Any, int], None]  # changes a message in place; time in ns
 
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
+_SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # the one with 32 bits of microseconds
 _HEARTBEAT_FIELDS = ("base_mode", "custom_mode", "system_status")
 _VELOCITY_FIELDS = ("vx", "vy", "vz")
 _MODE_BITS, _STATES = 1 << 26, 9  # PX4's modes end in bit 26; MAV_STATE has nine
@@ -113,7 +114,8 @@ def _clock(running: Running) -> Rewrite:
         if boot_ms is not None:
             message.time_boot_ms = shown_ns // 1_000_000 % _U32
         if boot_us is not None:
-            message.time_usec = shown_ns // 1000 % _U64
+            size = _U32 if message.get_msgId() == _SERVO else _U64
+            message.time_usec = shown_ns // 1000 % size
         if unix_us is not None:
             message.time_unix_usec = max(0, unix_us + (shown_ns - now_ns) // 1000)
 

@@ -44,6 +44,10 @@ class TargetFaults:
         """The landing has begun; told again, nothing happens."""
         self._schedule.refer(After.LANDING, now_ns)
 
+    def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
+        """Begin faults with the next sample, those after ``time`` at least."""
+        self._schedule.add(faults, now_ns)
+
     def deliver(self, now_ns: int, samples: list[TargetMeasurement]) -> list[TargetMeasurement]:
         """What leaves the robot now when ``samples`` would have left."""
         if now_ns >= self._schedule.next_ns:

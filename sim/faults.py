@@ -117,10 +117,14 @@ class Faults:
         fresh = [fault for fault in found if fault not in active]  # asked again: done already
         if len(active) + len(fresh) > RUNNING_MAX:
             return f"{len(active)} faults are on, at most {RUNNING_MAX} are possible; heal some"
-        self.quiet = False
-        self._schedule.add(fresh, now_ns)
-        self.run(now_ns)
+        self.fail(fresh, now_ns)
         return None
+
+    def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
+        """Begin faults now, those after ``time`` at least."""
+        self.quiet = False
+        self._schedule.add(faults, now_ns)
+        self.run(now_ns)
 
     def take_texts(self) -> list[FaultText]:
         """What has begun and ended since the last call."""

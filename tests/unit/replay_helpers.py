@@ -68,7 +68,7 @@ def record(path: Path, world: World, seconds: float, *, until=None, config: Flig
 
 def short_flight(path: Path, seconds: float = 3.0) -> Path:
     """A flight that begins in the air next to the pad and lands: all phases of a landing."""
-    world = World(CONFIG, position=(-0.35, 0.1, 0.75))
+    world = World(CONFIG, position=(-0.6, 0.2, 0.95))
     record(path, world, seconds)
     assert world.phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED)
     return path

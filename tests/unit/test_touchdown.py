@@ -1,13 +1,14 @@
 """The last centimetres: by the paper's rule, and by contact."""
 
 import math
+import random
 from dataclasses import replace
 
 import pytest
 
-from flightstack.config import FlightConfig
+from flightstack.config import FilterKind, FlightConfig
 from flightstack.strict_toml import from_table
-from flightstack.types import Phase, Request
+from flightstack.types import Landed, Mode, Operator, Phase, Request
 from tests.point_mass import World
 
 
@@ -63,3 +64,62 @@ def test_a_target_lost_in_the_last_centimetres_is_landed_on_all_the_same():
     world.run(10.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
     assert world.phase is Phase.LANDED
     assert math.dist(world.position[:2], world.pad[:2]) < 0.1
+
+
+def blown_off(_, inputs):
+    """Seen 7 cm beside the middle and going away from it."""
+    x, y, z = inputs.target_samples[0].position_enu_m
+    vx, vy, vz = inputs.target_samples[0].velocity_enu_m_s
+    own = inputs.own
+    place = (x + 0.07, y, max(own.position_enu_m[2], z + 0.2))
+    return replace(inputs, own=replace(own, position_enu_m=place, velocity_enu_m_s=(vx + 0.5, vy, vz)))
+
+
+def test_the_robust_filter_goes_around_when_it_is_blown_off_and_lands_then():
+    world = World(config("contact"), solid_pad=True)
+    world.fault_in(Phase.TOUCHDOWN, blown_off, seconds=0.015)
+    out = world.step()
+    assert out.phase is Phase.APPROACH
+    assert world.controller.memory.retries == 1
+    assert out.request is Request.EXTERNAL
+    world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
+    assert world.phase is Phase.LANDED
+
+
+def test_it_goes_around_no_more_often_than_allowed_and_then_flies_clear():
+    world = World(config("contact"), solid_pad=True)
+    world.fault = lambda w, inputs: blown_off(w, inputs) if w.phase is Phase.TOUCHDOWN else inputs
+    world.fault_from_s = 0.0
+    world.run(90.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
+    assert world.phase is Phase.ABORT
+    assert world.controller.memory.retries == world.config.checks.retries_max
+    assert sum("go around" in text for text in world.texts) == world.config.checks.retries_max
+    assert any("no retry left" in text for text in world.texts)
+
+
+def test_the_papers_filter_does_not_go_around():
+    world = World(replace(config("contact"), filter=FilterKind.PAPER), solid_pad=True)
+    world.fault_in(Phase.TOUCHDOWN, blown_off, seconds=0.015)
+    assert world.step().phase is Phase.TOUCHDOWN
+
+
+@pytest.mark.parametrize("end", [Phase.LANDED, Phase.ABORT])
+def test_nothing_that_comes_in_leads_out_of_the_end(end):
+    world = World(config("contact"), solid_pad=end is Phase.LANDED)
+    world.run(60.0, until=lambda w: w.phase is end)
+    assert world.phase is end
+    chance = random.Random(9)
+    for _ in range(2000):
+        world.armed, world.mode = chance.random() < 0.5, chance.choice(list(Mode))
+        world.landed = chance.choice(list(Landed))
+        world.position = tuple(chance.uniform(-1.0, 2.0) for _ in range(3))
+        inputs = world.inputs()
+        if chance.random() < 0.2:
+            inputs = replace(inputs, target_samples=())
+        if chance.random() < 0.2:
+            inputs = replace(inputs, operator=Operator.ABORT)
+        out = world.controller.step(inputs, world.t_s, command_failed=chance.random() < 0.1)
+        world.t_s += 0.05
+        assert out.phase is end
+        if end is Phase.LANDED:
+            assert (out.setpoint, out.request) == (None, Request.NONE)

@@ -1,0 +1,113 @@
+"""Whether the vehicle's own state can be true, and whether the vehicle flies what it is told.
+
+A link that delivers fresh time stamps can still deliver nonsense. Three things are known without a second
+sensor:
+
+* numbers that repeat to the last bit while they speak of motion are not measured anew: such a state ages;
+* a position goes where its velocity takes it: the difference, with a memory of 2 s, is noise of both;
+* the vehicle follows its set-points within its lag: velocity minus the velocity wanted, summed with a memory
+  of 1 s, is a distance it lags behind, at most some tenths of a second at full speed.
+
+What is wrong in the same way in both position and velocity, such as an offset that was there from the start,
+shows in none of them.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.config import FlightConfig
+from flightstack.memory import PlausibilityMemory
+from flightstack.types import ZERO, OwnState, Vec3
+
+DRIFT_MEMORY_S = 2.0  # s of position against velocity
+MISSED_MEMORY_S = 1.0  # s of velocity against what was wanted
+TRUSTED_AGAIN = 0.5  # share of the bound; an offset of 0.3 m stays distrusted for some seconds
+STANDING_M_S = 1e-3  # slower than this, equal numbers may be a perfect sensor that stands
+
+
+def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3) -> bool:
+    """Whether a position is the last one to the bit, though it is said to move."""
+    return before == after and math.hypot(*velocity_m_s) > STANDING_M_S
+
+
+class Plausibility:
+    """Watches own state and set-points; ``memory`` is all of its state.
+
+    Args:
+        config: of the flight; ``checks`` holds the bounds.
+    """
+
+    def __init__(self, config: FlightConfig) -> None:
+        self.memory = PlausibilityMemory()
+        self._checks = config.checks
+        vx, vy, _ = config.limits.velocity_max_m_s
+        self._missed_max_m = config.checks.follow_lag_max_s * max(vx, vy)
+        period_s = 1.0 / config.loop.rate_hz
+        self._period_s, self._kept = period_s, math.exp(-period_s / MISSED_MEMORY_S)
+
+    @property
+    def drift_m(self) -> float:
+        """How far the position has gone where no velocity took it."""
+        return math.hypot(*self.memory.drift_m)
+
+    @property
+    def missed_m(self) -> float:
+        """How far the vehicle lags behind what it was told."""
+        return math.hypot(*self.memory.missed_m)
+
+    def take(self, own: OwnState) -> None:
+        """Look at the newest own state; the same one again is no news."""
+        memory, last = self.memory, self.memory.last
+        if last is not None and own.arrival_s == last.arrival_s:
+            return
+        if last is not None and repeats(last.position_enu_m, own.position_enu_m, own.velocity_enu_m_s):
+            return
+        if last is not None:
+            self._drift(last, own)
+        memory.last = own
+        drift_m = self.drift_m
+        most_m = self._checks.own_drift_max_m
+        memory.distrusted = drift_m > (TRUSTED_AGAIN * most_m if memory.distrusted else most_m)
+
+    def believes(self, now_s: float) -> bool:
+        """Whether the own state may be flown by now."""
+        last = self.memory.last
+        if last is None or self.memory.distrusted:
+            return False
+        return now_s - last.arrival_s <= self._checks.own_age_max_s
+
+    def follow(self, wanted_m_s: Vec3 | None, velocity_m_s: Vec3) -> None:
+        """Compare the velocity with what was wanted of the vehicle in the last tick; call it once a tick.
+
+        Args:
+            wanted_m_s: ``None`` when it was not flown by our set-points; the sum starts anew.
+            velocity_m_s: measured now.
+        """
+        if wanted_m_s is None:
+            self.memory.missed_m = ZERO
+            return
+        t, kept = self._period_s, self._kept
+        (mx, my, mz), (wx, wy, wz), (vx, vy, vz) = self.memory.missed_m, wanted_m_s, velocity_m_s
+        self.memory.missed_m = (
+            kept * (mx + t * (wx - vx)), kept * (my + t * (wy - vy)), kept * (mz + t * (wz - vz)),
+        )  # fmt: skip
+
+    @property
+    def follows(self) -> bool:
+        """Whether the vehicle flies what it is told."""
+        return self.missed_m <= self._missed_max_m
+
+    def _drift(self, last: OwnState, own: OwnState) -> None:
+        dt_s = own.arrival_s - last.arrival_s
+        if not 0.0 < dt_s <= self._checks.own_age_max_s:
+            return  # lost in between: nothing so old binds where it is now
+        kept, half = math.exp(-dt_s / DRIFT_MEMORY_S), 0.5 * dt_s
+        x, y, z = (
+            kept * (d + (p - p0) - half * (v + v0))
+            for d, p, p0, v, v0 in zip(
+                self.memory.drift_m, own.position_enu_m, last.position_enu_m, own.velocity_enu_m_s,
+                last.velocity_enu_m_s, strict=True,
+            )
+        )  # fmt: skip
+        self.memory.drift_m = (x, y, z)
