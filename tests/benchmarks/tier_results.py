@@ -63,7 +63,8 @@ def row(tier: str, kind: str, s: dict) -> str:
         f"| {s['undeclared_misses']}, {s['crashes']} "
         f"| {s['violations']} ({100 * s['upper_95_violation_rate']:.3g} %) "
         f"| {1000 * s['h_min_outside_pad_m']:+.0f} mm "
-        f"| {100 * error['median']:.1f} / {100 * error['p95']:.1f} cm | {vertical:.2f} / {horizontal:.2f} m/s "
+        f"| {100 * error['median']:.1f} / {100 * error['p95']:.1f} cm "
+        f"| {vertical:.2f} / {horizontal:.2f} m/s "
         f"| {time_s:.1f} s |"
     )
 

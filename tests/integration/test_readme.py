@@ -52,7 +52,7 @@ def test_the_readme_has_the_commands_it_promises():
 def test_the_commands_that_fly_report_and_compare(tmp_path):
     ran = 0
     for command in commands():
-        if verb(command) not in ("scenarios", "sitl", "report", "compare"):
+        if verb(command) not in ("scenarios", "sitl", "report", "compare", "replay"):
             continue
         done = run(command, tmp_path)
         assert done.returncode == 0, (command, done.stdout, done.stderr)

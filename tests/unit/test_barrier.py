@@ -77,3 +77,38 @@ def test_the_papers_numbers_follow_from_its_geometry_once_eq_7_has_units():
     assert round(barrier.alpha_1_m, 1) in (1.0, 1.1)
     assert round(as_printed, 1) == 1.0
     assert Barrier(1.0, 1.5).peak_height_m == pytest.approx(0.5518, abs=1e-4)
+
+
+@given(shapes, lengths, lengths, lengths)
+def test_by_the_apex_too_the_gradient_is_the_slope_times_the_smoothing_factor(barrier, ex, ey, ez):
+    d = math.hypot(ex, ey)
+    _, (gx, gy, gz), _ = barrier.evaluate((ex, ey, ez), (0.0, 0.0, 0.0))
+    inward = -barrier.slope(d) / math.hypot(d, barrier.smoothing_m)
+    assert (gx, gy, gz) == pytest.approx((inward * ex, inward * ey, 1.0), rel=1e-12, abs=1e-15)
+
+
+@given(shapes, st.floats(0.0, 5.0))
+def test_the_slope_is_the_derivative_of_the_boundary(barrier, d):
+    step = 1e-6
+    numeric = (barrier.height(d + step) - barrier.height(d - step)) / (2 * step)
+    assert barrier.slope(d) == pytest.approx(numeric, abs=1e-7)
+    assert abs(barrier.slope(d)) <= barrier.slope_max
+    assert barrier.slope(0.0) == barrier.slope_max
+
+
+def test_the_shapes_numbers():
+    barrier = Barrier(2.0, 1.5)
+    assert barrier.smoothing_m == 0.005
+    assert barrier.slope_max == 3.0
+    assert barrier.peak_distance_m == 0.5
+    assert barrier.peak_height_m == 1.5 / math.e == pytest.approx(barrier.height(0.5))
+
+
+@given(st.floats(0.1, 2.0), st.floats(0.1, 1.4), st.floats(0.001, 0.02))
+def test_the_cones_angle_is_seen_from_the_landing_spot(height, angle, smoothing):
+    barrier = Barrier.from_cone(height, angle, smoothing)
+    assert math.atan2(barrier.peak_distance_m, barrier.peak_height_m) == pytest.approx(angle)
+    assert barrier.peak_height_m == pytest.approx(height)
+    assert barrier.smoothing_m == smoothing
+    assert Barrier.from_peak(height, 1.0, smoothing).smoothing_m == smoothing
+    assert Barrier.from_cone(height, angle).smoothing_m == Barrier.from_peak(height, 1.0).smoothing_m == 0.005

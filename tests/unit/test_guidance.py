@@ -1,0 +1,228 @@
+"""What each phase asks for."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flightstack import guidance
+from flightstack.conditions import View, high_enough_m
+from flightstack.config import FilterKind, FlightConfig
+from flightstack.guidance import (
+    HOLD_CLIMB_M_S,
+    LAND_MIN_M_S,
+    LEVEL_FIRST_M,
+    TAKEOFF_DONE,
+    Situation,
+    Wish,
+    wish,
+)
+from flightstack.memory import AbortWay, Memory
+from flightstack.strict_toml import from_table
+from flightstack.target_track import TargetState
+from flightstack.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, Request, VehicleStatus
+
+PAD = (3.0, -2.0, 0.2)
+MOVING = (0.1, -0.05, 0.02)
+
+
+def config(filter="robust", **sections):
+    return from_table(
+        FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, **sections}
+    )
+
+
+ROBUST, PAPER = config(), config("paper")
+BARRIER = ROBUST.barrier.build()
+SHAPES = [PAPER, ROBUST]
+
+
+def asked(
+    phase, settings=ROBUST, e=(0.5, -0.4, 1.0), memory=None, *, own=True, target=True, own_ok=True,
+    target_ok=True, armed=True, landed=Landed.IN_AIR, status=True,
+):  # fmt: skip
+    """The wish in one situation."""
+    memory = memory if memory is not None else Memory()
+    memory.phase = phase
+    position = tuple(a + b for a, b in zip(e, PAD, strict=True))
+    state = OwnState(0.0, 0.0, position, ZERO, 0.0)
+    word = VehicleStatus(0.0, armed, Mode.EXTERNAL, landed, True)
+    inputs = Inputs(state if own else None, word if status else None)
+    known = TargetState(0.0, PAD, MOVING, 0.0)
+    seen = View(inputs, known if target else None, own_ok, target_ok, True, e if own and target else None)
+    return wish(Situation(settings, BARRIER, memory, seen))
+
+
+def test_every_phase_way_and_filter_has_an_answer():
+    assert set(guidance._PHASES) == set(Phase)
+    assert set(guidance._ABORT) == set(AbortWay)
+    assert set(guidance._LANDING) == set(guidance._DESCENT) == set(FilterKind)
+
+
+@pytest.mark.parametrize("settings", SHAPES)
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("way", AbortWay)
+@pytest.mark.parametrize(
+    "lost", [{}, {"own": False}, {"target": False}, {"own": False, "target": False, "status": False}]
+)
+def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered(settings, phase, way, lost):
+    found = asked(phase, settings, memory=Memory(abort_way=way), **lost)
+    assert isinstance(found, Wish)
+    assert not found.filtered or phase in (Phase.APPROACH, Phase.LAND)
+    assert found.velocity is None or (
+        found.request is Request.EXTERNAL and all(map(math.isfinite, found.velocity))
+    )
+    if phase in (Phase.APPROACH, Phase.LAND):
+        assert found.filtered == (found.velocity is not None) == (not lost)
+
+
+def test_waiting_is_doing_nothing_unless_it_is_found_in_the_air():
+    assert asked(Phase.WAIT) == Wish(Request.EXTERNAL, ZERO)
+    for changes in ({"armed": False}, {"landed": Landed.ON_GROUND}, {"target_ok": False}, {"status": False}):
+        assert asked(Phase.WAIT, **changes) == Wish(Request.NONE)
+    assert asked(Phase.LANDED) == Wish(Request.NONE)
+
+
+def test_the_take_off_is_the_autopilots_until_it_is_high_and_armed():
+    settings = config(takeoff={"height_m": 0.5, "start_offset_m": [-1.0, 0.0, 0.7]})
+    memory = Memory(was_armed=True)
+
+    def at(z, memory_=memory):
+        return asked(Phase.TAKEOFF, settings, (0.0, 0.0, z - PAD[2]), memory_)
+
+    assert at(0.01) == Wish(Request.TAKEOFF)
+    assert at(0.01 + TAKEOFF_DONE * 0.5 - 1e-6) == Wish(Request.TAKEOFF)
+    assert memory.ground_z_m == pytest.approx(0.01)
+    never_armed = Memory(ground_z_m=0.01)
+    assert at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6, never_armed) == Wish(Request.TAKEOFF)
+    assert at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6).request is Request.EXTERNAL
+    assert at(0.02).request is Request.EXTERNAL  # once climbed it stays ours
+    for lost in ({"own": False}, {"target": False}):
+        assert asked(Phase.TAKEOFF, settings, memory=Memory(climbed=True), **lost) == Wish(Request.TAKEOFF)
+
+
+def test_to_the_start_it_goes_upwards_first():
+    settings = config(
+        takeoff={"start_offset_m": [-1.0, 0.5, 0.7]}, position_loop={"gain_1_s": [1.0, 2.0, 3.0]}
+    )
+    low = asked(Phase.TAKEOFF, settings, (0.0, 0.0, 0.7 - LEVEL_FIRST_M - 1e-6), Memory(climbed=True))
+    assert low.velocity == pytest.approx((0.0, 0.0, 3.0 * LEVEL_FIRST_M), abs=1e-4)
+    level = asked(Phase.TAKEOFF, settings, (0.0, 0.0, 0.7 - LEVEL_FIRST_M + 1e-6), Memory(climbed=True))
+    assert level.velocity == pytest.approx((-1.0, 1.0, 3.0 * LEVEL_FIRST_M), abs=1e-4)
+    assert not level.filtered
+    anywhere = asked(Phase.TAKEOFF, config(), memory=Memory(climbed=True))
+    assert anywhere == Wish(Request.EXTERNAL, ZERO)
+
+
+places = st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.0, 2.0))
+
+
+@given(places)
+def test_the_papers_landing_is_proportional_with_the_targets_velocity(e):
+    for phase in (Phase.APPROACH, Phase.LAND):
+        found = asked(phase, PAPER, e)
+        assert found.velocity == pytest.approx([v - x for v, x in zip(MOVING, e, strict=True)])
+        assert found.filtered
+
+
+@given(places)
+def test_the_robust_landing_waits_low_over_the_middle(e):
+    r = ROBUST.robust
+    for phase, gain in ((Phase.APPROACH, r.gain_1_s), (Phase.LAND, r.gain_over_pad_1_s)):
+        found = asked(phase, ROBUST, e)
+        assert found.velocity[:2] == pytest.approx(
+            [v - gain * x for v, x in zip(MOVING[:2], e[:2], strict=True)]
+        )
+        above, rising = e[2] - r.wait_height_m, found.velocity[2] - MOVING[2]
+        if above > 0.0:
+            assert rising == pytest.approx(-max(r.gain_1_s * above, LAND_MIN_M_S))
+        else:
+            assert rising == pytest.approx(-r.gain_1_s * above)
+        assert found.filtered
+
+
+def test_by_contact_it_descends_until_there_is_contact():
+    for settings in (config("paper"), config()):
+        found = asked(Phase.TOUCHDOWN, settings, (0.03, -0.02, 0.03))
+        assert found.request is Request.EXTERNAL
+        assert not found.filtered
+        assert found.velocity[2] < MOVING[2] - 0.1
+        assert (found.velocity[0] < MOVING[0], found.velocity[1] > MOVING[1]) == (True, True)
+        assert asked(Phase.TOUCHDOWN, settings, memory=Memory(contact=True)) == Wish(Request.MOTORS_OFF)
+        blind = asked(Phase.TOUCHDOWN, settings, target=False)
+        assert blind == Wish(Request.EXTERNAL)
+    r = ROBUST.robust
+    found = asked(Phase.TOUCHDOWN, ROBUST, (0.03, -0.02, 0.1))
+    gain = r.gain_over_pad_1_s
+    assert found.velocity == pytest.approx((0.1 - gain * 0.03, -0.05 + gain * 0.02, 0.02 - r.descent_m_s))
+
+
+def test_by_the_papers_rule_the_motors_go_off_below_its_height():
+    rule = {"touchdown": {"rule": "paper", "height_m": 0.05}}
+    assert asked(Phase.TOUCHDOWN, config("paper", **rule), (0.0, 0.0, 0.2)) == Wish(Request.MOTORS_OFF)
+    assert asked(Phase.TOUCHDOWN, config(**rule), (0.0, 0.0, 0.05 - 1e-9)) == Wish(Request.MOTORS_OFF)
+    assert asked(Phase.TOUCHDOWN, config(**rule), (0.0, 0.0, 0.05)).request is Request.EXTERNAL
+
+
+def test_holding_is_standing_still_or_following_what_was_followed_and_rising():
+    assert asked(Phase.HOLD, PAPER, memory=Memory(started_s=1.0)) == Wish(Request.EXTERNAL, ZERO)
+    assert asked(Phase.HOLD, ROBUST) == Wish(Request.EXTERNAL, ZERO)  # no landing yet: nothing to climb from
+    assert asked(Phase.HOLD, ROBUST, memory=Memory(started_s=1.0), target=False) == Wish(
+        Request.EXTERNAL, ZERO
+    )
+    wide = config(limits={"velocity_max_m_s": [1.0, 1.0, 1.0]})
+    found = asked(Phase.HOLD, wide, memory=Memory(started_s=1.0))
+    assert found == Wish(Request.EXTERNAL, (MOVING[0], MOVING[1], MOVING[2] + HOLD_CLIMB_M_S))
+    narrow = config(limits={"velocity_max_m_s": [0.05, 0.05, 0.1]})
+    assert asked(Phase.HOLD, narrow, memory=Memory(started_s=1.0)).velocity == (0.05, -0.05, 0.1)
+
+
+def test_the_climb_ends_above_everything_and_never_sinks():
+    memory = Memory(target_position_enu_m=PAD)
+    top = high_enough_m(BARRIER, memory) - PAD[2]
+    fast, slow = (asked(Phase.CLIMB, e=(0.3, 0.0, z), memory=memory).velocity for z in (0.0, top + 0.05))
+    assert fast == (0.0, 0.0, ROBUST.limits.velocity_max_m_s[2])
+    assert slow == pytest.approx((0.0, 0.0, 0.05 * ROBUST.position_loop.gain_1_s[2]))
+    assert asked(Phase.CLIMB, e=(0.3, 0.0, top + 1.0), memory=memory).velocity == ZERO
+    assert asked(Phase.CLIMB, own=False) == Wish(Request.EXTERNAL)
+
+
+@pytest.mark.parametrize(
+    ("way", "request_"),
+    [
+        (AbortWay.NONE, Request.NONE),
+        (AbortWay.MOTORS_OFF, Request.MOTORS_OFF),
+        (AbortWay.HANDS_OFF, Request.NONE),
+        (AbortWay.LAND_HERE, Request.LAND),
+    ],
+)
+def test_ways_to_end_that_fly_nowhere(way, request_):
+    assert asked(Phase.ABORT, memory=Memory(abort_way=way)) == Wish(request_)
+
+
+def clearing(e, **changes):
+    memory = Memory(abort_way=AbortWay.FLY_CLEAR, target_position_enu_m=PAD)
+    return asked(Phase.ABORT, ROBUST, e, memory, **changes), memory
+
+
+def test_flying_clear_is_up_then_away_then_down():
+    vx, _, vz = ROBUST.limits.velocity_max_m_s
+    top = high_enough_m(BARRIER, Memory(target_position_enu_m=PAD)) - PAD[2]
+    assert clearing((0.3, 0.0, 0.1))[0] == Wish(Request.EXTERNAL, (0.0, 0.0, vz))
+    assert clearing((0.3, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))
+    away = clearing((-0.3, -0.4, top))[0].velocity
+    assert away == pytest.approx((-0.6 * vx, -0.8 * vx, 0.0))
+    assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # any direction will do
+    far = ROBUST.checks.clearance_m
+    there, memory = clearing((0.0, -far - 1e-6, 0.1))
+    assert there == Wish(Request.LAND)
+    assert memory.clear
+    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Wish(Request.LAND)  # it stays so
+    assert clearing((0.0, -far + 1e-6, top))[0].request is Request.EXTERNAL
+
+
+@pytest.mark.parametrize("lost", [{"own": False}, {"own_ok": False}])
+def test_without_knowing_where_it_is_it_lands_there(lost):
+    assert clearing((0.3, 0.0, 0.5), **lost)[0] == Wish(Request.LAND)
+    assert asked(Phase.ABORT, memory=Memory(abort_way=AbortWay.FLY_CLEAR)) == Wish(Request.LAND)

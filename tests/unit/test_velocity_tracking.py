@@ -1,0 +1,196 @@
+"""Corrections of the set-point against a plant of its own, which is not quite what the model says."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from flightstack.robust_config import VelocityLoop
+from flightstack.types import ZERO
+from flightstack.velocity_tracking import DISTURBANCE_MAX_M_S, VelocityTracking
+
+T_S = 0.01
+LOOP = VelocityLoop()
+WIDE = (5.0, 5.0, 5.0)
+BOX = (0.4, 0.4, 0.5)
+AXES = (0, 1, 2)
+
+
+class Plant:
+    """Second order on each axis, carried exactly from tick to tick: v'' = w^2 (u + push - v) - 2 z w v'."""
+
+    def __init__(self, loop=LOOP, rate=1.0, damping=1.0, push=ZERO):
+        rates = (loop.rate_xy_1_s, loop.rate_xy_1_s, loop.rate_z_1_s)
+        self.state, self.push, self.steps = [np.zeros(2) for _ in AXES], push, []
+        for w in (rate * r for r in rates):
+            block = np.zeros((3, 3))
+            block[0, 1], block[1] = 1.0, (-w * w, -2.0 * damping * loop.damping * w, w * w)
+            self.steps.append(expm(block * T_S))
+
+    @property
+    def velocity(self):
+        return tuple(float(s[0]) for s in self.state)
+
+    def fly(self, setpoint):
+        for axis, (step, u, push) in enumerate(zip(self.steps, setpoint, self.push, strict=True)):
+            self.state[axis] = step[:2, :2] @ self.state[axis] + step[:2, 2] * (u + push)
+
+
+def flown(references, plant, tracking=None, most=WIDE):
+    """Fly references tick by tick; returns the tracker, set-points and velocities."""
+    tracking = tracking or VelocityTracking(LOOP, T_S)
+    before, setpoints, velocities = references[0], [], []
+    for reference in references:
+        tracking.observe(plant.velocity, commanding=bool(setpoints))
+        setpoints.append(tracking.command(before, reference, plant.velocity, most))
+        plant.fly(setpoints[-1])
+        velocities.append(plant.velocity)
+        before = reference
+    return tracking, setpoints, np.array(velocities)
+
+
+def constant(reference, seconds=20.0):
+    return [reference] * round(seconds / T_S)
+
+
+spreads = st.floats(0.7, 1.3)
+pushes = st.tuples(*(st.floats(-0.25, 0.25),) * 3)
+wanted = st.tuples(*(st.floats(-0.3, 0.3),) * 3)
+
+
+@given(wanted, spreads, spreads, pushes)
+@settings(max_examples=40)
+def test_a_vehicle_that_answers_otherwise_than_modelled_still_flies_what_is_wanted(
+    reference, rate, damping, push
+):
+    """Thirty per cent off in rate and damping, and a constant push: no error is left, nothing swings on."""
+    _, setpoints, velocities = flown(constant(reference), Plant(rate=rate, damping=damping, push=push))
+    assert np.abs(velocities[-100:] - reference).max() < 1e-3
+    assert np.abs(velocities).max() < 1.5
+    assert np.abs(np.diff(setpoints[-100:], axis=0)).max() < 1e-4
+
+
+@given(spreads, spreads, pushes)
+@settings(max_examples=25)
+def test_what_it_learns_of_a_push_is_the_push(rate, damping, push):
+    tracking, _, _ = flown(constant((0.1, -0.1, 0.05)), Plant(rate=rate, damping=damping, push=push))
+    assert tracking.memory.disturbance_m_s == pytest.approx(push, abs=1e-3)
+
+
+def test_with_a_perfect_model_and_no_push_nothing_is_fed_back():
+    """Semi-implicit steps of the model differ from the exact plant by a share of w T only."""
+    steps = [tuple(0.3 * math.sin(0.8 * T_S * n) for _ in AXES) for n in range(800)]
+    tracking, _, _ = flown(steps, Plant())
+    assert np.abs(tracking.memory.disturbance_m_s).max() < 0.1 * 0.3
+
+
+def test_it_follows_a_slow_change_better_than_the_plain_command():
+    """Judged on a ramp, where the plain command is late by the lag for as long as the ramp lasts."""
+    ramp = [(0.1 * T_S * n,) * 3 for n in range(300)]
+    _, _, helped = flown(ramp, Plant())
+    plain, velocities = Plant(), []
+    for reference in ramp:
+        plain.fly(reference)
+        velocities.append(plain.velocity)
+    late = np.abs(np.array(ramp) - velocities)[200:].mean(axis=0)
+    mended = np.abs(np.array(ramp) - helped)[200:].mean(axis=0)
+    assert (mended < 0.5 * late).all()
+    for axis, w in enumerate((LOOP.rate_xy_1_s, LOOP.rate_xy_1_s, LOOP.rate_z_1_s)):
+        assert late[axis] == pytest.approx(0.1 * 2.0 * LOOP.damping / w, rel=0.1)
+
+
+@given(
+    st.lists(st.tuples(wanted, wanted, st.tuples(*(st.floats(-50.0, 50.0),) * 3)), min_size=1, max_size=30),
+    st.tuples(*(st.floats(0.05, 5.0),) * 3),
+)
+def test_the_limits_hold_whatever_is_measured(ticks, most):
+    tracking = VelocityTracking(LOOP, T_S)
+    for n, (before, reference, velocity) in enumerate(ticks):
+        tracking.observe(velocity, commanding=n > 0)
+        setpoint = tracking.command(before, reference, velocity, most)
+        assert all(abs(u) <= m for u, m in zip(setpoint, most, strict=True))
+        assert all(abs(d) <= DISTURBANCE_MAX_M_S for d in tracking.memory.disturbance_m_s)
+        assert tracking.memory.setpoint_m_s == setpoint
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_push_that_is_too_strong_is_learned_up_to_the_limit(axis, sign):
+    push = [0.0, 0.0, 0.0]
+    push[axis] = 3.0 * sign
+    tracking, _, _ = flown(constant(ZERO, 5.0), Plant(push=tuple(push)))
+    expected = [0.0, 0.0, 0.0]
+    expected[axis] = sign * DISTURBANCE_MAX_M_S
+    assert tracking.memory.disturbance_m_s == pytest.approx(expected, abs=1e-9)
+
+
+def test_horizontally_the_set_point_stays_near_the_velocity_so_that_the_tilt_is_bounded():
+    tracking = VelocityTracking(replace(LOOP, error_max_m_s=0.3), T_S)
+    tracking.observe((0.1, -0.1, 0.0), commanding=False)
+    setpoint = tracking.command(ZERO, (3.0, -3.0, 3.0), (0.1, -0.1, 0.0), WIDE)
+    assert setpoint[:2] == pytest.approx((0.4, -0.4))
+    assert setpoint[2] > 3.0  # upward nothing tilts
+
+
+def test_the_corrections_are_those_of_the_formula():
+    """u = r + lag s + k (r - v) - d, with s a low-pass of the wanted acceleration."""
+    loop = VelocityLoop(
+        lag_xy_s=0.2, lag_z_s=0.1, gain_xy=0.25, gain_z=0.5, slope_time_s=0.04, error_max_m_s=10.0
+    )  # fmt: skip
+    tracking = VelocityTracking(loop, T_S)
+    tracking.memory.slope_m_s2 = (1.0, -1.0, 0.5)
+    tracking.memory.disturbance_m_s = (0.05, -0.1, 0.2)
+    found = tracking.command((0.0, 0.1, 0.2), (0.02, 0.08, 0.2), (0.1, 0.0, -0.2), WIDE)
+    slope = (0.75 + 0.25 * 2.0, -0.75 - 0.25 * 2.0, 0.375)
+    assert tracking.memory.slope_m_s2 == pytest.approx(slope)
+    assert found == pytest.approx((
+        0.02 + 0.2 * slope[0] - 0.25 * 0.08 - 0.05,
+        0.08 + 0.2 * slope[1] + 0.25 * 0.08 + 0.1,
+        0.2 + 0.1 * slope[2] + 0.5 * 0.4 - 0.2,
+    ))  # fmt: skip
+
+
+def test_while_somebody_else_flies_the_model_follows_and_nothing_is_learned():
+    references = [*constant((0.2, 0.1, -0.1), 3.0), (0.21, 0.11, -0.11)]
+    tracking, _, _ = flown(references, Plant(push=(0.1, 0.0, -0.1)))
+    learned = tracking.memory.disturbance_m_s
+    assert tracking.memory.slope_m_s2 != ZERO
+    for velocity in ((1.0, 0.0, 0.0), (0.3, -0.2, 0.1)):
+        tracking.observe(velocity, commanding=False)
+        assert tracking.memory.model_m_s == velocity
+        assert tracking.memory.model_m_s2 == tracking.memory.slope_m_s2 == ZERO
+    assert tracking.memory.disturbance_m_s == learned  # the wind goes on blowing
+    tracking.command((0.3, -0.2, 0.1), (0.3, -0.2, 0.1), (0.3, -0.2, 0.1), WIDE)
+    tracking.observe((0.3, -0.2, 0.1), commanding=True)
+    # taken over in flight there is no jump to learn from
+    assert tracking.memory.disturbance_m_s == pytest.approx(learned, abs=0.01)
+
+
+def test_all_of_its_state_is_its_memory():
+    """A copy that is given the memory goes on to the last bit."""
+    references = [tuple(0.2 * math.sin(0.02 * n + axis) for axis in AXES) for n in range(200)]
+    plant = Plant(push=(0.1, 0.0, 0.0))
+    tracking, _, _ = flown(references[:100], plant)
+    other = VelocityTracking(LOOP, T_S)
+    other.memory = replace(tracking.memory)
+    for before, reference in itertools.pairwise(references[99:]):
+        for either in (tracking, other):
+            either.observe(plant.velocity, commanding=True)
+            either.command(before, reference, plant.velocity, WIDE)
+        assert tracking.memory == other.memory
+        plant.fly(tracking.memory.setpoint_m_s)
+
+
+@pytest.mark.parametrize("period_s", [0.1, 0.02, 0.002])
+def test_at_any_rate_the_model_of_the_usual_vehicle_is_stable(period_s):
+    tracking = VelocityTracking(LOOP, period_s)
+    tracking.observe(ZERO, commanding=False)
+    tracking.memory.setpoint_m_s = (0.2, -0.2, 0.1)
+    for _ in range(round(10.0 / period_s)):
+        tracking.observe((0.2, -0.2, 0.1), commanding=True)
+    assert tracking.memory.model_m_s == pytest.approx((0.2, -0.2, 0.1), abs=1e-6)
