@@ -26,7 +26,7 @@ def test_a_dead_motor_ends_in_a_declared_crash(tmp_path):
     assert result.json["outcome"] == "crashed"
     told = events(tmp_path, "Fault", "tumbled", "ABORT")
     assert told[0] == "Fault: motor 2 dead"
-    assert any("-> ABORT: disarmed by someone else" in text for text in told)
+    assert any("-> ABORT: the vehicle does not fly what it is told" in text for text in told)
     truth = load_flight(tmp_path / "flight.mcap").truth
     assert not truth.motors_running[-1]
 
