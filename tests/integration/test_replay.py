@@ -100,7 +100,7 @@ def test_a_log_played_live_lands_a_running_onboard_process(tmp_path):
         recorder.wait_for("ready")
         player = Lines(
             "replay", golden, "--live", "--vehicle-url", "udpin:127.0.0.1:0", "--listen", port.endpoint,
-            "--rate", 2, "--wait", 60,
+            "--wait", 60,
         )  # fmt: skip
         started.append(player)
         url = player.wait_for("ready").split()[1].replace("udpin", "udpout")
