@@ -22,8 +22,6 @@ STOPPED_TIME_S = 0.03  # s of that; three samples at 100 Hz
 DRIFT_TIME_S = 0.3  # s ahead: what the horizontal loop needs to answer
 DRIFT_SHARE = 0.6  # of the corridor's radius; nearer to the middle nothing is lost yet
 DRIFT_H_M = 0.08  # of h left to climb away with
-BLIND_PHASES = frozenset({Phase.HOLD, Phase.ABORT})
-BLIND_MAX_S = 4.0  # s without an own state for which set-points go out
 # s; within centimetres of the pad the vehicle sinks on with its last set-point: by then it stands
 TOUCHDOWN_BLIND_S = 0.4
 TOUCHDOWN_TIME_S = 2.0  # s; the descent takes 0.3, a forced disarm shows with the next heartbeat
@@ -85,22 +83,6 @@ def high_enough_m(barrier: Barrier, memory: Memory) -> float:
     """Height above which nothing of the target reaches."""
     base = memory.target_position_enu_m[2] if memory.target_position_enu_m else 0.0
     return base + barrier.peak_height_m + CLIMB_MARGIN_M
-
-
-def may_fly_blind(config: FlightConfig, memory: Memory, seen: View) -> bool:
-    """Whether set-points may go out that need no own state: away from the target, for seconds.
-
-    The vehicle's own loop still flies velocities, and where it does not its autopilot lands by itself.
-    Landing at once would be landing on the target.
-    """
-    if seen.own_ok or memory.phase not in BLIND_PHASES or memory.started_s == math.inf:
-        return False
-    return seen.now_s - memory.own_ok_s <= min(BLIND_MAX_S, blind_s(config) + config.checks.hold_time_s)
-
-
-def blind_s(config: FlightConfig) -> float:
-    """How long it takes to fly clear at the highest velocity, and half a second to reach that."""
-    return config.checks.clearance_m / min(config.limits.velocity_max_m_s[:2]) + 0.5
 
 
 _PHASE_TIME_S: dict[Phase, Callable[[FlightConfig], float]] = {

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from flightstack.conditions import View, gather, may_fly_blind, view
+from flightstack.conditions import View, gather, view
 from flightstack.config import FlightConfig
 from flightstack.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
 from flightstack.guidance import Situation, Wish, wish
@@ -254,21 +254,19 @@ class Controller:
         else:
             most = self.config.limits.velocity_max_m_s
             wanted = slew(self._base(seen), limit(asked.velocity, most), self._slew_step)
-        blind = may_fly_blind(self.config, memory, seen)
-        setpoint = wanted if blind else self._law.setpoint(self._base(seen), wanted, seen)
-        own_fresh = seen.own_ok or blind
+        setpoint = self._law.setpoint(self._base(seen), wanted, seen)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
         verdict, approved = self._gate.check(
             wanted,
             setpoint,
             yaw_rad,
-            own_fresh=own_fresh,
+            own_fresh=seen.own_ok,
             target_fresh=seen.target_ok or not asked.filtered,
             altitude_m=own.position_enu_m[2] if own is not None else math.nan,
             barrier_check=check,
         )
         if approved is None:
-            approved = self._gate.stop(yaw_rad, own_fresh=own_fresh)
+            approved = self._gate.stop(yaw_rad, own_fresh=seen.own_ok)
             memory.command = self._law.tracking.setpoint_m_s = ZERO
         else:
             memory.command = wanted

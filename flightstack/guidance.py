@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from flightstack.barrier import Barrier
-from flightstack.conditions import View, high_enough_m, may_fly_blind, start_point
+from flightstack.conditions import View, high_enough_m, start_point
 from flightstack.config import FilterKind, FlightConfig, TouchdownRule
 from flightstack.memory import AbortWay, Memory
 from flightstack.position_loop import limit, nominal_velocity
@@ -18,7 +18,6 @@ LEVEL_FIRST_M = 0.1  # fly sideways to the start only at its height
 DESCENT_M_S = 0.2  # relative to the pad, the last centimetres to contact (paper filter)
 HOLD_CLIMB_M_S = 0.4  # of the robust hold, while the target is out of sight
 LAND_MIN_M_S = 0.1  # slowest descent of the robust landing while above its waiting height
-STANDING_M_S = 0.05  # a target slower than this has no direction
 CLEAR_TIME_MAX_S = 30.0  # s to fly clear; by then something keeps it from that, and it lands where it is
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 
@@ -152,22 +151,6 @@ def _climb(s: Situation) -> Wish:
     return Wish(Request.EXTERNAL, (0.0, 0.0, up))
 
 
-def _land_here(s: Situation) -> Wish:
-    """The autopilot's own landing; before that, over a target, away from it for some seconds.
-
-    Without an own state that is a constant velocity: against the target's, which takes it away soonest.
-    """
-    target, memory = s.seen.target, s.memory
-    if target is None or memory.clear or not may_fly_blind(s.config, memory, s.seen):
-        memory.clear = True
-        return Wish(Request.LAND)
-    x, y, _ = target.velocity_enu_m_s
-    speed = math.hypot(x, y)
-    back = (-x / speed, -y / speed) if speed > STANDING_M_S else (1.0, 0.0)
-    most = s.config.limits.velocity_max_m_s
-    return Wish(Request.EXTERNAL, limit((back[0] * most[0], back[1] * most[1], 0.0), most))
-
-
 def _fly_clear(s: Situation) -> Wish:
     own, memory = s.seen.inputs.own, s.memory
     target = memory.target_position_enu_m
@@ -190,7 +173,7 @@ _ABORT: dict[AbortWay, Callable[[Situation], Wish]] = {
     AbortWay.NONE: lambda _: Wish(Request.NONE),
     AbortWay.MOTORS_OFF: lambda _: Wish(Request.MOTORS_OFF),
     AbortWay.HANDS_OFF: lambda _: Wish(Request.NONE),
-    AbortWay.LAND_HERE: _land_here,
+    AbortWay.LAND_HERE: lambda _: Wish(Request.LAND),
     AbortWay.FLY_CLEAR: _fly_clear,
 }
 
