@@ -38,10 +38,10 @@ def track():
         (later(0.01, velocity_enu_m_s=(1.6, 0.0, 0.0)), Verdict.TOO_FAST),
         (later(0.01, position_enu_m=(2.001, 2.0, 0.2)), Verdict.JUMP),
         (
-            later(0.01, position_enu_m=(1.3009, 2.0, 0.2)),
+            later(0.01, position_enu_m=(1.2009, 2.0, 0.2)),
             Verdict.ACCEPTED,
-        ),  # 0.3 m from where it was expected
-        (later(0.01, position_enu_m=(1.302, 2.0, 0.2)), Verdict.JUMP),
+        ),  # 0.2 m from where it was expected
+        (later(0.01, position_enu_m=(1.202, 2.0, 0.2)), Verdict.JUMP),
     ],
 )
 def test_verdicts(track, sample, verdict):
