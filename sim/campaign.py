@@ -159,7 +159,8 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
                         on_row(row)
         except KeyboardInterrupt:
             pass  # told by the number of rows that are missing
-        rows = sorted([*rows, *fresh], key=lambda row: row.seed)
+        if todo:  # what is on the disk counts: the interrupt may have come between the file and our list
+            rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)
         write_rows(folder / ROWS, rows)
         told = None
         if rows:
