@@ -21,9 +21,9 @@ _SIGNATURE = 13  # bytes: link id, timestamp, signature
 FLAG_SIGNED = 0x01  # the only incompatibility flag MAVLink 2 defines
 
 # CRC_EXTRA of every message of the dialect: the checksum also covers the message's definition.
-_CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in dialect.mavlink_map.items()}
+CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in dialect.mavlink_map.items()}
 # CRC-16/MCRF4XX by fastcrc; pymavlink's slow class only where that has no build.
-_crc = dialect.mcrf4xx or (lambda data: dialect.x25crc(data).crc)
+checksum = dialect.mcrf4xx or (lambda data: dialect.x25crc(data).crc)
 
 
 @dataclass(slots=True)
@@ -84,8 +84,8 @@ def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
     crc_at = end - _CHECKSUM
     changed = bytearray(frame[:end])
     changed[2] = flags
-    extra = _CRC_EXTRA[frame[7] | frame[8] << 8 | frame[9] << 16]
-    crc = _crc(bytes(changed[1:crc_at]) + extra)
+    extra = CRC_EXTRA[frame[7] | frame[8] << 8 | frame[9] << 16]
+    crc = checksum(bytes(changed[1:crc_at]) + extra)
     changed[crc_at], changed[crc_at + 1] = crc & 0xFF, crc >> 8
     return bytes(changed)
 
@@ -101,11 +101,11 @@ def _frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
     end = crc_at + _CHECKSUM + (_SIGNATURE if flags else 0)
     if end > size:
         return 0
-    extra = _CRC_EXTRA.get(data[pos + 7] | data[pos + 8] << 8 | data[pos + 9] << 16)
+    extra = CRC_EXTRA.get(data[pos + 7] | data[pos + 8] << 8 | data[pos + 9] << 16)
     if extra is None:
         count.unknown_id += 1
         return 0
-    if _crc(data[pos + 1 : crc_at] + extra) != data[crc_at] | data[crc_at + 1] << 8:
+    if checksum(data[pos + 1 : crc_at] + extra) != data[crc_at] | data[crc_at + 1] << 8:
         count.bad_crc += 1
         return 0
     return end
@@ -116,9 +116,9 @@ def _version_1_length(data: bytes, pos: int, size: int) -> int:
     if data[pos] != _MARKER_V1 or pos + _HEADER_V1 + _CHECKSUM > size:
         return 0
     crc_at = pos + _HEADER_V1 + data[pos + 1]
-    extra = _CRC_EXTRA.get(data[pos + 5])
+    extra = CRC_EXTRA.get(data[pos + 5])
     if extra is None or crc_at + _CHECKSUM > size:
         return 0
-    if _crc(data[pos + 1 : crc_at] + extra) != data[crc_at] | data[crc_at + 1] << 8:
+    if checksum(data[pos + 1 : crc_at] + extra) != data[crc_at] | data[crc_at + 1] << 8:
         return 0
     return crc_at + _CHECKSUM - pos

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import socket
@@ -16,6 +17,7 @@ from bridge.address import check_policy, local_host_for, parse_peer, parse_url, 
 from bridge.decoding import Message, decode
 from bridge.endpoint_counters import EndpointCounters
 from bridge.framing import FLAG_SIGNED, intact, split_frames, without_signature
+from bridge.packing import pack
 from bridge.peers import Peer, PeerTable
 from bridge.signing import Signer
 from bridge.signing_key import SigningKey
@@ -24,6 +26,7 @@ __all__ = ["Direction", "Endpoint", "Peer", "Received", "dialect", "parse_peer",
 
 _DATAGRAMS_PER_CALL = 512  # a flood must not keep the loop in receive() for ever,
 _RECEIVE_MAX_S = 0.004  # s of processor time: nor may datagrams that are full of small frames
+_UNTIMED_BYTES = 4096  # in one call, before the clock is looked at, which costs as much as a small datagram
 _RECEIVED_MAX = 4096  # bytes of a datagram that is looked at; nobody joins frames beyond an Ethernet frame
 _DATAGRAM_MAX = 1400  # bytes; below an Ethernet frame and PX4's 1600-byte buffer (mavlink_receiver.cpp)
 _SOCKET_BUFFER = 1 << 20  # bytes, asked for; the kernel may give less
@@ -139,10 +142,11 @@ class Endpoint:
     def receive(self) -> list[Received]:
         """Take what is in the socket now, in order of arrival; never blocks, never raises.
 
-        It stops after 4 ms of work; what a flood left in the socket then waits for the next call.
+        It stops after 4 ms of work with all but the first 4 kB; what a flood left in the socket then waits
+        for the next call.
         """
         received: list[Received] = []
-        until_s = time.thread_time() + _RECEIVE_MAX_S
+        size, until_s = 0, math.inf
         for _ in range(_DATAGRAMS_PER_CALL):
             try:
                 datagram, peer = self._socket.recvfrom(_RECEIVED_MAX + 1)
@@ -155,8 +159,12 @@ class Endpoint:
                 continue
             for frame in split_frames(datagram, self.counters):
                 self._take(frame, peer, received)
-            if time.thread_time() > until_s:
-                break
+            size += len(datagram)
+            if size > _UNTIMED_BYTES:
+                now_s = time.thread_time()
+                if now_s > until_s:
+                    break
+                until_s = min(until_s, now_s + _RECEIVE_MAX_S)
         if self._signer is not None:
             self._signer.save_if_due()
         return received
@@ -221,9 +229,11 @@ class Endpoint:
 
         Raises:
             struct.error: a field does not fit its type on the wire.
+            IndexError: an array is too short.
         """
-        frame: bytes = message.pack(self._mav)
-        self._mav.seq = (self._mav.seq + 1) % 256
+        mav = self._mav
+        frame = pack(message, mav.seq, mav.srcSystem, mav.srcComponent)
+        mav.seq = (mav.seq + 1) % 256
         return frame
 
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
@@ -279,9 +289,10 @@ class Endpoint:
         self, messages: Sequence[Message], allowance_bytes: int | None
     ) -> tuple[list[bytes], list[bytes]]:
         """Frames as they are logged and as they are sent; only as many as an allowance covers."""
-        frames: list[bytes] = []
-        wire: list[bytes] = []
-        size = 0
+        if self._signer is None and allowance_bytes is None:
+            frames = [self.pack(message) for message in messages]
+            return frames, frames
+        frames, wire, size = [], [], 0
         for message in messages:
             number = self._mav.seq
             frame = self.pack(message)

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.jit import jitted
 from sim.params import Battery
-from sim.records import F64, Record, cell, new
+from sim.records import F64, Record, new, scalars
 from sim.rotors import Four
 
 
@@ -60,7 +60,7 @@ class BatteryModel:
 
     def __init__(self, battery: Battery, hover_rpm: float, record: BatteryRecord | None = None) -> None:
         self.record = b = new(BatteryRecord) if record is None else record
-        self._voltage = cell(b)["voltage_v"]
+        self._voltage = scalars(b, "voltage_v")[0]
         b.hover_power = 4.0 * hover_rpm**3
         b.charge_a_s, b.full_v, b.empty_v = battery.charge_a_s, battery.full_v, battery.empty_v
         b.resistance_ohm = battery.resistance_ohm

@@ -7,7 +7,6 @@ companion see the bad one.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from bridge.frames import Quat
 from flightstack.types import Vec3
@@ -30,7 +29,7 @@ def turned(q: Quat, yaw_rad: float) -> Quat:
 def _move(estimate: Estimate, offset: Vec3, turn: float) -> Estimate:
     x, y, z = estimate.position_enu_m
     moved = (x + offset[0], y + offset[1], z + offset[2])
-    return replace(estimate, position_enu_m=moved, quaternion=turned(estimate.quaternion, turn))
+    return estimate._replace(position_enu_m=moved, quaternion=turned(estimate.quaternion, turn))
 
 
 SHAPE: Shape[Estimate] = Shape(_move, lambda first, _: first)
@@ -83,4 +82,4 @@ class OwnStateFaults:
         if arrived is None:
             return estimate
         fresh = (now_ns - self._arrived_ns) / NS < INNOVATION_AGE_MAX_S
-        return arrived if fresh else replace(arrived, valid=False)
+        return arrived if fresh else arrived._replace(valid=False)

@@ -1,6 +1,6 @@
-"""The vehicle's record, and the loop that flies it: compiled, everything between two events.
+"""The vehicle's record, and the compiled loop that flies it, set-points and motion capture included.
 
-An event is what needs Python: a set-point or a motion-capture sample that arrives, the supervisor.
+It needs Python only for what is drawn ahead (noise, chance) and for faults.
 """
 
 from __future__ import annotations
@@ -13,17 +13,19 @@ from flightstack.barrier import Barrier
 from sim.battery import BatteryRecord, drain, speed_limit
 from sim.contact import ContactRecord, note_contact
 from sim.firmware.estimator import predict
-from sim.firmware.stack import FirmwareRecord, control
+from sim.firmware.stack import FirmwareRecord, control, listen, oversee
 from sim.firmware.supervisor import PERIOD_MS
 from sim.ground_effect import GroundRecord, ground_effect
 from sim.imu import ImuRecord, measure
 from sim.jit import jitted
+from sim.mocap import MocapRecord, correct_estimate, measure_pose
 from sim.params import STEP_S
+from sim.reach import ReachRecord
 from sim.records import Cell, Motors, Record, Vector
 from sim.rotation import rotation_axes
 from sim.rotors import RotorRecord, turn_rotors
 from sim.wind import WindRecord, blow
-from sim.world import BodyRecord, DeckRecord, Memory, physics_step, touched
+from sim.world import BodyRecord, DeckRecord, MemoryRecord, contact_count, physics_step, touched
 
 CONTROL_EVERY_MS = 2
 WIND_EVERY_MS = 5
@@ -54,6 +56,8 @@ class VehicleRecord(Record):
 
     body: BodyRecord
     deck: DeckRecord
+    reach: ReachRecord
+    memory: MemoryRecord
     rotors: RotorRecord
     ground: GroundRecord
     battery: BatteryRecord
@@ -61,6 +65,7 @@ class VehicleRecord(Record):
     drag: DragRecord
     imu: ImuRecord
     firmware: FirmwareRecord
+    mocap: MocapRecord
     judge: JudgeRecord
     contact: ContactRecord
     motor_share: Motors  # speed a motor aims at = share * command + held (1 and 0 without a fault)
@@ -94,7 +99,7 @@ def cushion(v: VehicleRecord) -> None:
 
 
 @jitted
-def move(v: VehicleRecord, m: Memory) -> None:
+def move(v: VehicleRecord) -> None:
     """Move rotors, body and deck by one step under thrust, drag and weight."""
     body, rotors, drag = v.body, v.rotors, v.drag
     for i in range(3):
@@ -110,7 +115,7 @@ def move(v: VehicleRecord, m: Memory) -> None:
     along = rotors.thrust_n + drag.along * (ax * zx + ay * zy + az * zz)
     force = (drag.xy * ax + along * zx, drag.xy * ay + along * zy, drag.xy * az + along * zz - drag.weight)
     torque = (rotors.torque_x, rotors.torque_y, rotors.torque_z)
-    if physics_step(body, v.deck, m, force, torque):
+    if physics_step(body, v.deck, v.reach, v.memory, force, torque):
         v.judge.tumbled = True
 
 
@@ -127,32 +132,36 @@ def judge(v: VehicleRecord) -> None:
 
 
 @jitted
-def fly(vehicle: Cell[VehicleRecord], m: Memory, now_ms: int, end_ms: int) -> int:
+def fly(vehicle: Cell[VehicleRecord], now_ms: int, end_ms: int) -> int:
     """Run steps of 1 ms until ``end_ms``.
 
     Args:
-        vehicle: changed in place; its noise must suffice (``Tape.top_up``).
-        m: MuJoCo's memory.
-        now_ms: time of the first step. If the supervisor is due then, ``sense`` and it have already run.
-        end_ms: not beyond the next event.
+        vehicle: changed in place; what is drawn ahead must suffice (``VehicleSim.supply``).
+        now_ms: time of the first step.
+        end_ms: not beyond the next event of a fault.
 
     Returns:
         Time reached.
     """
     v = vehicle[0]
     while now_ms < end_ms:
+        listen(v.firmware, now_ms)
+        measure_pose(v.mocap, v.body, now_ms)
+        if not v.mocap.diverted:
+            correct_estimate(v.mocap, v.firmware.estimator, now_ms)
         if now_ms % CONTROL_EVERY_MS == 0:
-            if now_ms % PERIOD_MS != 0:
-                sense(vehicle)
+            sense(vehicle)
+            if now_ms % PERIOD_MS == 0:
+                oversee(v.firmware, now_ms, v.imu.accel)
             control(v.firmware, speed_limit(v.battery))
             cushion(v)
         if now_ms % WIND_EVERY_MS == 0:
             blow(v.wind)
         if now_ms % BATTERY_EVERY_MS == 0:
             drain(v.battery, v.rotors.rpm, BATTERY_EVERY_MS * STEP_S)
-        move(v, m)
+        move(v)
         judge(v)
-        if m.contacts[0] > 0:
-            note_contact(v.contact, v.deck, touched(m), now_ms, v.before_e, v.before_velocity)
+        if contact_count(v.memory) > 0:
+            note_contact(v.contact, v.deck, touched(v.memory), now_ms, v.before_e, v.before_velocity)
         now_ms += 1
     return now_ms

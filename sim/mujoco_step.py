@@ -13,22 +13,20 @@ from typing import NamedTuple, cast
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 from llvmlite import binding
 from numba import config, types
 
-from sim.records import F64
-
-I32 = npt.NDArray[np.int32]
+from sim.raw_memory import address_of
 
 
 class Contacts(NamedTuple):
-    """The contacts of the last step, in MuJoCo's memory: only the first ``number[0]`` rows count."""
+    """Addresses of the contacts of the last step; the last three are of the first contact."""
 
-    number: I32  # one element
-    geoms: I32  # (n, 2)
-    place: F64  # (n, 3), world, m
-    frame: F64  # (n, 9), the normal first
+    number: int  # one int
+    stride: int  # bytes from one contact to the next
+    geoms: int  # two ints
+    place: int  # three doubles, world, m
+    frame: int  # nine doubles, the normal first
 
 
 def _library() -> str:
@@ -49,7 +47,7 @@ def _load() -> Callable[[int, int], None]:
     if config.DISABLE_JIT:
         function = ctypes.CDLL(path).mj_step
         function.argtypes, function.restype = (ctypes.c_void_p, ctypes.c_void_p), None
-        return cast("Callable[[int, int], None]", function)
+        return lambda model, data: function(int(model), int(data))  # numpy's whole numbers are not taken
     binding.load_library_permanently(path)  # now compiled code finds its symbols
     signature = types.void(types.intp, types.intp)
     return cast("Callable[[int, int], None]", types.ExternalFunction("mj_step", signature))
@@ -59,19 +57,19 @@ mj_step = _load()
 
 
 def contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Contacts:
-    """Views of ``data.ncon`` and ``data.contact`` that compiled code can read; they never move.
+    """Where ``data.ncon`` and ``data.contact`` stand; they never move.
 
     In mjdata.h ``ncon`` follows the array ``timer``, whose elements end in an int and four bytes of padding.
     The Python binding shows the array's memory but not that of ``ncon``; so this is checked on two states.
-    ``contact`` is at the beginning of the arena, which is made once, so that its room bounds the rows.
+    ``contact`` is at the beginning of the arena, which is made once.
 
     Raises:
         RuntimeError: ``ncon`` is not there, as another MuJoCo might have it.
     """
     last = data.timer.number[-1:]
-    address = last.__array_interface__["data"][0] + 2 * ctypes.sizeof(ctypes.c_int)
+    address = address_of(last) + 2 * ctypes.sizeof(ctypes.c_int)
     count = np.ctypeslib.as_array((ctypes.c_int * 1).from_address(address))
-    counts, found = [], []
+    counts, found = [], []  # of both states; the arrays of the first, which has contacts
     scratch = (data.qpos.copy(), data.qvel.copy())
     for height_m in (0.0, 100.0):  # the vehicle in the floor, and in the air
         data.qpos[:] = 0.0
@@ -86,8 +84,4 @@ def contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Contacts:
             f"MuJoCo {mujoco.__version__}: number of contacts and what stands in memory: {counts}, "
             "equal pairs are needed; this MuJoCo keeps ncon elsewhere, see mjdata.h"
         )
-    views = [
-        np.lib.stride_tricks.as_strided(a, (data.narena // a.strides[0], a.shape[1]), a.strides)
-        for a in found[0]
-    ]
-    return Contacts(count, *views)
+    return Contacts(address, found[0][0].strides[0], *map(address_of, found[0]))

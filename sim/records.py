@@ -1,20 +1,23 @@
 """Flat, typed records: one block of memory that compiled and plain Python code both read and write.
 
 A record is declared as a class with annotations, which is all that the type checker needs; ``new`` makes a
-zeroed numpy record of the same fields. Fields are ``float``, ``int``, ``bool``, other records, and arrays of
-doubles, written ``Annotated[F64, length]``. A nested record is a view: what it holds stands in the outer one.
+zeroed numpy record of the same fields. Fields are ``float``, ``int``, ``bool``, other records, and arrays,
+written ``Annotated[F64, length]`` for doubles and ``Annotated[I64, length]`` for whole numbers. A nested
+record is a view: what it holds stands in the outer one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from functools import cache
+import struct
+from collections.abc import Callable, Hashable
+from functools import cache, partial
 from typing import Annotated, Any, Protocol, TypeVar, cast, get_args, get_origin, get_type_hints, overload
 
 import numpy as np
 import numpy.typing as npt
 
 F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
 Vector = Annotated[F64, 3]
 Quaternion = Annotated[F64, 4]  # w, x, y, z
 Motors = Annotated[F64, 4]  # M1..M4
@@ -33,7 +36,8 @@ R_co = TypeVar("R_co", bound=Record, covariant=True)
 
 def _field(hint: Any) -> object:
     if get_origin(hint) is Annotated:
-        return ("f8", (get_args(hint)[1],))
+        array, length = get_args(hint)
+        return ("i8" if array == I64 else "f8", (length,))
     if hint in SCALARS:
         return SCALARS[hint]
     if isinstance(hint, type) and issubclass(hint, Record):
@@ -84,3 +88,32 @@ def cell(record: R) -> Cell[R]:
     ``cell(record)["name"]`` is a view of the field with one element more in front.
     """
     return cast("Cell[R]", np.asarray(cast(np.record, record)).reshape(1))
+
+
+Scalar = Any  # a memoryview of one number, which is Python's own when it is taken out
+Values = tuple[Any, ...]
+
+
+def scalars(record: Record, *names: str) -> list[Scalar]:
+    """Views of scalar fields: ``view[0]`` reads and writes one, at a third of the cost of numpy's."""
+    view = cell(record)
+    return [view[name].data for name in names]
+
+
+def reader(source: Record | F64) -> Callable[[], Values]:
+    """Function that returns all numbers of a record, or array, in one flat tuple.
+
+    A slice of it is a tuple too: so a record is read at a fifth of what its fields one by one would cost.
+    """
+    array = np.asarray(cast(np.record, source)).reshape(-1)
+    if array.dtype.names is None:
+        return partial(struct.Struct(f"={array.size}d").unpack_from, array.data)
+    memory = array.view(np.uint8).data
+    return partial(struct.Struct("=" + _format(array.dtype)).unpack_from, memory)
+
+
+def _format(kind: np.dtype[Any]) -> str:
+    if kind.names is not None:
+        return "".join(_format(kind[name]) for name in kind.names)
+    count = int(np.prod(kind.shape))
+    return f"{count}{'d' if kind.base == np.float64 else 'q'}"

@@ -14,6 +14,7 @@ from sim.records import F64, Record, cell
 from sim.scenario import OdometryLink
 
 NS = 1_000_000_000
+NS_PER_MS = 1_000_000
 NEVER_NS = 1 << 62
 BLOCK = 1024  # numbers drawn at a time; single draws from numpy cost twenty times as much
 
@@ -21,6 +22,11 @@ BLOCK = 1024  # numbers drawn at a time; single draws from numpy cost twenty tim
 def stream(seed: int, purpose: str) -> np.random.Generator:
     """Random stream of one purpose. Streams of different purposes are independent, whatever others draw."""
     return np.random.default_rng(np.random.SeedSequence([seed & (1 << 64) - 1, zlib.crc32(purpose.encode())]))
+
+
+def ms_from(time_ns: int) -> int:
+    """First whole millisecond that is not earlier."""
+    return -(-time_ns // NS_PER_MS)
 
 
 class Normals:
@@ -76,13 +82,44 @@ class Tape:
             self._next -= BLOCK
 
 
+class Losses:
+    """Which samples of a link never come: some by chance, and all within a drop-out.
+
+    Drop-outs begin as a Poisson process of mean distance ``dropout_every_s`` and last uniformly up to
+    ``dropout_max_s``.
+
+    Args:
+        link: loss and drop-outs.
+        seed: of the run.
+        purpose: name of the random stream.
+    """
+
+    __slots__ = ("_drop_end_ns", "_drop_start_ns", "_link", "_rng")
+
+    def __init__(self, link: OdometryLink, seed: int, purpose: str) -> None:
+        self._link = link
+        self._rng = stream(seed, purpose)
+        self._drop_start_ns = self._drop_end_ns = NEVER_NS
+        if link.dropout_every_s > 0.0 and link.dropout_max_s > 0.0:
+            self._draw_dropout(0)
+
+    def _draw_dropout(self, after_ns: int) -> None:
+        self._drop_start_ns = after_ns + round(self._rng.exponential(self._link.dropout_every_s) * NS)
+        self._drop_end_ns = self._drop_start_ns + round(self._rng.uniform(0.0, self._link.dropout_max_s) * NS)
+
+    def lost(self, measured_ns: int) -> bool:
+        """Whether the next sample is lost; ask once for each, in order."""
+        while measured_ns >= self._drop_end_ns:
+            self._draw_dropout(self._drop_end_ns)
+        by_chance = self._link.loss > 0.0 and self._rng.random() < self._link.loss
+        return by_chance or measured_ns >= self._drop_start_ns
+
+
 class MeasurementChannel:
     """Samples a quantity at the link's rate and hands the samples out after the link's delay, in order.
 
-    Sample k is measured at time k / rate. A lost sample, or one taken within a drop-out, never comes.
-    Drop-outs begin as a Poisson process of mean distance ``dropout_every_s`` and last uniformly up to
-    ``dropout_max_s``. Times are integer nanoseconds. ``due_ns`` and ``release_ns`` tell when the next call
-    has something to do.
+    Sample k is measured at time k / rate. A lost one (``Losses``) never comes. Times are integer nanoseconds.
+    ``due_ns`` and ``release_ns`` tell when the next call has something to do.
 
     Args:
         link: rate, delay, loss, drop-outs.
@@ -92,42 +129,31 @@ class MeasurementChannel:
     """
 
     __slots__ = (
-        "_delay_ns", "_drop_end_ns", "_drop_start_ns", "_index", "_link", "_normals", "_queue", "_rate",
-        "_rng", "_sigmas", "due_ns", "lost", "release_ns", "taken",
+        "_delay_ns", "_index", "_losses", "_normals", "_queue", "_rate", "_sigmas", "due_ns", "lost",
+        "release_ns", "taken",
     )  # fmt: skip
 
     def __init__(self, link: OdometryLink, sigmas: Sequence[float], seed: int, purpose: str) -> None:
-        self._link = link
         self._sigmas = tuple(sigmas)
-        self._rng = stream(seed, purpose + ".loss")
+        self._losses = Losses(link, seed, purpose + ".loss")
         self._normals = Normals(seed, purpose + ".noise")
         self._rate = link.rate_hz
         self._delay_ns = round(link.delay_s * NS)
         self._queue: deque[tuple[int, int, tuple[float, ...]]] = deque()
         self._index = 0
-        self._drop_start_ns = self._drop_end_ns = NEVER_NS
         self.due_ns = 0
         self.release_ns = NEVER_NS
         self.taken = 0
         self.lost = 0
-        if link.dropout_every_s > 0.0 and link.dropout_max_s > 0.0:
-            self._draw_dropout(0)
-
-    def _draw_dropout(self, after_ns: int) -> None:
-        self._drop_start_ns = after_ns + round(self._rng.exponential(self._link.dropout_every_s) * NS)
-        self._drop_end_ns = self._drop_start_ns + round(self._rng.uniform(0.0, self._link.dropout_max_s) * NS)
 
     def sample(self, now_ns: int, values: Sequence[float]) -> None:
         """Measure ``values`` now. Call when ``now_ns >= due_ns``; one sample a call."""
         self._index += 1
         self.due_ns = round(self._index * NS / self._rate)
         self.taken += 1
-        while now_ns >= self._drop_end_ns:
-            self._draw_dropout(self._drop_end_ns)
         take = self._normals.take
         noisy = tuple([v + s * take() if s else v for v, s in zip(values, self._sigmas, strict=True)])
-        lost = self._link.loss > 0.0 and self._rng.random() < self._link.loss
-        if lost or now_ns >= self._drop_start_ns:
+        if self._losses.lost(now_ns):
             self.lost += 1
             return
         if not self._queue:

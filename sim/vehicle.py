@@ -18,16 +18,17 @@ from sim.firmware.mixer import OFF
 from sim.firmware.paper_loop import axes_from_force
 from sim.firmware.setpoint import STOP, Setpoint
 from sim.firmware.stack import Firmware
-from sim.firmware.supervisor import PERIOD_MS, State, Supervisor
-from sim.flight import WIND_EVERY_MS, VehicleRecord, fly, sense
+from sim.firmware.supervisor import PERIOD_MS, STATES, State
+from sim.flight import WIND_EVERY_MS, VehicleRecord, fly
 from sim.ground_effect import GroundEffect
 from sim.imu import Imu
+from sim.mocap import MocapTape
 from sim.params import CONTROL_STEP_S, STEP_S, Plant, load
-from sim.records import cell, new
+from sim.records import cell, new, reader, scalars
 from sim.rotation import quaternion_from_axes, rotation_axes
 from sim.rotors import Rotors
 from sim.scenario import Scenario, StartKind
-from sim.sensors import MeasurementChannel, stream
+from sim.sensors import NS_PER_MS, ms_from, stream
 from sim.target import TargetModel
 from sim.vehicle_types import Estimate, Truth
 from sim.wind import WindModel
@@ -42,7 +43,8 @@ CONTACT_TUMBLED = ContactBit.TUMBLED.value
 LANDED_AFTER_MS = 150  # in contact for this long is landed
 AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
 WARM_UP_MS = 100  # every loop of the firmware has run by then, and motion capture has come
-NS_PER_MS = 1_000_000
+SUPPLY_MS = 320  # the noise of the IMU, of which six numbers go every 2 ms, is drawn so far ahead
+_LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
 NAN3: Vec3 = (math.nan, math.nan, math.nan)
 
 
@@ -68,11 +70,10 @@ class VehicleSim:
         self.plant = plant = Plant.draw(scenario.vehicle, seed)
         self._mass = params.body.mass_kg * plant.mass
         self._gravity = params.contact.gravity_m_s2
-        self._judge = Barrier(scenario.judge.alpha_1_m, scenario.judge.beta_m)
+        self._barrier = Barrier(scenario.judge.alpha_1_m, scenario.judge.beta_m)
         r = new(VehicleRecord)
         self._vehicle = cell(r)
-        self._world = World(params, self._mass, scenario.target, r.body, r.deck)
-        self._memory = self._world.memory
+        self._world = World(params, self._mass, scenario.target, r.body, r.deck, r.reach, r.memory)
         self._rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
         pad_radius = scenario.target.pad_radius_m
         GroundEffect(params.rotor, scenario.vehicle.ground_effect_gain, pad_radius, r.ground)
@@ -84,21 +85,22 @@ class VehicleSim:
         drag_xy, _, drag_z = params.body.drag_n_s_m
         r.drag.xy, r.drag.along, r.drag.weight = drag_xy, drag_z - drag_xy, self._mass * self._gravity
         judge = scenario.judge
-        verdict = cell(r.judge)
-        verdict[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
-        self._h_min, self._h_min_outside, self._tumbled = (
-            verdict["h_min"], verdict["h_min_outside"], verdict["tumbled"],
-        )  # fmt: skip
-        mocap = scenario.vehicle.mocap
-        noise = mocap.position_noise_m
-        self._mocap = MeasurementChannel(mocap, (noise, noise, noise, mocap.yaw_noise_rad), seed, "mocap")
+        cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
+        self._h_min, self._h_min_outside, self._tumbled = scalars(
+            r.judge, "h_min", "h_min_outside", "tumbled"
+        )
+        self._mocap = MocapTape(scenario.vehicle.mocap, seed, r.mocap, r.body)
         motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, hover_rpm)
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
-        self._ms = 0
-        c = cell(r.contact)
-        self._since_ms, self._pad_ms, self._ground_ms = c["since_ms"], c["pad_ms"], c["ground_ms"]
-        self._touch_ms, self._judging, self._contacts = c["touch_ms"], c["judging"], c["bits"]
-        self._touch_e, self._touch_velocity = r.contact.touch_e, r.contact.touch_velocity
+        self._ms = self._supplied_ms = 0
+        self._since_ms, self._pad_ms, self._ground_ms = scalars(r.contact, "since_ms", "pad_ms", "ground_ms")
+        self._touch_ms, self._judging, self._contacts = scalars(r.contact, "touch_ms", "judging", "bits")
+        self._read_body, self._read_deck, self._read_contact = (
+            reader(r.body),
+            reader(r.deck),
+            reader(r.contact),
+        )
+        self._allowed, self._state = scalars(r.firmware.supervisor, "motors_allowed", "state")
         for times in (self._since_ms, self._pad_ms, self._ground_ms, self._touch_ms):
             times[0] = NONE_MS
         self.trim_velocity_enu_m_s: Vec3 = ZERO
@@ -143,7 +145,7 @@ class VehicleSim:
         rng = stream(seed, "start")
         distance = rng.uniform(*scenario.start.distance_m)
         bearing = rng.uniform(-math.pi, math.pi)
-        height = rng.uniform(*scenario.start.h_m) + self._judge.height(distance)
+        height = rng.uniform(*scenario.start.h_m) + self._barrier.height(distance)
         return (distance * math.cos(bearing), distance * math.sin(bearing), height)
 
     def _settle(self) -> None:
@@ -165,56 +167,51 @@ class VehicleSim:
         """Run ``steps`` physics steps of 1 ms."""
         end_ms = self._ms + steps
         while self._ms < end_ms:
-            self._ms = fly(self._vehicle, self._memory, self._ms, min(end_ms, self._events()))
+            if self._ms >= self._supplied_ms:
+                self._supply()
+            stop_ms = min(end_ms, self._supplied_ms)
+            if not self.faults.quiet:
+                stop_ms = min(stop_ms, self._fail())
+            self._ms = fly(self._vehicle, self._ms, stop_ms)
         if not self._judging[0] and self._off_the_ground:
             self._judging[0] = True
 
-    def _events(self) -> int:
-        """Handle what is due now; return the time of the next event, in ms."""
-        now_ms, firmware, mocap, world = self._ms, self._firmware, self._mocap, self._world
-        faults = self.faults
-        now_ns = now_ms * NS_PER_MS
-        if not faults.quiet:
-            self._fail(now_ms)
-        if now_ms >= firmware.next_setpoint_ms:
-            firmware.receive(now_ms)
-        if now_ns >= mocap.due_ns:
-            axes = rotation_axes(world.quaternion)
-            mocap.sample(now_ns, (*world.position, math.atan2(axes[1], axes[0])))
-        if now_ns >= mocap.release_ns or now_ns >= faults.mocap.release_ns:
-            samples = [sample for _, sample in mocap.release(now_ns)]
-            if faults.mocap.active:
-                samples = faults.mocap.deliver(now_ns, samples)
-            for sample in samples:
-                firmware.estimator.correct(sample[0], sample[1], sample[2], sample[3])
-        if now_ms % PERIOD_MS == 0:
-            self._imu.top_up()
-            self._wind.top_up()
-            sense(self._vehicle)
-            firmware.supervise(now_ms, self._imu.accel)
-        next_ns = min(mocap.due_ns, mocap.release_ns)
-        if not faults.quiet:
-            next_ns = min(next_ns, faults.next_ns)
-        supervisor_ms = (now_ms // PERIOD_MS + 1) * PERIOD_MS
-        return min(firmware.next_setpoint_ms, -(-next_ns // NS_PER_MS), supervisor_ms)
+    def _supply(self) -> None:
+        """Draw ahead what compiled code takes."""
+        self._imu.top_up()
+        self._wind.top_up()
+        self._mocap.top_up()
+        self._supplied_ms = min(self._ms + SUPPLY_MS, self._mocap.drawn_until_ms)
 
-    def _fail(self, now_ms: int) -> None:
-        """Let faults begin and end, and the own state go its faulty way."""
-        faults, now_ns = self.faults, now_ms * NS_PER_MS
+    def _fail(self) -> int:
+        """Let faults begin and end, and the own state and motion capture go their faulty way.
+
+        Returns:
+            When to call it next, in ms.
+        """
+        faults, mocap, now_ms = self.faults, self._mocap, self._ms
+        now_ns = now_ms * NS_PER_MS
         if now_ms % PERIOD_MS == 0 and faults.waits_for_takeoff and self._off_the_ground:
             faults.took_off(now_ns)
         if now_ns >= faults.next_ns:
             faults.run(now_ns)
         if now_ns >= faults.own_state.due_ns:
             faults.own_state.sample(now_ns, self._believed())
+        next_ms = (now_ms // PERIOD_MS + 1) * PERIOD_MS
+        mocap.divert(faults.mocap.active)
+        if faults.mocap.active:
+            for x, y, z, yaw in faults.mocap.deliver(now_ns, mocap.take(now_ms)):
+                self._firmware.estimator.correct(x, y, z, yaw)
+            next_ms = min(next_ms, mocap.next_ms())
+        return min(next_ms, ms_from(faults.next_ns))
 
     @property
     def _first_touch(self) -> tuple[float, Vec3, Vec3]:
         """Time, place and velocity relative to the pad; NaN until there was one."""
         if self._touch_ms[0] == NONE_MS:
             return (math.nan, NAN3, NAN3)
-        (ex, ey, ez), (vx, vy, vz) = self._touch_e.tolist(), self._touch_velocity.tolist()
-        return (float(self._touch_ms[0] * STEP_S), (ex, ey, ez), (vx, vy, vz))
+        contact = self._read_contact()  # ends with place and velocity
+        return (self._touch_ms[0] * STEP_S, contact[-6:-3], contact[-3:])
 
     @property
     def _off_the_ground(self) -> bool:
@@ -246,14 +243,15 @@ class VehicleSim:
         """Restart the firmware, which also unlocks it; None when done, else why not."""
         if self.armed:
             return "armed; disarm first"
-        self._firmware.supervisor = Supervisor()
+        self._firmware.supervisor.restart()
         self._firmware.disarm(self._ms)
         self.stop_setpoint()
         return None
 
     def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
         """Send a velocity set-point; it takes effect, and its age counts, after the radio's delay."""
-        self._firmware.send(Setpoint(*velocity_enu_m_s, yaw_rad), self._ms - self.sent_before_ms)
+        vx, vy, vz = velocity_enu_m_s
+        self._firmware.send(Setpoint(vx, vy, vz, yaw_rad), self._ms - self.sent_before_ms)
 
     def stop_setpoint(self) -> None:
         """Send a stop set-point: motors off while it is the newest. It ages like any other."""
@@ -277,22 +275,22 @@ class VehicleSim:
     @property
     def armed(self) -> bool:
         """Whether the motors may turn."""
-        return self._firmware.supervisor.motors_allowed
+        return bool(self._allowed[0])
 
     @property
     def locked(self) -> bool:
         """Whether only a reboot (a new object) helps."""
-        return self._firmware.supervisor.state is State.LOCKED
+        return bool(self._state[0] == _LOCKED)
 
     @property
     def crashed(self) -> bool:
         """Whether the supervisor saw a tumble; disarm to clear."""
-        return self._firmware.supervisor.state is State.CRASHED
+        return bool(self._state[0] == _CRASHED)
 
     @property
     def state_text(self) -> str:
         """State of the supervisor in words."""
-        return self._firmware.supervisor.state.value
+        return str(STATES[self._state[0]].value)
 
     @property
     def motors_running(self) -> bool:
@@ -330,41 +328,37 @@ class VehicleSim:
         return self.faults.own_state.report(self._ms * NS_PER_MS, believed)
 
     def _believed(self) -> Estimate:
-        e = self._firmware.estimator
-        return Estimate(e.position, e.velocity, e.quaternion, e.rates, e.valid)
+        return Estimate(*self._firmware.estimator.believed())
 
     def truth(self) -> Truth:
         """Return the true state now and the extremes and contacts since the last call; those start anew."""
-        world = self._world
-        px, py, pz = world.position
-        dx, dy, dz = world.deck_position
-        h = self._judge.h((px - dx, py - dy, pz - dz))
+        body, deck = self._read_body(), self._read_deck()  # in the order of their records
+        position, pad = body[:3], deck[:3]
+        h = self._barrier.h((position[0] - pad[0], position[1] - pad[1], position[2] - pad[2]))
         touch_s, touch_e, touch_v = self._first_touch
-        tumbled = CONTACT_TUMBLED if self._tumbled[0] else 0
         truth = Truth(
-            time_s=self.time_s,
-            position_enu_m=world.position,
-            velocity_enu_m_s=world.velocity,
-            quaternion=world.quaternion,
-            angular_velocity_flu_rad_s=world.rates,
-            rotor_rpm=self._rotors.rpm,
-            pad_position_enu_m=world.deck_position,
-            pad_velocity_enu_m_s=world.deck_velocity,
-            pad_yaw_rad=math.remainder(world.deck_yaw, 2.0 * math.pi),
-            h_m=h,
-            h_min_m=min(h, float(self._h_min[0])),
-            h_min_outside_pad_m=float(self._h_min_outside[0]),
-            contacts=int(self._contacts[0]) | tumbled,
-            first_touch_relative_position_enu_m=touch_e,
-            first_touch_relative_velocity_enu_m_s=touch_v,
-            first_touch_time_s=touch_s,
-            motors_running=self.motors_running,
-            battery_v=self._battery.voltage_v,
-            wind_enu_m_s=self._wind.now_enu_m_s,
+            self._ms * STEP_S,
+            position,
+            body[3:6],
+            body[6:10],
+            body[10:13],
+            self._rotors.rpm,
+            pad,
+            deck[3:6],
+            math.remainder(deck[6], 2.0 * math.pi),
+            h,
+            min(h, self._h_min[0]),
+            self._h_min_outside[0],
+            self._contacts[0] | (CONTACT_TUMBLED if self._tumbled[0] else 0),
+            touch_e,
+            touch_v,
+            touch_s,
+            self.motors_running,
+            self._battery.voltage_v,
+            self._wind.now_enu_m_s,
         )
         self._h_min[0] = self._h_min_outside[0] = math.inf
-        self._tumbled[0] = False
-        self._contacts[0] = 0
+        self._tumbled[0] = self._contacts[0] = 0
         return truth
 
 

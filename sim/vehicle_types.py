@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from flightstack.types import Vec3
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(NamedTuple):
     """What the on-board estimator believes."""
 
     position_enu_m: Vec3
@@ -18,8 +17,7 @@ class Estimate:
     valid: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
+class Truth(NamedTuple):
     """The true state and what happened since the last call of ``truth`` (fields of TrueState.msg)."""
 
     time_s: float

@@ -11,7 +11,7 @@ import math
 from flightstack.types import Vec3
 from sim.jit import jitted
 from sim.params import WindShape
-from sim.records import Record, Vector, new
+from sim.records import Record, Vector, new, reader
 from sim.scenario import Wind
 from sim.sensors import Tape, TapeRecord, stream, take
 
@@ -48,13 +48,13 @@ class WindModel:
         record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = ("_now", "_tape", "mean_enu_m_s", "record")
+    __slots__ = ("_read", "_tape", "mean_enu_m_s", "record")
 
     def __init__(
         self, wind: Wind, shape: WindShape, seed: int, step_s: float, record: WindRecord | None = None
     ) -> None:
         self.record = r = new(WindRecord) if record is None else record
-        self._now = r.now
+        self._read = reader(r.now)
         drawn = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
         direction = drawn if wind.direction_rad is None else wind.direction_rad
         self.mean_enu_m_s: Vec3 = (
@@ -85,5 +85,4 @@ class WindModel:
     @property
     def now_enu_m_s(self) -> Vec3:
         """Wind now."""
-        x, y, z = self._now.tolist()
-        return (x, y, z)
+        return self._read()

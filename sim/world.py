@@ -4,28 +4,30 @@ MuJoCo's Euler step takes the gyroscopic torque from the start of the step and m
 with the velocities at its end. Here the gyroscopic torque is the midpoint rule's, which keeps the energy of a
 free rotation, and out of contact position and attitude are put back by half of the step's velocity change
 (trapezoidal rule), which makes constant acceleration exact.
+
+Where nothing can be in reach, the step is that of the same model without its search for contacts: the same
+numbers, for a third less.
 """
 
 from __future__ import annotations
 
 import math
+from copy import copy
 from enum import IntFlag
-from typing import NamedTuple
+from typing import Annotated
 
 import mujoco
-import numpy as np
-import numpy.typing as npt
 
 from flightstack.types import Vec3
 from sim.jit import jitted
-from sim.mujoco_step import I32, contacts, mj_step
+from sim.mujoco_step import contacts, mj_step
 from sim.params import STEP_S, Params
-from sim.records import F64, Quaternion, Record, Vector, cell, new
+from sim.raw_memory import address_of, doubles, ints
+from sim.reach import ReachRecord, apart, measure_reach
+from sim.records import I64, Quaternion, Record, Vector, cell, new
 from sim.scenario import TargetSpec
 from sim.world_rotation import midpoint_torque, turn_back
 from sim.world_xml import model_xml
-
-I64 = npt.NDArray[np.int64]
 
 
 class ContactBit(IntFlag):
@@ -44,12 +46,16 @@ KIND_OF_GEOM = {
     "robot": ContactBit.ROBOT,
     "lidar": ContactBit.ROBOT,
 }
+GEOMS_MAX = 16
 TOP_NORMAL = 0.7  # a contact whose normal is within 45 degrees of the vertical is with the pad's top
 RIM_M = 0.002  # a contact lower than this under the pad's top is with its edge
 TUMBLE_COS = 0.5  # tilt beyond 60 degrees
 
+NO_CONTACTS = mujoco.mjtDisableBit.mjDSBL_CONTACT.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
+
 PAD, PAD_EDGE = ContactBit.PAD.value, ContactBit.PAD_EDGE.value
 QPOS_DECK, QVEL_DECK = 7, 6  # where the deck's joints begin; the vehicle's free joint comes first
+QPOS, QVEL = QPOS_DECK + 4, QVEL_DECK + 4
 
 
 class BodyRecord(Record):
@@ -74,32 +80,31 @@ class DeckRecord(Record):
     across: float
 
 
-class Memory(NamedTuple):
-    """Where MuJoCo keeps what is exchanged every step.
+class MemoryRecord(Record):
+    """Addresses of what MuJoCo and we exchange every step; good as long as the ``World`` they are from."""
 
-    MuJoCo never moves these arrays. The memory is good as long as the ``World`` it came from.
-    """
-
-    qpos: F64
-    qvel: F64
-    applied: F64
-    contacts: I32  # number of contacts, one element
-    geoms: I32  # the contacts, see ``mujoco_step.Contacts``
-    place: F64
-    frame: F64
-    kinds: I64  # ``ContactBit`` of each geom
-    inertia: F64  # of the vehicle, kg m^2
-    model: int  # addresses
-    data: int
+    qpos: int
+    qvel: int
+    applied: int  # generalised forces
+    contacts: int  # see ``mujoco_step.Contacts``
+    contact_stride: int
+    geoms: int
+    place: int
+    frame: int
+    model: int
+    free_model: int  # without contacts
+    mj_data: int
+    kinds: Annotated[I64, GEOMS_MAX]  # ``ContactBit`` of each geom
+    inertia: Vector  # of the vehicle, kg m^2
 
 
 @jitted
-def deck_step(deck: DeckRecord, m: Memory) -> None:
+def deck_step(deck: DeckRecord, m: MemoryRecord) -> None:
     """Impose the deck's state on MuJoCo, then move it on by one step."""
     p, v = deck.position, deck.velocity
     px, py, pz = p[0], p[1], p[2]
     vx, vy, vz = v[0], v[1], v[2]
-    q, u = m.qpos, m.qvel
+    q, u = doubles(m.qpos, QPOS), doubles(m.qvel, QVEL)
     q[QPOS_DECK], q[QPOS_DECK + 1], q[QPOS_DECK + 2], q[QPOS_DECK + 3] = px, py, pz, deck.yaw
     u[QVEL_DECK], u[QVEL_DECK + 1], u[QVEL_DECK + 2], u[QVEL_DECK + 3] = vx, vy, vz, deck.rate
     p[0] = px + deck.along * vx - deck.across * vy
@@ -114,7 +119,8 @@ def deck_step(deck: DeckRecord, m: Memory) -> None:
 def physics_step(
     body: BodyRecord,
     deck: DeckRecord,
-    m: Memory,
+    reach: ReachRecord,
+    m: MemoryRecord,
     force: tuple[float, float, float],
     torque: tuple[float, float, float],
 ) -> bool:
@@ -123,6 +129,7 @@ def physics_step(
     Args:
         body: the vehicle, changed in place.
         deck: changed in place.
+        reach: of their shapes.
         m: MuJoCo's memory; its contacts are then those of the state the step began with.
         force: on the centre of mass, weight included, world frame, N.
         torque: body frame, N m.
@@ -130,33 +137,45 @@ def physics_step(
     Returns:
         Whether the vehicle is tumbled.
     """
+    model = m.free_model if apart(reach, body.position, deck.position) else m.model
     deck_step(deck, m)
+    qpos, qvel, applied = doubles(m.qpos, QPOS), doubles(m.qvel, QVEL), doubles(m.applied, QVEL)
     torque = midpoint_torque(m.inertia, body.rates, torque)
     for i in range(3):  # a free joint takes its force in the world frame and its torque in the body frame
-        m.applied[i], m.applied[3 + i] = force[i], torque[i]
-    mj_step(m.model, m.data)
-    half = 0.5 * STEP_S
-    if m.contacts[0] == 0:
-        x, y, z = m.qvel[3] - body.rates[0], m.qvel[4] - body.rates[1], m.qvel[5] - body.rates[2]
-        turn_back(m.qpos, half * x, half * y, half * z)
+        applied[i], applied[3 + i] = force[i], torque[i]
+    mj_step(model, m.mj_data)
+    half, free = 0.5 * STEP_S, contact_count(m) == 0
+    if free:
+        x, y, z = qvel[3] - body.rates[0], qvel[4] - body.rates[1], qvel[5] - body.rates[2]
+        turn_back(qpos, half * x, half * y, half * z)
     for i in range(3):
-        if m.contacts[0] == 0:
-            m.qpos[i] -= half * (m.qvel[i] - body.velocity[i])
-        body.position[i], body.velocity[i], body.rates[i] = m.qpos[i], m.qvel[i], m.qvel[3 + i]
+        if free:
+            qpos[i] -= half * (qvel[i] - body.velocity[i])
+        body.position[i], body.velocity[i], body.rates[i] = qpos[i], qvel[i], qvel[3 + i]
     for i in range(4):
-        body.quaternion[i] = m.qpos[3 + i]
+        body.quaternion[i] = qpos[3 + i]
     qx, qy = body.quaternion[1], body.quaternion[2]
     return bool(qx * qx + qy * qy > 0.5 * (1.0 - TUMBLE_COS))  # body z axis: 1 - 2 (qx^2 + qy^2)
 
 
 @jitted
-def touched(m: Memory) -> int:
+def contact_count(m: MemoryRecord) -> int:
+    """Number of contacts of the state the last step began with."""
+    return int(ints(m.contacts, 1)[0])
+
+
+@jitted
+def touched(m: MemoryRecord) -> int:
     """Contact bits of the state the last step began with."""
-    bits = 0
-    for i in range(m.contacts[0]):
-        kind = m.kinds[m.geoms[i, 0]] | m.kinds[m.geoms[i, 1]]
-        if kind == PAD and (abs(m.frame[i, 2]) < TOP_NORMAL or m.place[i, 2] < m.qpos[QPOS_DECK + 2] - RIM_M):
-            kind = PAD_EDGE
+    bits, pad_m = 0, doubles(m.qpos, QPOS)[QPOS_DECK + 2]
+    for i in range(contact_count(m)):
+        at = i * m.contact_stride
+        geoms = ints(m.geoms + at, 2)
+        kind = m.kinds[geoms[0]] | m.kinds[geoms[1]]
+        if kind == PAD:
+            normal_z, z = doubles(m.frame + at, 9)[2], doubles(m.place + at, 3)[2]
+            if abs(normal_z) < TOP_NORMAL or z < pad_m - RIM_M:
+                kind = PAD_EDGE
         bits |= kind
     return bits
 
@@ -175,12 +194,14 @@ class World:
         target: pad and robot shapes.
         body: where to keep the vehicle; None for a place of its own.
         deck: the same for the deck.
+        reach: the same for the reach of their shapes.
+        memory: the same for where MuJoCo's memory is.
     """
 
     __slots__ = (
-        "_deck", "_deck_position", "_deck_rate", "_deck_velocity", "_deck_yaw",
-        "_model", "_position", "_quaternion", "_rates",
-        "_velocity", "body", "data", "deck", "memory",
+        "_deck", "_deck_position", "_deck_rate", "_deck_velocity", "_deck_yaw", "_free_model",
+        "_model", "_position", "_qpos", "_quaternion", "_qvel", "_rates",
+        "_velocity", "body", "data", "deck", "memory", "reach",
     )  # fmt: skip
 
     def __init__(
@@ -190,16 +211,24 @@ class World:
         target: TargetSpec,
         body: BodyRecord | None = None,
         deck: DeckRecord | None = None,
+        reach: ReachRecord | None = None,
+        memory: MemoryRecord | None = None,
     ) -> None:
         self._model = model = mujoco.MjModel.from_xml_string(model_xml(params, mass_kg, target))
+        self._free_model = copy(model)
+        self._free_model.opt.disableflags |= NO_CONTACTS
         self.data = data = mujoco.MjData(model)
-        kinds = [int(KIND_OF_GEOM.get(model.geom(i).name, 0)) for i in range(model.ngeom)]
-        self.memory = Memory(
-            data.qpos, data.qvel, data.qfrc_applied, *contacts(model, data), np.array(kinds),
-            model.body("vehicle").inertia.copy(), model._address, data._address,
-        )  # fmt: skip
+        self.memory = m = new(MemoryRecord) if memory is None else memory
+        m.qpos, m.qvel, m.applied = map(address_of, (data.qpos, data.qvel, data.qfrc_applied))
+        m.contacts, m.contact_stride, m.geoms, m.place, m.frame = contacts(model, data)
+        m.model, m.free_model, m.mj_data = model._address, self._free_model._address, data._address
+        m.kinds[: model.ngeom] = [KIND_OF_GEOM.get(model.geom(i).name, 0) for i in range(model.ngeom)]
+        m.inertia[:] = model.body("vehicle").inertia
+        self._qpos, self._qvel = data.qpos, data.qvel
         self.body = new(BodyRecord) if body is None else body
         self.deck = new(DeckRecord) if deck is None else deck
+        self.reach = new(ReachRecord) if reach is None else reach
+        measure_reach(model, self.reach)
         b = self.body
         self._position, self._velocity = b.position, b.velocity
         self._quaternion, self._rates = b.quaternion, b.rates
@@ -219,8 +248,8 @@ class World:
         """Place the vehicle."""
         self._position[:], self._quaternion[:] = position, quaternion
         self._velocity[:], self._rates[:] = velocity, rates
-        self.memory.qpos[:QPOS_DECK] = (*position, *quaternion)
-        self.memory.qvel[:QVEL_DECK] = (*velocity, *rates)
+        self._qpos[:QPOS_DECK] = (*position, *quaternion)
+        self._qvel[:QVEL_DECK] = (*velocity, *rates)
 
     def set_deck(self, position: Vec3, yaw: float, velocity: Vec3, rate: float) -> None:
         """Place the deck; from here on it moves on an arc: body-frame speed, climb and turn rate constant."""
@@ -235,7 +264,7 @@ class World:
         Returns:
             Contact bits of the state the step began with.
         """
-        tumbled = physics_step(self.body, self.deck, self.memory, force, torque)
+        tumbled = physics_step(self.body, self.deck, self.reach, self.memory, force, torque)
         return self.contacts() | (ContactBit.TUMBLED.value if tumbled else 0)
 
     @property

@@ -22,7 +22,7 @@ import numpy as np
 from flightstack.types import Vec3
 from sim.firmware.setpoint import SensedState
 from sim.jit import jitted
-from sim.records import F64, Cell, Record, cell, new
+from sim.records import F64, Cell, Record, cell, new, reader, scalars
 
 FIRMWARE_STEP_S = 0.001
 ACCEL_XY_M_S2, ACCEL_Z_M_S2 = 0.5, 1.0  # procNoiseAcc_xy, procNoiseAcc_z
@@ -68,6 +68,9 @@ def yaw_gain(period_s: float) -> float:
     r = YAW_STD_RAD**2
     p = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))  # predicted variance
     return p / (p + r)
+
+
+Believed = tuple[Vec3, Vec3, tuple[float, float, float, float], Vec3, bool]
 
 
 class EstimatorRecord(Record):
@@ -124,9 +127,8 @@ def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
 
 
 @jitted
-def correct(estimator: Cell[EstimatorRecord], x: float, y: float, z: float, yaw: float) -> None:
+def correct(e: EstimatorRecord, x: float, y: float, z: float, yaw: float) -> None:
     """Take a motion-capture sample as if it were measured now."""
-    e = estimator[0]
     p, v = e.sensed.position, e.sensed.velocity
     rx, ry, rz = x - p[0], y - p[1], z - p[2]
     p[0], p[1], p[2] = p[0] + e.kp * rx, p[1] + e.kp * ry, p[2] + e.kp_z * rz
@@ -154,6 +156,11 @@ def turn_estimate(s: SensedState, dx: float, dy: float, dz: float) -> None:
     q[0], q[1], q[2], q[3] = w * scale, x * scale, y * scale, z * scale
 
 
+@jitted
+def _correct(estimator: Cell[EstimatorRecord], x: float, y: float, z: float, yaw: float) -> None:
+    correct(estimator[0], x, y, z, yaw)
+
+
 class Estimator:
     """Predict and correct. ``sensed`` holds the result, updated in place.
 
@@ -164,7 +171,7 @@ class Estimator:
         record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = ("_age_s", "_cell", "_position", "_quaternion", "_rates", "_velocity", "record", "sensed")
+    __slots__ = ("_age_s", "_cell", "_read", "record", "sensed")
 
     def __init__(
         self,
@@ -176,10 +183,8 @@ class Estimator:
         self.record = r = new(EstimatorRecord) if record is None else record
         self.sensed = s = r.sensed
         self._cell = cell(r)
-        self._age_s = self._cell["since_sample_s"]
-        self._position, self._velocity, self._quaternion, self._rates = (
-            s.position, s.velocity, s.quaternion, s.rates,
-        )  # fmt: skip
+        (self._age_s,) = scalars(r, "since_sample_s")
+        self._read = reader(s)
         r.kp, r.kv, accel = axis_gains(mocap_period_s, ACCEL_XY_M_S2, gravity_m_s2)
         r.kt = accel / gravity_m_s2
         r.kp_z, r.kv_z, r.kz = axis_gains(mocap_period_s, ACCEL_Z_M_S2, gravity_m_s2)
@@ -211,31 +216,12 @@ class Estimator:
 
     def correct(self, x: float, y: float, z: float, yaw: float) -> None:
         """Take a motion-capture sample, see ``correct``."""
-        correct(self._cell, x, y, z, yaw)
+        _correct(self._cell, x, y, z, yaw)
 
-    @property
-    def position(self) -> Vec3:
-        """ENU, m."""
-        x, y, z = self._position.tolist()
-        return (x, y, z)
-
-    @property
-    def velocity(self) -> Vec3:
-        """ENU, m/s."""
-        x, y, z = self._velocity.tolist()
-        return (x, y, z)
-
-    @property
-    def quaternion(self) -> tuple[float, float, float, float]:
-        """w, x, y, z; FLU body in ENU world."""
-        w, x, y, z = self._quaternion.tolist()
-        return (w, x, y, z)
-
-    @property
-    def rates(self) -> Vec3:
-        """Gyro, FLU, rad/s."""
-        x, y, z = self._rates.tolist()
-        return (x, y, z)
+    def believed(self) -> Believed:
+        """Position, velocity (ENU), quaternion (FLU in ENU), gyro (FLU), and whether samples still come."""
+        s = self._read()  # in the order of SensedState
+        return (s[:3], s[3:6], s[6:10], s[19:], self._age_s[0] < INNOVATION_AGE_MAX_S)
 
     @property
     def valid(self) -> bool:

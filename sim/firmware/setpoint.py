@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from flightstack.types import Vec3
 from sim.records import Axes, Quaternion, Record, Vector
 
 
-@dataclass(frozen=True, slots=True)
-class Setpoint:
+class Setpoint(NamedTuple):
     """A velocity in the world (ENU, m/s) with a yaw; ``stop`` means motors off (firmware: null set-point)."""
 
     vx: float = 0.0
@@ -19,23 +17,18 @@ class Setpoint:
     vz: float = 0.0
     yaw_rad: float = 0.0
     stop: bool = False
-    cos_yaw: float = field(init=False)
-    sin_yaw: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "cos_yaw", math.cos(self.yaw_rad))
-        object.__setattr__(self, "sin_yaw", math.sin(self.yaw_rad))
 
     def fields(self) -> tuple[float, float, float, float, bool, float, float]:
-        """All fields, as ``SetpointRecord`` has them."""
-        return (self.vx, self.vy, self.vz, self.yaw_rad, self.stop, self.cos_yaw, self.sin_yaw)
+        """All fields as ``SetpointRecord`` has them."""
+        vx, vy, vz, yaw_rad, stop = self
+        return (vx, vy, vz, yaw_rad, stop, math.cos(yaw_rad), math.sin(yaw_rad))
 
 
 STOP = Setpoint(stop=True)
 
 
 class SetpointRecord(Record):
-    """A ``Setpoint`` for compiled code; the same fields in the same order."""
+    """A ``Setpoint`` for compiled code, with the heading's cosine and sine."""
 
     vx: float
     vy: float

@@ -4,12 +4,18 @@ After firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated 
 requires arming. Left out: the checks before arming and the spin-up (they count as DISARMED), emergency stop
 and deck faults; what the firmware passes through on its way to DISARMED or LOCKED takes no time here. A
 disarm takes effect at once and also ends CRASHED, for which the firmware has a request of its own.
+
+Compiled code evaluates it in flight; there a state is its place in ``STATES`` and the table one of numbers.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum, IntFlag, auto
+
+import numpy as np
+
+from sim.jit import jitted
+from sim.records import Record, new, scalars
 
 PERIOD_MS = 40  # SUPERVISOR 25 Hz
 WARNING_MS = 500  # supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
@@ -72,31 +78,125 @@ TRANSITIONS: dict[State, tuple[tuple[Condition, State], ...]] = {
 }
 MOTORS_ALLOWED = frozenset({State.READY, State.FLYING, State.LEVEL_OUT, State.LANDED})
 
+STATES = tuple(State)
+_WIDEST = max(map(len, TRANSITIONS.values()))
+_NEVER = (Condition(0), State.DISARMED)  # fills the table's shorter rows: a condition that cannot hold
+_TABLE = np.array(
+    [
+        [(condition.value, STATES.index(to)) for condition, to in (*row, *[_NEVER] * (_WIDEST - len(row)))]
+        for row in map(TRANSITIONS.__getitem__, STATES)
+    ]
+)
+_ALLOWED = np.array([state in MOTORS_ALLOWED for state in STATES])
+_LEVEL_OUT = STATES.index(State.LEVEL_OUT)
+_FLYING, _NOT_FLYING = Condition.FLYING.value, Condition.NOT_FLYING.value
+_WARNING, _FRESH, _TIMEOUT = Condition.WARNING.value, Condition.FRESH.value, Condition.TIMEOUT.value
+_TUMBLED, _STAYED_READY = Condition.TUMBLED.value, Condition.STAYED_READY.value
+_STAYED_LANDED = Condition.STAYED_LANDED.value
+# stands for no time: not tilted
+_UPRIGHT = -1 << 62
 
-@dataclass(slots=True)
+
+class SupervisorRecord(Record):
+    """State and times, in milliseconds of simulated time."""
+
+    state: int
+    since_ms: int
+    motors_last_ms: int
+    tilted_since_ms: int
+    motors_allowed: bool
+    level: bool  # roll and pitch are held at zero; the vertical set-point stays (supervisor.c)
+
+
+@jitted
+def enter(s: SupervisorRecord, state: int, now_ms: int) -> None:
+    """Go to a state."""
+    s.state, s.since_ms = state, now_ms
+    s.motors_allowed, s.level = _ALLOWED[state], state == _LEVEL_OUT
+
+
+@jitted
+def tumbled(s: SupervisorRecord, now_ms: int, ax: float, ay: float, az: float) -> bool:
+    """Upside down counts from when it was tilted first (supervisor.c: isTumbledCheck)."""
+    if abs(ax) < FREE_FALL_G and abs(ay) < FREE_FALL_G and abs(az) < FREE_FALL_G:
+        s.tilted_since_ms = _UPRIGHT
+    if az >= TUMBLE_TILTED_G:
+        s.tilted_since_ms = _UPRIGHT
+        return False
+    if s.tilted_since_ms == _UPRIGHT:
+        s.tilted_since_ms = now_ms
+    lasts_ms = now_ms - s.tilted_since_ms
+    upside_down = az < TUMBLE_UPSIDE_DOWN_G and lasts_ms > TUMBLE_UPSIDE_DOWN_MS
+    return upside_down or lasts_ms > TUMBLE_TILTED_MS
+
+
+@jitted
+def supervise(
+    s: SupervisorRecord,
+    now_ms: int,
+    setpoint_age_ms: int,
+    motors_running: bool,
+    ax: float,
+    ay: float,
+    az: float,
+) -> None:
+    """Evaluate the transitions; call every ``PERIOD_MS`` with the accelerometer's reading in g."""
+    if motors_running:
+        s.motors_last_ms = now_ms
+    flying = now_ms - s.motors_last_ms < FLYING_HYSTERESIS_MS
+    holds = _FLYING if flying else _NOT_FLYING
+    holds |= _WARNING if setpoint_age_ms > WARNING_MS else _FRESH
+    if setpoint_age_ms > TIMEOUT_MS:
+        holds |= _TIMEOUT
+    if tumbled(s, now_ms, ax, ay, az):
+        holds |= _TUMBLED
+    stayed_ms = now_ms - s.since_ms
+    if stayed_ms > READY_TIMEOUT_MS:
+        holds |= _STAYED_READY
+    if stayed_ms > LANDED_TIMEOUT_MS:
+        holds |= _STAYED_LANDED
+    for i in range(_WIDEST):
+        if _TABLE[s.state, i, 0] & holds:
+            enter(s, _TABLE[s.state, i, 1], now_ms)
+            return
+
+
 class Supervisor:
-    """State machine; times in milliseconds of simulated time."""
+    """State machine; times in milliseconds of simulated time.
 
-    state: State = State.DISARMED
-    since_ms: int = 0
-    motors_last_ms: int = -FLYING_HYSTERESIS_MS - 1
-    tilted_since_ms: int | None = None
-    history: list[tuple[int, State]] = field(default_factory=list)
+    Args:
+        record: where to keep everything; None for a place of its own.
+    """
+
+    __slots__ = ("_allowed", "_state", "record")
+
+    def __init__(self, record: SupervisorRecord | None = None) -> None:
+        self.record = new(SupervisorRecord) if record is None else record
+        self._state, self._allowed = scalars(self.record, "state", "motors_allowed")
+        self.restart()
+
+    def restart(self) -> None:
+        """As after switching on."""
+        self._enter(State.DISARMED, 0)
+        self.record.motors_last_ms, self.record.tilted_since_ms = -FLYING_HYSTERESIS_MS - 1, _UPRIGHT
+
+    def _enter(self, state: State, now_ms: int) -> None:
+        enter(self.record, STATES.index(state), now_ms)
+
+    @property
+    def state(self) -> State:
+        """Present state."""
+        return STATES[int(self._state[0])]
 
     @property
     def motors_allowed(self) -> bool:
         """Whether the motors may turn."""
-        return self.state in MOTORS_ALLOWED
+        return bool(self._allowed[0])
 
-    @property
-    def level(self) -> bool:
-        """Whether roll and pitch are held at zero; the vertical set-point stays (supervisor.c)."""
-        return self.state is State.LEVEL_OUT
-
-    def enter(self, state: State, now_ms: int) -> None:
-        """Go to a state."""
-        self.state, self.since_ms = state, now_ms
-        self.history.append((now_ms, state))
+    def start_flying(self) -> None:
+        """Begin in the air at time zero."""
+        self.record.motors_last_ms = 0
+        self._enter(State.FLYING, 0)
 
     def arm(self, now_ms: int) -> str | None:
         """Arm; None if armed (already), else why not."""
@@ -104,49 +204,18 @@ class Supervisor:
             return None
         if self.state is not State.DISARMED:
             return str(self.state.value)
-        self.motors_last_ms = now_ms - FLYING_HYSTERESIS_MS - 1
-        self.tilted_since_ms = None
-        self.enter(State.READY, now_ms)
+        self.record.motors_last_ms = now_ms - FLYING_HYSTERESIS_MS - 1
+        self.record.tilted_since_ms = _UPRIGHT
+        self._enter(State.READY, now_ms)
         return None
 
     def disarm(self, now_ms: int) -> None:
         """Disarm at once. A locked vehicle stays locked."""
         if self.state is not State.DISARMED and self.state is not State.LOCKED:
-            self.enter(State.DISARMED, now_ms)
+            self._enter(State.DISARMED, now_ms)
 
     def update(
-        self, now_ms: int, setpoint_age_ms: int, motors_running: bool, accel_g: tuple[float, ...]
+        self, now_ms: int, setpoint_age_ms: int, motors_running: bool, accel_g: tuple[float, float, float]
     ) -> None:
-        """Evaluate the transitions; call every ``PERIOD_MS`` with the accelerometer's reading in g."""
-        if motors_running:
-            self.motors_last_ms = now_ms
-        flying = now_ms - self.motors_last_ms < FLYING_HYSTERESIS_MS
-        holds = Condition.FLYING if flying else Condition.NOT_FLYING
-        holds |= Condition.WARNING if setpoint_age_ms > WARNING_MS else Condition.FRESH
-        if setpoint_age_ms > TIMEOUT_MS:
-            holds |= Condition.TIMEOUT
-        if self._tumbled(now_ms, accel_g):
-            holds |= Condition.TUMBLED
-        stayed = now_ms - self.since_ms
-        if stayed > READY_TIMEOUT_MS:
-            holds |= Condition.STAYED_READY
-        if stayed > LANDED_TIMEOUT_MS:
-            holds |= Condition.STAYED_LANDED
-        for condition, state in TRANSITIONS[self.state]:
-            if condition & holds:
-                self.enter(state, now_ms)
-                return
-
-    def _tumbled(self, now_ms: int, accel_g: tuple[float, ...]) -> bool:
-        """Upside down counts from when it was tilted first (supervisor.c: isTumbledCheck)."""
-        ax, ay, az = accel_g
-        if abs(ax) < FREE_FALL_G and abs(ay) < FREE_FALL_G and abs(az) < FREE_FALL_G:
-            self.tilted_since_ms = None
-        if az >= TUMBLE_TILTED_G:
-            self.tilted_since_ms = None
-            return False
-        if self.tilted_since_ms is None:
-            self.tilted_since_ms = now_ms
-        lasts_ms = now_ms - self.tilted_since_ms
-        upside_down = az < TUMBLE_UPSIDE_DOWN_G and lasts_ms > TUMBLE_UPSIDE_DOWN_MS
-        return upside_down or lasts_ms > TUMBLE_TILTED_MS
+        """Do one ``supervise``."""
+        supervise(self.record, now_ms, setpoint_age_ms, motors_running, *accel_g)

@@ -19,28 +19,28 @@ CONTROL_MS = round(CONTROL_STEP_S / STEP_S)
 
 
 @njit
-def moves(vehicle, memory, calls):
+def moves(vehicle, calls):
     """Rotors, forces, MuJoCo."""
     for _ in range(calls):
-        move(vehicle[0], memory)
+        move(vehicle[0])
 
 
 @njit
-def controls(vehicle, memory, calls):
+def controls(vehicle, calls):
     """Velocity loop, attitude loop, mixer."""
     for _ in range(calls):
         control(vehicle[0].firmware, speed_limit(vehicle[0].battery))
 
 
 @njit
-def cushions(vehicle, memory, calls):
+def cushions(vehicle, calls):
     """Ground effect."""
     for _ in range(calls):
         cushion(vehicle[0])
 
 
 @njit
-def senses(vehicle, memory, calls):
+def senses(vehicle, calls):
     """IMU and the estimator's prediction."""
     for _ in range(calls):
         sense(vehicle)
@@ -55,16 +55,16 @@ KERNELS = {
 
 def cost_us(kernel, vehicle: VehicleSim) -> float:
     """Median cost of one call, microseconds; the state is put back every time."""
-    state, memory = vehicle._vehicle, vehicle._memory
-    kernel(state, memory, 0)
+    state, mujoco = vehicle._vehicle, vehicle._world.data
+    kernel(state, 0)
     vehicle._imu.top_up()
-    saved, qpos, qvel = state.copy(), memory.qpos.copy(), memory.qvel.copy()
+    saved, qpos, qvel = state.copy(), mujoco.qpos.copy(), mujoco.qvel.copy()
     times_s = []
     for _ in range(REPEATS):
         start_s = time.perf_counter()
-        kernel(state, memory, CALLS)
+        kernel(state, CALLS)
         times_s.append(time.perf_counter() - start_s)
-        state[:], memory.qpos[:], memory.qvel[:] = saved, qpos, qvel
+        state[:], mujoco.qpos[:], mujoco.qvel[:] = saved, qpos, qvel
     return statistics.median(times_s) / CALLS * 1e6
 
 

@@ -53,7 +53,7 @@ class FreePlant:
         if command is not None:
             self.record.firmware.commands[:] = command
         for _ in range(steps):
-            move(self.record, self.sim._memory)
+            move(self.record)
 
     @property
     def state(self):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.jit import jitted
-from sim.records import F64, Record, cell, layout, new
+from sim.records import F64, I64, Record, cell, layout, new, reader, scalars
 
 
 class Inner(Record):
@@ -51,6 +51,36 @@ def test_compiled_code_changes_the_same_memory():
     for _ in range(3):
         count(cell(outer))
     assert (int(outer.count), float(outer.inner.values[0])) == (3, 3.0)
+
+
+class Whole(Record):
+    counts: Annotated[I64, 2]
+    inner: Inner
+    last: int
+
+
+def test_whole_numbers_beyond_what_doubles_hold():
+    whole = new(Whole)
+    whole.counts[1] = (1 << 53) + 1
+    assert reader(whole)()[1] == (1 << 53) + 1
+
+
+def test_a_reader_gives_all_numbers_of_now_in_order():
+    whole = new(Whole)
+    read = reader(whole)
+    whole.counts[:], whole.inner.values[:], whole.last = (1, 2), (0.5, -0.0), 7
+    assert repr(read()) == "(1, 2, 0.5, -0.0, 0, 7)"
+    assert repr(reader(whole.inner)()) == "(0.5, -0.0, 0)"
+    assert repr(reader(whole.inner.values)()) == "(0.5, -0.0)"
+
+
+def test_scalars_read_and_write_the_record():
+    whole = new(Whole)
+    last, on = scalars(whole, "last")[0], scalars(whole.inner, "on")[0]
+    last[0], on[0] = 5, True
+    assert (int(whole.last), bool(whole.inner.on)) == (5, True)
+    whole.last = 6
+    assert last[0] == 6
 
 
 class Clash(Record):
