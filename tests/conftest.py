@@ -2,20 +2,62 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import hypothesis
 import pytest
+
+from tests.flight_suite.room import PERSONALITIES
 
 hypothesis.settings.register_profile("any machine", deadline=None)  # a busy one is no failure
 hypothesis.settings.load_profile("any machine")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--flights", type=int, default=1, metavar="N", help="fly each flight of a real client N times"
-    )
+    add = parser.addoption
+    add("--flights", type=int, default=1, metavar="N", help="fly each flight of a real client N times")
+    add("--vehicle", metavar="URL", help="fly this vehicle and no other: only the tests that can are run")
+    add("--target", default="cf1/target/odom", metavar="KEY", help="Zenoh key of its target's odometry")
+    add("--connect", action="append", default=[], metavar="ENDPOINT", help="Zenoh endpoint of the target")
+    add("--listen", metavar="ENDPOINT", help="Zenoh endpoint of the onboard process")
+    add("--config", type=Path, metavar="FILE", help="configuration of the onboard process")
+    add("--autopilot", default="px4", metavar="NAME", help="profile of the vehicle")
+    add("--system-id", type=int, default=1, metavar="N", help="of the vehicle")
+    add("--signing-key", type=Path, metavar="FILE", help="sign MAVLink with it")
+    add("--takeoff-height", type=float, default=0.5, metavar="M", help="height of the steps without a target")
+    add(
+        "--fence", type=float, nargs=2, default=(2.0, 4.0), metavar=("HEIGHT_M", "DISTANCE_M"),
+        help="a step beyond it ends, and the vehicle is brought down",
+    )  # fmt: skip
+    add("--arm-ok", action="store_true", help="the vehicle given may arm and fly: somebody watches it")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "vehicle: flies our simulated vehicle, or the one of --vehicle")
+    config.addinivalue_line("markers", "arms: not run on a vehicle that was given without --arm-ok")
+    config.addinivalue_line("markers", "simulated: needs the simulated room")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """A vehicle that was given is flown by the tests made for it, and armed only where that was allowed."""
+    if config.getoption("--vehicle") is None:
+        return
+    arm_ok = config.getoption("--arm-ok")
+
+    def runs(item: pytest.Item) -> bool:
+        marks = item.keywords
+        return "vehicle" in marks and "simulated" not in marks and (arm_ok or "arms" not in marks)
+
+    left_out = [item for item in items if not runs(item)]
+    items[:] = [item for item in items if runs(item)]
+    config.hook.pytest_deselected(items=left_out)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """A test with an argument ``flight_number`` is a whole flight and can be repeated."""
+    config = metafunc.config
     if "flight_number" in metafunc.fixturenames:
-        metafunc.parametrize("flight_number", range(metafunc.config.getoption("--flights")))
+        metafunc.parametrize("flight_number", range(config.getoption("--flights")))
+    if "personality" in metafunc.fixturenames:
+        mine = config.getoption("--vehicle") is None
+        metafunc.parametrize("personality", PERSONALITIES if mine else [config.getoption("--autopilot")])

@@ -1,0 +1,1 @@
+"""What the tests that fly any vehicle are made of."""

@@ -1,0 +1,112 @@
+"""The onboard process under watch: followed over Zenoh, and called off beyond the fence."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import time
+from collections.abc import Iterator
+
+from bridge import zenoh_link
+from flightstack.processes import Child
+from flightstack.types import Phase
+from flightstack.watch import News, Watch
+from tests.flight_suite.room import Room
+
+POLL_S = 0.02
+ABORT_MAX_S = 40.0  # from the abort to its end
+
+
+class Companion:
+    """One flight of ``flightstack onboard``.
+
+    Attributes:
+        said: its lines.
+        watch: its state as anybody may see it.
+    """
+
+    def __init__(self, room: Room, child: Child, watch: Watch) -> None:
+        self._room, self.child, self.watch = room, child, watch
+        self.said: list[str] = []
+        self._start: tuple[float, float, float] | None = None
+
+    def until(self, word: str, limit_s: float) -> None:
+        """Follow it until it says a word.
+
+        Raises:
+            AssertionError: it ended before, took too long, or left the fence; then it has been called off.
+        """
+        until_s = time.monotonic() + limit_s
+        while not any(word in line for line in self.said):
+            alive = self.child.alive()
+            self._look(POLL_S)
+            if not alive and not any(word in line for line in self.said):
+                raise AssertionError(f"ended before {word!r}: {self.said[-8:]} {self.child.errors()}")
+            why = self._trouble()
+            if time.monotonic() > until_s:
+                why = f"no {word!r} within {limit_s:g} s"
+            if why is not None:
+                self._call_off()
+                raise AssertionError(f"{why}; called off: {self.said[-8:]}")
+
+    def ended(self, limit_s: float) -> int:
+        """Follow it to its end; the exit status."""
+        until_s = time.monotonic() + limit_s
+        while self.child.alive():
+            self._look(POLL_S)
+            why = self._trouble()
+            if time.monotonic() > until_s:
+                why = f"no end within {limit_s:g} s"
+            if why is not None:
+                self._call_off()
+                raise AssertionError(f"{why}; called off: {self.said[-8:]}")
+        self._look(0.0)
+        return int(self.child.process.returncode)
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal."""
+        self.child.process.send_signal(number)
+
+    def _look(self, timeout_s: float) -> None:
+        self.said += self.child.lines(timeout_s)
+        self.watch.poll()
+
+    def _trouble(self) -> str | None:
+        step = self.watch.step
+        if step is None or self.watch.news is not News.FRESH or not step.own_valid:
+            return None  # what is not known here the process itself judges
+        if self._start is None:
+            self._start = step.own_position_enu_m
+        x, y, z = (a - b for a, b in zip(step.own_position_enu_m, self._start, strict=True))
+        fence = self._room.fence
+        if step.phase is not Phase.ABORT and (z > fence.height_m or math.hypot(x, y) > fence.distance_m):
+            return f"{math.hypot(x, y):.2f} m away, {z:.2f} m high: beyond {fence}"
+        return None
+
+    def _call_off(self) -> None:
+        """Ask for an abort; if that does not end, end the process: the vehicle's own fail-safe lands it."""
+        self.signal(signal.SIGINT)
+        until_s = time.monotonic() + ABORT_MAX_S
+        while self.child.alive() and time.monotonic() < until_s:
+            self._look(POLL_S)
+        self.child.end()
+
+
+@contextlib.contextmanager
+def companion(room: Room) -> Iterator[Companion]:
+    """Start the onboard process; on the way out it is ended."""
+    words = ["onboard", "--vehicle", room.url, "--target", room.target_key, "--config", str(room.config)]
+    words += ["--listen", room.listen, "--system-id", str(room.system_id), "--duration", "120"]
+    words += [word for endpoint in room.connect for word in ("--connect", endpoint)]
+    words += ["--signing-key", str(room.signing_key)] if room.signing_key else []
+    child = Child("onboard", words, room.folder)
+    session = None
+    try:
+        child.wait_ready()
+        session = zenoh_link.open_session([], [room.listen])
+        yield Companion(room, child, Watch(session, "cf1"))
+    finally:
+        child.end()
+        if session is not None:
+            session.close()

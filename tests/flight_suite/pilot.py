@@ -1,0 +1,179 @@
+"""A careful pilot: flies one step at a time over the companion's link, within limits of place and time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+
+from bridge.autopilots import profile
+from bridge.signing_key import load_key
+from bridge.vehicle import VehicleLink
+from flightstack.pacing import RealTimePacer
+from flightstack.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus
+from tests.flight_suite.room import Room
+
+RATE_HZ = 50
+STATE_AGE_MAX_S = 0.5
+HEARTBEAT_AGE_MAX_S = 3.5
+CONNECT_MAX_S = 60.0  # from boot, until the estimator knows where it is
+DOWN_MAX_S = 30.0  # from the end of a step until it stands with its motors off
+KILL_AFTER_S = 20.0  # of a landing that does not come to its end, once it is near the ground
+LOW_M = 0.1
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """A velocity and a heading."""
+
+    velocity_enu_m_s: Vec3
+    yaw_rad: float
+
+
+class Pilot:
+    """Use as a context: on the way out the vehicle is brought down, whatever happened.
+
+    Attributes:
+        link: companion's side of the vehicle link.
+        texts: what the vehicle said.
+        max_height_m: highest above the start so far.
+    """
+
+    def __init__(self, room: Room) -> None:
+        self._room = room
+        self.link = VehicleLink(
+            room.url, takeoff_height_m=room.takeoff_height_m, rate_hz=float(RATE_HZ),
+            profile=profile(room.autopilot), system_id=room.system_id,
+            signing_key=load_key(room.signing_key) if room.signing_key else None,
+        )  # fmt: skip
+        self._pacer = RealTimePacer(RATE_HZ)
+        self.now_s = 0.0
+        self.texts: list[str] = []
+        self.start_enu_m: Vec3 | None = None
+        self.max_height_m = 0.0
+
+    def __enter__(self) -> Pilot:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if self.link.status is not None and self.link.status.armed:
+                self.bring_down()
+        finally:
+            self.link.close()
+
+    @property
+    def own(self) -> OwnState:
+        """Newest state."""
+        assert self.link.own is not None, "no own state"
+        return self.link.own
+
+    @property
+    def status(self) -> VehicleStatus:
+        """Newest status."""
+        assert self.link.status is not None, "no status"
+        return self.link.status
+
+    @property
+    def height_m(self) -> float:
+        """Above the start."""
+        assert self.start_enu_m is not None, "not connected"
+        return self.own.position_enu_m[2] - self.start_enu_m[2]
+
+    def connect(self) -> None:
+        """Wait until heartbeat, state and landed state have come; where it is then is the start."""
+        self.watch("connect", self._known, CONNECT_MAX_S)
+        self.start_enu_m = self.own.position_enu_m
+
+    def _known(self) -> bool:
+        status = self.link.status
+        return status is not None and self.link.own is not None and status.landed is not Landed.UNKNOWN
+
+    def watch(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
+        """Ask for nothing and send no set-point until something holds; s that it took."""
+        return self._run(step, lambda: None, done, limit_s)
+
+    def ask(self, step: str, request: Request, done: Callable[[], bool], limit_s: float) -> float:
+        """Work towards a request."""
+        return self._run(step, lambda: self.link.command(request, self.now_s), done, limit_s)
+
+    def fly(self, step: str, velocity_enu_m_s: Vec3, done: Callable[[], bool], limit_s: float) -> float:
+        """Fly a velocity under our control."""
+        yaw_rad = self.own.yaw_rad
+
+        def work() -> None:
+            self.link.command(Request.EXTERNAL, self.now_s)
+            assert self.link.send_setpoint(Setpoint(velocity_enu_m_s, yaw_rad), self.now_s), "refused"
+
+        return self._run(step, work, done, limit_s)
+
+    def fly_for(self, step: str, velocity_enu_m_s: Vec3, time_s: float) -> None:
+        """Fly a velocity for so long."""
+        until_s = self.now_s + time_s
+        self.fly(step, velocity_enu_m_s, lambda: self.now_s >= until_s, time_s + 1.0)
+
+    def listen(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
+        """Send nothing at all, as when the companion is gone, until something holds."""
+        return self._run(step, lambda: None, done, limit_s, silent=True)
+
+    def take_off(self) -> None:
+        """Climb, then hold still under our set-points."""
+        enough_m = 0.8 * self._room.takeoff_height_m
+        self.ask("take off", Request.TAKEOFF, lambda: self.height_m > enough_m, 40.0)
+        self.fly("hand over", ZERO, lambda: self.status.mode is Mode.EXTERNAL, 10.0)
+
+    def bring_down(self) -> None:
+        """Land where it is; if that does not end, stop the motors once it is low."""
+        began_s = self.now_s
+
+        def work() -> None:
+            stuck = self.now_s - began_s > KILL_AFTER_S and self.height_m < LOW_M
+            self.link.command(Request.MOTORS_OFF if stuck else Request.LAND, self.now_s)
+
+        self._run("bring down", work, lambda: not self.status.armed, DOWN_MAX_S, fenced=False)
+
+    def _run(
+        self, step: str, work: Callable[[], None], done: Callable[[], bool], limit_s: float, *,
+        silent: bool = False, fenced: bool = True,
+    ) -> float:  # fmt: skip
+        began_s = self.now_s
+        while True:
+            self.now_s = self._pacer.wait().now_s
+            self.link.poll(self.now_s)
+            self.texts += [text for _, text in self.link.take_texts()]
+            if self.start_enu_m is not None:
+                self.max_height_m = max(self.max_height_m, self.height_m)
+            if done():
+                return self.now_s - began_s
+            why = self._trouble(began_s, limit_s) if fenced else None
+            if why is None and not fenced and self.now_s - began_s > limit_s:
+                raise AssertionError(f"{step}: not done within {limit_s:g} s; {self.texts[-5:]}")
+            if why is not None:
+                if self.start_enu_m is not None and not silent and self.status.armed:
+                    self.bring_down()
+                raise AssertionError(f"{step}: {why}; the vehicle said {self.texts[-5:]}")
+            work()
+            if not silent:
+                self.link.flush()
+
+    def _trouble(self, began_s: float, limit_s: float) -> str | None:
+        if self.now_s - began_s > limit_s:
+            return f"not done within {limit_s:g} s ({self.link.failed or 'nothing refused'})"
+        if self.start_enu_m is None:
+            return None
+        if self.link.failed:
+            return self.link.failed
+        if self.now_s - self.own.arrival_s > STATE_AGE_MAX_S:
+            return "no own state"
+        if self.now_s - self.status.arrival_s > HEARTBEAT_AGE_MAX_S:
+            return "no heartbeat"
+        x, y, _ = (a - b for a, b in zip(self.own.position_enu_m, self.start_enu_m, strict=True))
+        fence = self._room.fence
+        if self.height_m > fence.height_m:
+            return f"{self.height_m:.2f} m high, {fence.height_m:g} m allowed"
+        if math.hypot(x, y) > fence.distance_m:
+            return f"{math.hypot(x, y):.2f} m away, {fence.distance_m:g} m allowed"
+        return None

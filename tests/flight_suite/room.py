@@ -1,0 +1,113 @@
+"""Where the suite flies: our simulated vehicle and robot by default, or what the command line names."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from flightstack.processes import Child, Port
+from flightstack.strict_toml import dumps, to_table
+from sim.scenario import load
+
+SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that drives off
+PERSONALITIES = ("px4",)  # of our simulated vehicle
+
+
+@dataclass(frozen=True)
+class Fence:
+    """Beyond it a step ends, and the vehicle is brought down.
+
+    Attributes:
+        height_m: above the place where the step began.
+        distance_m: horizontal, from there.
+    """
+
+    height_m: float = 2.0
+    distance_m: float = 4.0
+
+
+@dataclass(frozen=True)
+class Room:
+    """Everything a step needs to know.
+
+    Attributes:
+        url: MAVLink URL of the vehicle.
+        autopilot: name of its profile.
+        target_key: Zenoh key of the target's odometry.
+        connect: Zenoh endpoints of the target.
+        listen: Zenoh endpoint of the onboard process.
+        config: its configuration.
+        folder: for output of processes.
+        fence: limits of place.
+        system_id: of the vehicle.
+        signing_key: for MAVLink; None: unsigned.
+        takeoff_height_m: how high the pilot climbs.
+        target: the simulated robot; None on hardware.
+        vehicle: the simulated vehicle; None on hardware.
+    """
+
+    url: str
+    autopilot: str
+    target_key: str
+    connect: tuple[str, ...]
+    listen: str
+    config: Path
+    folder: Path
+    fence: Fence = field(default_factory=Fence)
+    system_id: int = 1
+    signing_key: Path | None = None
+    takeoff_height_m: float = 0.5
+    target: Child | None = None
+    vehicle: Child | None = None
+
+
+@contextlib.contextmanager
+def simulated(folder: Path, personality: str) -> Iterator[Room]:
+    """Start vehicle and robot, in real time; ended whatever happens."""
+    scenario = load(SCENARIO)
+    config = folder / "onboard.toml"
+    config.write_text(dumps(to_table(scenario.onboard)))
+    ports, children = [Port(), Port()], []
+    target_at, onboard_at = (port.endpoint for port in ports)
+    common = ["--scenario", SCENARIO, "--seed", "1", "--duration", "300"]
+    try:
+        vehicle = Child(
+            "vehicle", ["vehicle", *common, "--connect", target_at, "--url", "udpin:127.0.0.1:0"], folder
+        )
+        children.append(vehicle)
+        target = Child("target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder)
+        children.append(target)
+        url = vehicle.wait_ready().replace("udpin", "udpout")
+        target.wait_ready()
+        yield Room(
+            url, personality, "cf1/target/odom", (target_at,), onboard_at, config, folder,
+            takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=vehicle,
+        )  # fmt: skip
+    finally:
+        for child in reversed(children):
+            child.end()
+        for port in ports:
+            port.close()
+
+
+@contextlib.contextmanager
+def given(config: pytest.Config, folder: Path) -> Iterator[Room]:
+    """The room that the command line names.
+
+    Raises:
+        pytest.UsageError: something is missing.
+    """
+    option = config.getoption
+    if option("--config") is None:
+        raise pytest.UsageError("--vehicle needs --config FILE: the configuration of the onboard process")
+    height_m, distance_m = option("--fence")
+    with contextlib.closing(Port()) as port:
+        yield Room(
+            option("--vehicle"), option("--autopilot"), option("--target"), tuple(option("--connect")),
+            option("--listen") or port.endpoint, option("--config"), folder, Fence(height_m, distance_m),
+            option("--system-id"), option("--signing-key"), option("--takeoff-height"),
+        )  # fmt: skip
