@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 import numpy as np
 
-from flightstack.safety_filter import FilterStatus
 from flightstack.types import Phase
 
 if TYPE_CHECKING:
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from logs.flight_data import Flight, Floats, Steps
 
 FLYING = (Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB)  # no contact, our set-points
-FILTERED = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
 _NS = 1e-9  # s
 
 
@@ -163,9 +161,12 @@ def _motion(flights: list[Flight]) -> Motion:
 
 def _tracking_error_m_s(steps: list[Steps]) -> float:
     """95 % of how much lower than wanted the vehicle flies while the filter guards it."""
+    from flightstack.safety_filter import FilterStatus  # not at the top: every verb would load the solver
+
+    filtered = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
     short = []
     for s in steps:
-        used = np.isin(s.filter_status, FILTERED) & np.isin(s.phase, (Phase.APPROACH, Phase.LAND))
+        used = np.isin(s.filter_status, filtered) & np.isin(s.phase, (Phase.APPROACH, Phase.LAND))
         used &= s.setpoint_sent & s.own_valid
         short.append((s.filtered_enu_m_s - s.own_velocity_enu_m_s)[used, 2])
     together = np.concatenate(short)

@@ -1,0 +1,28 @@
+"""Two hundred seeds of each tier meet its limits; ten thousand stand in docs/results.md."""
+
+import json
+
+import pytest
+
+from sim.campaign_tiers import LIMITS, Tier
+from tests.integration.test_campaign import campaign
+
+RUNS = 200
+
+
+@pytest.mark.parametrize("tier", list(Tier), ids=lambda tier: tier.value)
+def test_the_robust_filter_meets_the_limits(tmp_path, tier):
+    words = [tier.value, "--runs", RUNS, "--workers", 1, "--no-report", "--json"]
+    against = []
+    if LIMITS[tier].slower_max is not None:
+        campaign(*words, "--filter", "paper", "--out", tmp_path / "paper")
+        against = ["--against", tmp_path / "paper"]
+    done = campaign(
+        *words, "--filter", "robust", "--out", tmp_path / "robust", "--require", tier.value, *against,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    told = json.loads(done.stdout.strip().splitlines()[-1])
+    assert told["runs"] == RUNS == told["landed"] + told["declared_aborts"]
+    # what 200 runs can show, and no more
+    assert told["upper_95_violation_rate"] >= 1.0 - 0.05 ** (1.0 / RUNS) - 1e-9
