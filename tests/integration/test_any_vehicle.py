@@ -17,6 +17,7 @@ import pytest
 from flightstack.types import ZERO, Landed, Mode, Request
 from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
+from tests.flight_suite.radio import Radio
 from tests.flight_suite.room import Fence, given, simulated
 from tests.integration.runs import WALL_MAX_S
 from tests.integration.sim_processes import ROOT
@@ -24,6 +25,7 @@ from tests.integration.sim_processes import ROOT
 pytestmark = pytest.mark.vehicle
 SAFE_S = 2.0  # from the loss of a part to a safe state
 GUIDED_TIMEOUT_S = 4.0  # ArduPilot holds still GUID_TIMEOUT = 3 s after the last set-point
+HEARTBEAT_LOST_S = 3.0  # it comes once a second, and two may be lost
 SLOW_M_S = 0.15  # a vehicle that holds still
 HOLD_M = 0.3  # that it may drift in five seconds
 STEP_M_S, STEP_S = 0.3, 2.0
@@ -156,6 +158,19 @@ def test_a_target_that_falls_silent_is_left_alone(room, phase):
         room.target.process.kill()
         flying.until("-> HOLD", SAFE_S)
         assert flying.ended(FLIGHT_MAX_S) == 1
+    assert down(room)
+
+
+@pytest.mark.simulated
+@pytest.mark.parametrize("phase", ["TAKEOFF", "APPROACH", "LAND"])
+def test_a_cut_radio_leaves_a_safe_vehicle(room, phase):
+    with Radio(room.url) as radio, companion(replace(room, url=radio.url)) as flying:
+        flying.until(f"-> {phase}", FLIGHT_MAX_S)
+        radio.cut()
+        with Pilot(room) as pilot:
+            pilot.connect()
+            pilot.watch("safe state", lambda: safe(pilot), SAFE_S)
+        flying.until("-> ABORT", HEARTBEAT_LOST_S + SAFE_S)
     assert down(room)
 
 
