@@ -1,6 +1,6 @@
-"""Every scenario flown in lockstep with ten seeds and replayed from its log: all must be equal, to the bit.
+"""Scenarios (default: all) flown in lockstep with ten seeds and replayed from its log: all must be equal, to the bit.
 
-python -m tests.benchmarks replay [SEEDS]
+python -m tests.benchmarks replay [SEEDS [SCENARIO ...]]
 """
 
 import json
@@ -64,7 +64,7 @@ def main() -> None:
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 10
     print(f"inputs of a tick: {pack_us():.1f} us to pack (limit 5)")
     unequal = 0
-    for scenario in names():
+    for scenario in sys.argv[2:] or names():
         text, count = row(scenario, seeds)
         unequal += count
         print(text, flush=True)
