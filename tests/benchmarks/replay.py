@@ -1,4 +1,4 @@
-"""Scenarios (default: all) flown in lockstep with ten seeds and replayed from its log: all must be equal, to the bit.
+"""Scenarios (default: all) flown in lockstep with ten seeds and replayed from the log: equal to the bit.
 
 python -m tests.benchmarks replay [SEEDS [SCENARIO ...]]
 """
