@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from flightstack.types import Vec3
 
 E = math.e
+_BEND_MOST = math.exp(-3.0)  # of (x - 2) exp(-x), at x = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +81,30 @@ class Barrier:
     def h(self, e_m: Vec3) -> float:
         """Barrier value in metres at the relative position ``e_m`` (eq. 9)."""
         return e_m[2] - self.height(math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]))
+
+    def missed_m(self, e_m: Vec3, moved_m: float) -> float:
+        """Most that h may lie below its linear prediction after a horizontal motion from ``e_m``.
+
+        The prediction is that of ``evaluate``, whose gradient is short by c = d / r, r the smoothed length.
+        A motion that changes d by D and goes R outwards misses by ``b'(d) (D - c R) + b'' D^2 / 2`` at most.
+        D - c R is largest where the motion ends at the distance r, if it reaches that; b'' at 3 / alpha
+        (docs/robust_filter.md).
+
+        Args:
+            e_m: relative position the motion begins at.
+            moved_m: its horizontal length, in any direction.
+        """
+        d2 = e_m[0] * e_m[0] + e_m[1] * e_m[1]
+        d, r = math.sqrt(d2), math.sqrt(d2 + self.smoothing_m * self.smoothing_m)
+        gap = r - d
+        if moved_m <= gap:
+            turned = moved_m * gap / r  # straight out
+        elif moved_m < r + d:
+            turned = (gap * gap + moved_m * moved_m) / (2.0 * r)
+        else:
+            turned = moved_m * (1.0 + d / r) - 2.0 * d  # straight across the axis
+        bend_1_m = self.alpha_1_m * self.alpha_1_m * self.beta_m * _BEND_MOST
+        return abs(self.slope(d)) * turned + 0.5 * bend_1_m * moved_m * moved_m
 
     def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
         """Barrier value, gradient with respect to the vehicle's position, and time derivative (eq. 9, 10).

@@ -59,7 +59,6 @@ def _robust(config: FlightConfig) -> list[Check]:
         robust.climb(config, x),
         robust.slew(config, x),
         robust.holds(config, x),
-        robust.gate(config, x),
         robust.estimator(config, x),
         touchdown.damping(config, x),
         touchdown.drift(config, x),

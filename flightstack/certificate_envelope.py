@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from flightstack.barrier import Barrier
 from flightstack.certificate_bound import Span
@@ -35,7 +36,9 @@ class Extremes:
         target_acceleration_m_s2: horizontal.
         heave_acceleration_m_s2: vertical; 0 for a target that does not heave.
         slip_m_s: horizontal speed against the target while it is followed.
-        position_error_m: of vehicle minus target on an axis, with the factor that is covered.
+        position_error_m: of vehicle minus target, horizontally, with the factor that is covered.
+        height_error_m: the same upwards.
+        growth_m: of the margin from one sample of the target to the next.
         velocity_error_m_s: of the target's estimated velocity on an axis, likewise.
         lag_xy_s, lag_z_s: slowest vehicle of the spread.
     """
@@ -51,6 +54,8 @@ class Extremes:
     heave_acceleration_m_s2: float
     slip_m_s: float
     position_error_m: float
+    height_error_m: float
+    growth_m: float
     velocity_error_m_s: float
     lag_xy_s: float
     lag_z_s: float
@@ -61,8 +66,9 @@ def extremes(config: FlightConfig) -> Extremes:
     barrier, robust, loop = config.barrier.build(), config.robust, config.velocity_loop
     law = RobustLaw(config, barrier)
     envelope, pad_radius_m = config.envelope, config.touchdown.pad_radius_m
-    usual, lost = estimate_errors(config.target, envelope.target_rate_hz, config.checks.target_age_max_s)
-    near, far = (_margin_m(law, motion.position_sigma_m) for motion in (usual, lost))
+    errors = estimate_errors(config.target, envelope.target_rate_hz, config.checks.target_age_max_s)
+    fresh, near, far = (_margin_m(law, motion) for motion in errors)
+    usual, own_m = errors.usual, config.own.position_noise_m
     vx, vy, _ = config.limits.velocity_max_m_s
     acceleration = envelope.target_acceleration_max_m_s2
     velocity_error = robust.sigma_factor * usual.velocity_sigma_m_s
@@ -79,28 +85,36 @@ def extremes(config: FlightConfig) -> Extremes:
         heave_acceleration_m_s2=acceleration if envelope.target_climb_max_m_s > 0.0 else 0.0,
         # the set-point's lead takes out the lag that is told; where the vehicle differs remains
         slip_m_s=envelope.lag_spread * loop.lag_xy_s * acceleration + velocity_error,
-        position_error_m=robust.sigma_factor
-        * math.hypot(usual.position_sigma_m, config.own.position_noise_m),
+        position_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_m, own_m),
+        height_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_z_m, own_m),
+        growth_m=near - fresh,
         velocity_error_m_s=velocity_error,
         lag_xy_s=slower * loop.lag_xy_s,
         lag_z_s=slower * loop.lag_z_s,
     )
 
 
-def _margin_m(law: RobustLaw, target_sigma_m: float) -> float:
+def _margin_m(law: RobustLaw, motion: TargetMotion) -> float:
     """Margin the filter takes at this uncertainty; asked of the filter itself."""
-    target = TargetState(0.0, ZERO, ZERO, 0.0, target_sigma_m)
+    target = TargetState(0.0, ZERO, ZERO, 0.0, motion.position_sigma_m, motion.position_sigma_z_m)
     held = law.held(View(Inputs(), target, True, True, True, None))
     assert isinstance(held, RobustBarrier)
     return held.margin_m
 
 
-def estimate_errors(link: TargetLink, rate_hz: float, age_max_s: float) -> tuple[TargetMotion, TargetMotion]:
+class Errors(NamedTuple):
+    """Standard deviations of the target's estimate, at three ages of its newest sample."""
+
+    fresh: TargetMotion  # its delay: just arrived
+    usual: TargetMotion  # its delay and a period: the next one arrives
+    lost: TargetMotion  # the age limit: just not lost
+
+
+def estimate_errors(link: TargetLink, rate_hz: float, age_max_s: float) -> Errors:
     """Standard deviations of the target's estimate: usually at worst, and when it is almost lost.
 
     The estimator's covariance does not depend on what is measured, so running it on zeros gives it exactly.
-    Usually the newest sample is as old as its delay and one period; almost lost means the age limit, at the
-    very first sample (when least is known) or later.
+    Almost lost is the worse of the very first sample (when least is known) and a later one, on each axis.
     """
     estimator, period_s = TargetEstimator(link), 1.0 / rate_hz
     first: TargetMotion | None = None
@@ -110,6 +124,11 @@ def estimate_errors(link: TargetLink, rate_hz: float, age_max_s: float) -> tuple
             first = estimator.at(age_max_s)
     assert first is not None
     newest_s = estimator.memory.time_s
+    fresh = estimator.at(newest_s + min(age_max_s, link.delay_s))
     usual = estimator.at(newest_s + min(age_max_s, link.delay_s + period_s))
     later = estimator.at(newest_s + age_max_s)
-    return usual, max(first, later, key=lambda motion: motion.position_sigma_m)
+    lost = later._replace(
+        position_sigma_m=max(first.position_sigma_m, later.position_sigma_m),
+        position_sigma_z_m=max(first.position_sigma_z_m, later.position_sigma_z_m),
+    )
+    return Errors(fresh, usual, lost)

@@ -17,10 +17,8 @@ from flightstack.certificate_paper import shortfall
 from flightstack.certificate_shape import Shape
 from flightstack.certificate_types import Check, Need
 from flightstack.config import FlightConfig
-from flightstack.gate import CURVATURE_TOLERANCE_M
 
 HELD_M = 0.005  # m below the boundary outside the pad that are not called a violation
-APEX_RADII = 8.0  # of the smoothing: nearer the gate allows for the slope left out
 
 
 def rate(config: FlightConfig, x: Extremes) -> Check:
@@ -141,7 +139,7 @@ def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     """How far below zero h may fall outside the pad, and where.
 
     What the margin lacks there (it fades towards the pad, and is sized for the slope at the pad's edge), plus
-    what is lost between two ticks.
+    what is lost between two ticks and between two samples of the target.
     """
     robust, held_m = config.robust, x.usual.margin_m.low
     kept_m = robust.tracking_error_m_s / robust.rate_1_s
@@ -150,10 +148,11 @@ def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
         slope = Shape(x.barrier, Span(0.0, 0.0), x.usual.fade_radius_m).slope(d)
         steep = max(abs(slope.low), abs(slope.high))
         fade = math.exp(-((d.low / robust.fade_radius_m) ** 2))
-        return 1000.0 * (kept_m + x.position_error_m * math.hypot(steep, 1.0) - held_m * (1.0 - fade))
+        error_m = math.hypot(steep * x.position_error_m, x.height_error_m)
+        return 1000.0 * (kept_m + error_m - held_m * (1.0 - fade))
 
     lack = outside(x, lacking)  # mm
-    return 1e-3 * max(0.0, lack.bound) + between_ticks_m(config, x), lack.at[0]
+    return 1e-3 * max(0.0, lack.bound) + between_ticks_m(config, x) + x.growth_m, lack.at[0]
 
 
 def holds(config: FlightConfig, x: Extremes) -> Check:
@@ -167,30 +166,6 @@ def holds(config: FlightConfig, x: Extremes) -> Check:
         f"margin {1000.0 * x.usual.margin_m.low:.3g} mm, at {where:.3g} m; h > {-1000.0 * depth:.3g} mm",
         "lower robust.fade_radius_m, robust.acceleration_max_m_s2 or limits.velocity_max_m_s, or raise "
         "loop.rate_hz",
-        Need.PROOF,
-    )
-
-
-def gate(config: FlightConfig, x: Extremes) -> Check:
-    """The gate's look at the next sample does not refuse what the filter may ask for."""
-    period_s, landing = 1.0 / config.loop.rate_hz, config.robust.gain_1_s
-    near = APEX_RADII * x.barrier.smoothing_m
-
-    def missed(d: Span) -> float:
-        inward = (
-            x.box_speed_m_s if math.isinf(d.high) else min(x.box_speed_m_s, landing * d.high + x.slip_m_s)
-        )
-        bend = max(0.0, x.shape.curvature_1_m(d).high) * inward**2 + x.shape.turn_1_m(d) * x.slip_m_s**2
-        return 500.0 * bend * period_s**2  # mm
-
-    worst = most(lambda cell: missed(cell[0]), lambda at: missed(Span(at[0], at[0])), (Span(near, math.inf),))
-    return Check(
-        "gate",
-        "the gate's check of the next sample passes what the filter asks for, while the target is followed",
-        CURVATURE_TOLERANCE_M - 1e-3 * worst.bound,
-        "m",
-        f"at {worst.at[0]:.3g} m a tick bends away {worst.bound:.3g} mm",
-        "raise loop.rate_hz or lower limits.velocity_max_m_s",
         Need.PROOF,
     )
 

@@ -71,7 +71,7 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
     # the boundary rises out to its peak, the margin everywhere
     ring = min(d, x.barrier.peak_distance_m)
     floor = x.barrier.height(ring) + x.usual.margin_m.high * fade
-    hover = floor + config.velocity_loop.lag_z_s * robust.tracking_error_m_s + x.position_error_m
+    hover = floor + config.velocity_loop.lag_z_s * robust.tracking_error_m_s + x.height_error_m
     return [
         Check(
             "commit height",
@@ -84,7 +84,7 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
         Check(
             "wait height",
             "it waits below the height from which it may go down",
-            robust.commit_height_m - robust.wait_height_m - x.position_error_m,
+            robust.commit_height_m - robust.wait_height_m - x.height_error_m,
             "m",
             f"waits at {robust.wait_height_m:g} m, may go down from {robust.commit_height_m:g} m",
             "raise robust.commit_height_m or lower robust.wait_height_m",
@@ -92,7 +92,7 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
         Check(
             "touch height",
             "a vehicle standing on the pad is below the height at which a stopped descent is contact",
-            robust.touch_height_m - config.touchdown.feet_below_reference_m - x.position_error_m,
+            robust.touch_height_m - config.touchdown.feet_below_reference_m - x.height_error_m,
             "m",
             f"found {robust.touch_height_m:g}, it stands at {config.touchdown.feet_below_reference_m:g} m",
             "raise robust.touch_height_m",
@@ -111,7 +111,7 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
 def descent_time_s(config: FlightConfig, x: Extremes) -> float:
     """Longest time from the decision to contact."""
     robust = config.robust
-    way = robust.commit_height_m - config.touchdown.feet_below_reference_m + x.position_error_m
+    way = robust.commit_height_m - config.touchdown.feet_below_reference_m + x.height_error_m
     speed = robust.descent_m_s - robust.tracking_error_m_s
     return way / speed + x.lag_z_s if speed > 0.0 else math.inf
 

@@ -37,7 +37,6 @@ class View(NamedTuple):
     link_ok: bool
     e_m: Vec3 | None  # vehicle minus landing spot, if both are known
     follows: bool = True  # the vehicle flies what it is told
-    now_s: float = math.nan
 
 
 def view(
@@ -67,7 +66,7 @@ def view(
     if own is not None and target is not None:
         p, q = own.position_enu_m, target.position_enu_m
         e_m = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
-    return View(inputs, target, own_ok, target_ok, link_ok, e_m, follows, now_s)
+    return View(inputs, target, own_ok, target_ok, link_ok, e_m, follows)
 
 
 def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:

@@ -16,6 +16,7 @@ from flightstack.barrier import Barrier
 from flightstack.robust_config import Envelope, OwnStateLink, Robust, TargetLink, VelocityLoop
 from flightstack.strict_toml import ConfigError, Range, from_table, read_toml
 from flightstack.types import Vec3
+from flightstack.vehicle_config import VehicleSide
 
 
 class FilterKind(Enum):
@@ -156,6 +157,7 @@ class FlightConfig:
     own: OwnStateLink = field(default_factory=OwnStateLink)
     target: TargetLink = field(default_factory=TargetLink)
     envelope: Envelope = field(default_factory=Envelope)  # what `check` proves it for
+    vehicle: VehicleSide = field(default_factory=VehicleSide)
 
     def __post_init__(self) -> None:
         peak = self.barrier.build().peak_height_m
@@ -167,6 +169,25 @@ class FlightConfig:
         offset = self.takeoff.start_offset_m
         if offset is not None and not all(map(math.isfinite, offset)):
             raise ConfigError(f"takeoff.start_offset_m: found {offset}, finite numbers are needed")
+        if self.filter is FilterKind.ROBUST:
+            self._check_robust()
+
+    def _check_robust(self) -> None:
+        loop, rate_hz = self.velocity_loop, self.loop.rate_hz
+        most_1_s = loop.rate_max_1_s(1.0 / rate_hz)
+        for key, found_1_s in (("rate_xy_1_s", loop.rate_xy_1_s), ("rate_z_1_s", loop.rate_z_1_s)):
+            if not found_1_s < most_1_s:
+                raise ConfigError(
+                    f"velocity_loop.{key}: found {found_1_s:g}; with velocity_loop.damping {loop.damping:g} "
+                    f"and loop.rate_hz {rate_hz} the model of the loop is stable below {most_1_s:.4g} 1/s: "
+                    "lower it, or raise loop.rate_hz"
+                )
+        fade_m, pad_m = self.robust.fade_radius_m, self.touchdown.pad_radius_m
+        if fade_m > pad_m:
+            raise ConfigError(
+                f"robust.fade_radius_m: found {fade_m:g}, allowed is at most the pad's radius, {pad_m:g} m, "
+                "where the margin has to be there: lower it"
+            )
 
 
 def load(path: Path) -> FlightConfig:

@@ -124,6 +124,8 @@ class Controller:
             command_failed: the bridge gave up on a requested mode.
         """
         memory, law, plausibility = self.memory, self._law, self.plausibility
+        if inputs.own is not None and not inputs.own.is_finite:  # it would stay in every memory
+            inputs = Inputs(None, inputs.status, inputs.target_samples, inputs.operator)
         self.track.memory.settled = memory.phase is not Phase.WAIT
         events = self._take_samples(inputs)
         target = law.target(self.track, now_s)
@@ -144,6 +146,10 @@ class Controller:
         change = next_phase(memory.phase, word)
         if change is not None:
             events.append(self._enter(*change, word, now_s))
+        elif word & Condition.EMERGENCY and memory.phase is Phase.ABORT:
+            if memory.abort_way is not AbortWay.MOTORS_OFF:
+                events.append(Event(ERROR, "ABORT: emergency stop (motors off)"))
+            memory.abort_way = AbortWay.MOTORS_OFF
         asked = wish(Situation(self.config, self.barrier, memory, seen))
         barrier = self._evaluate(asked, seen)
         gate, setpoint, wanted = self._command(asked, seen, barrier)
@@ -181,6 +187,8 @@ class Controller:
         if phase is Phase.ABORT:
             memory.abort_way = self._abort_way(word)
             text += f" ({memory.abort_way.name.lower().replace('_', ' ')})"
+        if phase is Phase.TOUCHDOWN:  # what an earlier descent had begun to see
+            memory.contact_since_s = memory.stopped_since_s = math.inf
         memory.phase, memory.phase_since_s, memory.reason = phase, now_s, reason
         return Event(ERROR if phase is Phase.ABORT else WARN if phase is Phase.HOLD else INFO, text)
 
@@ -192,6 +200,8 @@ class Controller:
             return AbortWay.HANDS_OFF
         if not word & c.ARMED:  # disarmed in the air: one of the two is not true
             return AbortWay.HANDS_OFF if word & c.STANDING else AbortWay.LAND_HERE
+        if word & c.STANDING:  # what stands is not flown clear
+            return AbortWay.LAND_HERE
         if word & c.WAS_EXTERNAL and not word & c.EXTERNAL and not word & c.LINK_LOST:
             return AbortWay.HANDS_OFF
         if word & _NOT_FLOWN_BY_US or memory.target_position_enu_m is None:

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
-from flightstack.safety_filter import FilterStatus
+from flightstack.safety_filter import RESIDUAL_MAX_M_S, FilterStatus
 from flightstack.types import Vec3
 
 _KEY = object()
 BOX_TOLERANCE_M_S = 1e-9
-CURVATURE_TOLERANCE_M = 1e-3  # what one sample of 10 ms may miss the linear prediction by, away from the apex
+_RESULTS = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE)
+SOLVER_TOLERANCE_M_S = 2.0 * RESIDUAL_MAX_M_S  # what a result of the filter may miss the barrier by; rounding
 
 
 class GateVerdict(IntEnum):
@@ -33,30 +34,36 @@ class GateVerdict(IntEnum):
 
 
 class ApprovedSetpoint:
-    """A velocity that passed the gate in this tick."""
+    """A velocity that passed the gate in this tick; nobody writes into it afterwards."""
 
     __slots__ = ("velocity_enu_m_s", "yaw_rad")
+    velocity_enu_m_s: Vec3
+    yaw_rad: float
 
     def __init__(self, key: object, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
         if key is not _KEY:
             raise TypeError("an ApprovedSetpoint is made by the gate only")
-        self.velocity_enu_m_s = velocity_enu_m_s
-        self.yaw_rad = yaw_rad
+        _fill(self, "velocity_enu_m_s", velocity_enu_m_s)
+        _fill(self, "yaw_rad", yaw_rad)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"an ApprovedSetpoint is not changed: {name} = {value!r} is not approved")
+
+    def __delattr__(self, name: str) -> None:
+        raise AttributeError(f"an ApprovedSetpoint is not changed: {name} stays")
+
+
+_fill = object.__setattr__
 
 
 class HeldBarrier(Protocol):
     """What the gate asks of a barrier."""
 
-    @property
-    def smoothing_m(self) -> float:
-        """Radius of the apex within which the filter's gradient fades."""
-
-    @property
-    def slope_max(self) -> float:
-        """Steepest slope of the boundary."""
-
     def h(self, e_m: Vec3) -> float:
         """Value at a relative position."""
+
+    def missed_m(self, e_m: Vec3, moved_m: float) -> float:
+        """How far h may lie below what the gradient says, after a horizontal motion of this length."""
 
 
 class BarrierCheck(NamedTuple):
@@ -142,17 +149,23 @@ class Gate:
         return GateVerdict.APPROVED
 
     def _keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
-        """The next h by the kinematic model is what eq. 1 promised, evaluated without derivatives."""
-        if check.status is FilterStatus.INFEASIBLE:
-            return True  # nothing better is in the box
-        if check.status not in (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM):
+        """The next h by the kinematic model is what eq. 1 promised, evaluated without derivatives.
+
+        The promise is linear; a result of the filter that keeps it may miss by the boundary's bend and by the
+        slope that the gradient leaves out at the apex, and by no more (docs/robust_filter.md).
+        """
+        if check.status not in _RESULTS:
             return False
         t = self.period_s
         (ex, ey, ez), (tx, ty, tz), (vx, vy, vz) = check.e_m, check.target_velocity_enu_m_s, velocity
         now = check.barrier.h(check.e_m)
         then = check.barrier.h((ex + (vx - tx) * t, ey + (vy - ty) * t, ez + (vz - tz) * t))
-        tolerance = CURVATURE_TOLERANCE_M
-        if ex * ex + ey * ey < (8.0 * check.barrier.smoothing_m) ** 2:
-            # by the apex the filter's gradient is smoothed: allow the slope it left out
-            tolerance += check.barrier.slope_max * t * math.hypot(vx - tx, vy - ty)
-        return then >= now * (1.0 - self.omega_1_s * t) - tolerance
+        if not math.isfinite(now + then):
+            return False
+        if check.status is FilterStatus.INFEASIBLE:
+            return True  # nothing better is in the box
+        missing_m = now * (1.0 - self.omega_1_s * t) - then - SOLVER_TOLERANCE_M_S * t
+        # mostly there is nothing to allow for
+        return missing_m <= 0.0 or missing_m <= check.barrier.missed_m(
+            check.e_m, math.hypot(vx - tx, vy - ty) * t
+        )

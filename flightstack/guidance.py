@@ -12,7 +12,7 @@ from flightstack.config import FilterKind, FlightConfig, TouchdownRule
 from flightstack.memory import AbortWay, Memory
 from flightstack.position_loop import limit, nominal_velocity
 from flightstack.target_track import TargetState
-from flightstack.types import ZERO, Landed, Phase, Request, Vec3
+from flightstack.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
 LEVEL_FIRST_M = 0.1  # fly sideways to the start only at its height
 DESCENT_M_S = 0.2  # relative to the pad, the last centimetres to contact (paper filter)
@@ -128,6 +128,12 @@ _DESCENT: dict[FilterKind, Callable[[Situation, TargetState, Vec3], Wish]] = {
 }
 
 
+def _landed(s: Situation) -> Wish:
+    """Nothing; but an emergency stop is obeyed, in case the heartbeat did not tell the truth."""
+    emergency = s.seen.inputs.operator is Operator.EMERGENCY_STOP
+    return Wish(Request.MOTORS_OFF if emergency else Request.NONE)
+
+
 def _hold(s: Situation) -> Wish:
     """Stand still; with an estimator: up, and on with a target that was followed until a moment ago.
 
@@ -183,7 +189,7 @@ _PHASES: dict[Phase, Callable[[Situation], Wish]] = {
     Phase.APPROACH: _land,
     Phase.LAND: _land,
     Phase.TOUCHDOWN: _touchdown,
-    Phase.LANDED: lambda _: Wish(Request.NONE),
+    Phase.LANDED: _landed,
     Phase.HOLD: _hold,
     Phase.CLIMB: _climb,
     Phase.ABORT: lambda s: _ABORT[s.memory.abort_way](s),

@@ -140,18 +140,23 @@ class RobustLaw:
         self._estimator.update(sample.source_time_s, sample.position_enu_m, sample.velocity_enu_m_s)
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState | None:
-        """Estimate carried on to now; the shortest delay, which no clock shows, is a parameter."""
+        """Estimate carried on to now; the shortest delay, which no clock shows, is a parameter.
+
+        No further than the age limit: beyond it the target is lost, and only what stays bounded is of use.
+        """
         last = track.at(now_s)
         if last is None:
             return None
         delay_s = self._config.target.delay_s
-        motion = self._estimator.at(now_s - track.memory.offset_s + delay_s)
+        latest_s = self._estimator.memory.time_s + self._config.checks.target_age_max_s
+        motion = self._estimator.at(min(now_s - track.memory.offset_s, latest_s) + delay_s)
         return TargetState(
             last.age_s + delay_s,
             motion.position_enu_m,
             motion.velocity_enu_m_s,
             last.yaw_rad,
             motion.position_sigma_m,
+            motion.position_sigma_z_m,
         )
 
     def own(self, own: OwnState) -> OwnState:
@@ -166,9 +171,10 @@ class RobustLaw:
 
     def held(self, seen: View) -> Held:
         """The barrier with a margin for what is uncertain now."""
-        robust = self._config.robust
-        sigma_m = seen.target.position_sigma_m if seen.target is not None else 0.0
-        margin_m = robust.margin_m(self._slope, math.hypot(sigma_m, self._config.own.position_noise_m))
+        robust, target, own_m = self._config.robust, seen.target, self._config.own.position_noise_m
+        sigma_xy_m = math.hypot(target.position_sigma_m, own_m) if target is not None else own_m
+        sigma_z_m = math.hypot(target.position_sigma_z_m, own_m) if target is not None else own_m
+        margin_m = robust.margin_m(self._slope, sigma_xy_m, sigma_z_m)
         return RobustBarrier(self._barrier, margin_m / self._full, robust.fade_radius_m)
 
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, seen: View) -> float:

@@ -33,6 +33,14 @@ class VelocityLoop:
     slope_time_s: Annotated[float, Range(0.01, 1.0)] = 0.05  # smoothing of the wanted acceleration
     disturbance_time_s: Annotated[float, Range(0.1, 10.0)] = 0.6  # low-pass of wind, drag, weight error
 
+    def rate_max_1_s(self, period_s: float) -> float:
+        """Natural frequency below which the model, stepped with this period, is stable.
+
+        One step (velocity_tracking.py) has the trace 2 - (wT)^2 - 2 z wT and the determinant 1 - 2 z wT: by
+        Jury's criterion it is stable for (wT)^2 + 4 z wT < 4.
+        """
+        return 2.0 * (math.hypot(self.damping, 1.0) - self.damping) / period_s
+
 
 @dataclass(frozen=True, slots=True)
 class OwnStateLink:
@@ -84,12 +92,13 @@ class Robust:
     descent_m_s: Annotated[float, Range(0.05, 1.0)] = 0.22  # relative to the pad, to contact
     touch_height_m: Annotated[float, Range(0.005, 0.5)] = 0.05  # below it a stopped descent is contact
 
-    def margin_m(self, slope: float, position_sigma_m: float) -> float:
+    def margin_m(self, slope: float, sigma_xy_m: float, sigma_z_m: float) -> float:
         """Margin on h that covers tracking and position errors.
 
         Args:
             slope: of the barrier where it binds; turns a horizontal error into one of h.
-            position_sigma_m: of vehicle minus target, each axis.
+            sigma_xy_m: standard deviation of vehicle minus target on x and on y; so in any direction.
+            sigma_z_m: the same upwards.
         """
-        horizontal_and_vertical = self.sigma_factor * position_sigma_m * math.hypot(slope, 1.0)
-        return self.tracking_error_m_s / self.rate_1_s + horizontal_and_vertical
+        position_m = self.sigma_factor * math.hypot(slope * sigma_xy_m, sigma_z_m)
+        return self.tracking_error_m_s / self.rate_1_s + position_m

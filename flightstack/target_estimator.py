@@ -24,6 +24,7 @@ class TargetMotion(NamedTuple):
     velocity_enu_m_s: Vec3
     acceleration_enu_m_s2: Vec3
     position_sigma_m: float  # standard deviation of x and of y
+    position_sigma_z_m: float
     velocity_sigma_m_s: float
 
 
@@ -98,12 +99,14 @@ class TargetEstimator:
         (x, y, z), (vx, vy, vz), (ax, ay, az) = (
             memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2,
         )  # fmt: skip
-        pp, _, _, vv, _, _ = _propagate(memory.covariance_xy, max(0.0, dt_s), self._xy.jerk2)
+        ahead_s = max(0.0, dt_s)
+        pp, _, _, vv, _, _ = _propagate(memory.covariance_xy, ahead_s, self._xy.jerk2)
         return TargetMotion(
             (x + dt_s * vx + half * ax, y + dt_s * vy + half * ay, z + dt_s * vz + half * az),
             (vx + dt_s * ax, vy + dt_s * ay, vz + dt_s * az),
             memory.acceleration_enu_m_s2,
             math.sqrt(pp),
+            math.sqrt(_position_variance(memory.covariance_z, ahead_s, self._z.jerk2)),
             math.sqrt(vv),
         )
 
@@ -123,6 +126,16 @@ def _propagate(covariance: Covariance, dt_s: float, jerk2: float) -> Covariance:
         va + t * aa + q * t / 2.0,
         aa + q,
     )
+
+
+def _position_variance(covariance: Covariance, dt_s: float, jerk2: float) -> float:
+    """First number of ``_propagate``."""
+    pp, pv, pa, vv, va, aa = covariance
+    t2 = dt_s * dt_s
+    return (
+        pp + 2.0 * dt_s * pv + t2 * (pa + vv) + dt_s * t2 * va + 0.25 * t2 * t2 * aa
+        + jerk2 * dt_s * t2 * t2 / 20.0
+    )  # fmt: skip
 
 
 def _start(noise: _Noise) -> Covariance:

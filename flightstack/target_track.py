@@ -39,7 +39,8 @@ class TargetState(NamedTuple):
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     yaw_rad: float
-    position_sigma_m: float = 0.0  # standard deviation on each axis; 0 where it is not estimated
+    position_sigma_m: float = 0.0  # standard deviation of x and of y; 0 where it is not estimated
+    position_sigma_z_m: float = 0.0
 
 
 class TargetTrack:

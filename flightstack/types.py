@@ -6,6 +6,7 @@ name says otherwise. A value that is absent is ``None``, never zero.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -78,6 +79,12 @@ class OwnState:
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     yaw_rad: float  # heading of the nose, counter-clockwise from east
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number of it is one; a sum of numbers beyond any sense is none either."""
+        (x, y, z), (vx, vy, vz) = self.position_enu_m, self.velocity_enu_m_s
+        return math.isfinite(x + y + z + vx + vy + vz + self.yaw_rad + self.arrival_s)
 
 
 @dataclass(frozen=True, slots=True)

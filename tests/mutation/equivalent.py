@@ -24,13 +24,22 @@ class Equivalent(NamedTuple):
 
 FINITE = "a sum is finite only if all its terms are, whatever their signs"
 OVERWRITTEN = "written anew in every tick before the solver reads it"
+SAME_VALUE = "at equality both cases have the same value"
 SAME_POINT = "at equality both ways lead to the same point of the box"
 
 EQUIVALENT = (
     Equivalent("flightstack.gate", "Gate._verdict: arithmetic: vx + vy...", FINITE),
     Equivalent(
-        "flightstack.gate", "Gate._keeps_promise: return: return False -> return None", "both are false"
+        "flightstack.gate", "Gate._keeps_promise: return: return False -> return None...", "both are false"
     ),
+    Equivalent("flightstack.gate", "Gate._keeps_promise: arithmetic: now + then...", FINITE),
+    Equivalent(
+        "flightstack.gate",
+        "Gate._keeps_promise: boundary: missing_m <= 0.0 -> ...",
+        "the barrier is asked then, and what it allows is never negative",
+    ),
+    Equivalent("flightstack.barrier", "Barrier.missed_m: boundary: moved_m <= gap -> ...", SAME_VALUE),
+    Equivalent("flightstack.barrier", "Barrier.missed_m: boundary: moved_m < r + d -> ...", SAME_VALUE),
     Equivalent("flightstack.phases", "Condition: arithmetic: 1 << 0 -> 1 >> 0", "shifted by nothing"),
     Equivalent(
         "flightstack.projection", "project: constant: True -> False #2", "the first zip has refused it"

@@ -2,6 +2,7 @@
 
 import math
 import random
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -11,12 +12,16 @@ from flightstack.certificate import checks, problems
 from flightstack.certificate_bound import Span
 from flightstack.certificate_envelope import estimate_errors, extremes
 from flightstack.certificate_paper import shortfall
-from flightstack.certificate_robust import between_ticks_m, demand, demand_change, outside
+from flightstack.certificate_robust import between_ticks_m, demand, demand_change, depth_m, outside
 from flightstack.certificate_types import Check, Need
+from flightstack.conditions import View
+from flightstack.law import RobustLaw
 from flightstack.projection import best_corner
 from flightstack.robust_barrier import RobustBarrier
 from flightstack.robust_config import TargetLink
 from flightstack.safety_filter import FilterStatus, SafetyFilter
+from flightstack.target_track import TargetTrack
+from flightstack.types import Inputs, TargetSample
 from tests.unit.certificate_helpers import config, one, rooms
 
 # name of a check, what to change, the last value that passes and the first that does not
@@ -145,10 +150,10 @@ def test_a_set_beyond_the_bound_really_has_a_state_without_solution():
     low, high = 0.3, 1.5
     while high - low > 1e-4:  # largest target speed that is proven
         speed = 0.5 * (low + high)
-        ok = one("barrier", touchdown={"target_speed_max_m_s": speed}, **wide).proven
+        ok = one("barrier", touchdown={"target_speed_max_m_s": speed, "pad_radius_m": 0.5}, **wide).proven
         low, high = (speed, high) if ok else (low, speed)
     for speed, infeasible in ((low - 1e-3, False), (high + 2e-2, True)):
-        x = extremes(config(touchdown={"target_speed_max_m_s": speed}, **wide))
+        x = extremes(config(touchdown={"target_speed_max_m_s": speed, "pad_radius_m": 0.5}, **wide))
         found = False
         for margin in x.shape.margin_m:
             held = RobustBarrier(x.barrier, margin, x.shape.fade_radius_m)
@@ -197,8 +202,38 @@ def test_demand_and_its_growth_stay_below_their_bounds(number):
 def test_the_estimators_own_errors_are_used_and_shrink_with_its_rate():
     slow, fast = (estimate_errors(TargetLink(), hz, 0.25)[0] for hz in (10.0, 100.0))
     assert fast.position_sigma_m < slow.position_sigma_m < 0.02
-    usual, lost = estimate_errors(TargetLink(), 50.0, 0.25)
-    assert usual.position_sigma_m < lost.position_sigma_m
+    errors = estimate_errors(TargetLink(), 50.0, 0.25)
+    for axis in ("position_sigma_m", "position_sigma_z_m"):
+        fresh, usual, lost = (getattr(error, axis) for error in errors)
+        assert 0.0 < fresh < usual < lost
+    # of a target that hardly ever changes its acceleration the first sample leaves most open
+    first = estimate_errors(TargetLink(jerk_xy_m_s3_sqrthz=0.01, acceleration_xy_m_s2=3.0), 50.0, 0.25)
+    assert first.lost.position_sigma_m == pytest.approx(
+        math.hypot(0.005, 0.02 * 0.25, 1.5 * 0.25**2), rel=1e-3
+    )
+
+
+def test_between_samples_the_margin_grows_by_what_is_counted_as_lost():
+    """The rest of the depth does not know of samples: fewer of them cost their growth, and larger errors."""
+    settled = config()
+    x = extremes(settled)
+    assert x.growth_m > 0.0
+    without, _ = depth_m(settled, replace(x, growth_m=0.0))
+    depth, _ = depth_m(settled, x)
+    assert depth == pytest.approx(without + x.growth_m)
+    law = RobustLaw(settled, x.barrier)
+    for n in range(400):
+        law.take(
+            TargetSample(0.02 * n, 0.02 * n, "map", "target", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+        )
+    track = TargetTrack(settled.checks)
+    track.accept(TargetSample(7.98, 7.98, "map", "target", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0))
+    margins = [
+        law.held(View(Inputs(), law.target(track, 7.98 + 0.002 * n), True, True, True, None)).margin_m
+        for n in range(11)
+    ]
+    assert margins == sorted(margins)
+    assert margins[-1] - margins[0] == pytest.approx(x.growth_m, rel=1e-6)
 
 
 def test_between_ticks_h_loses_less_at_a_higher_rate_and_nothing_by_standing_still():

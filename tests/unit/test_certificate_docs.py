@@ -11,7 +11,6 @@ from flightstack.barrier import Barrier
 from flightstack.certificate import checks, problems
 from flightstack.conditions import DRIFT_H_M
 from flightstack.config import FilterKind
-from flightstack.gate import CURVATURE_TOLERANCE_M
 from flightstack.identify_samples import NOISE_SAMPLES
 from flightstack.strict_toml import to_table
 from sim import scenario
@@ -50,7 +49,6 @@ def test_every_check_it_names_exists():
     [
         ("(at 2 cm height it is {} mm wide)", round(1e3 * 0.02 / 1.5)),
         ("alpha beta / e² ({} for the paper's shape)", round(1.5 / math.e**2, 1)),
-        ("allows {} mm (check *gate*)", round(1e3 * CURVATURE_TOLERANCE_M)),
         ("nothing more than {} can hide", f"{certificate_bound.TOLERANCE:.0e}".replace("e-0", "e-")),
         ("with {} cm of h left", round(1e2 * DRIFT_H_M)),
         ("what is faster than {} s", round(identify.HIGH_PASS_S)),

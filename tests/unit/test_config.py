@@ -1,10 +1,15 @@
 """Configurations that fly, and those that are refused with the reason."""
 
+import dataclasses
+
 import pytest
 
 from flightstack.certificate import problems
-from flightstack.config import FlightConfig, load
+from flightstack.conditions import View
+from flightstack.config import FilterKind, FlightConfig, load
+from flightstack.law import RobustLaw
 from flightstack.strict_toml import ConfigError, dumps, from_table, to_table
+from flightstack.types import Inputs
 from sim import scenario
 
 PAPER = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}}
@@ -40,6 +45,25 @@ def test_the_papers_set_flies():
         ({"filter": "best"}, ["filter", "'best'", "paper, robust"]),
         ({"limits": {"altitude_max_m": 0.6}}, ["altitude_max_m", "peak"]),
         ({"barrier": 3}, ["a table [barrier] is needed"]),
+        (
+            {"loop": {"rate_hz": 10}, "velocity_loop": {"rate_z_1_s": 11.0, "damping": 0.7}},
+            [
+                "velocity_loop.rate_z_1_s",
+                "found 11",
+                "damping 0.7",
+                "rate_hz 10",
+                "10.41",
+                "raise loop.rate_hz",
+            ],
+        ),
+        (
+            {"loop": {"rate_hz": 10}, "velocity_loop": {"rate_xy_1_s": 30.0}},
+            ["velocity_loop.rate_xy_1_s", "found 30", "lower it"],
+        ),
+        (
+            {"robust": {"fade_radius_m": 0.051}, "touchdown": {"pad_radius_m": 0.05}},
+            ["robust.fade_radius_m", "found 0.051", "at most the pad's radius, 0.05 m"],
+        ),
     ],
 )
 def test_wrong_configurations_are_refused_with_the_reason(sections, words):
@@ -120,3 +144,21 @@ def test_the_documented_configuration_names_every_key_and_its_default():
     assert {k: v for k, v in documented.items() if k not in changed} == {
         k: v for k, v in defaults.items() if k not in changed
     }
+
+
+def test_what_only_the_robust_filter_looks_at_does_not_refuse_the_papers():
+    wrong = {"loop": {"rate_hz": 10}, "velocity_loop": {"rate_z_1_s": 50.0}, "robust": {"fade_radius_m": 1.0}}
+    assert paper(**wrong).loop.rate_hz == 10
+    with pytest.raises(ConfigError, match="velocity_loop"):
+        dataclasses.replace(paper(**wrong), filter=FilterKind.ROBUST)
+
+
+def test_no_margin_is_blown_up_by_more_than_half():
+    """It is divided by the share that is there at the pad's edge."""
+    for pad_m in (0.03, 0.1, 0.5):
+        widest = config(
+            robust={"fade_radius_m": pad_m, "tracking_error_m_s": 0.1, "rate_1_s": 1.0, "sigma_factor": 0.0},
+            touchdown={"pad_radius_m": pad_m},
+        )
+        held = RobustLaw(widest, widest.barrier.build()).held(View(Inputs(), None, True, True, True, None))
+        assert 0.1 < held.margin_m < 0.16

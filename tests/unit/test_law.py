@@ -35,9 +35,9 @@ def robust(**sections):
     return RobustLaw(settings_, settings_.barrier.build()), settings_
 
 
-def seen(own_velocity, target_velocity, e=(1.0, 0.0, 1.0), sigma_m=0.0):
+def seen(own_velocity, target_velocity, e=(1.0, 0.0, 1.0), sigma_m=0.0, sigma_z_m=0.0):
     own = OwnState(0.0, 0.0, e, own_velocity, 0.0)
-    target = TargetState(0.0, (0.0, 0.0, 0.0), target_velocity, 0.0, sigma_m)
+    target = TargetState(0.0, (0.0, 0.0, 0.0), target_velocity, 0.0, sigma_m, sigma_z_m)
     return View(Inputs(own), target, True, True, True, e)
 
 
@@ -228,12 +228,13 @@ def test_the_margin_grows_with_what_is_not_known_and_is_whole_at_the_pads_edge()
     def margin(view_):
         return CONE.h(edge) - law.held(view_).h(edge)
 
-    margins = [margin(seen(still, still, sigma_m=s)) for s in (0.0, 0.005, 0.01, 0.1)]
+    margins = [margin(seen(still, still, sigma_m=s, sigma_z_m=0.7 * s)) for s in (0.0, 0.005, 0.01, 0.1)]
     assert margins == sorted(margins)
     assert margins[0] >= settings_.robust.tracking_error_m_s / settings_.robust.rate_1_s
     slope = CONE.slope(settings_.touchdown.pad_radius_m)
-    noise = math.hypot(0.01, settings_.own.position_noise_m)
-    assert margins[2] == pytest.approx(settings_.robust.margin_m(slope, noise))
+    own_m = settings_.own.position_noise_m
+    expected = settings_.robust.margin_m(slope, math.hypot(0.01, own_m), math.hypot(0.007, own_m))
+    assert margins[2] == pytest.approx(expected)
     assert margin(seen(still, still)._replace(target=None)) == margins[0]
     assert law.held(seen(still, still)).fade_radius_m == settings_.robust.fade_radius_m
 
@@ -251,10 +252,33 @@ def test_target_and_vehicle_are_carried_on_by_their_delays():
     assert found.velocity_enu_m_s == pytest.approx((0.2, -0.1, 0.0), abs=1e-6)
     assert found.position_sigma_m > 0.0
     assert law.target(track, 1.2).position_sigma_m > found.position_sigma_m
+    assert law.target(track, 1.2).position_sigma_z_m > found.position_sigma_z_m > 0.0
+    assert found.position_sigma_z_m < found.position_sigma_m  # it is told to drive on a floor
     own = OwnState(3.0, 2.9, (1.0, 2.0, 3.0), (1.0, -2.0, 0.5), 0.7)
     moved = law.own(own)
     assert moved.position_enu_m == pytest.approx((1.05, 1.9, 3.025))
     assert replace(moved, position_enu_m=own.position_enu_m) == own
+
+
+def test_a_target_that_is_not_seen_any_more_stays_where_it_was_lost():
+    law, settings_ = robust()
+    track = TargetTrack(settings_.checks)
+    for n in range(50):  # it gains speed all the time
+        t_s = 0.02 * n
+        rising = replace(
+            sample(t_s), position_enu_m=(0.3 * t_s * t_s, 0.0, 0.2), velocity_enu_m_s=(0.6 * t_s, 0, 0)
+        )
+        assert track.accept(rising).value == "accepted"
+        law.take(rising)
+    limit_s = 0.98 + settings_.checks.target_age_max_s
+    assert law.target(track, limit_s).position_enu_m > law.target(track, limit_s - 1e-3).position_enu_m
+    lost = law.target(track, limit_s)
+    for later_s in (1e-6, 1.0, 60.0, 1e9, 1e300):
+        found = law.target(track, limit_s + later_s)
+        assert found.age_s >= lost.age_s
+        for a, b in zip(found[1:], lost[1:], strict=True):
+            assert a == pytest.approx(b, abs=1e-9)
+    assert math.dist(lost.position_enu_m, (0.3 * limit_s**2, 0.0, 0.2)) < 0.05
 
 
 def test_the_set_point_is_the_corrected_one_and_stays_in_the_box():

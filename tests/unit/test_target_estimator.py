@@ -104,7 +104,9 @@ def assert_same(estimator, references, ahead_s):
             for vector in (motion.position_enu_m, motion.velocity_enu_m_s, motion.acceleration_enu_m_s2)
         ]
         assert np.allclose(found, x, rtol=1e-6, atol=1e-7)
-        if axis < 2:
+        if axis == 2:
+            assert motion.position_sigma_z_m == pytest.approx(math.sqrt(p[0, 0]), rel=1e-6)
+        else:
             assert motion.position_sigma_m == pytest.approx(math.sqrt(p[0, 0]), rel=1e-6)
             assert motion.velocity_sigma_m_s == pytest.approx(math.sqrt(p[1, 1]), rel=1e-6)
 
@@ -231,6 +233,7 @@ def test_what_is_older_is_less_certain(link):
     motions = [estimator.at(estimator.memory.time_s + 0.01 * n) for n in range(300)]
     for sooner, later in itertools.pairwise(motions):
         assert later.position_sigma_m > sooner.position_sigma_m
+        assert later.position_sigma_z_m > sooner.position_sigma_z_m
         assert later.velocity_sigma_m_s > sooner.velocity_sigma_m_s
 
 

@@ -86,6 +86,29 @@ def test_the_robust_filter_goes_around_when_it_is_blown_off_and_lands_then():
     assert world.phase is Phase.LANDED
 
 
+def test_a_new_descent_forgets_what_the_last_one_had_begun_to_see():
+    """Not sinking for a moment, then around: in the next descent that moment is long ago, but it is over."""
+
+    def stopped(w, inputs):
+        return replace(inputs, own=replace(inputs.own, velocity_enu_m_s=(*w.velocity[:2], 0.0)))
+
+    world = World(config("contact"), solid_pad=True)
+    world.fault_in(Phase.TOUCHDOWN, stopped, seconds=1.0)
+    memory = world.controller.memory
+    world.run(1.0, until=lambda _: memory.stopped_since_s < math.inf)
+    world.fault, world.fault_from_s = blown_off, world.t_s
+    world.run(0.1, until=lambda w: w.phase is not Phase.TOUCHDOWN)
+    assert world.phase is Phase.APPROACH
+    assert memory.stopped_since_s < world.t_s
+    memory.contact_since_s = memory.stopped_since_s  # as after a touch of the pad's edge
+    world.fault = None
+    world.run(60.0, until=lambda w: w.phase is Phase.TOUCHDOWN)
+    assert world.phase is Phase.TOUCHDOWN
+    assert memory.stopped_since_s == memory.contact_since_s == math.inf
+    world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
+    assert world.phase is Phase.LANDED
+
+
 def test_it_goes_around_no_more_often_than_allowed_and_then_flies_clear():
     world = World(config("contact"), solid_pad=True)
     world.fault = lambda w, inputs: blown_off(w, inputs) if w.phase is Phase.TOUCHDOWN else inputs

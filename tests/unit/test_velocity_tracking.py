@@ -194,3 +194,29 @@ def test_at_any_rate_the_model_of_the_usual_vehicle_is_stable(period_s):
     for _ in range(round(10.0 / period_s)):
         tracking.observe((0.2, -0.2, 0.1), commanding=True)
     assert tracking.memory.model_m_s == pytest.approx((0.2, -0.2, 0.1), abs=1e-6)
+
+
+@pytest.mark.parametrize("period_s", [0.1, 0.02, 0.002])
+@given(damping=st.floats(0.1, 2.0), axis=st.sampled_from(AXES), start=st.floats(-1.0, 1.0))
+@settings(max_examples=20)
+def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period_s, damping, axis, start):
+    def left(share):
+        """What remains of a disturbed model, vehicle and set-point at rest."""
+        rate = share * replace(LOOP, damping=damping).rate_max_1_s(period_s)
+        loop = replace(LOOP, damping=damping, rate_xy_1_s=rate, rate_z_1_s=rate)
+        tracking = VelocityTracking(loop, period_s)
+        away = [0.0, 0.0, 0.0]
+        away[axis] = start
+        tracking.memory.model_m_s, tracking.memory.model_m_s2 = tuple(away), (0.1, 0.1, 0.1)
+        for _ in range(2000):
+            tracking.observe(ZERO, commanding=True)
+        return max(map(abs, tracking.memory.model_m_s))
+
+    assert left(0.99) < 1e-3
+    assert left(1.01) > 1.0
+
+
+def test_the_rate_allowed_is_that_of_the_criterion():
+    for damping in (0.1, 0.68, 2.0):
+        w_t = replace(LOOP, damping=damping).rate_max_1_s(0.01) * 0.01
+        assert w_t * w_t + 4.0 * damping * w_t == pytest.approx(4.0)
