@@ -14,30 +14,28 @@ from flightstack.config import FlightConfig
 from flightstack.controller import Controller
 from flightstack.projection import project
 from flightstack.strict_toml import from_table
-from flightstack.types import Inputs, Landed, Mode, OwnState, Phase, TargetSample, VehicleStatus
+from flightstack.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, TargetSample, Vec3, VehicleStatus
 
 ROUNDS, TICKS = 5, 4000
+APPROACHES, STEPS_MAX, WARM_STEPS = 8, 3000, 50
 
 
-def inputs(tick: int) -> Inputs:
-    """A vehicle that circles on the boundary, where the barrier acts in each tick."""
-    t, a = tick * 0.01, tick * 0.003
-    p = (1.1 * math.cos(a), 1.1 * math.sin(a), 0.2 + 0.56)
-    own = OwnState(t, t, p, (0.0, 0.1, 0.0), 0.1)
-    sample = TargetSample(t, t, "map", "target", (0.0, 0.0, 0.2), (0.1, 0.02, 0.0), 0.0, 0.1)
+def inputs(tick: int, position_enu_m: Vec3 = (1.1, 0.0, 0.76), velocity_enu_m_s: Vec3 = ZERO) -> Inputs:
+    """A vehicle, and a robot that drives away from the origin."""
+    t = tick * 0.01
+    own = OwnState(t, t, position_enu_m, velocity_enu_m_s, 0.1)
+    sample = TargetSample(t, t, "map", "target", (0.1 * t, 0.02 * t, 0.2), (0.1, 0.02, 0.0), 0.0, 0.1)
     return Inputs(own, VehicleStatus(t, True, Mode.EXTERNAL, Landed.IN_AIR, True), (sample,))
 
 
-def one_round() -> list[float]:
-    """Microseconds of each step."""
-    config = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}})
+def approach(config: FlightConfig, azimuth_rad: float) -> list[float]:
+    """Microseconds of each step from near the boundary to above the pad: the barrier acts in most of them."""
     controller = Controller(config)
     mav = dialect.MAVLink(None, srcSystem=1, srcComponent=191)
-    prepared = [inputs(k) for k in range(TICKS)]
+    p, v = (1.6 * math.cos(azimuth_rad), 1.6 * math.sin(azimuth_rad), 1.0), ZERO
     took = []
-    gc.collect()
-    gc.disable()
-    for tick, given in enumerate(prepared):
+    for tick in range(STEPS_MAX):
+        given = inputs(tick, p, v)
         started = time.perf_counter_ns()
         out = controller.step(given, tick * 0.01)
         if out.setpoint is not None:
@@ -47,9 +45,25 @@ def one_round() -> list[float]:
                 tick * 10, 1, 1, 1, 2503, 0, 0, 0, n, e, d, 0, 0, 0, yaw, 0
             ).pack(mav)
         took.append((time.perf_counter_ns() - started) / 1e3)
+        if out.phase is Phase.LAND:
+            return took[WARM_STEPS:]
+        assert out.phase in (Phase.WAIT, Phase.TAKEOFF, Phase.APPROACH), controller.memory.reason
+        if out.setpoint is not None:  # flies at once what it is told
+            v = out.setpoint.velocity_enu_m_s
+            p = (p[0] + 0.01 * v[0], p[1] + 0.01 * v[1], p[2] + 0.01 * v[2])
+    raise AssertionError(f"not above the pad after {STEPS_MAX} steps")
+
+
+def one_round() -> list[float]:
+    """Microseconds of each step of some approaches from all sides."""
+    config = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}})
+    took: list[float] = []
+    gc.collect()
+    gc.disable()
+    for k in range(APPROACHES):
+        took += approach(config, 2.0 * math.pi * k / APPROACHES)
     gc.enable()
-    assert controller.memory.phase is Phase.APPROACH
-    return took[100:]
+    return took
 
 
 def closed_form() -> float:
