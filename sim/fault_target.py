@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 from flightstack.types import Vec3
 from sim.fault_samples import SampleFaults, Shape
@@ -15,10 +14,10 @@ from sim.target import TargetMeasurement, wrap
 def _move(sample: TargetMeasurement, offset: Vec3, turn: float) -> TargetMeasurement:
     x, y, z = sample.position_enu_m
     moved = (x + offset[0], y + offset[1], z + offset[2])
-    return replace(sample, position_enu_m=moved, yaw_rad=wrap(sample.yaw_rad + turn))
+    return sample._replace(position_enu_m=moved, yaw_rad=wrap(sample.yaw_rad + turn))
 
 
-SHAPE: Shape[TargetMeasurement] = Shape(_move, lambda first, now: replace(first, time_s=now.time_s))
+SHAPE: Shape[TargetMeasurement] = Shape(_move, lambda first, now: first._replace(time_s=now.time_s))
 
 
 class TargetFaults:

@@ -18,6 +18,7 @@ from typing import TypeVar, cast
 
 from numba import config, njit
 
+from bridge import frames
 from flightstack import barrier
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -28,7 +29,8 @@ HERE = Path(__file__).parent
 def _fingerprint() -> str:
     """Hash of every source that compiled code can come from."""
     digest = hashlib.sha256()
-    for path in [Path(barrier.__file__), *sorted(HERE.glob("*.py")), *sorted(HERE.glob("firmware/*.py"))]:
+    shared = [Path(barrier.__file__), Path(frames.__file__)]
+    for path in [*shared, *sorted(HERE.glob("*.py")), *sorted(HERE.glob("firmware/*.py"))]:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

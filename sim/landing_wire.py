@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any, cast
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -22,16 +21,8 @@ from bridge.mavlink import Endpoint, Peer, Received
 PEER: Peer = ("in-process", 0)
 
 
-class _Floats(NamedTuple):
-    """How the floats of a message are read and rounded."""
-
-    read: Callable[[Message], Any]
-    pack: Callable[..., bytes]
-    unpack: Callable[[bytes], tuple[float, ...]]
-    names: tuple[str, ...]
-
-
-_Plan = _Floats | bool  # True: whole numbers alone, which pass as they are; False: goes by bytes
+_Round = Callable[[Message], None]
+_Plan = _Round | bool  # True: whole numbers alone, which pass as they are; False: goes by bytes
 
 
 def _plan(cls: Any) -> _Plan:
@@ -39,13 +30,17 @@ def _plan(cls: Any) -> _Plan:
     if any(cls.array_lengths) or {"char", "double"} & set(cls.fieldtypes):
         return False
     pairs = zip(cls.fieldnames, cls.fieldtypes, strict=True)
-    names = tuple(name for name, kind in pairs if kind == "float")
-    if not names:
-        return True
+    names = [name for name, kind in pairs if kind == "float"]
+    return _rounding(names) if names else True
+
+
+def _rounding(names: list[str]) -> _Round:
+    """Function that rounds these attributes; written out, it takes half as long as a loop over names."""
     wire = struct.Struct(f"<{len(names)}f")
-    # attrgetter gives no tuple for a single name
-    read = attrgetter(*names) if len(names) > 1 else (lambda message: (getattr(message, names[0]),))
-    return _Floats(read, wire.pack, wire.unpack, names)
+    fields = "".join(f"message.{name}, " for name in names)
+    scope: dict[str, Any] = {"pack": wire.pack, "unpack": wire.unpack}
+    exec(f"def rounded(message):\n    {fields}= unpack(pack({fields}))", scope)
+    return cast(_Round, scope["rounded"])
 
 
 _PLANS: dict[int, _Plan] = {id_: _plan(cls) for id_, cls in dialect.mavlink_map.items()}
@@ -86,12 +81,11 @@ class Inlet(Endpoint):
         for message in messages:
             header = message._header
             plan = _PLANS[header.msgId]
-            if isinstance(plan, _Floats):
-                rounded = plan.unpack(plan.pack(*plan.read(message)))
-                message.__dict__.update(zip(plan.names, rounded, strict=True))
-            elif not plan:
+            if plan is False:
                 self.repeat(self.pack(message))
                 continue
+            if plan is not True:
+                plan(message)
             header.srcSystem, header.srcComponent = self._ids
             arrived.append(Received(message, b"", PEER))
 

@@ -10,18 +10,19 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
+import numpy as np
+
 from sim.firmware.estimator import EstimatorRecord, correct
 from sim.jit import jitted
 from sim.records import F64, I64, Cell, Record, cell
 from sim.rotation import rotation_axes
 from sim.scenario import OdometryLink
-from sim.sensors import NS, NS_PER_MS, Losses, Normals, ms_from
+from sim.sensors import NS, NS_PER_MS, Losses, NoiseRows
 from sim.world import BodyRecord
 
 ROWS = 512  # of samples; at most 250 are under way (500 Hz, 0.5 s)
 LOST = -1
 VALUES = 4  # x, y, z (ENU, m), yaw (rad)
-NO_NOISE = -0.0  # which leaves also a zero as it is
 
 
 class MocapRecord(Record):
@@ -88,10 +89,10 @@ class MocapTape:
 
     def __init__(self, link: OdometryLink, seed: int, record: MocapRecord, body: BodyRecord) -> None:
         noise = link.position_noise_m
-        self._sigmas = (noise, noise, noise, link.yaw_noise_rad)
         self._rate_hz, self._delay_ns = link.rate_hz, round(link.delay_s * NS)
         self._losses = Losses(link, seed, "mocap.loss")
-        self._normals = Normals(seed, "mocap.noise")
+        self._noise_left = np.empty((0, VALUES))
+        self._noise = NoiseRows((noise, noise, noise, link.yaw_noise_rad), seed, "mocap.noise")
         self._cell, self._body = cell(record), cell(body)
         self._measured_ms, self._arrives_ms, self._values = (
             record.measured_ms, record.arrives_ms, record.values.reshape(ROWS, VALUES),
@@ -117,17 +118,18 @@ class MocapTape:
         self._fill(ROWS - done)
 
     def _fill(self, first: int) -> None:
-        drawn = [self._draw() for _ in range(first, ROWS)]
-        self._measured_ms[first:], self._arrives_ms[first:], self._values[first:] = zip(*drawn, strict=True)
-
-    def _draw(self) -> tuple[int, int, list[float]]:
-        measured_ms = ms_from(round(self._count * NS / self._rate_hz))
-        self._count += 1
+        counts = np.arange(self._count, self._count + ROWS - first)
+        self._count += len(counts)
+        measured_ms = _ms_from(np.rint(counts * NS / self._rate_hz).astype(np.int64))
         measured_ns = measured_ms * NS_PER_MS
-        take = self._normals.take
-        noise = [sigma * take() if sigma else NO_NOISE for sigma in self._sigmas]
-        lost = self._losses.lost(measured_ns)
-        return measured_ms, LOST if lost else ms_from(measured_ns + self._delay_ns), noise
+        self._measured_ms[first:] = measured_ms
+        self._arrives_ms[first:] = _ms_from(measured_ns + self._delay_ns)
+        if self._losses.possible:
+            lost = [self._losses.lost(time_ns) for time_ns in measured_ns.tolist()]
+            self._arrives_ms[first:][lost] = LOST
+        while len(self._noise_left) < len(counts):
+            self._noise_left = np.concatenate((self._noise_left, self._noise.block()))
+        self._values[first:], self._noise_left = np.split(self._noise_left, [len(counts)])
 
     def divert(self, diverted: bool) -> None:
         """Leave arriving samples to ``take``, or no longer."""
@@ -146,3 +148,8 @@ class MocapTape:
         measuring, arriving = int(self._measuring[0]), int(self._arriving[0])
         measured_ms = int(self._measured_ms[measuring])
         return min(measured_ms, int(self._arrives_ms[arriving])) if arriving < measuring else measured_ms
+
+
+def _ms_from(times_ns: I64) -> I64:
+    """``ms_from`` of many."""
+    return -(-times_ns // NS_PER_MS)

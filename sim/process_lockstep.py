@@ -99,7 +99,9 @@ class LockstepLoop:
     def _move_deck(self, deck: LockstepDeck, tick: int, now_ns: int) -> None:
         node = self._node
         if self._deck_comes and self._answers:
-            self._deck_comes = wait_until(lambda: deck.has(tick), self._stop, SILENCE_S, yields=_DECK_YIELDS)
+            self._deck_comes = deck.has(tick) or wait_until(
+                lambda: deck.has(tick), self._stop, SILENCE_S, yields=_DECK_YIELDS
+            )
             if not self._deck_comes:
                 text = f"Robot silent for {SILENCE_S:g} s: going on without"
                 node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, text)

@@ -112,6 +112,12 @@ def reader(source: Record | F64) -> Callable[[], Values]:
     return partial(struct.Struct("=" + _format(array.dtype)).unpack_from, memory)
 
 
+def writer(record: Record) -> Callable[..., None]:
+    """Function that sets all numbers of a record, given one by one: a quarter of numpy's cost."""
+    array = np.asarray(cast(np.record, record)).reshape(1)
+    return partial(struct.Struct("=" + _format(array.dtype)).pack_into, array.view(np.uint8).data, 0)
+
+
 def _format(kind: np.dtype[Any]) -> str:
     if kind.names is not None:
         return "".join(_format(kind[name]) for name in kind.names)

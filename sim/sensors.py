@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections import deque
 from collections.abc import Sequence
+from operator import add
 from typing import Annotated
 
 import numpy as np
@@ -16,6 +18,7 @@ from sim.scenario import OdometryLink
 NS = 1_000_000_000
 NS_PER_MS = 1_000_000
 NEVER_NS = 1 << 62
+NO_NOISE = -0.0  # which leaves also a zero as it is
 BLOCK = 1024  # numbers drawn at a time; single draws from numpy cost twenty times as much
 
 
@@ -47,6 +50,41 @@ class Normals:
         if not self._left:
             self._left = self.block()[::-1].tolist()
         return self._left.pop()
+
+
+class NoiseRows:
+    """Noise for samples of several values: the numbers of ``Normals``, one for each value that is noisy.
+
+    Args:
+        sigmas: standard deviation for each value.
+        seed: of the run.
+        purpose: name of the random stream.
+    """
+
+    __slots__ = ("_left", "_noisy", "_normals", "_sigmas")
+
+    def __init__(self, sigmas: Sequence[float], seed: int, purpose: str) -> None:
+        self._sigmas = np.array(sigmas, dtype=np.float64)
+        self._noisy = self._sigmas != 0.0
+        self._normals = Normals(seed, purpose)
+        self._left: list[list[float]] = []
+
+    def take(self) -> list[float]:
+        """Noise for the values of the next sample."""
+        if not self._left:
+            self._left = self.block()[::-1].tolist()
+        return self._left.pop()
+
+    def block(self) -> F64:
+        """Noise for the next samples, one a row, in the order of use: as few as fill whole blocks."""
+        width = int(self._noisy.sum())
+        if width == 0:
+            return np.full((BLOCK, len(self._sigmas)), NO_NOISE)
+        blocks = [self._normals.block() for _ in range(width // math.gcd(width, BLOCK))]
+        numbers = np.concatenate(blocks).reshape(-1, width)
+        rows = np.full((len(numbers), len(self._sigmas)), NO_NOISE)
+        rows[:, self._noisy] = self._sigmas[self._noisy] * numbers
+        return rows
 
 
 class TapeRecord(Record):
@@ -94,11 +132,12 @@ class Losses:
         purpose: name of the random stream.
     """
 
-    __slots__ = ("_drop_end_ns", "_drop_start_ns", "_link", "_rng")
+    __slots__ = ("_chances", "_drop_end_ns", "_drop_start_ns", "_link", "_rng")
 
     def __init__(self, link: OdometryLink, seed: int, purpose: str) -> None:
         self._link = link
         self._rng = stream(seed, purpose)
+        self._chances: list[float] = []  # drawn ahead, the last one to be used first
         self._drop_start_ns = self._drop_end_ns = NEVER_NS
         if link.dropout_every_s > 0.0 and link.dropout_max_s > 0.0:
             self._draw_dropout(0)
@@ -107,12 +146,24 @@ class Losses:
         self._drop_start_ns = after_ns + round(self._rng.exponential(self._link.dropout_every_s) * NS)
         self._drop_end_ns = self._drop_start_ns + round(self._rng.uniform(0.0, self._link.dropout_max_s) * NS)
 
+    @property
+    def possible(self) -> bool:
+        """Whether any sample can be lost."""
+        return self._link.loss > 0.0 or self._drop_start_ns != NEVER_NS
+
     def lost(self, measured_ns: int) -> bool:
         """Whether the next sample is lost; ask once for each, in order."""
         while measured_ns >= self._drop_end_ns:
             self._draw_dropout(self._drop_end_ns)
-        by_chance = self._link.loss > 0.0 and self._rng.random() < self._link.loss
+        by_chance = self._link.loss > 0.0 and self._chance() < self._link.loss
         return by_chance or measured_ns >= self._drop_start_ns
+
+    def _chance(self) -> float:
+        if self._drop_start_ns != NEVER_NS:  # drop-outs are drawn in between
+            return self._rng.random()
+        if not self._chances:
+            self._chances = self._rng.random(BLOCK)[::-1].tolist()
+        return self._chances.pop()
 
 
 class MeasurementChannel:
@@ -129,14 +180,13 @@ class MeasurementChannel:
     """
 
     __slots__ = (
-        "_delay_ns", "_index", "_losses", "_normals", "_queue", "_rate", "_sigmas", "due_ns", "lost",
-        "release_ns", "taken",
+        "_delay_ns", "_index", "_losses", "_noise", "_queue", "_rate", "due_ns", "lost", "release_ns",
+        "taken",
     )  # fmt: skip
 
     def __init__(self, link: OdometryLink, sigmas: Sequence[float], seed: int, purpose: str) -> None:
-        self._sigmas = tuple(sigmas)
         self._losses = Losses(link, seed, purpose + ".loss")
-        self._normals = Normals(seed, purpose + ".noise")
+        self._noise = NoiseRows(sigmas, seed, purpose + ".noise")
         self._rate = link.rate_hz
         self._delay_ns = round(link.delay_s * NS)
         self._queue: deque[tuple[int, int, tuple[float, ...]]] = deque()
@@ -151,8 +201,7 @@ class MeasurementChannel:
         self._index += 1
         self.due_ns = round(self._index * NS / self._rate)
         self.taken += 1
-        take = self._normals.take
-        noisy = tuple([v + s * take() if s else v for v, s in zip(values, self._sigmas, strict=True)])
+        noisy = tuple(map(add, values, self._noise.take()))
         if self._losses.lost(now_ns):
             self.lost += 1
             return

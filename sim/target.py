@@ -7,27 +7,26 @@ the next interval. Whoever integrates pose and twist over the same interval ends
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 from flightstack.types import Vec3
+from sim.jit import jitted
 from sim.params import load
+from sim.records import F64, Cell, Record, Vector, cell, new, reader
 from sim.scenario import OdometryLink, PathKind, TargetSpec
 from sim.sensors import NS, MeasurementChannel, stream
 
 DRIVE_LAG_S = 0.1  # first-order lag of the drive; not documented by ROBOTIS, 0.05 to 0.15 s (assumption)
 
 
-@dataclass(frozen=True, slots=True)
-class PadPose:
+class PadPose(NamedTuple):
     """Pose of the pad centre (top surface), ENU."""
 
     position_enu_m: Vec3
     yaw_rad: float
 
 
-@dataclass(frozen=True, slots=True)
-class TargetMeasurement:
+class TargetMeasurement(NamedTuple):
     """One odometry sample; twist in the body frame (x forward, y left)."""
 
     time_s: float  # of the measurement
@@ -37,6 +36,54 @@ class TargetMeasurement:
     yaw_rate_rad_s: float
 
 
+# Shares of speed and turn rate that a path demands until it changes, then until it changes back.
+DEMANDS: dict[PathKind, tuple[float, float, float, float]] = {
+    PathKind.STILL: (0.0, 0.0, 0.0, 0.0),
+    PathKind.STRAIGHT: (1.0, 0.0, 1.0, 0.0),
+    PathKind.CIRCLE: (1.0, 1.0, 1.0, 1.0),
+    PathKind.STOP_AND_GO: (1.0, 1.0, 0.0, 0.0),
+    PathKind.REVERSING: (1.0, 1.0, -1.0, 1.0),
+}
+
+
+class PadRecord(Record):
+    """Motion of the pad centre."""
+
+    time_ns: int
+    position: Vector  # ENU, m
+    yaw: float
+    body_velocity: Vector  # m/s
+    velocity: Vector  # the same, ENU
+    rate: float  # rad/s
+
+
+class MotionRecord(Record):
+    """What the robot is to do, the axle's state, and the pad's motion that follows."""
+
+    demand: Annotated[F64, 4]
+    speed: float  # m/s
+    turn_rate: float
+    phase_s: float
+    period_s: float
+    speed_max: float
+    turn_rate_max: float
+    accel_max: float
+    turn_accel_max: float
+    behind: float  # pad behind the axle, m
+    height: float  # of the pad, m
+    heave: float  # amplitude, m
+    heave_rad_s: float
+    heave_phase: float
+    driven_s: float
+    x: float  # axle, ENU, m
+    y: float
+    yaw: float
+    v: float  # m/s
+    w: float  # rad/s
+    pad: PadRecord
+
+
+@jitted
 def arc(length_m: float, turn_rad: float) -> tuple[float, float]:
     """Displacement (forward, left) after driving ``length_m`` while turning by ``turn_rad``, exact."""
     if abs(turn_rad) < 1e-9:
@@ -44,43 +91,57 @@ def arc(length_m: float, turn_rad: float) -> tuple[float, float]:
     return length_m * math.sin(turn_rad) / turn_rad, length_m * (1.0 - math.cos(turn_rad)) / turn_rad
 
 
+@jitted
 def wrap(angle_rad: float) -> float:
     """Angle in (-pi, pi]."""
     return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)
 
 
-Demand = Callable[["TargetModel", float], tuple[float, float]]
+@jitted
+def _clip(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))
 
 
-def _still(_model: TargetModel, _time_s: float) -> tuple[float, float]:
-    return 0.0, 0.0
+@jitted
+def _height(m: MotionRecord, time_s: float) -> float:
+    return m.height + m.heave * math.sin(m.heave_rad_s * time_s + m.heave_phase)
 
 
-def _straight(model: TargetModel, _time_s: float) -> tuple[float, float]:
-    return model.speed_m_s, 0.0
+@jitted
+def publish(motion: Cell[MotionRecord], dt_s: float) -> None:
+    """Turn the axle's state into the pad's; the pad stands behind the axle and swings with the yaw."""
+    m = motion[0]
+    pad, c, s = m.pad, math.cos(m.yaw), math.sin(m.yaw)
+    time_s = pad.time_ns / NS
+    z = _height(m, time_s)
+    vx, vy, vz = m.v, -m.behind * m.w, (_height(m, time_s + dt_s) - z) / dt_s
+    pad.position[0], pad.position[1], pad.position[2] = m.x - m.behind * c, m.y - m.behind * s, z
+    pad.body_velocity[0], pad.body_velocity[1], pad.body_velocity[2] = vx, vy, vz
+    pad.velocity[0], pad.velocity[1], pad.velocity[2] = c * vx - s * vy, s * vx + c * vy, vz
+    pad.yaw, pad.rate = m.yaw, m.w
 
 
-def _circle(model: TargetModel, _time_s: float) -> tuple[float, float]:
-    return model.speed_m_s, model.turn_rate_rad_s
-
-
-def _stop_and_go(model: TargetModel, time_s: float) -> tuple[float, float]:
-    go = int((time_s + model.phase_s) / model.spec.stop_period_s) % 2 == 0
-    return (model.speed_m_s, model.turn_rate_rad_s) if go else (0.0, 0.0)
-
-
-def _reversing(model: TargetModel, time_s: float) -> tuple[float, float]:
-    forward = int((time_s + model.phase_s) / model.spec.stop_period_s) % 2 == 0
-    return (model.speed_m_s if forward else -model.speed_m_s), model.turn_rate_rad_s
-
-
-DEMANDS: dict[PathKind, Demand] = {
-    PathKind.STILL: _still,
-    PathKind.STRAIGHT: _straight,
-    PathKind.CIRCLE: _circle,
-    PathKind.STOP_AND_GO: _stop_and_go,
-    PathKind.REVERSING: _reversing,
-}
+@jitted
+def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
+    """Move on by ``dt_s`` with the twist chosen before, then choose the next; not driving: braking."""
+    m = motion[0]
+    forward, left = arc(m.v * dt_s, m.w * dt_s)
+    c, s = math.cos(m.yaw), math.sin(m.yaw)
+    m.x += c * forward - s * left
+    m.y += s * forward + c * left
+    m.yaw = wrap(m.yaw + m.w * dt_s)
+    m.pad.time_ns += round(dt_s * NS)
+    demand_v = demand_w = 0.0
+    if driving:
+        first = 2 * (int((m.driven_s + m.phase_s) / m.period_s) % 2)
+        demand_v, demand_w = m.demand[first] * m.speed, m.demand[first + 1] * m.turn_rate
+        m.driven_s += dt_s
+    lag = -math.expm1(-dt_s / DRIVE_LAG_S)
+    dv = _clip(lag * (demand_v - m.v), m.accel_max * dt_s)
+    dw = _clip(lag * (demand_w - m.w), m.turn_accel_max * dt_s)
+    m.v = _clip(m.v + dv, m.speed_max)
+    m.w = _clip(m.w + dw, m.turn_rate_max)
+    publish(motion, dt_s)
 
 
 class TargetModel:
@@ -98,57 +159,40 @@ class TargetModel:
     """
 
     def __init__(self, spec: TargetSpec, seed: int, *, step_s: float = 0.01) -> None:
-        self.spec = spec
         rng = stream(seed, "target")
         speed, turn, heading, phase, heave = rng.uniform(0.0, 1.0, 5).tolist()
         share, turn_share = (speed, 2.0 * turn - 1.0) if spec.random_speed else (1.0, 1.0)
         self.speed_m_s = min(spec.speed_m_s * share, spec.speed_max_m_s)
-        self.turn_rate_rad_s = _clip(spec.turn_rate_rad_s * turn_share, spec.turn_rate_max_rad_s)
-        self.phase_s = phase * spec.stop_period_s
-        self._heave_phase = 2.0 * math.pi * heave
-        self._yaw_max_rad_s2 = spec.acceleration_max_m_s2 / load().robot.wheel_half_track_m
-        self._x, self._y = spec.position_m
-        self._yaw = wrap(2.0 * math.pi * heading) if spec.random_heading else wrap(spec.heading_rad)
-        self._v = self._w = 0.0
-        self._time_ns = 0
-        self._driven_s = 0.0
-        self._z, self._vz = self._height(0.0), 0.0
-        self._publish(step_s)
-
-    def _height(self, time_s: float) -> float:
-        angle = 2.0 * math.pi * self.spec.heave_rate_hz * time_s + self._heave_phase
-        return self.spec.pad_height_m + self.spec.heave_amplitude_m * math.sin(angle)
+        self.turn_rate_rad_s = float(_clip(spec.turn_rate_rad_s * turn_share, spec.turn_rate_max_rad_s))
+        self._record = m = new(MotionRecord)
+        m.demand[:] = DEMANDS[spec.path]
+        m.speed, m.turn_rate = self.speed_m_s, self.turn_rate_rad_s
+        m.phase_s, m.period_s = phase * spec.stop_period_s, spec.stop_period_s
+        m.speed_max, m.turn_rate_max = spec.speed_max_m_s, spec.turn_rate_max_rad_s
+        m.accel_max = spec.acceleration_max_m_s2
+        m.turn_accel_max = spec.acceleration_max_m_s2 / load().robot.wheel_half_track_m
+        m.behind, m.height = spec.pad_behind_axle_m, spec.pad_height_m
+        m.heave, m.heave_rad_s = spec.heave_amplitude_m, 2.0 * math.pi * spec.heave_rate_hz
+        m.heave_phase = 2.0 * math.pi * heave
+        m.x, m.y = spec.position_m
+        m.yaw = wrap(2.0 * math.pi * heading) if spec.random_heading else wrap(spec.heading_rad)
+        self._cell, self._read = cell(m), reader(m.pad)
+        publish(self._cell, step_s)
+        self._show()
+        drive(cell(new(MotionRecord)), step_s, False)  # compiled, or loaded, before time begins to count
 
     def step(self, dt_s: float, driving: bool) -> None:
-        """Move on by ``dt_s`` with the twist chosen before, then choose the next; not driving: braking."""
-        forward, left = arc(self._v * dt_s, self._w * dt_s)
-        c, s = math.cos(self._yaw), math.sin(self._yaw)
-        self._x += c * forward - s * left
-        self._y += s * forward + c * left
-        self._yaw = wrap(self._yaw + self._w * dt_s)
-        self._time_ns += round(dt_s * NS)
-        self._z = self._height(self._time_ns / NS)
-        demand_v, demand_w = DEMANDS[self.spec.path](self, self._driven_s) if driving else (0.0, 0.0)
-        if driving:
-            self._driven_s += dt_s
-        lag = -math.expm1(-dt_s / DRIVE_LAG_S)
-        dv = _clip(lag * (demand_v - self._v), self.spec.acceleration_max_m_s2 * dt_s)
-        dw = _clip(lag * (demand_w - self._w), self._yaw_max_rad_s2 * dt_s)
-        self._v = _clip(self._v + dv, self.spec.speed_max_m_s)
-        self._w = _clip(self._w + dw, self.spec.turn_rate_max_rad_s)
-        self._publish(dt_s)
+        """Move on by ``dt_s``, see ``drive``."""
+        drive(self._cell, dt_s, driving)
+        self._show()
 
-    def _publish(self, dt_s: float) -> None:
-        """Turn the axle's state into the pad's; the pad stands behind the axle and swings with the yaw."""
-        self.time_s = self._time_ns / NS
-        self._vz = (self._height(self.time_s + dt_s) - self._z) / dt_s
-        behind = self.spec.pad_behind_axle_m
-        c, s = math.cos(self._yaw), math.sin(self._yaw)
-        self.pose = PadPose((self._x - behind * c, self._y - behind * s, self._z), self._yaw)
-        self.yaw_rate_rad_s = self._w
-        vx, vy = self._v, -behind * self._w
-        self.velocity_body_m_s: Vec3 = (vx, vy, self._vz)
-        self.velocity_enu_m_s: Vec3 = (c * vx - s * vy, s * vx + c * vy, self._vz)
+    def _show(self) -> None:
+        pad = self._read()  # in the order of PadRecord
+        self.time_s: float = pad[0] / NS
+        self.pose = PadPose(pad[1:4], pad[4])
+        self.velocity_body_m_s: Vec3 = pad[5:8]
+        self.velocity_enu_m_s: Vec3 = pad[8:11]
+        self.yaw_rate_rad_s: float = pad[11]
 
 
 class TargetOdometry:
@@ -182,7 +226,3 @@ class TargetOdometry:
             TargetMeasurement(t_ns / NS, (v[0], v[1], v[2]), wrap(v[3]), (v[4], v[5], v[6]), v[7])
             for t_ns, v in channel.release(now_ns)
         ]
-
-
-def _clip(value: float, limit: float) -> float:
-    return max(-limit, min(limit, value))

@@ -7,6 +7,8 @@ Keys under the name space (``cf1`` by default):
 - ``sim/target/tick``: in lockstep, after everything of a tick: (tick, samples put so far) as two int64.
 - ``sim/credit`` (read): in lockstep, how far the reader is and from which tick on to drive (-1: not yet).
 - ``controller/step`` (read): in real time, its phase tells when the landing begins.
+
+With ``--ros2`` the samples go to the ROS 2 topic ``/cf1/target/odom`` as well.
 """
 
 from __future__ import annotations
@@ -15,10 +17,14 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from pathlib import Path
 
 from bridge import zenoh_link
 from bridge.frames import quaternion_from_yaw
 from bridge.odometry import OdometryPublisher
+from bridge.ros2_network import Ros2Network
+from bridge.ros2_node import Ros2Node, Ros2Publisher
+from bridge.ros2_target import ROS_TYPES, TargetType
 from flightstack.pacing import EPOCH_NS, NO_GO, PAIR, RUN_AHEAD_TICKS, RealTimePacer, quiet_garbage_collector
 from flightstack.types import Phase
 from logs.codec import Severity, unpack_controller_step
@@ -31,6 +37,7 @@ from sim.target_motion import TargetMotion
 
 _CREDIT_PAUSE_S = 0.002  # s between two looks for credit; far less than the run-ahead lasts
 _MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
+NODE = "flightstack_target"  # name of the ROS 2 node
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
 
 
@@ -44,12 +51,11 @@ class Robot:
         session: zenoh_link.Session,
         namespace: str,
         rate_hz: int,
-        epoch_ns: int,
         *,
         lossless: bool,
     ) -> None:
         self.grid = TickGrid(rate_hz)
-        self.epoch_ns = epoch_ns
+        self.epoch_ns = EPOCH_NS  # Unix time of tick 0
         self.samples = 0
         self._motion = TargetMotion(scenario, seed, self.grid)
         self.faults = self._motion.faults
@@ -58,6 +64,7 @@ class Robot:
         self.truth = OdometryPublisher(session, key, child_frame_id="target", lossless=lossless)
         key = f"{namespace}/target/odom"
         self.odom = OdometryPublisher(session, key, child_frame_id="target", lossless=lossless)
+        self.shown: Ros2Publisher | None = None  # the same to ROS 2
 
     @property
     def tick(self) -> int:
@@ -86,7 +93,10 @@ class Robot:
         self.truth.put(payload, sent_ns, PAIR.pack(self.tick, 0))
         due, self._motion.due = self._motion.due, []
         for sample in due:
-            self.odom.put(self._encode(sample), sent_ns)
+            payload = self._encode(sample)
+            self.odom.put(payload, sent_ns)
+            if self.shown is not None:
+                self.shown.put(payload, sent_ns)
             self.samples += 1
 
     def _encode(self, sample: TargetMeasurement) -> bytes:
@@ -135,6 +145,8 @@ def target_main(
     namespace: str = "cf1",
     feed_socket: str | None = None,
     duration_s: float | None = None,
+    zenoh_config: Path | None = None,
+    ros2: Ros2Network | None = None,
 ) -> int:
     """Run the robot until SIGTERM, SIGINT or ``duration_s``; prints ``ready`` when it can be reached.
 
@@ -148,6 +160,8 @@ def target_main(
         namespace: first part of all keys.
         feed_socket: flight recorder, if there is one.
         duration_s: how long, simulated or real; None: no end.
+        zenoh_config: Zenoh configuration to begin with.
+        ros2: where to be a ROS 2 node as well.
 
     Returns:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
@@ -155,12 +169,15 @@ def target_main(
     stop = StopSignal().install()
     try:
         with ExitStack() as stack:
-            session = zenoh_link.open_session(listen, connect)
+            session = zenoh_link.open_session(listen, connect, config_file=zenoh_config)
             stack.callback(session.close)
-            epoch_ns = EPOCH_NS if lockstep else time.time_ns()
-            log = EventLog.connect(feed_socket, "target", epoch_ns, lossless=lockstep)
+            robot = Robot(scenario, seed, session, namespace, rate_hz, lossless=lockstep)
+            if ros2 is not None:
+                robot.shown = _shown(ros2, namespace, stack)
+            if not lockstep:
+                robot.epoch_ns = time.time_ns()  # once all that takes time is done
+            log = EventLog.connect(feed_socket, "target", robot.epoch_ns, lossless=lockstep)
             stack.callback(log.close)
-            robot = Robot(scenario, seed, session, namespace, rate_hz, epoch_ns, lossless=lockstep)
             ticks = robot.grid.count(duration_s)
             if lockstep:
                 _Lockstep(robot, session, namespace, log, stop).run(ticks)
@@ -173,6 +190,15 @@ def target_main(
         print(f"target: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _shown(ros2: Ros2Network, namespace: str, stack: ExitStack) -> Ros2Publisher:
+    """The robot as a ROS 2 node, on a session of its own, that publishes its odometry."""
+    session = ros2.open()
+    stack.callback(session.close)
+    node = Ros2Node(session, NODE, domain=ros2.domain, namespace=f"/{namespace}")
+    stack.callback(node.close)
+    return node.publisher(f"/{namespace}/target/odom", *ROS_TYPES[TargetType.ODOMETRY])
 
 
 class _Lockstep:

@@ -24,7 +24,7 @@ from sim.mujoco_step import contacts, mj_step
 from sim.params import STEP_S, Params
 from sim.raw_memory import address_of, doubles, ints
 from sim.reach import ReachRecord, apart, measure_reach
-from sim.records import I64, Quaternion, Record, Vector, cell, new
+from sim.records import I64, Quaternion, Record, Vector, new, scalars, writer
 from sim.scenario import TargetSpec
 from sim.world_rotation import midpoint_torque, turn_back
 from sim.world_xml import model_xml
@@ -199,8 +199,8 @@ class World:
     """
 
     __slots__ = (
-        "_deck", "_deck_position", "_deck_rate", "_deck_velocity", "_deck_yaw", "_free_model",
-        "_model", "_position", "_qpos", "_quaternion", "_qvel", "_rates",
+        "_deck_position", "_deck_rate", "_deck_velocity", "_deck_yaw", "_free_model",
+        "_model", "_position", "_qpos", "_quaternion", "_qvel", "_rates", "_set_deck",
         "_velocity", "body", "data", "deck", "memory", "reach",
     )  # fmt: skip
 
@@ -232,9 +232,9 @@ class World:
         b = self.body
         self._position, self._velocity = b.position, b.velocity
         self._quaternion, self._rates = b.quaternion, b.rates
-        self._deck = cell(self.deck)
+        self._set_deck = writer(self.deck)
         self._deck_position, self._deck_velocity = self.deck.position, self.deck.velocity
-        self._deck_yaw, self._deck_rate = self._deck["yaw"], self._deck["rate"]
+        self._deck_yaw, self._deck_rate = scalars(self.deck, "yaw", "rate")
         self.set_vehicle((0.0, 0.0, 1.0))
         self.set_deck((*target.position_m, target.pad_height_m), 0.0, (0.0, 0.0, 0.0), 0.0)
 
@@ -256,7 +256,7 @@ class World:
         turn = rate * STEP_S
         chord = math.sin(0.5 * turn) / (0.5 * turn) if turn else 1.0  # chord over arc length
         along, across = chord * math.cos(0.5 * turn) * STEP_S, chord * math.sin(0.5 * turn) * STEP_S
-        self._deck[0] = (position, velocity, yaw, rate, math.cos(turn), math.sin(turn), along, across)
+        self._set_deck(*position, *velocity, yaw, rate, math.cos(turn), math.sin(turn), along, across)
 
     def step(self, force: Vec3, torque: Vec3) -> int:
         """Do one ``physics_step``.

@@ -1,49 +1,106 @@
 """Campaign landings as a multiple of real time on one core, and where the time goes."""
 
-import cProfile
-import pstats
+from __future__ import annotations
+
+import functools
 import statistics
 import sys
 import time
-from pathlib import Path
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+from unittest.mock import patch
 
+from bridge.vehicle import VehicleLink
+from flightstack.controller import Controller
 from flightstack.pacing import quiet_garbage_collector
+from flightstack.safety_filter import SafetyFilter
+from sim import landing, vehicle
+from sim.autopilot import Autopilot
 from sim.landing import land
+from sim.landing_notes import Notes
+from sim.landing_target import DirectTarget
+from sim.landing_wire import Inlet
 from sim.scenario import load
-from sim.vehicle import warm_up
+from sim.vehicle import VehicleSim, warm_up
 
 LANDINGS = 8
-# function to share: its own time and that of all it calls; the first one that a function is below counts
-SHARES = {
-    ("flight.py", "fly"): "physics and firmware, compiled",
-    ("vehicle.py", "advance"): "physics, events in Python",
-    ("controller.py", "step"): "controller with its filter",
-    ("landing_target.py", "take"): "robot",
-    ("autopilot.py", "telemetry"): "autopilot, telemetry",
-    ("autopilot.py", "handle"): "autopilot, commands",
-    ("autopilot_flight.py", "control"): "autopilot, flying",
-    ("vehicle.py", "truth"): "true states",
-    ("vehicle.py", "poll"): "companion's link in",
-    ("exchange.py", "answer"): "companion's link out",
-    ("landing_wire.py", "send"): "wire",
-    ("verdict_truth.py", "judge_truth"): "judging",
-}
+ASKED = 100.0
+PHYSICS, VEHICLE, CONTROLLER, OSQP, ROBOT, AUTOPILOT, LINK, WIRE, NOTES, SET_UP = (
+    "physics and firmware, compiled", "vehicle in Python: events, true and estimated state",
+    "controller but for OSQP", "OSQP with its data", "robot", "autopilot: telemetry, commands, modes",
+    "companion's link", "wire", "notes and verdict", "setting up",
+)  # fmt: skip
+REST = "rest: lockstep"
+PARTS: tuple[tuple[Any, str, str], ...] = (
+    (vehicle, "fly", PHYSICS),
+    (VehicleSim, "advance", VEHICLE),
+    (VehicleSim, "truth", VEHICLE),
+    (VehicleSim, "estimate", VEHICLE),
+    (VehicleSim, "set_deck", VEHICLE),
+    (Controller, "step", CONTROLLER),
+    (SafetyFilter, "_osqp", OSQP),
+    (DirectTarget, "take", ROBOT),
+    (DirectTarget, "samples", ROBOT),
+    (Autopilot, "telemetry", AUTOPILOT),
+    (Autopilot, "handle", AUTOPILOT),
+    (Autopilot, "control", AUTOPILOT),
+    (VehicleLink, "poll", LINK),
+    (landing, "take", LINK),
+    (landing, "answer", LINK),
+    (Inlet, "send", WIRE),
+    (Notes, "step", NOTES),
+    (Notes, "truth", NOTES),
+    (Notes, "seen", NOTES),
+    (landing, "judge_truth", NOTES),
+    (landing._Companion, "__init__", SET_UP),
+)
 
 
-def shares(profile: cProfile.Profile) -> dict[str, float]:
-    """Time in each of the parts above, s; parts inside of others are taken out of these."""
-    stats = pstats.Stats(profile).stats  # type: ignore[attr-defined]
-    found = dict.fromkeys(SHARES.values(), 0.0)
-    for (file, _, name), (_, _, _, total_s, callers) in stats.items():
-        part = SHARES.get((Path(file).name, name))
-        if part is None:
-            continue
-        found[part] += total_s
-        for (caller_file, _, caller), values in callers.items():
-            outer = SHARES.get((Path(caller_file).name, caller))
-            if outer is not None:
-                found[outer] -= values[3]
-    return found
+class Meter:
+    """Time spent in each part but for the parts called from there, ns; wall time, for its clock is cheap."""
+
+    def __init__(self) -> None:
+        self.spent_ns: Counter[str] = Counter()
+        self._inner_ns = [0]  # of the calls that are under way
+
+    def wrap(self, function: Callable[..., Any], part: str) -> Callable[..., Any]:
+        """The same function, measured."""
+        clock, inner_ns, spent_ns = time.perf_counter_ns, self._inner_ns, self.spent_ns
+
+        @functools.wraps(function)
+        def measured(*args: Any, **kwargs: Any) -> Any:
+            inner_ns.append(0)
+            began_ns = clock()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                whole_ns = clock() - began_ns
+                spent_ns[part] += whole_ns - inner_ns.pop()
+                inner_ns[-1] += whole_ns
+
+        return measured
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """Measure every part meanwhile."""
+        with ExitStack() as stack:
+            for owner, name, part in PARTS:
+                stack.enter_context(patch.object(owner, name, self.wrap(getattr(owner, name), part)))
+            yield
+
+
+def us_per_tick(scenario: Any, seed: int) -> dict[str, float]:
+    """What each part of one landing costs a tick, us."""
+    meter = Meter()
+    with meter.watching():
+        began_ns = time.perf_counter_ns()
+        flown = land(scenario, seed)
+        whole_ns = time.perf_counter_ns() - began_ns
+    meter.spent_ns[REST] = whole_ns - meter.spent_ns.total()
+    ticks = flown.simulated_s * scenario.onboard.loop.rate_hz
+    return {part: spent_ns / ticks / 1e3 for part, spent_ns in meter.spent_ns.items()}
 
 
 def main(scenario_name: str = "lab") -> None:
@@ -57,23 +114,22 @@ def main(scenario_name: str = "lab") -> None:
     factors = []
     for seed in range(LANDINGS):
         began_s = time.process_time()
-        landing = land(scenario, seed)
-        factors.append(landing.simulated_s / (time.process_time() - began_s))
+        flown = land(scenario, seed)
+        factors.append(flown.simulated_s / (time.process_time() - began_s))
     print(
-        f"{scenario_name}: {statistics.median(factors):.0f} x real time on one core (asked 100), "
+        f"{scenario_name}: {statistics.median(factors):.0f} x real time on one core (asked {ASKED:.0f}), "
         f"{min(factors):.0f} to {max(factors):.0f} in {LANDINGS} landings"
     )
-    profile = cProfile.Profile()
-    profile.enable()
-    for seed in range(LANDINGS):
-        land(scenario, seed)
-    profile.disable()
-    parts = shares(profile)
-    whole_s = pstats.Stats(profile).total_tt  # type: ignore[attr-defined]
-    parts["rest"] = whole_s - sum(parts.values())
-    print("shares under the profiler, which makes short functions look longer than they are:")
-    for name, part_s in sorted(parts.items(), key=lambda part: -part[1]):
-        print(f"  {100.0 * part_s / whole_s:5.1f} %  {name}")
+    rows = [us_per_tick(scenario, seed) for seed in range(LANDINGS)]
+    parts = {part: statistics.median(row[part] for row in rows) for part in rows[0]}
+    whole = sum(parts.values())
+    period_us = 1e6 / scenario.onboard.loop.rate_hz
+    print(
+        f"a tick under the meter, which makes short calls look longer: {whole:.0f} us of "
+        f"{period_us:.0f}; {ASKED:.0f} x would be {period_us / ASKED:.0f}"
+    )
+    for part, cost in sorted(parts.items(), key=lambda item: -item[1]):
+        print(f"  {cost:6.1f} us {100.0 * cost / whole:5.1f} %  {part}")
 
 
 if __name__ == "__main__":

@@ -15,10 +15,11 @@ from bridge.frames import quaternion_from_yaw
 from bridge.odometry import sample_from_cdr
 from flightstack.pacing import EPOCH_NS
 from flightstack.strict_toml import dumps, from_table, to_table
+from flightstack.types import TargetSample
 from logs.verdict import Outcome
 from sim.campaign_rows import row_of
 from sim.landing import land
-from sim.landing_target import received
+from sim.landing_target import arrived
 from sim.landing_wire import PEER, wires
 from sim.scenario import Scenario, load
 from sim.target import TargetMeasurement
@@ -96,7 +97,7 @@ def test_a_target_sample_is_what_cdr_makes_of_it(seed):
         EPOCH_NS + round(sample.time_s * 1e9), "map", "target", sample.position_enu_m,
         quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
     )  # fmt: skip
-    assert received(sample, 1.25) == sample_from_cdr(payload, 1.25)
+    assert TargetSample(1.25, *arrived(sample)) == sample_from_cdr(payload, 1.25)
 
 
 def short(name, **changes):

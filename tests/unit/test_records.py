@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.jit import jitted
-from sim.records import F64, I64, Record, cell, layout, new, reader, scalars
+from sim.records import F64, I64, Record, cell, layout, new, reader, scalars, writer
 
 
 class Inner(Record):
@@ -97,3 +97,9 @@ def test_names_and_kinds_that_cannot_be_fields_are_refused():
     with pytest.raises(TypeError, match="str"):
         layout(Text)
     assert np.dtype(layout(Inner)).names == ("values", "on")
+
+
+def test_a_writer_sets_all_numbers_in_order():
+    whole = new(Whole)
+    writer(whole.inner)(0.5, -0.0, 1)
+    assert repr(reader(whole)()) == "(0, 0, 0.5, -0.0, 1, 0)"

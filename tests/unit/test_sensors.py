@@ -9,7 +9,7 @@ import pytest
 from sim.imu import Imu
 from sim.params import CONTROL_STEP_S, load
 from sim.scenario import OdometryLink, Wind
-from sim.sensors import NS, MeasurementChannel, Normals, stream
+from sim.sensors import NS, Losses, MeasurementChannel, NoiseRows, Normals, stream
 from sim.wind import WindModel
 
 MS = NS // 1000
@@ -76,6 +76,21 @@ def test_streams_are_independent_of_each_other_and_fixed_by_the_seed():
     second = [other.take() for _ in range(2000)]
     assert abs(statistics.correlation(first, second)) < 0.08
     assert first != list(stream(8, "a").standard_normal(2000))
+
+
+@pytest.mark.parametrize("sigmas", [(0.5,), (0.0, 0.1, 0.0, 2.0, 3.0), (1.0, 2.0, 3.0, 4.0), (0.0, 0.0)])
+def test_rows_of_noise_are_the_numbers_one_by_one(sigmas):
+    rows, numbers = NoiseRows(sigmas, 3, "a"), Normals(3, "a")
+    for _ in range(4000):
+        assert rows.take() == [s * numbers.take() if s else 0.0 for s in sigmas]
+
+
+def test_chances_drawn_ahead_are_those_drawn_one_by_one():
+    losses, rng = Losses(OdometryLink(100.0, loss=0.3), 4, "a"), stream(4, "a")
+    assert [losses.lost(k) for k in range(3000)] == [rng.random() < 0.3 for _ in range(3000)]
+    assert losses.possible
+    assert not Losses(OdometryLink(100.0), 4, "a").possible
+    assert Losses(OdometryLink(100.0, dropout_every_s=1.0, dropout_max_s=0.1), 4, "a").possible
 
 
 def imu_run(seed, n=20000):
