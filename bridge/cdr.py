@@ -129,11 +129,11 @@ def decode_pose_and_twist(payload: bytes) -> tuple[int, str, str, tuple[float, .
 
 
 def _unpack(payload: bytes, doubles: struct.Struct) -> tuple[int, str, str, tuple[float, ...]]:
-    _check_header(payload)
+    check_header(payload)
     try:
         seconds, nanoseconds = _STAMP.unpack_from(payload, 4)
-        frame_id, at = _decode_string(payload, _STRINGS_AT)
-        child_frame_id, at = _decode_string(payload, (at + 3) & ~3)
+        frame_id, at = decode_string(payload, _STRINGS_AT)
+        child_frame_id, at = decode_string(payload, (at + 3) & ~3)
         numbers = doubles.unpack_from(payload, ((at - 4 + 7) & ~7) + 4)  # aligned from after the header
     except struct.error as error:
         raise OdometryError(
@@ -143,7 +143,12 @@ def _unpack(payload: bytes, doubles: struct.Struct) -> tuple[int, str, str, tupl
     return seconds * _NS_PER_S + nanoseconds, frame_id, child_frame_id, numbers
 
 
-def _check_header(payload: bytes) -> None:
+def check_header(payload: bytes) -> None:
+    """Refuse what does not begin as CDR, little endian.
+
+    Raises:
+        OdometryError: it does not.
+    """
     # The two option bytes carry padding in newer versions of the standard and are ignored, as ROS 2 does.
     if payload[:2] == _HEADER[:2]:
         return
@@ -166,8 +171,13 @@ def _encode_strings(frame_id: str, child_frame_id: str) -> bytes:
     return out[_STAMP.size :] + bytes(-len(out) % 8)
 
 
-def _decode_string(payload: bytes, at: int) -> tuple[str, int]:
-    """The string at ``at`` and the offset behind it."""
+def decode_string(payload: bytes, at: int) -> tuple[str, int]:
+    """The string at ``at`` and the offset behind it.
+
+    Raises:
+        OdometryError: it does not fit, or is not UTF-8.
+        struct.error: the payload ends before its length.
+    """
     (length,) = _LENGTH.unpack_from(payload, at)
     start = at + 4
     end = start + length

@@ -9,12 +9,16 @@ order w, x, y, z, and rotate a body vector into the world. No other module may c
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from flightstack.types import Vec3
 
 Quat = tuple[float, float, float, float]
 
 _SQRT_HALF = math.sqrt(0.5)
+_POLE = 1.0 - 1e-12  # sine of a pitch that is 90 degrees but for 1e-6 rad
+_NED_AXIS = (1, 0, 2, 4, 3, 5)  # which ENU axis a NED axis is, of a position and of a rotation
+_NED_SIGN = (1.0, 1.0, -1.0, 1.0, 1.0, -1.0)
 
 
 def ned_from_enu(v: Vec3) -> Vec3:
@@ -110,3 +114,49 @@ def world_from_body_velocity(q: Quat, velocity_body_m_s: Vec3) -> Vec3:
 def body_from_world_velocity(q: Quat, velocity_world_m_s: Vec3) -> Vec3:
     """Turn a velocity given in the world's axes into the body's axes."""
     return body_from_world(q, velocity_world_m_s)
+
+
+def ned_covariance_from_enu(covariance: Sequence[float]) -> tuple[float, ...]:
+    """Turn a covariance of position and rotation about the world's axes from ENU into NED.
+
+    Args:
+        covariance: 6 x 6, row by row, order x y z and rotations about x y z (geometry_msgs).
+
+    Returns:
+        The same about north, east and down (the conversion is its own inverse).
+
+    Raises:
+        ValueError: it has not 36 entries.
+    """
+    if len(covariance) != 36:
+        raise ValueError(f"covariance has {len(covariance)} entries: 6 x 6 are needed")
+    return tuple(
+        _NED_SIGN[i] * _NED_SIGN[j] * covariance[6 * _NED_AXIS[i] + _NED_AXIS[j]]
+        for i in range(6)
+        for j in range(6)
+    )
+
+
+def upper_triangle(covariance: Sequence[float]) -> tuple[float, ...]:
+    """The 21 entries of a symmetric 6 x 6 matrix that MAVLink carries, row by row."""
+    return tuple(covariance[6 * i + j] for i in range(6) for j in range(i, 6))
+
+
+def euler_from_quaternion(q: Quat) -> Vec3:
+    """Roll, pitch and yaw, turned about z, then y, then x, of a unit quaternion; pitch in [-pi/2, pi/2].
+
+    With the nose straight up or down roll and yaw turn about the same axis: all of it is called yaw.
+    """
+    w, x, y, z = q
+    sine = 2.0 * (w * y - z * x)
+    if abs(sine) >= _POLE:
+        return (
+            0.0,
+            math.copysign(math.pi / 2, sine),
+            wrap_angle(-math.copysign(2.0, sine) * math.atan2(x, w)),
+        )
+    return (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(sine),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from bridge import zenoh_link
 from bridge.attachment import GID_BYTES, pack_attachment, parse_attachment
@@ -27,6 +27,7 @@ __all__ = [
     "OdometryPublisher",
     "OdometrySubscriber",
     "RawSample",
+    "SampleSource",
     "decode_odometry",
     "encode_odometry",
     "sample_from_cdr",
@@ -44,6 +45,13 @@ class RawSample(NamedTuple):
     attachment: bytes | None
     sequence: int | None  # from the attachment, None without one
     source_time_ns: int | None  # from the attachment, Unix time
+
+
+class SampleSource(Protocol):
+    """Whatever odometry comes from."""
+
+    def poll(self) -> list[RawSample]:
+        """Take all samples that have arrived, oldest first; never blocks."""
 
 
 def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
@@ -179,14 +187,15 @@ class OdometrySubscriber:
 
     def poll(self) -> list[RawSample]:
         """Take all samples that have arrived, oldest first; never blocks."""
-        return [_raw(sample) for sample in zenoh_link.drain(self._subscriber)]
+        return [raw_sample(sample) for sample in zenoh_link.drain(self._subscriber)]
 
     def close(self) -> None:
         """Undeclare the subscriber."""
         self._subscriber.undeclare()
 
 
-def _raw(sample: zenoh_link.Sample) -> RawSample:
+def raw_sample(sample: zenoh_link.Sample) -> RawSample:
+    """Take payload and attachment out of a Zenoh sample."""
     attachment: bytes | None = sample.attachment.to_bytes() if sample.attachment is not None else None
     parsed = parse_attachment(attachment)
     sequence, source_time_ns = parsed if parsed is not None else (None, None)

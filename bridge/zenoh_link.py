@@ -1,7 +1,7 @@
 """Zenoh sessions that talk to whom they were told and nobody else, polled from the owner's loop.
 
-No scouting, no gossip, no callbacks: a callback runs in another thread, swallows exceptions, and keeps the
-process from ending when the session is not closed.
+No scouting and no gossip unless a configuration file asks for it, and no callbacks: a callback runs in
+another thread, swallows exceptions, and keeps the process from ending when the session is not closed.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -19,8 +21,33 @@ Subscriber = Any
 Sample = Any
 
 LOOPBACK = "tcp/127.0.0.1:0"  # any free port, this machine only
+LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # where clients and ROS 2 nodes look for a router
 _LEASE_MS = 2000  # a peer silent this long is dropped and dialled again; liveness is judged by message age
+_CLIENT_WAIT_MS = 10_000  # for a router that is not there yet
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
+
+
+class Role(Enum):
+    """What a session is to others (``mode`` of a Zenoh configuration)."""
+
+    PEER = "peer"  # speaks with those it dialled and those who dialled it, and passes nothing on
+    CLIENT = "client"  # speaks through a router
+    ROUTER = "router"  # passes on
+
+
+_DEFAULTS: dict[str, Any] = {
+    "connect/retry": _RETRY,
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "scouting/delay": 0,  # else open() stalls 500 ms when a peer is not there yet
+    "transport/link/tx/lease": _LEASE_MS,
+}
+_ROLE_DEFAULTS: dict[Role, dict[str, Any]] = {
+    Role.PEER: {"listen/endpoints": [LOOPBACK]},  # Zenoh's own: every interface
+    Role.CLIENT: {"listen/endpoints": [], "connect/timeout_ms": _CLIENT_WAIT_MS},
+    # By gossip with their router ROS 2 nodes find each other (rmw_zenoh DEFAULT_RMW_ZENOH_ROUTER_CONFIG).
+    Role.ROUTER: {"listen/endpoints": [LOOPBACK_ROUTER], "scouting/gossip/enabled": True},
+}
 _IP = re.compile(r"^(tcp|udp|tls|quic|ws)/(?:\[[0-9a-fA-F:.%]+\]|[^\s/:\[\]]+):(\d{1,5})$")
 _UNIX = re.compile(r"^unixsock-stream/\S+$")
 _HELP = (
@@ -29,7 +56,7 @@ _HELP = (
 )
 
 
-class ZenohLinkError(RuntimeError):
+class ZenohLinkError(OSError):
     """A session that could not be opened; the text says which endpoint and why."""
 
 
@@ -48,45 +75,81 @@ def check_endpoint(endpoint: str) -> str:
 
 
 def open_session(
-    listen: Sequence[str] = (), connect: Sequence[str] = (), *, config_file: str | None = None
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    *,
+    config_file: Path | None = None,
+    role: Role = Role.PEER,
 ) -> Session:
-    """Open a peer session with these endpoints and no others.
+    """Open a session with these endpoints and no others.
 
-    Returns at once even if nobody answers on ``connect``: that is retried in the background every 0.05 to
-    0.5 s. A refused connection is as silent; look at ``transports`` and at message ages. Close it when done.
+    What a configuration file sets is kept; endpoints given here take the place of the file's. A peer, the
+    default, returns at once even if nobody answers on ``connect``: that is retried in the background every
+    0.05 to 0.5 s. A client needs its router within 10 s, and then outlives it. A refused connection is
+    silent; look at ``transports`` and at message ages. Close it when done.
 
     Args:
-        listen: where others may connect; empty means a free port on loopback.
-        connect: whom to connect to.
-        config_file: a Zenoh configuration to start from, for example with TLS keys and access rules.
+        listen: where others may connect; empty means the file's, or a free port on loopback.
+        connect: whom to connect to; empty means the file's.
+        config_file: a Zenoh configuration (JSON5), for example with TLS keys and access rules.
+        role: what to be if the file does not say; a router passes on nothing from one peer to another.
 
     Raises:
-        ValueError: an endpoint is malformed.
+        ValueError: an endpoint is malformed, or the file is.
         ZenohLinkError: the session could not be opened, for example because a port is taken.
     """
-    listen = [check_endpoint(endpoint) for endpoint in listen] or [LOOPBACK]
+    listen = [check_endpoint(endpoint) for endpoint in listen]
     connect = [check_endpoint(endpoint) for endpoint in connect]
-    settings: dict[str, Any] = {
-        "mode": "peer",
-        "listen/endpoints": listen,  # Zenoh's own default is every interface
-        "connect/endpoints": connect,
-        "connect/retry": _RETRY,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "scouting/delay": 0,  # else open() stalls 500 ms when a peer is not there yet
-        "transport/link/tx/lease": _LEASE_MS,
-    }
+    config = _configuration(listen, connect, config_file, role)
     try:
-        config = zenoh.Config.from_file(config_file) if config_file else zenoh.Config()
-        for key, value in settings.items():
-            config.insert_json5(key, json.dumps(value))
         return zenoh.open(config)
     except zenoh.ZError as error:
-        reason = str(error).partition(" at /")[0]  # the rest is a path in the build machine's source tree
+        hint = "is the port taken"
+        if _role(config) is Role.CLIENT:
+            hint = "is the router there, and does it let us in"
         raise ZenohLinkError(
-            f"cannot open a Zenoh session that listens on {', '.join(listen)} and connects to "
-            f"{', '.join(connect) or 'nobody'}: {reason}; is the port taken by another process?"
+            f"cannot open a Zenoh session that listens on {_endpoints(config, 'listen') or 'nothing'} and "
+            f"connects to {_endpoints(config, 'connect') or 'nobody'}: {_reason(error)}; {hint}?"
         ) from error
+
+
+def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | None, role: Role) -> Any:
+    """Zenoh's own configuration: what was asked for, then the file's, then our defaults."""
+    untouched = zenoh.Config()
+    try:
+        config = zenoh.Config.from_file(str(file)) if file else zenoh.Config()
+    except zenoh.ZError as error:
+        raise ValueError(f"Zenoh configuration {file}: {_reason(error)}") from error
+
+    def fill(key: str, value: Any) -> None:
+        if config.get_json(key) == untouched.get_json(key):
+            config.insert_json5(key, json.dumps(value))
+
+    fill("mode", role.value)
+    role = _role(config)
+    if listen and role is Role.CLIENT:
+        raise ValueError(
+            f"a client of a Zenoh router cannot listen, here on {', '.join(listen)}: leave one out"
+        )
+    for key, endpoints in {"listen/endpoints": listen, "connect/endpoints": connect}.items():
+        if endpoints:
+            config.insert_json5(key, json.dumps(list(endpoints)))
+    for key, value in {**_DEFAULTS, **_ROLE_DEFAULTS[role]}.items():
+        fill(key, value)
+    return config
+
+
+def _role(config: Any) -> Role:
+    return Role(json.loads(config.get_json("mode")))
+
+
+def _endpoints(config: Any, kind: str) -> str:
+    found = json.loads(config.get_json(f"{kind}/endpoints"))
+    return ", ".join(map(str, found)) if isinstance(found, list) else str(found)
+
+
+def _reason(error: zenoh.ZError) -> str:
+    return str(error).partition(" at /")[0]  # the rest is a path in the build machine's source tree
 
 
 def blocking_publisher(session: Session, key: str, encoding: str | None = None) -> Publisher:
@@ -109,6 +172,15 @@ def fifo_subscriber(session: Session, key: str, capacity: int = 1024) -> Subscri
     return session.declare_subscriber(_key(key), zenoh.handlers.FifoChannel(capacity))
 
 
+def liveliness_token(session: Session, key: str) -> Any:
+    """Declare a token that others see for as long as this session lives and they reach it.
+
+    Raises:
+        ValueError: the key is not allowed.
+    """
+    return session.liveliness().declare_token(_key(key))
+
+
 def drain(subscriber: Subscriber) -> list[Sample]:
     """Take all samples that have arrived, oldest first; never blocks."""
     samples: list[Sample] = []
@@ -127,6 +199,26 @@ def transports(session: Session) -> int:
     return len(session.info.transports())
 
 
+def dialled(
+    connect: Sequence[str] = (), *, config_file: Path | None = None, role: Role = Role.PEER
+) -> tuple[Role, list[str]]:
+    """What ``open_session`` with these arguments is, and whom it connects to.
+
+    Raises:
+        ValueError: the file is malformed.
+    """
+    config = _configuration((), connect, config_file, role)
+    role, endpoints = _role(config), json.loads(config.get_json("connect/endpoints"))
+    if isinstance(endpoints, dict):
+        endpoints = endpoints.get(role.value, [])
+    return role, [str(one) for one in endpoints]
+
+
+def knows_router(session: Session) -> bool:
+    """Tell whether one of the connections is to a router."""
+    return any(True for _ in session.info.routers_zid())
+
+
 def _publisher(session: Session, key: str, encoding: str | None, congestion: Any) -> Publisher:
     return session.declare_publisher(
         _key(key),
@@ -140,6 +232,6 @@ def _key(key: str) -> Any:
         return zenoh.KeyExpr(key)
     except zenoh.ZError as error:
         raise ValueError(
-            f"Zenoh key {key!r} is not allowed ({str(error).partition(' at /')[0]}): chunks parted by single "
+            f"Zenoh key {key!r} is not allowed ({_reason(error)}): chunks parted by single "
             "slashes, no slash at the ends, no '#', '?' or '$', for example cf1/target/odom"
         ) from error

@@ -10,13 +10,18 @@ from typing import Any
 
 import click
 
+from bridge.autopilots import AUTO, CHOICES
+from flightstack.cli_bridge import bridge
 from flightstack.cli_campaign import campaign
 from flightstack.cli_check import check
 from flightstack.cli_identify import identify
 from flightstack.cli_log import diff, log
+from flightstack.cli_preflight import preflight
 from flightstack.cli_replay import replay
 from flightstack.cli_view import view
 from flightstack.cli_watch import watch
+from flightstack.cli_zenoh import connect as _connect
+from flightstack.cli_zenoh import plugs, ros2, ros2_network, router, target_key, target_type, zenoh_config
 from flightstack.config import FilterKind
 from flightstack.strict_toml import ConfigError
 
@@ -61,18 +66,6 @@ _lockstep = click.option(
 _rate = click.option(
     "--rate", "rate_hz", type=click.IntRange(10, 500), default=100, show_default=True, help="Ticks a second."
 )
-_connect = click.option(
-    "--connect",
-    multiple=True,
-    metavar="ENDPOINT",
-    help="Zenoh endpoint to connect to, e.g. tcp/10.0.0.2:7447; repeatable.",
-)
-_listen = click.option(
-    "--listen",
-    multiple=True,
-    metavar="ENDPOINT",
-    help="Zenoh endpoint to listen on; default: a free port of loopback.",
-)
 _recorder = click.option(
     "--recorder",
     type=click.Path(path_type=Path),
@@ -91,6 +84,20 @@ _signing_key = click.option(
 _allow_unsigned = click.option(
     "--allow-unsigned", is_flag=True, help="Listen to a network without a key: anybody there can fly it."
 )
+_autopilot = click.option(
+    "--autopilot",
+    type=click.Choice(CHOICES),
+    default=AUTO,
+    show_default=True,
+    help="What flies the vehicle; auto: by its heartbeat (docs/autopilots.md).",
+)
+_personality = click.option(
+    "--personality",
+    type=click.Choice(["px4", "ardupilot"]),
+    default="px4",
+    show_default=True,
+    help="Which autopilot the simulated vehicle plays.",
+)
 _duration = click.option(
     "--duration",
     "duration_s",
@@ -98,6 +105,21 @@ _duration = click.option(
     metavar="S",
     help="End after so many seconds of stack time.",
 )
+
+
+def _parameters(context: click.Context, option: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
+    """Turn NAME=VALUE into a table."""
+    del context, option
+    found = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise click.BadParameter(f"found {text!r}; NAME=VALUE is needed, for example COM_OF_LOSS_T=0.5")
+    return found
 
 
 def _say(text: str) -> None:
@@ -127,6 +149,10 @@ def _say(text: str) -> None:
     "--report/--no-report", "with_report", default=True, show_default=True, help="Write the HTML report."
 )
 @_signing_key
+@ros2
+@zenoh_config
+@_personality
+@_autopilot
 @click.option(
     "--listen", multiple=True, metavar="ENDPOINT",
     help="Zenoh endpoint where others may watch, besides the one of loopback that is printed; repeatable.",
@@ -134,6 +160,7 @@ def _say(text: str) -> None:
 def sitl(
     scenario: str, seed: int, filter_name: str | None, lockstep: bool, duration_s: float | None,
     out: Path | None, as_json: bool, with_report: bool, signing_key: Path | None, listen: tuple[str, ...],
+    ros2_where: str | None, ros_domain: int, zenoh_config: Path | None, personality: str, autopilot: str,
 ) -> None:  # fmt: skip
     """Fly a scenario in software: vehicle, target, onboard process and recorder, all over the real wires.
 
@@ -143,7 +170,22 @@ def sitl(
     from flightstack.launch import RunOptions
 
     kind = FilterKind(filter_name) if filter_name else None
-    options = RunOptions(scenario, seed, kind, lockstep, duration_s, out, not as_json, signing_key, listen)
+    network = ros2_network(ros2_where, ros_domain)
+    options = RunOptions(
+        scenario,
+        seed,
+        kind,
+        lockstep,
+        duration_s,
+        out,
+        not as_json,
+        signing_key,
+        listen,
+        zenoh_config,
+        network,
+        personality=personality,
+        autopilot=autopilot,
+    )
     sys.exit(runner.fly(options, as_json=as_json, with_report=with_report))
 
 
@@ -155,14 +197,9 @@ def sitl(
     metavar="URL",
     help="MAVLink URL: udpin:HOST:PORT or udpout:HOST:PORT.",
 )
-@click.option(
-    "--target",
-    "target_key",
-    default="cf1/target/odom",
-    show_default=True,
-    metavar="KEY",
-    help="Zenoh key of the target's odometry.",
-)
+@target_key
+@target_type
+@ros2
 @click.option(
     "--config",
     "config_file",
@@ -170,8 +207,7 @@ def sitl(
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Configuration (TOML).",
 )
-@_connect
-@_listen
+@plugs
 @_namespace
 @_recorder
 @_lockstep
@@ -183,17 +219,20 @@ def sitl(
     show_default=True,
     help="MAVLink system id of the vehicle.",
 )
+@_autopilot
 @_signing_key
 @_allow_unsigned
 def onboard(
     vehicle_url: str, target_key: str, config_file: Path, connect: tuple[str, ...], listen: tuple[str, ...],
     namespace: str, recorder: Path | None, lockstep: bool, duration_s: float | None, system_id: int,
-    signing_key: Path | None, allow_unsigned: bool,
+    autopilot: str, signing_key: Path | None, allow_unsigned: bool, target_type: str, ros2_where: str | None,
+    ros_domain: int, zenoh_config: Path | None,
 ) -> None:  # fmt: skip
     """Run the onboard process against any vehicle and target.
 
     Ctrl-C asks for an abort (fly clear, land); a second one ends the process at once.
     """
+    from bridge.ros2_target import TargetType
     from flightstack import config
     from flightstack import onboard as process
 
@@ -209,6 +248,11 @@ def onboard(
         system_id,
         signing_key,
         allow_unsigned,
+        autopilot,
+        TargetType(target_type),
+        zenoh_config,
+        ros2_network(ros2_where, ros_domain),
+        ros_domain,
     )
     ended = process.run(config.load(config_file), options, say=_say)
     _say(f"{ended.phase.name}: {ended.reason}")
@@ -224,8 +268,7 @@ def onboard(
     show_default=True,
     help="MAVLink URL to serve; port 0 takes a free one.",
 )
-@_connect
-@_listen
+@plugs
 @_namespace
 @_recorder
 @_rate
@@ -238,12 +281,18 @@ def onboard(
     metavar="HOST:PORT",
     help="Send telemetry there without being asked, e.g. 127.0.0.1:14540 for MAVSDK; repeatable.",
 )
+@_personality
+@click.option(
+    "--parameter", "parameters", multiple=True, metavar="NAME=VALUE", callback=_parameters,
+    help="Parameter of the autopilot, set before it starts; repeatable.",
+)  # fmt: skip
 @_signing_key
 @_allow_unsigned
 def vehicle(
     scenario: str, seed: int, url: str, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str,
     recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None, peers: tuple[str, ...],
-    signing_key: Path | None, allow_unsigned: bool,
+    signing_key: Path | None, allow_unsigned: bool, zenoh_config: Path | None, personality: str,
+    parameters: dict[str, float],
 ) -> None:  # fmt: skip
     """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's truth on Zenoh."""
     from sim.scenario import load
@@ -254,7 +303,8 @@ def vehicle(
             load(scenario), seed, url, lockstep=lockstep, rate_hz=rate_hz,
             feed_socket=str(recorder) if recorder else None, zenoh_connect=list(connect),
             zenoh_listen=list(listen), namespace=namespace, duration_s=duration_s, peers=list(peers),
-            signing_key=signing_key, allow_unsigned=allow_unsigned,
+            signing_key=signing_key, allow_unsigned=allow_unsigned, zenoh_config=zenoh_config,
+            personality=personality, parameters=parameters,
         )
     )  # fmt: skip
 
@@ -262,8 +312,8 @@ def vehicle(
 @main.command()
 @_scenario()
 @_seed
-@_connect
-@_listen
+@plugs
+@ros2
 @_namespace
 @_recorder
 @_rate
@@ -271,7 +321,8 @@ def vehicle(
 @_duration
 def target(
     scenario: str, seed: int, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str,
-    recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None,
+    recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None, zenoh_config: Path | None,
+    ros2_where: str | None, ros_domain: int,
 ) -> None:  # fmt: skip
     """Run the ground robot: drives the scenario's path and publishes its odometry on Zenoh."""
     from sim.scenario import load
@@ -281,7 +332,8 @@ def target(
         target_main(
             load(scenario), seed, lockstep=lockstep, rate_hz=rate_hz, listen=list(listen),
             connect=list(connect), namespace=namespace, duration_s=duration_s,
-            feed_socket=str(recorder) if recorder else None,
+            feed_socket=str(recorder) if recorder else None, zenoh_config=zenoh_config,
+            ros2=ros2_network(ros2_where, ros_domain),
         )
     )  # fmt: skip
 
@@ -301,6 +353,7 @@ def target(
     "--until-clients", type=click.IntRange(min=1), help="End after so many clients have come and gone."
 )
 @_connect
+@zenoh_config
 @click.option(
     "--key",
     "keys",
@@ -309,12 +362,15 @@ def target(
     help="Zenoh keys to record besides, e.g. 'cf1/**'; repeatable.",
 )
 def record(
-    socket_path: Path, out: Path, until_clients: int | None, connect: tuple[str, ...], keys: tuple[str, ...]
-) -> None:
+    socket_path: Path, out: Path, until_clients: int | None, connect: tuple[str, ...], keys: tuple[str, ...],
+    zenoh_config: Path | None,
+) -> None:  # fmt: skip
     """Record what the other processes send, until ended; the log is readable at any time."""
     from logs.recorder import record_main
 
-    sys.exit(record_main(socket_path, out, until_clients, connect=list(connect), keys=list(keys)))
+    sys.exit(
+        record_main(socket_path, out, until_clients, connect=connect, keys=keys, config_file=zenoh_config)
+    )
 
 
 @main.command()
@@ -360,10 +416,13 @@ def scenarios(name: str | None) -> None:
         click.echo(f"{known:18} {scenario.load(known).description}")
 
 
+main.add_command(bridge)
 main.add_command(check)
 main.add_command(identify)
+main.add_command(preflight)
 main.add_command(replay)
 main.add_command(watch)
+main.add_command(router)
 main.add_command(campaign)
 main.add_command(log)
 main.add_command(view)

@@ -6,9 +6,12 @@ import json
 import signal
 import sys
 import time
+from pathlib import Path
 from types import FrameType
 
 import click
+
+from flightstack.cli_zenoh import zenoh_config
 
 FRESH, NOTHING = 0, 1
 LOOK_S = 0.05  # between two looks
@@ -17,9 +20,11 @@ DEFAULT = "tcp/127.0.0.1:7448"  # where docs and README let the onboard process 
 
 @click.command()
 @click.option(
-    "--connect", multiple=True, metavar="ENDPOINT", default=(DEFAULT,), show_default=True,
-    help="Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable.",
+    "--connect", multiple=True, metavar="ENDPOINT",
+    help=f"Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: {DEFAULT}, or "
+    "what the configuration says.",
 )  # fmt: skip
+@zenoh_config
 @click.option(
     "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."
 )
@@ -31,7 +36,10 @@ DEFAULT = "tcp/127.0.0.1:7448"  # where docs and README let the onboard process 
     "--timeout", "timeout_s", type=click.FloatRange(min=0.1, max=3600.0), default=5.0, show_default=True,
     metavar="S", help="How long --once waits.",
 )  # fmt: skip
-def watch(connect: tuple[str, ...], namespace: str, once: bool, as_json: bool, timeout_s: float) -> None:
+def watch(
+    connect: tuple[str, ...], zenoh_config: Path | None, namespace: str, once: bool, as_json: bool,
+    timeout_s: float,
+) -> None:  # fmt: skip
     """Watch a flight: phase, h, set-points, ages, battery, loop timing; Ctrl-C ends it.
 
     Only listens. Exit status: 0 in order, 1 with --once when nothing fresh came, 2 for wrong input.
@@ -39,7 +47,10 @@ def watch(connect: tuple[str, ...], namespace: str, once: bool, as_json: bool, t
     from bridge import zenoh_link
 
     previous = signal.signal(signal.SIGTERM, _end)
-    session = zenoh_link.open_session([], connect)
+    if zenoh_config is None:
+        connect = connect or (DEFAULT,)
+    session = zenoh_link.open_session([], connect, config_file=zenoh_config)
+    connect = tuple(zenoh_link.dialled(connect, config_file=zenoh_config)[1])
     try:
         if once:
             sys.exit(_once(session, connect, namespace, as_json, timeout_s))

@@ -18,12 +18,16 @@ from types import FrameType
 from rich.console import Console
 
 from bridge import zenoh_link
+from bridge.autopilots import AUTO
+from bridge.ros2_network import Ros2Network
 from flightstack.certificate import problems
 from flightstack.config import FilterKind
 from flightstack.live import REFRESH_HZ, LiveView
 from flightstack.processes import Child, Port
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from logs.feed import Feed
+from sim.autopilot_geo import ORIGIN_WGS84
+from sim.autopilot_personality import PERSONALITIES, PX4
 from sim.scenario import Scenario, path_of
 from sim.scenario import load as load_scenario
 
@@ -46,6 +50,10 @@ class RunOptions:
     live: bool = True
     signing_key: Path | None = None
     listen: tuple[str, ...] = ()  # where others may watch, besides a free port of loopback
+    zenoh_config: Path | None = None  # of the onboard process
+    ros2: Ros2Network | None = None  # where target and flight are shown to ROS 2
+    personality: str = PX4.name  # of the simulated vehicle
+    autopilot: str = AUTO  # of the onboard process
 
 
 @dataclass(frozen=True)
@@ -69,6 +77,9 @@ def prepare(options: RunOptions) -> Scenario:
     scenario = load_scenario(options.scenario)
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)
+    if PERSONALITIES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
+        there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
+        scenario = replace(scenario, onboard=replace(scenario.onboard, vehicle=there))
     if options.duration_s is not None:
         if options.duration_s <= 0.0:
             raise ConfigError(
@@ -132,10 +143,12 @@ class _Launcher:
         self.children: list[Child] = []
         self.ports: list[Port] = []
         self.interrupted = False
+        self.aborted = False  # the onboard process has given up and left the vehicle to its autopilot
 
     def run(self, scenario_file: Path, config_file: Path, console: Console) -> Run:
         """Start everybody after those he connects to; then watch until the flight ends."""
         previous = {n: signal.signal(n, self._interrupt) for n in (signal.SIGINT, signal.SIGTERM)}
+        previous[signal.SIGQUIT] = signal.signal(signal.SIGQUIT, self._emergency)
         try:
             lockstep = ["--lockstep"] if self.options.lockstep else []
             duration_s = self.scenario.duration_max_s
@@ -150,16 +163,22 @@ class _Launcher:
             feed = ["--recorder", str(self.socket)]
             key = self.options.signing_key
             wire = ["--signing-key", str(key)] if key is not None else []
+            ros2, zenoh_config = self.options.ros2, self.options.zenoh_config
+            shown = ["--ros2", ros2.where, "--ros-domain", str(ros2.domain)] if ros2 is not None else []
+            zenoh = ["--zenoh-config", str(zenoh_config)] if zenoh_config is not None else []
             vehicle = self._start(
-                "vehicle", *common, *feed, *wire, "--connect", target_at, "--url", "udpin:127.0.0.1:0"
+                "vehicle", *common, *feed, *wire, "--connect", target_at, "--url", "udpin:127.0.0.1:0",
+                "--personality", self.options.personality, *_parameters(self.options.personality),
+            )  # fmt: skip
+            target = self._start(
+                "target", *common, *feed, *shown, "--listen", target_at, "--connect", onboard_at
             )
-            target = self._start("target", *common, *feed, "--listen", target_at, "--connect", onboard_at)
             url = vehicle.wait_ready().replace("udpin", "udpout")
             onboard = self._start(
                 "onboard", "--vehicle", url, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
                 "--listen", onboard_at, "--config", str(config_file), "--duration", str(duration_s),
                 *(word for endpoint in self.options.listen for word in ("--listen", endpoint)),
-                *feed, *lockstep, *wire,
+                *feed, *lockstep, *wire, *shown, *zenoh, "--autopilot", self.options.autopilot,
             )  # fmt: skip
             target.wait_ready()
             onboard.wait_ready()
@@ -196,6 +215,13 @@ class _Launcher:
         del number, frame
         self.interrupted = True
 
+    def _emergency(self, number: int, frame: FrameType | None) -> None:
+        """An emergency stop is the onboard process's to give."""
+        del frame
+        for child in self.children:
+            if child.name == "onboard" and child.alive():
+                child.process.send_signal(number)
+
     def _watch(self, onboard: Child, others: list[Child], onboard_at: str, console: Console) -> str | None:
         duration_s = self.scenario.duration_max_s
         limit_s = duration_s / LOCKSTEP_SLOWEST if self.options.lockstep else duration_s
@@ -211,9 +237,7 @@ class _Launcher:
             view.live.start()
         try:
             while onboard.alive():
-                for line in onboard.lines(1.0 / REFRESH_HZ):
-                    if self.options.live:
-                        console.print(line, highlight=False, markup=False)
+                self._say(onboard.lines(1.0 / REFRESH_HZ), console)
                 if view is not None:
                     view.poll()
                 for child in [c for c in others if not c.alive()]:
@@ -225,9 +249,7 @@ class _Launcher:
                     return "interrupted"
                 if time.monotonic() > until:
                     return f"not over after {limit_s + GRACE_S:.0f} s"
-            for line in onboard.lines(0.0):
-                if self.options.live:
-                    console.print(line, highlight=False, markup=False)
+            self._say(onboard.lines(0.0), console)
         finally:
             if view is not None:
                 view.live.stop()
@@ -235,15 +257,28 @@ class _Launcher:
                 session.close()
         if onboard.process.returncode not in (0, 1):
             problem = f"onboard ended in flight: {onboard.errors() or 'no reason given'}"
+            self.aborted = True
+        if self.aborted:
             self._let_it_land(others, until)
         return problem
 
+    def _say(self, lines: list[str], console: Console) -> None:
+        for line in lines:
+            self.aborted = self.aborted or "-> ABORT" in line
+            if self.options.live:
+                console.print(line, highlight=False, markup=False)
+
     def _let_it_land(self, others: list[Child], until: float) -> None:
-        """Without the onboard process the vehicle lands by itself: wait until it says so."""
+        """Without the onboard process the vehicle lands by itself: wait until it says so.
+
+        What it has said so far has not been read: one that never armed, or stands already, is known at once.
+        """
         vehicle = next((c for c in others if c.name == "vehicle"), None)
-        until = min(until, time.monotonic() + LAND_ALONE_MAX_S)
+        until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), False
         while vehicle is not None and vehicle.alive() and not self.interrupted and time.monotonic() < until:
-            if any(line.startswith("disarmed") for line in vehicle.lines(0.2)):
+            said = [line for line in vehicle.lines(0.2) if line in ("armed", "disarmed")]
+            armed = said[-1] == "armed" if said else armed
+            if not armed:
                 return
 
     def _describe(self, scenario_file: Path) -> None:
@@ -290,6 +325,11 @@ class _Launcher:
         )
         feed.flush()
         feed.close()
+
+
+def _parameters(personality: str) -> list[str]:
+    values = PERSONALITIES[personality].set_before_flight
+    return [word for name, value in values.items() for word in ("--parameter", f"{name}={value:g}")]
 
 
 def _revision() -> str:

@@ -26,10 +26,13 @@ class LiveHealth:
 
     def show(
         self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, overruns: int, dropped: int
-    ) -> None:
-        """Publish now and then, and at the end."""
-        if tick.number % self._every == 0 or out.finished:
-            self._publisher.put(pack_health(health_row(tick, out, reason, battery, overruns, dropped)))
+    ) -> bytes | None:
+        """Publish now and then, and at the end; returns what was published."""
+        if tick.number % self._every != 0 and not out.finished:
+            return None
+        payload = pack_health(health_row(tick, out, reason, battery, overruns, dropped))
+        self._publisher.put(payload)
+        return payload
 
 
 def health_row(

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from bridge import zenoh_link
-from bridge.odometry import OdometrySubscriber, RawSample
+from bridge.odometry import RawSample, SampleSource
 from bridge.vehicle import VehicleLink
 from flightstack.pacing import LOCKSTEP_SPIN_S, NO_GO, PAIR, RUN_AHEAD_TICKS
 
@@ -27,7 +27,7 @@ class LockstepWires:
     def __init__(
         self,
         link: VehicleLink,
-        odometry: OdometrySubscriber,
+        odometry: SampleSource,
         session: zenoh_link.Session,
         namespace: str,
         stopped: Callable[[], bool],

@@ -15,10 +15,14 @@ from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
 
-from bridge import zenoh_link
-from bridge.odometry import OdometrySubscriber, RawSample
+from bridge.autopilots import AUTO, profile
+from bridge.odometry import RawSample
+from bridge.origin import Origin
+from bridge.ros2_network import Ros2Network
+from bridge.ros2_target import TargetSpec, TargetType
 from bridge.signing_key import load_key
 from bridge.vehicle import VehicleLink
+from flightstack import preflight
 from flightstack.certificate import problems
 from flightstack.config import FlightConfig
 from flightstack.controller import ERROR, WARN, Controller, Outputs
@@ -35,6 +39,7 @@ from flightstack.pacing import (
 )
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from flightstack.types import Operator, Phase
+from flightstack.zenoh_wires import ZenohPlan, ZenohWires
 from logs.feed import Feed
 
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
@@ -55,6 +60,11 @@ class Options:
     system_id: int = 1
     signing_key: Path | None = None
     allow_unsigned: bool = False
+    autopilot: str = AUTO
+    target_type: TargetType = TargetType.ODOMETRY
+    zenoh_config: Path | None = None
+    ros2: Ros2Network | None = None  # where the flight is shown to ROS 2, and where a target of ROS 2 is
+    ros_domain: int = 0
 
 
 class Ended(NamedTuple):
@@ -66,18 +76,26 @@ class Ended(NamedTuple):
 
 
 class Signals:
-    """Ctrl-C asks for an abort; a second one or SIGTERM ends the process, and the vehicle lands itself."""
+    r"""Ctrl-C asks for an abort, Ctrl-\ for the motors to stop at once.
+
+    A second Ctrl-C or SIGTERM ends the process, and the vehicle lands itself.
+    """
 
     def __init__(self) -> None:
         self.operator = Operator.NONE
         self.stop = False
         signal.signal(signal.SIGINT, self._interrupt)
         signal.signal(signal.SIGTERM, self._terminate)
+        signal.signal(signal.SIGQUIT, self._emergency)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         del number, frame
-        self.stop = self.operator is Operator.ABORT
-        self.operator = Operator.ABORT
+        self.stop = self.operator is not Operator.NONE
+        self.operator = max(self.operator, Operator.ABORT)
+
+    def _emergency(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.operator = Operator.EMERGENCY_STOP
 
     def _terminate(self, number: int, frame: FrameType | None) -> None:
         del number, frame
@@ -91,7 +109,10 @@ class Onboard:
         self.options, self.config = options, config
         rate_hz = config.loop.rate_hz
         self.controller = Controller(config)
-        self.session = zenoh_link.open_session(options.listen, options.connect)
+        chosen = profile(options.autopilot)
+        origin = config.vehicle.origin_wgs84
+        self.wires = ZenohWires(config, _zenoh_plan(options))
+        self.session, self.odometry = self.wires.session, self.wires.odometry
         self.link = VehicleLink(
             options.vehicle_url,
             takeoff_height_m=config.takeoff.height_m,
@@ -100,9 +121,8 @@ class Onboard:
             defer_timesync=options.lockstep,
             signing_key=load_key(options.signing_key) if options.signing_key else None,
             allow_unsigned=options.allow_unsigned,
-        )
-        self.odometry = OdometrySubscriber(
-            self.session, options.target_key, lossless=options.lockstep, capacity=1024
+            profile=chosen,
+            origin=Origin(*origin) if origin is not None else None,
         )
         recorder = str(options.recorder) if options.recorder else None
         self.feed = Feed.connect(recorder, "onboard", lossless=options.lockstep)
@@ -131,24 +151,31 @@ class Onboard:
         if link.counters.foreign != self.foreign:
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self.foreign = link.counters.foreign
+        for text in self.wires.texts(tick.now_s):
+            print(f"onboard: WARNING: {text}", file=sys.stderr)
+            self.log.event(tick.unix_ns, WARN, text)
         payload = self.log.step(tick, taken, out, self.controller.state)
         self.log.timing(tick, out, exec_s, overruns, self.feed.dropped, payload)
         reason, battery = self.controller.memory.reason, link.state.battery
-        self.health.show(tick, out, reason, battery, overruns, self.feed.dropped)
+        health = self.health.show(tick, out, reason, battery, overruns, self.feed.dropped)
+        self.wires.show(tick, out, payload, health)
         return out, exec_s
 
     def _describe(self) -> None:
         """Write into the log what else a replay needs: the configuration, and how we were plugged in."""
-        options = self.options
+        options, spec = self.options, self.wires.target
+        own_key = f"{options.namespace}/target/odom"
         text = dumps(to_table(self.config))
         self.feed.attachment("onboard.toml", "application/toml", text.encode())
         self.feed.metadata(
             "onboard",
             {
                 "namespace": options.namespace,
-                "target_key": options.target_key,
+                "target_key": spec.key if spec.is_direct else own_key,  # as what it is recorded
+                **({} if spec.is_direct else {"target": spec.text, "target_type": spec.type.value}),
                 "system_id": str(options.system_id),
                 "lockstep": str(options.lockstep).lower(),
+                "autopilot": options.autopilot,
             },
         )
 
@@ -159,7 +186,19 @@ class Onboard:
             print(f"onboard: MAVLink not let through: {dropped}", file=sys.stderr)
         self.feed.close()
         self.link.close()
-        self.session.close()
+        self.wires.close()
+
+
+def _zenoh_plan(options: Options) -> ZenohPlan:
+    return ZenohPlan(
+        TargetSpec.parse(options.target_key, options.target_type, options.ros_domain),
+        options.connect,
+        options.listen,
+        options.namespace,
+        options.zenoh_config,
+        options.ros2,
+        options.lockstep,
+    )
 
 
 def run(config: FlightConfig, options: Options, say: Callable[[str], None] = print) -> Ended:
@@ -180,16 +219,45 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
             print(f"onboard: WARNING: {warning}", file=sys.stderr)
         say("ready")
         sys.stdout.flush()
+        if not options.lockstep:  # only the simulator runs in lockstep, and its parameters are known
+            ended = _preflight(onboard, signals, say)
+            if ended is not None:
+                return ended
         quiet_garbage_collector()
         return (_lockstep if options.lockstep else _real_time)(onboard, signals, say)
     finally:
         onboard.close()
 
 
+def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended | None:
+    """Look at the autopilot's parameters; its frames are no part of the flight, and not in the log."""
+    options, endpoint = onboard.options, onboard.link.endpoint
+    wait_s = onboard.config.checks.wait_time_max_s
+    if options.duration_s is not None:
+        wait_s = min(wait_s, options.duration_s)
+    tap, endpoint.tap = endpoint.tap, None
+    report = preflight.check(
+        endpoint,
+        onboard.config,
+        options.autopilot,
+        options.system_id,
+        wait_s=wait_s,
+        stopped=lambda: signals.stop or signals.operator is not Operator.NONE,
+    )
+    endpoint.tap = tap
+    onboard.feed.metadata("preflight", preflight.record(report))
+    for line in preflight.lines(report):
+        say(line)
+    problem = preflight.verdict(report)
+    return Ended(Phase.WAIT, problem, 1) if problem is not None else None
+
+
 def _done(onboard: Onboard, out: Outputs, now_s: float, signals: Signals) -> Ended | None:
     memory, limit_s = onboard.controller.memory, onboard.options.duration_s
     if out.finished:
         return Ended(out.phase, memory.reason, 0 if out.phase is Phase.LANDED else 1)
+    if onboard.link.refused is not None:
+        return Ended(out.phase, onboard.link.refused, 1)
     if signals.stop:
         return Ended(out.phase, "ended by the operator", 1)
     if limit_s is not None and now_s >= limit_s:

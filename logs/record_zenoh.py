@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 from bridge.attachment import parse_attachment
 from bridge.zenoh_link import ZenohLinkError, drain, open_session, ring_subscriber
@@ -23,18 +24,19 @@ _CAPACITY = 4096  # samples between two looks a few milliseconds apart; a record
 class ZenohSource:
     """Every sample on some keys, handed to a recorder."""
 
-    def __init__(self, connect: Sequence[str], keys: Sequence[str]) -> None:
+    def __init__(self, connect: Sequence[str], keys: Sequence[str], config_file: Path | None = None) -> None:
         """Open a session and subscribe.
 
         Args:
             connect: Endpoints, for example ``tcp/127.0.0.1:7447``.
             keys: Key expressions, for example ``cf1/**``.
+            config_file: Zenoh configuration to begin with.
 
         Raises:
             RecorderError: A malformed endpoint or key, or no session.
         """
         try:
-            self._session = open_session(connect=connect)
+            self._session = open_session(connect=connect, config_file=config_file)
         except (ValueError, ZenohLinkError) as error:
             raise RecorderError(str(error)) from error
         try:

@@ -35,6 +35,7 @@ def record_main(
     *,
     connect: Sequence[str] = (),
     keys: Sequence[str] = (),
+    config_file: Path | None = None,
 ) -> int:
     """Run the recorder as the main program of a process; prints "ready" once it listens.
 
@@ -44,6 +45,7 @@ def record_main(
         until_clients: End by itself when this many clients have come and gone.
         connect: Zenoh endpoints to connect to, for example ``tcp/127.0.0.1:7447``.
         keys: Zenoh key expressions to record, for example ``cf1/**``.
+        config_file: Zenoh configuration to begin with.
 
     Returns:
         Exit status: 0 everything is in the file, 1 something is not, 2 it could not start.
@@ -56,7 +58,7 @@ def record_main(
         if keys:
             from logs.record_zenoh import ZenohSource
 
-            source = ZenohSource(connect, keys)
+            source = ZenohSource(connect, keys, config_file)
         process = RecorderProcess(socket_path, out, source)
     except RecorderError as error:
         if source:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from bridge.autopilots import PX4
 from flightstack.config import FlightConfig
 from flightstack.controller import Controller, Outputs
 from flightstack.memory import State
@@ -192,7 +193,9 @@ class _Run:
         if "system_id" not in onboard or "lockstep" not in onboard:
             self.result.notes.append("the log does not say how the vehicle was connected: wire not replayed")
             return
-        self.wire = WireReplay(self.config, int(onboard["system_id"]), onboard["lockstep"] == "true")
+        autopilot = onboard.get("autopilot", PX4.name)  # older logs: there was no choice
+        lockstep = onboard["lockstep"] == "true"
+        self.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot)
         self.result.wire = Tally()
 
     def _restore(self, snapshot: ControllerStateRow) -> None:

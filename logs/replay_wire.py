@@ -12,9 +12,11 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.autopilots import PX4, profile
 from bridge.decoding import Message, decode
 from bridge.endpoint_counters import EndpointCounters
 from bridge.mavlink import Endpoint, Peer, Received
+from bridge.origin import Origin
 from bridge.vehicle import COMPONENT_ID, VehicleLink
 from flightstack.config import FlightConfig
 from flightstack.controller import Outputs
@@ -61,8 +63,11 @@ class RecordedEndpoint(Endpoint):
 class WireReplay:
     """One flight's wire; for each tick ``take``, then ``answer``."""
 
-    def __init__(self, config: FlightConfig, system_id: int, lockstep: bool) -> None:
+    def __init__(
+        self, config: FlightConfig, system_id: int, lockstep: bool, autopilot: str = PX4.name
+    ) -> None:
         """Begin at tick 0."""
+        origin = config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)
         self._lockstep = lockstep
         self._heard = False
@@ -72,6 +77,8 @@ class WireReplay:
             rate_hz=config.loop.rate_hz,
             system_id=system_id,
             defer_timesync=lockstep,
+            profile=profile(autopilot),
+            origin=Origin(*origin) if origin is not None else None,
             endpoint=self._endpoint,
         )
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from types import MappingProxyType
 
 from bridge import zenoh_link
 from bridge.mavlink import Endpoint, parse_peer, parse_url
@@ -14,6 +15,7 @@ from bridge.signing_key import load_key
 from flightstack.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.feed import Feed, FeedError
 from sim.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.autopilot_personality import PERSONALITIES, PX4
 from sim.pacing import NoAnswerError, StopSignal, TickGrid
 from sim.process_deck import LockstepDeck, RealTimeDeck
 from sim.process_lockstep import LockstepLoop
@@ -40,8 +42,13 @@ def vehicle_main(
     signing_key: Path | None = None,
     peers: Sequence[str] = (),
     allow_unsigned: bool = False,
+    zenoh_config: Path | None = None,
+    personality: str = PX4.name,
+    parameters: Mapping[str, float] = MappingProxyType({}),
 ) -> int:
     """Run the vehicle until SIGTERM, SIGINT or ``duration_s``; prints ``ready URL`` when it can be reached.
+
+    Prints ``armed`` and ``disarmed``, too, whenever that changes.
 
     Without any Zenoh endpoint there is no link to the robot, and the deck stands where the scenario puts it.
 
@@ -60,6 +67,9 @@ def vehicle_main(
         signing_key: file of the key that every MAVLink frame must be signed with.
         peers: ``HOST:PORT`` of those who get telemetry before they speak; real time only.
         allow_unsigned: listen to a network without a key.
+        zenoh_config: Zenoh configuration to begin with.
+        personality: which autopilot it plays, a name of ``PERSONALITIES``.
+        parameters: of that autopilot, set before it starts.
 
     Returns:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
@@ -81,8 +91,9 @@ def vehicle_main(
             stack.callback(_close, endpoint)
             for warning in endpoint.warnings:
                 print(f"vehicle: WARNING: {warning}", file=sys.stderr)
-            linked = bool(zenoh_connect or zenoh_listen)
-            session = zenoh_link.open_session(zenoh_listen, zenoh_connect) if linked else None
+            session = None
+            if zenoh_connect or zenoh_listen or zenoh_config is not None:
+                session = zenoh_link.open_session(zenoh_listen, zenoh_connect, config_file=zenoh_config)
             if session is not None:
                 stack.callback(session.close)
             warm_up(scenario)
@@ -91,9 +102,15 @@ def vehicle_main(
             feed = Feed.connect(feed_socket, "vehicle", lossless=lockstep)
             stack.callback(feed.close)
             autopilot = Autopilot(
-                vehicle, rate_hz, epoch_ns=epoch_ns, trim_enu_m_s=vehicle.trim_velocity_enu_m_s
+                vehicle,
+                rate_hz,
+                epoch_ns=epoch_ns,
+                trim_enu_m_s=vehicle.trim_velocity_enu_m_s,
+                personality=PERSONALITIES[personality],
             )
-            node = VehicleNode(vehicle, autopilot, endpoint, VehicleLog(feed, epoch_ns, namespace))
+            for name, value in parameters.items():
+                autopilot.parameters.preset(name, value)
+            node = VehicleNode(vehicle, autopilot, endpoint, VehicleLog(feed, epoch_ns, namespace), _tell)
             grid = TickGrid(rate_hz)
             loop: LockstepLoop | RealTimeLoop
             if lockstep:
@@ -114,6 +131,11 @@ def vehicle_main(
         print(f"vehicle: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _tell(armed: bool) -> None:
+    """For whoever started us: whether it may end us."""
+    print("armed" if armed else "disarmed", flush=True)
 
 
 def _close(endpoint: Endpoint) -> None:

@@ -1,0 +1,204 @@
+"""The Crazyflie bridge as a process: cflib on one side, a MAVLink vehicle on the other.
+
+The loop sleeps on both wires and on nothing else: a set-point goes to the radio when it comes, a state to the
+clients when it comes.
+"""
+
+from __future__ import annotations
+
+import re
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import Protocol
+
+from bridge.crazyflie_mavlink import COMPONENT_ID, SYSTEM_ID, Node
+from bridge.crazyflie_owner import Sender
+from bridge.crazyflie_poses import PoseFeed, PosesLike
+from bridge.crazyflie_rules import Rules
+from bridge.crazyflie_types import Arrived, Packet
+from bridge.mavlink import Endpoint, Peer, parse_peer, parse_url
+from bridge.signing_key import load_key
+
+_URI = re.compile(
+    r"^(radio://[0-9A-Fa-f]+/\d{1,3}/(250K|1M|2M)(/[0-9A-Fa-f]{1,10})?(\?rate_limit=\d+)?|usb://\d+"
+    r"|(udp|tcp)://[^:/\s]+:\d{1,5})$"
+)
+TICK_S = 0.01  # s; longest sleep
+POSE_TICK_S = 0.002  # s; the same with motion capture, which cannot wake the loop
+SHUT_DOWN_MAX_S = 20.0  # s to land in when told to end in the air
+_PEERS_MAX = 16  # senders whose address is kept for late acknowledgements
+
+
+class LinkLike(Protocol):
+    """What the loop needs of ``crazyflie_link.CrazyflieLink``."""
+
+    def poll(self) -> list[Arrived]:
+        """Take all events."""
+
+    def send(self, packet: Packet) -> None:
+        """Hand over a packet."""
+
+    def fileno(self) -> int:
+        """Readable while events wait."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Where the bridge is plugged in."""
+
+    uri: str
+    url: str = "udpin:127.0.0.1:14580"
+    peers: tuple[str, ...] = ()
+    cache: Path | None = None
+    signing_key: Path | None = None
+    allow_unsigned: bool = False
+    rules: Rules = field(default_factory=Rules)
+    duration_s: float | None = None
+
+
+class Stop:
+    """SIGTERM and SIGINT: the first asks for a landing, the second ends at once."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def install(self) -> Stop:
+        """Take over both signals; main thread only."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._set)
+        return self
+
+    def _set(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.count += 1
+
+
+class Loop:
+    """One Crazyflie on the wire."""
+
+    def __init__(
+        self,
+        node: Node,
+        link: LinkLike,
+        endpoint: Endpoint,
+        poses: PosesLike | None,
+        say: Callable[[str], None],
+    ) -> None:
+        self._node, self._link, self._endpoint, self._poses, self._say = node, link, endpoint, poses, say
+        self._start_s = time.monotonic()
+        self._peer_of: dict[Sender, Peer] = {}
+        self._feed = PoseFeed()
+        self._tick_s = TICK_S if poses is None else POSE_TICK_S
+
+    @property
+    def now_s(self) -> float:
+        """The bridge's clock."""
+        return time.monotonic() - self._start_s
+
+    def turn(self) -> None:
+        """Sleep until something comes, or for a tick, then act on all of it."""
+        select.select((self._endpoint.fileno(), self._link.fileno()), (), (), self._tick_s)
+        node, endpoint = self._node, self._endpoint
+        for arrived in self._link.poll():
+            node.take(arrived, arrived.at_s - self._start_s)
+        now_s = self.now_s
+        for received in endpoint.receive():
+            header = received.message.get_header()
+            sender = (header.srcSystem, header.srcComponent)
+            self._remember(sender, received.peer)
+            endpoint.send(node.handle(received.message, sender, now_s), received.peer)
+        if self._poses is not None:
+            self._pass_pose(self._poses, now_s)
+        messages, replies = node.step(now_s)
+        for packet in node.vehicle.take_packets():
+            self._link.send(packet)
+        endpoint.send(messages)
+        for reply in replies:
+            peer = self._peer_of.get(reply.sender)
+            if peer is not None:
+                endpoint.send([reply.message], peer)
+        for text in node.take_texts():
+            self._say(f"crazyflie: {text.text}")
+
+    def _pass_pose(self, poses: PosesLike, now_s: float) -> None:
+        vehicle = self._node.vehicle
+        passed = poses.poll(now_s, armed=vehicle.armed)
+        vehicle.mocap(poses.problem)
+        if passed is not None:
+            for packet in self._feed.packets(passed, vehicle.link, armed=vehicle.armed):
+                self._link.send(packet)
+
+    def run(self, stop: Stop, duration_s: float | None) -> None:
+        """Turn until told to end; in the air it lands first, unless told twice."""
+        vehicle = self._node.vehicle
+        told_s: float | None = None
+        while stop.count < 2:
+            self.turn()
+            if told_s is None and (stop.count or (duration_s is not None and self.now_s >= duration_s)):
+                told_s = self.now_s
+                vehicle.land(told_s)
+            if told_s is not None and (not vehicle.armed or self.now_s - told_s > SHUT_DOWN_MAX_S):
+                return
+
+    def _remember(self, sender: Sender, peer: Peer) -> None:
+        self._peer_of.pop(sender, None)
+        if len(self._peer_of) >= _PEERS_MAX:
+            del self._peer_of[next(iter(self._peer_of))]
+        self._peer_of[sender] = peer
+
+
+def check_uri(uri: str) -> None:
+    """Refuse what cflib would try for ever.
+
+    Raises:
+        ValueError: the URI is none of cflib's.
+    """
+    if not _URI.match(uri):
+        raise ValueError(
+            f"Crazyflie URI {uri!r} is not understood: allowed is radio://DONGLE/CHANNEL/RATE or "
+            "radio://DONGLE/CHANNEL/RATE/ADDRESS with RATE 250K, 1M or 2M, usb://NUMBER, udp://HOST:PORT or "
+            "tcp://HOST:PORT, for example radio://0/80/2M/E7E7E7E7E7"
+        )
+
+
+def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], None] = print) -> int:
+    """Serve until told to end; prints ``ready URL`` when clients can reach it.
+
+    Raises:
+        ValueError: a URL or key that is not understood, a network without a key, or cflib is not installed.
+        OSError: an address that cannot be opened.
+    """
+    try:
+        from bridge.crazyflie_link import CrazyflieLink
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"{error.name} is not installed: pip install 'crazyflie-flightstack[crazyflie]'"
+        ) from error
+    check_uri(options.uri)
+    stop = Stop().install()
+    kind, host, port = parse_url(options.url)
+    with ExitStack() as stack:
+        endpoint = Endpoint(
+            options.url,
+            SYSTEM_ID,
+            COMPONENT_ID,
+            signing_key=load_key(options.signing_key) if options.signing_key else None,
+            always=[parse_peer(peer) for peer in options.peers],
+            allow_unsigned=options.allow_unsigned,
+        )
+        stack.callback(endpoint.close)
+        for warning in endpoint.warnings:
+            print(f"crazyflie: WARNING: {warning}", file=sys.stderr)
+        link = CrazyflieLink(options.uri, options.cache)
+        stack.callback(link.close)
+        say(f"ready {kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}")
+        sys.stdout.flush()
+        Loop(Node(options.rules), link, endpoint, poses, say).run(stop, options.duration_s)
+    return 0

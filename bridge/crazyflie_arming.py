@@ -1,0 +1,124 @@
+"""Arming and motors-off with the firmware's supervisor: asked, repeated while unanswered, and given up.
+
+Motors off is three packets: a stop set-point, the notice that no more set-points come, without which the
+supervisor locks two seconds later (firmware supervisor.c), and a disarming request, which it obeys in flight
+too. What a forced disarm does not show at once becomes an emergency stop, which latches until a restart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bridge.crazyflie_types import ArmReply, CrazyflieState, Info, Order, Packet
+
+REPEAT_S = 0.05  # s between two of the same; two packets of state
+ARM_MAX_S = 0.6  # s until an unanswered arming request has failed
+KILL_UNSEEN_S = 0.2  # s until a forced disarm that is not seen becomes an emergency stop
+OFF_MAX_S = 1.0  # s; no longer is anything repeated
+_OFF = (Order.STOP, Order.NOTIFY_STOP, Order.DISARM)
+
+
+@dataclass(slots=True)
+class _Asked:
+    since_s: float
+    sent_s: float
+    forced: bool = False
+
+
+class Arming:
+    """What was asked of the supervisor and has not been seen yet.
+
+    Attributes:
+        armed: somebody armed it through this bridge, and the firmware has shown it since.
+    """
+
+    def __init__(self) -> None:
+        self.armed = False
+        self._arm: _Asked | None = None
+        self._off: _Asked | None = None
+        self._latched = False
+
+    @property
+    def arming(self) -> bool:
+        """Whether an arming request is open."""
+        return self._arm is not None
+
+    def ask(self, state: CrazyflieState, now_s: float) -> list[Packet]:
+        """Begin arming; one that arms itself needs no packet."""
+        self._off = None
+        if state.info & Info.ARMED:
+            self.armed = True
+            return []
+        self._arm = _Asked(now_s, now_s)
+        return [Order.ARM]
+
+    def reply(self, reply: ArmReply) -> str | None:
+        """Take the supervisor's answer; the reason when it refused."""
+        if self._arm is None or reply.accepted:
+            return None
+        self._arm = None
+        return "the supervisor refused"
+
+    def off(self, now_s: float, *, forced: bool) -> list[Packet]:
+        """Motors off, now; again when asked again, so that nobody waits for a packet that was lost."""
+        self.armed, self._arm = False, None
+        since_s = self._off.since_s if self._off is not None and self._off.forced else now_s
+        self._off = _Asked(since_s, now_s, forced or (self._off is not None and self._off.forced))
+        return list(_OFF)
+
+    def emergency(self, now_s: float) -> list[Packet]:
+        """Emergency stop, now."""
+        packets = self.off(now_s, forced=True)
+        self._latched = True
+        return [Order.EMERGENCY_STOP, *packets]
+
+    def forget(self) -> None:
+        """The link is gone, and with it what was asked."""
+        self.armed, self._arm, self._off, self._latched = False, None, None, False
+
+    def step(self, state: CrazyflieState | None, now_s: float) -> tuple[list[Packet], str | None]:
+        """Repeat what is unanswered.
+
+        Returns:
+            Packets, and a text when something was given up.
+        """
+        if self._arm is not None:
+            return self._step_arm(self._arm, state, now_s)
+        if self._off is not None:
+            return self._step_off(self._off, state, now_s)
+        return [], None
+
+    def _step_arm(
+        self, asked: _Asked, state: CrazyflieState | None, now_s: float
+    ) -> tuple[list[Packet], str | None]:
+        if state is not None and state.at_s > asked.since_s and state.info & Info.ARMED:
+            self.armed, self._arm = True, None
+            return [], None
+        if now_s - asked.since_s > ARM_MAX_S:
+            self._arm = None
+            return [], "the supervisor did not answer"
+        return self._repeat(asked, (Order.ARM,), now_s), None
+
+    def _step_off(
+        self, asked: _Asked, state: CrazyflieState | None, now_s: float
+    ) -> tuple[list[Packet], str | None]:
+        after_s = now_s - asked.since_s
+        fresh = state is not None and state.at_s > asked.since_s + REPEAT_S  # not one that was under way
+        if fresh and state is not None and not state.info & Info.FLYING:
+            self._off, self._latched = None, False
+            return [], None
+        if after_s > OFF_MAX_S:
+            self._off, self._latched = None, False
+            return [], "Motors off was not confirmed" if asked.forced else None
+        if asked.forced and after_s > KILL_UNSEEN_S and not self._latched:
+            self._latched = True
+            return [Order.EMERGENCY_STOP], "Disarming not seen: emergency stop, restart needed"
+        orders = (Order.EMERGENCY_STOP, *_OFF) if self._latched else _OFF
+        return self._repeat(asked, orders, now_s), None
+
+    @staticmethod
+    def _repeat(asked: _Asked, orders: tuple[Packet, ...], now_s: float) -> list[Packet]:
+        if now_s - asked.sent_s < REPEAT_S - 1e-9:
+            return []
+        asked.sent_s = now_s
+        return list(orders)

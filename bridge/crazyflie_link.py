@@ -1,0 +1,273 @@
+"""Where cflib's threads end: callbacks only put into bounded queues, one worker thread calls cflib.
+
+cflib may block for 2 s in a send (radiodriver.py), and for ever while it connects; so the MAVLink loop never
+calls it. The loop takes events with ``poll`` and hands over packets with ``send``; both return at once.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cflib.crtp
+from cflib.crazyflie import Crazyflie
+from cflib.crazyflie.log import LogConfig
+from cflib.crtp.crtpstack import CRTPPort
+
+from bridge.crazyflie_outbox import Outbox
+from bridge.crazyflie_state import HEALTH_PERIOD_MS, HEALTH_VARIABLES, STATE_PERIOD_MS, STATE_VARIABLES
+from bridge.crazyflie_types import (
+    ArmReply,
+    Arrived,
+    Connected,
+    Event,
+    HealthBlock,
+    Lost,
+    Order,
+    Packet,
+    ParamValue,
+    Pose,
+    SetParam,
+    StateBlock,
+    Velocity,
+)
+
+PARAMS = (  # what the bridge looks at before it lets anybody arm
+    "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",
+)  # fmt: skip
+EVENTS_MAX = 512  # five seconds of packets; older ones are no use to anybody
+SILENT_S = 2.0  # s without any packet while connecting, after which an attempt is given up
+CONNECT_MAX_S = 60.0  # s of one attempt; 500 parameters over a bad radio take 20
+RETRY_S = 0.5  # s between two attempts
+LOG_WAIT_S, LOG_TRIES = 1.0, 10  # s, number; until a log block's first packet has come
+_ARM_REPLY = 0x81  # answer to command 1 on channel 1 of the supervisor's port (cflib supervisor.py)
+_BLOCKS: tuple[tuple[str, int, tuple[str, ...], Callable[[int, dict[str, Any]], Event]], ...] = (
+    ("state", STATE_PERIOD_MS, STATE_VARIABLES, StateBlock),
+    ("health", HEALTH_PERIOD_MS, HEALTH_VARIABLES, lambda _, values: HealthBlock(values)),
+)
+
+
+class CrazyflieLink:
+    """One Crazyflie by URI; opens the link again and again until closed.
+
+    Attributes:
+        events_lost: events that found no room; the oldest go first.
+    """
+
+    def __init__(self, uri: str, cache: Path | None = None) -> None:
+        """Start connecting.
+
+        Args:
+            uri: as cflib has it: ``radio://0/80/2M/E7E7E7E7E7``, ``usb://0``, ``udp://HOST:PORT``.
+            cache: folder for tables of contents, so that a second connection is fast.
+        """
+        self.events_lost = 0
+        self._uri, self._cache = uri, cache
+        self._events: deque[Arrived] = deque()
+        self._lock = threading.Lock()
+        self._outbox = Outbox()
+        self._closing = threading.Event()
+        self._read_fd, self._write_fd = os.pipe()
+        os.set_blocking(self._read_fd, False)
+        os.set_blocking(self._write_fd, False)
+        self._heard_s = 0.0
+        self._broken: str | None = None
+        self._fully = threading.Event()
+        # cflib logs a trace for every packet it cannot use; what counts, missing packets, is watched here.
+        logging.getLogger("cflib").setLevel(logging.CRITICAL)
+        cflib.crtp.init_drivers()
+        self._thread = threading.Thread(target=self._run, name="crazyflie-link", daemon=True)
+        self._thread.start()
+
+    @property
+    def setpoints_late(self) -> int:
+        """Velocity set-points that waited for the radio until they were too old, and were not sent."""
+        return self._outbox.late
+
+    def fileno(self) -> int:
+        """Readable while events wait, for ``select``."""
+        return self._read_fd
+
+    def poll(self) -> list[Arrived]:
+        """Take all events, oldest first; never blocks."""
+        try:
+            while os.read(self._read_fd, 4096):
+                pass
+        except BlockingIOError:
+            pass
+        with self._lock:
+            events = list(self._events)
+            self._events.clear()
+        return events
+
+    def send(self, packet: Packet) -> None:
+        """Hand over a packet; never blocks. A newer velocity or pose takes the place of one not yet sent."""
+        self._outbox.put(packet, time.monotonic())
+
+    def close(self) -> None:
+        """Close the link; bounded by cflib's own joins of about 2 s."""
+        self._closing.set()
+        self._outbox.wake()
+        self._thread.join(6.0)
+        os.close(self._read_fd)
+        os.close(self._write_fd)
+
+    def _put(self, event: Event) -> None:
+        arrived = Arrived(time.monotonic(), event)
+        with self._lock:
+            if len(self._events) >= EVENTS_MAX:
+                self._events.popleft()
+                self.events_lost += 1
+            self._events.append(arrived)
+        try:
+            os.write(self._write_fd, b"\x00")
+        except (BlockingIOError, OSError):  # full: it is readable already; closed: nobody reads any more
+            return
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            crazyflie = Crazyflie(rw_cache=str(self._cache) if self._cache else None)
+            try:
+                reason = self._connection(crazyflie)
+            except Exception as error:  # cflib raises bare exceptions, from USB to its table of contents
+                reason = f"{type(error).__name__}: {error}"
+            finally:
+                crazyflie.close_link()
+            if not self._closing.is_set():
+                self._put(Lost(reason))
+                self._closing.wait(RETRY_S)
+
+    def _connection(self, crazyflie: Any) -> str:
+        """Connect, then send what comes until the end; returns why it ended."""
+        self._broken, self._heard_s = None, time.monotonic()
+        self._fully.clear()
+        self._listen(crazyflie)
+        crazyflie.open_link(self._uri)
+        reason = self._wait_connected()
+        if reason is not None:
+            return reason
+        for name, period_ms, variables, make in _BLOCKS:
+            if not self._start_log(crazyflie, name, period_ms, variables, make):
+                return self._broken or f"the Crazyflie sends no {name} log"
+        crazyflie.param.add_update_callback(cb=lambda name, value: self._put(ParamValue(name, str(value))))
+        self._outbox.clear()  # nothing from before this connection may act
+        self._put(Connected(crazyflie.platform.get_protocol_version(), _read_params(crazyflie)))
+        senders = _senders(crazyflie, self._put)
+        while not self._closing.is_set() and self._broken is None:
+            packet = self._outbox.get(0.1, time.monotonic)
+            if packet is Order.RECONNECT:
+                return "silent"
+            if packet is not None:
+                senders[packet if isinstance(packet, Order) else type(packet)](packet)
+        return self._broken or "closed"
+
+    def _wait_connected(self) -> str | None:
+        deadline_s = time.monotonic() + CONNECT_MAX_S
+        while not self._fully.wait(0.05):
+            now_s = time.monotonic()
+            if self._broken is not None:
+                return self._broken
+            if self._closing.is_set():
+                return "closed"
+            if now_s - self._heard_s > SILENT_S or now_s > deadline_s:
+                return f"no answer from {self._uri}: is it switched on, and are channel and address right?"
+        return None
+
+    def _listen(self, crazyflie: Any) -> None:
+        def resend(_uri: str) -> None:
+            # Only the radio driver asks again by itself; without that one lost answer hangs the connection.
+            if crazyflie.link is not None:
+                crazyflie.link.needs_resending = True
+
+        def heard(_packet: Any) -> None:
+            self._heard_s = time.monotonic()
+
+        def broken(_uri: str, reason: str) -> None:
+            self._broken = reason.strip().partition("\n")[0]
+            self._outbox.wake()
+
+        crazyflie.link_established.add_callback(resend)
+        crazyflie.packet_received.add_callback(heard)
+        crazyflie.connection_failed.add_callback(broken)
+        crazyflie.connection_lost.add_callback(broken)
+        crazyflie.fully_connected.add_callback(lambda _uri: self._fully.set())
+        crazyflie.add_port_callback(CRTPPort.SUPERVISOR, self._on_supervisor)
+
+    def _start_log(
+        self,
+        crazyflie: Any,
+        name: str,
+        period_ms: int,
+        variables: tuple[str, ...],
+        make: Callable[[int, dict[str, Any]], Event],
+    ) -> bool:
+        """Let a block be sent; True once its first packet has come.
+
+        cflib asks for a long block in two packets and does not look whether the second has arrived; a block
+        that is too short is never decoded. So one that does not come is asked for anew.
+        """
+        came = threading.Event()
+
+        def take(time_ms: int, values: dict[str, Any], _block: Any) -> None:
+            came.set()
+            self._put(make(time_ms, values))
+
+        for _ in range(LOG_TRIES):
+            block = LogConfig(name, period_ms)
+            for variable in variables:
+                block.add_variable(variable)
+            crazyflie.log.add_config(block)
+            block.data_received_cb.add_callback(take)
+            block.start()
+            if came.wait(LOG_WAIT_S):
+                return True
+            if self._broken is not None or self._closing.is_set():
+                break
+            block.delete()
+        return False
+
+    def _on_supervisor(self, packet: Any) -> None:
+        if len(packet.data) >= 3 and packet.data[0] == _ARM_REPLY:
+            self._put(ArmReply(bool(packet.data[1]), bool(packet.data[2])))
+
+
+def _read_params(crazyflie: Any) -> dict[str, str]:
+    values = crazyflie.param.values
+    pairs = ((name, values.get(name.partition(".")[0], {}).get(name.partition(".")[2])) for name in PARAMS)
+    return {name: str(value) for name, value in pairs if value is not None}
+
+
+def _senders(crazyflie: Any, put: Callable[[Event], None]) -> dict[Any, Callable[[Any], None]]:
+    """What to call for each kind of packet."""
+    commander, supervisor = crazyflie.commander, crazyflie.supervisor
+
+    def velocity(packet: Velocity) -> None:
+        yaw_rate_deg_s = packet.yaw_rate_rad_s * 57.29577951308232  # CRTP wants degrees a second
+        commander.send_velocity_world_setpoint(*packet.velocity_enu_m_s, yaw_rate_deg_s)
+
+    def pose(packet: Pose) -> None:
+        w, x, y, z = packet.quaternion
+        crazyflie.loc.send_extpose(list(packet.position_enu_m), [x, y, z, w])
+
+    def set_param(packet: SetParam) -> None:
+        try:
+            crazyflie.param.set_value(packet.name, packet.value)
+        except KeyError:
+            put(ParamValue(packet.name, None))
+
+    return {
+        Velocity: velocity,
+        Pose: pose,
+        SetParam: set_param,
+        Order.STOP: lambda _: commander.send_stop_setpoint(),
+        Order.NOTIFY_STOP: lambda _: commander.send_notify_setpoint_stop(),
+        Order.ARM: lambda _: supervisor.send_arming_request(True),
+        Order.DISARM: lambda _: supervisor.send_arming_request(False),
+        Order.EMERGENCY_STOP: lambda _: supervisor.send_emergency_stop(),
+    }

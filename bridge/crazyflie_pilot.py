@@ -1,0 +1,153 @@
+"""Velocities for the bridge's own modes: climb to a height, hold, go down. Position in, velocity out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum, auto
+
+from bridge.crazyflie_modes import Mode
+from bridge.crazyflie_rules import BLIND_LANDING_MAX_S, STANDING_S, TAKEOFF_M
+from bridge.crazyflie_types import CrazyflieState, Velocity
+from bridge.frames import wrap_angle, yaw_from_quaternion
+from flightstack.types import ZERO, Vec3
+
+GAIN_1_S = 1.5  # 1/s; a third of the firmware's velocity loop (position_controller_pid.c), so no overshoot
+SPEED_XY_M_S = 0.3  # m/s
+CLIMB_M_S = 0.4  # m/s
+DESCENT_M_S = 0.25  # m/s
+ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # m, m/s; height reached
+STOPPED_SHARE = 0.3  # of the descent: slower than that it stands on something
+LANDING_MIN_S = 1.0  # s after which a stop counts: a climb has to end first
+STOPPED_TIME_S = 0.4  # s of that; longer than the descent takes to begin
+SINKING_M_S = -0.05  # m/s; a set-point below that is a wish to go down
+YAW_GAIN_1_S = 2.0  # 1/s; CRTP velocity set-points have a yaw rate, no yaw
+YAW_RATE_MAX_RAD_S = 1.5  # rad/s
+
+
+def yaw_rate(wanted_rad: float, state: CrazyflieState) -> float:
+    """Yaw rate, counter-clockwise, that turns to a heading and holds it."""
+    error_rad = wrap_angle(wanted_rad - yaw_from_quaternion(state.quaternion))
+    return min(max(YAW_GAIN_1_S * error_rad, -YAW_RATE_MAX_RAD_S), YAW_RATE_MAX_RAD_S)
+
+
+@dataclass(slots=True)
+class Anchor:
+    """A point to hold, with the heading.
+
+    Attributes:
+        stopped_since_s: since when it no longer sinks though it is told to; infinite: it does.
+    """
+
+    point_enu_m: Vec3
+    yaw_rad: float
+    stopped_since_s: float = math.inf
+
+    @classmethod
+    def here(cls, state: CrazyflieState, height_m: float | None = None) -> Anchor:
+        """Hold where it comes to rest, or above there at a height."""
+        x, y, z = state.position_enu_m
+        vx, vy, vz = state.velocity_enu_m_s
+        point = (x + vx / GAIN_1_S, y + vy / GAIN_1_S, z + vz / GAIN_1_S)
+        return cls(
+            point if height_m is None else (*point[:2], height_m), yaw_from_quaternion(state.quaternion)
+        )
+
+    def hold(self, state: CrazyflieState) -> Vec3:
+        """Velocity towards the point."""
+        ex, ey, ez = (a - b for a, b in zip(self.point_enu_m, state.position_enu_m, strict=True))
+        vx, vy = GAIN_1_S * ex, GAIN_1_S * ey
+        speed = math.hypot(vx, vy)
+        if speed > SPEED_XY_M_S:
+            vx, vy = vx * SPEED_XY_M_S / speed, vy * SPEED_XY_M_S / speed
+        return (vx, vy, min(max(GAIN_1_S * ez, -DESCENT_M_S), CLIMB_M_S))
+
+    def descend(self, state: CrazyflieState) -> Vec3:
+        """Velocity downwards above the point."""
+        vx, vy, _ = self.hold(state)
+        return (vx, vy, -DESCENT_M_S)
+
+    def arrived(self, state: CrazyflieState) -> bool:
+        """Whether the height has been reached."""
+        high = abs(self.point_enu_m[2] - state.position_enu_m[2]) < ARRIVED_M
+        return high and abs(state.velocity_enu_m_s[2]) < ARRIVED_M_S
+
+    def down(self, state: CrazyflieState, now_s: float) -> bool:
+        """Whether something has held it up for a while, though told to go down; call it at every step."""
+        if state.velocity_enu_m_s[2] < -STOPPED_SHARE * DESCENT_M_S:
+            self.stopped_since_s = math.inf
+            return False
+        self.stopped_since_s = min(self.stopped_since_s, now_s)
+        return now_s - self.stopped_since_s >= STOPPED_TIME_S
+
+
+class Ground:
+    """Tells when a vehicle flown by somebody else stands: told to sink, and not sinking for a second."""
+
+    def __init__(self) -> None:
+        self._since_s = math.inf
+
+    def stands(self, wanted_z_m_s: float, state: CrazyflieState | None, now_s: float) -> bool:
+        """Whether it stands; call it with every set-point."""
+        sinks = state is None or state.velocity_enu_m_s[2] < STOPPED_SHARE * wanted_z_m_s
+        if wanted_z_m_s > SINKING_M_S or sinks:
+            self._since_s = math.inf
+            return False
+        self._since_s = min(self._since_s, now_s)
+        return now_s - self._since_s > STANDING_S
+
+
+class Done(Enum):
+    """What a mode ended with."""
+
+    ARRIVED = auto()  # take-off height reached
+    LANDED = auto()
+
+
+class Pilot:
+    """Flies take-off, hold and landing; what it does not know it does not guess.
+
+    Attributes:
+        takeoff_z_m: height of the next or present take-off.
+    """
+
+    def __init__(self) -> None:
+        self.takeoff_z_m = TAKEOFF_M
+        self._anchor: Anchor | None = None
+        self._since_s = -math.inf
+
+    def begin(self, now_s: float) -> None:
+        """Begin a mode, from wherever it is."""
+        self._anchor, self._since_s = None, now_s
+
+    def goes_on(self, now_s: float) -> bool:
+        """Whether a landing without any state still goes down."""
+        return now_s - self._since_s <= BLIND_LANDING_MAX_S
+
+    def step(
+        self, mode: Mode, state: CrazyflieState | None, now_s: float, *, standing: bool, placed: bool
+    ) -> tuple[Velocity | None, Done | None]:
+        """Velocity to send, and whether the mode is done.
+
+        Args:
+            mode: any but OFFBOARD.
+            state: None when there is no fresh one: then it stops in the air, or goes on down for a while.
+            now_s: now.
+            standing: it has not moved yet.
+            placed: its position is known; a landing goes straight down without.
+        """
+        if state is None:
+            if mode is Mode.LAND:
+                return (Velocity((0.0, 0.0, -DESCENT_M_S), 0.0) if self.goes_on(now_s) else None), None
+            return (None if standing else Velocity(ZERO, 0.0)), None
+        if self._anchor is None:
+            self._anchor = Anchor.here(state, self.takeoff_z_m if mode is Mode.TAKEOFF else None)
+        anchor = self._anchor
+        turn_rad_s = yaw_rate(anchor.yaw_rad, state)
+        if mode is Mode.LAND:
+            if anchor.down(state, now_s) and now_s - self._since_s > LANDING_MIN_S:
+                return None, Done.LANDED
+            velocity = anchor.descend(state) if placed else (0.0, 0.0, -DESCENT_M_S)
+            return Velocity(velocity, turn_rad_s), None
+        done = Done.ARRIVED if mode is Mode.TAKEOFF and anchor.arrived(state) else None
+        return Velocity(anchor.hold(state), turn_rad_s), done

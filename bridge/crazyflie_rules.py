@@ -1,0 +1,29 @@
+"""Times and limits of the Crazyflie bridge, and what a person may choose of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bridge.crazyflie_owner import SILENCE_S
+
+SILENT_S = 0.5  # s without state: said; the flight stack calls its own state lost after 0.2 s
+LOST_S = 1.0  # s without state: no heartbeat any more
+RECONNECT_S = 3.0  # s without state: the firmware has stopped by itself; the link is opened anew
+BLIND_LANDING_MAX_S = 12.0  # s; from 3 m at the landing's speed
+CLIENT_SILENT_S = 3.0  # s without any client's heartbeat
+STREAM_S = SILENCE_S  # s; a set-point older than that is no stream
+LEVEL_OUT_S = 0.5  # s after which the firmware's watchdog acts (supervisor.c)
+OWN_PERIOD_S = 0.02  # s between two set-points of the bridge's own modes
+STANDING_S = 1.0  # s of being told to sink without sinking
+SPEED_MAX_M_S = 1.0  # m/s, longest velocity passed on
+HEIGHT_RANGE_M = (0.1, 3.0)  # m above home of a take-off
+TAKEOFF_M = 0.5  # m above home, of a take-off without a height
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What a person chose."""
+
+    speed_max_m_s: float = SPEED_MAX_M_S
+    land_on_silence: bool = False  # land when set-points stop, instead of leaving it to the firmware
+    mocap: bool = False  # poses come from outside

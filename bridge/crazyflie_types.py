@@ -1,0 +1,158 @@
+"""The words between the cflib side and the MAVLink side of the Crazyflie bridge: plain data, no threads.
+
+World is the Crazyflie's own (x, y, z up), taken as ENU; body is FLU. Metres, seconds, radians, volts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum, IntFlag
+from typing import NamedTuple
+
+from bridge.frames import Quat
+from flightstack.types import Vec3
+
+PROTOCOL_MIN = (
+    12  # CRTP protocol with arming and emergency stop on the supervisor's port (cflib supervisor.py)
+)
+
+
+class Info(IntFlag):
+    """Bits of ``supervisor.info`` (firmware supervisor.c)."""
+
+    CAN_BE_ARMED = 1 << 0
+    ARMED = 1 << 1
+    AUTO_ARM = 1 << 2  # the firmware arms itself, as all Crazyflie 2.x with brushed motors do
+    CAN_FLY = 1 << 3
+    FLYING = 1 << 4
+    TUMBLED = 1 << 5
+    LOCKED = 1 << 6
+    CRASHED = 1 << 7
+
+
+class Power(Enum):
+    """``pm.state`` (firmware pm.h)."""
+
+    BATTERY = 0
+    CHARGING = 1
+    CHARGED = 2
+    LOW = 3
+    SHUTDOWN = 4
+
+
+class Velocity(NamedTuple):
+    """A velocity set-point: one packet, sent at once or never."""
+
+    velocity_enu_m_s: Vec3
+    yaw_rate_rad_s: float  # counter-clockwise
+
+
+class Pose(NamedTuple):
+    """A pose from outside, for the on-board estimator."""
+
+    position_enu_m: Vec3
+    quaternion: Quat  # w, x, y, z, of FLU in ENU
+
+
+class Order(Enum):
+    """Packets without numbers."""
+
+    STOP = "stop set-point: motors off"
+    NOTIFY_STOP = "no more set-points will come"
+    ARM = "arm"
+    DISARM = "disarm"
+    EMERGENCY_STOP = "emergency stop, latched until restart"
+    RECONNECT = "close the link and open it again"
+
+
+class SetParam(NamedTuple):
+    """Write a firmware parameter."""
+
+    name: str
+    value: float
+
+
+Packet = Velocity | Pose | Order | SetParam
+
+
+class Connected(NamedTuple):
+    """The link is open and everything asked at its start has been answered."""
+
+    protocol: int
+    params: dict[str, str]  # of ``crazyflie_link.PARAMS``; those the firmware does not have are missing
+
+
+class Lost(NamedTuple):
+    """There is no link, or no more; it is tried again."""
+
+    reason: str
+
+
+class StateBlock(NamedTuple):
+    """One log packet of the state, as it came."""
+
+    time_ms: int  # firmware clock, 24 bits
+    values: dict[str, int]
+
+
+class HealthBlock(NamedTuple):
+    """One log packet of what changes slowly."""
+
+    values: dict[str, float]
+
+
+class ArmReply(NamedTuple):
+    """The supervisor's answer to an arming request."""
+
+    accepted: bool
+    armed: bool
+
+
+class ParamValue(NamedTuple):
+    """A parameter, after it was written."""
+
+    name: str
+    value: str | None  # None: the firmware has no such parameter
+
+
+Event = Connected | Lost | StateBlock | HealthBlock | ArmReply | ParamValue
+
+
+class Arrived(NamedTuple):
+    """An event, and when it came in."""
+
+    at_s: float  # time.monotonic()
+    event: Event
+
+
+@dataclass(frozen=True, slots=True)
+class CrazyflieState:
+    """What one log packet says; all of one moment."""
+
+    at_s: float  # bridge clock
+    boot_ms: int  # firmware clock, unwrapped
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    quaternion: Quat  # w, x, y, z, of FLU in ENU
+    rates_flu_rad_s: Vec3
+    info: Info
+    battery_v: float
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What changes slowly."""
+
+    at_s: float
+    variance_m2: Vec3  # of the position estimate
+    power: Power
+    battery_percent: int
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """What is known of the firmware on the other side; ``protocol`` None: not connected."""
+
+    protocol: int | None = None
+    params: dict[str, str] = field(default_factory=dict)
+    reason: str = "not connected yet"

@@ -1,0 +1,394 @@
+"""A Crazyflie as a vehicle with modes: pure, events and commands in, packets and texts out.
+
+A client's velocity goes to the radio once, at once, and never again: when the client stops, the firmware's
+own watchdog levels out after 0.5 s and stops the motors after 2 s (firmware supervisor.c). Only in the
+bridge's own modes (take-off, hold, landing) does the bridge make set-points, and only while it hears a
+client, or to land.
+"""
+
+from __future__ import annotations
+
+import math
+
+from bridge.crazyflie_arming import Arming
+from bridge.crazyflie_checks import ESTIMATOR, KALMAN, STATE_AGE_MAX_S, Seen, position_known, problems, stuck
+from bridge.crazyflie_modes import CODES, Mode
+from bridge.crazyflie_owner import Owner, Right, Sender
+from bridge.crazyflie_pilot import Done, Ground, Pilot, yaw_rate
+from bridge.crazyflie_rules import (
+    CLIENT_SILENT_S,
+    HEIGHT_RANGE_M,
+    LEVEL_OUT_S,
+    LOST_S,
+    OWN_PERIOD_S,
+    RECONNECT_S,
+    SILENT_S,
+    STREAM_S,
+    TAKEOFF_M,
+    Rules,
+)
+from bridge.crazyflie_texts import CRITICAL, INFO, WARNING, Texts
+from bridge.crazyflie_types import (
+    ArmReply,
+    Connected,
+    CrazyflieState,
+    Health,
+    Info,
+    Link,
+    Lost,
+    Order,
+    Packet,
+    ParamValue,
+    SetParam,
+    Velocity,
+)
+from flightstack.types import Vec3
+
+
+class Vehicle:
+    """Call ``take`` and the commands as things come, then ``step``, then take ``packets`` and ``texts``.
+
+    Attributes:
+        mode: meaningful also while disarmed.
+        failsafe: the mode was not asked for.
+        home_z_m: height of the place it was armed at last.
+    """
+
+    def __init__(self, rules: Rules) -> None:
+        self.rules = rules
+        self.mode, self.failsafe = Mode.HOLD, False
+        self.home_z_m = 0.0
+        self.link, self.texts, self.owner = Link(), Texts(), Owner()
+        self.state: CrazyflieState | None = None
+        self.health: Health | None = None
+        self.mocap_problem: str | None = "no pose yet" if rules.mocap else None
+        self._arming = Arming()
+        self._packets: list[Packet] = []
+        self._pilot = Pilot()
+        self._moved = False  # a velocity has gone out since arming
+        self._ground = Ground()
+        self._stream_s = self._client_s = self._own_s = -math.inf
+        self._silence_said = self._stream_end_said = False
+        self._connected_s = 0.0
+
+    @property
+    def armed(self) -> bool:
+        """Armed through this bridge."""
+        return self._arming.armed
+
+    @property
+    def arming(self) -> bool:
+        """Whether the supervisor has been asked and has not answered."""
+        return self._arming.arming
+
+    @property
+    def standing(self) -> bool:
+        """Not in the air, as far as can be told without a sensor for it."""
+        return not (self.armed and self._moved)
+
+    @property
+    def landed_state(self) -> int:
+        """MAV_LANDED_STATE."""
+        return 1 if self.standing else CODES[self.mode].landed_state
+
+    def alive(self, now_s: float) -> bool:
+        """Whether it is heard; without that nothing is said in its name."""
+        return self.state is not None and self.link.protocol is not None and now_s - self.state.at_s <= LOST_S
+
+    def problems(self, now_s: float) -> list[str]:
+        """Reasons against arming, now."""
+        return problems(self._seen(now_s))
+
+    def position_known(self, now_s: float) -> bool:
+        """Whether its estimate of position may be flown by."""
+        return position_known(self._seen(now_s))
+
+    def take_packets(self) -> list[Packet]:
+        """What goes to the Crazyflie, in order."""
+        packets, self._packets = self._packets, []
+        return packets
+
+    # What comes from the Crazyflie
+
+    def connected(self, event: Connected, now_s: float) -> None:
+        """The link is open."""
+        self.link = Link(event.protocol, dict(event.params), "")
+        self.state = self.health = None
+        self._connected_s = now_s
+        self._arming.forget()
+        self.texts.say(INFO, f"Crazyflie connected, CRTP {event.protocol}")
+        if event.params.get(ESTIMATOR, KALMAN) != KALMAN:
+            self._packets.append(SetParam(ESTIMATOR, float(KALMAN)))  # its echo comes as a ``ParamValue``
+
+    def param(self, event: ParamValue, now_s: float) -> None:
+        """A parameter's value, after somebody wrote it."""
+        if event.value is None:
+            self.texts.refuse(f"The firmware has no parameter {event.name}", now_s)
+            return
+        self.link.params[event.name] = event.value
+        self.texts.say(INFO, f"{event.name} is {event.value}")
+
+    def lost(self, event: Lost, now_s: float) -> None:
+        """The link is gone."""
+        if self.link.protocol is not None:
+            self.texts.say(CRITICAL, f"Radio lost: {event.reason}")
+        else:
+            self.texts.refuse(event.reason, now_s, "connecting")
+        self.link = Link(reason=event.reason)
+        self._end("radio lost")
+        self._arming.forget()
+
+    def take_state(self, state: CrazyflieState, now_s: float) -> None:
+        """A new state."""
+        before, self.state = self.state, state
+        if self._silence_said:
+            self.texts.say(INFO, "Radio is back")
+            self._silence_said = False
+        if before is not None and state.boot_ms < before.boot_ms:
+            self._end("it restarted")
+        reason = stuck(state.info)
+        if reason is not None and (before is None or stuck(before.info) != reason):
+            self.texts.say(CRITICAL, reason)
+        if self.armed and (reason is not None or not state.info & Info.ARMED):
+            self._end("by the firmware")
+        del now_s
+
+    def arm_reply(self, reply: ArmReply, now_s: float) -> None:
+        """The supervisor's answer."""
+        reason = self._arming.reply(reply)
+        if reason is not None:
+            self.texts.refuse(f"Arming refused: {reason}", now_s)
+
+    def mocap(self, problem: str | None) -> None:
+        """Why there are no good poses from outside now; None: there are."""
+        if self.armed and problem is not None and self.mocap_problem is None:
+            self.texts.say(CRITICAL, problem)
+        self.mocap_problem = problem
+
+    # What clients want; the reason if refused
+
+    def client(self, now_s: float) -> None:
+        """A client's heartbeat."""
+        self._client_s = now_s
+
+    def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
+        """Why this sender may not do something now; disarmed, everybody may."""
+        return self.owner.forbids(sender, right, now_s) if self.armed else None
+
+    def arm(self, now_s: float) -> str | None:
+        """Ask the supervisor; ``armed`` or a text shows what became of it."""
+        if self.armed or self.arming:
+            return None
+        found = self.problems(now_s)
+        if found or self.state is None:
+            return f"Arming refused: {found[0] if found else 'no state'}"
+        if self.mode is Mode.LAND:
+            self._enter(Mode.HOLD, now_s)
+        self.home_z_m = self.state.position_enu_m[2]
+        self._moved, self._ground = False, Ground()
+        self._pilot.begin(now_s)
+        packets = self._arming.ask(self.state, now_s)
+        self._packets += packets
+        if not packets:
+            self.texts.say(INFO, "Armed")
+        return None
+
+    def disarm(self, now_s: float, *, force: bool) -> str | None:
+        """Motors off; in the air only by force."""
+        if not force and not self.standing:
+            return "Disarming refused: not landed"
+        flying = self.state is not None and bool(self.state.info & Info.FLYING)
+        if self.armed or self.arming or (force and flying):
+            self._motors_off(now_s, "Disarmed by force" if force else "Disarmed", forced=force)
+        return None
+
+    def emergency_stop(self, now_s: float) -> None:
+        """Stop the motors by the way that latches until a restart."""
+        self._packets += self._arming.emergency(now_s)
+        self._end("emergency stop, restart needed")
+
+    def take_off(self, height_m: float | None, now_s: float) -> str | None:
+        """Climb and hold there; disarmed: as soon as it is armed.
+
+        Args:
+            height_m: z of the Crazyflie's world; None: 0.5 m above home.
+            now_s: now.
+        """
+        home_m = self.home_z_m if self.armed or self.state is None else self.state.position_enu_m[2]
+        height_m = home_m + TAKEOFF_M if height_m is None else height_m
+        low, high = HEIGHT_RANGE_M
+        if not low <= height_m - home_m <= high:
+            return f"Take-off refused: {height_m - home_m:.3g} m above home, {low:g} to {high:g}"
+        if self.mode is Mode.TAKEOFF and height_m == self._pilot.takeoff_z_m:
+            return None
+        self._pilot.takeoff_z_m = height_m
+        self._enter(Mode.TAKEOFF, now_s)
+        return None
+
+    def land(self, now_s: float) -> None:
+        """Go down where it is; nothing can refuse that."""
+        if self.armed:
+            self._enter(Mode.LAND, now_s)
+
+    def set_mode(self, mode: Mode, now_s: float) -> str | None:
+        """Change the mode."""
+        if mode is Mode.TAKEOFF:
+            return self.take_off(None, now_s)
+        if mode is Mode.LAND:
+            self.land(now_s)
+            return None
+        if mode is Mode.OFFBOARD and now_s - self._stream_s > STREAM_S:
+            return "Mode offboard refused: no set-points"
+        self._enter(mode, now_s)
+        return None
+
+    def take_setpoint(
+        self,
+        velocity_enu_m_s: Vec3,
+        yaw_rad: float | None,
+        yaw_rate_rad_s: float,
+        sender: Sender,
+        now_s: float,
+    ) -> str | None:
+        """Pass a velocity on, once, when it is armed and in OFFBOARD.
+
+        Args:
+            velocity_enu_m_s: finite; what is longer than the limit is shortened.
+            yaw_rad: heading to turn to; None: turn with the rate.
+            yaw_rate_rad_s: counter-clockwise.
+            sender: whose.
+            now_s: now.
+        """
+        reason = self.owner.admit(sender, now_s)
+        if reason is not None:
+            return f"Set-point dropped: {reason}"
+        self._stream_s, self._stream_end_said = now_s, False
+        if not (self.armed and self.mode is Mode.OFFBOARD):
+            return None
+        speed_m_s = math.hypot(*velocity_enu_m_s)
+        if speed_m_s > self.rules.speed_max_m_s:
+            share = self.rules.speed_max_m_s / speed_m_s
+            x, y, z = velocity_enu_m_s
+            velocity_enu_m_s = (share * x, share * y, share * z)
+            self.texts.refuse(f"Set-point cut to {self.rules.speed_max_m_s:g} m/s", now_s, "fast")
+        state = self._fresh_state(now_s)
+        if yaw_rad is not None:
+            yaw_rate_rad_s = yaw_rate(yaw_rad, state) if state is not None else 0.0
+        self._command(Velocity(velocity_enu_m_s, yaw_rate_rad_s))
+        if self._ground.stands(velocity_enu_m_s[2], state, now_s):  # a client that landed may disarm
+            self._moved = False
+        return None
+
+    def step(self, now_s: float) -> None:
+        """Whatever time brings; call it at least every 10 ms."""
+        self._watch_radio(now_s)
+        was_armed = self.armed
+        packets, text = self._arming.step(self.state, now_s)
+        self._packets += packets
+        if text is not None:
+            self.texts.say(CRITICAL, text if text[0].isupper() else f"Arming failed: {text}")
+        if self.armed and not was_armed:
+            self.texts.say(INFO, "Armed")
+        if self.armed:
+            (self._fly_offboard if self.mode is Mode.OFFBOARD else self._fly_own)(now_s)
+
+    # Flying
+
+    def _seen(self, now_s: float) -> Seen:
+        return Seen(now_s, self.link, self.state, self.health, self.mocap_problem)
+
+    def _fresh_state(self, now_s: float) -> CrazyflieState | None:
+        state = self.state
+        return state if state is not None and now_s - state.at_s <= STATE_AGE_MAX_S else None
+
+    def _command(self, velocity: Velocity) -> None:
+        self._moved = True
+        self._packets.append(velocity)
+
+    def _fly_own(self, now_s: float) -> None:
+        """Take-off, hold or landing: set-points of the bridge's own."""
+        if self.standing and self.mode is Mode.LAND:
+            self._motors_off(now_s, "Disarmed", forced=False)
+            return
+        if (self.standing and self.mode is Mode.HOLD) or now_s - self._own_s < OWN_PERIOD_S - 1e-4:
+            return
+        self._own_s = now_s
+        if self.mode is not Mode.LAND and now_s - self._client_s > CLIENT_SILENT_S:
+            self._fall_back(f"No client for {CLIENT_SILENT_S:g} s", now_s)
+            return
+        state = self._fresh_state(now_s)
+        placed = state is None or self.position_known(now_s)
+        if not placed and self.mode is not Mode.LAND:
+            self._fall_back("No position estimate", now_s)
+            return
+        velocity, done = self._pilot.step(self.mode, state, now_s, standing=self.standing, placed=placed)
+        if done is Done.LANDED:
+            self._motors_off(now_s, "Landed, disarmed", forced=False)
+            return
+        if done is Done.ARRIVED:
+            self._change(Mode.HOLD)
+        if velocity is not None:
+            self._command(velocity)
+
+    def _fly_offboard(self, now_s: float) -> None:
+        """Nothing is sent here; only what has stopped is said."""
+        silence_s = now_s - self._stream_s
+        if silence_s > LEVEL_OUT_S and not self._stream_end_said and self._moved:
+            self._stream_end_said = True
+            self.texts.say(CRITICAL, "Set-points stopped: firmware levels out, motors off at 2 s")
+        if silence_s > STREAM_S and (self.rules.land_on_silence or self.standing):
+            self._fall_back("No set-points", now_s)
+
+    def _watch_radio(self, now_s: float) -> None:
+        if self.link.protocol is None:
+            return
+        heard_s = self.state.at_s if self.state is not None else self._connected_s
+        silence_s = now_s - heard_s
+        if silence_s > SILENT_S and not self._silence_said:
+            self._silence_said = True
+            self.texts.say(CRITICAL, f"Radio silent for {SILENT_S:g} s")
+        if silence_s > LOST_S and self.armed and self.mode in (Mode.HOLD, Mode.TAKEOFF) and not self.standing:
+            self._fall_back("Radio silent", now_s)
+        landing_blind = self.armed and self.mode is Mode.LAND and self._pilot.goes_on(now_s)
+        if silence_s > RECONNECT_S and not landing_blind:
+            self._packets.append(Order.RECONNECT)
+            self.lost(Lost(f"nothing heard for {RECONNECT_S:g} s"), now_s)
+
+    # Changes
+
+    def _enter(self, mode: Mode, now_s: float, *, failsafe: bool = False) -> None:
+        self.failsafe = failsafe
+        if mode is self.mode and mode is Mode.LAND:
+            return  # it goes on
+        self._change(mode)
+        self._pilot.begin(now_s)
+
+    def _change(self, mode: Mode) -> None:
+        if mode is not self.mode:
+            self.texts.say(INFO, f"Mode {mode.value}")
+        self.mode = mode
+
+    def _fall_back(self, reason: str, now_s: float) -> None:
+        if self.standing:
+            self._enter(Mode.HOLD, now_s)
+            return
+        self.texts.say(CRITICAL, f"{reason}: landing")
+        self._enter(Mode.LAND, now_s, failsafe=True)
+
+    def _motors_off(self, now_s: float, text: str, *, forced: bool) -> None:
+        self._packets += self._arming.off(now_s, forced=forced)
+        self.texts.say(WARNING if forced else INFO, text)
+        self._ended()
+
+    def _end(self, reason: str) -> None:
+        """It is no longer armed, whoever did that."""
+        if self.armed:
+            self.texts.say(CRITICAL, f"Disarmed: {reason}")
+        self._arming.armed = False
+        self._ended()
+
+    def _ended(self) -> None:
+        self._moved = self.failsafe = False
+        self.owner.release()
+        if self.mode is not Mode.OFFBOARD:
+            self.mode = Mode.HOLD

@@ -1,0 +1,168 @@
+"""The mocap bridge as a process: poses from Zenoh on one side, a MAVLink vehicle on the other."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge import zenoh_link
+from bridge.mavlink import Endpoint
+from bridge.mocap_checks import Limits, PoseChecks
+from bridge.mocap_source import MocapSource
+from bridge.mocap_vehicle import COMPONENT_ID, MocapVehicle
+from bridge.origin import Origin
+from bridge.ros2_target import TargetSpec
+from bridge.signing_key import load_key
+from flightstack.types import ZERO, Vec3
+
+TICK_S = 0.002  # s; longest a pose waits for the loop
+_AUTOPILOT = (dialect.MAV_COMP_ID_AUTOPILOT1,)
+_SAY_S = 2.0  # s between two texts about the same
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Where the bridge is plugged in."""
+
+    vehicle_url: str
+    spec: TargetSpec
+    connect: tuple[str, ...] = ()
+    listen: tuple[str, ...] = ()
+    zenoh_config: Path | None = None
+    limits: Limits = field(default_factory=Limits)
+    offset_flu_m: Vec3 = ZERO
+    origin: Origin | None = None
+    system_id: int = 1
+    signing_key: Path | None = None
+    allow_unsigned: bool = False
+    duration_s: float | None = None
+
+
+class Told:
+    """Says what changes, and what lasts every two seconds."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._last: dict[str, tuple[str | None, float]] = {}
+
+    def about(self, topic: str, text: str | None, now_s: float, *, good: str | None = None) -> None:
+        """Tell a text, or that it is over."""
+        before, said_s = self._last.get(topic, (None, 0.0))
+        changed = (text is None) != (before is None)
+        if text is not None and (changed or now_s - said_s >= _SAY_S):
+            self._say(text)
+            self._last[topic] = (text, now_s)
+        elif text is None and changed:
+            self._last[topic] = (None, now_s)
+            if good is not None:
+                self._say(good)
+
+
+class Bridge:
+    """One source of poses and one vehicle."""
+
+    def __init__(
+        self,
+        source: MocapSource,
+        vehicle: MocapVehicle,
+        endpoint: Endpoint,
+        system_id: int,
+        say: Callable[[str], None],
+    ) -> None:
+        self._source, self._vehicle, self._endpoint = source, vehicle, endpoint
+        self._system_id = system_id
+        self._told = Told(say)
+        self._start_s = time.monotonic()
+        self._greeted = False
+
+    @property
+    def now_s(self) -> float:
+        """The bridge's clock."""
+        return time.monotonic() - self._start_s
+
+    def turn(self) -> None:
+        """Wait for a tick or the vehicle, then pass on what has come."""
+        self._endpoint.wait(TICK_S)
+        now_s, vehicle = self.now_s, self._vehicle
+        for received in self._endpoint.receive():
+            header = received.message.get_header()
+            if (header.srcSystem, header.srcComponent) in ((self._system_id, c) for c in _AUTOPILOT):
+                self._endpoint.send(vehicle.handle(received.message, now_s), received.peer)
+        messages, problem = vehicle.step(self._source.poll(now_s), now_s)
+        self._endpoint.send(messages)
+        if problem is not None and self._source.problem_text is not None:
+            problem, self._source.problem_text = f"mocap: {self._source.problem_text}", None
+        told = self._told
+        told.about("poses", problem, now_s, good="mocap: poses are good")
+        told.about("vehicle", self._vehicle_problem(now_s), now_s, good=self._greeting())
+
+    def _vehicle_problem(self, now_s: float) -> str | None:
+        vehicle = self._vehicle
+        if not vehicle.heard(now_s):
+            return "mocap: the vehicle is not heard"
+        if vehicle.unknown_autopilot is not None:
+            return (
+                f"mocap: autopilot {vehicle.unknown_autopilot} is not known: PX4 (12) and ArduPilot (3) are"
+            )
+        if vehicle.origin_missing:
+            return "mocap: this vehicle has no position without an origin: give --origin LAT LON ALT"
+        return None
+
+    def _greeting(self) -> str | None:
+        wants = self._vehicle.wants
+        return f"mocap: {wants.title} gets poses; it wants {wants.settings}" if wants is not None else None
+
+
+def run(options: Options, say: Callable[[str], None] = print) -> int:
+    """Pass poses on until told to end; prints ``ready`` when it listens.
+
+    Raises:
+        ValueError: a URL or key that is not understood, or a network without a key.
+        OSError: an address that cannot be opened.
+    """
+    ended = False
+
+    def end(number: int, frame: FrameType | None) -> None:
+        nonlocal ended
+        del number, frame
+        ended = True
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, end)
+    with ExitStack() as stack:
+        endpoint = Endpoint(
+            options.vehicle_url,
+            options.system_id,
+            COMPONENT_ID,
+            signing_key=load_key(options.signing_key) if options.signing_key else None,
+            allow_unsigned=options.allow_unsigned,
+        )
+        stack.callback(endpoint.close)
+        for warning in endpoint.warnings:
+            print(f"mocap: WARNING: {warning}", file=sys.stderr)
+        session = zenoh_link.open_session(options.listen, options.connect, config_file=options.zenoh_config)
+        stack.callback(session.close)
+        vehicle = MocapVehicle(options.system_id, options.limits, options.origin)
+        source = MocapSource(session, options.spec, options.offset_flu_m)
+        bridge = Bridge(source, vehicle, endpoint, options.system_id, say)
+        say("ready")
+        sys.stdout.flush()
+        while not ended and (options.duration_s is None or bridge.now_s < options.duration_s):
+            bridge.turn()
+    say(summary(vehicle.checks))
+    return 0
+
+
+def summary(checks: PoseChecks) -> str:
+    """What became of all poses, as one line."""
+    refused = ", ".join(f"{reason.name.lower()} {n}" for reason, n in checks.counts.items() if n)
+    passed = f"{checks.passed} poses passed on, {checks.thinned} left out for the rate"
+    return f"mocap: {passed}; refused: {refused or 'none'}"

@@ -1,0 +1,225 @@
+"""Which poses of motion capture may go to a vehicle: order, age, rate and jumps. Pure.
+
+An estimator believes a pose at once: the Crazyflie's has no gate for outliers (firmware mm_pose.c), and one
+swapped marker turns it over. So a pose is passed on only when it could have come from the one before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import NamedTuple
+
+from bridge.frames import Quat, world_from_body
+from bridge.pose_cdr import Pose
+from flightstack.types import Vec3
+
+
+class Refusal(Enum):
+    """Why a pose is not passed on; the value says what to look at."""
+
+    UNREADABLE = "not a geometry_msgs/msg/PoseStamped"
+    FRAME = "in another frame: --frame names the one that is the vehicle's east-north-up"
+    ORDER = "not newer than the one before: are there two senders?"
+    LATE = "held up on its way: network or mocap computer too slow"
+    ROOM = "outside the room: --room is its half side"
+    JUMP = "a jump no vehicle can make: markers swapped, or another body?"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a good pose is."""
+
+    frame_id: str | None = None  # None: any
+    late_max_s: float = 0.1  # behind the quickest of the last samples
+    gap_max_s: float = 0.2  # without a good pose: there is none; the flight stack's own state lasts as long
+    rate_min_hz: float = 20.0  # a slower stream is said to be one; PX4 wants 30 to 50
+    rate_max_hz: float = 100.0  # no more than that is passed on
+    speed_max_m_s: float = 5.0  # of the body, with the allowances below for noise
+    jump_m: float = 0.05
+    turn_rate_max_rad_s: float = 20.0
+    turn_rad: float = 0.2
+    room_m: float = 100.0  # the Crazyflie's estimator resets beyond (estimator supervisor)
+    gap_believed_s: float = 1.0  # of a gap, in which it may have flown on
+    return_m: float = 0.5  # after poses that were refused: how far from the last good one it may come back
+    settle_s: float = 1.0  # after a jump: so long in its new place until it is believed, disarmed
+
+
+class Sample(NamedTuple):
+    """A pose as it came; ``pose`` None: it could not be read."""
+
+    pose: Pose | None
+    arrival_s: float
+
+
+class Passed(NamedTuple):
+    """A pose that may go on."""
+
+    pose: Pose
+    measured_s: float  # on our clock: arrival, less how late it was
+    resets: int  # how often the series has begun anew, for estimators that want to know
+
+
+class Step(NamedTuple):
+    """What became of the samples of one step."""
+
+    passed: tuple[Passed, ...]
+    problem: str | None  # why there is no pose to rely on now
+
+
+_DRIFT = 1e-3  # how fast the quickest way is forgotten: two computers' clocks, and a network that changes
+_RATE_WINDOW_S = 1.0
+
+
+@dataclass(slots=True)
+class PoseChecks:
+    """Call ``step`` often, with what has come.
+
+    Attributes:
+        counts: refused samples by reason; ``thinned`` those left out for the rate.
+    """
+
+    limits: Limits = field(default_factory=Limits)
+    counts: dict[Refusal, int] = field(default_factory=lambda: dict.fromkeys(Refusal, 0))
+    thinned: int = 0
+    passed: int = 0
+    _last: Passed | None = None
+    _stamp_ns: int | None = None
+    _zero_s: float = math.inf  # least of arrival minus stamp
+    _zero_at_s: float = 0.0
+    _sent_s: float = -math.inf
+    _resets: int = 0
+    _elsewhere: Passed | None = None  # the newest of a series after a jump
+    _elsewhere_since_s: float = 0.0
+    _refused: Refusal | None = None
+    _window_s: float = -math.inf
+    _in_window: int = 0
+    _rate_hz: float | None = None
+
+    def step(self, samples: Sequence[Sample], now_s: float, *, armed: bool) -> Step:
+        """Judge samples in their order.
+
+        Args:
+            samples: since the last call.
+            now_s: our clock.
+            armed: the vehicle is: then no jump is believed, however long it lasts.
+        """
+        good = [passed for sample in samples if (passed := self._judge(sample, armed)) is not None]
+        self._count_rate(len(good), now_s)
+        kept = tuple(passed for passed in good if self._due(passed.measured_s))
+        self.passed += len(kept)
+        return Step(kept, self._problem(now_s))
+
+    def _judge(self, sample: Sample, armed: bool) -> Passed | None:
+        found = self._look(sample, armed)
+        if isinstance(found, Refusal):
+            self.counts[found] += 1
+            self._refused = found
+            return None
+        self._last, self._elsewhere, self._refused = found, None, None
+        return found
+
+    def _look(self, sample: Sample, armed: bool) -> Passed | Refusal:
+        pose, limits = sample.pose, self.limits
+        if pose is None:
+            return Refusal.UNREADABLE
+        if limits.frame_id is not None and pose.frame_id != limits.frame_id:
+            return Refusal.FRAME
+        if max(map(abs, pose.position_m)) > limits.room_m:
+            return Refusal.ROOM
+        if self._stamp_ns is not None and pose.stamp_ns <= self._stamp_ns:
+            return Refusal.ORDER
+        self._stamp_ns = pose.stamp_ns
+        late_s = self._lateness(pose.stamp_ns / 1e9, sample.arrival_s)
+        if late_s > limits.late_max_s:
+            return Refusal.LATE
+        passed = Passed(pose, sample.arrival_s - late_s, self._resets)
+        last, before = self._last, self._elsewhere
+        if last is None:
+            return passed
+        returns = before is None or _apart(last, passed) < _apart(before, passed)
+        if returns and self._reaches(last, passed, math.inf if before is None else self.limits.return_m):
+            return passed
+        if before is not None and self._reaches(before, passed, math.inf):
+            return self._carried(passed, armed)  # it goes on where it should not be
+        self._elsewhere_since_s = passed.measured_s
+        self._elsewhere = passed
+        return Refusal.JUMP
+
+    def _lateness(self, stamp_s: float, arrival_s: float) -> float:
+        way_s = arrival_s - stamp_s
+        self._zero_s = min(way_s, self._zero_s + _DRIFT * max(0.0, arrival_s - self._zero_at_s))
+        self._zero_at_s = arrival_s
+        return way_s - self._zero_s
+
+    def _reaches(self, before: Passed, after: Passed, most_m: float) -> bool:
+        limits = self.limits
+        dt_s = min(max(0.0, (after.pose.stamp_ns - before.pose.stamp_ns) / 1e9), limits.gap_believed_s)
+        moved_m = math.dist(before.pose.position_m, after.pose.position_m)
+        turned_rad = angle_between(before.pose.orientation_wxyz, after.pose.orientation_wxyz)
+        fits = moved_m <= min(limits.jump_m + limits.speed_max_m_s * dt_s, most_m)
+        return fits and turned_rad <= limits.turn_rad + limits.turn_rate_max_rad_s * dt_s
+
+    def _carried(self, passed: Passed, armed: bool) -> Passed | Refusal:
+        """A series elsewhere is believed when it has lasted, on the ground: somebody carried the vehicle."""
+        if armed:
+            self._elsewhere_since_s = passed.measured_s
+        self._elsewhere = passed
+        if passed.measured_s - self._elsewhere_since_s < self.limits.settle_s:
+            return Refusal.JUMP
+        self._resets += 1
+        return passed._replace(resets=self._resets)
+
+    def _due(self, at_s: float) -> bool:
+        if at_s - self._sent_s < 0.75 / self.limits.rate_max_hz:  # nearer than jitter: one too many
+            self.thinned += 1
+            return False
+        self._sent_s = at_s
+        return True
+
+    def _count_rate(self, count: int, now_s: float) -> None:
+        self._in_window += count
+        span_s = now_s - self._window_s
+        if span_s >= _RATE_WINDOW_S:
+            self._rate_hz = self._in_window / span_s if math.isfinite(span_s) else None
+            self._window_s, self._in_window = now_s, 0
+
+    def _problem(self, now_s: float) -> str | None:
+        if self._last is None:
+            return f"mocap: no pose yet{self._because()}"
+        age_s = now_s - self._last.measured_s
+        if age_s > self.limits.gap_max_s:
+            return f"mocap: no pose for {age_s:.1f} s{self._because()}"
+        if self._rate_hz is not None and self._rate_hz < self.limits.rate_min_hz:
+            return f"mocap: {self._rate_hz:.0f} Hz, {self.limits.rate_min_hz:g} Hz needed"
+        return None
+
+    def _because(self) -> str:
+        return f"; the last was {self._refused.value}" if self._refused is not None else ""
+
+
+def _apart(a: Passed, b: Passed) -> float:
+    """How unlike two poses are: metres plus radians."""
+    turned_rad = angle_between(a.pose.orientation_wxyz, b.pose.orientation_wxyz)
+    return math.dist(a.pose.position_m, b.pose.position_m) + turned_rad
+
+
+def angle_between(a: Quat, b: Quat) -> float:
+    """Angle of the rotation from one unit quaternion to another, 0 to pi."""
+    along = abs(sum(x * y for x, y in zip(a, b, strict=True)))
+    across = math.sqrt(max(0.0, 1.0 - along * along))
+    return 2.0 * math.atan2(across, along)
+
+
+def centre(pose: Pose, offset_flu_m: Vec3) -> Pose:
+    """Pose of a point of the body: the markers' centre is seldom the vehicle's.
+
+    Args:
+        pose: of the markers.
+        offset_flu_m: from there to the vehicle's centre, in the body's axes.
+    """
+    dx, dy, dz = world_from_body(pose.orientation_wxyz, offset_flu_m)
+    x, y, z = pose.position_m
+    return pose._replace(position_m=(x + dx, y + dy, z + dz))

@@ -1,0 +1,178 @@
+"""Names of ROS 2 on Zenoh: the keys, liveliness tokens and publisher ids of rmw_zenoh, and of the DDS bridge.
+
+Layouts: rmw_zenoh docs/design.md and detail/liveliness_utils.cpp (Jazzy from 0.2.4, Kilted, Lyrical);
+zenoh-plugin-ros2dds ros2_utils.rs. Name rules: rmw validate_full_topic_name.c.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+import xxhash
+
+DOMAIN_MAX = 232  # ROS 2 documentation, "The ROS_DOMAIN_ID": what DDS has ports for
+TOPIC_LENGTH_MAX = 247  # rmw validate_full_topic_name.h
+NO_HASH = "TypeHashNotSupported"  # what ROS 2 Humble, which has no type hashes, puts in their place
+QOS_KEEP_10 = "::,10:,:,:,,"  # reliable, volatile, keep last 10; empty means rmw_zenoh's default (qos.cpp)
+_ADMIN = "@ros2_lv"
+_TOPIC = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
+_TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_TYPE = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)", re.ASCII)
+_DDS_TYPE = re.compile(r"([A-Za-z]\w*)::msg::dds_::([A-Za-z]\w*)_", re.ASCII)
+_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
+
+
+class TopicKey(NamedTuple):
+    """What a key of rmw_zenoh says."""
+
+    domain: int
+    topic: str  # with its leading slash
+    type_name: str  # package/msg/Name
+    type_hash: str
+
+
+class Node(NamedTuple):
+    """A ROS 2 node as the graph shows it."""
+
+    domain: int
+    session: str  # id of the Zenoh session, as Zenoh prints it
+    name: str
+    namespace: str = "/"
+    number: int = 0  # of the node within the session
+
+
+def check_topic(topic: str) -> str:
+    """Return a topic name if it is a fully qualified one.
+
+    Raises:
+        ValueError: it is not; the text says what is allowed.
+    """
+    if _TOPIC.fullmatch(topic) and len(topic) <= TOPIC_LENGTH_MAX:
+        return topic
+    raise ValueError(
+        f"ROS 2 topic {topic!r} is not a full name: allowed are parts of letters, digits and underscores, "
+        f"each begun by a slash and not by a digit, {TOPIC_LENGTH_MAX} characters at most, for example "
+        "/odom or /robot1/odom"
+    )
+
+
+def check_domain(domain: int) -> int:
+    """Return a domain id if ROS 2 allows it.
+
+    Raises:
+        ValueError: it is out of range.
+    """
+    if 0 <= domain <= DOMAIN_MAX:
+        return domain
+    raise ValueError(f"ROS 2 domain id {domain} is out of range: allowed are 0 to {DOMAIN_MAX}")
+
+
+def dds_type(type_name: str) -> str:
+    """Name of a message type as DDS has it: ``nav_msgs::msg::dds_::Odometry_``.
+
+    Raises:
+        ValueError: not ``package/msg/Name``.
+    """
+    match = _TYPE.fullmatch(type_name)
+    if match is None:
+        raise ValueError(f"ROS 2 type {type_name!r}: PACKAGE/msg/NAME is needed, as in nav_msgs/msg/Odometry")
+    return f"{match[1]}::msg::dds_::{match[2]}_"
+
+
+def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
+    """Key of a topic in rmw_zenoh: ``DOMAIN/TOPIC/TYPE/HASH``.
+
+    Raises:
+        ValueError: a part is malformed.
+    """
+    if not _HASH.fullmatch(type_hash) and type_hash != NO_HASH:
+        raise ValueError(
+            f"type hash {type_hash!r}: RIHS01_ and 64 hexadecimal digits are needed, or {NO_HASH}"
+        )
+    return f"{check_domain(domain)}{check_topic(topic)}/{dds_type(type_name)}/{type_hash}"
+
+
+def any_type_key(domain: int, topic: str) -> str:
+    """Key expression of a topic whatever its type, to be able to say that it has another one.
+
+    Raises:
+        ValueError: a part is malformed.
+    """
+    return f"{check_domain(domain)}{check_topic(topic)}/*/*"
+
+
+def parse_topic_key(key: str) -> TopicKey | None:
+    """Read a key of rmw_zenoh; ``None`` for any other."""
+    parts = key.split("/")
+    if len(parts) < 4:
+        return None
+    domain, *topic, dds, type_hash = parts
+    match = _DDS_TYPE.fullmatch(dds)
+    name = "/" + "/".join(topic)
+    if match is None or not re.fullmatch(r"0|[1-9][0-9]{0,2}", domain) or not _TOPIC.fullmatch(name):
+        return None
+    if not _HASH.fullmatch(type_hash) and type_hash != NO_HASH:
+        return None
+    return TopicKey(int(domain), name, f"{match[1]}/msg/{match[2]}", type_hash)
+
+
+def bridge_key(topic: str) -> str:
+    """Key of a topic behind zenoh-bridge-ros2dds: its name without the leading slash.
+
+    Raises:
+        ValueError: the name is malformed.
+    """
+    return check_topic(topic).removeprefix("/")
+
+
+def node_token(node: Node) -> str:
+    """Liveliness token by which ``ros2 node list`` knows a node.
+
+    Raises:
+        ValueError: a name is malformed.
+    """
+    return "/".join([*_begin(node, node.number, "NN"), node.name])
+
+
+def publisher_token(node: Node, number: int, topic: str, type_name: str, type_hash: str, qos: str) -> str:
+    """Liveliness token by which ``ros2 topic list`` knows a publisher.
+
+    Args:
+        node: whose it is.
+        number: of the publisher, which no other entity of the session has.
+        topic: full name.
+        type_name: ``package/msg/Name``.
+        type_hash: of the type.
+        qos: in rmw_zenoh's short form.
+
+    Raises:
+        ValueError: a part is malformed.
+    """
+    topic_key(node.domain, topic, type_name, type_hash)  # checks
+    tail = [node.name, _mangle(topic), dds_type(type_name), type_hash, qos]
+    return "/".join([*_begin(node, number, "MP"), *tail])
+
+
+def publisher_id(token: str) -> bytes:
+    """The 16 bytes that go with every sample: XXH3-128 of the token, lowest byte first."""
+    digest: bytes = xxhash.xxh3_128_digest(token.encode())
+    return digest[::-1]
+
+
+def _begin(node: Node, number: int, kind: str) -> list[str]:
+    if node.namespace != "/":
+        check_topic(node.namespace)
+    if not _TOKEN.fullmatch(node.name):
+        raise ValueError(
+            f"ROS 2 node name {node.name!r}: letters, digits and underscores are allowed, no digit first"
+        )
+    enclave = "%"  # none
+    return [
+        _ADMIN, str(check_domain(node.domain)), node.session, str(node.number), str(number), kind, enclave,
+        _mangle(node.namespace),
+    ]  # fmt: skip
+
+
+def _mangle(name: str) -> str:
+    return name.replace("/", "%")

@@ -1,0 +1,60 @@
+"""What flies under the stand-in's firmware: a point that follows velocities, falls without motors, lands."""
+
+import math
+from collections.abc import Callable
+
+TAU_S = 0.12  # s; the velocity loop of the firmware's PID
+G = 9.81
+DRAG_1_S = 0.45  # 1/s; level, it slows down by drag alone
+
+
+class Point:
+    """Position, velocity and heading; stands on ``surface_m(x, y)``."""
+
+    def __init__(
+        self, x: float = 0.0, y: float = 0.0, surface_m: Callable[[float, float], float] | None = None
+    ):
+        self.surface_m = surface_m or (lambda _x, _y: 0.0)
+        self.position = [x, y, self.surface_m(x, y)]
+        self.velocity = [0.0, 0.0, 0.0]
+        self.yaw = self.yaw_rate = 0.0
+        self.motors = False
+        self._wanted: list[float] | None = None
+        self._level = False
+
+    @property
+    def quaternion(self) -> tuple[float, float, float, float]:
+        return (math.cos(self.yaw / 2), 0.0, 0.0, math.sin(self.yaw / 2))
+
+    @property
+    def rates(self) -> tuple[float, float, float]:
+        return (0.0, 0.0, self.yaw_rate)
+
+    @property
+    def on_surface(self) -> bool:
+        return self.position[2] <= self.surface_m(*self.position[:2]) + 1e-6
+
+    def command(self, velocity: tuple[float, float, float], yaw_rate: float, level: bool) -> None:
+        """Fly; ``level``: no tilt, only the height is controlled."""
+        self._wanted, self._level, self.motors = list(velocity), level, True
+        self.yaw_rate = 0.0 if level else yaw_rate
+
+    def motors_off(self) -> None:
+        self._wanted, self.motors, self.yaw_rate = None, False, 0.0
+
+    def advance(self, dt_s: float) -> None:
+        v = self.velocity
+        if self._wanted is None:
+            v[2] -= G * dt_s
+        else:
+            share = 1.0 - math.exp(-dt_s / TAU_S)
+            for i in (0, 1):
+                v[i] += -v[i] * DRAG_1_S * dt_s if self._level else (self._wanted[i] - v[i]) * share
+            v[2] += (self._wanted[2] - v[2]) * share
+        for i in range(3):
+            self.position[i] += v[i] * dt_s
+        self.yaw += self.yaw_rate * dt_s
+        floor_m = self.surface_m(*self.position[:2])
+        if self.position[2] < floor_m:
+            self.position[2] = floor_m
+            self.velocity = [0.0, 0.0, max(0.0, v[2])]

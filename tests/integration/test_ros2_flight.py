@@ -1,0 +1,167 @@
+"""A landing on a target that is a ROS 2 topic, through a router, while a ROS 2 node looks on."""
+
+import math
+import re
+import select
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from bridge import zenoh_link
+from bridge.ros2_names import parse_topic_key
+from flightstack.types import Phase
+from tests.integration.runs import WALL_MAX_S
+from tests.unit.ros2_helpers import PATIENCE_S, decode, free_endpoint, rmw_session, until
+
+ROOT = Path(__file__).parents[2]
+PORTS = ("7447", "7448", "7449", "14580")
+
+
+def commands():
+    """The page's commands, on free ports."""
+    page = (ROOT / "docs" / "ros2.md").read_text()
+    block = re.search(r"^```bash\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[1].replace("\\\n", " ")
+    for port in PORTS:
+        block = block.replace(f":{port}", f":{free_endpoint().rsplit(':', 1)[1]}")
+    return {shlex.split(line)[1]: shlex.split(line)[2:] for line in block.splitlines()}
+
+
+class Node:
+    """Plays a ROS 2 node: every topic of domain 0, decoded by another library."""
+
+    def __init__(self, endpoint):
+        self.session = rmw_session(endpoint)
+        self._heard = zenoh_link.ring_subscriber(self.session, "0/**", 4096)
+        self.messages, self.sequences = defaultdict(list), defaultdict(list)
+        self.types = {}
+
+    def poll(self):
+        for sample in zenoh_link.drain(self._heard):
+            key = parse_topic_key(str(sample.key_expr))
+            attachment = sample.attachment.to_bytes()
+            assert len(attachment) == 33
+            self.types[key.topic] = key.type_name
+            self.sequences[key.topic].append(int.from_bytes(attachment[:8], "little"))
+            if len(self.messages[key.topic]) < 5000:
+                self.messages[key.topic].append(decode(key.type_name, sample.payload.to_bytes()))
+
+    def tokens(self):
+        return [str(one.ok.key_expr) for one in self.session.liveliness().get("@ros2_lv/0/**", timeout=1.0)]
+
+
+class Parts:
+    """The page's processes, started in its order."""
+
+    def __init__(self, folder, stack):
+        self._folder, self._stack, self._words = folder, stack, commands()
+        assert list(self._words) == ["router", "target", "vehicle", "onboard"]
+        onboard = self._words["onboard"]
+        self.endpoint = onboard[onboard.index("--ros2") + 1]
+        self._words["router"] += ["--listen", self.endpoint]
+        self.running = {}
+
+    def start(self, name):
+        errors = self._stack.enter_context((self._folder / f"{name}.txt").open("w"))
+        child = subprocess.Popen(
+            [sys.executable, "-m", "flightstack.cli", name, *self._words[name]],
+            cwd=ROOT, stdout=subprocess.PIPE, stderr=errors, text=True,
+        )  # fmt: skip
+        self._stack.callback(end, child)
+        self.running[name] = child
+        if name in ("router", "vehicle"):
+            self.line(name, "ready")
+
+    def line(self, name, words):
+        """Read what a process says up to a line with these words."""
+        child, deadline_s = self.running[name], time.monotonic() + WALL_MAX_S
+        while time.monotonic() < deadline_s:
+            assert select.select([child.stdout], [], [], WALL_MAX_S)[0], f"{name} is silent"
+            line = child.stdout.readline()
+            assert line, f"{name} ended: {self.errors(name)}"
+            if words in line:
+                return
+        pytest.fail(f"{name} did not say {words!r}")
+
+    def errors(self, name):
+        return (self._folder / f"{name}.txt").read_text()
+
+
+@pytest.mark.xdist_group("real-time")
+def test_the_page_lands_and_ros_2_sees_it(tmp_path):
+    with ExitStack() as stack:
+        parts = Parts(tmp_path, stack)
+        parts.start("router")
+        node = Node(parts.endpoint)
+        stack.callback(node.session.close)
+        for name in ("target", "vehicle", "onboard"):
+            parts.start(name)
+        until(lambda: len(node.tokens()) >= 2 + 1 + 12, "nodes and publishers")
+        tokens = node.tokens()
+        onboard, deadline_s = parts.running["onboard"], time.monotonic() + WALL_MAX_S
+        while onboard.poll() is None:
+            assert time.monotonic() < deadline_s
+            node.poll()
+            time.sleep(0.02)
+        node.poll()
+        assert onboard.returncode == 0, onboard.stdout.read() + parts.errors("onboard")
+        assert "LANDED" in onboard.stdout.read()
+        assert parts.errors("onboard") == ""
+    names = {token.split("/")[8] for token in tokens if token.split("/")[5] == "NN"}
+    assert names == {"flightstack_onboard", "flightstack_target"}
+    told = {token.split("/")[9].replace("%", "/") for token in tokens if token.split("/")[5] == "MP"}
+    assert told == set(node.types)
+    check(node)
+
+
+@pytest.mark.xdist_group("real-time")
+def test_a_router_that_dies_in_flight_and_comes_back_costs_a_pause(tmp_path):
+    with ExitStack() as stack:
+        parts = Parts(tmp_path, stack)
+        for name in ("router", "target", "vehicle", "onboard"):
+            parts.start(name)
+        parts.line("onboard", "-> APPROACH")
+        parts.running["router"].kill()
+        parts.line("onboard", "-> HOLD")
+        parts.start("router")
+        parts.line("onboard", "-> APPROACH")
+        parts.line("onboard", "-> LANDED")
+        assert parts.running["onboard"].wait(PATIENCE_S) == 0
+
+
+def check(node):
+    for topic, numbers in node.sequences.items():
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), topic  # none lost on the way
+    phases = [message.data for message in node.messages["/cf1/phase"]]
+    assert {Phase.TAKEOFF.name, Phase.APPROACH.name, Phase.LAND.name} <= set(phases)
+    assert phases[-1] == Phase.LANDED.name
+    steps = node.messages["/cf1/controller/step"]
+    last = [repr(step.h_m) for step in steps[-50:]]  # NaN equals itself
+    assert [repr(message.data) for message in node.messages["/cf1/h"][-50:]] == last
+    landing = [step.h_m for step in steps if step.phase == Phase.LAND]
+    assert len(landing) >= 10
+    assert min(landing) > -0.1
+    commands_ = node.messages["/cf1/cmd/velocity"]
+    assert {one.header.frame_id for one in commands_} == {"map"}
+    assert max(abs(one.twist.linear.z) for one in commands_) > 0.05
+    target, own = node.messages["/cf1/target/odom"][-1], node.messages["/cf1/odom"][-1]
+    assert (target.header.frame_id, target.child_frame_id) == ("map", "target")
+    gap = [getattr(own.pose.pose.position, a) - getattr(target.pose.pose.position, a) for a in "xy"]
+    assert math.hypot(*gap) < 0.2
+    assert node.messages["/cf1/health"][-1].target_accepted > 500
+
+
+def end(child):
+    if child.poll() is None:
+        child.send_signal(signal.SIGTERM)
+    try:
+        child.communicate(timeout=PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.communicate(timeout=PATIENCE_S)

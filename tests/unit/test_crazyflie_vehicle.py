@@ -1,0 +1,242 @@
+"""The Crazyflie as a vehicle, against the stand-in's firmware on a simulated clock."""
+
+import pytest
+
+from bridge.crazyflie_rules import LOST_S, RECONNECT_S, Rules
+from bridge.crazyflie_types import Order
+from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
+from tests.crazyflie_firmware.firmware import Firmware
+from tests.crazyflie_firmware.plant import Point
+from tests.crazyflie_firmware.supervisor import State
+
+ARMED = 128
+OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000
+
+
+@pytest.mark.parametrize("auto_arm", [True, False])
+def test_arms_climbs_holds_lands_and_can_fly_again_without_a_restart(auto_arm):
+    bench = Bench(Firmware(Point(0.5, -0.2), auto_arm=auto_arm)).hover()
+    assert bench.firmware.plant.position == pytest.approx([0.5, -0.2, 0.5], abs=0.03)
+    assert bench.last("HEARTBEAT").base_mode & ARMED
+    assert bench.result(21) == 0
+    assert bench.last("EXTENDED_SYS_STATE").landed_state == 2
+    bench.until(lambda: not bench.vehicle.armed).step()
+    assert bench.firmware.plant.on_surface
+    assert not bench.firmware.plant.motors
+    assert {"stop", "notify"} <= {what for _, what in bench.firmware.legs}
+    bench.run(7.0)
+    assert State.LOCKED not in [s for _, s in bench.firmware.supervisor.history]
+    assert bench.last("EXTENDED_SYS_STATE").landed_state == 1
+    bench.hover()
+    assert bench.firmware.plant.position[2] == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_set_point_goes_out_once_and_never_again():
+    bench = Bench().offboard((0.2, 0.0, 0.0))
+    bench.run(0.5)
+    before = len(bench.velocities())
+    bench.run(1.0)
+    assert len(bench.velocities()) - before == 100
+    assert bench.velocities()[-1][1].velocity_enu_m_s == pytest.approx((0.0, 0.2, 0.0))
+    stopped_s, bench.stream = bench.now_s, None
+    bench.run(3.0)
+    assert bench.velocities()[-1][0] <= stopped_s + 0.01
+    history = {state: t - stopped_s for t, state in bench.firmware.supervisor.history}
+    assert history[State.LEVEL_OUT] == pytest.approx(0.5, abs=0.06)
+    assert history[State.LOCKED] == pytest.approx(2.0, abs=0.12)
+    assert any("Set-points stopped" in text for text in bench.texts)
+    assert any("supervisor has locked: restart" in text for text in bench.texts)
+    assert not bench.vehicle.armed
+    bench.command(400, 1.0)
+    bench.run(0.1)
+    assert any("Arming refused: supervisor has locked: restart" in text for text in bench.texts)
+
+
+def test_a_stream_that_comes_back_in_time_flies_on():
+    bench = Bench().offboard()
+    bench.stream = None
+    bench.run(1.2)
+    assert bench.firmware.supervisor.state is State.LEVEL_OUT
+    bench.stream = (0.0, 0.0, 0.0)
+    bench.run(0.2)
+    assert bench.firmware.supervisor.state is State.FLYING
+    assert bench.vehicle.armed
+
+
+def test_lands_on_silence_when_told_to():
+    bench = Bench(rules=Rules(land_on_silence=True)).offboard()
+    bench.stream = None
+    bench.until(lambda: not bench.vehicle.armed)
+    assert any("No set-points: landing" in text for text in bench.texts)
+    assert bench.firmware.plant.on_surface
+    assert State.LOCKED not in [s for _, s in bench.firmware.supervisor.history]
+
+
+def test_forced_disarm_stops_the_motors_at_once_and_does_not_lock():
+    bench = Bench().offboard()
+    bench.stream = None
+    assert bench.result(400, 0.0, 21196.0) == 0
+    bench.step()
+    assert not bench.firmware.plant.motors
+    assert not bench.vehicle.armed
+    bench.run(6.0)
+    assert not bench.orders(Order.EMERGENCY_STOP)
+    assert bench.firmware.supervisor.state is State.READY
+    assert not bench.vehicle.problems(bench.now_s)
+
+
+def test_a_forced_disarm_that_is_not_seen_becomes_an_emergency_stop():
+    bench = Bench().offboard()
+    bench.stream, bench.disarm_lost, killed_s = None, True, bench.now_s
+    bench.command(400, 0.0, 21196.0)
+    bench.run(0.5)
+    assert bench.orders(Order.EMERGENCY_STOP)[0] - killed_s == pytest.approx(0.2, abs=0.03)
+    assert bench.firmware.supervisor.state is State.LOCKED
+    assert any("emergency stop, restart needed" in text for text in bench.texts)
+
+
+def test_flight_termination_is_an_emergency_stop_also_for_a_ground_station_and_while_deaf():
+    bench = Bench().offboard()
+    assert bench.result(185, 1.0, sender=OTHER) == 1
+    bench.mute = True
+    assert bench.result(185, 1.0, sender=GROUND) == 0
+    bench.run(0.1)
+    assert bench.firmware.supervisor.state is State.LOCKED
+    assert not bench.firmware.plant.motors
+
+
+def test_plain_disarm_in_the_air_is_refused_and_after_a_landing_by_set_points_not():
+    bench = Bench().offboard()
+    assert bench.result(400, 0.0) == 1
+    assert bench.vehicle.armed
+    bench.stream = (0.0, 0.0, 0.2)
+    bench.run(5.0)
+    assert bench.vehicle.standing
+    assert bench.result(400, 0.0) == 0
+    bench.run(0.2)
+    assert not bench.firmware.plant.motors
+
+
+def test_one_sender_has_control_and_anybody_may_land_it():
+    bench = Bench().offboard((0.1, 0.0, 0.0))
+    bench.setpoint((0.0, 0.5, 0.0), sender=OTHER)
+    bench.run(0.05)
+    assert all(p.velocity_enu_m_s[0] == 0.0 for t, p in bench.velocities()[-5:])
+    assert any("1/191 has control" in text for text in bench.texts)
+    assert bench.result(176, 1.0, 4.0, 3.0, sender=OTHER) == 1
+    assert bench.result(400, 0.0, 21196.0, sender=OTHER) == 1
+    assert bench.result(21, sender=OTHER) == 0
+    assert bench.vehicle.mode.value == "land"
+
+
+def test_lands_when_no_client_is_left():
+    bench = Bench().hover()
+    bench.client_gone = True
+    bench.until(lambda: not bench.vehicle.armed)
+    assert any("No client for 3 s: landing" in text for text in bench.texts)
+    assert bench.firmware.plant.on_surface
+
+
+def test_a_silent_radio_is_said_and_nothing_is_said_in_its_name():
+    bench = Bench().offboard()
+    bench.mute, silent_s = True, bench.now_s
+    bench.run(2.5)
+    assert any("Radio silent for 0.5 s" in text for text in bench.texts)
+    assert bench.times("LOCAL_POSITION_NED")[-1] <= silent_s + 0.01
+    for kind in ("HEARTBEAT", "SYS_STATUS", "EXTENDED_SYS_STATE"):
+        assert bench.times(kind)[-1] <= silent_s + LOST_S + 0.01
+    bench.stream = None
+    bench.run(1.0)
+    assert bench.orders(Order.RECONNECT)[0] - silent_s == pytest.approx(RECONNECT_S, abs=0.05)
+    assert not bench.vehicle.armed
+    assert bench.vehicle.problems(bench.now_s)[0].startswith("no link to the Crazyflie: nothing heard")
+    bench.mute = False
+    bench.connect()
+    bench.run(0.2)
+    assert bench.times("HEARTBEAT")[-1] > bench.now_s - 0.2
+
+
+def test_a_silent_radio_in_its_own_mode_lands_blindly():
+    bench = Bench().hover()
+    bench.mute = True
+    bench.run(6.0)
+    assert bench.firmware.plant.on_surface
+    assert any("Radio silent: landing" in text for text in bench.texts)
+
+
+def test_a_lost_link_is_said_with_its_reason():
+    bench = Bench().offboard()
+    bench.lose("Too many packets lost")
+    bench.run(0.1)
+    assert any("Radio lost: Too many packets lost" in text for text in bench.texts)
+    beats = len(bench.times("HEARTBEAT"))
+    bench.run(3.0)
+    assert len(bench.times("HEARTBEAT")) == beats
+    assert not bench.velocities() or bench.velocities()[-1][0] < bench.now_s - 2.9
+
+
+def test_a_restart_in_flight_disarms():
+    bench = Bench().offboard()
+    bench.firmware.supervisor.state = State.CHECKS_FAILED
+    bench.firmware.supervisor.armed = bench.firmware.supervisor.auto_arm = False
+    bench.run(0.1)
+    assert any("Disarmed: by the firmware" in text for text in bench.texts)
+
+
+def test_fast_set_points_are_cut_in_their_direction():
+    bench = Bench(rules=Rules(speed_max_m_s=0.5)).offboard()
+    bench.stream = (3.0, 4.0, 0.0)
+    bench.run(0.05)
+    assert bench.velocities()[-1][1].velocity_enu_m_s == pytest.approx((0.4, 0.3, 0.0))
+    assert any("Set-point cut to 0.5 m/s" in text for text in bench.texts)
+
+
+def test_turns_to_the_heading_wanted_and_holds_it():
+    bench = Bench().offboard()
+    bench.stream = None
+    for _ in range(400):
+        bench.setpoint(yaw=0.5)  # clockwise from north
+        bench.step()
+    assert bench.firmware.plant.yaw == pytest.approx(1.5708 - 0.5, abs=0.02)
+    assert bench.last("ATTITUDE").yaw == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_supervisor_may_refuse_or_not_answer():
+    bench = Bench(Firmware(auto_arm=False)).ready()
+    bench.firmware.refuse_arming = True
+    assert bench.command(400, 1.0) == []
+    bench.run(0.1)
+    assert [(r.command, r.result) for r in bench.replies] == [(400, 1)]
+    assert any("Arming refused: the supervisor refused" in text for text in bench.texts)
+    bench.firmware.packet = lambda raw, now_s: []
+    bench.run(1.1)
+    bench.command(400, 1.0, sender=CLIENT)
+    bench.run(1.0)
+    assert len(bench.orders(Order.ARM)) >= 5
+    assert any("Arming failed: the supervisor did not answer" in text for text in bench.texts)
+    assert [r.result for r in bench.replies] == [1, 1]
+
+
+def test_without_a_position_it_sends_none_and_lands_straight_down():
+    firmware = Firmware(Point(0.5, 0.5), needs_poses=True)
+    bench = Bench(firmware, Rules(mocap=True))
+    bench.vehicle.mocap(None)
+    step = bench.step
+
+    def with_poses():
+        firmware.poses.append((bench.now_s, (0.0,) * 7))
+        step()
+
+    bench.step = with_poses
+    bench.hover()
+    bench.step, lost_s = step, bench.now_s
+    bench.vehicle.mocap("mocap: no pose for 0.3 s")
+    bench.until(lambda: not bench.vehicle.armed)
+    assert any("No position estimate: landing" in text for text in bench.texts)
+    assert "mocap: no pose for 0.3 s" in bench.texts
+    assert bench.times("LOCAL_POSITION_NED")[-1] < lost_s + 1.0
+    assert bench.times("ATTITUDE")[-1] > bench.now_s - 0.1
+    descent = [p.velocity_enu_m_s for t, p in bench.velocities() if t > lost_s + 1.0]
+    assert set(descent) == {(0.0, 0.0, -0.25)}
+    assert firmware.plant.on_surface
+    assert bench.vehicle.problems(bench.now_s)[0] == "mocap: no pose for 0.3 s"
