@@ -8,15 +8,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 from types import MappingProxyType
 
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.profile import (
+    VELOCITY_AND_YAW,
+    Encoding,
+    Params,
+    Profile,
+    Reading,
+    Step,
+    TakeoffAltitude,
+)
 from flightstack.types import Landed, Mode, Request, VehicleStatus
 
-# Set-point mask: ignore position (7) and acceleration (0x1C0), use velocity and yaw, ignore yaw rate (0x800).
-# The one mask that PX4 and ArduPilot read alike; without a yaw PX4 drifts and ArduPilot turns its nose.
-VELOCITY_AND_YAW = 2503
+__all__ = [
+    "ARDUPILOT",
+    "AUTO",
+    "CRAZYFLIE",
+    "OWN_SITL",
+    "PROFILES",
+    "PX4",
+    "VELOCITY_AND_YAW",
+    "Profile",
+    "Step",
+    "TakeoffAltitude",
+    "found",
+    "profile",
+    "refusal",
+]
+
+AUTO = "auto"  # by the heartbeat
 FORCE = 21196.0  # magic of a forced disarm, param2 of MAV_CMD_COMPONENT_ARM_DISARM
 
 _DO_SET_MODE = 176
@@ -25,50 +49,18 @@ _NAV_TAKEOFF = 22
 _ARM_DISARM = 400
 _CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _AIRBORNE = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
-
-
-class TakeoffAltitude(Enum):
-    """What param7 of MAV_CMD_NAV_TAKEOFF means."""
-
-    AMSL = "above mean sea level"
-    ABOVE_HOME = "above home"
-
-
-Params = tuple[float | None, ...]  # seven; None is "unset", sent as the profile's unset value
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One command on the way to what is wanted, and how the vehicle shows that it is no longer needed."""
-
-    command: int  # MAV_CMD
-    name: str
-    params: Callable[[float], Params]  # of the take-off altitude in the profile's convention, m
-    done: Callable[[VehicleStatus], bool]
-    prestream: bool = False  # set-points must be streaming first
-    blind: bool = False  # also sent to a vehicle that shows no status
-    period_s: float = 0.5  # s between two tries
-    tries: int = 10
-
-
-@dataclass(frozen=True, slots=True)
-class Profile:
-    """One autopilot."""
-
-    name: str
-    autopilot: int  # MAV_AUTOPILOT in its heartbeat
-    modes: Mapping[int, Mode]  # custom_mode of the heartbeat; what is not listed is OTHER
-    sequences: Mapping[Request, tuple[Step, ...]]
-    takeoff_altitude: TakeoffAltitude
-    stream_in_takeoff: bool  # may set-points be sent while it takes off by itself
-    prestream_s: float  # s of unbroken set-points before the mode is switched
-    unset: float  # value of a parameter that is not given
-    setpoint_mask: int = VELOCITY_AND_YAW
-    frame: int = 1  # MAV_FRAME_LOCAL_NED
-
-    def mode(self, custom_mode: int) -> Mode:
-        """Reduce the heartbeat's custom_mode to what the stack needs."""
-        return self.modes.get(custom_mode, Mode.OTHER)
+# MAV_TYPE of what hovers and takes velocities in all axes; a plane or rover has other modes and limits.
+_MULTIROTORS = frozenset(
+    {
+        dialect.MAV_TYPE_QUADROTOR,
+        dialect.MAV_TYPE_COAXIAL,
+        dialect.MAV_TYPE_HEXAROTOR,
+        dialect.MAV_TYPE_OCTOROTOR,
+        dialect.MAV_TYPE_TRICOPTER,
+        dialect.MAV_TYPE_DODECAROTOR,
+        dialect.MAV_TYPE_DECAROTOR,
+    }
+)
 
 
 def _armed(status: VehicleStatus) -> bool:
@@ -83,13 +75,21 @@ def _external(status: VehicleStatus) -> bool:
     return status.mode is Mode.EXTERNAL
 
 
+def _airborne(status: VehicleStatus) -> bool:
+    return status.armed and status.landed in _AIRBORNE
+
+
 def _flying(status: VehicleStatus) -> bool:
     # A vehicle in the air is never sent a take-off, whatever its mode: somebody else may be flying it.
     return status.armed and (status.mode is Mode.TAKEOFF or status.landed in _AIRBORNE)
 
 
-def _external_or_flying(status: VehicleStatus) -> bool:
-    return _external(status) or _flying(status)
+def _guided_or_airborne(status: VehicleStatus) -> bool:
+    return status.mode in (Mode.EXTERNAL, Mode.TAKEOFF) or _airborne(status)
+
+
+def _guided_or_armed(status: VehicleStatus) -> bool:
+    return status.armed or _guided_or_airborne(status)
 
 
 def _landing(status: VehicleStatus) -> bool:
@@ -120,10 +120,23 @@ _KILL = Step(
     blind=True,
     tries=120,
 )
+# PX4 answers a mode change twice, the first time always with ACCEPTED; so no ACCEPTED is believed.
+_ANSWERS: Mapping[int, Reading] = MappingProxyType(
+    {
+        dialect.MAV_RESULT_ACCEPTED: Reading.NOTED,
+        dialect.MAV_RESULT_IN_PROGRESS: Reading.WORKING,
+        dialect.MAV_RESULT_TEMPORARILY_REJECTED: Reading.AGAIN,
+        dialect.MAV_RESULT_FAILED: Reading.AGAIN,
+        dialect.MAV_RESULT_DENIED: Reading.FINAL,
+        dialect.MAV_RESULT_UNSUPPORTED: Reading.FINAL,
+        dialect.MAV_RESULT_COMMAND_INT_ONLY: Reading.FINAL,
+    }
+)
 
 PX4 = Profile(
     name="px4",
-    autopilot=12,
+    title="PX4, OFFBOARD",
+    autopilot=dialect.MAV_AUTOPILOT_PX4,
     modes=MappingProxyType(
         {
             _px4_mode(6): Mode.EXTERNAL,  # OFFBOARD
@@ -150,21 +163,42 @@ PX4 = Profile(
             Request.MOTORS_OFF: (_KILL,),
         }
     ),
+    answers=_ANSWERS,
     takeoff_altitude=TakeoffAltitude.AMSL,
     stream_in_takeoff=True,
     # s; PX4 wants one set-point younger than COM_OF_LOSS_T = 1.0 s at its next health check
     prestream_s=0.3,
     unset=math.nan,
+    encoding=Encoding.BYTEWISE,
+    needs_origin=False,
+    stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; goes on by itself when the stream comes back",
+    time_sync="asked at 10 Hz, answered",
 )
 
-OWN_SITL = replace(PX4, name="sitl")  # our simulated vehicle takes PX4's personality
+OWN_SITL = replace(  # our simulated vehicle takes PX4's personality unless told otherwise
+    PX4,
+    name="sitl",
+    title="own simulator, OFFBOARD",
+    stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; stays in that mode when the stream comes back",
+    time_sync="asked in lockstep: it is the tick",
+)
 
+CRAZYFLIE = replace(
+    PX4,
+    name="crazyflie",
+    title="Crazyflie behind the bridge, OFFBOARD",
+    stream_lost="the firmware stops the motors after 2 s, or the bridge lands it (--land-on-silence)",
+    time_sync="nobody asks",
+)
+
+_GUIDED = _fixed(_CUSTOM_MODE_ENABLED, 4.0, 0.0, None, None, None, None)
 ARDUPILOT = Profile(
     name="ardupilot",
-    autopilot=3,
+    title="ArduCopter, GUIDED",
+    autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
     modes=MappingProxyType(
         {
-            4: Mode.EXTERNAL,  # GUIDED; its take-off cannot be told from it
+            4: Mode.EXTERNAL,  # GUIDED; whether it follows us or takes off by itself it does not show
             5: Mode.HOLD,  # LOITER
             9: Mode.LAND,
             16: Mode.HOLD,  # POSHOLD
@@ -175,45 +209,87 @@ ARDUPILOT = Profile(
         {
             Request.NONE: (),
             Request.TAKEOFF: (
-                # The pre-arm checks depend on the mode, so the mode comes first.
-                Step(
-                    _DO_SET_MODE,
-                    "switch to GUIDED",
-                    _fixed(_CUSTOM_MODE_ENABLED, 4.0, 0.0, None, None, None, None),
-                    _external_or_flying,
-                ),
+                Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_airborne),
                 _ARM,
                 # A repeated take-off starts its spool-up again, so more time between tries.
-                Step(_NAV_TAKEOFF, "take off", _takeoff, _flying, period_s=4.0, tries=4),
+                Step(_NAV_TAKEOFF, "take off", _takeoff, _airborne, period_s=4.0, tries=4),
             ),
-            Request.EXTERNAL: (
-                Step(
-                    _DO_SET_MODE,
-                    "switch to GUIDED",
-                    _fixed(_CUSTOM_MODE_ENABLED, 4.0, 0.0, None, None, None, None),
-                    _external,
-                ),
-            ),
+            Request.EXTERNAL: (Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _external),),
             Request.LAND: (_LAND,),
             Request.MOTORS_OFF: (_KILL,),
         }
     ),
+    answers=_ANSWERS,
     takeoff_altitude=TakeoffAltitude.ABOVE_HOME,
     stream_in_takeoff=False,  # a velocity set-point silently ends the take-off (mode_guided.cpp)
     prestream_s=0.0,
     unset=0.0,
+    encoding=Encoding.C_CAST,
+    needs_origin=True,
+    stream_lost="stops after GUID_TIMEOUT, stays in GUIDED and armed; goes on when the stream comes back",
+    time_sync="answered when asked; needed by nobody",
+    # Its pre-arm bit depends on the mode, so the mode comes first; one set in the first seconds after boot is
+    # acknowledged, then lost: tried for as long as the stack waits.
+    prepare=(Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_armed, period_s=1.0, tries=3600),),
+    asked_hz=MappingProxyType({dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0}),  # all SRx_ rates may be 0
+    data_streams=MappingProxyType(
+        {
+            dialect.MAVLINK_MSG_ID_SYS_STATUS: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: dialect.MAV_DATA_STREAM_POSITION,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: dialect.MAV_DATA_STREAM_EXTRA1,
+        }
+    ),
 )
 
-PROFILES: Mapping[str, Profile] = MappingProxyType({p.name: p for p in (OWN_SITL, PX4, ARDUPILOT)})
+PROFILES: Mapping[str, Profile] = MappingProxyType({p.name: p for p in (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)})
+CHOICES = (AUTO, *PROFILES)
+# Of those that show the same MAV_AUTOPILOT the real one counts: the others fly by the same commands.
+_BY_AUTOPILOT: Mapping[int, Profile] = MappingProxyType({p.autopilot: p for p in (PX4, ARDUPILOT)})
 
 
-def profile(name: str) -> Profile:
-    """Profile by name.
+def profile(name: str) -> Profile | None:
+    """Profile by name, None for ``auto``.
 
     Raises:
         ValueError: there is none of that name; the text lists those there are.
     """
+    if name == AUTO:
+        return None
     try:
         return PROFILES[name]
     except KeyError:
-        raise ValueError(f"autopilot {name!r} is not known: allowed is {', '.join(PROFILES)}") from None
+        raise ValueError(f"autopilot {name!r} is not known: allowed is {', '.join(CHOICES)}") from None
+
+
+def found(autopilot: int) -> Profile | None:
+    """Profile of a heartbeat's MAV_AUTOPILOT, None when there is none."""
+    return _BY_AUTOPILOT.get(autopilot)
+
+
+def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
+    """Why a vehicle with this heartbeat is not flown, None when it is.
+
+    Args:
+        autopilot: MAV_AUTOPILOT of its heartbeat.
+        type_: MAV_TYPE of its heartbeat.
+        chosen: the profile that was given, None for ``auto``.
+    """
+    known = ", ".join(f"{p.title} ({number})" for number, p in _BY_AUTOPILOT.items())
+    if chosen is None and found(autopilot) is None:
+        name = _name("MAV_AUTOPILOT", autopilot)
+        return f"the vehicle's heartbeat says autopilot {name}: it is not flown; known are {known}"
+    if chosen is not None and autopilot != chosen.autopilot:
+        return (
+            f"the vehicle's heartbeat says autopilot {autopilot}, but profile '{chosen.name}' is for "
+            f"autopilot {chosen.autopilot}: it is not flown; choose the profile that fits, or auto"
+        )
+    if type_ not in _MULTIROTORS:
+        types = ", ".join(_name("MAV_TYPE", number) for number in sorted(_MULTIROTORS))
+        name = _name("MAV_TYPE", type_)
+        return f"the vehicle's heartbeat says type {name}: it is not flown; known are {types}"
+    return None
+
+
+def _name(enum: str, number: int) -> str:
+    entry = dialect.enums[enum].get(number)
+    return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)

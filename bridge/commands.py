@@ -1,7 +1,7 @@
 """Turns a request, held as a level, into MAVLink commands until the heartbeat shows what was wanted.
 
-Telemetry is the truth. Acknowledgements decide nothing (PX4 answers a mode change twice, the first time
-always with ACCEPTED, and one can be lost): they only go into the reason when a request fails.
+Telemetry is the truth: no acknowledgement proves that anything was done (PX4 answers a mode change twice, the
+first time always with ACCEPTED, and one can be lost). A refusal only says whether trying again makes sense.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.autopilots import Profile, Step, TakeoffAltitude
 from bridge.decoding import Message
+from bridge.profile import Profile, Reading, Step, TakeoffAltitude
 from flightstack.types import Request, VehicleStatus
 
 _STREAM_GAP_S = 0.3  # s; a longer pause between two set-points ends a stream (PX4 itself allows 1.0 s)
@@ -20,6 +20,10 @@ _RESULTS: dict[int, str] = {
     value: entry.name.removeprefix("MAV_RESULT_") for value, entry in dialect.enums["MAV_RESULT"].items()
 }
 _TEXTS_KEPT = 4
+_WORKING_S = 3.0  # s until the next try of what the vehicle says it is working on (as MAVSDK waits)
+_HOME_PERIOD_S = 1.0  # s between two questions for HOME_POSITION; PX4 sends it every 2 s by itself
+_HOME_TRIES = 30
+_FINALS = 2  # final refusals until a request is given up: one may be of an earlier try
 
 
 class CommandSequencer:
@@ -31,7 +35,8 @@ class CommandSequencer:
     Attributes:
         failed: why the present request was given up, None while it is not.
         reached: a heartbeat has shown what the present request wants.
-        home_amsl_m: height of the take-off place above sea level, for autopilots that count from there.
+        home_amsl_m: height of home above sea level, for autopilots that count from there; None: not told yet,
+            and then it is asked for before anything is armed.
     """
 
     def __init__(
@@ -55,7 +60,9 @@ class CommandSequencer:
         self._height_m = takeoff_height_m
         self._stream_start_s: float | None = None
         self._stream_last_s = -math.inf
-        self.home_amsl_m = 0.0
+        self.home_amsl_m: float | None = None
+        self._home_tries = 0
+        self._home_s = -math.inf
         self.failed: str | None = None
         self.reached = False
         self._request = Request.NONE
@@ -65,6 +72,9 @@ class CommandSequencer:
         self._first_try_s = -math.inf
         self._last_try_s = -math.inf
         self._last_result: str | None = None
+        self._working = False
+        self._finals = 0
+        self._begun = False  # something has been asked for
         self._texts: list[str] = []
 
     @property
@@ -79,9 +89,13 @@ class CommandSequencer:
         self._stream_last_s = now_s
 
     def note_ack(self, command: int, result: int) -> None:
-        """Take note of a COMMAND_ACK, for the reason of a failure."""
-        if self._step is not None and command == self._step.command:
-            self._last_result = _RESULTS.get(result, f"result {result}")
+        """Take note of a COMMAND_ACK: for the reason of a failure, and whether to try again."""
+        if self._step is None or command != self._step.command:
+            return
+        self._last_result = _RESULTS.get(result, f"result {result}")
+        reading = self._profile.answers.get(result, Reading.AGAIN)
+        self._working = reading is Reading.WORKING
+        self._finals += reading is Reading.FINAL
 
     def note_text(self, text: str) -> None:
         """Take note of what the vehicle says, for the reason of a failure."""
@@ -99,6 +113,7 @@ class CommandSequencer:
         if request is not self._request:
             self._request, self._since_s = request, now_s
             self.failed, self.reached = None, False
+            self._begun = True
             self._enter(None)
         if self.reached or self.failed is not None:
             return []
@@ -106,25 +121,50 @@ class CommandSequencer:
         if step is not self._step:
             self._enter(step)
         if step is None:
-            self.reached = status is not None and status.arrival_s > self._since_s
+            # Until something is asked for, nothing is ever reached: what was prepared can be lost again.
+            self.reached = self._begun and status is not None and status.arrival_s > self._since_s
             return []
-        if (step.prestream and not self._streaming(now_s)) or now_s - self._last_try_s < step.period_s:
+        if self._request is Request.TAKEOFF and self.home_amsl_m is None and self._counts_from_sea_level:
+            return self._ask_home(now_s)
+        period_s = max(step.period_s, _WORKING_S) if self._working else step.period_s
+        if (step.prestream and not self._streaming(now_s)) or now_s - self._last_try_s < period_s:
             return []
-        if self._tries >= step.tries:
+        if self._tries >= step.tries or (self._finals >= _FINALS and not step.blind):
             self.failed = self._reason(step, now_s)
             return []
         if self._tries == 0:
             self._first_try_s = now_s
         self._tries += 1
-        self._last_try_s = now_s
+        self._last_try_s, self._working = now_s, False
         return [self._message(step)]
+
+    @property
+    def _counts_from_sea_level(self) -> bool:
+        return self._profile.takeoff_altitude is TakeoffAltitude.AMSL
+
+    def _ask_home(self, now_s: float) -> list[Message]:
+        """Without its height above sea level no height above home can be told."""
+        if now_s - self._home_s < _HOME_PERIOD_S:
+            return []
+        if self._home_tries >= _HOME_TRIES:
+            self.failed = f"the vehicle did not tell its home (HOME_POSITION) in {self._home_tries} tries"
+            return []
+        self._home_s = now_s
+        self._home_tries += 1
+        rest = (self._profile.unset,) * 5
+        return [
+            dialect.MAVLink_command_long_message(
+                *self._target, dialect.MAV_CMD_REQUEST_MESSAGE, 0,
+                float(dialect.MAVLINK_MSG_ID_HOME_POSITION), *rest, 0.0,
+            )
+        ]  # fmt: skip
 
     def _enter(self, step: Step | None) -> None:
         self._step, self._tries, self._last_try_s = step, 0, -math.inf
-        self._last_result, self._texts = None, []
+        self._last_result, self._working, self._finals, self._texts = None, False, 0, []
 
     def _next_step(self, status: VehicleStatus | None) -> Step | None:
-        steps = self._profile.sequences[self._request]
+        steps = self._profile.sequences[self._request] if self._begun else self._profile.prepare
         needed: Callable[[Step], bool] = (
             (lambda step: step.blind) if status is None else (lambda step: not step.done(status))
         )
@@ -137,8 +177,8 @@ class CommandSequencer:
         return now_s - start_s >= self._profile.prestream_s - 1e-9
 
     def _message(self, step: Step) -> Message:
-        offset_m = self.home_amsl_m if self._profile.takeoff_altitude is TakeoffAltitude.AMSL else 0.0
-        params = step.params(self._height_m + offset_m)
+        offset_m = self.home_amsl_m if self._counts_from_sea_level else None
+        params = step.params(self._height_m + (offset_m or 0.0))
         values = [self._profile.unset if value is None else value for value in params]
         confirmation = min(self._tries - 1, 255)
         return dialect.MAVLink_command_long_message(*self._target, step.command, confirmation, *values)

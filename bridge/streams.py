@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -24,10 +26,18 @@ class _Stream:
 
 
 class StreamRequests:
-    """Pure: counts what comes and returns SET_MESSAGE_INTERVAL commands while it is too little."""
+    """Pure: counts what comes and returns SET_MESSAGE_INTERVAL commands while it is too little.
+
+    Where a profile names a data stream for a message, REQUEST_DATA_STREAM is tried after those.
+    """
 
     def __init__(
-        self, rates_hz: dict[int, float], target_system: int, target_component: int, unset: float
+        self,
+        rates_hz: Mapping[int, float],
+        target_system: int,
+        target_component: int,
+        unset: float,
+        data_streams: Mapping[int, int] = MappingProxyType({}),
     ) -> None:
         """Set up.
 
@@ -36,10 +46,12 @@ class StreamRequests:
             target_system: the vehicle's system id.
             target_component: its autopilot's component id.
             unset: value of command parameters that are not given.
+            data_streams: message id to MAV_DATA_STREAM.
         """
         self._streams = {id_: _Stream(id_, rate) for id_, rate in rates_hz.items()}
         self._target = (target_system, target_component)
         self._unset = unset
+        self._data_streams = data_streams
 
     def seen(self, message_id: int) -> None:
         """Take note of a message of the vehicle."""
@@ -59,11 +71,14 @@ class StreamRequests:
             stream.tries = 1  # it comes: should it stop one day, it is asked for again
             stream.seen, stream.since_s = 0, now_s
             return False
-        return stream.tries < _TRIES
+        return stream.tries < (2 * _TRIES if stream.message_id in self._data_streams else _TRIES)
 
     def _ask(self, stream: _Stream, now_s: float) -> Message:
         stream.tries += 1
         stream.seen, stream.since_s = 0, now_s
+        if stream.tries > _TRIES:
+            group, rate_hz = self._data_streams[stream.message_id], round(stream.rate_hz)
+            return dialect.MAVLink_request_data_stream_message(*self._target, group, rate_hz, 1)
         interval_us = float(round(1e6 / stream.rate_hz))
         rest = (self._unset,) * 4
         return dialect.MAVLink_command_long_message(

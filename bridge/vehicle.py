@@ -6,20 +6,22 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.autopilots import PX4, Profile
+from bridge.autopilots import PX4, found, refusal
 from bridge.commands import CommandSequencer
 from bridge.decoding import Message
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
 from bridge.mavlink import Endpoint, Peer
+from bridge.origin import Origin, OriginSender
+from bridge.profile import Profile
 from bridge.signing_key import SigningKey
 from bridge.streams import StreamRequests
 from bridge.texts import TextAssembler
 from bridge.vehicle_state import VehicleState
-from flightstack.types import OwnState, Request, Vec3, VehicleStatus
+from flightstack.types import Landed, OwnState, Request, Vec3, VehicleStatus
 
 __all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "Setpoint", "VehicleLink", "VehicleState"]
 
@@ -52,6 +54,14 @@ class LinkCounters:
     setpoints_refused: int = 0  # not finite, or forbidden while the vehicle takes off by itself
 
 
+class _Wants(NamedTuple):
+    """What depends on the autopilot."""
+
+    sequencer: CommandSequencer
+    streams: StreamRequests
+    origin: OriginSender
+
+
 class VehicleLink:
     """One vehicle over one endpoint. Call ``poll``, then ``command`` and ``send_setpoint``, then ``flush``.
 
@@ -61,6 +71,7 @@ class VehicleLink:
         defer_timesync: lockstep: TIMESYNC requests are not answered here but handed to ``take_timesync``, and
             what arrived is stamped with the simulated time of the request that follows it.
         counters: what was not let through.
+        refused: why this vehicle is not flown at all, None while nothing speaks against it.
     """
 
     def __init__(
@@ -69,12 +80,13 @@ class VehicleLink:
         *,
         takeoff_height_m: float,
         rate_hz: float = 100.0,
-        profile: Profile = PX4,
+        profile: Profile | None = PX4,
         system_id: int = 1,
         component_id: int = 1,
         defer_timesync: bool = False,
         signing_key: SigningKey | None = None,
         allow_unsigned: bool = False,
+        origin: Origin | None = None,
         endpoint: Endpoint | None = None,
     ) -> None:
         """Open the link.
@@ -83,12 +95,13 @@ class VehicleLink:
             url: MAVLink URL, ``udpin:HOST:PORT`` or ``udpout:HOST:PORT``.
             takeoff_height_m: height above home of ``Request.TAKEOFF``, m.
             rate_hz: rate of the loop, asked of the vehicle for position and attitude.
-            profile: what the autopilot wants.
+            profile: what the autopilot wants; None: the one that fits its first heartbeat.
             system_id: the one vehicle that is listened to.
             component_id: its autopilot.
             defer_timesync: lockstep, see above.
             signing_key: sign everything, and hear nothing unsigned.
             allow_unsigned: listen to a network without a key.
+            origin: where its local coordinates begin, told to a vehicle that needs it and does not know.
             endpoint: takes the place of one opened here, and of the URL and key.
 
         Raises:
@@ -97,18 +110,15 @@ class VehicleLink:
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
+        if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
+            raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
         self.state = VehicleState(profile)
         self.counters = LinkCounters()
         self.defer_timesync = defer_timesync
-        self._profile = profile
+        self.refused: str | None = None
         self._target = (system_id, component_id)
-        self._sequencer = CommandSequencer(profile, system_id, component_id, takeoff_height_m)
-        rates_hz = {
-            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rate_hz,
-            dialect.MAVLINK_MSG_ID_ATTITUDE: rate_hz,
-            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_STATE_HZ,
-        }
-        self._streams = StreamRequests(rates_hz, system_id, component_id, profile.unset)
+        self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
+        self._wants = self._adopt(profile) if profile is not None else None
         self._assembler = TextAssembler()
         self.endpoint = endpoint or Endpoint(
             url,
@@ -125,7 +135,7 @@ class VehicleLink:
         self._heartbeat_at_s = -math.inf
         self._hello_at_s = -math.inf
         self._hello = b""  # heartbeat sent first, repeated until the vehicle has been heard
-        self._warned_autopilot: int | None = None
+        self._warned: str | None = None
         self._handlers: dict[int, Callable[[Message, float], None]] = {
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
@@ -145,7 +155,12 @@ class VehicleLink:
     @property
     def failed(self) -> str | None:
         """Why the present request was given up, or None."""
-        return self._sequencer.failed
+        return self._wants.sequencer.failed if self._wants is not None else None
+
+    @property
+    def profile(self) -> Profile | None:
+        """What is flown: as given, or as the heartbeat said; None before."""
+        return self.state.profile
 
     @property
     def heard(self) -> bool:
@@ -183,9 +198,18 @@ class VehicleLink:
 
     def command(self, request: Request, now_s: float) -> None:
         """Work towards a request; call it every tick with the level that is wanted."""
+        if self._wants is None:
+            return  # nobody has been heard, so nobody can be told
+        sequencer, _, origin = self._wants
         if self.state.home_amsl_m is not None:
-            self._sequencer.home_amsl_m = self.state.home_amsl_m
-        self._outgoing += self._sequencer.step(request, self.status, now_s)
+            sequencer.home_amsl_m = self.state.home_amsl_m
+        commands = sequencer.step(request, self.status, now_s)
+        self._outgoing += commands
+        if any(command.command == dialect.MAV_CMD_NAV_TAKEOFF for command in commands):
+            self.state.follow(self.state.profile is None or self.state.profile.stream_in_takeoff)
+        if request is Request.NONE:
+            known = self.state.origin_known or self.own is not None
+            self._outgoing += origin.step(self.status, known, now_s)
 
     def send_setpoint(self, setpoint: Setpoint, now_s: float) -> bool:
         """Queue a velocity set-point; the only way to send a velocity.
@@ -199,8 +223,8 @@ class VehicleLink:
             its own take-off.
         """
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
-        taking_off = self._sequencer.request is Request.TAKEOFF and not self._profile.stream_in_takeoff
-        if taking_off or not math.isfinite(sum(velocity) + yaw):
+        profile = self.state.profile
+        if profile is None or not self._may_stream(profile) or not math.isfinite(sum(velocity) + yaw):
             self.counters.setpoints_refused += 1
             return False
         north, east, down = ned_from_enu(velocity)
@@ -209,8 +233,8 @@ class VehicleLink:
             dialect.MAVLink_set_position_target_local_ned_message(
                 round(now_s * 1000) & 0xFFFFFFFF,
                 *self._target,
-                self._profile.frame,
-                self._profile.setpoint_mask,
+                profile.frame,
+                profile.setpoint_mask,
                 *unused,
                 north,
                 east,
@@ -220,7 +244,9 @@ class VehicleLink:
                 0.0,
             )
         )
-        self._sequencer.note_setpoint(now_s)
+        if self._wants is not None:
+            self._wants.sequencer.note_setpoint(now_s)
+        self.state.follow(True)
         return True
 
     def flush(self, extra_messages: Sequence[Message] = ()) -> None:
@@ -248,6 +274,38 @@ class VehicleLink:
         """Close the endpoint."""
         self.endpoint.close()
 
+    def _adopt(self, profile: Profile) -> _Wants:
+        """Make what depends on the autopilot."""
+        rates_hz = {
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._rate_hz,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: self._rate_hz,
+            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_STATE_HZ,
+            **profile.asked_hz,
+        }
+        return _Wants(
+            CommandSequencer(profile, *self._target, self._takeoff_height_m),
+            StreamRequests(rates_hz, *self._target, profile.unset, profile.data_streams),
+            OriginSender(self._origin if profile.needs_origin else None, self._target[0]),
+        )
+
+    def _recognise(self, heartbeat: Message) -> None:
+        """Take the profile that fits the first heartbeat."""
+        profile = found(heartbeat.autopilot)
+        if profile is None or refusal(heartbeat.autopilot, heartbeat.type, None) is not None:
+            return
+        self.state.profile = profile
+        self.state.follow(profile.stream_in_takeoff)
+        self._wants = self._adopt(profile)
+        self._say(dialect.MAV_SEVERITY_INFO, f"its heartbeat says: {profile.title}")
+
+    def _may_stream(self, profile: Profile) -> bool:
+        """Whether a set-point would not end, or keep from beginning, a take-off of the vehicle's own."""
+        if profile.stream_in_takeoff or self._wants is None:
+            return True
+        status = self.status
+        standing = status is not None and status.landed is Landed.ON_GROUND
+        return self._wants.sequencer.request is not Request.TAKEOFF and (self.state.following or not standing)
+
     def _release(self, arrival_s: float) -> None:
         held, self._held = self._held, []
         for message in held:
@@ -261,7 +319,10 @@ class VehicleLink:
 
     def _handle(self, message: Message, arrival_s: float) -> None:
         message_id: int = message.get_msgId()  # not .id: in STATUSTEXT that is a field
-        self._streams.seen(message_id)
+        if self._wants is not None:
+            self._wants.streams.seen(message_id)
+        elif message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            self._recognise(message)
         handler = self._handlers.get(message_id)
         if handler is not None:
             handler(message, arrival_s)
@@ -270,13 +331,15 @@ class VehicleLink:
 
     def _on_ack(self, message: Message, arrival_s: float) -> None:
         del arrival_s
-        self._sequencer.note_ack(message.command, message.result)
+        if self._wants is not None:
+            self._wants.sequencer.note_ack(message.command, message.result)
 
     def _on_text(self, message: Message, arrival_s: float) -> None:
         del arrival_s
         for severity, text in self._assembler.add(message):
             self._say(severity, text)
-            self._sequencer.note_text(text)
+            if self._wants is not None:
+                self._wants.sequencer.note_text(text)
 
     def _on_timesync(self, message: Message, arrival_s: float) -> None:
         if message.tc1 != 0:
@@ -303,19 +366,19 @@ class VehicleLink:
         if now_s - self._heartbeat_at_s >= _HEARTBEAT_S - 1e-9:
             self._heartbeat_at_s = now_s
             self._outgoing.append(_heartbeat())
-        if self.state.autopilot is not None:
-            self._outgoing += self._streams.step(now_s)
-        self._warn_autopilot()
+        if self.state.autopilot is not None and self._wants is not None:
+            self._outgoing += self._wants.streams.step(now_s)
+        self._warn()
 
-    def _warn_autopilot(self) -> None:
-        found = self.state.autopilot
-        if found is not None and found != self._profile.autopilot and found != self._warned_autopilot:
-            self._warned_autopilot = found
-            self._say(
-                dialect.MAV_SEVERITY_ERROR,
-                f"the vehicle's heartbeat says autopilot {found}, but profile '{self._profile.name}' is for "
-                f"autopilot {self._profile.autopilot}: it is not flown; choose the profile that fits",
-            )
+    def _warn(self) -> None:
+        """Say once why this vehicle is not flown."""
+        autopilot, type_ = self.state.autopilot, self.state.type
+        if autopilot is None or type_ is None:
+            return
+        self.refused = refusal(autopilot, type_, self.state.profile)
+        if self.refused is not None and self.refused != self._warned:
+            self._warned = self.refused
+            self._say(dialect.MAV_SEVERITY_ERROR, self.refused)
 
     def _say(self, severity: int, text: str) -> None:
         self._texts = [*self._texts, (severity, text)][-_TEXTS_MAX:]

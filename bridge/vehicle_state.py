@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.autopilots import Profile
+from bridge.autopilots import refusal
 from bridge.decoding import Message
 from bridge.frames import enu_from_ned, yaw_enu_from_ned
-from flightstack.types import Landed, OwnState, VehicleStatus
+from bridge.profile import Profile
+from flightstack.types import Landed, Mode, OwnState, VehicleStatus
 
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
@@ -37,7 +38,7 @@ class StateCounters:
     not_finite: int = 0  # NaN, infinite or absurd numbers
     out_of_order: int = 0  # not newer than what is already there
     without_yaw: int = 0  # position without an attitude, or with one too old to go with it
-    other_autopilot: int = 0  # heartbeat of another autopilot than the configured one
+    other_autopilot: int = 0  # heartbeat of another autopilot than the configured one, or of no multirotor
 
 
 class VehicleState:
@@ -49,15 +50,22 @@ class VehicleState:
         home_amsl_m: altitude of home above sea level, None until HOME_POSITION has come.
         battery: newest battery state, None until SYS_STATUS has come.
         autopilot: MAV_AUTOPILOT of the newest heartbeat, None before.
+        type: MAV_TYPE of the newest heartbeat, None before.
+        profile: what the modes are read by; None while it is not known, and then there is no status.
+        origin_known: the vehicle has said where its local coordinates begin.
     """
 
-    def __init__(self, profile: Profile) -> None:
-        self._profile = profile
+    def __init__(self, profile: Profile | None) -> None:
+        self.profile = profile
         self.counters = StateCounters()
         self.own: OwnState | None = None
         self.status: VehicleStatus | None = None
         self.home_amsl_m: float | None = None
         self.autopilot: int | None = None
+        self.type: int | None = None
+        self.origin_known = False
+        self._following = profile is None or profile.stream_in_takeoff
+        self._custom_mode = 0
         self.battery: Battery | None = None
         self._yaw_enu_rad: float | None = None
         self._yaw_time_s = 0.0
@@ -70,7 +78,19 @@ class VehicleState:
             dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._on_extended_state,
             dialect.MAVLINK_MSG_ID_SYS_STATUS: self._on_sys_status,
             dialect.MAVLINK_MSG_ID_HOME_POSITION: self._on_home,
+            dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._on_origin,
         }
+
+    @property
+    def following(self) -> bool:
+        """Whether in the external mode the vehicle flies our set-points, and not its own take-off."""
+        return self._following
+
+    def follow(self, following: bool) -> None:
+        """Take note that a set-point goes out, or a take-off."""
+        if following != self._following:
+            self._following = following
+            self._refresh()
 
     def update(self, message: Message, arrival_s: float) -> None:
         """Take one message of the vehicle; messages of no interest are ignored.
@@ -107,13 +127,21 @@ class VehicleState:
             self._yaw_time_s = time_s
 
     def _on_heartbeat(self, m: Message, arrival_s: float) -> None:
-        self.autopilot = m.autopilot
-        if m.autopilot != self._profile.autopilot:
+        self.autopilot, self.type, profile = m.autopilot, m.type, self.profile
+        if profile is None or refusal(m.autopilot, m.type, profile) is not None:
             self.counters.other_autopilot += 1  # its mode numbers would mean something else
             return
-        mode = self._profile.mode(m.custom_mode)
         armed = bool(m.base_mode & _ARMED)
-        self.status = VehicleStatus(arrival_s, armed, mode, self._landed, self._ready)
+        if not armed and not profile.stream_in_takeoff:
+            self._following = False
+        self._custom_mode = m.custom_mode
+        self.status = VehicleStatus(arrival_s, armed, self._mode(), self._landed, self._ready)
+
+    def _mode(self) -> Mode:
+        """Mode of the newest heartbeat; an external mode that does not follow us is a take-off of its own."""
+        assert self.profile is not None
+        mode = self.profile.mode(self._custom_mode)
+        return Mode.TAKEOFF if mode is Mode.EXTERNAL and not self._following else mode
 
     def _on_extended_state(self, m: Message, arrival_s: float) -> None:
         del arrival_s
@@ -131,10 +159,14 @@ class VehicleState:
         del arrival_s
         self.home_amsl_m = m.altitude * 1e-3  # mm
 
+    def _on_origin(self, m: Message, arrival_s: float) -> None:
+        del m, arrival_s
+        self.origin_known = True
+
     def _refresh(self) -> None:
         old = self.status
         if old is not None:
-            self.status = VehicleStatus(old.arrival_s, old.armed, old.mode, self._landed, self._ready)
+            self.status = VehicleStatus(old.arrival_s, old.armed, self._mode(), self._landed, self._ready)
 
 
 def _usable(*values: float) -> bool:

@@ -1,7 +1,8 @@
-"""The MAVLink autopilot other programs see: PX4's personality around the simulated Crazyflie.
+"""The MAVLink autopilot other programs see: PX4's or ArduPilot's personality around the simulated vehicle.
 
 Pure: messages and times in, messages out. No socket, no clock, no randomness. Behaviour follows PX4 1.16
-(``Commander.cpp``, ``mavlink_receiver.cpp``, ``streams/*.hpp``), except where noted in the code.
+(``Commander.cpp``, ``mavlink_receiver.cpp``, ``streams/*.hpp``), except where noted in the code, or where the
+table of personalities has it as ArduCopter 4.6.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from flightstack.types import ZERO, Vec3
 from sim.autopilot_actions import Actions
 from sim.autopilot_commands import Commands
 from sim.autopilot_flight import Flight
-from sim.autopilot_modes import FlightMode, VehicleLike, codes, mode_from_custom_mode, why_no_mode
+from sim.autopilot_modes import FlightMode, VehicleLike
 from sim.autopilot_owner import Right, Sender
 from sim.autopilot_parameters import Parameters
+from sim.autopilot_personality import PX4, Personality
 from sim.autopilot_requests import Requests
 from sim.autopilot_services import Handler, Services
 from sim.autopilot_setpoints import read_setpoint
@@ -36,6 +38,15 @@ _BROADCAST = frozenset(  # the only commands PX4 obeys when sent to system 0
         dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
         dialect.MAV_CMD_REQUEST_MESSAGE,
         dialect.MAV_CMD_REQUEST_PROTOCOL_VERSION,
+    }
+)
+_NOTHING: frozenset[int] = frozenset()
+_NEED_ORIGIN = frozenset(  # nothing of it is sent before the origin is known
+    {
+        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        dialect.MAVLINK_MSG_ID_HOME_POSITION,
+        dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
     }
 )
 _EXTENDED_SYS_STATE = dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
@@ -58,6 +69,7 @@ class Autopilot:
         system_id: int = SYSTEM_ID,
         epoch_ns: int = 0,
         trim_enu_m_s: Vec3 = ZERO,
+        personality: Personality = PX4,
     ) -> None:
         """Put an autopilot on a vehicle.
 
@@ -67,16 +79,21 @@ class Autopilot:
             system_id: MAVLink system id, 1 to 255.
             epoch_ns: Unix time of time zero, for SYSTEM_TIME.
             trim_enu_m_s: velocity set-point that keeps a vehicle in place that starts in the air.
+            personality: which autopilot it is.
         """
         self.system_id = system_id
-        self.parameters = Parameters(system_id)
-        self.flight = Flight(vehicle, self.parameters, 1.0 / rate_hz, trim_enu_m_s)
+        rows = personality.parameters(system_id)
+        self.parameters = Parameters(system_id, rows, bytewise=personality.bytewise)
+        self.flight = Flight(vehicle, self.parameters, 1.0 / rate_hz, trim_enu_m_s, personality)
         self._vehicle = vehicle
-        self._streams = Streams(rate_hz)
+        self._streams = Streams(rate_hz, personality)
+        if not self.flight.origin_known:
+            self._streams.hide(_NEED_ORIGIN)
         self._epoch_ns = epoch_ns
         actions = Actions(self.flight, self.parameters, self._streams)
         requests = Requests(self._streams, self._snapshot)
-        self._commands = Commands({**actions.table, **requests.table}, self.flight.texts, self.flight.forbids)
+        table = {**actions.table, **requests.table}
+        self._commands = Commands(table, self.flight.texts, self.flight.forbids, personality)
         self._heartbeat_due_s = -math.inf
         self._shown: object = None  # what heartbeat and status said last
         self._landed_shown = self.flight.landed_state
@@ -87,7 +104,7 @@ class Autopilot:
             dialect.MAVLINK_MSG_ID_COMMAND_LONG: self._on_command,
             dialect.MAVLINK_MSG_ID_COMMAND_INT: self._on_command,
             dialect.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
-            **Services(self.flight, self.parameters).handlers,
+            **Services(self.flight, self.parameters, self._streams).handlers,
         }
 
     @property
@@ -126,6 +143,8 @@ class Autopilot:
         snapshot = self._snapshot(now_s)
         messages: list[Message] = []
         shown = (flight.mode, vehicle.armed, flight.failsafe, snapshot.estimate.valid, vehicle.locked)
+        if flight.origin_known:
+            self._streams.hide(_NOTHING)
         if shown != self._shown or now_s >= self._heartbeat_due_s:
             messages.append(heartbeat(flight))
             self._heartbeat_due_s = now_s + _HEARTBEAT_S - 1e-6
@@ -159,12 +178,14 @@ class Autopilot:
         return system in (0, self.system_id) and getattr(message, "target_component", 0) in (0, COMPONENT_ID)
 
     def _on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        setpoint = read_setpoint(message, self.flight.yaw_rad)
-        refused = (
-            setpoint if isinstance(setpoint, str) else self.flight.take_setpoint(setpoint, sender, now_s)
-        )
+        flight = self.flight
+        setpoint = read_setpoint(message, flight.yaw_rad, flight.personality.frames)
+        if isinstance(setpoint, str):
+            flight.refuse_setpoint(setpoint, now_s)
+            return []
+        refused = flight.take_setpoint(setpoint, sender, now_s)
         if refused is not None:
-            self.flight.texts.refuse(refused, now_s, "set-point")
+            flight.texts.refuse(refused, now_s, "set-point")
         return []
 
     def _on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
@@ -176,9 +197,11 @@ class Autopilot:
         """SET_MODE, which has no answer but the text."""
         if message.target_system != self.system_id:
             return []
-        flight, mode = self.flight, mode_from_custom_mode(message.custom_mode)
+        flight = self.flight
+        pair = flight.personality.pair_of(message.custom_mode)
+        mode = flight.personality.mode_of(*pair)
         if mode is None:
-            reason: str | None = why_no_mode(*codes(message.custom_mode))
+            reason: str | None = flight.personality.why_no_mode(*pair)
         else:
             right = Right.ANYBODY if mode is FlightMode.LAND else Right.OWNER
             reason = flight.forbids(sender, right, now_s)

@@ -19,7 +19,7 @@ from sim.autopilot_commands import (
 )
 from sim.autopilot_flight import Flight
 from sim.autopilot_geo import x_of, y_of
-from sim.autopilot_modes import FlightMode, mode_from_code, why_no_mode
+from sim.autopilot_modes import FlightMode
 from sim.autopilot_owner import Right
 from sim.autopilot_parameters import Parameters
 from sim.autopilot_pilot import Goal
@@ -44,7 +44,7 @@ class Actions:
             m.MAV_CMD_NAV_RETURN_TO_LAUNCH: Entry(self._return, owner),
             m.MAV_CMD_NAV_LAND: Entry(self._land, Right.ANYBODY),
             m.MAV_CMD_NAV_TAKEOFF: Entry(self._take_off, owner, place=True),
-            m.MAV_CMD_DO_SET_MODE: Entry(self._set_mode, owner, right_of=_right_to_mode),
+            m.MAV_CMD_DO_SET_MODE: Entry(self._set_mode, owner, right_of=self._right_to_mode),
             m.MAV_CMD_DO_SET_HOME: Entry(self._set_home, owner, place=True),
             m.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND),
             m.MAV_CMD_DO_REPOSITION: Entry(self._reposition, owner, place=True),
@@ -64,6 +64,8 @@ class Actions:
 
     def _take_off(self, command: Command) -> Answer:
         height_m = command.given(7)
+        if self._flight.personality.guided and not command.above_home:
+            return Answer(DENIED, "Take-off refused: the height must be above home")
         return answer(self._flight.take_off(None if height_m is None else self._local_z(command, height_m)))
 
     def _land(self, command: Command) -> Answer:
@@ -77,11 +79,19 @@ class Actions:
     def _set_mode(self, command: Command) -> Answer:
         base, main, sub = command.given(1) or 0.0, command.given(2), command.given(3) or 0.0
         if not int(base) & _CUSTOM_MODE or main is None:
-            return Answer(DENIED, "Mode refused: only PX4's custom modes")
-        mode = mode_from_code(round(main), round(sub))
+            return Answer(DENIED, "Mode refused: only custom modes")
+        who = self._flight.personality
+        mode = who.mode_of(round(main), round(sub))
         if mode is None:
-            return Answer(DENIED, why_no_mode(round(main), round(sub)))
+            # ArduPilot: FAILED, as for a mode it cannot enter now
+            return Answer(REJECTED if who.guided else DENIED, who.why_no_mode(round(main), round(sub)))
         return answer(self._flight.set_mode(mode, command.now_s))
+
+    def _right_to_mode(self, command: Command) -> Right:
+        main, sub = command.given(2), command.given(3) or 0.0
+        mode_of = self._flight.personality.mode_of
+        landing = main is not None and mode_of(round(main), round(sub)) is FlightMode.LAND
+        return Right.ANYBODY if landing else Right.OWNER
 
     def _terminate(self, command: Command) -> Answer:
         if not (command.given(1) or 0.0) > 0.5:
@@ -176,12 +186,6 @@ class Actions:
 def _right_to_arm(command: Command) -> Right:
     kill = command.given(1) is not None and round(command.params[0]) == 0 and command.given(2) == FORCE
     return Right.OWNER_OR_GROUND if kill else Right.OWNER
-
-
-def _right_to_mode(command: Command) -> Right:
-    main, sub = command.given(2), command.given(3) or 0.0
-    landing = main is not None and mode_from_code(round(main), round(sub)) is FlightMode.LAND
-    return Right.ANYBODY if landing else Right.OWNER
 
 
 def _name(names: dict[int, object], number: int) -> str:

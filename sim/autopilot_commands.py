@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.decoding import Message
 from sim.autopilot_owner import Right, Sender
+from sim.autopilot_personality import PX4, Personality
 from sim.autopilot_texts import Texts
 
 ACCEPTED: int = dialect.MAV_RESULT_ACCEPTED
@@ -27,7 +28,7 @@ FAILED: int = dialect.MAV_RESULT_FAILED
 _INT32_MAX = 2**31 - 1
 _INT_NAN = 0x7FF80000  # how a careless client's NaN looks as an integer (PX4 mavlink_receiver.cpp)
 _INT_SCALE = 1e-7  # COMMAND_INT carries degrees times 1e7
-# Frames of COMMAND_INT in which z is above sea level, or above home. COMMAND_LONG has none: sea level.
+# Frames of COMMAND_INT in which z is above sea level, or above home. COMMAND_LONG has the personality's.
 _AMSL_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT})
 _HOME_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
 
@@ -83,7 +84,9 @@ class Entry(NamedTuple):
 Table = Mapping[int, Entry]
 
 
-def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
+def read_command(
+    message: Any, sender: Sender, now_s: float, long_frame: int = dialect.MAV_FRAME_GLOBAL
+) -> Command | None:
     """Bring a COMMAND_LONG or COMMAND_INT into one form; None if its numbers are no numbers."""
     m = message
     if m.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_INT:
@@ -93,7 +96,7 @@ def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
         frame = m.frame
     else:
         params = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
-        frame = dialect.MAV_FRAME_GLOBAL
+        frame = long_frame
         if abs(m.param5) >= _INT32_MAX or abs(m.param6) >= _INT32_MAX:
             return None
     if any(map(math.isinf, params)):
@@ -110,7 +113,11 @@ class Commands:
     """Runs the commands of a table, and says why one is refused."""
 
     def __init__(
-        self, table: Table, texts: Texts, forbids: Callable[[Sender, Right, float], str | None]
+        self,
+        table: Table,
+        texts: Texts,
+        forbids: Callable[[Sender, Right, float], str | None],
+        personality: Personality = PX4,
     ) -> None:
         """Set up.
 
@@ -118,14 +125,18 @@ class Commands:
             table: MAV_CMD to what is done.
             texts: for reasons.
             forbids: why a sender may not use a right now.
+            personality: has the result of what is refused, and the frame of COMMAND_LONG.
         """
         self.table = table
         self._texts = texts
         self._forbids = forbids
+        self._personality = personality
 
     def run(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
         """Run a command that is meant for us; returns the acknowledgement and what was asked for."""
         result, reason, messages = self._run(message, sender, now_s)
+        if result == REJECTED:
+            result = self._personality.refused
         if reason is not None:
             entry = self.table.get(message.command)
             # A ground station asks for what it can use and does without: no reason to call its pilot.
@@ -136,7 +147,7 @@ class Commands:
         return [ack, *messages]
 
     def _run(self, message: Message, sender: Sender, now_s: float) -> Answer:
-        command = read_command(message, sender, now_s)
+        command = read_command(message, sender, now_s, self._personality.long_frame)
         if command is None:
             return Answer(DENIED, f"Command {message.command} denied: bad parameter")
         entry = self.table.get(command.number)

@@ -12,17 +12,17 @@ from bridge.frames import yaw_from_quaternion
 from flightstack.types import ZERO, Vec3
 from sim.autopilot_battery import Charge
 from sim.autopilot_ground import Standing
+from sim.autopilot_guided import GUIDED, why_no_takeoff
 from sim.autopilot_modes import AIRBORNE_STATE, FlightMode, VehicleLike
 from sim.autopilot_owner import ControlOwner, Right, Sender
 from sim.autopilot_parameters import Parameters
+from sim.autopilot_personality import PX4, Personality
 from sim.autopilot_pilot import Event, Goal, Pilot
 from sim.autopilot_setpoints import Setpoint
 from sim.autopilot_texts import Texts
-from sim.autopilot_watches import STREAM_LOST, Action, Alarm, Watches
+from sim.autopilot_watches import HEIGHT_RANGE_M, STREAM_LOST, Action, Alarm, Watches
 
 _ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself
-_HEIGHT_RANGE_M = (0.1, 20.0)  # m above home of take-off and reposition; the room is lower
-_REACH_M = 50.0  # m from home that it may be sent to by itself
 _HOME_REACH_M = 100.0  # m from the room's origin
 
 _FAILSAFE_MODES: Mapping[Action, FlightMode] = MappingProxyType(
@@ -47,17 +47,25 @@ class Flight:
         texts: what it says.
         pilot: flies the mode.
         watches: slow fail-safes, with the battery.
+        personality: which autopilot it is.
+        origin_known: where the local coordinates lie on earth.
     """
 
     def __init__(
-        self, vehicle: VehicleLike, parameters: Parameters, period_s: float, trim_enu_m_s: Vec3 = ZERO
+        self,
+        vehicle: VehicleLike,
+        parameters: Parameters,
+        period_s: float,
+        trim_enu_m_s: Vec3 = ZERO,
+        personality: Personality = PX4,
     ) -> None:
         self.vehicle = vehicle
+        self.personality = personality
         self.mode = FlightMode.HOLD
         self.failsafe = False
         self.texts = Texts()
         x, y, _ = vehicle.estimate().position_enu_m
-        self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s)
+        self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s, repeats=personality.guided)
         self.watches = Watches(parameters, vehicle)
         self._parameters = parameters
         self._ground = Standing(vehicle)
@@ -65,6 +73,8 @@ class Flight:
         self._setpoint_s = -math.inf
         self._was_armed = vehicle.armed
         self._flew = vehicle.armed and not self._ground.now  # since arming
+        self.origin_known = self._flew or not personality.needs_origin
+        self._arrived = False  # at the end of the present take-off
         self._control_s: float | None = None
         self._period_s = period_s
         self._armed_s = 0.0
@@ -87,7 +97,14 @@ class Flight:
             return int(dialect.MAV_LANDED_STATE_ON_GROUND)
         if self.mode is FlightMode.RETURN and self.pilot.going_down:
             return int(dialect.MAV_LANDED_STATE_LANDING)
+        if self.mode is FlightMode.TAKEOFF and self._arrived:
+            return int(dialect.MAV_LANDED_STATE_IN_AIR)
         return AIRBORNE_STATE[self.mode]
+
+    @property
+    def positioned(self) -> bool:
+        """Whether there is a position to fly by."""
+        return self.origin_known and self.vehicle.estimate().valid
 
     @property
     def airborne(self) -> bool:
@@ -99,7 +116,7 @@ class Flight:
         found = []
         if self.vehicle.locked:
             found.append("firmware is locked, restart it (command 246)")
-        if not self.vehicle.estimate().valid:
+        if not self.positioned:
             found.append("no position estimate")
         if self.watches.battery.level >= Charge.CRITICAL:
             found.append(f"battery at {100 * self.watches.battery.remaining:.0f} %")
@@ -116,7 +133,7 @@ class Flight:
         if self.vehicle.armed:
             return None
         problems = self.problems()
-        if self.mode in _MODES_TO_LEAVE:
+        if self.mode in _MODES_TO_LEAVE or (self.personality.guided and self.mode is not FlightMode.OFFBOARD):
             problems.append(f"mode is {self.mode.value}")
         reason = problems[0] if problems else self.vehicle.arm()
         if reason is not None:
@@ -157,15 +174,19 @@ class Flight:
             height_m: local height, 0.1 to 20 m above home; None: MIS_TAKEOFF_ALT above where it stands.
         """
         estimate = self.vehicle.estimate()
-        if not estimate.valid:
+        if not self.positioned:
             return "Take-off refused: no position estimate"
+        if self.personality.guided:
+            refused = why_no_takeoff(self, height_m, estimate.position_enu_m[2])
+            if refused is not None:
+                return refused
         z, home_m = estimate.position_enu_m[2], self.home_enu_m[2]
         taking_off = self.mode is FlightMode.TAKEOFF
         if height_m is None:
             if taking_off:
                 return None
             height_m = (z if self.standing else home_m) + self._parameters["MIS_TAKEOFF_ALT"]
-        low, high = _HEIGHT_RANGE_M
+        low, high = HEIGHT_RANGE_M
         if not low <= height_m - home_m <= high:
             return f"Take-off refused: {height_m - home_m:.4g} m above home, {low:g} to {high:g}"
         if taking_off and height_m == self.pilot.takeoff_height_m:
@@ -179,7 +200,7 @@ class Flight:
 
     def land(self) -> None:
         """Land where it is; nothing can refuse that. On the ground there is nothing to do."""
-        if self.vehicle.armed:
+        if self.vehicle.armed or self.personality.guided:
             self._enter(FlightMode.LAND)
 
     def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
@@ -189,6 +210,8 @@ class Flight:
         if mode is FlightMode.LAND:
             self.land()
             return None
+        if self.personality.guided:
+            return self._set_guided_mode(mode, now_s)
         if not self.vehicle.estimate().valid:
             return f"Mode {mode.value} refused: no position estimate"
         if mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
@@ -198,21 +221,33 @@ class Flight:
         self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
         return None
 
+    def _set_guided_mode(self, mode: FlightMode, now_s: float) -> str | None:
+        """Change the mode freely while disarmed; in flight only with a position."""
+        if self.vehicle.armed and not self.positioned:
+            return f"Mode change to {mode.value} failed: requires position"
+        if mode is FlightMode.OFFBOARD and self.mode in GUIDED:
+            return None  # one and the same on the wire: nothing changes
+        self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
+        if mode is FlightMode.OFFBOARD:
+            self.pilot.halt()
+            self._setpoint_s = now_s
+        return None
+
+    def set_origin(self) -> None:
+        """Take note that the origin of the local coordinates has been told."""
+        if not self.origin_known:
+            self.origin_known = True
+            self.say(dialect.MAV_SEVERITY_INFO, "EKF origin set")
+
     def reposition(self, goal: Goal) -> str | None:
         """Fly to a point near home and hold there."""
         if not self.vehicle.estimate().valid:
             return "Reposition refused: no position estimate"
         if not self.airborne:
             return "Reposition refused: not in the air"
-        x, y, z = (a - b for a, b in zip(goal.point_enu_m, self.home_enu_m, strict=True))
-        low, high = _HEIGHT_RANGE_M
-        if not low <= z <= high:
-            return f"Reposition refused: {z:.4g} m above home, {low:g} to {high:g}"
-        if math.hypot(x, y) > _REACH_M:
-            return f"Reposition refused: {math.hypot(x, y):.4g} m from home, at most {_REACH_M:g}"
-        outside = self.watches.outside(goal.point_enu_m, self.home_enu_m)
-        if outside is not None:
-            return f"Reposition refused: {outside}"
+        too_far = self.watches.too_far(goal.point_enu_m, self.home_enu_m)
+        if too_far is not None:
+            return f"Reposition refused: {too_far}"
         if self.mode is not FlightMode.HOLD or goal != self.pilot.goal:
             self._enter(FlightMode.HOLD, restart=True, goal=goal)
         return None
@@ -228,10 +263,21 @@ class Flight:
     def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
         """Take a valid set-point; it is flown in OFFBOARD only, but keeps the stream alive in all modes."""
         reason = self._owner.admit(sender, now_s, self._parameters["COM_OF_LOSS_T"])
+        if self.personality.guided:
+            if self.mode not in GUIDED:
+                return reason  # ignored without a word
+            if reason is None:
+                self._enter(FlightMode.OFFBOARD)  # ends a take-off
         if reason is None:
             self.pilot.take(setpoint)
             self._setpoint_s = now_s
         return reason
+
+    def refuse_setpoint(self, reason: str, now_s: float) -> None:
+        """Say why a set-point is none; who stops for that does."""
+        self.texts.refuse(reason, now_s, "set-point")
+        if self.personality.guided and self.mode is FlightMode.OFFBOARD:
+            self.pilot.halt()
 
     def yaw_rad(self) -> float:
         """Present heading by the estimate."""
@@ -263,13 +309,17 @@ class Flight:
         if armed and standing:
             self._disarm_idle(now_s)
             armed = vehicle.armed
-        if armed:
+        if armed and standing and self.mode is FlightMode.OFFBOARD and self.personality.guided:
+            self.pilot.stop()  # what stands does not follow set-points
+        elif armed:
             event = self.pilot.fly(self.mode, estimate, standing, dt_s)
             if event is not None:
                 self._follow(event, now_s)
 
     def _follow(self, event: Event, now_s: float) -> None:
-        if event is Event.ARRIVED:
+        if event is Event.ARRIVED and self.personality.guided:
+            self._arrived = True  # and goes on holding that height
+        elif event is Event.ARRIVED:
             self._enter(FlightMode.HOLD)
             self.pilot.go_on()
         elif event is Event.LANDED:
@@ -285,7 +335,7 @@ class Flight:
             return
         if mode is not self.mode:
             self.say(dialect.MAV_SEVERITY_INFO, f"Mode {mode.value}")
-        self.mode = mode
+        self.mode, self._arrived = mode, False
         self.pilot.begin(goal)
 
     def _after_disarm(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
@@ -293,7 +343,10 @@ class Flight:
         self.pilot.stop()
         self._owner.release()
         self._was_armed = self._flew = False
-        if self.mode is not FlightMode.OFFBOARD:  # that one ends with its stream, as the companion expects
+        if self.personality.guided:  # the mode stays
+            if self.mode is FlightMode.TAKEOFF:
+                self._enter(FlightMode.OFFBOARD)
+        elif self.mode is not FlightMode.OFFBOARD:  # that one ends with its stream, as the companion expects
             self._enter(FlightMode.HOLD)
         self.failsafe = False
 
@@ -302,7 +355,9 @@ class Flight:
 
     def _failsafes(self, now_s: float) -> None:
         if self.mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
-            if self.vehicle.armed:
+            if self.personality.guided:
+                self.pilot.halt()
+            elif self.vehicle.armed:
                 limit_s = self._parameters["COM_OF_LOSS_T"]
                 action = STREAM_LOST[int(self._parameters["COM_OBL_RC_ACT"])]
                 self._act(Alarm(action, f"No set-points for {limit_s:.3g} s"))

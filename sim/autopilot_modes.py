@@ -174,8 +174,3 @@ def why_no_mode(main: int, sub: int) -> str:
 def codes(custom_mode: int) -> tuple[int, int]:
     """Main and sub code of a whole ``custom_mode``."""
     return custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
-
-
-def mode_from_custom_mode(custom_mode: int) -> FlightMode | None:
-    """Mode of a whole ``custom_mode``, None if the autopilot has no such mode."""
-    return mode_from_code(*codes(custom_mode))

@@ -1,10 +1,11 @@
-"""Parameters of the simulated autopilot, under PX4's names, units and encoding."""
+"""Parameters of the simulated autopilot, under PX4's names and units unless a personality has others."""
 
 from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -26,12 +27,30 @@ class Parameter:
     """One parameter: default, allowed range (both ends allowed), and whether it may change in flight."""
 
     name: str  # at most 16 characters
-    type: int  # INT32 or REAL32, the two PX4 has
+    type: int  # MAV_PARAM_TYPE; PX4 has INT32 and REAL32 alone
     default: float
     low: float
     high: float
     in_flight: bool = False
     choices: tuple[int, ...] = ()  # when only some values of the range mean something
+    stands_for: tuple[str, ...] = ()  # names inside the simulator; empty: its own
+    scale: float = 1.0  # of the value on the wire to that inside
+    meanings: Mapping[int, int] = field(default_factory=dict)  # value on the wire to that inside
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names inside the simulator."""
+        return self.stands_for or (self.name,)
+
+    def inside(self, value: float) -> float:
+        """Value on the wire to value inside."""
+        return self.meanings[int(value)] if self.meanings else value / self.scale
+
+    def outside(self, value: float) -> float:
+        """Value inside to value on the wire."""
+        if self.meanings:
+            return next(wire for wire, meaning in self.meanings.items() if meaning == value)
+        return value * self.scale
 
     @property
     def allowed(self) -> str:
@@ -130,17 +149,30 @@ class Refused(NamedTuple):
 
 
 class Parameters:
-    """The values in force; read as ``parameters["COM_OF_LOSS_T"]``.
+    """The values in force; read as ``parameters["COM_OF_LOSS_T"]``, whatever they are called on the wire.
 
     Attributes:
         version: changes with every write.
         left_to_list: values of a list that are still to be sent.
     """
 
-    def __init__(self, system_id: int) -> None:
-        self._table = table(system_id)
+    def __init__(
+        self, system_id: int, rows: tuple[Parameter, ...] | None = None, *, bytewise: bool = True
+    ) -> None:
+        """Begin with the defaults.
+
+        Args:
+            system_id: of the vehicle.
+            rows: those on the wire; None: PX4's.
+            bytewise: an integer travels as its bits in the float field, as with PX4; else as its value.
+        """
+        own = table(system_id)
+        self._table = own if rows is None else rows
+        self._bytewise = bytewise
         self._index = {parameter.name: i for i, parameter in enumerate(self._table)}
-        self._values = {parameter.name: parameter.default for parameter in self._table}
+        self._values = {parameter.name: parameter.default for parameter in own}
+        for parameter in self._table:
+            self._values |= dict.fromkeys(parameter.names, parameter.inside(parameter.default))
         self.version = 0
         self.left_to_list = self._next = 0
 
@@ -170,15 +202,33 @@ class Parameters:
         return name if name in self._index else None
 
     def message(self, name: str) -> Message:
-        """PARAM_VALUE of a parameter; an integer travels as its bits in the float field, as with PX4."""
+        """PARAM_VALUE of a parameter."""
         index = self._index[name]
         parameter = self._table[index]
-        value = self._values[name]
-        if parameter.type == INT32:
+        value = parameter.outside(self._values[parameter.names[0]])
+        if parameter.type == INT32 and self._bytewise:
             (value,) = _FLOAT.unpack(_INT.pack(int(value)))
         return dialect.MAVLink_param_value_message(
             name.encode(), value, parameter.type, len(self._table), index
         )
+
+    def preset(self, name: str, value: float) -> None:
+        """Set a parameter before anything flies; what is fixed stays.
+
+        Args:
+            name: on the wire.
+            value: on the wire, in its unit.
+
+        Raises:
+            ValueError: no such parameter, or a value that is not allowed; the text says what is.
+        """
+        if name not in self._index:
+            raise ValueError(f"parameter {name!r} is not known: allowed is {', '.join(self._index)}")
+        parameter = self.entry(name)
+        if not parameter.accepts(value) or (parameter.type != REAL32 and value != int(value)):
+            raise ValueError(f"parameter {name}: found {value:g}, allowed is {parameter.allowed}")
+        self._values |= dict.fromkeys(parameter.names, parameter.inside(value))
+        self.version += 1
 
     def list_all(self) -> None:
         """Begin to send every value; whoever asks meanwhile gets all of them too."""
@@ -207,12 +257,16 @@ class Parameters:
         parameter = self._table[self._index[name]]
         if type_ != parameter.type:
             return Refused(_OUT_OF_RANGE, f"{name}: ignored, type {type_} instead of {parameter.type}")
-        value = float(_INT.unpack(_FLOAT.pack(wire_value))[0]) if type_ == INT32 else wire_value
+        bits = self._bytewise and type_ == INT32
+        value = float(_INT.unpack(_FLOAT.pack(wire_value))[0]) if bits else wire_value
+        if not bits and type_ != REAL32 and math.isfinite(value):
+            value = float(math.trunc(value))
         if not parameter.accepts(value):
             error = _OUT_OF_RANGE if parameter.low < parameter.high else _READ_ONLY
             return Refused(error, f"{name}: {value:.6g}, allowed {parameter.allowed}")
         if armed and not parameter.in_flight:
             return Refused(NOT_NOW, f"{name}: only while disarmed")
-        self._values[name] = min(max(value, parameter.low), parameter.high)
+        inside = parameter.inside(min(max(value, parameter.low), parameter.high))
+        self._values |= dict.fromkeys(parameter.names, inside)
         self.version += 1
         return None

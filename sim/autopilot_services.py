@@ -21,6 +21,9 @@ from sim.autopilot_missions import (
 )
 from sim.autopilot_owner import Right, Sender
 from sim.autopilot_parameters import NOT_NOW, Parameters, Refused
+from sim.autopilot_streams import Streams
+
+_ORIGIN_NEAR_E7 = 10_000  # 1e-3 degrees, about 100 m
 
 Handler = Callable[[Any, Sender, float], list[Message]]
 
@@ -29,12 +32,14 @@ class Services:
     """Handlers by message id; each returns the answer to the sender.
 
     REQUEST_DATA_STREAM is missing on purpose, as in PX4: the rates are one table for all, and what MAVProxy
-    and dronekit ask for at their start (4 Hz of everything) would starve the companion of its position.
+    and dronekit ask for at their start (4 Hz of everything) would starve the companion of its position. A
+    personality that has it lets it raise a rate, or start one, but never lower one.
     """
 
-    def __init__(self, flight: Flight, parameters: Parameters) -> None:
+    def __init__(self, flight: Flight, parameters: Parameters, streams: Streams) -> None:
         self._flight = flight
         self._parameters = parameters
+        self._streams = streams
         m = dialect
         self.handlers: dict[int, Handler] = {
             m.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
@@ -58,6 +63,9 @@ class Services:
             m.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: self._refuse_setpoint("attitude"),
             m.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: self._refuse_setpoint("global position"),
         }
+
+        if flight.personality.data_streams:
+            self.handlers[m.MAVLINK_MSG_ID_REQUEST_DATA_STREAM] = self._data_stream
 
     def _heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
         del sender
@@ -94,10 +102,29 @@ class Services:
         return [_parameter_error(name.encode(), -1, refused.error, sender), in_force]
 
     def _set_origin(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        del message, sender
-        self._flight.texts.refuse("Origin refused: the simulated room does not move", now_s)
+        del sender
         latitude, longitude = degrees_e7(0.0, 0.0)
+        near = max(abs(message.latitude - latitude), abs(message.longitude - longitude)) <= _ORIGIN_NEAR_E7
+        if self._flight.origin_known:
+            self._flight.texts.refuse("Origin refused: the simulated room does not move", now_s)
+        elif near:
+            self._flight.set_origin()
+        else:
+            place = f"{latitude / 1e7:.6f}, {longitude / 1e7:.6f}"
+            self._flight.texts.refuse(f"Origin refused: the simulated room lies at {place}", now_s)
+            return []
         return [dialect.MAVLink_gps_global_origin_message(latitude, longitude, 0, round(now_s * 1e6))]
+
+    def _data_stream(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        del sender
+        groups = self._flight.personality.data_streams
+        if not message.start_stop or not message.req_message_rate:
+            return []
+        interval_us = 1e6 / message.req_message_rate
+        for message_id in groups.get(message.req_stream_id, ()):
+            if not self._streams.rarer(message_id, interval_us):
+                self._streams.set_interval(message_id, interval_us, now_s)
+        return []
 
     def _refuse_setpoint(self, kind: str) -> Handler:
         def refuse(message: Any, sender: Sender, now_s: float) -> list[Message]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
-
-from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import enu_from_ned, flu_from_frd, quaternion_from_yaw, world_from_body, yaw_enu_from_ned
 from flightstack.types import Vec3
+from sim.autopilot_personality import PX4
 
 SPEED_MAX_M_S = 5.0  # m/s; far above what any controller of this stack may ask for
 YAW_RATE_MAX_RAD_S = 6.0  # rad/s
@@ -31,12 +30,15 @@ class Setpoint(NamedTuple):
     yaw_rate_rad_s: float  # counter-clockwise; 0 holds the heading there is
 
 
-def read_setpoint(message: Any, yaw_rad: Callable[[], float]) -> Setpoint | str:
+def read_setpoint(
+    message: Any, yaw_rad: Callable[[], float], frames: Mapping[int, bool] = PX4.frames
+) -> Setpoint | str:
     """Turn SET_POSITION_TARGET_LOCAL_NED into a set-point, or into the reason why it is none.
 
     Args:
-        message: the message; frame LOCAL_NED, or BODY_NED which is turned by the heading only (as PX4 does).
+        message: the message; a body's frame is turned by the heading only (as PX4 and ArduPilot do).
         yaw_rad: gives the present heading of the vehicle, counter-clockwise from east.
+        frames: that are known; True for a body's.
     """
     mask = message.type_mask
     if mask & _POSITION != _POSITION or mask & _ACCELERATION != _ACCELERATION or mask & _VELOCITY:
@@ -46,12 +48,11 @@ def read_setpoint(message: Any, yaw_rad: Callable[[], float]) -> Setpoint | str:
         return "Set-point dropped: velocity not finite"
     if v[0] * v[0] + v[1] * v[1] + v[2] * v[2] > SPEED_MAX_M_S**2:
         return f"Set-point dropped: above {SPEED_MAX_M_S:g} m/s"
-    if message.coordinate_frame == dialect.MAV_FRAME_LOCAL_NED:
-        velocity = enu_from_ned(v)
-    elif message.coordinate_frame == dialect.MAV_FRAME_BODY_NED:
-        velocity = world_from_body(quaternion_from_yaw(yaw_rad()), flu_from_frd(v))
-    else:
-        return f"Set-point dropped: frame {message.coordinate_frame}, only 1 or 8"
+    turned = frames.get(message.coordinate_frame)
+    if turned is None:
+        known = " or ".join(map(str, frames))
+        return f"Set-point dropped: frame {message.coordinate_frame}, only {known}"
+    velocity = world_from_body(quaternion_from_yaw(yaw_rad()), flu_from_frd(v)) if turned else enu_from_ned(v)
     if not mask & _YAW:
         if not math.isfinite(message.yaw):
             return "Set-point dropped: yaw not finite"

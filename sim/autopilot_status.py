@@ -7,9 +7,9 @@ from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.autopilot_version import SITL_MARK
 from bridge.decoding import Message
 from sim.autopilot_flight import Flight
-from sim.autopilot_modes import CODES
 from sim.autopilot_snapshot import Builder, Snapshot
 
 _S = dialect
@@ -33,20 +33,12 @@ _ESTIMATOR_FLAGS = (
     | _S.ESTIMATOR_POS_HORIZ_ABS
     | _S.ESTIMATOR_POS_VERT_ABS
 )
-_CAPABILITIES = (
-    _S.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
-    | _S.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    | _S.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-    | _S.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
-    | _S.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
-    | _S.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-)
 _PWM_MIN_US, _PWM_SPAN_US = 1000, 1000  # us; what PX4's SITL reports for an idle and a full motor
 
 
 def heartbeat(flight: Flight) -> Message:
-    """HEARTBEAT with PX4's modes and states (PX4 streams/HEARTBEAT.hpp)."""
-    code = CODES[flight.mode]
+    """HEARTBEAT with the personality's modes, and PX4's states (PX4 streams/HEARTBEAT.hpp)."""
+    code = flight.personality.codes[flight.mode]
     armed = flight.vehicle.armed
     if armed:
         state = dialect.MAV_STATE_CRITICAL if flight.failsafe else dialect.MAV_STATE_ACTIVE
@@ -54,9 +46,9 @@ def heartbeat(flight: Flight) -> Message:
         state = dialect.MAV_STATE_UNINIT if flight.problems() else dialect.MAV_STATE_STANDBY
     return dialect.MAVLink_heartbeat_message(
         dialect.MAV_TYPE_QUADROTOR,
-        dialect.MAV_AUTOPILOT_PX4,
+        flight.personality.autopilot,
         code.base | (dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0),
-        code.custom_mode,
+        flight.personality.custom_mode(code),
         state,
         3,
     )
@@ -65,7 +57,7 @@ def heartbeat(flight: Flight) -> Message:
 def _sys_status(s: Snapshot) -> Message:
     present = _SENSORS | _POSITION_SOURCE
     outside = s.flight.watches.outside(s.estimate.position_enu_m, s.flight.home_enu_m)
-    health = _SENSORS | (_POSITION_SOURCE if s.estimate.valid else 0) | (0 if outside else _FENCE)
+    health = _SENSORS | (_POSITION_SOURCE if s.flight.positioned else 0) | (0 if outside else _FENCE)
     ready = 0 if s.flight.problems() else dialect.MAV_SYS_STATUS_PREARM_CHECK
     return dialect.MAVLink_sys_status_message(
         present, present, health | ready, 0, _millivolts(s), -1, _percent(s), 0, 0, 0, 0, 0, 0
@@ -106,11 +98,9 @@ def _heartbeat(s: Snapshot) -> Message:
 
 
 def _autopilot_version(s: Snapshot) -> Message:
-    del s
-    version = 1 << 24 | 16 << 16 | 255  # 1.16.0, release: the PX4 whose behaviour is copied
-    zeros = [0] * 8
+    who, zeros = s.flight.personality, [0] * 8
     return dialect.MAVLink_autopilot_version_message(
-        _CAPABILITIES, version, 0, 0, 0, zeros, zeros, zeros, 0, 0, 0
+        who.capabilities, who.version, 0, 0, 0, list(SITL_MARK), zeros, zeros, 0, 0, 0
     )
 
 

@@ -4,32 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
-
 from bridge.decoding import Message
 from sim.autopilot_messages import BUILDERS
+from sim.autopilot_personality import EVERY_TICK, PX4, Personality
 from sim.autopilot_snapshot import Builder, Snapshot
 
-_M = dialect
-# Hz; rates of PX4's own links, or what clients were measured to need. Missing: on request only.
-DEFAULT_HZ: dict[int, float] = {
-    _M.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
-    _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-    _M.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    _M.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
-    _M.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-    _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
-    _M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
-    _M.MAVLINK_MSG_ID_ALTITUDE: 1.0,
-    _M.MAVLINK_MSG_ID_VFR_HUD: 2.0,
-    _M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
-    _M.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    _M.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 2.0,
-    _M.MAVLINK_MSG_ID_ODOMETRY: 5.0,  # PX4's onboard link: 30; it is the costliest of all to pack
-    _M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 1.0,
-}
-# The order is that of a datagram: a position counts with the attitude that came before it.
-EVERY_TICK = (_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 _FOREVER = float("inf")
 _INTERVAL_MAX_S = 2000.0  # s; MESSAGE_INTERVAL counts microseconds in 32 bits, which end at 2147 s
 
@@ -44,15 +23,17 @@ class _Stream:
 class Streams:
     """Intervals of all messages, and what is due."""
 
-    def __init__(self, rate_hz: float) -> None:
+    def __init__(self, rate_hz: float, personality: Personality = PX4) -> None:
         """Set the default rates.
 
         Args:
             rate_hz: rate of the loop; nothing is sent more often, so nobody can ask for a flood.
+            personality: has the defaults.
         """
         self._period_s = 1.0 / rate_hz
-        self._default_s = dict.fromkeys(EVERY_TICK, self._period_s)
-        self._default_s |= {id_: max(self._period_s, 1.0 / hz) for id_, hz in DEFAULT_HZ.items()}
+        self._hidden: frozenset[int] = frozenset()
+        self._default_s = dict.fromkeys(personality.every_tick, self._period_s)
+        self._default_s |= {id_: max(self._period_s, 1.0 / hz) for id_, hz in personality.rates_hz.items()}
         order = (*EVERY_TICK, *(id_ for id_ in BUILDERS if id_ not in EVERY_TICK))
         self._streams = {
             id_: _Stream(BUILDERS[id_], self._default_s.get(id_, _FOREVER), 0.0) for id_ in order
@@ -99,6 +80,12 @@ class Streams:
         for message_id in self._streams:
             self.set_interval(message_id, 0.0, now_s)
 
+    def hide(self, message_ids: frozenset[int]) -> None:
+        """Send none of these, whatever their rate; none before says: hide nothing any more."""
+        if message_ids != self._hidden:
+            self._hidden = message_ids
+            self._sort()
+
     def hasten(self, message_id: int) -> None:
         """Let a message be due at once, unless it is off."""
         stream = self._streams[message_id]
@@ -122,7 +109,7 @@ class Streams:
         return messages
 
     def _sort(self) -> None:
-        streams = self._streams.values()
+        streams = [stream for id_, stream in self._streams.items() if id_ not in self._hidden]
         self._busy = [stream for stream in streams if stream.interval_s <= self._period_s]
         self._lazy = [stream for stream in streams if stream.interval_s > self._period_s]
         self._lazy_due_s = 0.0

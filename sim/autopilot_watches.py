@@ -18,6 +18,8 @@ from sim.autopilot_battery import BatteryGauge, Charge
 from sim.autopilot_modes import VehicleLike
 from sim.autopilot_parameters import Parameters
 
+HEIGHT_RANGE_M = (0.1, 20.0)  # m above home of take-off and reposition; the room is lower
+_REACH_M = 50.0  # m from home that it may be sent to by itself
 _PERIOD_S = 0.1  # s; nothing here is faster
 
 
@@ -118,6 +120,16 @@ class Watches:
             if limit_m > 0.0 and distance_m > limit_m:
                 return f"{distance_m:.1f} m, {name} is {limit_m:g}"
         return None
+
+    def too_far(self, point_enu_m: Vec3, home_enu_m: Vec3) -> str | None:
+        """Why it is not sent to a point by itself, None if it may be."""
+        x, y, z = (a - b for a, b in zip(point_enu_m, home_enu_m, strict=True))
+        low, high = HEIGHT_RANGE_M
+        if not low <= z <= high:
+            return f"{z:.4g} m above home, {low:g} to {high:g}"
+        if math.hypot(x, y) > _REACH_M:
+            return f"{math.hypot(x, y):.4g} m from home, at most {_REACH_M:g}"
+        return self.outside(point_enu_m, home_enu_m)
 
     def _watch_battery(self, dt_s: float) -> list[Alarm]:
         vehicle = self._vehicle

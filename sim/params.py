@@ -1,15 +1,15 @@
-"""Numbers of the simulated Crazyflie, from ``crazyflie20.toml``, and what the seed spreads of them."""
+"""Numbers of a simulated vehicle, from its TOML file, and what the seed spreads of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from pathlib import Path
 
 from flightstack.strict_toml import from_table, read_toml
 from flightstack.types import Vec3
-from sim.scenario import VehicleSpec
+from sim.scenario import Airframe, VehicleSpec
 from sim.sensors import stream
 
 STEP_S = 0.001  # physics step
@@ -127,8 +127,21 @@ class WindShape:
 
 
 @dataclass(frozen=True, slots=True)
+class VelocityGains:
+    """Gains of the PID loop from velocity to degrees of tilt, and to thousands of thrust counts.
+
+    Defaults: Crazyflie firmware, platform_defaults_cf2.h, PID_VEL_X and PID_VEL_Z.
+    """
+
+    xy_p: float = 25.0
+    xy_i: float = 1.0
+    z_p: float = 25.0
+    z_i: float = 15.0
+
+
+@dataclass(frozen=True, slots=True)
 class Params:
-    """Everything in ``crazyflie20.toml``."""
+    """Everything in a vehicle's file."""
 
     body: Body
     rotor: Rotor
@@ -138,6 +151,7 @@ class Params:
     contact: Contact
     imu: Imu
     wind: WindShape
+    velocity_gains: VelocityGains = field(default_factory=VelocityGains)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,10 +174,10 @@ class Plant:
 
 
 @cache
-def load() -> Params:
-    """Read the parameter file that comes with the package.
+def load(airframe: Airframe = Airframe.CRAZYFLIE20) -> Params:
+    """Read the parameter file of a vehicle that comes with the package.
 
     Raises:
         ConfigError: an unknown, missing or ill-typed key.
     """
-    return from_table(Params, read_toml(Path(str(resources.files("sim") / "crazyflie20.toml"))))
+    return from_table(Params, read_toml(Path(str(resources.files("sim") / f"{airframe.value}.toml"))))

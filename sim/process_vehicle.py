@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -18,15 +19,25 @@ from sim.vehicle import VehicleSim
 from sim.vehicle_types import Truth
 
 
+def _untold(armed: bool) -> None:
+    del armed
+
+
 @dataclass(slots=True)
 class VehicleNode:
-    """One simulated vehicle on the wire."""
+    """One simulated vehicle on the wire.
+
+    Attributes:
+        tell: called when the vehicle has been armed or disarmed.
+    """
 
     vehicle: VehicleSim
     autopilot: Autopilot
     endpoint: Endpoint
     log: VehicleLog
+    tell: Callable[[bool], None] = _untold
     wire: Wire = field(init=False)
+    _armed: bool = field(default=False, init=False)
     _judged: bool = field(default=False, init=False)
     _state_text: str = field(default="", init=False)
 
@@ -41,6 +52,9 @@ class VehicleNode:
     def control(self, now_s: float) -> None:
         """Let the autopilot fly; its first flight by the companion's set-points begins the judging."""
         self.autopilot.control(now_s)
+        if self.vehicle.armed is not self._armed:
+            self._armed = self.vehicle.armed
+            self.tell(self._armed)
         for fault in self.vehicle.faults.take_texts():
             severity = dialect.MAV_SEVERITY_WARNING if fault.begins else dialect.MAV_SEVERITY_NOTICE
             self.autopilot.flight.say(severity, str(fault))

@@ -42,6 +42,13 @@ class VelocityLoop(Enum):
     PID = "pid"  # Crazyflie firmware position_controller_pid.c
 
 
+class Airframe(Enum):
+    """Vehicles with a parameter file of that name in ``sim``."""
+
+    CRAZYFLIE20 = "crazyflie20"
+    QUAD_1000G = "quad_1000g"
+
+
 @dataclass(frozen=True, slots=True)
 class Start:
     """Where the vehicle begins. ``offset_m`` is relative to the landing spot at time zero, ENU."""
@@ -94,8 +101,9 @@ class OdometryLink:
 
 @dataclass(frozen=True, slots=True)
 class VehicleSpec:
-    """The simulated Crazyflie: velocity loop, spreads of its plant, and the mocap of its estimator."""
+    """The simulated vehicle: its file, velocity loop, spreads of its plant, mocap of its estimator."""
 
+    airframe: Airframe = Airframe.CRAZYFLIE20
     velocity_loop: VelocityLoop = VelocityLoop.PAPER
     mass_spread: Annotated[float, Range(0.0, 0.5)] = 0.0
     motor_lag_spread: Annotated[float, Range(0.0, 0.9)] = 0.0

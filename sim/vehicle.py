@@ -66,7 +66,7 @@ class VehicleSim:
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
-        self._params = params = load()
+        self._params = params = load(scenario.vehicle.airframe)
         self.plant = plant = Plant.draw(scenario.vehicle, seed)
         self._mass = params.body.mass_kg * plant.mass
         self._gravity = params.contact.gravity_m_s2

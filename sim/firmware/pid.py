@@ -168,9 +168,10 @@ class PidLoop:
     def __init__(self, params: Params, record: CascadeRecord | None = None) -> None:
         self.record = c = new(CascadeRecord) if record is None else record
         slow, fast = POSITION_STEP_S, CONTROL_STEP_S
-        c.vx = pid_record(25.0, 1.0, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_X
-        c.vy = pid_record(25.0, 1.0, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_Y
-        c.vz = pid_record(25.0, 15.0, 0.0, 5000.0, slow, 32.767)  # PID_VEL_Z, UINT16_MAX / 2 / thrustScale
+        g = params.velocity_gains
+        c.vx = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_X
+        c.vy = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_Y
+        c.vz = pid_record(g.z_p, g.z_i, 0.0, 5000.0, slow, 32.767)  # PID_VEL_Z, UINT16_MAX / 2 / thrustScale
         c.roll = pid_record(6.0, 3.0, 0.0, 20.0, fast)  # PID_ROLL
         c.pitch = pid_record(6.0, 3.0, 0.0, 20.0, fast)  # PID_PITCH
         c.yaw = pid_record(6.0, 1.0, 0.35, 360.0, fast)  # PID_YAW

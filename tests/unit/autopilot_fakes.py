@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from sim.autopilot import Autopilot
 from sim.autopilot_modes import FlightMode
+from sim.autopilot_personality import PX4, Personality
 
 NAN = math.nan
 FEET_M = 0.0144
@@ -98,9 +99,9 @@ class FakeVehicle:
 class Rig:
     """An autopilot on a fake vehicle, with time."""
 
-    def __init__(self, **vehicle: object) -> None:
+    def __init__(self, personality: Personality = PX4, **vehicle: object) -> None:
         self.vehicle = FakeVehicle(**vehicle)  # type: ignore[arg-type]
-        self.autopilot = Autopilot(self.vehicle, RATE_HZ)
+        self.autopilot = Autopilot(self.vehicle, RATE_HZ, personality=personality)
         self.tick = 0
         self.telemetry: list = []
 

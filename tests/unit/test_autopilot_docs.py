@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from sim.autopilot_messages import REQUESTABLE
 from sim.autopilot_parameters import INT32, table
+from sim.autopilot_personality import DEFAULT_HZ, EVERY_TICK
 from sim.autopilot_status import ON_REQUEST
-from sim.autopilot_streams import DEFAULT_HZ, EVERY_TICK
 from sim.autopilot_watches import FENCE, STATION_LOST, STREAM_LOST, Action
 from tests.unit.autopilot_fakes import Rig
 

@@ -53,6 +53,20 @@ def test_takeoff_height_counts_from_home_above_sea_level_on_px4_only():
         assert takeoff.param7 == pytest.approx(expected)
 
 
+def test_home_is_asked_for_before_arming_where_heights_count_from_the_sea():
+    s = sequencer(PX4)
+    s.home_amsl_m = None
+    asked = [m for tick in range(3100) for m in s.step(Request.TAKEOFF, status(tick * 0.01), tick * 0.01)]
+    assert {(m.command, m.param1) for m in asked} == {(512, 242.0)}
+    assert len(asked) == 30
+    assert "HOME_POSITION" in s.failed
+    for autopilot, home_amsl_m in ((PX4, 488.0), (ARDUPILOT, None)):
+        told = sequencer(autopilot)
+        told.home_amsl_m = home_amsl_m
+        ready = status(0.0, mode=Mode.TAKEOFF if autopilot is ARDUPILOT else Mode.HOLD)
+        assert commands(told.step(Request.TAKEOFF, ready, 0.0)) == [400]
+
+
 def test_a_vehicle_in_the_air_is_never_told_to_take_off():
     s = sequencer()
     assert s.step(Request.TAKEOFF, status(1.0, armed=True, mode=Mode.OTHER, landed=Landed.IN_AIR), 0.5) == []

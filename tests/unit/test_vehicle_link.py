@@ -17,6 +17,7 @@ from tests.unit.vehicle_link_fakes import (
     Setpoint,
     attitude,
     heartbeat,
+    home,
     position,
 )
 
@@ -165,6 +166,7 @@ def test_a_flight_from_arming_to_motors_off(vehicle, link):
     """The fake autopilot obeys, with PX4's double answer and one lost command each."""
     lost = set()
     now = 0.0
+    vehicle.send(home())
 
     def obey(m):
         if m.get_type() != "COMMAND_LONG" or m.command == 511:
@@ -213,6 +215,7 @@ def test_a_refusal_is_explained(vehicle, link):
         now = tick * 0.01
         vehicle.send(
             heartbeat(),
+            home(),
             dialect.MAVLink_command_ack_message(400, 1),
             dialect.MAVLink_statustext_message(2, b"no GPS", 0, 0),
         )

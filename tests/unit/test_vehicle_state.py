@@ -127,5 +127,5 @@ def test_heartbeat_of_another_autopilot_is_no_status(state):
 def test_profile_by_name():
     assert profile("px4") is PX4
     assert profile("sitl") is OWN_SITL
-    with pytest.raises(ValueError, match="sitl, px4, ardupilot"):
+    with pytest.raises(ValueError, match="sitl, crazyflie, px4, ardupilot"):
         profile("betaflight")

@@ -34,7 +34,14 @@ def status(arrival_s=0.0, *, armed=False, mode=Mode.HOLD, landed=Landed.ON_GROUN
 
 
 def sequencer(autopilot=PX4):
-    return CommandSequencer(autopilot, 1, 1, HEIGHT)
+    made = CommandSequencer(autopilot, 1, 1, HEIGHT)
+    made.home_amsl_m = 0.0
+    return made
+
+
+def home(altitude_m=0.0):
+    altitude_mm = round(altitude_m * 1000)
+    return dialect.MAVLink_home_position_message(0, 0, altitude_mm, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0, 0)
 
 
 def commands(messages):

@@ -1,0 +1,35 @@
+"""What AUTOPILOT_VERSION says: the release, and whether it is one of this project's own vehicles.
+
+Those fly by PX4's commands and show its MAV_AUTOPILOT, but have other parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.autopilots import CRAZYFLIE, OWN_SITL
+from bridge.decoding import Message
+from bridge.profile import Profile
+
+# flight_custom_version, where others have eight digits of their revision
+SITL_MARK = b"cfstack\x00"
+CRAZYFLIE_MARK = b"cfbridge"
+_MARKED: Mapping[bytes, Profile] = MappingProxyType({SITL_MARK: OWN_SITL, CRAZYFLIE_MARK: CRAZYFLIE})
+
+
+def marked(message: Message) -> Profile | None:
+    """Profile of one of this project's own vehicles by its AUTOPILOT_VERSION, None if it is another's."""
+    return _MARKED.get(bytes(message.flight_custom_version))
+
+
+def release(message: Message) -> str:
+    """Release as ``1.16.0`` of an AUTOPILOT_VERSION, with what it is short of a release."""
+    version = message.flight_sw_version
+    kind = dialect.enums["FIRMWARE_VERSION_TYPE"].get(version & 0xFF)
+    number = f"{version >> 24 & 0xFF}.{version >> 16 & 0xFF}.{version >> 8 & 0xFF}"
+    if kind is None or kind.name.endswith("OFFICIAL"):
+        return number
+    return f"{number} {kind.name.removeprefix('FIRMWARE_VERSION_TYPE_').lower()}"

@@ -1,0 +1,176 @@
+"""The talk before a flight: who is there, and what are its parameters? Bounded in time, never changes one."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.autopilot_version import marked, release
+from bridge.autopilots import found, refusal
+from bridge.decoding import Message
+from bridge.mavlink import Endpoint, Peer
+from bridge.parameters import ParameterReader
+from bridge.preflight import Finding, Level, Needs, judge
+from bridge.preflight_rules import RULES
+from bridge.profile import Profile
+
+_HELLO_S = 0.2  # s between heartbeats until the vehicle is heard
+_HEARTBEAT_S = 1.0
+_VERSION_S = 0.5  # s between two tries
+_VERSION_TRIES = 4
+_SLICE_S = 0.02  # s between two looks
+_READ_MAX_S = 30.0  # s for everything, once the vehicle is heard
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What the talk came to.
+
+    Attributes:
+        profile: what flies the vehicle, None when it was not recognised.
+        version: its release, None when it did not say.
+        findings: one for each rule; none when it did not come so far.
+        problem: why it is not flown whatever its parameters, None when nothing speaks against it.
+    """
+
+    profile: Profile | None
+    version: str | None
+    findings: tuple[Finding, ...]
+    problem: str | None
+
+    @property
+    def blocking(self) -> tuple[Finding, ...]:
+        """Findings that keep it from arming."""
+        return tuple(finding for finding in self.findings if finding.level is Level.UNSAFE)
+
+    @property
+    def safe(self) -> bool:
+        """Whether it may arm."""
+        return self.problem is None and not self.blocking
+
+
+def examine(
+    endpoint: Endpoint,
+    system_id: int,
+    chosen: Profile | None,
+    needs: Needs,
+    accepted: Collection[str],
+    *,
+    wait_s: float,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Report:
+    """Ask the vehicle and judge its answers.
+
+    Args:
+        endpoint: to it; its messages of that time are taken.
+        system_id: of the vehicle.
+        chosen: the profile that was given; None: by the heartbeat.
+        needs: of the flight.
+        accepted: names of parameters that a person has accepted.
+        wait_s: for its first heartbeat.
+        stopped: the talk is broken off when it says so.
+    """
+    talk = _Talk(endpoint, system_id, chosen)
+    began_s = time.monotonic()
+    until_s = began_s + wait_s
+    heard = False
+    while not talk.over and not stopped():
+        now_s = time.monotonic()
+        if talk.heard and not heard:
+            heard, until_s = True, now_s + _READ_MAX_S
+        if now_s >= until_s:
+            break
+        talk.turn(now_s)
+    reader, profile = talk.reader, talk.profile
+    if stopped():
+        return Report(profile, talk.version, (), "broken off by the operator")
+    if talk.refused is not None:
+        return Report(profile, talk.version, (), talk.refused)
+    if profile is None or reader is None:
+        text = f"no heartbeat of system {system_id}, component 1, within {wait_s:g} s"
+        return Report(None, None, (), f"{text}: is the vehicle's link up?")
+    findings = judge(RULES[profile.name], reader.values, reader.missing, needs, accepted)
+    return Report(profile, talk.version, tuple(findings), None)
+
+
+class _Talk:
+    """One turn after the other; what has been found so far."""
+
+    def __init__(self, endpoint: Endpoint, system_id: int, chosen: Profile | None) -> None:
+        self._endpoint, self._target, self._chosen = endpoint, (system_id, 1), chosen
+        self.profile: Profile | None = None
+        self.version: str | None = None
+        self.refused: str | None = None
+        self.reader: ParameterReader | None = None
+        self.heard = False
+        self._peer: Peer | None = None
+        self._said_s = -math.inf
+        self._version_s = -math.inf
+        self._version_tries = 0
+        self._version_over = False
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is left to find out."""
+        return self.refused is not None or (self.reader is not None and self.reader.done)
+
+    def turn(self, now_s: float) -> None:
+        """Say what is due, wait a little, take what came."""
+        messages = [] if now_s - self._said_s < (_HEARTBEAT_S if self.heard else _HELLO_S) else [_hello()]
+        if messages:
+            self._said_s = now_s
+        if self.profile is not None:
+            messages += self._ask(self.profile, now_s)
+        self._endpoint.send(messages, self._peer)
+        self._endpoint.wait(_SLICE_S)
+        for received in self._endpoint.receive():
+            header = received.message.get_header()
+            if (header.srcSystem, header.srcComponent) == self._target:
+                self._peer = received.peer
+                self._take(received.message)
+
+    def _ask(self, profile: Profile, now_s: float) -> list[Message]:
+        if self._version_over and self.reader is None:
+            names = (rule.name for rule in RULES[profile.name])
+            self.reader = ParameterReader(names, *self._target, profile.encoding)
+        if self.reader is not None:
+            return self.reader.step(now_s)
+        if now_s - self._version_s < _VERSION_S:
+            return []
+        if self._version_tries >= _VERSION_TRIES:
+            self._version_over = True
+            return []
+        self._version_s = now_s
+        self._version_tries += 1
+        rest = (profile.unset,) * 5
+        return [
+            dialect.MAVLink_command_long_message(
+                *self._target, dialect.MAV_CMD_REQUEST_MESSAGE, 0,
+                float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION), *rest, 0.0,
+            )
+        ]  # fmt: skip
+
+    def _take(self, message: Message) -> None:
+        kind = message.get_msgId()
+        if kind == dialect.MAVLINK_MSG_ID_HEARTBEAT and not self.heard:
+            self.heard = True
+            self.refused = refusal(message.autopilot, message.type, self._chosen)
+            if self.refused is None:
+                self.profile = self._chosen or found(message.autopilot)
+        elif kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION and not self._version_over:
+            self.version, self._version_over = release(message), True
+            own = marked(message)
+            if own is not None and self.profile is not None and own.autopilot == self.profile.autopilot:
+                self.profile = own
+        elif self.reader is not None:
+            self.reader.take(message)
+
+
+def _hello() -> Message:
+    return dialect.MAVLink_heartbeat_message(
+        dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
+    )

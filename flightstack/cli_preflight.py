@@ -1,0 +1,109 @@
+"""The verb ``preflight``: is this vehicle set up for this flight? It reads, and never changes anything."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from bridge.autopilots import AUTO, CHOICES
+from bridge.mavlink import Endpoint
+from bridge.preflight import Level
+from bridge.preflight_talk import Report
+from bridge.signing_key import load_key
+from flightstack import preflight as checks
+from flightstack.config import BarrierShape, FlightConfig, load
+
+_STYLE = {Level.OK: "green", Level.NOTE: "yellow", Level.UNSAFE: "bold red", Level.ACCEPTED: "magenta"}
+_COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+_PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # its command box, without a file
+
+
+@click.command()
+@click.option(
+    "--vehicle", "vehicle_url", required=True, metavar="URL",
+    help="MAVLink URL: udpin:HOST:PORT or udpout:HOST:PORT.",
+)  # fmt: skip
+@click.option(
+    "--autopilot", type=click.Choice(CHOICES), default=AUTO, show_default=True,
+    help="What flies the vehicle; auto: by its heartbeat.",
+)  # fmt: skip
+@click.option(
+    "--config", "config_file", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Configuration to be flown; default: the paper's limits, nothing accepted.",
+)  # fmt: skip
+@click.option(
+    "--system-id", type=click.IntRange(1, 255), default=1, show_default=True,
+    help="MAVLink system id of the vehicle.",
+)  # fmt: skip
+@click.option(
+    "--wait", "wait_s", type=click.FloatRange(0.1, 600.0), default=10.0, show_default=True, metavar="S",
+    help="How long to wait for its heartbeat.",
+)  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option(
+    "--signing-key", type=click.Path(path_type=Path), metavar="FILE",
+    help="Sign MAVLink with this key and hear nothing unsigned (see `key`).",
+)  # fmt: skip
+@click.option(
+    "--allow-unsigned", is_flag=True, help="Listen to a network without a key: anybody there can fly it."
+)
+def preflight(
+    vehicle_url: str, autopilot: str, config_file: Path | None, system_id: int, wait_s: float, as_json: bool,
+    signing_key: Path | None, allow_unsigned: bool,
+) -> None:  # fmt: skip
+    """Read the vehicle's parameters that matter for safety and say what is unsafe, why, and what to set.
+
+    Nothing is changed on the vehicle. Exit status: 0 it may arm, 1 it must not, 2 wrong input.
+    """
+    config = load(config_file) if config_file is not None else _PAPER
+    endpoint = Endpoint(
+        vehicle_url, system_id, _COMPONENT_ID,
+        signing_key=load_key(signing_key) if signing_key else None, allow_unsigned=allow_unsigned,
+    )  # fmt: skip
+    try:
+        for warning in endpoint.warnings:
+            print(f"preflight: WARNING: {warning}", file=sys.stderr)
+        report = checks.check(endpoint, config, autopilot, system_id, wait_s=wait_s)
+    finally:
+        endpoint.close()
+    if as_json:
+        click.echo(json.dumps(to_json(report)))
+    else:
+        _print(report)
+    sys.exit(0 if report.safe else 1)
+
+
+def to_json(report: Report) -> dict[str, Any]:
+    """The one object that ``--json`` prints."""
+    return {
+        "safe": report.safe,
+        "autopilot": report.profile.name if report.profile is not None else None,
+        "version": report.version,
+        "problem": report.problem,
+        "parameters": [{**asdict(f), "level": f.level.value.lower()} for f in report.findings],
+    }
+
+
+def _print(report: Report) -> None:
+    console = Console(highlight=False)
+    if report.profile is not None:
+        table = Table(
+            title=f"{report.profile.title}, release {report.version or 'not told'}", title_justify="left"
+        )
+        for name in ("parameter", "value", "is", "wanted", "why"):
+            table.add_column(name, overflow="fold")
+        for finding in report.findings:
+            value = "missing" if finding.value is None else f"{finding.value:g}"
+            style = _STYLE[finding.level]
+            table.add_row(
+                finding.name, value, f"[{style}]{finding.level.value}[/]", finding.wanted, finding.why
+            )
+        console.print(table)
+    console.print(checks.verdict(report) or "may arm", soft_wrap=True, markup=False)

@@ -1,0 +1,81 @@
+"""The pre-flight check of the onboard process: what the flight needs, and what is said and logged of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from bridge.autopilots import profile
+from bridge.mavlink import Endpoint
+from bridge.preflight import Level, Needs
+from bridge.preflight_talk import Report, examine
+from flightstack.config import FlightConfig
+
+_SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE)
+
+
+def needs_of(config: FlightConfig) -> Needs:
+    """What a flight of this configuration needs of its autopilot."""
+    return Needs(config.limits.velocity_max_m_s, config.limits.altitude_max_m, config.takeoff.height_m)
+
+
+def check(
+    endpoint: Endpoint,
+    config: FlightConfig,
+    autopilot: str,
+    system_id: int,
+    *,
+    wait_s: float,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Report:
+    """Ask the vehicle for its parameters and judge them.
+
+    Args:
+        endpoint: to the vehicle.
+        config: what is to be flown.
+        autopilot: name of a profile, or ``auto``.
+        system_id: of the vehicle.
+        wait_s: for its first heartbeat.
+        stopped: the check is broken off when it says so.
+
+    Raises:
+        ValueError: there is no such autopilot.
+    """
+    accepted = config.vehicle.accepted_parameters
+    return examine(
+        endpoint, system_id, profile(autopilot), needs_of(config), accepted, wait_s=wait_s, stopped=stopped
+    )
+
+
+def lines(report: Report) -> Iterator[str]:
+    """What a person should read."""
+    if report.profile is not None:
+        version = f", release {report.version}" if report.version is not None else ", release not told"
+        yield f"preflight: {report.profile.title}{version}"
+    if report.problem is not None:
+        yield f"preflight: {report.problem}"
+    for level in _SHOWN:
+        for finding in report.findings:
+            if finding.level is level:
+                yield f"preflight: {level.value}: {finding.text}"
+
+
+def verdict(report: Report) -> str | None:
+    """Why it must not arm, None when it may."""
+    if report.problem is not None:
+        return report.problem
+    names = [finding.name for finding in report.blocking]
+    if not names:
+        return None
+    return (
+        f"unsafe parameters of the autopilot: {', '.join(names)}; set them, or accept them by name in "
+        "vehicle.accepted_parameters"
+    )
+
+
+def record(report: Report) -> dict[str, str]:
+    """For the log's metadata."""
+    found = {
+        f.name: f"{'missing' if f.value is None else repr(f.value)} {f.level.value}" for f in report.findings
+    }
+    name = report.profile.name if report.profile is not None else "none"
+    return {"profile": name, "version": report.version or "", "problem": report.problem or "", **found}

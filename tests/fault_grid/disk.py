@@ -1,0 +1,193 @@
+"""A real recorder, in a thread, on a disk that begins to fail when it is told to."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+from unittest import mock
+
+from flightstack.controller import Outputs
+from flightstack.exchange import Taken
+from flightstack.onboard_log import OnboardLog
+from flightstack.pacing import Tick
+from logs import feed as feed_module
+from logs import recorder_process
+from logs.feed import Feed
+from logs.mcap_file import McapFile, SafeStream
+from logs.reader import LogFile
+from logs.recorder_process import RecorderProcess
+from tests.fault_grid.flight import Flight
+from tests.fault_grid.words import Way
+
+SLOW_B_S = 1e6  # bytes a slow disk takes in a second, a tenth of a memory card's
+LATE_S = 0.2  # s after which a late one begins with a block of data
+BLOCK_B = 4096
+CLOSE_S = 0.3  # s that the feed waits for a disk that hangs, in place of 5 s
+END_S = 30.0  # s of wall time until the recorder must have ended
+
+
+class Disk(io.RawIOBase):
+    """A file on a disk that fails as told from ``fail`` on; ``heal`` ends a hang."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("xb", buffering=0)
+        self._way: Way | None = None
+        self._healed = threading.Event()
+        self._writes = 0
+        self._ways: Mapping[Way, Callable[[bytes], int]] = MappingProxyType(
+            {
+                Way.OFF: lambda data: self._refuse(errno.ENOSPC),
+                Way.STUCK: self._hang,
+                Way.GARBAGE: self._damage,
+                Way.WRONG: lambda data: self._refuse(errno.EROFS),
+                Way.SLOW: lambda data: self._late(data, len(data) / SLOW_B_S),
+                Way.DELAYED: lambda data: self._late(data, LATE_S * (len(data) >= BLOCK_B)),
+                Way.INTERMITTENT: self._now_and_then,
+            }
+        )
+
+    def fail(self, way: Way) -> None:
+        """Begin to fail."""
+        self._way = way
+
+    def heal(self) -> None:
+        """Let go of what hangs."""
+        self._healed.set()
+
+    def write(self, data: Any) -> int:
+        """As the disk does it now."""
+        data = bytes(data)
+        return self._file.write(data) if self._way is None else self._ways[self._way](data)
+
+    def fileno(self) -> int:
+        """Of the file."""
+        return self._file.fileno()
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """As a file."""
+        return self._file.seek(offset, whence)
+
+    def truncate(self, size: int | None = None) -> int:
+        """As a file."""
+        return self._file.truncate(size)
+
+    def close(self) -> None:
+        """As a file."""
+        self._file.close()
+
+    def _refuse(self, number: int) -> int:
+        raise OSError(number, os.strerror(number))
+
+    def _damage(self, data: bytes) -> int:
+        at = len(data) // 2
+        return self._file.write(data[:at] + bytes((data[at] ^ 0x5A,)) + data[at + 1 :])
+
+    def _hang(self, data: bytes) -> int:
+        self._healed.wait(END_S)
+        return self._refuse(errno.EIO)
+
+    def _late(self, data: bytes, seconds: float) -> int:
+        time.sleep(seconds)  # that is what it is
+        return self._file.write(data)
+
+    def _now_and_then(self, data: bytes) -> int:
+        self._writes += 1
+        return self._refuse(errno.EIO) if self._writes % 3 == 0 else self._file.write(data)
+
+
+class _NoSession:
+    """In place of Zenoh: nobody watches."""
+
+    def declare_publisher(self, *_: object, **__: object) -> _NoSession:
+        return self
+
+    def put(self, *_: object, **__: object) -> None:
+        return
+
+
+class Recording:
+    """A recorder and the companion's log.
+
+    Attributes:
+        path: of the file.
+        disk: that it is on.
+        failure: why the recorder stopped; empty when nothing was wrong.
+        dropped: records that the companion had to drop.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "flight.mcap"
+        self.failure, self.dropped = "", 0
+        disks: list[Disk] = []
+
+        def on_disk(path: Path) -> McapFile:
+            disks.append(Disk(path))
+            return McapFile(path, stream=SafeStream(disks[0]))  # type: ignore[arg-type]
+
+        with mock.patch.object(recorder_process, "McapFile", on_disk):
+            self._recorder = RecorderProcess(folder / "recorder", self.path)
+        self.disk = disks[0]
+        self._thread = threading.Thread(target=self._record, daemon=True)
+        self._thread.start()
+        self._feed = Feed.connect(str(folder / "recorder"), "onboard", lossless=False)
+        self._log: OnboardLog | None = None
+
+    def attach(self, flight: Flight) -> None:
+        """Log this flight."""
+        rate_hz = flight.controller.config.loop.rate_hz
+        self._log = OnboardLog(self._feed, _NoSession(), "cf1", rate_hz, lockstep=False)
+        controller, log = flight.controller, self._log
+
+        def step(tick: Tick, taken: Taken, out: Outputs) -> None:
+            payload = log.step(tick, taken, out, controller.state)
+            log.timing(tick, out, 0.0, 0, self._feed.dropped, payload)
+
+        flight.on_step = step
+
+    def end(self) -> None:
+        """Close everything.
+
+        Raises:
+            RuntimeError: the recorder hangs.
+        """
+        with mock.patch.object(feed_module, "PATIENCE_S", CLOSE_S):
+            self._feed.close()
+        self.dropped = self._feed.dropped
+        self.disk.heal()
+        self._recorder.stop()
+        self._thread.join(END_S)
+        if self._thread.is_alive():
+            raise RuntimeError(f"the recorder did not end within {END_S:g} s")
+
+    def says(self) -> str:
+        """What recorder, companion and file tell of the disk, once all is closed."""
+        if self.failure:
+            return f"recorder: {self.failure}"
+        if self.dropped:
+            return f"companion: {self.dropped} records dropped"
+        log = LogFile(self.path)
+        messages = sum(1 for _ in log.messages())
+        if log.problem or not log.complete:
+            return f"file: {log.problem or 'not complete'}"
+        return f"nothing: all {messages} messages are there"
+
+    def _record(self) -> None:
+        self.failure = self._recorder.run().failure
+
+
+@contextmanager
+def recording(folder: Path) -> Iterator[Recording]:
+    """A recorder that ends with the block."""
+    one = Recording(folder)
+    try:
+        yield one
+    finally:
+        one.end()

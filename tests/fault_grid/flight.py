@@ -1,0 +1,272 @@
+"""One flight in one process that can be disturbed at any moment, and is watched until the vehicle is down.
+
+The vehicle's lockstep loop, its autopilot, the robot, the companion's link, ``exchange`` and ``Controller``
+are those of a real run (as in ``sim.landing``), target samples as CDR bytes. When the companion ends, nothing
+more is sent, as when its process ends: what the vehicle does then belongs to the flight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.cdr import encode_odometry
+from bridge.frames import quaternion_from_yaw
+from bridge.mavlink import Received
+from bridge.vehicle import COMPONENT_ID as COMPANION_ID
+from bridge.vehicle import VehicleLink
+from flightstack.controller import Controller, Outputs
+from flightstack.exchange import Taken, answer, take
+from flightstack.pacing import EPOCH_NS, NO_GO, RUN_AHEAD_TICKS, LockstepClock, Tick
+from flightstack.types import Operator, Phase
+from logs.flight_data import Truth
+from sim.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.fault_spec import Fault
+from sim.landing_notes import Notes, Seen, VehicleNotes
+from sim.landing_target import DirectTarget
+from sim.landing_wire import wires
+from sim.pacing import StopSignal, TickGrid
+from sim.process_lockstep import LockstepLoop
+from sim.process_vehicle import VehicleNode
+from sim.scenario import Scenario
+from sim.target import TargetMeasurement
+from sim.vehicle import VehicleSim
+from sim.vehicle_types import Truth as TrueState
+
+REST_S = 2.5  # s after the motors stopped; the judge looks at 2 s
+WATCH_MAX_S = 30.0  # s that a flight may last after the disturbance
+CLIMB_M = 0.2  # above the ground: in the take-off climb
+
+TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
+Mangle = Callable[[list[bytes], float], list[bytes]]  # payloads that came, and when; what is handed on
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What became of it; times in simulated seconds, NaN for never.
+
+    Attributes:
+        seen: as a log would hold it.
+        disturbed_at_s: when the disturbance began; the other times count from then.
+        noticed_s: first phase HOLD, CLIMB or ABORT, or fail-safe of the autopilot.
+        down_s: motors off for good.
+        failsafe_s: first fail-safe of the autopilot.
+        phases: phases of the companion, in order.
+    """
+
+    seen: Seen
+    disturbed_at_s: float
+    noticed_s: float
+    down_s: float
+    failsafe_s: float
+    phases: tuple[Phase, ...]
+
+    @property
+    def failsafe(self) -> bool:
+        """Whether the autopilot had to act by itself."""
+        return not math.isnan(self.failsafe_s)
+
+    @property
+    def truth(self) -> Truth:
+        """True states."""
+        return self.seen.truth
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """What companion and vehicle said, in order."""
+        return tuple(event.text for event in self.seen.events)
+
+
+class _Target(DirectTarget):
+    """Hands its samples over as they would come over Zenoh."""
+
+    def payloads(self) -> list[bytes]:
+        """Serialised odometry released since the last call."""
+        due, self._motion.due = self._motion.due, []
+        return [_cdr(sample) for sample in due]
+
+    def fail(self, fault: Fault, now_ns: int) -> None:
+        """Begin a fault of the odometry."""
+        self._motion.faults.fail([fault], now_ns)
+
+
+def _cdr(sample: TargetMeasurement) -> bytes:
+    return encode_odometry(
+        EPOCH_NS + round(sample.time_s * 1e9), "map", "target", sample.position_enu_m,
+        quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
+    )  # fmt: skip
+
+
+class _Notes(VehicleNotes):
+    """Also notes when the motors stopped for good."""
+
+    def __init__(self, notes: Notes) -> None:
+        super().__init__(notes)
+        self.down_s = math.nan
+        self.height_m = 0.0
+
+    def truth(self, tick: int, now_ns: int, truth: TrueState) -> None:
+        """Keep the true state."""
+        super().truth(tick, now_ns, truth)
+        self.height_m = truth.position_enu_m[2]
+        if truth.motors_running:
+            self.down_s = math.nan
+        elif not math.isfinite(self.down_s):
+            self.down_s = truth.time_s
+
+
+class Flight:
+    """A flight to be disturbed.
+
+    Attributes:
+        vehicle: its ``faults`` can be begun at any time.
+        target: the same.
+        operator: what a person asks for, from the next tick on.
+        mangle: what happens to target samples on their way; None: nothing.
+        on_step: called after every step of the controller, to log it.
+        phases: phases so far.
+
+    Args:
+        scenario: what is flown.
+        seed: of all chance.
+        moment: looked at after every step; the first time that it holds, the disturbance begins.
+        disturb: begins it.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        moment: Callable[[Flight], bool],
+        disturb: Callable[[Flight], None],
+    ) -> None:
+        config = scenario.onboard
+        rate_hz = config.loop.rate_hz
+        grid = TickGrid(rate_hz)
+        self.controller = Controller(config)
+        self.target = _Target(scenario, seed, grid)
+        self.operator = Operator.NONE
+        self.mangle: Mangle | None = None
+        self.on_step: Callable[[Tick, Taken, Outputs], None] | None = None
+        self.phases: list[Phase] = []
+        self._moment, self._disturb = moment, disturb
+        self._duration_s = scenario.duration_max_s
+        self._clock, self._stop = LockstepClock(rate_hz), StopSignal()
+        self._now_s = 0.0
+        self._disturbed_s = self._noticed_s = self._failsafe_s = math.nan
+        self._ended = False
+        here, self._there = wires((SYSTEM_ID, COMPONENT_ID), (SYSTEM_ID, COMPANION_ID))
+        self.link = VehicleLink(
+            "", takeoff_height_m=config.takeoff.height_m, rate_hz=rate_hz, defer_timesync=True,
+            endpoint=self._there,
+        )  # fmt: skip
+        self.vehicle = VehicleSim(scenario, seed)
+        self._autopilot = Autopilot(self.vehicle, rate_hz, trim_enu_m_s=self.vehicle.trim_velocity_enu_m_s)
+        self._all_notes = Notes(config, scenario.target.pad_radius_m)
+        self._notes = _Notes(self._all_notes)
+        self._ground_m = self.vehicle.estimate().position_enu_m[2]
+        node = VehicleNode(self.vehicle, self._autopilot, here, self._notes)
+        here.answer = self._tick
+        self.link.poll(0.0)  # says hello, as the process does before the first tick
+        self._loop = LockstepLoop(node, self.target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
+        self._ticks_max = grid.count(scenario.duration_max_s + WATCH_MAX_S)
+
+    @property
+    def phase(self) -> Phase:
+        """Of the companion."""
+        return self.controller.memory.phase
+
+    @property
+    def now_ns(self) -> int:
+        """Simulated time of the vehicle."""
+        return round(self.vehicle.time_s * 1e9)
+
+    @property
+    def climbing(self) -> bool:
+        """In the take-off, off the ground."""
+        return self.phase is Phase.TAKEOFF and self._notes.height_m > self._ground_m + CLIMB_M
+
+    def fly(self) -> Flown:
+        """To the end.
+
+        Raises:
+            RuntimeError: the moment of the disturbance never came.
+        """
+        self._loop.run(self._ticks_max)
+        if not self._disturbed:
+            raise RuntimeError(f"nothing was disturbed; phases {self.phases}")
+        began_s, known = self._disturbed_s, (self._noticed_s, self._failsafe_s)
+        noticed_s = min((s for s in known if not math.isnan(s)), default=math.nan)
+        return Flown(
+            self._all_notes.seen(), began_s, noticed_s - began_s, self._notes.down_s - began_s,
+            self._failsafe_s - began_s, tuple(self.phases),
+        )  # fmt: skip
+
+    @property
+    def _disturbed(self) -> bool:
+        return not math.isnan(self._disturbed_s)
+
+    def _tick(self) -> None:
+        if self._autopilot.flight.failsafe and self._disturbed and math.isnan(self._failsafe_s):
+            self._failsafe_s = self._now_s
+        if self._over():
+            self._stop.is_set = True
+            return
+        if self._ended:
+            self._answer_only()
+            return
+        link = self.link
+        link.poll(self._now_s)
+        sim_ns = link.take_timesync()
+        if sim_ns is None:
+            raise RuntimeError("the vehicle waits for an answer, but did not ask for it")
+        tick = self._clock.tick(sim_ns)
+        now_s = self._now_s = tick.now_s
+        payloads = self.target.payloads()
+        if self.mangle is not None:
+            payloads = self.mangle(payloads, now_s)
+        taken = take(link, payloads, self.operator, now_s)
+        out = self.controller.step(taken.inputs, now_s, command_failed=taken.command_failed)
+        answer(link, out, now_s, lockstep=True)
+        self._note(tick, taken, out)
+        if self.target.go_tick == NO_GO and self.controller.memory.started_s <= now_s:
+            self.target.go_tick = tick.number + RUN_AHEAD_TICKS + 1
+        self._ended = out.finished or now_s >= self._duration_s
+        if not self._disturbed and self._moment(self):
+            self._disturbed_s = now_s
+            self._disturb(self)
+
+    def _note(self, tick: Tick, taken: Taken, out: Outputs) -> None:
+        self._all_notes.step(tick, out)
+        for text in taken.problems:
+            self._all_notes.event(tick.now_s, 30, "onboard", text)
+        for _, text in self.link.take_texts():
+            self._all_notes.event(tick.now_s, 0, "onboard", f"vehicle: {text}")
+        if not self.phases or self.phases[-1] is not out.phase:
+            self.phases.append(out.phase)
+        given_up = out.phase in (Phase.HOLD, Phase.CLIMB, Phase.ABORT)
+        if given_up and self._disturbed and math.isnan(self._noticed_s):
+            self._noticed_s = tick.now_s
+        if self.on_step is not None:
+            self.on_step(tick, taken, out)
+
+    def _over(self) -> bool:
+        if not self._disturbed:
+            return self._ended
+        down_s = self.vehicle.time_s - self._notes.down_s
+        rests = down_s > REST_S and (self._ended or down_s > 2.0 * REST_S)
+        return rests or self.vehicle.time_s - self._disturbed_s > WATCH_MAX_S
+
+    def _answer_only(self) -> None:
+        """Keep simulated time going; the companion has ended."""
+        for received in self._there.receive():
+            if _is_request(received):
+                self._there.send([VehicleLink.timesync_reply(received.message.ts1)])
+                self._now_s = received.message.ts1 / 1e9
+
+
+def _is_request(received: Received) -> bool:
+    return received.message.get_msgId() == TIMESYNC and received.message.tc1 == 0

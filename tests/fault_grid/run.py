@@ -1,0 +1,151 @@
+"""Flies one cell of the grid and says how it ended."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from flightstack.types import Phase
+from logs.flight_data import Truth
+from logs.verdict_truth import LAND_AWAY_SPEED_MAX_M_S, Contact
+from sim.scenario import Scenario, load
+from tests.fault_grid.disk import recording
+from tests.fault_grid.faults import disturb
+from tests.fault_grid.flight import Flight, Flown
+from tests.fault_grid.words import End, Moment, Part, Way
+
+SCENARIO = "grid"
+SEED = 1
+UPRIGHT = 0.9  # cosine of the tilt of a vehicle that stands
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a cell ended; times in s since the fault, NaN for never.
+
+    Attributes:
+        end: how.
+        noticed_s: until it was given up, the inputs were called lost, or a fail-safe acted.
+        down_s: until the motors were off for good.
+        h_min_m: lowest h outside the pad while the companion flew; NaN if the landing never began.
+        impact_m_s: fastest downward speed at a contact.
+        said: first thing that was said about it.
+        flown: the whole flight.
+    """
+
+    end: End
+    noticed_s: float
+    down_s: float
+    h_min_m: float
+    impact_m_s: float
+    said: str
+    flown: Flown
+
+
+def scenario() -> Scenario:
+    """What is flown."""
+    return load(SCENARIO)
+
+
+def fly(part: Part, way: Way, moment: Moment, seed: int = SEED) -> Result:
+    """Fly a cell."""
+    if part is Part.DISK:
+        return _fly_on(way, moment, seed)
+    flown = Flight(scenario(), seed, AT[moment], disturb(part, way, seed)).fly()
+    return _result(end_of(flown), said(flown), flown)
+
+
+def _fly_on(way: Way, moment: Moment, seed: int) -> Result:
+    """With a real recorder, whose disk fails."""
+    with tempfile.TemporaryDirectory() as folder:
+        with recording(Path(folder)) as record:
+            flight = Flight(scenario(), seed, AT[moment], lambda _: record.disk.fail(way))
+            record.attach(flight)
+            flown = flight.fly()
+        told = record.says()
+    same = end_of(flown) is End.LANDED and equal(flown.truth, undisturbed(moment, seed).truth)
+    return _result(End.CONTINUES if same else end_of(flown), told, flown)
+
+
+def _result(end: End, told: str, flown: Flown) -> Result:
+    return Result(end, flown.noticed_s, flown.down_s, h_min(flown), impact(flown.truth), told, flown)
+
+
+@lru_cache(maxsize=4)
+def undisturbed(moment: Moment, seed: int) -> Flown:
+    """The same flight without a fault."""
+    return Flight(scenario(), seed, AT[moment], lambda _: None).fly()
+
+
+def equal(a: Truth, b: Truth) -> bool:
+    """Whether two flights are the same to the last bit."""
+    return all(
+        np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True)
+        for name in ("t_s", "position_enu_m", "velocity_enu_m_s", "orientation", "motors_running", "contacts")
+    )
+
+
+def said(flown: Flown) -> str:
+    """First change of the companion's phase into giving up, or the autopilot's fail-safe, after the fault."""
+    since_s = flown.disturbed_at_s
+    for event in flown.seen.events:
+        given_up = "-> HOLD" in event.text or "-> ABORT" in event.text or event.text.startswith("No ")
+        if event.t_s > since_s and given_up:
+            return event.text
+    return ""
+
+
+AT = {
+    Moment.TAKEOFF: lambda flight: flight.climbing,
+    **{m: (lambda flight, m=m: flight.phase is m.value) for m in Moment if m is not Moment.TAKEOFF},
+}
+
+
+def end_of(flown: Flown) -> End:
+    """How a flight ended, by the true states."""
+    truth = flown.truth
+    if truth.motors_running[-1]:
+        return End.FLYING
+    x, y, _, _ = truth.orientation[-1]
+    upright = 1.0 - 2.0 * (x * x + y * y) > UPRIGHT
+    tumbled = bool(np.any(truth.contacts & Contact.TUMBLED))
+    if tumbled or not upright or impact(truth) > LAND_AWAY_SPEED_MAX_M_S:
+        return End.CRASHED
+    last = int(truth.contacts[-1])
+    if last & Contact.PAD and truth.d_m[-1] <= flown.seen.pad_radius_m:
+        return End.LANDED
+    if not last & Contact.GROUND or np.any(truth.contacts & (Contact.ROBOT | Contact.PAD_EDGE)):
+        return End.CRASHED
+    if flown.failsafe:
+        return End.VEHICLE_LANDS
+    return End.ABORTED if Phase.ABORT in flown.phases else End.MISSED
+
+
+def impact(truth: Truth) -> float:
+    """Fastest downward speed relative to the pad just before a contact, m/s."""
+    touching = truth.contacts != 0
+    began = np.flatnonzero(touching[1:] & ~touching[:-1])
+    return float(max(0.0, *-truth.velocity_enu_m_s[began, 2])) if len(began) else 0.0
+
+
+def h_min(flown: Flown) -> float:
+    """Lowest true h outside the pad while the companion flies: until it is clear, or hands over."""
+    truth, start_s = flown.truth, flown.seen.landing_start_s
+    if start_s is None:
+        return math.nan
+    until_s = flown.disturbed_at_s + flown.failsafe_s if flown.failsafe else math.inf
+    abort = next((event for event in flown.seen.events if "-> ABORT" in event.text), None)
+    if abort is not None and "fly clear" in abort.text:
+        clear_m = flown.seen.config.checks.clearance_m
+        away = truth.t_s[(truth.t_s > abort.t_s) & (truth.d_m > clear_m)]
+        until_s = min(until_s, *away[:1])
+    elif abort is not None:
+        until_s = min(until_s, abort.t_s)
+    h = truth.h_min_outside_pad_m[(truth.t_s > start_s) & (truth.t_s <= until_s)]
+    h = h[np.isfinite(h)]
+    return float(h.min()) if len(h) else math.nan

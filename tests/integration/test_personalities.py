@@ -1,0 +1,123 @@
+"""The same stack lands the simulated vehicle as PX4 and as ArduCopter, found by the heartbeat alone."""
+
+import json
+import re
+import signal
+import subprocess
+
+import pytest
+
+from logs.reader import LogFile
+from tests.integration.runs import COMMAND, WALL_MAX_S, flightstack
+from tests.integration.sim_processes import ROOT
+
+PERSONALITIES = ("px4", "ardupilot")
+PAGE = ROOT / "docs" / "autopilots.md"
+
+
+def landed(tmp_path, *arguments):
+    out = tmp_path / "run"
+    done = flightstack("sitl", "--json", "--no-report", "--out", out, *arguments)
+    assert done.code == 0, done.out + done.err
+    assert done.json["outcome"] == "landed"
+    assert done.json["violation"] is False
+    return out / "flight.mcap"
+
+
+@pytest.mark.parametrize("plays", PERSONALITIES)
+def test_lockstep_landing_and_its_replay(tmp_path, plays):
+    log = landed(tmp_path, "--scenario", "lab", "--seed", 1, "--lockstep", "--personality", plays)
+    replayed = flightstack("replay", log)
+    assert replayed.code == 0, replayed.out
+    assert "wire: equal" in replayed.out
+
+
+def test_from_the_ground_as_ardupilot_with_an_origin_to_be_told(tmp_path):
+    log = landed(tmp_path, "--scenario", "paper_moving_1", "--lockstep", "--personality", "ardupilot")
+    (config,) = [a.data.decode() for a in LogFile(log).attachments() if a.name == "onboard.toml"]
+    assert "origin_wgs84 = [47.397742, 8.545594, 0.0]" in config
+
+
+@pytest.mark.xdist_group("real-time")
+@pytest.mark.parametrize("plays", PERSONALITIES)
+def test_real_time_landing_after_the_check(tmp_path, plays):
+    log = landed(tmp_path, "--scenario", "lab", "--seed", 2, "--personality", plays)
+    found = {m.name: m.metadata for m in LogFile(log).metadata()}["preflight"]
+    assert found["profile"] == {"px4": "sitl", "ardupilot": "ardupilot"}[plays]
+    assert found["problem"] == ""
+    assert not any("UNSAFE" in value for value in found.values())
+
+
+class Vehicle:
+    """``flightstack vehicle`` in the background, disarmed on the ground."""
+
+    def __init__(self, *arguments):
+        self.process = subprocess.Popen(
+            [*COMMAND, "vehicle", "--scenario", "paper_moving_1", "--url", "udpin:127.0.0.1:0", *arguments],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+        )  # fmt: skip
+
+    def __enter__(self):
+        self.url = self.process.stdout.readline().split()[1].replace("udpin", "udpout")
+        return self
+
+    def __exit__(self, *_):
+        self.process.send_signal(signal.SIGTERM)
+        self.said = self.process.communicate(timeout=WALL_MAX_S)[0]
+
+
+def test_preflight_tells_safe_from_unsafe(tmp_path):
+    with Vehicle() as vehicle:
+        done = flightstack("preflight", "--vehicle", vehicle.url, "--json")
+        assert (done.code, done.json["safe"], done.json["autopilot"]) == (0, True, "sitl")
+        table = flightstack("preflight", "--vehicle", vehicle.url)
+        assert table.code == 0
+        assert "may arm" in table.out
+    with Vehicle("--parameter", "COM_OF_LOSS_T=3", "--parameter", "MPC_Z_VEL_MAX_DN=0.3") as vehicle:
+        done = flightstack("preflight", "--vehicle", vehicle.url, "--json")
+        unsafe = [p["name"] for p in done.json["parameters"] if p["level"] == "unsafe"]
+        assert (done.code, unsafe) == (1, ["COM_OF_LOSS_T", "MPC_Z_VEL_MAX_DN"])
+        config = tmp_path / "accepts.toml"
+        text = (ROOT / "docs" / "onboard.toml").read_text()
+        accepted = 'accepted_parameters = ["COM_OF_LOSS_T", "MPC_Z_VEL_MAX_DN"]'
+        config.write_text(re.sub(r"accepted_parameters = \[\]", accepted, text))
+        done = flightstack("preflight", "--vehicle", vehicle.url, "--config", config)
+        assert done.code == 0, done.out
+
+
+def test_the_documented_command_reads_as_it_stands():
+    (command,) = [
+        line for line in PAGE.read_text().splitlines() if "flightstack preflight --vehicle udpout" in line
+    ]
+    with Vehicle() as vehicle:
+        words = command.split()[1:]
+        words[words.index("--vehicle") + 1] = vehicle.url
+        done = flightstack(*words)
+    assert done.code == 0
+    assert json.loads(done.out)["safe"] is True
+
+
+def test_preflight_of_nobody_and_of_nonsense():
+    done = flightstack("preflight", "--vehicle", "udpout:127.0.0.1:9", "--wait", 0.5, "--json")
+    assert (done.code, done.json["safe"]) == (1, False)
+    assert "no heartbeat" in done.json["problem"]
+    assert flightstack("preflight", "--vehicle", "tcp:127.0.0.1:9").code == 2
+    assert flightstack("preflight", "--vehicle", "udpout:127.0.0.1:9", "--autopilot", "betaflight").code == 2
+    wrong = flightstack("vehicle", "--scenario", "lab", "--parameter", "COM_OF_LOSS_T=99", "--duration", 1)
+    assert wrong.code == 2
+    assert "allowed is 0.1 to 5" in wrong.err
+    assert flightstack("vehicle", "--scenario", "lab", "--parameter", "COM_OF_LOSS_T").code == 2
+
+
+@pytest.mark.xdist_group("real-time")
+def test_onboard_does_not_arm_what_is_unsafe():
+    onboard = ("onboard", "--config", ROOT / "docs" / "onboard.toml", "--duration", 20)
+    with Vehicle("--personality", "ardupilot") as vehicle:
+        done = flightstack(*onboard, "--vehicle", vehicle.url)
+        assert done.code == 1, done.out
+        assert "UNSAFE: GUID_TIMEOUT is 3: s without set-points" in done.out
+        assert "WAIT: unsafe parameters of the autopilot: GUID_TIMEOUT" in done.out
+        other = flightstack(*onboard, "--vehicle", vehicle.url, "--autopilot", "px4")
+        assert other.code == 1
+        assert "is for autopilot 12: it is not flown" in other.out
+    assert "armed" not in vehicle.said.split()
