@@ -26,9 +26,10 @@ from logs.flight_data import Truth
 from sim.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.fault_spec import Fault
 from sim.landing_notes import Notes, Seen, VehicleNotes
-from sim.landing_target import DirectTarget
+from sim.landing_target import DirectTarget, _Ahead
 from sim.landing_wire import wires
 from sim.pacing import StopSignal, TickGrid
+from sim.process_deck import DeckState
 from sim.process_lockstep import LockstepLoop
 from sim.process_vehicle import VehicleNode
 from sim.scenario import Scenario
@@ -81,11 +82,27 @@ class Flown:
 
 
 class _Target(DirectTarget):
-    """Hands its samples over as they would come over Zenoh."""
+    """Hands its samples over as they would come over Zenoh, and drives no further than it must.
+
+    So a fault begins at once, not only at the end of what was driven ahead.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
+        self._measured: list[TargetMeasurement] = []
+        super().__init__(scenario, seed, grid)
+
+    def take(self, tick: int) -> DeckState | None:
+        """Go on to this tick; true pose there."""
+        self._drive(tick)
+        return super().take(tick)
+
+    def _show(self) -> _Ahead:
+        self._measured += self._motion.due
+        return super()._show()
 
     def payloads(self) -> list[bytes]:
         """Serialised odometry released since the last call."""
-        due, self._motion.due = self._motion.due, []
+        due, self._measured = self._measured, []
         return [_cdr(sample) for sample in due]
 
     def fail(self, fault: Fault, now_ns: int) -> None:
