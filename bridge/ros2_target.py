@@ -17,12 +17,15 @@ from bridge.cdr import NO_COVARIANCE, OdometryError, decode_odometry
 from bridge.odometry import RawSample, raw_sample
 from bridge.pose_cdr import Pose, decode_pose, decode_pose_with_covariance, decode_transforms
 from bridge.pose_noise import noise_of, worse_than_told
+from bridge.pose_offset import shift_odometry, shift_pose
 from bridge.pose_track import PoseTrack
 from bridge.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topic_key
 from bridge.tf_chain import TransformChain
 from flightstack.robust_config import TargetLink
+from flightstack.types import ZERO, Vec3
 
 TEXTS_MAX = 32  # different problems told of one flight; the counts go on
+OFFSET_MAX_M = 5.0  # of the landing spot from the tracked frame, each axis; more is a wrong unit
 LOOK_EVERY = 100  # samples between two looks at frames and covariances
 CAPACITY = 1024  # samples between two polls
 
@@ -78,18 +81,27 @@ class TargetSpec:
     name: str  # key, or topic with its leading slash
     type: TargetType = TargetType.ODOMETRY
     domain: int = 0
+    offset_m: Vec3 = ZERO  # of the landing spot, in the axes of the tracked frame
 
     @classmethod
-    def parse(cls, text: str, target_type: TargetType = TargetType.ODOMETRY, domain: int = 0) -> TargetSpec:
+    def parse(
+        cls,
+        text: str,
+        target_type: TargetType = TargetType.ODOMETRY,
+        domain: int = 0,
+        offset_m: Vec3 = ZERO,
+    ) -> TargetSpec:
         """Understand ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``.
 
         Raises:
-            ValueError: a topic or domain that ROS 2 does not allow.
+            ValueError: a topic or domain that ROS 2 does not allow, or an offset out of range.
         """
+        if not all(abs(one) <= OFFSET_MAX_M for one in offset_m):  # False for NaN
+            raise ValueError(f"--target-offset {offset_m}: up to {OFFSET_MAX_M:g} m on each axis are allowed")
         dialect = next(
             (d for d in (Dialect.ROS2DDS, Dialect.RMW_ZENOH) if text.startswith(d.value)), Dialect.PLAIN
         )
-        spec = cls(text, dialect, text.removeprefix(dialect.value), target_type, domain)
+        spec = cls(text, dialect, text.removeprefix(dialect.value), target_type, domain, offset_m)
         _ = spec.key  # checks
         return spec
 
@@ -100,10 +112,16 @@ class TargetSpec:
             return any_type_key(self.domain, self.name)
         return bridge_key(self.name) if self.dialect is Dialect.ROS2DDS else self.name
 
+    def described(self) -> dict[str, str]:
+        """For the log: where its odometry came from, and what was done to it."""
+        x, y, z = self.offset_m
+        return {"target": self.text, "target_type": self.type.value, "target_offset_m": f"{x:g} {y:g} {z:g}"}
+
     @property
     def is_direct(self) -> bool:
         """Whether it is odometry on a key of its own: what a simulated target sends, also in lockstep."""
-        return self.dialect is Dialect.PLAIN and self.type is TargetType.ODOMETRY
+        plain = self.dialect is Dialect.PLAIN and self.type is TargetType.ODOMETRY
+        return plain and self.offset_m == ZERO
 
 
 class TargetSource:
@@ -197,7 +215,7 @@ class TargetSource:
             self._until_look = LOOK_EVERY
             self._look_at(payload)
         self._until_look -= 1
-        return [payload]
+        return [payload if self._spec.offset_m == ZERO else shift_odometry(payload, self._spec.offset_m)]
 
     def _look_at(self, payload: bytes) -> None:
         """Say what of a sample does not fit the configuration; whoever is wrong here stays so."""
@@ -232,7 +250,7 @@ class TargetSource:
         return self._followed(poses)
 
     def _followed(self, poses: list[Pose]) -> list[bytes]:
-        payloads = [self._track.take(pose) for pose in poses]
+        payloads = [self._track.take(shift_pose(pose, self._spec.offset_m)) for pose in poses]
         if self._track.problem:
             self._tell(f"{self._spec.text}: {self._track.problem}")
         return [payload for payload in payloads if payload is not None]

@@ -45,8 +45,8 @@ class ConnectionAlarm:
         if not self._said_router and zenoh_link.knows_router(self._session):
             self._said_router = True
             texts.append(
-                f"Zenoh: {self._whom} is a router, and we are its peer: it passes on nothing from others; be "
-                "its client with --zenoh-config and mode client (docs/zenoh.md)"
+                f"Zenoh: {self._whom} is a router, and we are its peer: it passes on nothing from its other "
+                "peers, such as ROS 2 nodes; be a client, with mode client in --zenoh-config (docs/zenoh.md)"
             )
         return texts
 

@@ -31,8 +31,8 @@ class Role(Enum):
     """What a session is to others (``mode`` of a Zenoh configuration)."""
 
     PEER = "peer"  # speaks with those it dialled and those who dialled it, and passes nothing on
-    CLIENT = "client"  # speaks through a router
-    ROUTER = "router"  # passes on
+    CLIENT = "client"  # speaks through a router, with all of its clients and peers
+    ROUTER = "router"  # passes on, but not from one of its peers to another
 
 
 _DEFAULTS: dict[str, Any] = {
@@ -49,6 +49,7 @@ _ROLE_DEFAULTS: dict[Role, dict[str, Any]] = {
     Role.ROUTER: {"listen/endpoints": [LOOPBACK_ROUTER], "scouting/gossip/enabled": True},
 }
 _IP = re.compile(r"^(tcp|udp|tls|quic|ws)/(?:\[[0-9a-fA-F:.%]+\]|[^\s/:\[\]]+):(\d{1,5})$")
+_THIS_MACHINE = re.compile(r"^(unixsock-stream/|\w+/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):)")
 _UNIX = re.compile(r"^unixsock-stream/\S+$")
 _HELP = (
     "allowed is PROTOCOL/HOST:PORT with protocol tcp, udp, tls, quic or ws and port up to 65535, for example "
@@ -212,6 +213,21 @@ def dialled(
     if isinstance(endpoints, dict):
         endpoints = endpoints.get(role.value, [])
     return role, [str(one) for one in endpoints]
+
+
+def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) -> list[str]:
+    """Endpoints where ``open_session`` with these arguments listens to a network without any rule.
+
+    Raises:
+        ValueError: the file is malformed.
+    """
+    config = _configuration(listen, (), config_file, Role.PEER)
+    if json.loads(config.get_json("access_control/enabled")):
+        return []
+    endpoints = json.loads(config.get_json("listen/endpoints"))
+    if isinstance(endpoints, dict):
+        endpoints = endpoints.get(_role(config).value, [])
+    return [one for one in map(str, endpoints) if not _THIS_MACHINE.match(one)]
 
 
 def knows_router(session: Session) -> bool:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from bridge.autopilots import AUTO, CHOICES
+from flightstack import cli_options as shared
 from flightstack.cli_bridge import bridge
 from flightstack.cli_campaign import campaign
 from flightstack.cli_check import check
@@ -21,7 +20,16 @@ from flightstack.cli_replay import replay
 from flightstack.cli_view import view
 from flightstack.cli_watch import watch
 from flightstack.cli_zenoh import connect as _connect
-from flightstack.cli_zenoh import plugs, ros2, ros2_network, router, target_key, target_type, zenoh_config
+from flightstack.cli_zenoh import (
+    plugs,
+    ros2,
+    ros2_network,
+    router,
+    target_key,
+    target_offset,
+    target_type,
+    zenoh_config,
+)
 from flightstack.config import FilterKind
 from flightstack.strict_toml import ConfigError
 
@@ -48,80 +56,6 @@ def main() -> None:
     """Land a Crazyflie on a moving target: safely, over MAVLink and Zenoh, everything recorded."""
 
 
-def _scenario(required: bool = True) -> Callable[[Any], Any]:
-    return click.option(
-        "--scenario",
-        required=required,
-        metavar="NAME_OR_FILE",
-        help="Scenario: a name (see `scenarios`) or a file.",
-    )
-
-
-_seed = click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all chance."
-)
-_lockstep = click.option(
-    "--lockstep", is_flag=True, help="Simulated time, as fast as possible, deterministic."
-)
-_rate = click.option(
-    "--rate", "rate_hz", type=click.IntRange(10, 500), default=100, show_default=True, help="Ticks a second."
-)
-_recorder = click.option(
-    "--recorder",
-    type=click.Path(path_type=Path),
-    metavar="SOCKET",
-    help="Socket of a running `record`; without it nothing is recorded.",
-)
-_namespace = click.option(
-    "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."
-)
-_signing_key = click.option(
-    "--signing-key",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Sign MAVLink with this key and hear nothing unsigned (see `key`).",
-)
-_allow_unsigned = click.option(
-    "--allow-unsigned", is_flag=True, help="Listen to a network without a key: anybody there can fly it."
-)
-_autopilot = click.option(
-    "--autopilot",
-    type=click.Choice(CHOICES),
-    default=AUTO,
-    show_default=True,
-    help="What flies the vehicle; auto: by its heartbeat (docs/autopilots.md).",
-)
-_personality = click.option(
-    "--personality",
-    type=click.Choice(["px4", "ardupilot"]),
-    default="px4",
-    show_default=True,
-    help="Which autopilot the simulated vehicle plays.",
-)
-_duration = click.option(
-    "--duration",
-    "duration_s",
-    type=click.FloatRange(min=0.1),
-    metavar="S",
-    help="End after so many seconds of stack time.",
-)
-
-
-def _parameters(context: click.Context, option: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
-    """Turn NAME=VALUE into a table."""
-    del context, option
-    found = {}
-    for text in given:
-        name, equals, value = text.partition("=")
-        try:
-            found[name] = float(value)
-        except ValueError:
-            equals = ""
-        if not equals:
-            raise click.BadParameter(f"found {text!r}; NAME=VALUE is needed, for example COM_OF_LOSS_T=0.5")
-    return found
-
-
 def _say(text: str) -> None:
     """Print a line, unless nobody listens any more: a closed terminal must not end a flight."""
     with contextlib.suppress(BrokenPipeError):
@@ -129,16 +63,16 @@ def _say(text: str) -> None:
 
 
 @main.command()
-@_scenario()
-@_seed
+@shared.scenario()
+@shared.seed
 @click.option(
     "--filter",
     "filter_name",
     type=click.Choice([k.value for k in FilterKind]),
     help="Safety filter; default: the scenario's.",
 )
-@_lockstep
-@_duration
+@shared.lockstep
+@shared.duration
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
@@ -148,11 +82,11 @@ def _say(text: str) -> None:
 @click.option(
     "--report/--no-report", "with_report", default=True, show_default=True, help="Write the HTML report."
 )
-@_signing_key
+@shared.signing_key
 @ros2
 @zenoh_config
-@_personality
-@_autopilot
+@shared.personality
+@shared.autopilot
 @click.option(
     "--listen", multiple=True, metavar="ENDPOINT",
     help="Zenoh endpoint where others may watch, besides the one of loopback that is printed; repeatable.",
@@ -190,15 +124,10 @@ def sitl(
 
 
 @main.command()
-@click.option(
-    "--vehicle",
-    "vehicle_url",
-    required=True,
-    metavar="URL",
-    help="MAVLink URL: udpin:HOST:PORT or udpout:HOST:PORT.",
-)
+@shared.vehicle_url
 @target_key
 @target_type
+@target_offset
 @ros2
 @click.option(
     "--config",
@@ -208,25 +137,19 @@ def sitl(
     help="Configuration (TOML).",
 )
 @plugs
-@_namespace
-@_recorder
-@_lockstep
-@_duration
-@click.option(
-    "--system-id",
-    type=click.IntRange(1, 255),
-    default=1,
-    show_default=True,
-    help="MAVLink system id of the vehicle.",
-)
-@_autopilot
-@_signing_key
-@_allow_unsigned
+@shared.namespace
+@shared.recorder
+@shared.lockstep
+@shared.duration
+@shared.system_id
+@shared.autopilot
+@shared.signing_key
+@shared.allow_unsigned
 def onboard(
     vehicle_url: str, target_key: str, config_file: Path, connect: tuple[str, ...], listen: tuple[str, ...],
     namespace: str, recorder: Path | None, lockstep: bool, duration_s: float | None, system_id: int,
     autopilot: str, signing_key: Path | None, allow_unsigned: bool, target_type: str, ros2_where: str | None,
-    ros_domain: int, zenoh_config: Path | None,
+    ros_domain: int, zenoh_config: Path | None, target_offset: tuple[float, float, float],
 ) -> None:  # fmt: skip
     """Run the onboard process against any vehicle and target.
 
@@ -253,6 +176,7 @@ def onboard(
         zenoh_config,
         ros2_network(ros2_where, ros_domain),
         ros_domain,
+        target_offset,
     )
     ended = process.run(config.load(config_file), options, say=_say)
     _say(f"{ended.phase.name}: {ended.reason}")
@@ -260,8 +184,8 @@ def onboard(
 
 
 @main.command()
-@_scenario()
-@_seed
+@shared.scenario()
+@shared.seed
 @click.option(
     "--url",
     default="udpin:127.0.0.1:14580",
@@ -269,11 +193,11 @@ def onboard(
     help="MAVLink URL to serve; port 0 takes a free one.",
 )
 @plugs
-@_namespace
-@_recorder
-@_rate
-@_lockstep
-@_duration
+@shared.namespace
+@shared.recorder
+@shared.rate
+@shared.lockstep
+@shared.duration
 @click.option(
     "--peer",
     "peers",
@@ -281,13 +205,10 @@ def onboard(
     metavar="HOST:PORT",
     help="Send telemetry there without being asked, e.g. 127.0.0.1:14540 for MAVSDK; repeatable.",
 )
-@_personality
-@click.option(
-    "--parameter", "parameters", multiple=True, metavar="NAME=VALUE", callback=_parameters,
-    help="Parameter of the autopilot, set before it starts; repeatable.",
-)  # fmt: skip
-@_signing_key
-@_allow_unsigned
+@shared.personality
+@shared.parameters
+@shared.signing_key
+@shared.allow_unsigned
 def vehicle(
     scenario: str, seed: int, url: str, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str,
     recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None, peers: tuple[str, ...],
@@ -310,15 +231,15 @@ def vehicle(
 
 
 @main.command()
-@_scenario()
-@_seed
+@shared.scenario()
+@shared.seed
 @plugs
 @ros2
-@_namespace
-@_recorder
-@_rate
-@_lockstep
-@_duration
+@shared.namespace
+@shared.recorder
+@shared.rate
+@shared.lockstep
+@shared.duration
 def target(
     scenario: str, seed: int, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str,
     recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None, zenoh_config: Path | None,

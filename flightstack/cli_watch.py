@@ -8,10 +8,15 @@ import sys
 import time
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
 from flightstack.cli_zenoh import zenoh_config
+
+if TYPE_CHECKING:
+    from bridge.zenoh_link import Role, Session
+    from flightstack.watch import Watch
 
 FRESH, NOTHING = 0, 1
 LOOK_S = 0.05  # between two looks
@@ -50,11 +55,12 @@ def watch(
     if zenoh_config is None:
         connect = connect or (DEFAULT,)
     session = zenoh_link.open_session([], connect, config_file=zenoh_config)
-    connect = tuple(zenoh_link.dialled(connect, config_file=zenoh_config)[1])
+    role, whom = zenoh_link.dialled(connect, config_file=zenoh_config)
+    source = Source(session, role, ", ".join(whom), namespace)
     try:
         if once:
-            sys.exit(_once(session, connect, namespace, as_json, timeout_s))
-        (_stream if as_json else _live)(session, connect, namespace)
+            sys.exit(_once(source, as_json, timeout_s))
+        (_stream if as_json else _live)(source)
     except (KeyboardInterrupt, BrokenPipeError):
         pass  # how watching ends
     finally:
@@ -62,19 +68,34 @@ def watch(
         signal.signal(signal.SIGTERM, previous)
 
 
+class Source(NamedTuple):
+    """Where the flight is."""
+
+    session: Session
+    role: Role
+    whom: str
+    namespace: str
+
+    def watch(self) -> Watch:
+        """Begin to listen."""
+        from flightstack.watch import Watch
+
+        return Watch(self.session, self.namespace, role=self.role)
+
+
 def _end(number: int, frame: FrameType | None) -> None:
     del number, frame
     raise KeyboardInterrupt
 
 
-def _once(session: object, connect: tuple[str, ...], namespace: str, as_json: bool, timeout_s: float) -> int:
+def _once(source: Source, as_json: bool, timeout_s: float) -> int:
     from rich.console import Console
 
     from flightstack.live import draw
-    from flightstack.watch import News, Watch
+    from flightstack.watch import News
     from flightstack.watch_json import snapshot
 
-    seen = Watch(session, namespace)
+    seen = source.watch()
     until_s = time.monotonic() + timeout_s
     while not (seen.news is News.FRESH and seen.health is not None) and time.monotonic() < until_s:
         time.sleep(LOOK_S)
@@ -82,29 +103,27 @@ def _once(session: object, connect: tuple[str, ...], namespace: str, as_json: bo
     if as_json:
         click.echo(json.dumps(snapshot(seen)))
     else:
-        Console().print(draw(seen, namespace, ", ".join(connect)))
+        Console().print(draw(seen, source.namespace, source.whom))
     return FRESH if seen.news is News.FRESH else NOTHING
 
 
-def _stream(session: object, connect: tuple[str, ...], namespace: str) -> None:
-    from flightstack.watch import Watch
+def _stream(source: Source) -> None:
     from flightstack.watch_json import snapshot
 
-    del connect
-    seen = Watch(session, namespace)
+    seen = source.watch()
     while True:
         time.sleep(0.5)
         seen.poll()
         click.echo(json.dumps(snapshot(seen)))
 
 
-def _live(session: object, connect: tuple[str, ...], namespace: str) -> None:
+def _live(source: Source) -> None:
     from rich.console import Console
 
     from flightstack.live import REFRESH_HZ, LiveView
 
-    whom = ", ".join(connect)
-    view = LiveView(session, namespace, f"{namespace} at {whom}", Console(), whom)
+    title = f"{source.namespace} at {source.whom}"
+    view = LiveView(source.session, source.namespace, title, Console(), source.whom, source.role)
     with view.live:
         while True:
             time.sleep(1.0 / REFRESH_HZ)

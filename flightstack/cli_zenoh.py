@@ -42,6 +42,10 @@ target_type = click.option(
     "--target-type", type=click.Choice(TARGET_TYPES), default=TARGET_TYPES[0], show_default=True,
     help="Its message type; of all but odometry the velocity is estimated.",
 )  # fmt: skip
+target_offset = click.option(
+    "--target-offset", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
+    help="Landing spot from the tracked frame, in that frame's axes, m: forward, left, up.",
+)  # fmt: skip
 _ros2 = click.option(
     "--ros2", "ros2_where", metavar="ENDPOINT|FILE",
     help="Show the flight to ROS 2: endpoint of its router, as tcp/127.0.0.1:7447, or a Zenoh configuration.",

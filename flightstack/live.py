@@ -39,9 +39,15 @@ class LiveView:
     """Draws a ``Watch``; nothing depends on it."""
 
     def __init__(
-        self, session: zenoh_link.Session, namespace: str, title: str, console: Console, whom: str = ""
+        self,
+        session: zenoh_link.Session,
+        namespace: str,
+        title: str,
+        console: Console,
+        whom: str = "",
+        role: zenoh_link.Role = zenoh_link.Role.PEER,
     ) -> None:
-        self.watch = Watch(session, namespace)
+        self.watch = Watch(session, namespace, role=role)
         self._title, self._whom = title, whom
         self.live = Live(self._draw(), console=console, refresh_per_second=REFRESH_HZ, transient=False)
 
@@ -78,7 +84,9 @@ def banner(watch: Watch, whom: str) -> Text:
         return Text(f"the flight is over: {phase}, {watch.age_s:.0f} s ago{refused}", style="bold")
     lost = f"no data for {watch.age_s:.1f} s"
     if watch.connections == 0:
-        why = f"nobody answers at {whom}" if whom else "no connection"
+        why = f"nobody answers at {whom}, or it refuses us" if whom else "no connection"
+    elif watch.past_router:
+        why = f"{whom} is a router, which passes nothing from peer to peer: --zenoh-config with mode client"
     else:
         why = "connected, but nothing comes on these keys"
     old = "; below is OLD" if watch.step is not None else ""

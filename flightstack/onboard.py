@@ -6,6 +6,7 @@ target's, step, answer. The order of work in a tick is the same.
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 import time
@@ -38,7 +39,7 @@ from flightstack.pacing import (
     quiet_garbage_collector,
 )
 from flightstack.strict_toml import ConfigError, dumps, to_table
-from flightstack.types import Operator, Phase
+from flightstack.types import ZERO, Operator, Phase, Vec3
 from flightstack.zenoh_wires import ZenohPlan, ZenohWires
 from logs.feed import Feed
 
@@ -65,6 +66,7 @@ class Options:
     zenoh_config: Path | None = None
     ros2: Ros2Network | None = None  # where the flight is shown to ROS 2, and where a target of ROS 2 is
     ros_domain: int = 0
+    target_offset_m: Vec3 = ZERO  # landing spot, in the axes of the frame that the target sends
 
 
 class Ended(NamedTuple):
@@ -152,7 +154,7 @@ class Onboard:
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self.foreign = link.counters.foreign
         for text in self.wires.texts(tick.now_s):
-            print(f"onboard: WARNING: {text}", file=sys.stderr)
+            _warn(text)
             self.log.event(tick.unix_ns, WARN, text)
         payload = self.log.step(tick, taken, out, self.controller.state)
         self.log.timing(tick, out, exec_s, overruns, self.feed.dropped, payload)
@@ -172,7 +174,7 @@ class Onboard:
             {
                 "namespace": options.namespace,
                 "target_key": spec.key if spec.is_direct else own_key,  # as what it is recorded
-                **({} if spec.is_direct else {"target": spec.text, "target_type": spec.type.value}),
+                **({} if spec.is_direct else spec.described()),
                 "system_id": str(options.system_id),
                 "lockstep": str(options.lockstep).lower(),
                 "autopilot": options.autopilot,
@@ -189,9 +191,17 @@ class Onboard:
         self.wires.close()
 
 
+def _warn(text: str) -> None:
+    """Say it on standard error, if that is still there: a closed terminal must not end a flight."""
+    with contextlib.suppress(OSError):
+        print(f"onboard: WARNING: {text}", file=sys.stderr)
+
+
 def _zenoh_plan(options: Options) -> ZenohPlan:
     return ZenohPlan(
-        TargetSpec.parse(options.target_key, options.target_type, options.ros_domain),
+        TargetSpec.parse(
+            options.target_key, options.target_type, options.ros_domain, options.target_offset_m
+        ),
         options.connect,
         options.listen,
         options.namespace,
@@ -216,7 +226,7 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
     onboard = Onboard(config, options)
     try:
         for warning in onboard.link.endpoint.warnings:
-            print(f"onboard: WARNING: {warning}", file=sys.stderr)
+            _warn(warning)
         say("ready")
         sys.stdout.flush()
         if not options.lockstep:  # only the simulator runs in lockstep, and its parameters are known
@@ -248,6 +258,8 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
     onboard.feed.metadata("preflight", preflight.record(report))
     for line in preflight.lines(report):
         say(line)
+    if signals.operator is Operator.EMERGENCY_STOP:
+        return None  # the loop gives it, whatever the check would have said
     problem = preflight.verdict(report)
     return Ended(Phase.WAIT, problem, 1) if problem is not None else None
 

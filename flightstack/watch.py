@@ -46,6 +46,7 @@ class Watch:
         namespace: str,
         *,
         clock: Callable[[], float] = time.monotonic,
+        role: zenoh_link.Role = zenoh_link.Role.PEER,
     ) -> None:
         """Subscribe.
 
@@ -53,11 +54,12 @@ class Watch:
             session: an open Zenoh session; it stays the caller's.
             namespace: first part of the keys, for example ``cf1``.
             clock: seconds that never go back.
+            role: what the session is.
 
         Raises:
             ValueError: the namespace makes no allowed key.
         """
-        self._session, self._clock = session, clock
+        self._session, self._clock, self._role = session, clock, role
         self._subscribers = {
             name: zenoh_link.ring_subscriber(session, f"{namespace}/{name}", _RING)
             for name in ("controller/step", "loop/timing", "health")
@@ -105,6 +107,11 @@ class Watch:
     def connections(self) -> int:
         """Open connections to other Zenoh sessions; 0 means that nobody answers, or refuses us."""
         return zenoh_link.transports(self._session)
+
+    @property
+    def past_router(self) -> bool:
+        """Whether we are a router's peer: it passes on nothing from its other peers."""
+        return self._role is zenoh_link.Role.PEER and zenoh_link.knows_router(self._session)
 
     @property
     def over(self) -> bool:

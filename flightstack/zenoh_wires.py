@@ -70,11 +70,15 @@ class ZenohWires:
             where, plan.target, checks.target_frame, checks.target_child_frame, config.target,
             lossless=plan.lockstep,
         )  # fmt: skip
+        self._texts = [
+            f"Zenoh listens on {endpoint} without rules: whoever reaches it can send a target (docs/zenoh.md)"
+            for endpoint in zenoh_link.open_to_all(plan.listen, config_file=plan.config_file)
+        ]
         self._lockstep, self.target = plan.lockstep, plan.target
 
     def texts(self, now_s: float) -> list[str]:
         """What a person should know since the last call; in lockstep nothing that wall time has a part in."""
-        texts = self.odometry.take_problems()
+        texts, self._texts = self._texts + self.odometry.take_problems(), []
         if not self._lockstep:
             for alarm in self._alarms:
                 texts += alarm.poll(now_s)

@@ -17,8 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
 from bridge import zenoh_link
 from bridge.attachment import GID_BYTES, pack_attachment
+from bridge.autopilot_version import recorded_version
 from bridge.mavlink import Endpoint
 from bridge.odometry import ENCODING
 from bridge.signing_key import load_key
@@ -107,9 +110,17 @@ class Wires:
         return " and ".join(found)
 
     def idle(self) -> None:
-        """Take what came, so that its senders are known; it is of no other use."""
-        if self._endpoint is not None:
-            self._endpoint.receive()
+        """Take what came, so that its senders are known; who asks is told that this is a recording."""
+        if self._endpoint is None:
+            return
+        for received in self._endpoint.receive():
+            asked = received.message
+            if (
+                asked.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_LONG
+                and asked.command == dialect.MAV_CMD_REQUEST_MESSAGE
+                and asked.param1 == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+            ):
+                self._endpoint.send([recorded_version()], received.peer)
 
     def send(self, group: Group) -> None:
         """Send the messages of one tick."""

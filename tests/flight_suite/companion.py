@@ -97,7 +97,16 @@ class Companion:
 def companion(room: Room) -> Iterator[Companion]:
     """Start the onboard process; on the way out it is ended."""
     words = ["onboard", "--vehicle", room.url, "--target", room.target_key, "--config", str(room.config)]
-    words += ["--listen", room.listen, "--system-id", str(room.system_id), "--duration", "120"]
+    words += [
+        "--autopilot",
+        room.autopilot,
+        "--listen",
+        room.listen,
+        "--system-id",
+        str(room.system_id),
+        "--duration",
+        "120",
+    ]
     words += [word for endpoint in room.connect for word in ("--connect", endpoint)]
     words += ["--signing-key", str(room.signing_key)] if room.signing_key else []
     child = Child("onboard", words, room.folder)

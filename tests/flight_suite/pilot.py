@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from types import TracebackType
 
 from bridge.autopilots import profile
+from bridge.origin import Origin
 from bridge.signing_key import load_key
 from bridge.vehicle import VehicleLink
+from flightstack.config import load
 from flightstack.pacing import RealTimePacer
 from flightstack.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus
 from tests.flight_suite.room import Room
@@ -42,10 +44,12 @@ class Pilot:
 
     def __init__(self, room: Room) -> None:
         self._room = room
+        place = load(room.config).vehicle.origin_wgs84
         self.link = VehicleLink(
             room.url, takeoff_height_m=room.takeoff_height_m, rate_hz=float(RATE_HZ),
             profile=profile(room.autopilot), system_id=room.system_id,
             signing_key=load_key(room.signing_key) if room.signing_key else None,
+            origin=Origin(*place) if place is not None else None,
         )  # fmt: skip
         self._pacer = RealTimePacer(RATE_HZ)
         self.now_s = 0.0
@@ -94,7 +98,7 @@ class Pilot:
 
     def watch(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
         """Ask for nothing and send no set-point until something holds; s that it took."""
-        return self._run(step, lambda: None, done, limit_s)
+        return self.ask(step, Request.NONE, done, limit_s)
 
     def ask(self, step: str, request: Request, done: Callable[[], bool], limit_s: float) -> float:
         """Work towards a request."""

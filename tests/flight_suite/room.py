@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,7 +14,12 @@ from flightstack.strict_toml import dumps, to_table
 from sim.scenario import load
 
 SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that drives off
-PERSONALITIES = ("px4",)  # of our simulated vehicle
+# of our simulated vehicle, with the parameters that its defaults leave unsafe
+PERSONALITIES: Mapping[str, tuple[str, ...]] = {
+    "px4": (),
+    "ardupilot": ("GUID_TIMEOUT=0.5", "FS_GCS_ENABLE=5"),
+}
+ORIGIN_WGS84 = (47.397742, 8.545594, 0.0)  # what ArduPilot needs without satellites
 
 
 @dataclass(frozen=True)
@@ -71,14 +76,15 @@ def simulated(folder: Path, personality: str) -> Iterator[Room]:
     scenario = load(SCENARIO)
     config = folder / "onboard.toml"
     checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # nobody comes back: less waiting
-    config.write_text(dumps(to_table(replace(scenario.onboard, checks=checks))))
+    side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
+    config.write_text(dumps(to_table(replace(scenario.onboard, checks=checks, vehicle=side))))
     ports, children = [Port(), Port()], []
     target_at, onboard_at = (port.endpoint for port in ports)
     common = ["--scenario", SCENARIO, "--seed", "1", "--duration", "300"]
     try:
-        vehicle = Child(
-            "vehicle", ["vehicle", *common, "--connect", target_at, "--url", "udpin:127.0.0.1:0"], folder
-        )
+        words = ["--personality", personality, "--connect", target_at, "--url", "udpin:127.0.0.1:0"]
+        words += [word for one in PERSONALITIES[personality] for word in ("--parameter", one)]
+        vehicle = Child("vehicle", ["vehicle", *common, *words], folder)
         children.append(vehicle)
         target = Child("target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder)
         children.append(target)

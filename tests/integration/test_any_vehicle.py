@@ -19,12 +19,11 @@ from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.radio import Radio
 from tests.flight_suite.room import Fence, given, simulated
-from tests.integration.runs import WALL_MAX_S
+from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import ROOT
 
 pytestmark = pytest.mark.vehicle
 SAFE_S = 2.0  # from the loss of a part to a safe state
-GUIDED_TIMEOUT_S = 4.0  # ArduPilot holds still GUID_TIMEOUT = 3 s after the last set-point
 HEARTBEAT_LOST_S = 3.0  # it comes once a second, and two may be lost
 SLOW_M_S = 0.15  # a vehicle that holds still
 HOLD_M = 0.3  # that it may drift in five seconds
@@ -67,6 +66,14 @@ def test_connects_and_tells_who_and_where_it_is(pilot):
     assert speed_m_s(pilot) < SLOW_M_S
 
 
+def test_its_parameters_are_safe(room):
+    words = ["--vehicle", room.url, "--autopilot", room.autopilot, "--config", room.config]
+    words += ["--signing-key", room.signing_key] if room.signing_key else []
+    done = flightstack("preflight", *words, "--system-id", room.system_id, "--json")
+    assert done.code == 0, done.out + done.err
+    assert done.json
+
+
 @pytest.mark.arms
 def test_takes_off_holds_follows_set_points_and_lands(pilot, room):
     pilot.take_off()
@@ -94,17 +101,17 @@ def test_emergency_stop_just_after_arming(pilot):
 
 
 @pytest.mark.arms
-def test_a_companion_that_falls_silent_leaves_a_safe_vehicle(pilot, room):
+def test_a_companion_that_falls_silent_leaves_a_safe_vehicle(pilot):
     pilot.take_off()
     pilot.fly_for("on the way", (0.0, STEP_M_S, 0.0), 1.0)
-    pilot.listen("silent", lambda: safe(pilot), SAFE_S if room.autopilot != "ardupilot" else GUIDED_TIMEOUT_S)
+    pilot.listen("silent", lambda: safe(pilot), SAFE_S)
 
 
 def safe(pilot) -> bool:
     """Landing, down, or holding still: no longer flying what it was told last."""
     if not pilot.status.armed or pilot.status.mode is Mode.LAND:
         return True
-    return pilot.status.mode is not Mode.EXTERNAL and speed_m_s(pilot) < SLOW_M_S
+    return speed_m_s(pilot) < SLOW_M_S
 
 
 @pytest.mark.arms

@@ -15,12 +15,16 @@ from pathlib import Path
 import pytest
 
 from bridge import zenoh_link
-from bridge.ros2_names import parse_topic_key
+from bridge.cdr import decode_odometry
+from bridge.frames import world_from_body
+from bridge.ros2_names import parse_topic_key, topic_key
+from bridge.ros2_target import ROS_TYPES, TargetType
 from flightstack.types import Phase
 from tests.integration.runs import WALL_MAX_S
-from tests.unit.ros2_helpers import PATIENCE_S, decode, free_endpoint, rmw_session, until
+from tests.unit.ros2_helpers import PATIENCE_S, decode, free_endpoint, pose_stamped, rmw_session, until
 
 ROOT = Path(__file__).parents[2]
+PAD_M = 0.2  # of the pad above the floor
 PORTS = ("7447", "7448", "7449", "14580")
 
 
@@ -66,6 +70,13 @@ class Parts:
         self.endpoint = onboard[onboard.index("--ros2") + 1]
         self._words["router"] += ["--listen", self.endpoint]
         self.running = {}
+
+    def change(self, name, word, other):
+        self._words[name] = [other if one == word else one for one in self._words[name]]
+        assert other in self._words[name]
+
+    def add(self, name, *words):
+        self._words[name] += words
 
     def start(self, name):
         errors = self._stack.enter_context((self._folder / f"{name}.txt").open("w"))
@@ -165,3 +176,39 @@ def end(child):
     except subprocess.TimeoutExpired:
         child.kill()
         child.communicate(timeout=PATIENCE_S)
+
+
+@pytest.mark.xdist_group("real-time")
+def test_a_landing_on_a_target_that_sends_poses_alone(tmp_path):
+    """A tracker's view of a TurtleBot3: the pose of the floor between its wheels, and nothing else."""
+    with ExitStack() as stack:
+        parts = Parts(tmp_path, stack)
+        offset = ["--target-offset", "-0.032", "0", f"{PAD_M}"]
+        parts.change("onboard", "ros2:/cf1/target/odom", "ros2:/tracker/turtlebot")
+        parts.add("onboard", "--target-type", "pose", *offset)
+        parts.start("router")
+        node = rmw_session(parts.endpoint)
+        stack.callback(node.close)
+        heard = zenoh_link.ring_subscriber(
+            node, topic_key(0, "/cf1/target/odom", *ROS_TYPES[TargetType.ODOMETRY])
+        )
+        told = zenoh_link.dropping_publisher(
+            node, topic_key(0, "/tracker/turtlebot", *ROS_TYPES[TargetType.POSE])
+        )
+        for name in ("target", "vehicle", "onboard"):
+            parts.start(name)
+        onboard, deadline_s, sent = parts.running["onboard"], time.monotonic() + WALL_MAX_S, 0
+        while onboard.poll() is None:
+            assert time.monotonic() < deadline_s
+            for sample in zenoh_link.drain(heard):
+                pad = decode_odometry(sample.payload.to_bytes())
+                back = world_from_body(pad.orientation_wxyz, (-0.032, 0.0, PAD_M))
+                floor = tuple(p - b for p, b in zip(pad.position_m, back, strict=True))
+                told.put(pose_stamped(pad.stamp_ns, "map", floor, pad.orientation_wxyz), attachment=bytes(33))
+                sent += 1
+            time.sleep(0.002)
+        said = onboard.stdout.read()
+        assert onboard.returncode == 0, said + parts.errors("onboard")
+        assert "LANDED" in said
+        assert parts.errors("onboard") == ""
+        assert sent > 500

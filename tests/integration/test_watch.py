@@ -134,6 +134,22 @@ def test_old_data_is_shown_as_old_and_never_as_new():
         assert values["age_s"] == 3.0
 
 
+def test_who_dials_a_router_as_its_peer_is_told_why_nothing_comes():
+    port = Port()
+    router = zenoh_link.open_session([port.endpoint], role=zenoh_link.Role.ROUTER)
+    for role, words in (
+        (zenoh_link.Role.PEER, "is a router, which passes nothing from peer to peer"),
+        (zenoh_link.Role.CLIENT, "connected, but nothing comes on these keys"),
+    ):
+        session = zenoh_link.open_session(connect=[port.endpoint], role=role)
+        watch = Watch(session, "cf1", role=role)
+        until(watch, lambda: watch.connections == 1, "no connection")  # noqa: B023 (called at once)
+        assert words in shown(watch, port.endpoint)
+        session.close()
+    router.close()
+    port.close()
+
+
 def test_a_sender_that_repeats_itself_is_stale():
     with opened() as (sender, watch, clock):
         payload = pack_controller_step(step())

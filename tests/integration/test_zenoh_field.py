@@ -1,5 +1,7 @@
 """The configurations of docs/zenoh.md in use: certificates, passwords, rules, and a router that dies."""
 
+import json
+import os
 import re
 import signal
 import subprocess
@@ -11,8 +13,10 @@ from pathlib import Path
 import pytest
 
 from bridge import zenoh_link
+from bridge.ros2_names import parse_topic_key
 from bridge.zenoh_link import Role, ZenohLinkError
-from tests.unit.ros2_helpers import PATIENCE_S, free_endpoint, until
+from logs.reader import LogFile
+from tests.unit.ros2_helpers import PATIENCE_S, free_endpoint, odometry, rmw_session, until
 
 ROOT = Path(__file__).parents[2]
 FILES = ROOT / "docs" / "zenoh"
@@ -155,6 +159,14 @@ def test_a_router_of_another_authority_is_not_believed(at_home):
             zenoh_link.open_session(connect=[endpoint], config_file=file)
 
 
+def test_a_router_under_another_name_is_not_believed(at_home):
+    file = client_file("tls", "robot")
+    with router("tls") as endpoint:
+        address = endpoint.replace("localhost", "127.0.0.1")  # of which its certificate does not speak
+        with pytest.raises(ZenohLinkError):
+            zenoh_link.open_session(connect=[address], config_file=file)
+
+
 def test_peers_find_each_other(at_home):
     port = free_endpoint().rsplit(":", 1)[1]  # not the one that other Zenoh processes of this network use
     file = Path("peers.json5")
@@ -204,7 +216,9 @@ def test_a_router_that_is_killed_and_comes_back(at_home):
             until(flows, "the first sample")
             child.kill()
             child.wait(PATIENCE_S)
-            until(lambda: zenoh_link.transports(robot) == 0, "the end of the connection")
+            for session in (robot, companion):
+                until(lambda s=session: zenoh_link.transports(s) == 0, "the end of the connection")
+            zenoh_link.drain(heard)  # what was on its way
         assert not flows()
         with router_process(endpoint) as child:
             back_s = time.monotonic()
@@ -218,7 +232,7 @@ def test_a_router_that_is_killed_and_comes_back(at_home):
 def test_every_configuration_of_the_page_is_understood(at_home, name):
     role, endpoints = zenoh_link.dialled(config_file=FILES / name)
     assert role is (Role.ROUTER if "router" in name else Role.CLIENT if "client" in name else Role.PEER)
-    assert bool(endpoints) == (role is Role.CLIENT)
+    assert bool(endpoints) == (name.startswith(("client", "peer_")))
     assert f"zenoh/{name}" in (ROOT / "docs" / "zenoh.md").read_text()
 
 
@@ -237,3 +251,77 @@ def test_the_verb_router_wants_a_router_and_a_free_port(at_home):
     session.close()
     assert (done.returncode, "Traceback" in done.stderr) == (1, False)
     assert "is the port taken" in done.stderr
+
+
+@pytest.mark.xdist_group("real-time")
+def test_sitl_is_watched_by_certificate_and_seen_by_ros_2(at_home, tmp_path):
+    """The companion's own rules: loopback flies, a watcher reads, and neither he nor the robot does more."""
+    listen, ros_router = free_endpoint().replace("tcp/", "tls/"), free_endpoint()
+    dial = listen.replace("127.0.0.1", "localhost")
+    with ExitStack() as stack:
+        router = zenoh_link.open_session([ros_router], role=Role.ROUTER)
+        stack.callback(router.close)
+        node = rmw_session(ros_router)
+        stack.callback(node.close)
+        seen = zenoh_link.ring_subscriber(node, "0/cf1/**", 20_000)
+        words = ["--scenario", "paper_static_1", "--filter", "paper", "--lockstep", "--no-report", "--json"]
+        words += ["--zenoh-config", str(FILES / "companion_tls.json5"), "--listen", listen]
+        words += ["--ros2", ros_router, "--out", str(tmp_path / "run")]
+        sitl = subprocess.Popen(
+            [sys.executable, "-m", "flightstack.cli", "sitl", *words],
+            cwd=at_home, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True,
+            stderr=subprocess.PIPE,
+        )  # fmt: skip
+        sessions, heard = {}, {}
+        for name in ("watcher", "robot", "stranger"):
+            file = client_file("tls", name)
+            file.write_text(file.read_text().replace('"client"', '"peer"'))
+            sessions[name] = zenoh_link.open_session(connect=[dial], config_file=file)
+            stack.callback(sessions[name].close)
+            heard[name] = zenoh_link.ring_subscriber(sessions[name], "cf1/**", 20_000)
+        forged = zenoh_link.dropping_publisher(sessions["watcher"], TARGET)
+        while sitl.poll() is None:
+            forged.put(b"forged")
+            time.sleep(0.01)
+        said, errors = sitl.communicate(timeout=PATIENCE_S)
+        assert sitl.returncode == 0, said + errors
+        got = {
+            name: {str(sample.key_expr) for sample in zenoh_link.drain(subscriber)} - {TARGET}
+            for name, subscriber in heard.items()
+        }
+        topics = {parse_topic_key(str(sample.key_expr)).topic for sample in zenoh_link.drain(seen)}
+    assert got == {"watcher": {STEP, "cf1/loop/timing", "cf1/health"}, "robot": set(), "stranger": set()}
+    assert {"/cf1/target/odom", "/cf1/h", "/cf1/controller/step"} <= topics
+    result = json.loads(said.strip().splitlines()[-1])
+    assert result["outcome"] == "landed"
+    refused = [one for one in LogFile(Path(result["log"])).messages() if one.topic == "/rosout"]
+    assert not any(b"target sample refused" in one.data for one in refused)  # nothing forged came through
+
+
+def test_the_recorder_looks_on_by_certificate(at_home, tmp_path):
+    """`record --zenoh-config` through the router with rules: the robot's odometry is in the file."""
+    out = tmp_path / "flight.mcap"
+    with router("tls") as endpoint, ExitStack() as stack:
+        robot = zenoh_link.open_session(connect=[endpoint], config_file=client_file("tls", "robot"))
+        stack.callback(robot.close)
+        put = zenoh_link.dropping_publisher(robot, TARGET, "application/cdr;nav_msgs/msg/Odometry")
+        words = ["--socket", str(tmp_path / "socket"), "--out", str(out), "--key", "cf1/**"]
+        words += ["--connect", endpoint, "--zenoh-config", str(client_file("tls", "watcher"))]
+        record = subprocess.Popen(
+            [sys.executable, "-m", "flightstack.cli", "record", *words],
+            cwd=at_home, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        stack.callback(record.kill)
+        assert record.stdout.readline().strip() == "ready"
+        until(lambda: zenoh_link.is_matched(put), "the recorder's subscription")
+        payload = odometry(1_700_000_000_000_000_000)
+        for _ in range(5):
+            put.put(payload)
+        until(lambda: out.exists() and len(kept(out)) == 5, "the samples in the file")
+        record.send_signal(signal.SIGTERM)
+        assert record.wait(PATIENCE_S) == 0
+    assert {one.data for one in kept(out)} == {payload}
+
+
+def kept(file):
+    return [one for one in LogFile(file).messages() if one.topic == "/" + TARGET]

@@ -1,6 +1,8 @@
 """Velocity from poses: true to within what is promised, and nothing where it is not known."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -52,12 +54,17 @@ def test_the_velocity_of_a_clean_circle_is_right_and_turned_into_the_world():
     assert last.yaw_rate_rad_s == pytest.approx(TURN_RAD_S, rel=0.01)
 
 
-@pytest.mark.parametrize(("rate_hz", "sigma_m"), [(100, 0.001), (50, 0.005), (20, 0.005)])
-def test_the_error_is_as_large_as_promised(rate_hz, sigma_m):
+@pytest.mark.parametrize(("rate_hz", "millimetres"), [(100, 1), (50, 5), (20, 5)])
+def test_the_error_is_as_large_as_the_page_says(rate_hz, millimetres):
+    page = " ".join((Path(__file__).parents[2] / "docs" / "ros2.md").read_text().split())
+    said_m_s = float(re.search(rf"([0-9.]+) m/s at {rate_hz} Hz and {millimetres} mm", page)[1])
+    sigma_m = 1e-3 * millimetres
     track = PoseTrack(TargetLink(position_noise_m=sigma_m), "base")
-    errors = [velocity_error_m_s(*one) for one in drive(track, 0.0, 20.0, rate_hz, sigma_m)]
-    assert len(errors) > 0.9 * 20 * rate_hz
-    assert math.sqrt(sum(e * e for e in errors) / len(errors)) < SETTLED_M_S * math.sqrt(2.0)
+    errors = [velocity_error_m_s(*one) for one in drive(track, 0.0, 30.0, rate_hz, sigma_m)]
+    assert len(errors) > 0.98 * 30 * rate_hz
+    found_m_s = math.sqrt(sum(e * e for e in errors) / len(errors))
+    assert found_m_s == pytest.approx(said_m_s, rel=0.1)
+    assert found_m_s < SETTLED_M_S
 
 
 def test_poses_that_are_too_few_or_too_bad_go_nowhere_and_it_is_said():

@@ -79,26 +79,39 @@ def test_a_client_without_a_router_is_told_so(file):
         open_session(connect=[free_endpoint()], config_file=path, role=Role.CLIENT)
 
 
-def test_a_router_passes_on_between_clients_and_peers_hear_it_alone():
+def test_a_router_passes_on_but_not_from_peer_to_peer():
     endpoint = free_endpoint()
-    router = open_session([endpoint], role=Role.ROUTER)
-    client = open_session(connect=[endpoint], role=Role.CLIENT)
-    other = open_session(connect=[endpoint], role=Role.CLIENT)
-    peer = open_session(connect=[endpoint])
+    sessions = {"router": open_session([endpoint], role=Role.ROUTER)}
+    for name in ("client", "other client"):
+        sessions[name] = open_session(connect=[endpoint], role=Role.CLIENT)
+    for name in ("peer", "other peer"):
+        sessions[name] = open_session(connect=[endpoint])
     try:
-        until(lambda: zenoh_link.knows_router(peer), "the router")
-        heard = zenoh_link.ring_subscriber(other, "a/b")
-        put = zenoh_link.dropping_publisher(client, "a/b")
-        until(lambda: zenoh_link.is_matched(put), "the subscription")
-        put.put(b"x")
-        until(lambda: zenoh_link.drain(heard), "the sample")
-        alarm = ConnectionAlarm(peer, [endpoint])
+        until(lambda: zenoh_link.transports(sessions["router"]) == 4, "all")
+        heard = {name: zenoh_link.ring_subscriber(session, "a/*") for name, session in sessions.items()}
+        puts = {
+            key: zenoh_link.dropping_publisher(sessions[name], f"a/{key}")
+            for key, name in (("from_peer", "peer"), ("from_client", "client"))
+        }
+        got = {name: set() for name in sessions}
+
+        def all_there():
+            for key, put in puts.items():  # the peer's before the client's, which arrives everywhere
+                put.put(key)
+            for name, subscriber in heard.items():
+                got[name] |= {str(sample.key_expr) for sample in zenoh_link.drain(subscriber)}
+            return all("a/from_client" in keys for keys in got.values())
+
+        until(all_there, "the client's")
+        until(lambda: all_there() and "a/from_peer" in got["other client"], "the peer's at a client")
+        assert got["other peer"] == {"a/from_client"}
+        alarm = ConnectionAlarm(sessions["peer"], [endpoint])
         [text] = alarm.poll(0.0)
         assert "is a router, and we are its peer" in text
         assert alarm.poll(10.0) == []
-        assert ConnectionAlarm(client, [endpoint], Role.CLIENT).poll(0.0) == []
+        assert ConnectionAlarm(sessions["client"], [endpoint], Role.CLIENT).poll(0.0) == []
     finally:
-        for session in (peer, other, client, router):
+        for session in reversed(sessions.values()):
             session.close()
 
 

@@ -53,11 +53,13 @@ def test_without_one_it_is_on_the_flight_s_own_session(wires):
     with ros.network() as (endpoint, ours, _):
         plain = wires("ros2dds:/odom", connect=[endpoint])
         put = zenoh_link.dropping_publisher(ours, "odom")
-        until(lambda: zenoh_link.transports(plain.session) == 1, "the router")
+        until(lambda: zenoh_link.is_matched(put), "the subscription")
         [text] = plain.texts(0.0)
         assert "is a router, and we are its peer" in text
-        put.put(b"x")
-        assert plain.odometry.poll() == []
+        payload = ros.odometry(STAMP, "map", "target")
+        put.put(payload)
+        samples = until(plain.odometry.poll, "the sample")
+        assert [one.payload for one in samples] == [payload]
 
 
 def test_a_robot_that_is_not_there_is_told_in_real_time_alone(wires):
@@ -66,6 +68,15 @@ def test_a_robot_that_is_not_there_is_told_in_real_time_alone(wires):
         assert dialling.texts(0.0) == []
         texts = dialling.texts(PATIENCE_S + 1.0)
         assert [("no connection to" in text) for text in texts] == ([] if lockstep else [True])
+
+
+def test_a_door_to_the_network_without_rules_is_told_once(wires):
+    port = ros.free_endpoint().rsplit(":", 1)[1]
+    open_door = wires(listen=[f"tcp/0.0.0.0:{port}"])
+    [text] = open_door.texts(0.0)
+    assert f"listens on tcp/0.0.0.0:{port} without rules" in text
+    assert open_door.texts(0.01) == []
+    assert wires().texts(0.0) == []
 
 
 @pytest.mark.parametrize(

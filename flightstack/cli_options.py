@@ -1,0 +1,110 @@
+"""Options that several verbs share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bridge.autopilots import AUTO, CHOICES
+
+PERSONALITIES = ("px4", "ardupilot")
+
+
+def scenario(required: bool = True) -> Callable[[Any], Any]:
+    """``--scenario``."""
+    return click.option(
+        "--scenario",
+        required=required,
+        metavar="NAME_OR_FILE",
+        help="Scenario: a name (see `scenarios`) or a file.",
+    )
+
+
+def _numbers(context: click.Context, option: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
+    """Turn NAME=VALUE into a table."""
+    del context, option
+    found = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise click.BadParameter(f"found {text!r}; NAME=VALUE is needed, for example COM_OF_LOSS_T=0.5")
+    return found
+
+
+seed = click.option(
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all chance."
+)
+lockstep = click.option(
+    "--lockstep", is_flag=True, help="Simulated time, as fast as possible, deterministic."
+)
+rate = click.option(
+    "--rate", "rate_hz", type=click.IntRange(10, 500), default=100, show_default=True, help="Ticks a second."
+)
+recorder = click.option(
+    "--recorder",
+    type=click.Path(path_type=Path),
+    metavar="SOCKET",
+    help="Socket of a running `record`; without it nothing is recorded.",
+)
+namespace = click.option(
+    "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."
+)
+vehicle_url = click.option(
+    "--vehicle",
+    "vehicle_url",
+    required=True,
+    metavar="URL",
+    help="MAVLink URL: udpin:HOST:PORT or udpout:HOST:PORT.",
+)
+system_id = click.option(
+    "--system-id",
+    type=click.IntRange(1, 255),
+    default=1,
+    show_default=True,
+    help="MAVLink system id of the vehicle.",
+)
+signing_key = click.option(
+    "--signing-key",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Sign MAVLink with this key and hear nothing unsigned (see `key`).",
+)
+allow_unsigned = click.option(
+    "--allow-unsigned", is_flag=True, help="Listen to a network without a key: anybody there can fly it."
+)
+autopilot = click.option(
+    "--autopilot",
+    type=click.Choice(CHOICES),
+    default=AUTO,
+    show_default=True,
+    help="What flies the vehicle; auto: by its heartbeat (docs/autopilots.md).",
+)
+personality = click.option(
+    "--personality",
+    type=click.Choice(PERSONALITIES),
+    default=PERSONALITIES[0],
+    show_default=True,
+    help="Which autopilot the simulated vehicle plays.",
+)
+parameters = click.option(
+    "--parameter",
+    "parameters",
+    multiple=True,
+    metavar="NAME=VALUE",
+    callback=_numbers,
+    help="Parameter of the autopilot, set before it starts; repeatable.",
+)
+duration = click.option(
+    "--duration",
+    "duration_s",
+    type=click.FloatRange(min=0.1),
+    metavar="S",
+    help="End after so many seconds of stack time.",
+)
