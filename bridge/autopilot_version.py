@@ -1,6 +1,6 @@
 """What AUTOPILOT_VERSION says: the release, and whether it is one of this project's own vehicles.
 
-Those fly by PX4's commands and show its MAV_AUTOPILOT, but have other parameters.
+Those fly by PX4's commands and show its MAV_AUTOPILOT, but have other parameters; a recorded one has none.
 """
 
 from __future__ import annotations
@@ -17,12 +17,26 @@ from bridge.profile import Profile
 # flight_custom_version, where others have eight digits of their revision
 SITL_MARK = b"cfstack\x00"
 CRAZYFLIE_MARK = b"cfbridge"
+RECORDED_MARK = b"recorded"
 _MARKED: Mapping[bytes, Profile] = MappingProxyType({SITL_MARK: OWN_SITL, CRAZYFLIE_MARK: CRAZYFLIE})
 
 
 def marked(message: Message) -> Profile | None:
     """Profile of one of this project's own vehicles by its AUTOPILOT_VERSION, None if it is another's."""
     return _MARKED.get(bytes(message.flight_custom_version))
+
+
+def is_recorded(message: Message) -> bool:
+    """Whether it is a log that is played: it obeys nothing, so nothing can be unsafe."""
+    return bytes(message.flight_custom_version) == RECORDED_MARK
+
+
+def recorded_version() -> Message:
+    """AUTOPILOT_VERSION of a log that is played."""
+    zeros = [0] * 8
+    return dialect.MAVLink_autopilot_version_message(
+        0, 0, 0, 0, 0, list(RECORDED_MARK), zeros, zeros, 0, 0, 0
+    )
 
 
 def release(message: Message) -> str:

@@ -144,7 +144,7 @@ class Loop:
             if told_s is None and (stop.count or (duration_s is not None and self.now_s >= duration_s)):
                 told_s = self.now_s
                 vehicle.land(told_s)
-            if told_s is not None and (not vehicle.armed or self.now_s - told_s > SHUT_DOWN_MAX_S):
+            if told_s is not None and (not vehicle.busy or self.now_s - told_s > SHUT_DOWN_MAX_S):
                 return
 
     def _remember(self, sender: Sender, peer: Peer) -> None:
@@ -178,8 +178,9 @@ def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], N
     try:
         from bridge.crazyflie_link import CrazyflieLink
     except ModuleNotFoundError as error:
+        package = (error.name or "cflib").partition(".")[0]
         raise ValueError(
-            f"{error.name} is not installed: pip install 'crazyflie-flightstack[crazyflie]'"
+            f"{package} is not installed: pip install 'crazyflie-flightstack[crazyflie]'"
         ) from error
     check_uri(options.uri)
     stop = Stop().install()

@@ -15,6 +15,7 @@ REPEAT_S = 0.05  # s between two of the same; two packets of state
 ARM_MAX_S = 0.6  # s until an unanswered arming request has failed
 KILL_UNSEEN_S = 0.2  # s until a forced disarm that is not seen becomes an emergency stop
 OFF_MAX_S = 1.0  # s; no longer is anything repeated
+NOTICES = 6  # how often the notice is sent again once the motors are off, in case one gets lost
 _OFF = (Order.STOP, Order.NOTIFY_STOP, Order.DISARM)
 
 
@@ -37,15 +38,21 @@ class Arming:
         self._arm: _Asked | None = None
         self._off: _Asked | None = None
         self._latched = False
+        self._notices, self._notice_s = 0, 0.0
 
     @property
     def arming(self) -> bool:
         """Whether an arming request is open."""
         return self._arm is not None
 
+    @property
+    def busy(self) -> bool:
+        """Whether something is still to be sent or seen."""
+        return self._arm is not None or self._off is not None or self._notices > 0
+
     def ask(self, state: CrazyflieState, now_s: float) -> list[Packet]:
         """Begin arming; one that arms itself needs no packet."""
-        self._off = None
+        self._off, self._notices = None, 0
         if state.info & Info.ARMED:
             self.armed = True
             return []
@@ -75,6 +82,7 @@ class Arming:
     def forget(self) -> None:
         """The link is gone, and with it what was asked."""
         self.armed, self._arm, self._off, self._latched = False, None, None, False
+        self._notices = 0
 
     def step(self, state: CrazyflieState | None, now_s: float) -> tuple[list[Packet], str | None]:
         """Repeat what is unanswered.
@@ -86,6 +94,9 @@ class Arming:
             return self._step_arm(self._arm, state, now_s)
         if self._off is not None:
             return self._step_off(self._off, state, now_s)
+        if self._notices and now_s - self._notice_s >= REPEAT_S - 1e-9:
+            self._notices, self._notice_s = self._notices - 1, now_s
+            return [Order.NOTIFY_STOP], None
         return [], None
 
     def _step_arm(
@@ -106,7 +117,9 @@ class Arming:
         fresh = state is not None and state.at_s > asked.since_s + REPEAT_S  # not one that was under way
         if fresh and state is not None and not state.info & Info.FLYING:
             self._off, self._latched = None, False
-            return [], None
+            # A stop set-point whose notice gets lost is a lost link two seconds later.
+            self._notices, self._notice_s = NOTICES, now_s
+            return [Order.NOTIFY_STOP], None
         if after_s > OFF_MAX_S:
             self._off, self._latched = None, False
             return [], "Motors off was not confirmed" if asked.forced else None

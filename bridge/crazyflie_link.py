@@ -42,9 +42,11 @@ PARAMS = (  # what the bridge looks at before it lets anybody arm
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",
 )  # fmt: skip
 EVENTS_MAX = 512  # five seconds of packets; older ones are no use to anybody
-SILENT_S = 2.0  # s without any packet while connecting, after which an attempt is given up
+SILENT_S = 2.0  # s without any answer while connecting, after which an attempt is given up
 CONNECT_MAX_S = 60.0  # s of one attempt; 500 parameters over a bad radio take 20
 RETRY_S = 0.5  # s between two attempts
+_ANSWERS = (CRTPPort.PARAM, CRTPPort.MEM, CRTPPort.LOGGING, CRTPPort.PLATFORM, CRTPPort.LINKCTRL)
+_LOG_DATA = (CRTPPort.LOGGING, 2)  # port, channel
 LOG_WAIT_S, LOG_TRIES = 1.0, 10  # s, number; until a log block's first packet has come
 _ARM_REPLY = 0x81  # answer to command 1 on channel 1 of the supervisor's port (cflib supervisor.py)
 _BLOCKS: tuple[tuple[str, int, tuple[str, ...], Callable[[int, dict[str, Any]], Event]], ...] = (
@@ -138,7 +140,7 @@ class CrazyflieLink:
             except Exception as error:  # cflib raises bare exceptions, from USB to its table of contents
                 reason = f"{type(error).__name__}: {error}"
             finally:
-                crazyflie.close_link()
+                _close(crazyflie)
             if not self._closing.is_set():
                 self._put(Lost(reason))
                 self._closing.wait(RETRY_S)
@@ -181,12 +183,14 @@ class CrazyflieLink:
 
     def _listen(self, crazyflie: Any) -> None:
         def resend(_uri: str) -> None:
-            # Only the radio driver asks again by itself; without that one lost answer hangs the connection.
-            if crazyflie.link is not None:
+            # The UDP driver never asks again by itself; then one lost answer hangs the connection for ever.
+            if crazyflie.link is not None and crazyflie.link.get_name() == "udp":
                 crazyflie.link.needs_resending = True
 
-        def heard(_packet: Any) -> None:
-            self._heard_s = time.monotonic()
+        def heard(packet: Any) -> None:
+            # Log blocks of an earlier connection go on: they are no answer to anything.
+            if packet.port in _ANSWERS and (packet.port, packet.channel) != _LOG_DATA:
+                self._heard_s = time.monotonic()
 
         def broken(_uri: str, reason: str) -> None:
             self._broken = reason.strip().partition("\n")[0]
@@ -235,6 +239,20 @@ class CrazyflieLink:
     def _on_supervisor(self, packet: Any) -> None:
         if len(packet.data) >= 3 and packet.data[0] == _ARM_REPLY:
             self._put(ArmReply(bool(packet.data[1]), bool(packet.data[2])))
+
+
+def _close(crazyflie: Any) -> None:
+    """Close the link with the motors off.
+
+    cflib itself sends a set-point of no thrust at the end, and then nothing: within two seconds after a
+    flight the supervisor takes that for a lost link, and locks. So the stop and its notice go out instead.
+    """
+    if crazyflie.link is not None:
+        crazyflie.commander.send_stop_setpoint()
+        for _ in range(3):  # in case one gets lost
+            crazyflie.commander.send_notify_setpoint_stop()
+    crazyflie.commander.send_setpoint = lambda *_: None
+    crazyflie.close_link()
 
 
 def _read_params(crazyflie: Any) -> dict[str, str]:

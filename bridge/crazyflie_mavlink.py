@@ -7,6 +7,7 @@ if it were new; a Crazyflie that is not heard sends no heartbeat, only the text 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from bridge.crazyflie_rules import Rules
 from bridge.crazyflie_setpoint import read_setpoint
 from bridge.crazyflie_state import LATE_MAX_S, BootClock, decode_health, decode_state
 from bridge.crazyflie_streams import Streams
-from bridge.crazyflie_texts import Text, statustexts
+from bridge.crazyflie_texts import INFO, Text, statustexts
 from bridge.crazyflie_types import (
     ArmReply,
     Arrived,
@@ -37,6 +38,7 @@ from bridge.frames import yaw_from_quaternion
 SYSTEM_ID = 1
 COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot nowhere else
 HEARTBEAT_S = 1.0
+READINESS_S = 1.0  # s between two looks at whether it could be armed
 _ARM = dialect.MAV_CMD_COMPONENT_ARM_DISARM
 Handler = Callable[[Any, Sender, float], list[Message]]
 
@@ -65,6 +67,7 @@ class Node:
         self._commands = Commands(self.vehicle, self._streams)
         self._arming_for: set[Sender] = set()
         self._beat_s = -math.inf
+        self._readiness_due_s, self._readiness = READINESS_S, ""
         self._shown: object = None
         self._text_id = 0
         self._out: list[Message] = []
@@ -103,6 +106,9 @@ class Node:
         """Fly, and return the telemetry for everybody and late acknowledgements."""
         vehicle = self.vehicle
         vehicle.step(now_s)
+        if now_s >= self._readiness_due_s and not vehicle.armed:
+            self._readiness_due_s = now_s + READINESS_S
+            self._tell_readiness(now_s)
         messages, self._out = self._out, []
         if vehicle.alive(now_s) and vehicle.state is not None:
             view = View(vehicle, vehicle.state, now_s)
@@ -123,6 +129,15 @@ class Node:
         """What was said since the last call, for the terminal."""
         said, self._said = self._said, []
         return said
+
+    def _tell_readiness(self, now_s: float) -> None:
+        """Say what keeps it from arming, when that changes; a number in it that changes does not count."""
+        found = self.vehicle.problems(now_s)
+        text = f"Not ready: {found[0]}" if found else "Ready to arm"
+        kind = re.sub(r"[-+.\d]+", "", text)
+        if kind != self._readiness:
+            self._readiness = kind
+            self.vehicle.texts.say(INFO, text)
 
     def _late_replies(self) -> list[Reply]:
         if not self._arming_for or self.vehicle.arming:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from bridge.crazyflie_modes import Mode
-from bridge.crazyflie_rules import BLIND_LANDING_MAX_S, STANDING_S, TAKEOFF_M
+from bridge.crazyflie_rules import BLIND_LANDING_MAX_S, STANDING_S, TAKEOFF_M, TAKEOFF_MAX_S
 from bridge.crazyflie_types import CrazyflieState, Velocity
 from bridge.frames import wrap_angle, yaw_from_quaternion
 from flightstack.types import ZERO, Vec3
@@ -102,6 +102,7 @@ class Done(Enum):
 
     ARRIVED = auto()  # take-off height reached
     LANDED = auto()
+    STUCK = auto()  # take-off height not reached in time
 
 
 class Pilot:
@@ -149,5 +150,9 @@ class Pilot:
                 return None, Done.LANDED
             velocity = anchor.descend(state) if placed else (0.0, 0.0, -DESCENT_M_S)
             return Velocity(velocity, turn_rad_s), None
-        done = Done.ARRIVED if mode is Mode.TAKEOFF and anchor.arrived(state) else None
+        done: Done | None = None
+        if mode is Mode.TAKEOFF and anchor.arrived(state):
+            done = Done.ARRIVED
+        elif mode is Mode.TAKEOFF and now_s - self._since_s > TAKEOFF_MAX_S:
+            done = Done.STUCK
         return Velocity(anchor.hold(state), turn_rad_s), done

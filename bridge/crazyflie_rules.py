@@ -17,6 +17,9 @@ OWN_PERIOD_S = 0.02  # s between two set-points of the bridge's own modes
 STANDING_S = 1.0  # s of being told to sink without sinking
 SPEED_MAX_M_S = 1.0  # m/s, longest velocity passed on
 HEIGHT_RANGE_M = (0.1, 3.0)  # m above home of a take-off
+IDLE_S = 10.0  # s armed on the ground; PX4's COM_DISARM_PRFLT
+KILL_KEPT_S = 10.0  # s; a kill without a link is done when there is one again
+TAKEOFF_MAX_S = 15.0  # s; 3 m take 8: longer, and something holds it
 TAKEOFF_M = 0.5  # m above home, of a take-off without a height
 
 

@@ -10,29 +10,18 @@ from __future__ import annotations
 
 import math
 
+from bridge import crazyflie_rules as limits
 from bridge.crazyflie_arming import Arming
-from bridge.crazyflie_checks import ESTIMATOR, KALMAN, STATE_AGE_MAX_S, Seen, position_known, problems, stuck
+from bridge.crazyflie_checks import ESTIMATOR, KALMAN, stuck
+from bridge.crazyflie_known import Known
 from bridge.crazyflie_modes import CODES, Mode
 from bridge.crazyflie_owner import Owner, Right, Sender
 from bridge.crazyflie_pilot import Done, Ground, Pilot, yaw_rate
-from bridge.crazyflie_rules import (
-    CLIENT_SILENT_S,
-    HEIGHT_RANGE_M,
-    LEVEL_OUT_S,
-    LOST_S,
-    OWN_PERIOD_S,
-    RECONNECT_S,
-    SILENT_S,
-    STREAM_S,
-    TAKEOFF_M,
-    Rules,
-)
 from bridge.crazyflie_texts import CRITICAL, INFO, WARNING, Texts
 from bridge.crazyflie_types import (
     ArmReply,
     Connected,
     CrazyflieState,
-    Health,
     Info,
     Link,
     Lost,
@@ -45,7 +34,7 @@ from bridge.crazyflie_types import (
 from flightstack.types import Vec3
 
 
-class Vehicle:
+class Vehicle(Known):
     """Call ``take`` and the commands as things come, then ``step``, then take ``packets`` and ``texts``.
 
     Attributes:
@@ -54,22 +43,20 @@ class Vehicle:
         home_z_m: height of the place it was armed at last.
     """
 
-    def __init__(self, rules: Rules) -> None:
+    def __init__(self, rules: limits.Rules) -> None:
         self.rules = rules
         self.mode, self.failsafe = Mode.HOLD, False
         self.home_z_m = 0.0
-        self.link, self.texts, self.owner = Link(), Texts(), Owner()
-        self.state: CrazyflieState | None = None
-        self.health: Health | None = None
-        self.mocap_problem: str | None = "no pose yet" if rules.mocap else None
+        super().__init__(mocap=rules.mocap)
+        self.texts, self.owner = Texts(), Owner()
         self._arming = Arming()
         self._packets: list[Packet] = []
         self._pilot = Pilot()
         self._moved = False  # a velocity has gone out since arming
         self._ground = Ground()
-        self._stream_s = self._client_s = self._own_s = -math.inf
+        self._stream_s = self._client_s = self._own_s = self._kill_s = -math.inf
         self._silence_said = self._stream_end_said = False
-        self._connected_s = 0.0
+        self._connected_s = self._idle_since_s = 0.0
 
     @property
     def armed(self) -> bool:
@@ -82,6 +69,11 @@ class Vehicle:
         return self._arming.arming
 
     @property
+    def busy(self) -> bool:
+        """Armed, or not done with the supervisor: the link must not be closed yet."""
+        return self.armed or self._arming.busy
+
+    @property
     def standing(self) -> bool:
         """Not in the air, as far as can be told without a sensor for it."""
         return not (self.armed and self._moved)
@@ -90,18 +82,6 @@ class Vehicle:
     def landed_state(self) -> int:
         """MAV_LANDED_STATE."""
         return 1 if self.standing else CODES[self.mode].landed_state
-
-    def alive(self, now_s: float) -> bool:
-        """Whether it is heard; without that nothing is said in its name."""
-        return self.state is not None and self.link.protocol is not None and now_s - self.state.at_s <= LOST_S
-
-    def problems(self, now_s: float) -> list[str]:
-        """Reasons against arming, now."""
-        return problems(self._seen(now_s))
-
-    def position_known(self, now_s: float) -> bool:
-        """Whether its estimate of position may be flown by."""
-        return position_known(self._seen(now_s))
 
     def take_packets(self) -> list[Packet]:
         """What goes to the Crazyflie, in order."""
@@ -116,6 +96,9 @@ class Vehicle:
         self.state = self.health = None
         self._connected_s = now_s
         self._arming.forget()
+        if now_s - self._kill_s <= limits.KILL_KEPT_S:
+            self.emergency_stop(now_s)
+        self._kill_s = -math.inf
         self.texts.say(INFO, f"Crazyflie connected, CRTP {event.protocol}")
         if event.params.get(ESTIMATOR, KALMAN) != KALMAN:
             self._packets.append(SetParam(ESTIMATOR, float(KALMAN)))  # its echo comes as a ``ParamValue``
@@ -197,6 +180,9 @@ class Vehicle:
         """Motors off; in the air only by force."""
         if not force and not self.standing:
             return "Disarming refused: not landed"
+        if force and self.link.protocol is None:
+            self._kill_s = now_s
+            return f"No link to the Crazyflie: motors off if it is back within {limits.KILL_KEPT_S:g} s"
         flying = self.state is not None and bool(self.state.info & Info.FLYING)
         if self.armed or self.arming or (force and flying):
             self._motors_off(now_s, "Disarmed by force" if force else "Disarmed", forced=force)
@@ -204,6 +190,9 @@ class Vehicle:
 
     def emergency_stop(self, now_s: float) -> None:
         """Stop the motors by the way that latches until a restart."""
+        if self.link.protocol is None:
+            self._kill_s = now_s
+            self.texts.say(CRITICAL, "Emergency stop waits for the radio")
         self._packets += self._arming.emergency(now_s)
         self._end("emergency stop, restart needed")
 
@@ -215,10 +204,12 @@ class Vehicle:
             now_s: now.
         """
         home_m = self.home_z_m if self.armed or self.state is None else self.state.position_enu_m[2]
-        height_m = home_m + TAKEOFF_M if height_m is None else height_m
-        low, high = HEIGHT_RANGE_M
+        height_m = home_m + limits.TAKEOFF_M if height_m is None else height_m
+        low, high = limits.HEIGHT_RANGE_M
         if not low <= height_m - home_m <= high:
             return f"Take-off refused: {height_m - home_m:.3g} m above home, {low:g} to {high:g}"
+        if not self.standing and self.state is not None:
+            height_m = max(height_m, self.state.position_enu_m[2])  # it never descends for that
         if self.mode is Mode.TAKEOFF and height_m == self._pilot.takeoff_z_m:
             return None
         self._pilot.takeoff_z_m = height_m
@@ -237,8 +228,10 @@ class Vehicle:
         if mode is Mode.LAND:
             self.land(now_s)
             return None
-        if mode is Mode.OFFBOARD and now_s - self._stream_s > STREAM_S:
+        if mode is Mode.OFFBOARD and now_s - self._stream_s > limits.STREAM_S:
             return "Mode offboard refused: no set-points"
+        if mode is Mode.OFFBOARD and not self.position_known(now_s):
+            return "Mode offboard refused: no position estimate"
         self._enter(mode, now_s)
         return None
 
@@ -271,7 +264,7 @@ class Vehicle:
             x, y, z = velocity_enu_m_s
             velocity_enu_m_s = (share * x, share * y, share * z)
             self.texts.refuse(f"Set-point cut to {self.rules.speed_max_m_s:g} m/s", now_s, "fast")
-        state = self._fresh_state(now_s)
+        state = self.fresh_state(now_s)
         if yaw_rad is not None:
             yaw_rate_rad_s = yaw_rate(yaw_rad, state) if state is not None else 0.0
         self._command(Velocity(velocity_enu_m_s, yaw_rate_rad_s))
@@ -289,17 +282,14 @@ class Vehicle:
             self.texts.say(CRITICAL, text if text[0].isupper() else f"Arming failed: {text}")
         if self.armed and not was_armed:
             self.texts.say(INFO, "Armed")
+        if not (self.armed and self.standing):
+            self._idle_since_s = now_s
+        elif now_s - self._idle_since_s > limits.IDLE_S:
+            self._motors_off(now_s, "Disarmed: it does not fly", forced=False)
         if self.armed:
             (self._fly_offboard if self.mode is Mode.OFFBOARD else self._fly_own)(now_s)
 
     # Flying
-
-    def _seen(self, now_s: float) -> Seen:
-        return Seen(now_s, self.link, self.state, self.health, self.mocap_problem)
-
-    def _fresh_state(self, now_s: float) -> CrazyflieState | None:
-        state = self.state
-        return state if state is not None and now_s - state.at_s <= STATE_AGE_MAX_S else None
 
     def _command(self, velocity: Velocity) -> None:
         self._moved = True
@@ -310,13 +300,13 @@ class Vehicle:
         if self.standing and self.mode is Mode.LAND:
             self._motors_off(now_s, "Disarmed", forced=False)
             return
-        if (self.standing and self.mode is Mode.HOLD) or now_s - self._own_s < OWN_PERIOD_S - 1e-4:
+        if (self.standing and self.mode is Mode.HOLD) or now_s - self._own_s < limits.OWN_PERIOD_S - 1e-4:
             return
         self._own_s = now_s
-        if self.mode is not Mode.LAND and now_s - self._client_s > CLIENT_SILENT_S:
-            self._fall_back(f"No client for {CLIENT_SILENT_S:g} s", now_s)
+        if self.mode is not Mode.LAND and now_s - self._client_s > limits.CLIENT_SILENT_S:
+            self._fall_back(f"No client for {limits.CLIENT_SILENT_S:g} s", now_s)
             return
-        state = self._fresh_state(now_s)
+        state = self.fresh_state(now_s)
         placed = state is None or self.position_known(now_s)
         if not placed and self.mode is not Mode.LAND:
             self._fall_back("No position estimate", now_s)
@@ -324,6 +314,9 @@ class Vehicle:
         velocity, done = self._pilot.step(self.mode, state, now_s, standing=self.standing, placed=placed)
         if done is Done.LANDED:
             self._motors_off(now_s, "Landed, disarmed", forced=False)
+            return
+        if done is Done.STUCK:
+            self._fall_back("Take-off height not reached", now_s)
             return
         if done is Done.ARRIVED:
             self._change(Mode.HOLD)
@@ -333,10 +326,10 @@ class Vehicle:
     def _fly_offboard(self, now_s: float) -> None:
         """Nothing is sent here; only what has stopped is said."""
         silence_s = now_s - self._stream_s
-        if silence_s > LEVEL_OUT_S and not self._stream_end_said and self._moved:
+        if silence_s > limits.LEVEL_OUT_S and not self._stream_end_said and self._moved:
             self._stream_end_said = True
             self.texts.say(CRITICAL, "Set-points stopped: firmware levels out, motors off at 2 s")
-        if silence_s > STREAM_S and (self.rules.land_on_silence or self.standing):
+        if silence_s > limits.STREAM_S and (self.rules.land_on_silence or self.standing):
             self._fall_back("No set-points", now_s)
 
     def _watch_radio(self, now_s: float) -> None:
@@ -344,15 +337,20 @@ class Vehicle:
             return
         heard_s = self.state.at_s if self.state is not None else self._connected_s
         silence_s = now_s - heard_s
-        if silence_s > SILENT_S and not self._silence_said:
+        if silence_s > limits.SILENT_S and not self._silence_said:
             self._silence_said = True
-            self.texts.say(CRITICAL, f"Radio silent for {SILENT_S:g} s")
-        if silence_s > LOST_S and self.armed and self.mode in (Mode.HOLD, Mode.TAKEOFF) and not self.standing:
+            self.texts.say(CRITICAL, f"Radio silent for {limits.SILENT_S:g} s")
+        if (
+            silence_s > limits.LOST_S
+            and self.armed
+            and self.mode in (Mode.HOLD, Mode.TAKEOFF)
+            and not self.standing
+        ):
             self._fall_back("Radio silent", now_s)
         landing_blind = self.armed and self.mode is Mode.LAND and self._pilot.goes_on(now_s)
-        if silence_s > RECONNECT_S and not landing_blind:
+        if silence_s > limits.RECONNECT_S and not landing_blind:
             self._packets.append(Order.RECONNECT)
-            self.lost(Lost(f"nothing heard for {RECONNECT_S:g} s"), now_s)
+            self.lost(Lost(f"nothing heard for {limits.RECONNECT_S:g} s"), now_s)
 
     # Changes
 

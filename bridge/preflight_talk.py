@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.autopilot_version import marked, release
+from bridge.autopilot_version import is_recorded, marked, release
 from bridge.autopilots import found, refusal
 from bridge.decoding import Message
 from bridge.mavlink import Endpoint, Peer
 from bridge.parameters import ParameterReader
-from bridge.preflight import Finding, Level, Needs, judge
+from bridge.preflight import Finding, Level, Needs, Rule, judge
 from bridge.preflight_rules import RULES
 from bridge.profile import Profile
 
@@ -93,7 +93,7 @@ def examine(
     if profile is None or reader is None:
         text = f"no heartbeat of system {system_id}, component 1, within {wait_s:g} s"
         return Report(None, None, (), f"{text}: is the vehicle's link up?")
-    findings = judge(RULES[profile.name], reader.values, reader.missing, needs, accepted)
+    findings = judge(talk.rules, reader.values, reader.missing, needs, accepted)
     return Report(profile, talk.version, tuple(findings), None)
 
 
@@ -106,12 +106,14 @@ class _Talk:
         self.version: str | None = None
         self.refused: str | None = None
         self.reader: ParameterReader | None = None
+        self.rules: tuple[Rule, ...] = ()
         self.heard = False
         self._peer: Peer | None = None
         self._said_s = -math.inf
         self._version_s = -math.inf
         self._version_tries = 0
         self._version_over = False
+        self._recorded = False
 
     @property
     def over(self) -> bool:
@@ -135,7 +137,8 @@ class _Talk:
 
     def _ask(self, profile: Profile, now_s: float) -> list[Message]:
         if self._version_over and self.reader is None:
-            names = (rule.name for rule in RULES[profile.name])
+            self.rules = () if self._recorded else RULES[profile.name]
+            names = (rule.name for rule in self.rules)
             self.reader = ParameterReader(names, *self._target, profile.encoding)
         if self.reader is not None:
             return self.reader.step(now_s)
@@ -163,6 +166,7 @@ class _Talk:
                 self.profile = self._chosen or found(message.autopilot)
         elif kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION and not self._version_over:
             self.version, self._version_over = release(message), True
+            self._recorded = is_recorded(message)
             own = marked(message)
             if own is not None and self.profile is not None and own.autopilot == self.profile.autopilot:
                 self.profile = own

@@ -119,6 +119,7 @@ class VehicleLink:
         self._target = (system_id, component_id)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
         self._wants = self._adopt(profile) if profile is not None else None
+        self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
         self._assembler = TextAssembler()
         self.endpoint = endpoint or Endpoint(
             url,
@@ -199,7 +200,9 @@ class VehicleLink:
     def command(self, request: Request, now_s: float) -> None:
         """Work towards a request; call it every tick with the level that is wanted."""
         if self._wants is None:
-            return  # nobody has been heard, so nobody can be told
+            if request is Request.MOTORS_OFF:  # the same for all: sent also to one that is not known
+                self._outgoing += self._kill.step(request, None, now_s)
+            return
         sequencer, _, origin = self._wants
         if self.state.home_amsl_m is not None:
             sequencer.home_amsl_m = self.state.home_amsl_m

@@ -12,11 +12,11 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from bridge.autopilots import AUTO, CHOICES
 from bridge.mavlink import Endpoint
 from bridge.preflight import Level
 from bridge.preflight_talk import Report
 from bridge.signing_key import load_key
+from flightstack import cli_options as shared
 from flightstack import preflight as checks
 from flightstack.config import BarrierShape, FlightConfig, load
 
@@ -26,34 +26,20 @@ _PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # its co
 
 
 @click.command()
-@click.option(
-    "--vehicle", "vehicle_url", required=True, metavar="URL",
-    help="MAVLink URL: udpin:HOST:PORT or udpout:HOST:PORT.",
-)  # fmt: skip
-@click.option(
-    "--autopilot", type=click.Choice(CHOICES), default=AUTO, show_default=True,
-    help="What flies the vehicle; auto: by its heartbeat.",
-)  # fmt: skip
+@shared.vehicle_url
+@shared.autopilot
 @click.option(
     "--config", "config_file", type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Configuration to be flown; default: the paper's limits, nothing accepted.",
 )  # fmt: skip
-@click.option(
-    "--system-id", type=click.IntRange(1, 255), default=1, show_default=True,
-    help="MAVLink system id of the vehicle.",
-)  # fmt: skip
+@shared.system_id
 @click.option(
     "--wait", "wait_s", type=click.FloatRange(0.1, 600.0), default=10.0, show_default=True, metavar="S",
     help="How long to wait for its heartbeat.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option(
-    "--signing-key", type=click.Path(path_type=Path), metavar="FILE",
-    help="Sign MAVLink with this key and hear nothing unsigned (see `key`).",
-)  # fmt: skip
-@click.option(
-    "--allow-unsigned", is_flag=True, help="Listen to a network without a key: anybody there can fly it."
-)
+@shared.signing_key
+@shared.allow_unsigned
 def preflight(
     vehicle_url: str, autopilot: str, config_file: Path | None, system_id: int, wait_s: float, as_json: bool,
     signing_key: Path | None, allow_unsigned: bool,

@@ -134,7 +134,7 @@ class Flight:
             return None
         problems = self.problems()
         if self.mode in _MODES_TO_LEAVE or (self.personality.guided and self.mode is not FlightMode.OFFBOARD):
-            problems.append(f"mode is {self.mode.value}")
+            problems.append(f"mode is {self.personality.label(self.mode)}")
         reason = problems[0] if problems else self.vehicle.arm()
         if reason is not None:
             return f"Arming refused: {reason}"
@@ -224,7 +224,7 @@ class Flight:
     def _set_guided_mode(self, mode: FlightMode, now_s: float) -> str | None:
         """Change the mode freely while disarmed; in flight only with a position."""
         if self.vehicle.armed and not self.positioned:
-            return f"Mode change to {mode.value} failed: requires position"
+            return f"Mode change to {self.personality.label(mode)} failed: requires position"
         if mode is FlightMode.OFFBOARD and self.mode in GUIDED:
             return None  # one and the same on the wire: nothing changes
         self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
@@ -333,8 +333,9 @@ class Flight:
         self.failsafe = failsafe
         if mode is self.mode and not restart:
             return
-        if mode is not self.mode:
-            self.say(dialect.MAV_SEVERITY_INFO, f"Mode {mode.value}")
+        label = self.personality.label(mode)
+        if label != self.personality.label(self.mode):
+            self.say(dialect.MAV_SEVERITY_INFO, f"Mode {label}")
         self.mode, self._arrived = mode, False
         self.pilot.begin(goal)
 

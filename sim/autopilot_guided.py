@@ -23,7 +23,7 @@ def why_no_takeoff(flight: Flight, height_m: float | None, z_m: float) -> str | 
     if flight.mode is FlightMode.TAKEOFF and height_m == flight.pilot.takeoff_height_m and flight.standing:
         return None  # the command again
     if flight.mode not in GUIDED:
-        return f"Take-off refused: mode is {flight.mode.value}, guided is needed"
+        return f"Take-off refused: mode is {flight.personality.label(flight.mode)}, GUIDED is needed"
     if not flight.vehicle.armed:
         return "Take-off refused: not armed"
     if not flight.standing:

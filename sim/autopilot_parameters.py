@@ -255,12 +255,12 @@ class Parameters:
             Why it was refused, None when it was written.
         """
         parameter = self._table[self._index[name]]
-        if type_ != parameter.type:
+        if self._bytewise and type_ != parameter.type:
             return Refused(_OUT_OF_RANGE, f"{name}: ignored, type {type_} instead of {parameter.type}")
         bits = self._bytewise and type_ == INT32
         value = float(_INT.unpack(_FLOAT.pack(wire_value))[0]) if bits else wire_value
-        if not bits and type_ != REAL32 and math.isfinite(value):
-            value = float(math.trunc(value))
+        if not self._bytewise and parameter.type != REAL32 and math.isfinite(value):
+            value = float(math.trunc(value + math.copysign(0.01, value)))  # as ArduPilot's AP_Param
         if not parameter.accepts(value):
             error = _OUT_OF_RANGE if parameter.low < parameter.high else _READ_ONLY
             return Refused(error, f"{name}: {value:.6g}, allowed {parameter.allowed}")

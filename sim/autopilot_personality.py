@@ -73,8 +73,13 @@ class Personality:
     rates_hz: Mapping[int, float] = field(default_factory=lambda: DEFAULT_HZ)
     every_tick: tuple[int, ...] = EVERY_TICK
     data_streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # of REQUEST_DATA_STREAM
+    labels: Mapping[FlightMode, str] = field(default_factory=dict)  # of modes it calls otherwise
     # what a person sets before this stack flies it, since the default is not safe (bridge/preflight_rules.py)
     set_before_flight: Mapping[str, float] = field(default_factory=dict)
+
+    def label(self, mode: FlightMode) -> str:
+        """Name of a mode for people."""
+        return self.labels.get(mode, mode.value)
 
     def __deepcopy__(self, memo: dict[int, object]) -> Personality:
         """Itself: nothing of it ever changes."""
@@ -123,6 +128,22 @@ def _ardupilot_why(number: int, _sub: int) -> str:
     return f"Mode change to {number} failed: {reason}"
 
 
+_ARDUPILOT_STREAMS: dict[int, tuple[int, ...]] = {
+    _M.MAV_DATA_STREAM_EXTENDED_STATUS: (
+        _M.MAVLINK_MSG_ID_SYS_STATUS,
+        _M.MAVLINK_MSG_ID_GPS_RAW_INT,
+        _M.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+    ),
+    _M.MAV_DATA_STREAM_POSITION: (
+        _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        _M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    ),
+    _M.MAV_DATA_STREAM_RAW_CONTROLLER: (_M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,),
+    _M.MAV_DATA_STREAM_EXTRA1: (_M.MAVLINK_MSG_ID_ATTITUDE,),
+    _M.MAV_DATA_STREAM_EXTRA2: (_M.MAVLINK_MSG_ID_VFR_HUD,),
+    _M.MAV_DATA_STREAM_EXTRA3: (_M.MAVLINK_MSG_ID_BATTERY_STATUS, _M.MAVLINK_MSG_ID_SYSTEM_TIME),
+}
+
 ARDUPILOT = Personality(
     name="ardupilot",
     autopilot=_M.MAV_AUTOPILOT_ARDUPILOTMEGA,
@@ -149,22 +170,20 @@ ARDUPILOT = Personality(
     needs_origin=True,
     rates_hz=MappingProxyType({}),  # all SRx_ rates are 0: but the heartbeat, everything must be asked for
     every_tick=(),
+    labels=MappingProxyType(
+        {
+            FlightMode.HOLD: "BRAKE",
+            FlightMode.TAKEOFF: "GUIDED",
+            FlightMode.LAND: "LAND",
+            FlightMode.RETURN: "RTL",
+            FlightMode.OFFBOARD: "GUIDED",
+        }
+    ),
     set_before_flight=MappingProxyType({"GUID_TIMEOUT": 0.5}),
     data_streams=MappingProxyType(
         {
-            _M.MAV_DATA_STREAM_EXTENDED_STATUS: (
-                _M.MAVLINK_MSG_ID_SYS_STATUS,
-                _M.MAVLINK_MSG_ID_GPS_RAW_INT,
-                _M.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
-            ),
-            _M.MAV_DATA_STREAM_POSITION: (
-                _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-                _M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-            ),
-            _M.MAV_DATA_STREAM_RAW_CONTROLLER: (_M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,),
-            _M.MAV_DATA_STREAM_EXTRA1: (_M.MAVLINK_MSG_ID_ATTITUDE,),
-            _M.MAV_DATA_STREAM_EXTRA2: (_M.MAVLINK_MSG_ID_VFR_HUD,),
-            _M.MAV_DATA_STREAM_EXTRA3: (_M.MAVLINK_MSG_ID_BATTERY_STATUS, _M.MAVLINK_MSG_ID_SYSTEM_TIME),
+            **_ARDUPILOT_STREAMS,
+            _M.MAV_DATA_STREAM_ALL: tuple(id_ for group in _ARDUPILOT_STREAMS.values() for id_ in group),
         }
     ),
 )

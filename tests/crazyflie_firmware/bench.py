@@ -43,6 +43,7 @@ class Bench:
         sent: packets of the bridge with their times.
         out: telemetry with its times.
         mute: nothing the firmware says gets through.
+        deaf: nothing gets through to it.
     """
 
     def __init__(self, firmware: Firmware | None = None, rules: Rules | None = None) -> None:
@@ -52,7 +53,7 @@ class Bench:
         self.sent: list[tuple[float, Packet]] = []
         self.out: list[tuple[float, object]] = []
         self.replies: list[object] = []
-        self.mute = self.client_gone = self.disarm_lost = False
+        self.mute = self.deaf = self.client_gone = self.disarm_lost = False
         self.stream: tuple[float, float, float] | None = None  # NED
         self.connect()
 
@@ -169,7 +170,7 @@ class Bench:
     def _send(self) -> None:
         for packet in self.vehicle.take_packets():
             self.sent.append((self.now_s, packet))
-            if packet is Order.DISARM and self.disarm_lost:
+            if self.deaf or (packet is Order.DISARM and self.disarm_lost):
                 continue
             if isinstance(packet, SetParam):
                 self._write(packet)

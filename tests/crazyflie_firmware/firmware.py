@@ -80,7 +80,7 @@ class Firmware:
             (2, 0): lambda: self._toc(self._param_toc, data),
             (2, 1): lambda: self._param_read(data),
             (2, 2): lambda: self._param_write(data),
-            (3, 0): lambda: self._note("rpyt", now_s),
+            (3, 0): lambda: self._thrust(data, now_s),
             (6, 1): lambda: self._generic_location(data, now_s),
             (7, 0): lambda: self._generic_setpoint(data, now_s),
             (7, 1): lambda: self._notify(now_s),
@@ -127,7 +127,10 @@ class Firmware:
             return [bytes((command, number, 2))]  # ENOENT
         elif command == 7:
             ids = [struct.unpack_from("<H", data, at)[0] for at in range(3, len(data), 3)]
-            self._blocks[number].names += [self._log_toc.name(i) for i in ids]
+            names = [*self._blocks[number].names, *(self._log_toc.name(i) for i in ids)]
+            if sum(struct.calcsize(CODE[LOGS[name]]) for name in names) > 26:
+                return [bytes((command, number, 7))]  # E2BIG, as when the same is asked twice
+            self._blocks[number].names = names
         elif command == 3:
             block = self._blocks[number]
             block.period_s, block.running, block.due_s = data[2] / 100.0, True, now_s
@@ -194,7 +197,14 @@ class Firmware:
         vx, vy, vz, yaw_rate_deg_s = struct.unpack_from("<4f", data, 1)
         self._setpoint = ((vx, vy, vz), yaw_rate_deg_s * 0.017453292519943295)
         self.setpoints.append((now_s, (vx, vy, vz), yaw_rate_deg_s))
+        self.plant.setpoint(*self._setpoint)
         return []
+
+    def _thrust(self, data: bytes, now_s: float) -> list[bytes]:
+        """Roll, pitch, yaw rate and thrust: only the thrust of zero that cflib ends a link with."""
+        assert struct.unpack("<fffH", data)[3] == 0
+        self._setpoint_s, self._priority, self._setpoint = now_s, 2, None
+        return self._note("rpyt", now_s)
 
     def _notify(self, now_s: float) -> list[bytes]:
         self._priority = 0

@@ -34,6 +34,9 @@ class Point:
     def on_surface(self) -> bool:
         return self.position[2] <= self.surface_m(*self.position[:2]) + 1e-6
 
+    def setpoint(self, velocity: tuple[float, float, float], yaw_rate: float) -> None:
+        """A set-point has come; ``command`` says it at every step, which is enough here."""
+
     def command(self, velocity: tuple[float, float, float], yaw_rate: float, level: bool) -> None:
         """Fly; ``level``: no tilt, only the height is controlled."""
         self._wanted, self._level, self.motors = list(velocity), level, True

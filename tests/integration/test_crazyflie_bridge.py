@@ -11,11 +11,12 @@ import pytest
 
 from bridge import zenoh_link
 from bridge.crazyflie_link import EVENTS_MAX, CrazyflieLink
-from bridge.crazyflie_types import Connected, StateBlock
+from bridge.crazyflie_types import Connected, Lost, StateBlock
 from bridge.odometry import OdometryPublisher
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.server import Server
+from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.crazyflie_firmware.supervisor import State
 from tests.integration.crazyflie_processes import bridge, client, fly
 from tests.integration.runs import COMMAND
@@ -23,7 +24,7 @@ from tests.integration.sim_processes import ROOT, free_port, is_a, setpoint, wai
 
 pytestmark = pytest.mark.xdist_group("real-time")
 
-ARMED = 128
+ARMED, LAND = 128, 0x06040000
 PAD_M, PAD_RADIUS_M = 0.2, 0.15
 CONFIG = """
 filter = "paper"
@@ -78,6 +79,35 @@ def test_the_onboard_process_lands_it_unchanged(tmp_path):
         done.set()
         publisher.join()
         session.close()
+
+
+def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
+    here, there = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    robot = subprocess.Popen(
+        [*COMMAND, "target", "--scenario", "paper_moving_1", "--listen", here, "--connect", there],
+        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    session = zenoh_link.open_session([], [here])
+    try:
+        plant = SimPlant("paper_moving_1", 1, session)
+        with Server(Firmware(plant)) as server, bridge(server) as started:
+            landed = subprocess.run(
+                [*COMMAND, "onboard", "--vehicle", started.url.replace("udpin", "udpout"), "--connect", here,
+                 "--listen", there, "--config", "docs/onboard.toml", "--duration", "120"],
+                cwd=ROOT, capture_output=True, text=True, timeout=180.0, check=False,
+            )  # fmt: skip
+            assert landed.returncode == 0, landed.stdout + landed.stderr + "".join(started.lines)
+            assert "LANDED: motors off" in landed.stdout
+            wait_for(lambda: plant.vehicle.on_pad, "contact with the pad")
+            assert not plant.motors
+            assert State.LOCKED not in [state for _, state in server.firmware.supervisor.history]
+            truth = plant.vehicle.truth()
+            offset = [a - b for a, b in zip(truth.position_enu_m, truth.pad_position_enu_m, strict=True)]
+            assert (offset[0] ** 2 + offset[1] ** 2) ** 0.5 < 0.1
+    finally:
+        session.close()
+        robot.terminate()
+        robot.wait(20.0)
 
 
 def test_set_points_stop_with_their_client_and_the_firmware_does_the_rest():
@@ -154,12 +184,24 @@ def test_old_firmware_is_refused_with_the_version_needed():
         assert not server.firmware.supervisor.armed
 
 
-def test_told_to_end_in_the_air_it_lands_first():
+def test_told_to_end_in_the_air_it_lands_first_and_leaves_it_ready_to_fly():
     with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
         fly(one, server)
         assert started.end() == 0
         assert server.firmware.plant.on_surface
+        wait_for(lambda: server.firmware.supervisor.state is State.LANDED, "the end of the flight")
+        wait_for(lambda: server.firmware.supervisor.state is State.READY, "the next one")
         assert State.LOCKED not in [state for _, state in server.firmware.supervisor.history]
+
+
+def test_told_twice_to_end_it_stops_the_motors_at_once():
+    with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
+        fly(one, server)
+        started.child.send_signal(signal.SIGINT)
+        one.until(is_a("HEARTBEAT", custom_mode=LAND))
+        assert started.end(signal.SIGINT) == 0
+        assert not server.firmware.plant.motors
+        wait_for(lambda: server.firmware.supervisor.state is State.READY, "no lock")
 
 
 def test_nobody_there_is_said_and_it_ends_when_told(tmp_path):
@@ -168,6 +210,22 @@ def test_nobody_there_is_said_and_it_ends_when_told(tmp_path):
         with bridge(server, "--cache", str(tmp_path / "cache")) as started:
             wait_for(lambda: started.said("no answer from udp://"), "the reason")
             assert started.end(signal.SIGINT) == 0
+
+
+def test_log_blocks_of_an_earlier_connection_are_no_answer():
+    firmware = Firmware()
+    firmware.packet(b"\x5d\x06\x01" + bytes((0x55, 0, 0)), 0.0)
+    firmware.packet(b"\x5d\x03\x01\x01", 0.0)
+    firmware.packet = lambda raw, now_s: []
+    with Server(firmware) as server:
+        link = CrazyflieLink(server.uri)
+        try:
+            events = []
+            wait_for(lambda: events.extend(link.poll()) or len(events) > 0, "the end of the attempt")
+            assert [type(arrived.event) for arrived in events] == [Lost]
+            assert events[0].event.reason.startswith("no answer from udp://")
+        finally:
+            link.close()
 
 
 def test_what_nobody_takes_is_bounded(tmp_path):
@@ -194,3 +252,12 @@ def test_a_wrong_uri_is_an_error_that_says_what_is_allowed(uri):
     )  # fmt: skip
     assert done.returncode == 2
     assert f"Crazyflie URI {uri!r} is not understood: allowed is radio://DONGLE/CHANNEL/RATE" in done.stderr
+
+
+def test_it_listens_to_a_network_only_with_a_key():
+    done = subprocess.run(
+        [*COMMAND, "bridge", "crazyflie", "--uri", "udp://127.0.0.1:9", "--url", "udpin:0.0.0.0:0"],
+        cwd=ROOT, capture_output=True, text=True, timeout=60.0, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "--signing-key FILE" in done.stderr

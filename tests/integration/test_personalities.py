@@ -32,6 +32,11 @@ def test_lockstep_landing_and_its_replay(tmp_path, plays):
     assert "wire: equal" in replayed.out
 
 
+@pytest.mark.parametrize("plays", PERSONALITIES)
+def test_a_vehicle_of_one_kilogram(tmp_path, plays):
+    landed(tmp_path, "--scenario", "large", "--lockstep", "--personality", plays)
+
+
 def test_from_the_ground_as_ardupilot_with_an_origin_to_be_told(tmp_path):
     log = landed(tmp_path, "--scenario", "paper_moving_1", "--lockstep", "--personality", "ardupilot")
     (config,) = [a.data.decode() for a in LogFile(log).attachments() if a.name == "onboard.toml"]
@@ -42,7 +47,7 @@ def test_from_the_ground_as_ardupilot_with_an_origin_to_be_told(tmp_path):
 @pytest.mark.parametrize("plays", PERSONALITIES)
 def test_real_time_landing_after_the_check(tmp_path, plays):
     log = landed(tmp_path, "--scenario", "lab", "--seed", 2, "--personality", plays)
-    found = {m.name: m.metadata for m in LogFile(log).metadata()}["preflight"]
+    found = LogFile(log).metadata()["preflight"]
     assert found["profile"] == {"px4": "sitl", "ardupilot": "ardupilot"}[plays]
     assert found["problem"] == ""
     assert not any("UNSAFE" in value for value in found.values())

@@ -83,6 +83,14 @@ def test_streams_come_as_asked_by_interval_or_by_group() -> None:
     assert len(rig.seen(mav.MAVLINK_MSG_ID_ATTITUDE)) == pytest.approx(25, abs=2)
 
 
+def test_all_groups_at_once_as_mavproxy_asks_for_them() -> None:
+    rig = grounded()
+    rig.handle(mav.MAVLink_request_data_stream_message(1, 1, 0, 4, 1))
+    rig.run(2.0)
+    for message_id in (mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mav.MAVLINK_MSG_ID_SYS_STATUS):
+        assert len(rig.seen(message_id)) == pytest.approx(8, abs=1)
+
+
 def test_px4_ignores_data_streams() -> None:
     rig = Rig()
     assert mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM not in rig.autopilot.handled
@@ -263,6 +271,8 @@ def test_parameters_have_ardupilots_names_units_and_encoding() -> None:
     assert rig.autopilot.parameters["COM_DISARM_PRFLT"] == rig.autopilot.parameters["COM_DISARM_LAND"] == 20.0
     (value,) = set_parameter(rig, "FS_GCS_ENABLE", 5.0, mav.MAV_PARAM_TYPE_INT8)
     assert (value.param_value, rig.autopilot.parameters["NAV_DLL_ACT"]) == (5.0, 3)
+    (value,) = set_parameter(rig, "DISARM_DELAY", 29.995, mav.MAV_PARAM_TYPE_REAL32)  # MAVProxy: all are real
+    assert (value.param_value, value.param_type) == (30.0, mav.MAV_PARAM_TYPE_INT8)
     error, value = set_parameter(rig, "FS_GCS_ENABLE", 2.0, mav.MAV_PARAM_TYPE_INT8)
     assert (error.get_type(), value.param_value) == ("PARAM_ERROR", 5.0)
     (error,) = rig.handle(mav.MAVLink_param_request_read_message(1, 1, b"COM_OF_LOSS_T", -1))

@@ -23,7 +23,9 @@ from bridge.origin import Origin, OriginSender
 from bridge.profile import Encoding, Reading
 from bridge.streams import StreamRequests
 from bridge.vehicle_state import VehicleState
+from flightstack import cli_options
 from flightstack.types import Landed, Mode, Request
+from sim.autopilot_personality import PERSONALITIES as SIMULATED
 from tests.unit.vehicle_link_fakes import HEIGHT, commands, heartbeat, params, sequencer, status
 
 GUIDED, LOITER, STABILIZE = 4, 5, 0
@@ -40,6 +42,10 @@ def test_every_profile_is_whole():
             step.blind for r in Request if r is not Request.MOTORS_OFF for step in each.sequences[r]
         )
     assert (AUTO, *PROFILES) == CHOICES
+
+
+def test_the_command_knows_the_simulators_personalities():
+    assert tuple(SIMULATED) == cli_options.PERSONALITIES
 
 
 def test_names_and_heartbeats_give_profiles():

@@ -86,3 +86,15 @@ def test_prearm_checks_tell_all_reasons_in_order():
     bench.step()
     said = [text for text in bench.texts if text.startswith("Preflight fail")]
     assert ["CRTP" in said[0], "battery" in said[1], "no position" in said[2]] == [True] * 3
+
+
+def test_what_keeps_it_from_arming_is_said_when_it_changes_and_not_again():
+    firmware = Firmware(auto_arm=False)
+    bench = Bench(firmware).run(3.0)
+    for volts in (3.6, 3.5, 3.4):
+        firmware.battery_v = volts
+        bench.run(2.0)
+    firmware.battery_v = 4.0
+    bench.run(2.0)
+    said = [t for t in bench.texts if t == "Ready to arm" or t.startswith("Not ready")]
+    assert said == ["Ready to arm", "Not ready: battery at 3.60 V, 3.7 V needed: charge it", "Ready to arm"]

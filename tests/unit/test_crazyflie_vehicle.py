@@ -1,5 +1,7 @@
 """The Crazyflie as a vehicle, against the stand-in's firmware on a simulated clock."""
 
+import random
+
 import pytest
 
 from bridge.crazyflie_rules import LOST_S, RECONNECT_S, Rules
@@ -240,3 +242,83 @@ def test_without_a_position_it_sends_none_and_lands_straight_down():
     assert set(descent) == {(0.0, 0.0, -0.25)}
     assert firmware.plant.on_surface
     assert bench.vehicle.problems(bench.now_s)[0] == "mocap: no pose for 0.3 s"
+
+
+def test_a_take_off_that_something_holds_ends_in_a_landing():
+    bench = Bench().armed()
+    bench.firmware.plant.advance = lambda dt_s: None
+    bench.command(22)
+    bench.run(14.0)
+    assert bench.vehicle.armed
+    bench.run(4.0)
+    assert not bench.vehicle.armed
+    assert any("Take-off height not reached: landing" in text for text in bench.texts)
+    assert "Landed, disarmed" in bench.texts
+
+
+def test_armed_and_left_alone_it_disarms():
+    bench = Bench().armed()
+    bench.run(9.5)
+    assert bench.vehicle.armed
+    bench.run(1.0)
+    assert not bench.vehicle.armed
+    assert "Disarmed: it does not fly" in bench.texts
+
+
+@pytest.mark.parametrize("kill", [(400, 0.0, 21196.0), (185, 1.0)])
+def test_a_kill_without_a_radio_is_done_when_it_is_back(kill):
+    bench = Bench().offboard()
+    bench.lose()
+    bench.stream, bench.deaf = None, True
+    bench.command(*kill)
+    bench.run(0.3)
+    assert any("motors off if it is back" in t or "waits for the radio" in t for t in bench.texts)
+    assert bench.firmware.plant.motors
+    bench.deaf = False
+    bench.connect()
+    bench.run(0.1)
+    assert not bench.firmware.plant.motors
+    assert bench.firmware.supervisor.state is State.LOCKED
+
+
+def test_an_old_kill_does_not_stop_the_next_flight():
+    bench = Bench()
+    bench.lose()
+    assert bench.result(400, 0.0, 21196.0) == 1
+    bench.run(11.0)
+    bench.connect()
+    bench.hover()
+    assert not bench.orders(Order.EMERGENCY_STOP)
+
+
+def test_a_take_off_in_the_air_never_descends():
+    bench = Bench().offboard((0.0, 0.0, -0.4))
+    bench.run(3.0)
+    bench.stream = None
+    high_m = bench.firmware.plant.position[2]
+    assert bench.result(22) == 0
+    bench.run(4.0)
+    assert bench.firmware.plant.position[2] > high_m - 0.05
+
+
+def test_offboard_needs_a_position():
+    firmware = Firmware(needs_poses=True)
+    bench = Bench(firmware).run(1.0)
+    bench.setpoint()
+    assert bench.result(176, 1.0, 6.0) == 1
+    bench.step()
+    assert any("no position estimate" in t for t in bench.texts)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_radio_that_loses_every_fifth_packet_does_not_lock_it_at_the_end(seed):
+    chance = random.Random(seed)
+    bench = Bench().offboard()
+    deliver = bench.firmware.packet
+    bench.firmware.packet = lambda raw, now_s: [] if chance.random() < 0.2 else deliver(raw, now_s)
+    bench.stream = None
+    bench.command(400, 0.0, 21196.0)
+    bench.run(0.3)
+    assert not bench.firmware.plant.motors
+    bench.run(6.0)
+    assert State.LOCKED not in [s for _, s in bench.firmware.supervisor.history]

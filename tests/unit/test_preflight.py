@@ -4,6 +4,7 @@ import threading
 
 import pytest
 
+from bridge.autopilot_version import recorded_version
 from bridge.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4
 from bridge.mavlink import Endpoint, dialect
 from bridge.preflight import Level, Needs, judge
@@ -208,6 +209,16 @@ def test_ardupilots_default_time_out_keeps_it_from_arming():
     assert "accepted_parameters" in verdict(report)
     assert any("UNSAFE: GUID_TIMEOUT is 3: s without set-points" in line for line in lines(report))
     assert talk(Vehicle(PLAYS_ARDUPILOT), accepted=("GUID_TIMEOUT",)).safe
+
+
+def test_a_log_that_is_played_has_no_parameters_and_obeys_nothing():
+    vehicle = Vehicle()
+    vehicle.autopilot.handle = lambda message, sender, now_s: (
+        [recorded_version()] if message.get_type() == "COMMAND_LONG" else []
+    )
+    report = talk(vehicle)
+    assert (report.profile, report.findings, report.safe) == (PX4, (), True)
+    assert not any(m.get_type() == "PARAM_REQUEST_READ" for m in vehicle.asked)
 
 
 def test_parameters_that_do_not_come_make_it_unsafe():

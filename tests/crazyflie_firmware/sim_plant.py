@@ -1,0 +1,86 @@
+"""The simulated vehicle under the stand-in's CRTP: MuJoCo, rotors, battery, attitude and velocity loops."""
+
+from bridge import zenoh_link
+from sim.process_deck import RealTimeDeck
+from sim.scenario import load
+from sim.vehicle import VehicleSim, warm_up
+
+MS_MAX = 50  # ms of one step; a longer pause of the machine is one of simulated time
+
+
+class SimPlant:
+    """A ``VehicleSim`` with the face of ``plant.Point``; its deck follows the robot's true pose.
+
+    The simulated firmware levels out and stops by its own watchdog, so only new set-points are handed over.
+    """
+
+    def __init__(self, scenario: str, seed: int, session: zenoh_link.Session | None) -> None:
+        loaded = load(scenario)
+        warm_up(loaded)
+        self.vehicle = VehicleSim(loaded, seed)
+        self._deck = RealTimeDeck(session, "cf1") if session is not None else None
+        self._pending: tuple | None = None
+        self._yaw = self._yaw_rate = self._rest_s = self._now_s = 0.0
+
+    @property
+    def position(self):
+        return self.vehicle.estimate().position_enu_m
+
+    @property
+    def velocity(self):
+        return self.vehicle.estimate().velocity_enu_m_s
+
+    @property
+    def quaternion(self):
+        return self.vehicle.estimate().quaternion
+
+    @property
+    def rates(self):
+        return self.vehicle.estimate().angular_velocity_flu_rad_s
+
+    @property
+    def motors(self) -> bool:
+        return self.vehicle.motors_running
+
+    @property
+    def on_surface(self) -> bool:
+        return self.vehicle.on_pad or self.vehicle.on_ground
+
+    def setpoint(self, velocity, yaw_rate: float) -> None:
+        self._pending, self._yaw_rate = velocity, yaw_rate
+
+    def command(self, velocity, yaw_rate: float, level: bool) -> None:
+        vehicle = self.vehicle
+        if not vehicle.armed and not vehicle.locked:
+            vehicle.arm()
+        if self._pending is not None and not level:
+            vehicle.set_velocity(self._pending, self._yaw)
+            self._pending = None
+
+    def motors_off(self) -> None:
+        self._pending, self._yaw_rate = None, 0.0
+        if self.vehicle.armed:
+            self.vehicle.stop_setpoint()
+            self.vehicle.disarm(True)
+
+    def advance(self, dt_s: float) -> None:
+        self._now_s += dt_s
+        self._yaw += self._yaw_rate * dt_s
+        self._rest_s += dt_s
+        steps = min(int(self._rest_s * 1000.0), MS_MAX)
+        self._rest_s -= steps / 1000.0
+        if steps:
+            self.vehicle.advance(steps)
+            self._follow()
+        self._rest_s = min(self._rest_s, 0.001 * MS_MAX)
+
+    def _follow(self) -> None:
+        if self._deck is None:
+            return
+        self._deck.poll(self._now_s)
+        truth = self.vehicle.truth()
+        deck = self._deck.follow(truth.pad_position_enu_m, truth.pad_yaw_rad, self._now_s)
+        if deck is not None:
+            self.vehicle.set_deck(
+                deck.position_enu_m, deck.yaw_rad, deck.velocity_enu_m_s, deck.yaw_rate_rad_s
+            )
