@@ -58,13 +58,13 @@ def test_a_landing_equals_the_same_over_the_wires(tmp_path, scenario, seed):
         assert np.array_equal(seen, logged, equal_nan=logged.dtype.kind == "f"), name
 
 
-def campaign(*arguments, cwd=None, check=True):
+def campaign(*arguments, cwd=None, check=True, wall_max_s=WALL_MAX_S):
     """Run the verb to its end."""
     done = subprocess.run(
         [*COMMAND, "campaign", *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=WALL_MAX_S,
+        timeout=wall_max_s,
         cwd=cwd,
         check=False,
     )
