@@ -20,7 +20,7 @@ ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # m, m/s; height reached
 STOPPED_SHARE = 0.3  # of the descent: slower than that it stands on something
 LANDING_MIN_S = 1.0  # s after which a stop counts: a climb has to end first
 STOPPED_TIME_S = 0.4  # s of that; longer than the descent takes to begin
-SINKING_M_S = -0.05  # m/s; a set-point below that is a wish to go down
+SINKING_M_S = -0.1  # m/s; a set-point below that is a wish to go down, above it may be an error of control
 YAW_GAIN_1_S = 2.0  # 1/s; CRTP velocity set-points have a yaw rate, no yaw
 YAW_RATE_MAX_RAD_S = 1.5  # rad/s
 

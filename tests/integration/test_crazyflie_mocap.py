@@ -18,6 +18,7 @@ from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.server import Server
 from tests.integration.crazyflie_processes import bridge, client, fly, verb
+from tests.integration.runs import flightstack
 from tests.integration.sim_processes import PATIENCE_S, Client, free_port, is_a, wait_for
 from tests.unit.ros2_helpers import pose_stamped
 
@@ -149,3 +150,17 @@ def test_another_type_under_the_topic_is_said():
         wait_for(lambda: started.said("geometry_msgs/msg/PoseStamped is needed"), "the reason")
         wait_for(lambda: started.said("the vehicle is not heard"), "the other reason")
         assert started.end() == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--key", "a/b", "--origin", "95", "8", "400"], "latitude is -90 to 90"),
+        (["--key", "ros2:/0bad"], "is not a full name"),
+        (["--key", "a//b"], "Zenoh key 'a//b' is not allowed"),
+    ],
+)
+def test_wrong_input_is_an_error_that_says_what_is_allowed(arguments, reason):
+    done = flightstack("bridge", "mocap", "--vehicle", "udpout:127.0.0.1:9", *arguments)
+    assert done.code == 2
+    assert reason in done.err

@@ -322,3 +322,20 @@ def test_a_radio_that_loses_every_fifth_packet_does_not_lock_it_at_the_end(seed)
     assert not bench.firmware.plant.motors
     bench.run(6.0)
     assert State.LOCKED not in [s for _, s in bench.firmware.supervisor.history]
+
+
+def test_hanging_in_an_updraught_is_not_standing():
+    bench = Bench().offboard((0.0, 0.0, 0.08))
+    advance = bench.firmware.plant.advance
+
+    def held_up(dt_s):
+        advance(dt_s)
+        bench.firmware.plant.position[2], bench.firmware.plant.velocity[2] = 0.5, 0.0
+
+    bench.firmware.plant.advance = held_up
+    bench.run(15.0)
+    assert bench.vehicle.armed
+    assert not bench.vehicle.standing
+    bench.stream = (0.0, 0.0, 0.25)
+    bench.run(0.9)
+    assert not bench.vehicle.standing
