@@ -12,7 +12,7 @@ import click
 from flightstack.cli_zenoh import ROS_DOMAIN_MAX, plugs
 
 if TYPE_CHECKING:
-    from bridge.mocap_checks import Limits
+    from bridge.mocap.checks import Limits
 
 POSE_TYPES = ("pose", "pose-covariance")
 
@@ -55,7 +55,7 @@ def _poses(verb: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _limits(frame_id: str | None, pose_speed_m_s: float) -> Limits:
-    from bridge.mocap_checks import Limits
+    from bridge.mocap.checks import Limits
 
     return Limits(frame_id=frame_id, speed_max_m_s=pose_speed_m_s)
 
@@ -110,8 +110,8 @@ def crazyflie(
 
     Ctrl-C lands it first when it is in the air; a second one ends at once, and the motors stop.
     """
-    from bridge import crazyflie as process
-    from bridge.crazyflie_rules import Rules
+    from bridge.crazyflie import process
+    from bridge.crazyflie.rules import Rules
 
     rules = Rules(speed_max_m_s, land_on_silence, mocap_key is not None)
     options = process.Options(uri, url, peers, cache, signing_key, allow_unsigned, rules, duration_s)
@@ -119,9 +119,9 @@ def crazyflie(
         sys.exit(process.run(options, say=_say))
 
     from bridge import zenoh_link
-    from bridge.mocap import summary
-    from bridge.mocap_checks import PoseChecks
-    from bridge.mocap_source import CheckedPoses, MocapSource, parse_spec
+    from bridge.mocap.checks import PoseChecks
+    from bridge.mocap.process import summary
+    from bridge.mocap.source import CheckedPoses, MocapSource, parse_spec
 
     process.check_uri(uri)
     spec = parse_spec(mocap_key, pose_type, ros_domain)
@@ -166,8 +166,8 @@ def mocap(
     signing_key: Path | None, allow_unsigned: bool, duration_s: float | None,
 ) -> None:  # fmt: skip
     """Pass poses of motion capture to a PX4 or ArduPilot vehicle, checked (docs/mocap.md)."""
-    from bridge import mocap as process
-    from bridge.mocap_source import parse_spec
+    from bridge.mocap import process
+    from bridge.mocap.source import parse_spec
     from bridge.origin import Origin
 
     place = Origin(*origin) if origin is not None else None

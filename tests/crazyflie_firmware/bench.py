@@ -5,9 +5,9 @@ import struct
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.crazyflie_mavlink import Node
-from bridge.crazyflie_rules import Rules
-from bridge.crazyflie_types import (
+from bridge.crazyflie.mavlink import Node
+from bridge.crazyflie.rules import Rules
+from bridge.crazyflie.types import (
     ArmReply,
     Arrived,
     Connected,

@@ -10,8 +10,8 @@ import time
 import pytest
 
 from bridge import zenoh_link
-from bridge.crazyflie_link import EVENTS_MAX, CrazyflieLink
-from bridge.crazyflie_types import Connected, Lost, StateBlock
+from bridge.crazyflie.link import EVENTS_MAX, CrazyflieLink
+from bridge.crazyflie.types import Connected, Lost, StateBlock
 from bridge.odometry import OdometryPublisher
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point

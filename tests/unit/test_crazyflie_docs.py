@@ -8,11 +8,15 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from bridge import crazyflie_arming, crazyflie_checks, crazyflie_outbox, crazyflie_pilot, crazyflie_rules
-from bridge.crazyflie_link import EVENTS_MAX
-from bridge.crazyflie_state import LATE_MAX_S
-from bridge.mocap_checks import Limits, Refusal
-from bridge.mocap_messages import WANTS
+from bridge.crazyflie import arming as crazyflie_arming
+from bridge.crazyflie import checks as crazyflie_checks
+from bridge.crazyflie import outbox as crazyflie_outbox
+from bridge.crazyflie import pilot as crazyflie_pilot
+from bridge.crazyflie import rules as crazyflie_rules
+from bridge.crazyflie.link import EVENTS_MAX
+from bridge.crazyflie.state import LATE_MAX_S
+from bridge.mocap.checks import Limits, Refusal
+from bridge.mocap.messages import WANTS
 from flightstack.cli_bridge import bridge
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -8,7 +8,7 @@ import sys
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.crazyflie_types import Order
+from bridge.crazyflie.types import Order
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
 
 SPECIAL = (0.0, 1.0, -1.0, math.nan, math.inf, -math.inf, 3.4e38, -3.4e38, 21196.0, 4.0, 6.0, 0.5)

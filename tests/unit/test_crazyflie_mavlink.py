@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.autopilots import profile
-from bridge.crazyflie_texts import Text, statustexts
+from bridge.crazyflie.texts import Text, statustexts
 from bridge.frames import enu_from_ned, yaw_ned_from_enu
 from bridge.packing import pack
 from bridge.texts import TextAssembler

@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from bridge.crazyflie_rules import LOST_S, RECONNECT_S, Rules
-from bridge.crazyflie_types import Order
+from bridge.crazyflie.rules import LOST_S, RECONNECT_S, Rules
+from bridge.crazyflie.types import Order
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point

@@ -15,10 +15,10 @@ from bridge.frames import (
     ned_frd_from_enu_flu,
     upper_triangle,
 )
-from bridge.mocap_checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between, centre
-from bridge.mocap_messages import WANTS, odometry, vision_position_estimate
-from bridge.mocap_source import parse_spec
-from bridge.mocap_vehicle import MocapVehicle
+from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between, centre
+from bridge.mocap.messages import WANTS, odometry, vision_position_estimate
+from bridge.mocap.source import parse_spec
+from bridge.mocap.vehicle import MocapVehicle
 from bridge.origin import Origin
 from bridge.packing import pack
 from bridge.pose_cdr import Pose

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from bridge.crazyflie_checks import ESTIMATOR, KALMAN
-from bridge.crazyflie_types import Link, Packet, Pose, SetParam
+from bridge.crazyflie.checks import ESTIMATOR, KALMAN
+from bridge.crazyflie.types import Link, Packet, Pose, SetParam
 from bridge.frames import yaw_from_quaternion
-from bridge.mocap_checks import Passed
+from bridge.mocap.checks import Passed
 
 INITIAL = "kalman.initial"
 RESET = "kalman.resetEstimation"

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.crazyflie_messages import ON_REQUEST, View
-from bridge.crazyflie_modes import Mode, mode_of
-from bridge.crazyflie_owner import Right, Sender
-from bridge.crazyflie_streams import Streams
-from bridge.crazyflie_vehicle import Vehicle
+from bridge.crazyflie.messages import ON_REQUEST, View
+from bridge.crazyflie.modes import Mode, mode_of
+from bridge.crazyflie.owner import Right, Sender
+from bridge.crazyflie.streams import Streams
+from bridge.crazyflie.vehicle import Vehicle
 from bridge.decoding import Message
 
 FORCE = 21196.0  # magic of a forced disarm (MAV_CMD_COMPONENT_ARM_DISARM, param2)

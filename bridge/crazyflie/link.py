@@ -20,9 +20,9 @@ from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
 from cflib.crtp.crtpstack import CRTPPort
 
-from bridge.crazyflie_outbox import Outbox
-from bridge.crazyflie_state import HEALTH_PERIOD_MS, HEALTH_VARIABLES, STATE_PERIOD_MS, STATE_VARIABLES
-from bridge.crazyflie_types import (
+from bridge.crazyflie.outbox import Outbox
+from bridge.crazyflie.state import HEALTH_PERIOD_MS, HEALTH_VARIABLES, STATE_PERIOD_MS, STATE_VARIABLES
+from bridge.crazyflie.types import (
     ArmReply,
     Arrived,
     Connected,

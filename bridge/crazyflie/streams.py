@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from bridge.crazyflie_messages import BY_TIME, DEFAULT_S, NEEDS_POSITION, PER_STATE, View
+from bridge.crazyflie.messages import BY_TIME, DEFAULT_S, NEEDS_POSITION, PER_STATE, View
 from bridge.decoding import Message
 
 SHORTEST_S = 0.01  # s; the Crazyflie's own log period, nothing new comes more often

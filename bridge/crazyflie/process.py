@@ -18,11 +18,11 @@ from pathlib import Path
 from types import FrameType
 from typing import Protocol
 
-from bridge.crazyflie_mavlink import COMPONENT_ID, SYSTEM_ID, Node
-from bridge.crazyflie_owner import Sender
-from bridge.crazyflie_poses import PoseFeed, PosesLike
-from bridge.crazyflie_rules import Rules
-from bridge.crazyflie_types import Arrived, Packet
+from bridge.crazyflie.mavlink import COMPONENT_ID, SYSTEM_ID, Node
+from bridge.crazyflie.owner import Sender
+from bridge.crazyflie.poses import PoseFeed, PosesLike
+from bridge.crazyflie.rules import Rules
+from bridge.crazyflie.types import Arrived, Packet
 from bridge.mavlink import Endpoint, Peer, parse_peer, parse_url
 from bridge.signing_key import load_key
 
@@ -176,7 +176,7 @@ def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], N
         OSError: an address that cannot be opened.
     """
     try:
-        from bridge.crazyflie_link import CrazyflieLink
+        from bridge.crazyflie.link import CrazyflieLink
     except ModuleNotFoundError as error:
         package = (error.name or "cflib").partition(".")[0]
         raise ValueError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bridge import zenoh_link
 from bridge.cdr import OdometryError
-from bridge.mocap_checks import Passed, PoseChecks, Sample, centre
+from bridge.mocap.checks import Passed, PoseChecks, Sample, centre
 from bridge.pose_cdr import decode_pose, decode_pose_with_covariance
 from bridge.ros2_names import parse_topic_key
 from bridge.ros2_target import ROS_TYPES, Dialect, TargetSpec, TargetType

@@ -23,7 +23,7 @@ from bridge.frames import (
     ned_from_enu,
     upper_triangle,
 )
-from bridge.mocap_checks import Passed
+from bridge.mocap.checks import Passed
 
 _UNKNOWN = (math.nan, *([0.0] * 20))  # NaN first: not known (MAVLink)
 _NAN = math.nan

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import math
 
-from bridge import crazyflie_rules as limits
-from bridge.crazyflie_arming import Arming
-from bridge.crazyflie_checks import ESTIMATOR, KALMAN, stuck
-from bridge.crazyflie_known import Known
-from bridge.crazyflie_modes import CODES, Mode
-from bridge.crazyflie_owner import Owner, Right, Sender
-from bridge.crazyflie_pilot import Done, Ground, Pilot, yaw_rate
-from bridge.crazyflie_texts import CRITICAL, INFO, WARNING, Texts
-from bridge.crazyflie_types import (
+from bridge.crazyflie import rules as limits
+from bridge.crazyflie.arming import Arming
+from bridge.crazyflie.checks import ESTIMATOR, KALMAN, stuck
+from bridge.crazyflie.known import Known
+from bridge.crazyflie.modes import CODES, Mode
+from bridge.crazyflie.owner import Owner, Right, Sender
+from bridge.crazyflie.pilot import Done, Ground, Pilot, yaw_rate
+from bridge.crazyflie.texts import CRITICAL, INFO, WARNING, Texts
+from bridge.crazyflie.types import (
     ArmReply,
     Connected,
     CrazyflieState,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from bridge.crazyflie_types import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Power
+from bridge.crazyflie.types import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Power
 
 STATE_AGE_MAX_S = 0.3  # s; thirty packets missing
 HEALTH_AGE_MAX_S = 1.0  # s; ten packets missing

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bridge.crazyflie_owner import SILENCE_S
+from bridge.crazyflie.owner import SILENCE_S
 
 SILENT_S = 0.5  # s without state: said; the flight stack calls its own state lost after 0.2 s
 LOST_S = 1.0  # s without state: no heartbeat any more

@@ -8,9 +8,9 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.autopilot_version import CRAZYFLIE_MARK
-from bridge.crazyflie_modes import CODES
-from bridge.crazyflie_types import CrazyflieState
-from bridge.crazyflie_vehicle import Vehicle
+from bridge.crazyflie.modes import CODES
+from bridge.crazyflie.types import CrazyflieState
+from bridge.crazyflie.vehicle import Vehicle
 from bridge.decoding import Message
 from bridge.frames import euler_from_quaternion, frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 

@@ -15,9 +15,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge import zenoh_link
 from bridge.mavlink import Endpoint
-from bridge.mocap_checks import Limits, PoseChecks
-from bridge.mocap_source import MocapSource
-from bridge.mocap_vehicle import COMPONENT_ID, MocapVehicle
+from bridge.mocap.checks import Limits, PoseChecks
+from bridge.mocap.source import MocapSource
+from bridge.mocap.vehicle import COMPONENT_ID, MocapVehicle
 from bridge.origin import Origin
 from bridge.ros2_target import TargetSpec
 from bridge.signing_key import load_key

@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-from bridge.crazyflie_types import Order, Packet, Pose, SetParam, Velocity
+from bridge.crazyflie.types import Order, Packet, Pose, SetParam, Velocity
 
 ORDERS_MAX = 64
 VELOCITY_AGE_MAX_S = 0.1  # s; an older velocity was meant for another moment, silence is what is safe

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from bridge.crazyflie_types import CrazyflieState, Health, HealthBlock, Info, Power, StateBlock
+from bridge.crazyflie.types import CrazyflieState, Health, HealthBlock, Info, Power, StateBlock
 from bridge.frames import Quat
 
 STATE_PERIOD_MS = 10

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from bridge.crazyflie_modes import Mode
-from bridge.crazyflie_rules import BLIND_LANDING_MAX_S, STANDING_S, TAKEOFF_M, TAKEOFF_MAX_S
-from bridge.crazyflie_types import CrazyflieState, Velocity
+from bridge.crazyflie.modes import Mode
+from bridge.crazyflie.rules import BLIND_LANDING_MAX_S, STANDING_S, TAKEOFF_M, TAKEOFF_MAX_S
+from bridge.crazyflie.types import CrazyflieState, Velocity
 from bridge.frames import wrap_angle, yaw_from_quaternion
 from flightstack.types import ZERO, Vec3
 

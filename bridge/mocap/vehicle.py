@@ -9,8 +9,8 @@ from dataclasses import replace
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.decoding import Message
-from bridge.mocap_checks import Limits, PoseChecks, Sample
-from bridge.mocap_messages import WANTS, Wants
+from bridge.mocap.checks import Limits, PoseChecks, Sample
+from bridge.mocap.messages import WANTS, Wants
 from bridge.origin import Origin, OriginSender
 from flightstack.types import Landed, Mode, VehicleStatus
 

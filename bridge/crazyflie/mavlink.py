@@ -13,16 +13,16 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.crazyflie_commands import ACCEPTED, REJECTED, Commands, read_command
-from bridge.crazyflie_messages import View, heartbeat
-from bridge.crazyflie_modes import Mode, mode_of
-from bridge.crazyflie_owner import Right, Sender
-from bridge.crazyflie_rules import Rules
-from bridge.crazyflie_setpoint import read_setpoint
-from bridge.crazyflie_state import LATE_MAX_S, BootClock, decode_health, decode_state
-from bridge.crazyflie_streams import Streams
-from bridge.crazyflie_texts import INFO, Text, statustexts
-from bridge.crazyflie_types import (
+from bridge.crazyflie.commands import ACCEPTED, REJECTED, Commands, read_command
+from bridge.crazyflie.messages import View, heartbeat
+from bridge.crazyflie.modes import Mode, mode_of
+from bridge.crazyflie.owner import Right, Sender
+from bridge.crazyflie.rules import Rules
+from bridge.crazyflie.setpoint import read_setpoint
+from bridge.crazyflie.state import LATE_MAX_S, BootClock, decode_health, decode_state
+from bridge.crazyflie.streams import Streams
+from bridge.crazyflie.texts import INFO, Text, statustexts
+from bridge.crazyflie.types import (
     ArmReply,
     Arrived,
     Connected,
@@ -31,7 +31,7 @@ from bridge.crazyflie_types import (
     ParamValue,
     StateBlock,
 )
-from bridge.crazyflie_vehicle import Vehicle
+from bridge.crazyflie.vehicle import Vehicle
 from bridge.decoding import Message
 from bridge.frames import yaw_from_quaternion
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bridge.crazyflie_types import ArmReply, CrazyflieState, Info, Order, Packet
+from bridge.crazyflie.types import ArmReply, CrazyflieState, Info, Order, Packet
 
 REPEAT_S = 0.05  # s between two of the same; two packets of state
 ARM_MAX_S = 0.6  # s until an unanswered arming request has failed

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bridge.crazyflie_checks import STATE_AGE_MAX_S, Seen, position_known, problems
-from bridge.crazyflie_rules import LOST_S
-from bridge.crazyflie_types import CrazyflieState, Health, Link
+from bridge.crazyflie.checks import STATE_AGE_MAX_S, Seen, position_known, problems
+from bridge.crazyflie.rules import LOST_S
+from bridge.crazyflie.types import CrazyflieState, Health, Link
 
 
 class Known:

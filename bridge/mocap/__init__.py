@@ -1,0 +1,1 @@
+"""Poses of a motion capture to the vehicle; ``process`` is the loop, ``checks`` the core."""
