@@ -50,7 +50,7 @@ def frame_changed(target, topic, message_id, byte, *, value=None):
 def misread(path):
     """Inputs that the wire gives otherwise, whatever the controller decides on them."""
     flight = FlightInputs(path)
-    wire = WireReplay(flight.config(), 1, lockstep=True)
+    wire = WireReplay(flight.config(), 1, lockstep=True, autopilot=flight.onboard["autopilot"])
     return [each for tick in flight.ticks() for each in wire.take(tick, tick.given)]
 
 
