@@ -16,6 +16,7 @@ from flightstack.cli_check import check
 from flightstack.cli_identify import identify
 from flightstack.cli_log import diff, log
 from flightstack.cli_preflight import preflight
+from flightstack.cli_px4_sim import px4_sim
 from flightstack.cli_replay import replay
 from flightstack.cli_view import view
 from flightstack.cli_watch import watch
@@ -341,6 +342,7 @@ main.add_command(bridge)
 main.add_command(check)
 main.add_command(identify)
 main.add_command(preflight)
+main.add_command(px4_sim)
 main.add_command(replay)
 main.add_command(watch)
 main.add_command(router)

@@ -19,7 +19,7 @@ from rich.table import Table
 from flightstack.config import FilterKind
 
 if TYPE_CHECKING:
-    from sim.campaign import Flown, Plan
+    from sim.campaign.run import Flown, Plan
 
 COMPLETE, INCOMPLETE = 0, 1
 _TIERS = ("lab", "field", "storm", "deck")
@@ -64,9 +64,9 @@ def campaign(
     Exit status: 0 complete, whatever the result, 1 landings are missing or a --require is not met, 2 wrong
     input.
     """
-    from sim import campaign as core
-    from sim.campaign_cluster import ClusterError
-    from sim.campaign_workers import WorkersError
+    from sim.campaign import run as core
+    from sim.campaign.cluster import ClusterError
+    from sim.campaign.workers import WorkersError
 
     wanted = core.plan(scenario, runs, first_seed, FilterKind(filter_name) if filter_name else None)
     folder = out or _new_folder(wanted)
@@ -126,7 +126,7 @@ def _tell(
     console: Console, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
 ) -> int:
     """Page, table or JSON; the exit status."""
-    from sim.campaign import PAGE, ROWS
+    from sim.campaign.run import PAGE, ROWS
 
     if flown.missing:
         click.echo(
@@ -140,7 +140,7 @@ def _tell(
         from logs.report_page import ReportError
 
         try:
-            from sim.campaign_page import write_page
+            from sim.campaign.page import write_page
 
             write_page(folder / PAGE, wanted, flown)
         except ReportError as error:  # the numbers count all the same
@@ -159,7 +159,7 @@ def _tell(
 
 
 def _table(wanted: Plan, told: dict[str, Any]) -> Table:
-    from sim.campaign_summary import lines
+    from sim.campaign.summary import lines
 
     table = Table(
         title=f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter.value}", title_justify="left"
@@ -173,9 +173,9 @@ def _table(wanted: Plan, told: dict[str, Any]) -> Table:
 
 def _check(flown: Flown, require: str, against: Path | None) -> int:
     """Check a tier's limits; print what is missed."""
-    from sim.campaign import ROWS
-    from sim.campaign_rows import read_rows
-    from sim.campaign_tiers import Tier, misses
+    from sim.campaign.rows import read_rows
+    from sim.campaign.run import ROWS
+    from sim.campaign.tiers import Tier, misses
 
     if not flown.rows:
         return INCOMPLETE

@@ -26,8 +26,8 @@ from flightstack.live import REFRESH_HZ, LiveView
 from flightstack.processes import Child, Port
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from logs.feed import Feed
-from sim.autopilot_geo import ORIGIN_WGS84
-from sim.autopilot_personality import PERSONALITIES, PX4
+from sim.autopilot.geo import ORIGIN_WGS84
+from sim.autopilot.personality import PERSONALITIES, PX4
 from sim.scenario import Scenario, path_of
 from sim.scenario import load as load_scenario
 

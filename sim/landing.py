@@ -20,7 +20,7 @@ from flightstack.pacing import NO_GO, RUN_AHEAD_TICKS, LockstepClock, Tick
 from flightstack.types import Inputs, Operator
 from logs.verdict_truth import judge_truth
 from logs.verdict_types import Verdict
-from sim.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.autopilot.server import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.landing_notes import Notes, Seen, VehicleNotes
 from sim.landing_target import DirectTarget
 from sim.landing_wire import wires

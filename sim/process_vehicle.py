@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.decoding import Message
 from bridge.mavlink import Endpoint, Received
 from logs.codec import Severity
-from sim.autopilot import Autopilot
-from sim.autopilot_modes import FlightMode
+from sim.autopilot.modes import FlightMode
+from sim.autopilot.server import Autopilot
 from sim.process_deck import DeckState
 from sim.process_vehicle_log import VehicleLog
 from sim.process_wire import Wire

@@ -14,8 +14,8 @@ from bridge.mavlink import Endpoint, parse_peer, parse_url
 from bridge.signing_key import load_key
 from flightstack.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.feed import Feed, FeedError
-from sim.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
-from sim.autopilot_personality import PERSONALITIES, PX4
+from sim.autopilot.personality import PERSONALITIES, PX4
+from sim.autopilot.server import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.pacing import NoAnswerError, StopSignal, TickGrid
 from sim.process_deck import LockstepDeck, RealTimeDeck
 from sim.process_lockstep import LockstepLoop

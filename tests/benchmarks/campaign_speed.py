@@ -17,7 +17,7 @@ from flightstack.controller import Controller
 from flightstack.pacing import quiet_garbage_collector
 from flightstack.safety_filter import SafetyFilter
 from sim import landing, vehicle
-from sim.autopilot import Autopilot
+from sim.autopilot.server import Autopilot
 from sim.landing import land
 from sim.landing_notes import Notes
 from sim.landing_target import DirectTarget

@@ -15,8 +15,8 @@ from contextlib import closing
 from dataclasses import replace
 
 from bridge.mavlink import Endpoint
-from sim.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
-from sim.autopilot_modes import FlightMode
+from sim.autopilot.modes import FlightMode
+from sim.autopilot.server import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.scenario import Scenario, VelocityLoop, load
 from sim.vehicle import VehicleSim, warm_up
 from tests.benchmarks import vehicle_process_speed

@@ -23,7 +23,7 @@ from flightstack.exchange import Taken, answer, take
 from flightstack.pacing import EPOCH_NS, NO_GO, RUN_AHEAD_TICKS, LockstepClock, Tick
 from flightstack.types import Operator, Phase
 from logs.flight_data import Truth
-from sim.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.autopilot.server import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.fault_spec import Fault
 from sim.landing_notes import Notes, Seen, VehicleNotes
 from sim.landing_target import DirectTarget, _Ahead

@@ -14,7 +14,7 @@ import pytest
 
 from flightstack.types import ZERO
 from logs.flight import load_flight
-from sim.campaign_rows import read_rows
+from sim.campaign.rows import read_rows
 from sim.landing import land
 from sim.scenario import load
 from tests.integration.runs import COMMAND, WALL_MAX_S, fly, gone

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot_geo import degrees_e7
+from sim.autopilot.geo import degrees_e7
 from tests.integration.real_clients import ON_GROUND, Observer, vehicle
 from tests.integration.test_mavproxy import LEG_M, SPEED_M_S, STREAM_S, Repeat, connect, mavproxy
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from sim.campaign_tiers import LIMITS, Tier
+from sim.campaign.tiers import LIMITS, Tier
 from tests.integration.test_campaign import campaign
 
 RUNS = 200

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot import Autopilot
-from sim.autopilot_modes import FlightMode
-from sim.autopilot_personality import PX4, Personality
+from sim.autopilot.modes import FlightMode
+from sim.autopilot.personality import PX4, Personality
+from sim.autopilot.server import Autopilot
 
 NAN = math.nan
 FEET_M = 0.0144

@@ -13,8 +13,8 @@ from bridge.profile import Reading
 from flightstack.preflight import needs_of
 from flightstack.types import Mode, Request
 from sim import scenario
-from sim.autopilot_modes import FlightMode
-from sim.autopilot_personality import PERSONALITIES
+from sim.autopilot.modes import FlightMode
+from sim.autopilot.personality import PERSONALITIES
 from tests.unit.certificate_page import BEGIN, END, split
 
 PAGE = Path(__file__).parents[2] / "docs" / "autopilots.md"

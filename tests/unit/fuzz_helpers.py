@@ -15,7 +15,7 @@ from bridge.framing import split_frames
 from bridge.mavlink import Endpoint
 from bridge.signing import Signer
 from bridge.signing_key import SigningKey
-from sim.autopilot_modes import CODES, FlightMode
+from sim.autopilot.modes import CODES, FlightMode
 from tests.unit.autopilot_fakes import COMPANION, NAN, Rig, setpoint
 
 GROUND_STATIONS = (245, 255)

@@ -7,8 +7,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot import Autopilot
-from sim.autopilot_modes import FlightMode
+from sim.autopilot.modes import FlightMode
+from sim.autopilot.server import Autopilot
 from tests.unit.autopilot_fakes import (
     HOLD,
     NAN,

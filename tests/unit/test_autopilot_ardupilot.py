@@ -7,10 +7,10 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot_geo import ORIGIN_WGS84
-from sim.autopilot_modes import FlightMode
-from sim.autopilot_parameters import Parameters
-from sim.autopilot_personality import ARDUPILOT, PERSONALITIES
+from sim.autopilot.geo import ORIGIN_WGS84
+from sim.autopilot.modes import FlightMode
+from sim.autopilot.parameters import Parameters
+from sim.autopilot.personality import ARDUPILOT, PERSONALITIES
 from tests.unit.autopilot_fakes import COMPANION, NAN, FakeVehicle, Rig, setpoint
 
 ACCEPTED, FAILED, DENIED = mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_FAILED, mav.MAV_RESULT_DENIED

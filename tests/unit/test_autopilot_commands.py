@@ -9,8 +9,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot_geo import degrees_e7, x_of, y_of
-from sim.autopilot_modes import FlightMode
+from sim.autopilot.geo import degrees_e7, x_of, y_of
+from sim.autopilot.modes import FlightMode
 from tests.unit.autopilot_fakes import HOLD, NAN, OFFBOARD, RATE_HZ, Rig, set_int, set_real
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot_messages import REQUESTABLE
-from sim.autopilot_parameters import INT32, table
-from sim.autopilot_personality import DEFAULT_HZ, EVERY_TICK
-from sim.autopilot_status import ON_REQUEST
-from sim.autopilot_watches import FENCE, STATION_LOST, STREAM_LOST, Action
+from sim.autopilot.messages import REQUESTABLE
+from sim.autopilot.parameters import INT32, table
+from sim.autopilot.personality import DEFAULT_HZ, EVERY_TICK
+from sim.autopilot.status import ON_REQUEST
+from sim.autopilot.watches import FENCE, STATION_LOST, STREAM_LOST, Action
 from tests.unit.autopilot_fakes import Rig
 
 TEXT = (Path(__file__).parents[2] / "docs" / "mavlink.md").read_text(encoding="utf-8")

@@ -7,10 +7,10 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot_battery import BatteryGauge, Charge
-from sim.autopilot_modes import FlightMode
-from sim.autopilot_parameters import INT32, Parameters
-from sim.autopilot_watches import BATTERY, FENCE, STATION_LOST, STREAM_LOST
+from sim.autopilot.battery import BatteryGauge, Charge
+from sim.autopilot.modes import FlightMode
+from sim.autopilot.parameters import INT32, Parameters
+from sim.autopilot.watches import BATTERY, FENCE, STATION_LOST, STREAM_LOST
 from sim.battery import BatteryModel
 from sim.params import load
 from tests.unit.autopilot_fakes import GROUND_STATION, NAN, OFFBOARD, Rig, set_int, set_real

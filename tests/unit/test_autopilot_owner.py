@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot_modes import FlightMode
+from sim.autopilot.modes import FlightMode
 from tests.unit.autopilot_fakes import (
     COMPANION,
     GROUND_STATION,

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.decoding import decode
 from bridge.framing import split_frames
-from sim.autopilot_modes import CODES, FlightMode
+from sim.autopilot.modes import CODES, FlightMode
 from tests.unit.autopilot_fakes import (
     COMPANION,
     FEET_M,

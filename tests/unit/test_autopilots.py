@@ -25,7 +25,7 @@ from bridge.streams import StreamRequests
 from bridge.vehicle_state import VehicleState
 from flightstack import cli_options
 from flightstack.types import Landed, Mode, Request
-from sim.autopilot_personality import PERSONALITIES as SIMULATED
+from sim.autopilot.personality import PERSONALITIES as SIMULATED
 from tests.unit.vehicle_link_fakes import HEIGHT, commands, heartbeat, params, sequencer, status
 
 GUIDED, LOITER, STABILIZE = 4, 5, 0

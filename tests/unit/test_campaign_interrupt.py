@@ -2,8 +2,8 @@
 
 import pytest
 
-from sim import campaign
-from sim.campaign_rows import Row, RowsFile, read_rows
+from sim.campaign import run as campaign
+from sim.campaign.rows import Row, RowsFile, read_rows
 
 RUNS = 4
 AT_ROW = 2  # its interrupt

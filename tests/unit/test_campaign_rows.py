@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from sim.campaign_rows import (
+from sim.campaign.rows import (
     CELL_M,
     E_Z_LOW_M,
     Row,

@@ -17,7 +17,7 @@ from flightstack.pacing import EPOCH_NS
 from flightstack.strict_toml import dumps, from_table, to_table
 from flightstack.types import TargetSample
 from logs.verdict import Outcome
-from sim.campaign_rows import row_of
+from sim.campaign.rows import row_of
 from sim.landing import land
 from sim.landing_target import arrived
 from sim.landing_wire import PEER, wires

@@ -14,10 +14,10 @@ from flightstack.config import FlightConfig
 from flightstack.preflight import lines, needs_of, record, verdict
 from flightstack.strict_toml import ConfigError, from_table
 from sim import scenario
-from sim.autopilot import Autopilot
-from sim.autopilot_parameters import Parameters
-from sim.autopilot_personality import ARDUPILOT as PLAYS_ARDUPILOT
-from sim.autopilot_personality import PX4 as PLAYS_PX4
+from sim.autopilot.parameters import Parameters
+from sim.autopilot.personality import ARDUPILOT as PLAYS_ARDUPILOT
+from sim.autopilot.personality import PX4 as PLAYS_PX4
+from sim.autopilot.server import Autopilot
 from tests.unit.autopilot_fakes import RATE_HZ, FakeVehicle
 
 NEEDS = Needs((0.5, 0.5, 0.5), 3.0, 0.5)

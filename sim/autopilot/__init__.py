@@ -1,0 +1,1 @@
+"""The MAVLink autopilot that other programs see; ``server`` puts its parts together."""

@@ -1,0 +1,397 @@
+"""What the autopilot does with its vehicle: arming, modes, and fail-safes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.frames import yaw_from_quaternion
+from flightstack.types import ZERO, Vec3
+from sim.autopilot.battery import Charge
+from sim.autopilot.ground import Standing
+from sim.autopilot.guided import GUIDED, why_no_takeoff
+from sim.autopilot.modes import AIRBORNE_STATE, FlightMode, VehicleLike
+from sim.autopilot.owner import ControlOwner, Right, Sender
+from sim.autopilot.parameters import Parameters
+from sim.autopilot.personality import PX4, Personality
+from sim.autopilot.pilot import Event, Goal, Pilot
+from sim.autopilot.setpoints import Setpoint
+from sim.autopilot.texts import Texts
+from sim.autopilot.watches import HEIGHT_RANGE_M, STREAM_LOST, Action, Alarm, Watches
+
+_ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself
+_HOME_REACH_M = 100.0  # m from the room's origin
+
+_FAILSAFE_MODES: Mapping[Action, FlightMode] = MappingProxyType(
+    {Action.HOLD: FlightMode.HOLD, Action.RETURN: FlightMode.RETURN, Action.LAND: FlightMode.LAND}
+)
+_DOING: Mapping[Action, str] = MappingProxyType(
+    {Action.HOLD: "holding", Action.RETURN: "returning", Action.LAND: "landing"}
+)
+# A mode that already does what a fail-safe wants, or more.
+_STRENGTH: Mapping[FlightMode, Action] = MappingProxyType(
+    {FlightMode.RETURN: Action.RETURN, FlightMode.LAND: Action.LAND}
+)
+_MODES_TO_LEAVE = frozenset({FlightMode.LAND, FlightMode.RETURN})  # no arming in these, as in PX4
+
+
+class Flight:
+    """Modes, arming and fail-safes. Methods that can refuse return the reason, or None when done.
+
+    Attributes:
+        mode: flight mode; meaningful also while disarmed.
+        failsafe: the present mode was not asked for but forced by a failure.
+        texts: what it says.
+        pilot: flies the mode.
+        watches: slow fail-safes, with the battery.
+        personality: which autopilot it is.
+        origin_known: where the local coordinates lie on earth.
+    """
+
+    def __init__(
+        self,
+        vehicle: VehicleLike,
+        parameters: Parameters,
+        period_s: float,
+        trim_enu_m_s: Vec3 = ZERO,
+        personality: Personality = PX4,
+    ) -> None:
+        self.vehicle = vehicle
+        self.personality = personality
+        self.mode = FlightMode.HOLD
+        self.failsafe = False
+        self.texts = Texts()
+        x, y, _ = vehicle.estimate().position_enu_m
+        self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s, repeats=personality.guided)
+        self.watches = Watches(parameters, vehicle)
+        self._parameters = parameters
+        self._ground = Standing(vehicle)
+        self._owner = ControlOwner()
+        self._setpoint_s = -math.inf
+        self._was_armed = vehicle.armed
+        self._flew = vehicle.armed and not self._ground.now  # since arming
+        self.origin_known = self._flew or not personality.needs_origin
+        self._arrived = False  # at the end of the present take-off
+        self._control_s: float | None = None
+        self._period_s = period_s
+        self._armed_s = 0.0
+        self._estimate_seen_s = 0.0
+
+    @property
+    def standing(self) -> bool:
+        """On the ground or on the pad, not just touching."""
+        return self._ground.now
+
+    @property
+    def home_enu_m(self) -> Vec3:
+        """Home, local."""
+        return self.pilot.home_enu_m
+
+    @property
+    def landed_state(self) -> int:
+        """MAV_LANDED_STATE."""
+        if self.standing:
+            return int(dialect.MAV_LANDED_STATE_ON_GROUND)
+        if self.mode is FlightMode.RETURN and self.pilot.going_down:
+            return int(dialect.MAV_LANDED_STATE_LANDING)
+        if self.mode is FlightMode.TAKEOFF and self._arrived:
+            return int(dialect.MAV_LANDED_STATE_IN_AIR)
+        return AIRBORNE_STATE[self.mode]
+
+    @property
+    def positioned(self) -> bool:
+        """Whether there is a position to fly by."""
+        return self.origin_known and self.vehicle.estimate().valid
+
+    @property
+    def airborne(self) -> bool:
+        """Armed and off the ground."""
+        return self.vehicle.armed and not self.standing
+
+    def problems(self) -> list[str]:
+        """Reasons why the vehicle would not arm now; empty when ready."""
+        found = []
+        if self.vehicle.locked:
+            found.append("firmware is locked, restart it (command 246)")
+        if not self.positioned:
+            found.append("no position estimate")
+        if self.watches.battery.level >= Charge.CRITICAL:
+            found.append(f"battery at {100 * self.watches.battery.remaining:.0f} %")
+        return found
+
+    def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
+        """Why this sender may not do something now; on the ground and disarmed everybody may."""
+        if not self.vehicle.armed:
+            return None
+        return self._owner.forbids(sender, right, now_s, self._parameters["COM_OF_LOSS_T"])
+
+    def arm(self, now_s: float) -> str | None:
+        """Arm; nothing moves before a mode says so."""
+        if self.vehicle.armed:
+            return None
+        problems = self.problems()
+        if self.mode in _MODES_TO_LEAVE or (self.personality.guided and self.mode is not FlightMode.OFFBOARD):
+            problems.append(f"mode is {self.personality.label(self.mode)}")
+        reason = problems[0] if problems else self.vehicle.arm()
+        if reason is not None:
+            return f"Arming refused: {reason}"
+        self._armed_s, self._flew, self._was_armed = now_s, False, True
+        self.pilot.begin()
+        self.say(dialect.MAV_SEVERITY_INFO, "Armed")
+        return None
+
+    def disarm(self, *, force: bool) -> str | None:
+        """Disarm; in the air only by force."""
+        if not self.vehicle.armed:
+            self.vehicle.disarm(force)  # also clears the firmware's memory of a crash
+            return None
+        if self.airborne and not force:
+            return "Disarming refused: not landed"
+        reason = self.vehicle.disarm(force)
+        if reason is not None:
+            return f"Disarming refused: {reason}"
+        self._after_disarm("Disarmed by force" if force else "Disarmed")
+        return None
+
+    def reboot(self) -> str | None:
+        """Restart the firmware, also a locked one; parameters, home and boot clock stay."""
+        if self.vehicle.armed:
+            return "Reboot refused: armed"
+        reason = self.vehicle.reboot()
+        if reason is not None:
+            return f"Reboot refused: {reason}"
+        self._enter(FlightMode.HOLD)
+        self.say(dialect.MAV_SEVERITY_INFO, "Firmware restarted")
+        return None
+
+    def take_off(self, height_m: float | None) -> str | None:
+        """Climb and hold there; when disarmed, as soon as it is armed. It never descends for that.
+
+        Args:
+            height_m: local height, 0.1 to 20 m above home; None: MIS_TAKEOFF_ALT above where it stands.
+        """
+        estimate = self.vehicle.estimate()
+        if not self.positioned:
+            return "Take-off refused: no position estimate"
+        if self.personality.guided:
+            refused = why_no_takeoff(self, height_m, estimate.position_enu_m[2])
+            if refused is not None:
+                return refused
+        z, home_m = estimate.position_enu_m[2], self.home_enu_m[2]
+        taking_off = self.mode is FlightMode.TAKEOFF
+        if height_m is None:
+            if taking_off:
+                return None
+            height_m = (z if self.standing else home_m) + self._parameters["MIS_TAKEOFF_ALT"]
+        low, high = HEIGHT_RANGE_M
+        if not low <= height_m - home_m <= high:
+            return f"Take-off refused: {height_m - home_m:.4g} m above home, {low:g} to {high:g}"
+        if taking_off and height_m == self.pilot.takeoff_height_m:
+            return None
+        if not self.standing and height_m < z:
+            self.say(dialect.MAV_SEVERITY_NOTICE, "Already higher than the take-off height")
+            height_m = z
+        self.pilot.takeoff_height_m = height_m
+        self._enter(FlightMode.TAKEOFF)
+        return None
+
+    def land(self) -> None:
+        """Land where it is; nothing can refuse that. On the ground there is nothing to do."""
+        if self.vehicle.armed or self.personality.guided:
+            self._enter(FlightMode.LAND)
+
+    def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
+        """Change the mode."""
+        if mode is FlightMode.TAKEOFF:
+            return self.take_off(None)
+        if mode is FlightMode.LAND:
+            self.land()
+            return None
+        if self.personality.guided:
+            return self._set_guided_mode(mode, now_s)
+        if not self.vehicle.estimate().valid:
+            return f"Mode {mode.value} refused: no position estimate"
+        if mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
+            return "Mode offboard refused: no set-points"
+        if mode is FlightMode.RETURN and not self.vehicle.armed:
+            return "Mode return refused: not armed"
+        self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
+        return None
+
+    def _set_guided_mode(self, mode: FlightMode, now_s: float) -> str | None:
+        """Change the mode freely while disarmed; in flight only with a position."""
+        if self.vehicle.armed and not self.positioned:
+            return f"Mode change to {self.personality.label(mode)} failed: requires position"
+        if mode is FlightMode.OFFBOARD and self.mode in GUIDED:
+            return None  # one and the same on the wire: nothing changes
+        self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
+        if mode is FlightMode.OFFBOARD:
+            self.pilot.halt()
+            self._setpoint_s = now_s
+        return None
+
+    def set_origin(self) -> None:
+        """Take note that the origin of the local coordinates has been told."""
+        if not self.origin_known:
+            self.origin_known = True
+            self.say(dialect.MAV_SEVERITY_INFO, "EKF origin set")
+
+    def reposition(self, goal: Goal) -> str | None:
+        """Fly to a point near home and hold there."""
+        if not self.vehicle.estimate().valid:
+            return "Reposition refused: no position estimate"
+        if not self.airborne:
+            return "Reposition refused: not in the air"
+        too_far = self.watches.too_far(goal.point_enu_m, self.home_enu_m)
+        if too_far is not None:
+            return f"Reposition refused: {too_far}"
+        if self.mode is not FlightMode.HOLD or goal != self.pilot.goal:
+            self._enter(FlightMode.HOLD, restart=True, goal=goal)
+        return None
+
+    def set_home(self, point_enu_m: Vec3) -> str | None:
+        """Move home; local coordinates stay as they are."""
+        distance_m = max(map(abs, point_enu_m))
+        if distance_m > _HOME_REACH_M:
+            return f"Home refused: {distance_m:.4g} m from the origin, at most {_HOME_REACH_M:g}"
+        self.pilot.home_enu_m = point_enu_m
+        return None
+
+    def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
+        """Take a valid set-point; it is flown in OFFBOARD only, but keeps the stream alive in all modes."""
+        reason = self._owner.admit(sender, now_s, self._parameters["COM_OF_LOSS_T"])
+        if self.personality.guided:
+            if self.mode not in GUIDED:
+                return reason  # ignored without a word
+            if reason is None:
+                self._enter(FlightMode.OFFBOARD)  # ends a take-off
+        if reason is None:
+            self.pilot.take(setpoint)
+            self._setpoint_s = now_s
+        return reason
+
+    def refuse_setpoint(self, reason: str, now_s: float) -> None:
+        """Say why a set-point is none; who stops for that does."""
+        self.texts.refuse(reason, now_s, "set-point")
+        if self.personality.guided and self.mode is FlightMode.OFFBOARD:
+            self.pilot.halt()
+
+    def yaw_rad(self) -> float:
+        """Present heading by the estimate."""
+        return yaw_from_quaternion(self.vehicle.estimate().quaternion)
+
+    def say(self, severity: int, text: str) -> None:
+        """Tell whoever listens."""
+        self.texts.say(severity, text)
+
+    def control(self, now_s: float) -> None:
+        """Fly: call it at every tick, after the messages and before the physics."""
+        dt_s = now_s - self._control_s if self._control_s is not None else self._period_s
+        self._control_s = now_s
+        vehicle, ground = self.vehicle, self._ground
+        estimate, armed = vehicle.estimate(), vehicle.armed
+        if estimate.valid:
+            self._estimate_seen_s = now_s
+        ground.watch(now_s, armed)
+        standing = ground.now
+        if not standing:
+            self._flew = True
+        if self._was_armed and not armed:
+            self._after_disarm("Disarmed by the firmware", dialect.MAV_SEVERITY_CRITICAL)
+        self._failsafes(now_s)
+        if now_s >= self.watches.due_s:
+            position, flying = estimate.position_enu_m, armed and not standing
+            for alarm in self.watches.step(now_s, position, self.home_enu_m, flying=flying):
+                self._act(alarm)
+        if armed and standing:
+            self._disarm_idle(now_s)
+            armed = vehicle.armed
+        if armed and standing and self.mode is FlightMode.OFFBOARD and self.personality.guided:
+            self.pilot.stop()  # what stands does not follow set-points
+        elif armed:
+            event = self.pilot.fly(self.mode, estimate, standing, dt_s)
+            if event is not None:
+                self._follow(event, now_s)
+
+    def _follow(self, event: Event, now_s: float) -> None:
+        if event is Event.ARRIVED and self.personality.guided:
+            self._arrived = True  # and goes on holding that height
+        elif event is Event.ARRIVED:
+            self._enter(FlightMode.HOLD)
+            self.pilot.go_on()
+        elif event is Event.LANDED:
+            self._try_disarm("Landed, disarmed")
+        else:
+            self.texts.refuse("Set-point clipped to MPC_XY_VEL_MAX or MPC_Z_VEL_MAX", now_s)
+
+    def _enter(
+        self, mode: FlightMode, *, failsafe: bool = False, restart: bool = False, goal: Goal | None = None
+    ) -> None:
+        self.failsafe = failsafe
+        if mode is self.mode and not restart:
+            return
+        label = self.personality.label(mode)
+        if label != self.personality.label(self.mode):
+            self.say(dialect.MAV_SEVERITY_INFO, f"Mode {label}")
+        self.mode, self._arrived = mode, False
+        self.pilot.begin(goal)
+
+    def _after_disarm(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
+        self.say(severity, text)
+        self.pilot.stop()
+        self._owner.release()
+        self._was_armed = self._flew = False
+        if self.personality.guided:  # the mode stays
+            if self.mode is FlightMode.TAKEOFF:
+                self._enter(FlightMode.OFFBOARD)
+        elif self.mode is not FlightMode.OFFBOARD:  # that one ends with its stream, as the companion expects
+            self._enter(FlightMode.HOLD)
+        self.failsafe = False
+
+    def _stream_alive(self, now_s: float) -> bool:
+        return now_s - self._setpoint_s <= self._parameters["COM_OF_LOSS_T"] + 1e-9
+
+    def _failsafes(self, now_s: float) -> None:
+        if self.mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
+            if self.personality.guided:
+                self.pilot.halt()
+            elif self.vehicle.armed:
+                limit_s = self._parameters["COM_OF_LOSS_T"]
+                action = STREAM_LOST[int(self._parameters["COM_OBL_RC_ACT"])]
+                self._act(Alarm(action, f"No set-points for {limit_s:.3g} s"))
+            else:
+                self._enter(FlightMode.HOLD)
+        lost = now_s - self._estimate_seen_s > _ESTIMATE_LOST_S
+        if lost and self.airborne and self.mode is not FlightMode.LAND:
+            self._act(Alarm(Action.LAND, "No position estimate"))
+
+    def _act(self, alarm: Alarm) -> None:
+        """Do what a fail-safe wants, unless the present mode does as much."""
+        action, text = alarm
+        if action is Action.NONE:
+            return
+        if action is Action.WARN or not self.vehicle.armed:
+            self.say(dialect.MAV_SEVERITY_WARNING, text)
+            return
+        if self.standing or not self.vehicle.estimate().valid:
+            action = Action.LAND  # which disarms what stands, and needs no position
+        if _STRENGTH.get(self.mode, Action.NONE) >= action:
+            self.say(dialect.MAV_SEVERITY_CRITICAL, text)
+            return
+        self.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {_DOING[action]}")
+        self._enter(_FAILSAFE_MODES[action], failsafe=True, restart=True)
+
+    def _disarm_idle(self, now_s: float) -> None:
+        if not self._flew:
+            if now_s - self._armed_s >= self._parameters["COM_DISARM_PRFLT"]:
+                self._try_disarm("Disarmed: no take-off")
+        elif now_s - self._ground.since_s >= self._parameters["COM_DISARM_LAND"]:
+            self._try_disarm("Disarmed: landed")
+
+    def _try_disarm(self, text: str) -> None:
+        self.vehicle.stop_setpoint()
+        if self.vehicle.disarm(False) is None:
+            self._after_disarm(text)

@@ -1,0 +1,191 @@
+"""What differs between the autopilots that the simulated vehicle can be: one table, a line each.
+
+PX4 1.16 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``) and ArduCopter 4.6
+(``mode.h``, ``mode_guided.cpp``, ``GCS_Mavlink.cpp``), both also measured in their own SITL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from sim.autopilot.ardupilot_parameters import ardupilot_table
+from sim.autopilot.modes import CODES, Code, FlightMode, codes, mode_from_code, why_no_mode
+from sim.autopilot.parameters import Parameter, table
+
+_M = dialect
+# Hz; rates of PX4's own links, or what clients were measured to need. Missing: on request only.
+DEFAULT_HZ: Mapping[int, float] = MappingProxyType(
+    {
+        _M.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
+        _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+        _M.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+        _M.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
+        _M.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+        _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
+        _M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+        _M.MAVLINK_MSG_ID_ALTITUDE: 1.0,
+        _M.MAVLINK_MSG_ID_VFR_HUD: 2.0,
+        _M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
+        _M.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+        _M.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 2.0,
+        _M.MAVLINK_MSG_ID_ODOMETRY: 5.0,  # PX4's onboard link: 30; it is the costliest of all to pack
+        _M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 1.0,
+    }
+)
+# The order is that of a datagram: a position counts with the attitude that came before it.
+EVERY_TICK = (_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
+_CAPABILITIES = (
+    _M.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+    | _M.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | _M.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | _M.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
+    | _M.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
+_RELEASE = 255  # FIRMWARE_VERSION_TYPE_OFFICIAL
+
+
+@dataclass(frozen=True, slots=True)
+class Personality:
+    """One autopilot as the simulated vehicle plays it."""
+
+    name: str
+    autopilot: int  # MAV_AUTOPILOT
+    version: int  # AUTOPILOT_VERSION.flight_sw_version
+    capabilities: int
+    codes: Mapping[FlightMode, Code]
+    custom_mode: Callable[[Code], int]  # of HEARTBEAT
+    pair_of: Callable[[int], tuple[int, int]]  # custom_mode to what DO_SET_MODE has in param2 and param3
+    mode_of: Callable[[int, int], FlightMode | None]  # such a pair to the mode
+    why_no_mode: Callable[[int, int], str]
+    refused: int  # MAV_RESULT of what cannot be done now
+    parameters: Callable[[int], tuple[Parameter, ...]]  # by system id
+    bytewise: bool  # an integer parameter travels as its bits
+    long_frame: int  # MAV_FRAME of a place in COMMAND_LONG
+    frames: Mapping[int, bool]  # of set-points; True: turned by the heading
+    # One mode takes off, follows set-points and stands still without them: its take-off wants that mode and
+    # an armed vehicle, a set-point ends it, and a wrong set-point or silence means "stop", not a fail-safe.
+    guided: bool
+    needs_origin: bool  # no position before SET_GPS_GLOBAL_ORIGIN, unless it starts in the air
+    rates_hz: Mapping[int, float] = field(default_factory=lambda: DEFAULT_HZ)
+    every_tick: tuple[int, ...] = EVERY_TICK
+    data_streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # of REQUEST_DATA_STREAM
+    labels: Mapping[FlightMode, str] = field(default_factory=dict)  # of modes it calls otherwise
+    # what a person sets before this stack flies it, since the default is not safe (bridge/preflight_rules.py)
+    set_before_flight: Mapping[str, float] = field(default_factory=dict)
+
+    def label(self, mode: FlightMode) -> str:
+        """Name of a mode for people."""
+        return self.labels.get(mode, mode.value)
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Personality:
+        """Itself: nothing of it ever changes."""
+        return self
+
+
+PX4 = Personality(
+    name="px4",
+    autopilot=_M.MAV_AUTOPILOT_PX4,
+    version=1 << 24 | 16 << 16 | _RELEASE,
+    capabilities=_CAPABILITIES | _M.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE,
+    codes=CODES,
+    custom_mode=lambda code: code.custom_mode,
+    pair_of=codes,
+    mode_of=mode_from_code,
+    why_no_mode=why_no_mode,
+    refused=_M.MAV_RESULT_TEMPORARILY_REJECTED,
+    parameters=table,
+    bytewise=True,
+    long_frame=_M.MAV_FRAME_GLOBAL,
+    frames=MappingProxyType({_M.MAV_FRAME_LOCAL_NED: False, _M.MAV_FRAME_BODY_NED: True}),
+    guided=False,
+    needs_origin=False,
+)
+
+_GUIDED = 4
+_BASE = _M.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | _M.MAV_MODE_FLAG_STABILIZE_ENABLED
+# ArduPilot has the number of the mode alone; GUIDED is two of ours. Our hold needs no sticks, as BRAKE.
+_ARDUPILOT_CODES: Mapping[FlightMode, Code] = MappingProxyType(
+    {
+        FlightMode.HOLD: Code(17, 0, _BASE),  # BRAKE
+        FlightMode.TAKEOFF: Code(_GUIDED, 0, _BASE | _M.MAV_MODE_FLAG_GUIDED_ENABLED),
+        FlightMode.LAND: Code(9, 0, _BASE),
+        FlightMode.RETURN: Code(6, 0, _BASE | _M.MAV_MODE_FLAG_GUIDED_ENABLED),  # RTL
+        FlightMode.OFFBOARD: Code(_GUIDED, 0, _BASE | _M.MAV_MODE_FLAG_GUIDED_ENABLED),
+    }
+)
+_ARDUPILOT_MODES = {code.main: mode for mode, code in _ARDUPILOT_CODES.items()}
+_ARDUPILOT_STICKS = {0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 5: "LOITER", 11: "DRIFT", 13: "SPORT",
+                     15: "AUTOTUNE", 16: "POSHOLD"}  # fmt: skip
+
+
+def _ardupilot_why(number: int, _sub: int) -> str:
+    name = _ARDUPILOT_STICKS.get(number)
+    reason = f"{name}: no stick input" if name is not None else "there is none here"
+    return f"Mode change to {number} failed: {reason}"
+
+
+_ARDUPILOT_STREAMS: dict[int, tuple[int, ...]] = {
+    _M.MAV_DATA_STREAM_EXTENDED_STATUS: (
+        _M.MAVLINK_MSG_ID_SYS_STATUS,
+        _M.MAVLINK_MSG_ID_GPS_RAW_INT,
+        _M.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+    ),
+    _M.MAV_DATA_STREAM_POSITION: (
+        _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        _M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    ),
+    _M.MAV_DATA_STREAM_RAW_CONTROLLER: (_M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,),
+    _M.MAV_DATA_STREAM_EXTRA1: (_M.MAVLINK_MSG_ID_ATTITUDE,),
+    _M.MAV_DATA_STREAM_EXTRA2: (_M.MAVLINK_MSG_ID_VFR_HUD,),
+    _M.MAV_DATA_STREAM_EXTRA3: (_M.MAVLINK_MSG_ID_BATTERY_STATUS, _M.MAVLINK_MSG_ID_SYSTEM_TIME),
+}
+
+ARDUPILOT = Personality(
+    name="ardupilot",
+    autopilot=_M.MAV_AUTOPILOT_ARDUPILOTMEGA,
+    version=4 << 24 | 6 << 16 | _RELEASE,
+    capabilities=_CAPABILITIES,
+    codes=_ARDUPILOT_CODES,
+    custom_mode=lambda code: code.main,
+    pair_of=lambda custom_mode: (custom_mode, 0),
+    mode_of=lambda number, _sub: _ARDUPILOT_MODES.get(number),
+    why_no_mode=_ardupilot_why,
+    refused=_M.MAV_RESULT_FAILED,
+    parameters=ardupilot_table,
+    bytewise=False,
+    long_frame=_M.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    frames=MappingProxyType(
+        {
+            _M.MAV_FRAME_LOCAL_NED: False,
+            _M.MAV_FRAME_LOCAL_OFFSET_NED: False,
+            _M.MAV_FRAME_BODY_NED: True,
+            _M.MAV_FRAME_BODY_OFFSET_NED: True,
+        }
+    ),
+    guided=True,
+    needs_origin=True,
+    rates_hz=MappingProxyType({}),  # all SRx_ rates are 0: but the heartbeat, everything must be asked for
+    every_tick=(),
+    labels=MappingProxyType(
+        {
+            FlightMode.HOLD: "BRAKE",
+            FlightMode.TAKEOFF: "GUIDED",
+            FlightMode.LAND: "LAND",
+            FlightMode.RETURN: "RTL",
+            FlightMode.OFFBOARD: "GUIDED",
+        }
+    ),
+    set_before_flight=MappingProxyType({"GUID_TIMEOUT": 0.5}),
+    data_streams=MappingProxyType(
+        {
+            **_ARDUPILOT_STREAMS,
+            _M.MAV_DATA_STREAM_ALL: tuple(id_ for group in _ARDUPILOT_STREAMS.values() for id_ in group),
+        }
+    ),
+)
+
+PERSONALITIES: Mapping[str, Personality] = MappingProxyType({p.name: p for p in (PX4, ARDUPILOT)})

@@ -1,0 +1,252 @@
+"""Flies one mode: velocity set-points for hold, take-off, landing, return and offboard.
+
+Modes themselves, arming and fail-safes are in ``autopilot_flight``; nothing here decides about them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from enum import Enum, auto
+from typing import NamedTuple
+
+from bridge.frames import yaw_from_quaternion
+from flightstack.types import ZERO, Vec3
+from sim.autopilot.control import OwnLimits, PositionHold
+from sim.autopilot.modes import EstimateLike, FlightMode, VehicleLike
+from sim.autopilot.parameters import Parameters
+from sim.autopilot.setpoints import Setpoint, clip
+
+_ARRIVED_M = 0.05  # m, half the Crazyflie's size: height reached
+_ARRIVED_XY_M = 0.10  # m, home reached
+_ARRIVED_M_S = 0.15  # m/s
+
+
+class Event(Enum):
+    """What a step of flying ended with, for the mode machine."""
+
+    ARRIVED = auto()  # take-off height reached
+    LANDED = auto()  # stands, and that was the purpose
+    CLIPPED = auto()  # a set-point was faster than the vehicle may fly
+
+
+class Goal(NamedTuple):
+    """Where to go and hold."""
+
+    point_enu_m: Vec3
+    yaw_rad: float | None  # None: the present heading
+    speed_m_s: float | None  # over ground; None: MPC_XY_CRUISE
+
+
+class _Leg(Enum):
+    """Parts of a return."""
+
+    CLIMB = auto()
+    HOME = auto()
+    WAIT = auto()
+    LAND = auto()
+
+
+class Pilot:
+    """Turns mode, estimate and set-point into velocities for the firmware.
+
+    Attributes:
+        home_enu_m: where a return ends; local, z is its height above the floor.
+        takeoff_height_m: height of the next or present take-off, local.
+        goal: where to hold; None: where the vehicle comes to rest.
+        velocity_setpoint_enu_m_s: handed to the firmware last; None: nothing holds.
+    """
+
+    def __init__(
+        self,
+        vehicle: VehicleLike,
+        parameters: Parameters,
+        home_enu_m: Vec3,
+        trim_enu_m_s: Vec3 = ZERO,
+        *,
+        repeats: bool = False,
+    ) -> None:
+        """Set up; ``repeats``: the newest set-point is flown on until it is told to halt."""
+        self.home_enu_m = home_enu_m
+        self.takeoff_height_m = parameters["MIS_TAKEOFF_ALT"]
+        self.goal: Goal | None = None
+        self.velocity_setpoint_enu_m_s: Vec3 | None = None
+        self._vehicle = vehicle
+        self._parameters = parameters
+        self._repeats = repeats
+        self._hold = PositionHold(trim_enu_m_s)
+        self._setpoint: Setpoint | None = None
+        self._fresh = False  # the set-point has not been handed on yet
+        self._engaged = False  # the position loop has taken over in this mode
+        self._yaw_rad = 0.0  # heading to hold
+        self._leg = _Leg.CLIMB
+        self._leg_s = 0.0  # since the leg began
+        self._version = -1  # of the parameters that the limits below are from
+        self._limits = OwnLimits(1.0, 1.0, 0.0, 0.0, 0.0)
+        self._clip = (0.0, 0.0, 0.0)  # m/s: over ground, up, down
+        self._fly: dict[FlightMode, Callable[[EstimateLike, bool, float], Event | None]] = {
+            FlightMode.HOLD: self._fly_hold,
+            FlightMode.TAKEOFF: self._fly_takeoff,
+            FlightMode.LAND: self._fly_land,
+            FlightMode.RETURN: self._fly_return,
+            FlightMode.OFFBOARD: self._fly_offboard,
+        }
+
+    @property
+    def going_down(self) -> bool:
+        """Whether a return is in its last part."""
+        return self._leg is _Leg.LAND
+
+    def begin(self, goal: Goal | None = None) -> None:
+        """Begin a mode, from wherever the vehicle is."""
+        self._engaged, self._fresh, self.goal = False, True, goal
+        self._leg, self._leg_s = _Leg.CLIMB, 0.0
+
+    def take(self, setpoint: Setpoint) -> None:
+        """Keep the newest set-point; it is flown in OFFBOARD."""
+        self._setpoint, self._fresh = setpoint, True
+
+    def halt(self) -> None:
+        """Stand still instead of what the last set-point said."""
+        if self._setpoint is None or self._setpoint.velocity_enu_m_s != ZERO or self._setpoint.yaw_rate_rad_s:
+            self.take(Setpoint(ZERO, None, 0.0))
+
+    def stop(self) -> None:
+        """Tell the firmware that no set-point holds."""
+        self._vehicle.stop_setpoint()
+        self.velocity_setpoint_enu_m_s = None
+        self._engaged = False
+
+    def fly(self, mode: FlightMode, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+        """Fly one step; only while armed."""
+        if self._version != self._parameters.version:
+            self._read_limits()
+        return self._fly[mode](estimate, standing, dt_s)
+
+    def _read_limits(self) -> None:
+        p = self._parameters
+        xy, up, down = p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"]
+        self._version, self._clip = p.version, (xy, up, down)
+        self._limits = OwnLimits(
+            p["MPC_XY_P"], p["MPC_Z_P"], min(xy, p["MPC_XY_CRUISE"]), min(up, p["MPC_TKO_SPEED"]),
+            min(down, p["MPC_LAND_SPEED"]),
+        )  # fmt: skip
+
+    def _engage(self, estimate: EstimateLike) -> bool:
+        """Take over a vehicle in motion; True the first time in a mode."""
+        if self._engaged:
+            return False
+        self._hold.engage(estimate.position_enu_m, estimate.velocity_enu_m_s, self._limits.gain_xy_1_s)
+        self._yaw_rad = yaw_from_quaternion(estimate.quaternion)
+        self._engaged = True
+        return True
+
+    def _command(self, velocity_enu_m_s: Vec3) -> None:
+        self.velocity_setpoint_enu_m_s = velocity_enu_m_s
+        self._vehicle.set_velocity(velocity_enu_m_s, self._yaw_rad)
+
+    def _fly_hold(self, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+        if standing:
+            # Sent again and again: for the firmware silence after a flight is a lost link, which locks it.
+            self.stop()
+            return None
+        first, goal, limits = self._engage(estimate), self.goal, self._limits
+        if goal is not None:
+            self._hold.point_enu_m = goal.point_enu_m
+            if first and goal.yaw_rad is not None:
+                self._yaw_rad = goal.yaw_rad
+            if goal.speed_m_s is not None:
+                limits = replace(limits, speed_xy_m_s=min(goal.speed_m_s, self._clip[0]))
+        if estimate.valid:
+            self._command(self._hold.step(estimate.position_enu_m, limits, dt_s))
+        else:
+            self._command(self._hold.sink(0.0, dt_s))
+        return None
+
+    def _fly_takeoff(self, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+        self._engage(estimate)
+        goal_m = self.takeoff_height_m
+        self._hold.aim(goal_m)
+        if not estimate.valid:
+            self._command(self._hold.sink(0.0, dt_s))
+            return None
+        self._command(self._hold.step(estimate.position_enu_m, self._limits, dt_s, learn=not standing))
+        return Event.ARRIVED if _at_height(estimate, goal_m) else None
+
+    def go_on(self) -> None:
+        """Hold where the take-off ended, with what it has learnt."""
+        self._engaged = True
+
+    def _fly_land(self, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+        if standing:
+            return Event.LANDED
+        self._engage(estimate)
+        self._descend(estimate, dt_s)
+        return None
+
+    def _descend(self, estimate: EstimateLike, dt_s: float) -> None:
+        down_m_s = -self._limits.speed_down_m_s
+        if estimate.valid:
+            position = estimate.position_enu_m
+            self._command(self._hold.step(position, self._limits, dt_s, vertical_m_s=down_m_s))
+        else:
+            self._command(self._hold.sink(down_m_s, dt_s))
+
+    def _fly_return(self, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+        if standing:
+            return Event.LANDED
+        position, home, p = estimate.position_enu_m, self.home_enu_m, self._parameters
+        distance_m = math.hypot(position[0] - home[0], position[1] - home[1])
+        self._leg_s += dt_s
+        if self._engage(estimate):
+            if distance_m < p["RTL_MIN_DIST"]:
+                self._next(_Leg.LAND)
+            else:
+                self._hold.aim(max(position[2], home[2] + p["RTL_RETURN_ALT"]))
+        point = self._hold.point_enu_m
+        if self._leg is _Leg.CLIMB and _at_height(estimate, point[2]):
+            self._hold.point_enu_m = (home[0], home[1], point[2])
+            self._next(_Leg.HOME)
+        elif self._leg is _Leg.HOME and distance_m < _ARRIVED_XY_M and _slow(estimate):
+            self._next(_Leg.WAIT)
+        elif self._leg is _Leg.WAIT and self._leg_s >= p["RTL_LAND_DELAY"]:
+            self._next(_Leg.LAND)
+        if self._leg is _Leg.LAND:
+            self._descend(estimate, dt_s)
+        elif estimate.valid:
+            self._command(self._hold.step(position, self._limits, dt_s))
+        else:
+            self._command(self._hold.sink(0.0, dt_s))
+        return None
+
+    def _next(self, leg: _Leg) -> None:
+        self._leg, self._leg_s = leg, 0.0
+
+    def _fly_offboard(self, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+        del standing
+        setpoint = self._setpoint
+        if setpoint is None:  # the stream's check comes first
+            return None
+        if not self._engaged:
+            self._yaw_rad, self._engaged = yaw_from_quaternion(estimate.quaternion), True
+        if setpoint.yaw_rad is not None:
+            self._yaw_rad = setpoint.yaw_rad
+        self._yaw_rad += setpoint.yaw_rate_rad_s * dt_s
+        # Only news is handed on, so that the firmware's own watchdog sees a broken stream too.
+        if not (self._fresh or self._repeats or setpoint.yaw_rate_rad_s):
+            return None
+        self._fresh = False
+        wanted = setpoint.velocity_enu_m_s
+        velocity = clip(wanted, *self._clip)
+        self._command(velocity)
+        return None if velocity == wanted else Event.CLIPPED
+
+
+def _at_height(estimate: EstimateLike, height_m: float) -> bool:
+    error_m = height_m - estimate.position_enu_m[2]
+    return abs(error_m) < _ARRIVED_M and abs(estimate.velocity_enu_m_s[2]) < _ARRIVED_M_S
+
+
+def _slow(estimate: EstimateLike) -> bool:
+    return math.hypot(*estimate.velocity_enu_m_s[:2]) < _ARRIVED_M_S

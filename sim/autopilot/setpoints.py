@@ -1,0 +1,75 @@
+"""Velocity set-points from the wire: what is accepted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from bridge.frames import enu_from_ned, flu_from_frd, quaternion_from_yaw, world_from_body, yaw_enu_from_ned
+from flightstack.types import Vec3
+from sim.autopilot.personality import PX4
+
+SPEED_MAX_M_S = 5.0  # m/s; far above what any controller of this stack may ask for
+YAW_RATE_MAX_RAD_S = 6.0  # rad/s
+
+# POSITION_TARGET_TYPEMASK: a set bit means "ignore".
+_POSITION = 0b000000111
+_VELOCITY = 0b000111000
+_ACCELERATION = 0b111000000
+_FORCE = 1 << 9  # says how to read the acceleration, which is not used
+_YAW = 1 << 10
+_YAW_RATE = 1 << 11
+
+
+class Setpoint(NamedTuple):
+    """A velocity to fly, with the heading to go with it."""
+
+    velocity_enu_m_s: Vec3
+    yaw_rad: float | None  # heading to hold; None: see the rate
+    yaw_rate_rad_s: float  # counter-clockwise; 0 holds the heading there is
+
+
+def read_setpoint(
+    message: Any, yaw_rad: Callable[[], float], frames: Mapping[int, bool] = PX4.frames
+) -> Setpoint | str:
+    """Turn SET_POSITION_TARGET_LOCAL_NED into a set-point, or into the reason why it is none.
+
+    Args:
+        message: the message; a body's frame is turned by the heading only (as PX4 and ArduPilot do).
+        yaw_rad: gives the present heading of the vehicle, counter-clockwise from east.
+        frames: that are known; True for a body's.
+    """
+    mask = message.type_mask
+    if mask & _POSITION != _POSITION or mask & _ACCELERATION != _ACCELERATION or mask & _VELOCITY:
+        return f"Set-point dropped: mask {mask}, only velocity (2503)"
+    v = (message.vx, message.vy, message.vz)
+    if not math.isfinite(sum(v)):
+        return "Set-point dropped: velocity not finite"
+    if v[0] * v[0] + v[1] * v[1] + v[2] * v[2] > SPEED_MAX_M_S**2:
+        return f"Set-point dropped: above {SPEED_MAX_M_S:g} m/s"
+    turned = frames.get(message.coordinate_frame)
+    if turned is None:
+        known = " or ".join(map(str, frames))
+        return f"Set-point dropped: frame {message.coordinate_frame}, only {known}"
+    velocity = world_from_body(quaternion_from_yaw(yaw_rad()), flu_from_frd(v)) if turned else enu_from_ned(v)
+    if not mask & _YAW:
+        if not math.isfinite(message.yaw):
+            return "Set-point dropped: yaw not finite"
+        return Setpoint(velocity, yaw_enu_from_ned(message.yaw), 0.0)
+    if not mask & _YAW_RATE:
+        if not abs(message.yaw_rate) <= YAW_RATE_MAX_RAD_S:  # also refuses NaN
+            return f"Set-point dropped: yaw rate above {YAW_RATE_MAX_RAD_S:g} rad/s"
+        return Setpoint(velocity, None, -message.yaw_rate)
+    return Setpoint(velocity, None, 0.0)
+
+
+def clip(velocity_enu_m_s: Vec3, xy_m_s: float, up_m_s: float, down_m_s: float) -> Vec3:
+    """Shorten a velocity to the vehicle's limits; the direction over ground stays."""
+    x, y, z = velocity_enu_m_s
+    if x * x + y * y <= xy_m_s * xy_m_s and -down_m_s <= z <= up_m_s:
+        return velocity_enu_m_s
+    speed_m_s = math.hypot(x, y)
+    if speed_m_s > xy_m_s:
+        x, y = x * xy_m_s / speed_m_s, y * xy_m_s / speed_m_s
+    return (x, y, min(max(z, -down_m_s), up_m_s))

@@ -1,0 +1,103 @@
+"""The same campaign on a Dask cluster: the scheduler hands seeds to its workers, and anew if one dies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from sim.campaign.rows import Row, error_row
+from sim.campaign.work import code_fingerprint, fly_seed_as
+
+CONNECT_S = 10.0  # s of wall time until scheduler and a worker have answered
+AHEAD = 4  # seeds given out for each thread of the cluster; the rest waits here
+
+
+class ClusterError(RuntimeError):
+    """The cluster cannot be used."""
+
+
+class Cluster:
+    """A connection to a scheduler.
+
+    Raises:
+        ClusterError: Dask is not installed, nobody answers, or a worker has other code.
+    """
+
+    def __init__(self, address: str, scenario_toml: str) -> None:
+        try:
+            from distributed import Client
+        except ModuleNotFoundError as error:
+            raise ClusterError(
+                f"--cluster needs Dask ({error.name} is missing): "
+                'pip install "crazyflie-flightstack[sim,cluster]"'
+            ) from None
+        self._scenario_toml, self._code = scenario_toml, code_fingerprint()
+        try:
+            self._client: Any = Client(address, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise ClusterError(
+                f"--cluster {address}: no scheduler answers there ({error}); start one with `dask scheduler`"
+            ) from None
+        try:
+            self._check(address)
+        except BaseException:
+            self._client.close()
+            raise
+
+    def _check(self, address: str) -> None:
+        try:
+            self._client.wait_for_workers(1, timeout=CONNECT_S)
+        except TimeoutError:
+            raise ClusterError(
+                f"--cluster {address}: the scheduler has no workers; start some with `dask worker {address}`"
+            ) from None
+        ours = self._code
+        try:
+            theirs = self._client.run(code_fingerprint)
+        except Exception as error:  # a worker raises what it raises: all mean that it has not our code
+            raise ClusterError(
+                f"--cluster {address}: a worker cannot fly ({error}); install the same version there"
+            ) from error
+        others = [worker for worker, code in theirs.items() if code != ours]
+        if others:
+            raise ClusterError(f"--cluster {address}: other code than here on {', '.join(others)}")
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()
+
+    def fly(self, seeds: Iterable[int]) -> Iterator[Row]:
+        """Yield the rows of these seeds as they come, in any order; never more given out than is bounded."""
+        from distributed import as_completed
+
+        waiting = iter(seeds)
+        running: dict[Any, int] = {}
+        done = as_completed(loop=self._client.loop)
+
+        def give_out() -> None:
+            threads = sum(w["nthreads"] for w in self._client.scheduler_info()["workers"].values())
+            while len(running) < AHEAD * max(1, threads):
+                seed = next(waiting, None)
+                if seed is None:
+                    return
+                future = self._client.submit(fly_seed_as, self._code, self._scenario_toml, seed, pure=False)
+                running[future] = seed
+                done.add(future)
+
+        give_out()
+        while running:
+            future = next(done)
+            seed = running.pop(future)
+            yield self._row(future, seed)
+            future.release()
+            give_out()
+
+    @staticmethod
+    def _row(future: Any, seed: int) -> Row:
+        try:
+            row: Row = future.result()
+        except Exception as error:  # its workers died; every other error is a row already
+            return error_row(seed, f"{type(error).__name__}: {error}")
+        return row

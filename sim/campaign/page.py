@@ -1,0 +1,145 @@
+"""The page of a campaign: distributions, the map of h, the worst seeds; one HTML file, no network needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from logs.report_page import details, header, need_plotly, page, section
+from logs.report_tables import table
+from logs.verdict_types import VIOLATION_LIMIT_M
+from sim.campaign.rows import CELL_M, D_CELLS, E_Z_CELLS, E_Z_LOW_M, Row, cell_map
+from sim.campaign.summary import lines
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+    from sim.campaign.run import Flown, Plan
+
+_BINS = 60
+
+_HISTOGRAMS: tuple[tuple[str, str, str, float, Callable[[Row], float | None]], ...] = (
+    ("error", "Touchdown error", "d at first contact [cm]", 100.0, lambda r: r.touchdown_error_m),
+    (
+        "vertical", "Touchdown speed, vertical", "relative to the pad, downwards [m/s]", 1.0,
+        lambda r: r.touchdown_speed_vertical_m_s,
+    ),
+    (
+        "horizontal", "Touchdown speed, horizontal", "relative to the pad [m/s]", 1.0,
+        lambda r: r.touchdown_speed_horizontal_m_s,
+    ),
+    ("time", "Time to land", "begin of the landing to first contact [s]", 1.0, lambda r: r.time_to_land_s),
+    ("h", "Lowest h outside the pad", "h [mm]", 1000.0, lambda r: r.h_min_outside_pad_m),
+)  # fmt: skip
+
+
+def write_page(path: Path, wanted: Plan, flown: Flown) -> None:
+    """Write the page.
+
+    Raises:
+        ReportError: the plotting library is not installed.
+    """
+    path.write_text(render(wanted, flown), encoding="utf-8")
+
+
+def render(wanted: Plan, flown: Flown) -> str:
+    """Return the page as text; ``flown`` has a summary.
+
+    Raises:
+        ReportError: the plotting library is not installed.
+    """
+    need_plotly()
+    title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter.value}"
+    return page(title, _body(title, wanted, flown))
+
+
+def _body(title: str, wanted: Plan, flown: Flown) -> str:
+    told = flown.summary or {}
+    bad = told["crashes"] or told["violations"] or told["undeclared_misses"] or flown.missing
+    badge = f"{told['landed']} of {told['runs']} landed"
+    style = "bad" if bad else "good" if told["landed"] == told["runs"] else "fair"
+    seeds = f"seeds {wanted.first_seed} to {wanted.first_seed + wanted.runs - 1}"
+    lacking = f" · {flown.missing} landings are missing" if flown.missing else ""
+    upper = f"{100.0 * told['upper_95_violation_rate']:.3g} %"
+    worst = [(str(w["seed"]), w["why"], w["command"]) for w in told["worst"]]
+    return "".join(
+        (
+            header(title, badge, style, f"{wanted.scenario.description} · {seeds}{lacking}"),
+            '<section><h2>Result</h2><p class="note">Judged from true states at every physics step. '
+            f"With 95 % confidence less than {upper} of landings violate the barrier "
+            "(Clopper-Pearson); what is not known counts as a violation.</p>",
+            table(("result", "value"), lines(told), numbers=(1,)),
+            "</section><section><h2>Worst seeds</h2>",
+            '<p class="note">Each command flies one of them alone, over the real wires, to the same end.</p>',
+            table(("seed", "why", "command"), worst, numbers=(0,)),
+            "</section>",
+            *_figures(wanted, flown.rows),
+            f"<section>{details('Scenario', wanted.scenario_toml, 'scenario.toml')}</section>",
+        )
+    )
+
+
+def _figures(wanted: Plan, rows: Sequence[Row]) -> list[str]:
+    found = []
+    for key, title, axis, scale, value in _HISTOGRAMS:
+        values = [scale * v for row in rows if (v := value(row)) is not None]
+        figure = histogram(values, axis, 1e3 * VIOLATION_LIMIT_M if key == "h" else None) if values else None
+        note = f"{len(values)} of {len(rows)} landings have this value."
+        found.append(section(key, title, "", note, figure))
+    note = (
+        "Each cell shows the lowest true h of all landings there; the line is the boundary h = 0. "
+        "Cells below it were entered on the last centimetres over the pad, or by a violation."
+    )
+    found.insert(0, section("map", "Lowest h over d and e_z", "", note, h_map(wanted, rows)))
+    return found
+
+
+def histogram(values: Sequence[float], axis: str, limit: float | None) -> go.Figure:
+    """Counts of a value, with its limit as a line."""
+    import plotly.graph_objects as go
+
+    from logs.report_style import BOUNDARY, TRUE, layout
+
+    counts, edges = np.histogram(values, bins=_BINS)
+    bars = go.Bar(x=0.5 * (edges[:-1] + edges[1:]), y=counts, width=np.diff(edges), marker={"color": TRUE})
+    figure = layout(go.Figure(bars), 300)
+    figure.update_layout(bargap=0.0, showlegend=False)
+    figure.update_xaxes(title_text=axis)
+    figure.update_yaxes(title_text="landings")
+    if limit is not None:
+        figure.add_vline(x=limit, line={"color": BOUNDARY, "dash": "dash"})
+    return figure
+
+
+def h_map(wanted: Plan, rows: Sequence[Row]) -> go.Figure:
+    """Map of the lowest h with the boundary."""
+    import plotly.graph_objects as go
+
+    from logs.report_style import BOUNDARY, layout
+
+    lowest_m, visits = cell_map(rows)
+    d_m = (np.arange(D_CELLS) + 0.5) * CELL_M
+    e_z_m = E_Z_LOW_M + (np.arange(E_Z_CELLS) + 0.5) * CELL_M
+    figure = layout(
+        go.Figure(
+            go.Heatmap(
+                x=d_m, y=e_z_m, z=1e3 * lowest_m, customdata=visits, zmin=-300, zmax=300, colorscale="RdBu",
+                colorbar={"title": "h [mm]"},
+                hovertemplate="d %{x:.2f} m, e_z %{y:.2f} m<br>lowest h %{z:.0f} mm<br>%{customdata} landings"
+                "<extra></extra>",
+            )
+        ),
+        460,
+    )  # fmt: skip
+    judge = wanted.scenario.judge
+    at = np.linspace(0.0, D_CELLS * CELL_M, 200)
+    height = judge.beta_m * judge.alpha_1_m * at * np.exp(-judge.alpha_1_m * at)
+    figure.add_scatter(
+        x=at, y=height, mode="lines", line={"color": BOUNDARY, "width": 2}, name="boundary h = 0"
+    )
+    figure.update_xaxes(title_text="d [m]", range=[0.0, D_CELLS * CELL_M])
+    figure.update_yaxes(title_text="e_z [m]", range=[E_Z_LOW_M, E_Z_LOW_M + E_Z_CELLS * CELL_M])
+    return figure

@@ -1,0 +1,207 @@
+"""Many seeded landings of one scenario: rows, a summary with confidence bounds, a page.
+
+A campaign is a folder. Rows are appended to it as they come, so that it can be interrupted, killed or
+extended at any time: the same call goes on where it was. What was flown is written beside the rows; a folder
+of another scenario, other seeds or other code is refused.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import platform
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from flightstack.certificate import problems
+from flightstack.config import FilterKind
+from flightstack.strict_toml import ConfigError, dumps, to_table
+from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_rows
+from sim.campaign.summary import repeat_command, summary
+from sim.campaign.work import code_fingerprint
+from sim.campaign.workers import Workers
+from sim.scenario import Scenario, load
+from sim.vehicle import warm_up
+
+ROWS, ABOUT, SUMMARY, LOCK, PAGE = (
+    "rows.csv",
+    "campaign.json",
+    "summary.json",
+    "campaign.lock",
+    "campaign.html",
+)
+_PACKAGES = ("numpy", "osqp", "mujoco", "numba", "pymavlink")
+
+OnRow = Callable[[Row], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be flown.
+
+    Attributes:
+        scenario_name: as it was given; goes into the commands.
+        scenario: with the filter to fly.
+        runs: number of landings.
+        first_seed: seeds are this one and the following.
+    """
+
+    scenario_name: str
+    scenario: Scenario
+    runs: int
+    first_seed: int
+
+    @property
+    def scenario_toml(self) -> str:
+        """The scenario as text."""
+        return dumps(to_table(self.scenario))
+
+    @property
+    def command(self) -> str:
+        """Command that repeats one seed, with ``{seed}``."""
+        return repeat_command(self.scenario_name, self.scenario.onboard.filter.value)
+
+
+def plan(scenario_name: str, runs: int, first_seed: int, kind: FilterKind | None) -> Plan:
+    """Load and check a scenario.
+
+    Raises:
+        ConfigError: it must not fly.
+    """
+    scenario = load(scenario_name)
+    if kind is not None:
+        scenario = scenario.with_filter(kind)
+    found = problems(scenario.onboard)
+    if found:
+        raise ConfigError(f"{scenario_name}: refused before take-off: " + "; ".join(found))
+    return Plan(scenario_name, scenario, runs, first_seed)
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What a call left behind.
+
+    Attributes:
+        rows: all rows of the folder, by seed.
+        missing: number of landings without a row.
+        summary: None without any row.
+    """
+
+    rows: list[Row]
+    missing: int
+    summary: dict[str, Any] | None
+
+
+def known_rows(wanted: Plan, folder: Path) -> list[Row]:
+    """Rows that a folder holds already.
+
+    Raises:
+        RowsError: they are of something else, or damaged.
+    """
+    path, about = folder / ROWS, folder / ABOUT
+    if not path.exists() and not about.exists():
+        return []
+    try:
+        before = json.loads(about.read_text())
+    except (OSError, ValueError) as error:
+        raise RowsError(f"{about}: cannot be read ({error}); give another --out") from None
+    now = _identity(wanted)
+    for key, text in now.items():
+        if before.get(key) != text:
+            shown = "" if "\n" in str(text) else f" (was {before.get(key)}, is {text})"
+            raise RowsError(f"{folder}: holds a campaign with another {key}{shown}; give another --out")
+    rows = read_rows(path) if path.exists() else []
+    last = wanted.first_seed + wanted.runs - 1
+    beyond = sum(not wanted.first_seed <= row.seed <= last for row in rows)
+    if beyond:
+        raise RowsError(
+            f"{folder}: holds {len(rows)} rows, {beyond} of them beyond seed {last}; ask for at least "
+            f"{max(row.seed for row in rows) - wanted.first_seed + 1} runs, or give another --out"
+        )
+    return rows
+
+
+def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row: OnRow) -> Flown:
+    """Fly what is missing and sum up; an interrupt ends it in order, with what was flown kept.
+
+    Args:
+        wanted: what to fly.
+        folder: where; made if it is not there.
+        workers: number of processes; not used on a cluster.
+        cluster: address of a Dask scheduler; None: here.
+        on_row: called with each row, also those of earlier calls.
+
+    Raises:
+        RowsError: the folder holds something else, or another campaign runs there.
+        WorkersError: no worker can be kept running.
+        ClusterError: the cluster cannot be used.
+    """
+    began_s = time.monotonic()
+    folder.mkdir(parents=True, exist_ok=True)
+    with _alone(folder):
+        rows = known_rows(wanted, folder)
+        (folder / ABOUT).write_text(json.dumps(_identity(wanted), indent=1) + "\n")
+        for row in rows:
+            on_row(row)
+        fresh: list[Row] = []
+        todo = list(missing(rows, wanted.first_seed, wanted.runs))
+        try:
+            if todo:
+                with RowsFile(folder / ROWS) as file:
+                    for row in _rows(wanted, todo, workers, cluster):
+                        file.add([row])
+                        fresh.append(row)
+                        on_row(row)
+        except KeyboardInterrupt:
+            pass  # told by the number of rows that are missing
+        if todo:  # what is on the disk counts: the interrupt may have come between the file and our list
+            rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)
+        write_rows(folder / ROWS, rows)
+        told = None
+        if rows:
+            flown_s = sum(row.simulated_s or 0.0 for row in fresh)
+            told = summary(rows, wanted.command, wall_s=time.monotonic() - began_s, flown_s=flown_s)
+            (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
+        return Flown(rows, wanted.runs - len(rows), told)
+
+
+def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> Iterator[Row]:
+    if cluster is not None:
+        from sim.campaign.cluster import Cluster
+
+        with Cluster(cluster, wanted.scenario_toml) as there:
+            yield from there.fly(todo)
+        return
+    warm_up(wanted.scenario)  # compiled once, for all workers
+    with Workers(wanted.scenario_toml, workers, wanted.scenario.duration_max_s) as here:
+        yield from here.fly(todo)
+
+
+def _identity(wanted: Plan) -> dict[str, Any]:
+    """What all rows of a folder have in common."""
+    return {
+        "scenario": wanted.scenario_toml,
+        "filter": wanted.scenario.onboard.filter.value,
+        "first seed": wanted.first_seed,
+        "code": code_fingerprint(),
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        **{name: metadata.version(name) for name in _PACKAGES},
+    }
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    with (folder / LOCK).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RowsError(
+                f"{folder}: another campaign runs there; wait for it, or give another --out"
+            ) from None
+        yield

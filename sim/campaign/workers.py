@@ -1,0 +1,182 @@
+"""Worker processes of a campaign: seeds go out, rows come back; a worker that dies costs nothing but time.
+
+Workers are spawned, never forked, each with a pipe of its own: a shared queue could be left locked by one
+that is killed. A worker holds one seed at a time, so that nothing is queued without bound and it is known
+which seed a death concerns. The seed is flown again by another worker; if that one dies, too, it is a row of
+outcome "error".
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import time
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from sim.campaign.rows import Row, error_row
+from sim.campaign.work import fly_seed, prepared
+
+DEATHS_MAX = 2  # of workers that held the same seed
+STARTS_MAX = 3  # workers in a row that end before they are ready
+SLOWEST = 0.05  # share of real time below which a landing is given up
+START_S = 300.0  # s of wall time until a worker is ready, compiling included
+_LOOK_S = 1.0  # s of wall time between two looks at the clock
+_END_S = 5.0  # s of wall time a worker has to end
+
+
+class WorkersError(RuntimeError):
+    """No worker can be kept running."""
+
+
+class _Worker:
+    """One process and its pipe; ``seed`` is what it flies, None before it is ready."""
+
+    def __init__(self, scenario_toml: str) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_work, args=(theirs, scenario_toml), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.ready = False
+        self.seed: int | None = None
+        self.since_s = time.monotonic()
+
+    def give(self, seed: int) -> None:
+        self.seed, self.since_s = seed, time.monotonic()
+        self.pipe.send(seed)
+
+    def end(self) -> None:
+        self.pipe.close()
+        self.process.terminate()
+        self.process.join(_END_S)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join(_END_S)
+
+
+def _work(pipe: Connection, scenario_toml: str) -> None:
+    """Fly seeds until the pipe is closed; Ctrl-C is for the parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    prepared(scenario_toml)
+    try:
+        pipe.send(None)
+        while True:
+            pipe.send(fly_seed(scenario_toml, pipe.recv()))
+    except (EOFError, OSError):  # the parent has gone, or wants no more
+        return
+
+
+class Workers:
+    """A fixed number of them, kept running; ends them all on leaving.
+
+    Args:
+        scenario_toml: the scenario as text.
+        number: how many.
+        duration_max_s: of a landing, simulated.
+    """
+
+    def __init__(self, scenario_toml: str, number: int, duration_max_s: float) -> None:
+        self._scenario_toml, self._number = scenario_toml, number
+        self._limit_s = duration_max_s / SLOWEST
+        self._workers: list[_Worker] = []
+        self._deaths: Counter[int] = Counter()
+        self._starts_failed = 0
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in self._workers:
+            worker.end()
+        self._workers.clear()
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids, for those who want to disturb them."""
+        return [worker.process.pid for worker in self._workers if worker.process.pid is not None]
+
+    def fly(self, seeds: Iterable[int]) -> Iterator[Row]:
+        """Yield the rows of these seeds as they come, in any order.
+
+        Raises:
+            WorkersError: workers end before they fly anything.
+        """
+        waiting = deque(seeds)
+        while waiting or any(worker.seed is not None for worker in self._workers):
+            while len(self._workers) < min(self._number, self._busy() + len(waiting)):
+                self._workers.append(_Worker(self._scenario_toml))
+            pipes = {worker.pipe: worker for worker in self._workers}
+            ends = {worker.process.sentinel: worker for worker in self._workers}
+            happened: list[Any] = wait([*pipes, *ends], _LOOK_S)
+            for thing in happened:
+                worker = pipes.get(thing)
+                if worker is None or worker not in self._workers:
+                    continue
+                row = self._take(worker)
+                if row is not None:
+                    yield row
+            for worker in [w for w in self._workers if not w.process.is_alive() or self._too_slow(w)]:
+                row = self._bury(worker, waiting)
+                if row is not None:
+                    yield row
+            for worker in self._workers:
+                if worker.ready and worker.seed is None and waiting:
+                    self._hand_over(worker, waiting)
+
+    def _busy(self) -> int:
+        return sum(worker.seed is not None for worker in self._workers)
+
+    def _take(self, worker: _Worker) -> Row | None:
+        """Receive from a worker; nothing if it died."""
+        try:
+            row: Row | None = worker.pipe.recv()
+        except (EOFError, OSError):
+            worker.process.join(_END_S)
+            return None
+        worker.ready, worker.seed, self._starts_failed = True, None, 0
+        return row
+
+    def _hand_over(self, worker: _Worker, waiting: deque[int]) -> None:
+        seed = waiting.popleft()
+        try:
+            worker.give(seed)
+        except OSError:  # it has just died
+            worker.process.join(_END_S)
+            worker.seed = seed
+
+    def _too_slow(self, worker: _Worker) -> bool:
+        limit_s = self._limit_s if worker.ready else START_S
+        idle = worker.ready and worker.seed is None
+        return not idle and time.monotonic() - worker.since_s > limit_s
+
+    def _bury(self, worker: _Worker, waiting: deque[int]) -> Row | None:
+        """Remove a dead or hung worker; its seed is flown again, or given up."""
+        hung = worker.process.is_alive()
+        row = None
+        while not hung and worker.pipe.poll():  # what it sent before it died counts
+            found = self._take(worker)
+            if found is None:
+                break
+            row = found
+        worker.end()
+        self._workers.remove(worker)
+        if worker.seed is None:
+            if not worker.ready:
+                self._starts_failed += 1
+                if self._starts_failed >= STARTS_MAX:
+                    code = worker.process.exitcode
+                    raise WorkersError(
+                        f"{STARTS_MAX} workers in a row ended before they were ready (exit status {code}); "
+                        "is the machine out of memory? Try fewer --workers"
+                    )
+            return row
+        seed = worker.seed
+        self._deaths[seed] += 1
+        if self._deaths[seed] < DEATHS_MAX:
+            waiting.appendleft(seed)
+            return None
+        what = "did not end" if hung else f"ended its worker (exit status {worker.process.exitcode})"
+        return error_row(seed, f"{what} {DEATHS_MAX} times")

@@ -1,0 +1,94 @@
+"""PX4's parameters for a simulated vehicle: where its motors are, what it takes to hover, gains. Pure.
+
+PX4 scales its allocation so that a roll or pitch command of 1 changes a motor by sqrt(1/2), a yaw command of
+1 by 1, and thrust of 1 is all motors at 1 (ControlAllocationPseudoInverse.cpp). With n = 4 equal motors of
+thrust F at arm l, rate loop (P + D s) and motor lag T this makes, per axis,
+
+    J dw/dt = k u,  k = 4 sqrt(1/2) F l (roll, pitch)  or  4 F c (yaw, c = torque / thrust)
+    T s^2 + (1 + D k/J) s + P k/J = 0
+
+The gains put the natural frequency at 1.3 / T with a damping of 0.8; the attitude loop above is slower by 4.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sim.params import Params
+from sim.px4_motors import PX4_OF_M
+from sim.rotors import MIX_YAW, POSITION_X, POSITION_Y
+
+_MOTOR_1 = 101  # PX4's output function Motor1
+_NATURAL = 1.3  # natural frequency of the rate loop times the motor lag
+_DAMPING = 0.8
+_SLOWER = 4.0  # attitude loop against that natural frequency
+_INTEGRAL_1_S = 1.3  # I over P, as PX4's defaults 0.2 and 0.15
+_YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths about the vertical
+_FIXED: dict[str, float] = {
+    "THR_MDL_FAC": 0.0,  # an output is a share of the thrust
+    "EKF2_GPS_P_NOISE": 0.02,  # m; the simulated receiver has an RTK fix
+    "EKF2_HGT_REF": 1,  # the receiver, too: the barometer's noise is 0.1 m
+    "COM_RC_IN_MODE": 4,  # no sticks
+    "COM_OBL_RC_ACT": 4,  # land when the set-points stop; the check before a flight asks for it
+    "SYS_FAILURE_EN": 0,  # the simulation's default is 1, which the check refuses
+}
+
+
+def hover_share(params: Params) -> float:
+    """Share of the highest thrust that carries the vehicle."""
+    return params.body.mass_kg * params.contact.gravity_m_s2 / (4.0 * params.rotor.thrust_max_n)
+
+
+def torque_over_thrust_m(params: Params) -> float:
+    """Drag torque over thrust of a rotor in hover."""
+    rotor = params.rotor
+    rpm = rotor.rpm(hover_share(params) * rotor.thrust_max_n)
+    torque = (rotor.torque_linear_n_m_rpm + rotor.torque_square_n_m_rpm2 * rpm) * rpm
+    return torque / rotor.thrust_n(rpm)
+
+
+def parameters(params: Params) -> dict[str, float]:
+    """PX4 parameters that differ from its defaults, as v1.16 names them; integers where PX4 has integers."""
+    rotor, (jx, jy, jz) = params.rotor, params.body.inertia_kg_m2
+    ratio = torque_over_thrust_m(params)
+    found: dict[str, float] = {"CA_AIRFRAME": 0, "CA_ROTOR_COUNT": 4}
+    for ours, px4 in sorted(enumerate(PX4_OF_M), key=lambda pair: pair[1]):
+        found[f"CA_ROTOR{px4}_PX"] = POSITION_X[ours] * rotor.arm_m
+        found[f"CA_ROTOR{px4}_PY"] = -POSITION_Y[ours] * rotor.arm_m  # FRD: y to the right
+        found[f"CA_ROTOR{px4}_KM"] = -MIX_YAW[ours] * ratio  # positive: turns counter-clockwise
+    for px4 in range(4):
+        found[f"PWM_MAIN_FUNC{px4 + 1}"] = _MOTOR_1 + px4
+    found["MPC_THR_HOVER"] = hover_share(params)
+    tilt = 4.0 * math.sqrt(0.5) * rotor.thrust_max_n * rotor.arm_m
+    for axis, inertia in (("ROLL", jx), ("PITCH", jy)):
+        found |= _rate_gains(axis, tilt / inertia, rotor.lag_s)
+    yaw = 4.0 * rotor.thrust_max_n * ratio / jz
+    found["MC_YAWRATE_P"] = _YAW_1_S / yaw
+    found["MC_YAW_P"] = _YAW_ATTITUDE_1_S
+    found |= _FIXED
+    return {name: value if isinstance(value, int) else round(value, 5) for name, value in found.items()}
+
+
+def _rate_gains(axis: str, per_command: float, lag_s: float) -> dict[str, float]:
+    natural_1_s = _NATURAL / lag_s
+    p = natural_1_s**2 * lag_s / per_command
+    return {
+        f"MC_{axis}RATE_P": p,
+        f"MC_{axis}RATE_I": _INTEGRAL_1_S * p,
+        f"MC_{axis}RATE_D": (2.0 * _DAMPING * natural_1_s * lag_s - 1.0) / per_command,
+        f"MC_{axis}_P": natural_1_s / _SLOWER,
+    }
+
+
+# How PX4 takes parameters: from the environment of its start script (rcS; up to v1.16 what its airframe sets
+# wins), in an airframe file, or at its console
+FORMATS = {
+    "env": "export PX4_PARAM_{}={}",
+    "airframe": "param set-default {} {}",
+    "console": "param set {} {}",
+}
+
+
+def parameter_text(params: Params, form: str) -> str:
+    """The parameters as lines of one of ``FORMATS``."""
+    return "\n".join(FORMATS[form].format(*pair) for pair in parameters(params).items())

@@ -1,0 +1,128 @@
+"""The TCP side of PX4's simulator: we listen, PX4 connects; one at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import select
+import socket
+from collections.abc import Iterable, Sequence
+from ipaddress import IPv4Address
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.address import resolve
+from bridge.decoding import Message
+from sim.px4_messages import COMPONENT_ID, SYSTEM_ID
+from sim.px4_stream import FrameStream
+
+_ENDPOINT = re.compile(r"^([^:/\s]+):(\d{1,5})$")
+_ENDPOINT_HELP = "allowed is HOST:PORT, PORT up to 65535 (0 takes a free one), for example 127.0.0.1:4560"
+_CHUNK = 65536  # bytes taken at a time
+_SEND_MAX_S = 5.0  # s that PX4 may leave its socket full
+_LOOK_S = 0.1  # s between two looks at who else wants something
+
+
+class LinkClosedError(ConnectionError):
+    """PX4 has gone."""
+
+
+def parse_endpoint(text: str, *, allow_unsigned: bool) -> tuple[str, int]:
+    """Address and port from ``HOST:PORT``.
+
+    Raises:
+        ValueError: another form, or an address of a network without leave: this link has no signatures.
+    """
+    match = _ENDPOINT.match(text)
+    if match is None or int(match.group(2)) > 65535:
+        raise ValueError(f"TCP endpoint {text!r} is not understood: {_ENDPOINT_HELP}")
+    host, port = resolve(f"TCP endpoint {text!r}", match.group(1), int(match.group(2)), _ENDPOINT_HELP)
+    if not IPv4Address(host).is_loopback and not allow_unsigned:
+        raise ValueError(
+            f"TCP endpoint {text!r} is open to a network, and PX4's simulator link knows no signatures: "
+            "listen on 127.0.0.1, or say --allow-unsigned"
+        )
+    return host, port
+
+
+class Px4Link:
+    """The connection to one PX4."""
+
+    def __init__(self, connected: socket.socket) -> None:
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connected.settimeout(_SEND_MAX_S)
+        self._socket = connected
+        self._mav = dialect.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
+        self.stream = FrameStream()
+
+    def send(self, messages: Iterable[Message]) -> None:
+        """Send in one piece.
+
+        Raises:
+            LinkClosedError: it has gone, or has taken nothing for long.
+        """
+        data = b""
+        for message in messages:
+            data += bytes(message.pack(self._mav))
+            self._mav.seq = (self._mav.seq + 1) % 256
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise LinkClosedError(f"sending to PX4 failed: {error}") from error
+
+    def receive(self, timeout_s: float) -> Sequence[Message]:
+        """What has come within the time, perhaps nothing.
+
+        Raises:
+            LinkClosedError: it has gone.
+        """
+        if not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:
+            return ()
+        try:
+            data = self._socket.recv(_CHUNK)
+        except OSError as error:
+            raise LinkClosedError(f"receiving from PX4 failed: {error}") from error
+        if not data:
+            raise LinkClosedError("PX4 closed the connection")
+        return self.stream.feed(data)
+
+    def close(self) -> None:
+        """Hang up."""
+        with contextlib.suppress(OSError):  # it may have done so first
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+
+class Px4Server:
+    """The listening socket.
+
+    Raises:
+        OSError: the port is taken.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.bind((host, port))
+            self._socket.listen(1)  # a second PX4 waits until the first has gone
+        except OSError as error:
+            self._socket.close()
+            raise OSError(
+                f"cannot listen on {host}:{port}: {error.strerror}; is another simulator running there?"
+            ) from error
+
+    @property
+    def port(self) -> int:
+        """Port listened on."""
+        return int(self._socket.getsockname()[1])
+
+    def accept(self) -> Px4Link | None:
+        """Next connection; None when none came for a moment."""
+        if not select.select([self._socket], [], [], _LOOK_S)[0]:
+            return None
+        return Px4Link(self._socket.accept()[0])
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._socket.close()

@@ -1,0 +1,102 @@
+"""Messages between PX4 and its simulator (PX4 docs, Simulator MAVLink API; SimulatorMavlink.cpp). Pure."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.decoding import Message
+from bridge.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from flightstack.types import Vec3
+from sim.autopilot_geo import degrees_e7
+from sim.px4_plant import Body
+from sim.px4_sensors import Fix, Readings
+
+SYSTEM_ID, COMPONENT_ID = 1, 200  # of the simulator; PX4 looks at neither
+
+# Bits of HIL_SENSOR.fields_updated that PX4 asks for together (SimulatorMavlink.hpp, SensorSource)
+ACCEL, GYRO, MAG, BARO = 0b111, 0b111000, 0b111000000, 0b1101000000000
+
+HIL_STATE_QUATERNION = 115
+_ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
+_LOCKSTEP = 1  # bit of HIL_ACTUATOR_CONTROLS.flags
+_EPH_CM, _EPV_CM, _SATELLITES = 2, 4, 20
+_INT16 = 32767
+_COG_UNKNOWN = 65535
+_COG_MIN_M_S = 0.2  # below it the direction of motion is noise
+
+
+class Answer(NamedTuple):
+    """One HIL_ACTUATOR_CONTROLS."""
+
+    time_us: int  # PX4's clock
+    controls: tuple[float, ...]  # outputs 1 to 16
+    armed: bool
+    lockstep: bool  # PX4's clock is the simulator's
+
+
+def answer_of(message: Message) -> Answer:
+    """Read a HIL_ACTUATOR_CONTROLS."""
+    return Answer(
+        int(message.time_usec),
+        tuple(message.controls),
+        bool(message.mode & _ARMED),
+        bool(message.flags & _LOCKSTEP),
+    )
+
+
+def hil_sensor(time_us: int, readings: Readings) -> Message:
+    """HIL_SENSOR with what is new."""
+    slow = readings.slow
+    mag, hpa, altitude, celsius = (0.0, 0.0, 0.0), 0.0, 0.0, 0.0
+    if slow is not None:
+        mag, hpa = slow.mag_frd_gauss, slow.pressure_hpa
+        altitude, celsius = slow.pressure_altitude_m, slow.temperature_c
+    fields = ACCEL | GYRO | (MAG | BARO if slow is not None else 0)
+    return dialect.MAVLink_hil_sensor_message(
+        time_us, *readings.accel_frd_m_s2, *readings.gyro_frd_rad_s, *mag, hpa, 0.0, altitude, celsius, fields
+    )
+
+
+def hil_gps(time_us: int, fix: Fix) -> Message:
+    """HIL_GPS of a fix."""
+    north, east, _ = fix.velocity_ned_m_s
+    speed = math.hypot(north, east)
+    course = round(math.degrees(math.atan2(east, north)) % 360.0 * 100.0) % 36000
+    return dialect.MAVLink_hil_gps_message(
+        time_us,
+        dialect.GPS_FIX_TYPE_RTK_FIXED,
+        fix.latitude_e7,
+        fix.longitude_e7,
+        round(fix.altitude_amsl_m * 1e3),
+        _EPH_CM,
+        _EPV_CM,
+        min(65534, round(speed * 100.0)),
+        *_int16(fix.velocity_ned_m_s, 100.0),
+        course if speed > _COG_MIN_M_S else _COG_UNKNOWN,
+        _SATELLITES,
+    )
+
+
+def hil_state(time_us: int, body: Body, accel_frd_m_s2: Vec3, gravity_m_s2: float) -> Message:
+    """HIL_STATE_QUATERNION: the truth, which PX4 only logs."""
+    speed_cm_s = min(65535, round(math.hypot(*body.velocity_enu_m_s) * 100.0))
+    x, y, z = body.position_enu_m
+    return dialect.MAVLink_hil_state_quaternion_message(
+        time_us,
+        ned_frd_from_enu_flu(body.quaternion),
+        *frd_from_flu(body.angular_velocity_flu_rad_s),
+        *degrees_e7(x, y),
+        round(z * 1e3),
+        *_int16(ned_from_enu(body.velocity_enu_m_s), 100.0),
+        speed_cm_s,
+        speed_cm_s,
+        *_int16(accel_frd_m_s2, 1000.0 / gravity_m_s2),
+    )
+
+
+def _int16(v: Vec3, scale: float) -> tuple[int, int, int]:
+    a, b, c = (max(-_INT16, min(_INT16, round(x * scale))) for x in v)
+    return (a, b, c)

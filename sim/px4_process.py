@@ -1,0 +1,201 @@
+"""The process that is PX4's simulator: TCP to PX4 on one side, the robot's true pose on the other."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from bridge import zenoh_link
+from flightstack.pacing import quiet_garbage_collector
+from logs.feed import Feed, FeedError
+from sim.pacing import NoAnswerError, StopSignal
+from sim.process_deck import RealTimeDeck
+from sim.process_vehicle_log import VehicleLog
+from sim.px4_link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
+from sim.px4_lockstep import NoLockstepError
+from sim.px4_plant import Px4Plant
+from sim.px4_sensors import STEP_MS
+from sim.px4_session import STEP_S, Event, NotPx4Error, Px4Session
+from sim.scenario import Scenario
+from sim.vehicle_types import Truth
+
+SPEED_MAX = 100.0
+_LOG_EVERY = 3  # steps between two true states in the log: 83 Hz
+_NS_PER_STEP = STEP_MS * 1_000_000
+
+
+class Px4Node:
+    """What the process does besides PX4: the deck follows the robot, the truth goes into the log."""
+
+    def __init__(self, deck: RealTimeDeck | None, log: VehicleLog) -> None:
+        self.log = log
+        self._deck = deck
+        self._deck_s = 0.0  # simulated time of all flights so far: the deck's clock never goes back
+        self._touched = self._stale = False
+
+    def begin(self) -> None:
+        """A flight begins."""
+        self._touched = False
+        self.log.epoch_ns = time.time_ns()
+
+    def end(self, flown_s: float) -> None:
+        """It is over, after so much simulated time."""
+        self._deck_s += flown_s
+
+    def before_step(self, flight: Px4Session) -> None:
+        """Do what is due, at 83 Hz."""
+        if flight.steps % _LOG_EVERY:
+            return
+        now_ns = flight.steps * _NS_PER_STEP
+        truth = flight.plant.truth()
+        self.log.truth(flight.steps // _LOG_EVERY, now_ns, truth)
+        if self._deck is not None:
+            self._move_deck(self._deck, flight, truth)
+        self.log.feed.flush()
+        if not self._touched and math.isfinite(truth.first_touch_time_s):
+            self._touched = True
+            x, y, _ = truth.first_touch_relative_position_enu_m
+            down_m_s = -truth.first_touch_relative_velocity_enu_m_s[2]
+            _say(
+                f"touched the pad at {truth.first_touch_time_s:.3f} s, {x:+.3f} m east and {y:+.3f} m north "
+                f"of its centre, {down_m_s:.2f} m/s down"
+            )
+
+    def _move_deck(self, deck: RealTimeDeck, flight: Px4Session, truth: Truth) -> None:
+        now_s = self._deck_s + flight.steps * STEP_S
+        for payload in deck.poll(now_s):
+            self.log.target(flight.steps * _NS_PER_STEP, payload)
+        state = deck.follow(truth.pad_position_enu_m, truth.pad_yaw_rad, now_s)
+        stale = deck.stale(now_s)
+        if stale and not self._stale:
+            print("px4-sim: WARNING: the robot's pose is too old: deck stopped", file=sys.stderr, flush=True)
+        self._stale = stale
+        if state is not None:
+            place, velocity = state.position_enu_m, state.velocity_enu_m_s
+            flight.plant.set_deck(place, state.yaw_rad, velocity, state.yaw_rate_rad_s)
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _tell(event: Event) -> None:
+    _say(event.value)
+
+
+def px4_sim_main(
+    scenario: Scenario,
+    seed: int,
+    tcp: str,
+    *,
+    speed: float = 1.0,
+    silent_max_s: float = 10.0,
+    duration_s: float | None = None,
+    once: bool = False,
+    feed_socket: str | None = None,
+    zenoh_connect: Sequence[str] = (),
+    zenoh_listen: Sequence[str] = (),
+    zenoh_config: Path | None = None,
+    namespace: str = "cf1",
+    allow_unsigned: bool = False,
+) -> int:
+    """Serve PX4 until SIGTERM, SIGINT or ``duration_s``; prints ``ready tcp:HOST:PORT`` when it may connect.
+
+    Every PX4 that connects finds the vehicle at its start: PX4 does not reconnect, a new one is a new flight.
+    Without any Zenoh endpoint the deck stands where the scenario puts it.
+
+    Args:
+        scenario: vehicle, start, wind, pad.
+        seed: chance.
+        tcp: ``HOST:PORT`` to listen on.
+        speed: of simulated time against the wall's; 0: as fast as PX4 answers.
+        silent_max_s: wall time without an answer after which PX4 counts as dead.
+        duration_s: end after so much simulated time of one PX4; None: no end.
+        once: end when the first PX4 has gone.
+        feed_socket: flight recorder, if there is one.
+        zenoh_connect: Zenoh endpoints to connect to.
+        zenoh_listen: Zenoh endpoints to listen on.
+        zenoh_config: Zenoh configuration to begin with.
+        namespace: first part of all Zenoh keys.
+        allow_unsigned: listen to a network.
+
+    Returns:
+        Exit status: 0 in order, 1 when PX4 fell silent or something else did not come, 2 for wrong input.
+    """
+    stop = StopSignal().install()
+    try:
+        with ExitStack() as stack:
+            host, port = parse_endpoint(tcp, allow_unsigned=allow_unsigned)
+            with_robot = bool(zenoh_connect or zenoh_listen or zenoh_config is not None)
+            _check_speed(speed, with_robot)
+            Px4Plant(scenario, seed).advance(STEP_MS)  # refuses wrong scenarios, and compiles
+            session = None
+            if with_robot:
+                session = zenoh_link.open_session(zenoh_listen, zenoh_connect, config_file=zenoh_config)
+                stack.callback(session.close)
+            server = Px4Server(host, port)
+            stack.callback(server.close)
+            feed = Feed.connect(feed_socket, "vehicle", lossless=False)
+            stack.callback(feed.close)
+            deck = RealTimeDeck(session, namespace) if session is not None else None
+            node = Px4Node(deck, VehicleLog(feed, time.time_ns(), namespace))
+            _say(f"ready tcp:{host}:{server.port}")
+            quiet_garbage_collector()
+            while not stop.is_set:
+                link = server.accept()
+                if link is None:
+                    continue
+                plant = Px4Plant(scenario, seed)
+                flight = Px4Session(
+                    link, plant, seed, stop, speed=speed, silent_max_s=silent_max_s, tell=_tell
+                )
+                if _serve(flight, link, node, stop, duration_s) or (once and flight.steps):
+                    break
+    except ValueError as error:
+        print(f"px4-sim: {error}", file=sys.stderr)
+        return 2
+    except (OSError, zenoh_link.ZenohLinkError, FeedError, NoAnswerError, NoLockstepError) as error:
+        print(f"px4-sim: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _check_speed(speed: float, with_robot: bool) -> None:
+    if not 0.0 <= speed <= SPEED_MAX:
+        raise ValueError(f"speed is {speed:g}: allowed is 0 (as fast as PX4 answers) to {SPEED_MAX:g}")
+    if with_robot and speed != 1.0:
+        raise ValueError(
+            f"speed is {speed:g}: the deck follows a robot over Zenoh, which drives in real time, so 1 alone "
+            "is allowed; leave --connect, --listen and --zenoh-config out for another speed"
+        )
+
+
+def _serve(
+    flight: Px4Session, link: Px4Link, node: Px4Node, stop: StopSignal, duration_s: float | None
+) -> bool:
+    """Fly with one PX4; whether the time is over."""
+    try:
+        flight.greet()
+        node.begin()
+        while not stop.is_set:
+            if duration_s is not None and flight.steps * STEP_S >= duration_s:
+                return True
+            node.before_step(flight)
+            flight.step()
+    except (LinkClosedError, NotPx4Error) as error:
+        print(f"px4-sim: {error}; listening for the next one", file=sys.stderr)
+    finally:
+        link.close()
+        node.end(flight.steps * STEP_S)
+        garbage = link.stream.garbage_bytes
+        if flight.nudges or flight.lockstep.old or garbage:
+            print(
+                f"px4-sim: {flight.steps} steps, {flight.nudges} without an answer, "
+                f"{flight.lockstep.old} old answers, {garbage} bytes that are no MAVLink",
+                file=sys.stderr,
+            )
+    return False

@@ -1,0 +1,241 @@
+"""One PX4 from its first message to its last, in lockstep with the simulated vehicle.
+
+Every 4 ms of simulated time: sensors out, motor outputs in, vehicle on by 4 ms.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from enum import Enum
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.decoding import Message
+from sim.pacing import NoAnswerError, StopSignal
+from sim.px4_link import Px4Link
+from sim.px4_lockstep import FIRST_US, Lockstep
+from sim.px4_messages import (
+    HIL_STATE_QUATERNION,
+    Answer,
+    answer_of,
+    hil_gps,
+    hil_sensor,
+    hil_state,
+)
+from sim.px4_motors import rotor_speeds
+from sim.px4_plant import Px4Plant
+from sim.px4_sensors import STEP_MS, Px4Sensors
+
+STEP_US = STEP_MS * 1000
+STEP_S = STEP_MS * 1e-3
+HELLO_MAX_S = 10.0  # s of wall time for its first message, which it sends as soon as it is connected
+BOOT_MAX_S = 60.0  # s of wall time until its first motor outputs
+NUDGE_S = 1.0  # s of wall time; then one step goes on without an answer, since PX4 may wait for a sensor, too
+STATE_MAX_US = 1_000_000  # slower than this the truth is not worth asking for
+_SLICE_S = 0.1  # s between two looks at the stop signal
+_BEHIND_MAX_S = 0.1  # s; after a longer pause of the machine time is put back instead of caught up
+
+
+class NotPx4Error(RuntimeError):
+    """Who connected is not PX4; the text says what came instead."""
+
+
+class Event(Enum):
+    """What whoever started us may want to know."""
+
+    CONNECTED = "connected"
+    LOCKSTEP = "lockstep"
+    ARMED = "armed"
+    DISARMED = "disarmed"
+
+
+class Px4Session:
+    """Vehicle, sensors and one PX4.
+
+    Attributes:
+        nudges: steps that went on without an answer.
+        steps: done so far.
+
+    Args:
+        link: the connection.
+        plant: standing at its start.
+        seed: of the sensors' noise.
+        stop: ends every wait.
+        speed: of simulated time against the wall's; 0: as fast as PX4 answers.
+        silent_max_s: wall time without an answer after which PX4 counts as dead.
+        tell: called at every event.
+    """
+
+    def __init__(
+        self,
+        link: Px4Link,
+        plant: Px4Plant,
+        seed: int,
+        stop: StopSignal,
+        *,
+        speed: float,
+        silent_max_s: float,
+        tell: Callable[[Event], None],
+    ) -> None:
+        self._link, self.plant, self._stop = link, plant, stop
+        self._sensors = Px4Sensors(plant.params, plant.body(), seed)
+        self.lockstep = Lockstep()
+        self._speed, self._silent_max_s, self._tell = speed, silent_max_s, tell
+        self.steps = 0
+        self.nudges = 0
+        self._armed = False
+        self._state_every_us = 0  # 0: not asked for
+        self._state_due_us = 0
+        self._start_s = self._connected_s = self._answered_s = time.monotonic()
+
+    @property
+    def time_us(self) -> int:
+        """PX4's clock."""
+        return FIRST_US + self.steps * STEP_US
+
+    def greet(self) -> None:
+        """Wait for the first message; PX4 sends its heartbeat at once.
+
+        Raises:
+            NotPx4Error: nothing came, or it is another autopilot's.
+            LinkClosedError: it has gone again.
+        """
+        until_s = time.monotonic() + HELLO_MAX_S
+        while not self._stop.is_set:
+            left_s = until_s - time.monotonic()
+            if left_s <= 0.0:
+                raise NotPx4Error(
+                    f"a client said nothing that is MAVLink for {HELLO_MAX_S:g} s "
+                    f"({self._link.stream.garbage_bytes} other bytes): PX4 sends a HEARTBEAT at once; dropped"
+                )
+            messages = self._link.receive(min(left_s, _SLICE_S))
+            if messages:
+                self._note(messages)
+                self._tell(Event.CONNECTED)
+                self._start_s = self._connected_s = self._answered_s = time.monotonic()
+                return
+
+    def step(self) -> None:
+        """Do one step.
+
+        Raises:
+            NoAnswerError: PX4 fell silent, or never began.
+            NoLockstepError: PX4 does not wait for the simulation.
+            NotPx4Error: it says that it is another autopilot.
+            LinkClosedError: it has gone.
+        """
+        self._send()
+        answer = self._wait() if self.lockstep.started else self._look()
+        if answer is not None:
+            self._drive(answer)
+        self.plant.advance(STEP_MS)
+        self.steps += 1
+        self._pace()
+
+    def _send(self) -> None:
+        body, now_us = self.plant.body(), self.time_us
+        readings = self._sensors.read(body)
+        out: list[Message] = []
+        if readings.fix is not None:
+            out.append(hil_gps(now_us, readings.fix))
+        if self._state_every_us and now_us >= self._state_due_us:
+            self._state_due_us = max(now_us, self._state_due_us + self._state_every_us)
+            gravity = self.plant.params.contact.gravity_m_s2
+            out.append(hil_state(now_us, body, readings.accel_frd_m_s2, gravity))
+        out.append(hil_sensor(now_us, readings))  # the last: it lets PX4's clock go on
+        self._link.send(out)
+        self.lockstep.sent(now_us)
+
+    def _look(self) -> Answer | None:
+        """PX4 starts, which takes real time: an answer if it comes before this step should end."""
+        until_s = self._start_s + (self.steps + 1) * STEP_S
+        while not self._stop.is_set:
+            left_s = until_s - time.monotonic()
+            answer = self._note(self._link.receive(min(left_s, _SLICE_S)))
+            if self.lockstep.started:
+                self._answered_s = time.monotonic()
+                self._start_s = self._answered_s - self.steps * self._step_wall_s
+                self._tell(Event.LOCKSTEP)
+                return answer if answer is not None else self._wait()
+            if left_s <= 0.0:
+                break
+        if time.monotonic() - self._connected_s > BOOT_MAX_S:
+            raise NoAnswerError(
+                f"PX4 sent no HIL_ACTUATOR_CONTROLS in its first {BOOT_MAX_S:g} s: look at its console; its "
+                "airframe needs PWM_MAIN_FUNC1 to 4 = 101 to 104 (docs/px4_sim.md)"
+            )
+        return None
+
+    def _wait(self) -> Answer | None:
+        """Wait for the answer to this step's HIL_SENSOR; None: go on without, for once."""
+        began_s = time.monotonic()
+        while not self._stop.is_set:
+            answer = self._note(self._link.receive(_SLICE_S))
+            now_s = time.monotonic()
+            if answer is not None:
+                self._answered_s = now_s
+                return answer
+            if now_s - self._answered_s > self._silent_max_s:
+                raise NoAnswerError(self._silence(now_s - self._answered_s))
+            if now_s - began_s > NUDGE_S:
+                self.nudges += 1
+                self.lockstep.adopt()
+                return None
+        return None
+
+    def _silence(self, for_s: float) -> str:
+        lockstep = self.lockstep
+        return (
+            f"PX4 is silent: no HIL_ACTUATOR_CONTROLS for {for_s:.1f} s since the HIL_SENSOR at "
+            f"{self.steps * STEP_S:.3f} s of simulated time; expected time_usec "
+            f"{' or '.join(map(str, lockstep.expected_us))}, the newest answer has {lockstep.newest_us} "
+            f"({lockstep.old} old ones). Is it stopped in a debugger, or hung?"
+        )
+
+    def _note(self, messages: Iterable[Message]) -> Answer | None:
+        """Look at what came; the newest answer to the last HIL_SENSOR, if there is one."""
+        newest = None
+        for message in messages:
+            kind = message.get_type()
+            if kind == "HIL_ACTUATOR_CONTROLS":
+                answer = answer_of(message)
+                if self.lockstep.take(answer):
+                    newest = answer
+            elif kind == "HEARTBEAT" and message.autopilot != dialect.MAV_AUTOPILOT_PX4:
+                raise NotPx4Error(
+                    f"a client is autopilot {message.autopilot} of MAV_AUTOPILOT, allowed is "
+                    f"{dialect.MAV_AUTOPILOT_PX4} (PX4); dropped"
+                )
+            elif kind == "COMMAND_LONG":
+                self._command(message)
+        return newest
+
+    def _command(self, message: Message) -> None:
+        """PX4 asks for the truth by SET_MESSAGE_INTERVAL, and for nothing else."""
+        if message.command != dialect.MAV_CMD_SET_MESSAGE_INTERVAL or message.param1 != HIL_STATE_QUATERNION:
+            return
+        wanted_us = message.param2
+        sane = 0.0 < wanted_us <= STATE_MAX_US
+        self._state_every_us = max(STEP_US, round(wanted_us)) if sane else 0
+        self._state_due_us = self.time_us
+
+    def _drive(self, answer: Answer) -> None:
+        self.plant.wanted[:] = rotor_speeds(answer.controls, answer.armed, self.plant.params.rotor)
+        if answer.armed is not self._armed:
+            self._armed = answer.armed
+            self._tell(Event.ARMED if answer.armed else Event.DISARMED)
+
+    @property
+    def _step_wall_s(self) -> float:
+        return STEP_S / self._speed if self._speed > 0.0 else 0.0
+
+    def _pace(self) -> None:
+        """Wait for the time of the next step."""
+        if self._speed <= 0.0 or not self.lockstep.started:
+            return
+        left_s = self._start_s + self.steps * self._step_wall_s - time.monotonic()
+        if left_s > 0.0:
+            time.sleep(left_s)
+        elif left_s < -_BEHIND_MAX_S:
+            self._start_s -= left_s
