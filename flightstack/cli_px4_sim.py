@@ -33,6 +33,7 @@ from flightstack.cli_zenoh import plugs
     "--parameters", "form", type=click.Choice(("env", "airframe", "console")),
     help="Print PX4's parameters for the vehicle and end: shell lines, airframe file, or for PX4's console.",
 )  # fmt: skip
+@click.option("--mocap", is_flag=True, help="Give PX4 the scenario's motion capture instead of satellites.")
 @plugs
 @shared.namespace
 @shared.recorder
@@ -40,7 +41,7 @@ from flightstack.cli_zenoh import plugs
 @shared.allow_unsigned
 def px4_sim(
     scenario: str, seed: int, tcp: str, speed: float, silent_max_s: float, once: bool, form: str | None,
-    connect: tuple[str, ...], listen: tuple[str, ...], zenoh_config: Path | None, namespace: str,
+    mocap: bool, connect: tuple[str, ...], listen: tuple[str, ...], zenoh_config: Path | None, namespace: str,
     recorder: Path | None, duration_s: float | None, allow_unsigned: bool,
 ) -> None:  # fmt: skip
     """Be the simulator of a PX4 SITL: vehicle, rotors, wind and moving deck here, the autopilot there.
@@ -49,19 +50,20 @@ def px4_sim(
     2 wrong input.
     """
     from sim import params
-    from sim.px4_airframe import parameter_text
-    from sim.px4_process import px4_sim_main
+    from sim.px4.airframe import parameter_text
+    from sim.px4.process import px4_sim_main
     from sim.scenario import load
 
     loaded = load(scenario)
     if form is not None:
-        click.echo(parameter_text(params.load(loaded.vehicle.airframe), form))
+        poses = loaded.vehicle.mocap if mocap else None
+        click.echo(parameter_text(params.load(loaded.vehicle.airframe), form, poses))
         return
     sys.exit(
         px4_sim_main(
-            loaded, seed, tcp, speed=speed, silent_max_s=silent_max_s, once=once, duration_s=duration_s,
-            feed_socket=str(recorder) if recorder else None, zenoh_connect=list(connect),
-            zenoh_listen=list(listen), zenoh_config=zenoh_config, namespace=namespace,
-            allow_unsigned=allow_unsigned,
+            loaded, seed, tcp, speed=speed, silent_max_s=silent_max_s, once=once, mocap=mocap,
+            duration_s=duration_s, feed_socket=str(recorder) if recorder else None,
+            zenoh_connect=list(connect), zenoh_listen=list(listen), zenoh_config=zenoh_config,
+            namespace=namespace, allow_unsigned=allow_unsigned,
         )
     )  # fmt: skip

@@ -87,6 +87,21 @@ def test_climbs_hovers_and_flies_aside_by_the_sensors_alone(name):
         assert said == ["connected", "lockstep", "armed"]
 
 
+def test_flies_by_motion_capture_in_the_coordinates_of_the_room():
+    with simulator("paper_moving_1", "--mocap", "--once") as (child, port):
+        fake, pilot = FakePx4(port), pilot_for("paper_moving_1")
+        fake.hello()
+        fake.fly(pilot, lambda t: t >= 2.0)
+        assert pilot.estimate.position == pytest.approx([0.3, -1.2, -0.0144], abs=0.01)
+        pilot.armed, pilot.goal = True, np.array([0.1, -0.9, -0.8])
+        fake.fly(pilot, lambda t: t >= 9.0)
+        assert true_place(fake) == pytest.approx((0.1, -0.9, 0.8), abs=0.1)
+        assert fake.counts["ODOMETRY"] == pytest.approx(9.0 * 50, abs=2)
+        assert "HIL_GPS" not in fake.counts
+        fake.close()
+        lines(child)
+
+
 def test_lands_on_the_pad_and_says_where():
     with simulator("paper_moving_1", "--once") as (child, port):
         fake, pilot = FakePx4(port), pilot_for("paper_moving_1")
@@ -179,8 +194,8 @@ def test_in_real_time_the_deck_follows_the_robot_and_the_truth_is_recorded(tmp_p
     socket, log = tmp_path / "feed", tmp_path / "flight.mcap"
     place = Port()
     recorder = running("record", "--socket", str(socket), "--out", str(log), "--until-clients", "1")
-    robot = running("target", "--scenario", "large", "--connect", place.endpoint)
-    plugs = ("--listen", place.endpoint, "--recorder", str(socket), "--once")
+    robot = running("target", "--scenario", "large", "--listen", place.endpoint)
+    plugs = ("--connect", place.endpoint, "--recorder", str(socket), "--once")
     with recorder as (record, _), simulator("large", *plugs, speed="1") as (child, port), robot:
         fake, pilot = FakePx4(port), Pilot({"MPC_THR_HOVER": 0.5})
         fake.hello()

@@ -113,6 +113,17 @@ class Estimator:
         # an attitude wrong by d turns gravity into an acceleration of (-g dy, g dx)
         self._turn(np.array([0.01 * error[1], -0.01 * error[0], 0.0]))
 
+    def pose(self, m):
+        """ODOMETRY: a pose of FRD in NED, instead of fixes."""
+        if self.q is None:
+            return
+        found = np.array(m.q)
+        self.q = self.q + 0.1 * (found * math.copysign(1.0, float(found @ self.q)) - self.q)
+        self.q = self.q / np.linalg.norm(self.q)
+        error = np.array([m.x, m.y, m.z]) - self.position
+        self.position = self.position + 0.2 * error
+        self.velocity = self.velocity + 0.8 * error
+
 
 class Pilot:
     """PX4's cascade with its default gains above the rate loop, and what its parameters say below."""
@@ -220,6 +231,8 @@ class FakePx4:
             kind = message.get_type()
             if kind == "HIL_GPS" and pilot is not None:
                 pilot.estimate.fix(message)
+            if kind == "ODOMETRY" and pilot is not None:
+                pilot.estimate.pose(message)
             if kind == "HIL_SENSOR":
                 if self.first_us is None:
                     self.first_us = message.time_usec

@@ -5,13 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from bridge.mocap.messages import WANTS
 from bridge.preflight import Needs
 from bridge.preflight_rules import RULES
 from sim.params import load
-from sim.px4_airframe import FORMATS, parameter_text, parameters
-from sim.px4_motors import rotor_speeds
+from sim.px4.airframe import FORMATS, parameter_text, parameters
+from sim.px4.motors import rotor_speeds
 from sim.rotors import MIX_YAW
-from sim.scenario import Airframe
+from sim.scenario import Airframe, OdometryLink
 from tests.unit.px4_fakes import QUAD_X, parameters_of
 
 FRAMES = list(Airframe)
@@ -87,3 +88,12 @@ def test_the_check_before_a_flight_finds_nothing_unsafe_in_them():
     checked = [rule for rule in RULES["px4"] if rule.name in found]
     assert {rule.name for rule in checked} == {"COM_OBL_RC_ACT", "COM_RC_IN_MODE", "SYS_FAILURE_EN"}
     assert all(rule.safe(found[rule.name], needs) for rule in checked)
+
+
+def test_motion_capture_takes_the_place_of_satellites():
+    link = OdometryLink(100.0, delay_s=0.015)
+    found = parameters(load(), link)
+    assert "EKF2_GPS_P_NOISE" not in found
+    assert found["EKF2_EV_DELAY"] == 15.0
+    settings = dict(pair.rsplit(" ", 1) for pair in WANTS[12].settings.split(", "))  # of the bridge's page
+    assert {name: found[name] for name in settings} == {name: int(value) for name, value in settings.items()}

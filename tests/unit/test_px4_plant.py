@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from flightstack.strict_toml import ConfigError
 from sim.params import load
-from sim.px4_motors import OFF, PX4_OF_M, rotor_speeds
-from sim.px4_plant import Px4Plant
+from sim.px4.motors import OFF, PX4_OF_M, rotor_speeds
+from sim.px4.plant import Px4Plant
 from sim.rotors import MIX_YAW, POSITION_X, POSITION_Y
 from sim.scenario import Airframe, Start, StartKind, Wind
 from sim.scenario import load as load_scenario

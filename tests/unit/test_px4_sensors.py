@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.autopilot_geo import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
+from sim.autopilot.geo import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 from sim.params import load
-from sim.px4_plant import Body
-from sim.px4_sensors import (
+from sim.px4.plant import Body
+from sim.px4.sensors import (
     ACCEL_MAX_M_S2,
     GYRO_MAX_RAD_S,
     Px4Sensors,

@@ -7,12 +7,12 @@ import time
 import pytest
 from pymavlink.dialects.v20 import common as mav
 
-from sim import px4_session
 from sim.pacing import NoAnswerError, StopSignal
-from sim.px4_link import LinkClosedError, Px4Server
-from sim.px4_lockstep import NoLockstepError
-from sim.px4_plant import Px4Plant
-from sim.px4_session import Event, NotPx4Error, Px4Session
+from sim.px4 import session as px4_session
+from sim.px4.link import LinkClosedError, Px4Server
+from sim.px4.lockstep import NoLockstepError
+from sim.px4.plant import Px4Plant
+from sim.px4.session import Event, NotPx4Error, Px4Session
 from sim.scenario import Start
 from tests.unit.px4_fakes import FakePx4
 from tests.unit.vehicle_sim_helpers import scenario

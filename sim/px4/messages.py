@@ -10,9 +10,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.decoding import Message
 from bridge.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from flightstack.types import Vec3
-from sim.autopilot_geo import degrees_e7
-from sim.px4_plant import Body
-from sim.px4_sensors import Fix, Readings
+from sim.autopilot.geo import degrees_e7
+from sim.px4.plant import Body
+from sim.px4.sensors import Fix, Readings
 
 SYSTEM_ID, COMPONENT_ID = 1, 200  # of the simulator; PX4 looks at neither
 

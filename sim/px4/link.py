@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.address import resolve
 from bridge.decoding import Message
-from sim.px4_messages import COMPONENT_ID, SYSTEM_ID
-from sim.px4_stream import FrameStream
+from sim.px4.messages import COMPONENT_ID, SYSTEM_ID
+from sim.px4.stream import FrameStream
 
 _ENDPOINT = re.compile(r"^([^:/\s]+):(\d{1,5})$")
 _ENDPOINT_HELP = "allowed is HOST:PORT, PORT up to 65535 (0 takes a free one), for example 127.0.0.1:4560"

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 from bridge.frames import body_from_world, frd_from_flu, ned_from_enu
 from flightstack.types import Vec3
-from sim.autopilot_geo import degrees_e7
+from sim.autopilot.geo import degrees_e7
 from sim.imu import Imu
 from sim.params import Params
-from sim.px4_plant import Body
+from sim.px4.plant import Body
 from sim.rotation import rotation_axes
 from sim.sensors import NoiseRows
 

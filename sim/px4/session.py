@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.decoding import Message
 from sim.pacing import NoAnswerError, StopSignal
-from sim.px4_link import Px4Link
-from sim.px4_lockstep import FIRST_US, Lockstep
-from sim.px4_messages import (
+from sim.px4.link import Px4Link
+from sim.px4.lockstep import FIRST_US, Lockstep
+from sim.px4.messages import (
     HIL_STATE_QUATERNION,
     Answer,
     answer_of,
@@ -23,9 +23,10 @@ from sim.px4_messages import (
     hil_sensor,
     hil_state,
 )
-from sim.px4_motors import rotor_speeds
-from sim.px4_plant import Px4Plant
-from sim.px4_sensors import STEP_MS, Px4Sensors
+from sim.px4.mocap import Px4Mocap
+from sim.px4.motors import rotor_speeds
+from sim.px4.plant import Px4Plant
+from sim.px4.sensors import STEP_MS, Px4Sensors
 
 STEP_US = STEP_MS * 1000
 STEP_S = STEP_MS * 1e-3
@@ -65,6 +66,7 @@ class Px4Session:
         speed: of simulated time against the wall's; 0: as fast as PX4 answers.
         silent_max_s: wall time without an answer after which PX4 counts as dead.
         tell: called at every event.
+        mocap: poses instead of satellites.
     """
 
     def __init__(
@@ -77,9 +79,11 @@ class Px4Session:
         speed: float,
         silent_max_s: float,
         tell: Callable[[Event], None],
+        mocap: Px4Mocap | None = None,
     ) -> None:
         self._link, self.plant, self._stop = link, plant, stop
         self._sensors = Px4Sensors(plant.params, plant.body(), seed)
+        self._mocap = mocap
         self.lockstep = Lockstep()
         self._speed, self._silent_max_s, self._tell = speed, silent_max_s, tell
         self.steps = 0
@@ -137,7 +141,9 @@ class Px4Session:
         body, now_us = self.plant.body(), self.time_us
         readings = self._sensors.read(body)
         out: list[Message] = []
-        if readings.fix is not None:
+        if self._mocap is not None:
+            out += self._mocap.poll(body, self.steps * STEP_US * 1000, now_us)
+        elif readings.fix is not None:
             out.append(hil_gps(now_us, readings.fix))
         if self._state_every_us and now_us >= self._state_due_us:
             self._state_due_us = max(now_us, self._state_due_us + self._state_every_us)

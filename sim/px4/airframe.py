@@ -15,8 +15,9 @@ from __future__ import annotations
 import math
 
 from sim.params import Params
-from sim.px4_motors import PX4_OF_M
+from sim.px4.motors import PX4_OF_M
 from sim.rotors import MIX_YAW, POSITION_X, POSITION_Y
+from sim.scenario import OdometryLink
 
 _MOTOR_1 = 101  # PX4's output function Motor1
 _NATURAL = 1.3  # natural frequency of the rate loop times the motor lag
@@ -26,11 +27,21 @@ _INTEGRAL_1_S = 1.3  # I over P, as PX4's defaults 0.2 and 0.15
 _YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths about the vertical
 _FIXED: dict[str, float] = {
     "THR_MDL_FAC": 0.0,  # an output is a share of the thrust
-    "EKF2_GPS_P_NOISE": 0.02,  # m; the simulated receiver has an RTK fix
-    "EKF2_HGT_REF": 1,  # the receiver, too: the barometer's noise is 0.1 m
     "COM_RC_IN_MODE": 4,  # no sticks
     "COM_OBL_RC_ACT": 4,  # land when the set-points stop; the check before a flight asks for it
     "SYS_FAILURE_EN": 0,  # the simulation's default is 1, which the check refuses
+}
+_SATELLITES: dict[str, float] = {
+    "EKF2_GPS_P_NOISE": 0.02,  # m; the simulated receiver has an RTK fix
+    "EKF2_HGT_REF": 1,  # the receiver gives the height, too: the barometer's noise is 0.1 m
+}
+_MOCAP: dict[str, float] = {
+    "EKF2_EV_CTRL": 11,  # horizontal and vertical position, and yaw
+    "EKF2_HGT_REF": 3,  # vision
+    "EKF2_GPS_CTRL": 0,
+    "EKF2_MAG_TYPE": 5,  # none: yaw comes with the pose
+    "SYS_HAS_GPS": 0,
+    "COM_ARM_WO_GPS": 1,
 }
 
 
@@ -47,8 +58,13 @@ def torque_over_thrust_m(params: Params) -> float:
     return torque / rotor.thrust_n(rpm)
 
 
-def parameters(params: Params) -> dict[str, float]:
-    """PX4 parameters that differ from its defaults, as v1.16 names them; integers where PX4 has integers."""
+def parameters(params: Params, mocap: OdometryLink | None = None) -> dict[str, float]:
+    """PX4 parameters that differ from its defaults, as v1.16 names them; integers where PX4 has integers.
+
+    Args:
+        params: of the vehicle.
+        mocap: motion capture instead of satellites.
+    """
     rotor, (jx, jy, jz) = params.rotor, params.body.inertia_kg_m2
     ratio = torque_over_thrust_m(params)
     found: dict[str, float] = {"CA_AIRFRAME": 0, "CA_ROTOR_COUNT": 4}
@@ -66,6 +82,7 @@ def parameters(params: Params) -> dict[str, float]:
     found["MC_YAWRATE_P"] = _YAW_1_S / yaw
     found["MC_YAW_P"] = _YAW_ATTITUDE_1_S
     found |= _FIXED
+    found |= _SATELLITES if mocap is None else _MOCAP | {"EKF2_EV_DELAY": mocap.delay_s * 1e3}  # ms
     return {name: value if isinstance(value, int) else round(value, 5) for name, value in found.items()}
 
 
@@ -89,6 +106,6 @@ FORMATS = {
 }
 
 
-def parameter_text(params: Params, form: str) -> str:
+def parameter_text(params: Params, form: str, mocap: OdometryLink | None = None) -> str:
     """The parameters as lines of one of ``FORMATS``."""
-    return "\n".join(FORMATS[form].format(*pair) for pair in parameters(params).items())
+    return "\n".join(FORMATS[form].format(*pair) for pair in parameters(params, mocap).items())

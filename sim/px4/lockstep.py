@@ -7,7 +7,7 @@ nothing, then begins to; from then on every HIL_SENSOR has an answer.
 
 from __future__ import annotations
 
-from sim.px4_messages import Answer
+from sim.px4.messages import Answer
 
 FIRST_US = 1_000_000  # time of the first HIL_SENSOR; not zero, which PX4 takes for "not set"
 

@@ -15,11 +15,12 @@ from logs.feed import Feed, FeedError
 from sim.pacing import NoAnswerError, StopSignal
 from sim.process_deck import RealTimeDeck
 from sim.process_vehicle_log import VehicleLog
-from sim.px4_link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
-from sim.px4_lockstep import NoLockstepError
-from sim.px4_plant import Px4Plant
-from sim.px4_sensors import STEP_MS
-from sim.px4_session import STEP_S, Event, NotPx4Error, Px4Session
+from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
+from sim.px4.lockstep import NoLockstepError
+from sim.px4.mocap import Px4Mocap
+from sim.px4.plant import Px4Plant
+from sim.px4.sensors import STEP_MS
+from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
 from sim.scenario import Scenario
 from sim.vehicle_types import Truth
 
@@ -96,6 +97,7 @@ def px4_sim_main(
     silent_max_s: float = 10.0,
     duration_s: float | None = None,
     once: bool = False,
+    mocap: bool = False,
     feed_socket: str | None = None,
     zenoh_connect: Sequence[str] = (),
     zenoh_listen: Sequence[str] = (),
@@ -116,6 +118,7 @@ def px4_sim_main(
         silent_max_s: wall time without an answer after which PX4 counts as dead.
         duration_s: end after so much simulated time of one PX4; None: no end.
         once: end when the first PX4 has gone.
+        mocap: the scenario's motion capture instead of satellites.
         feed_socket: flight recorder, if there is one.
         zenoh_connect: Zenoh endpoints to connect to.
         zenoh_listen: Zenoh endpoints to listen on.
@@ -150,8 +153,9 @@ def px4_sim_main(
                 if link is None:
                     continue
                 plant = Px4Plant(scenario, seed)
+                poses = Px4Mocap(scenario.vehicle.mocap, seed) if mocap else None
                 flight = Px4Session(
-                    link, plant, seed, stop, speed=speed, silent_max_s=silent_max_s, tell=_tell
+                    link, plant, seed, stop, speed=speed, silent_max_s=silent_max_s, tell=_tell, mocap=poses
                 )
                 if _serve(flight, link, node, stop, duration_s) or (once and flight.steps):
                     break
