@@ -57,8 +57,8 @@ def test_connects_and_tells_who_and_where_it_is(pilot):
         seen.add(pilot.own.source_time_s)
         return False
 
-    until_s = pilot.now_s + 2.0
-    pilot.watch("count states", lambda: newer() or pilot.now_s >= until_s, 5.0)
+    until_s = pilot.vehicle_s + 2.0
+    pilot.watch("count states", lambda: newer() or pilot.vehicle_s >= until_s, 5.0)
     assert len(seen) / 2.0 >= 20.0, "states a second"
     assert pilot.status.landed is Landed.ON_GROUND
     assert not pilot.status.armed
