@@ -27,6 +27,7 @@ _REPEAT_UNHEARD_S = 0.05  # s, the same while nobody was ever heard
 _DECK_YIELDS = 20  # looks for the deck's pose before sleeping: it is there, or due any moment
 _FLUSH_EVERY = 10  # ticks; the recorder is not woken for every single one
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
+_HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 
 
 class LockstepLoop:
@@ -177,6 +178,10 @@ class LockstepLoop:
                 if self._is_answer(received, now_ns):
                     self._late += frames[i + 1 :]
                     return True
+                continue
+            if self._companion is None and message.get_msgId() == _HEARTBEAT:
+                # Somebody's first words come as often as wall time has it: not for a radio that draws lots.
+                self._answer(received, now_ns, now_s)
                 continue
             for arrived in self._node.wire.receive(received, now_ns):
                 self._answer(arrived, now_ns, now_s)

@@ -15,7 +15,7 @@ from bridge.frames import quaternion_from_yaw
 from bridge.odometry import sample_from_cdr
 from flightstack.pacing import EPOCH_NS
 from flightstack.strict_toml import dumps, from_table, to_table
-from flightstack.types import TargetSample
+from flightstack.types import Phase, TargetSample
 from logs.verdict import Outcome
 from sim.campaign.rows import row_of
 from sim.landing import land
@@ -23,6 +23,8 @@ from sim.landing_target import arrived
 from sim.landing_wire import PEER, wires
 from sim.scenario import Scenario, load
 from sim.target import TargetMeasurement
+from tests.fault_grid.flight import Flight
+from tests.fault_grid.run import equal
 
 _EXTREMES = {
     "float": (0.1, -1e-9, 12345.678, math.nan, math.inf),
@@ -125,3 +127,17 @@ def test_every_step_is_shown():
     landing = land(short("lab", duration_max_s=1.0), 4, on_step=lambda tick, _: ticks.append(tick.number))
     assert ticks == list(range(len(ticks)))
     assert len(ticks) == len(landing.seen.steps.t_s) == 101
+
+
+@pytest.mark.parametrize("repeats", [1, 5])
+def test_how_often_the_companion_said_hello_before_the_start_changes_nothing(repeats):
+    """It is a matter of wall time, and a radio with chance losses must not draw lots for it."""
+
+    def flown(times):
+        flight = Flight(load("fault_link_burst"), 5, lambda f: f.phase is Phase.LAND, lambda f: None)
+        for _ in range(times):
+            flight.link._hello_at_s = -math.inf  # long ago
+            flight.link.poll(0.0)
+        return flight.fly()
+
+    assert equal(flown(0).truth, flown(repeats).truth)
