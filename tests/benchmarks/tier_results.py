@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from sim.campaign.rows import read_rows
+from sim.campaign.rows import Row, read_rows
 from sim.campaign.summary import summary
 from sim.campaign.tiers import LIMITS, Tier, misses
 
@@ -81,11 +81,17 @@ def row(tier: str, kind: str, s: dict) -> str:
     )
 
 
+def known(folder: Path) -> list[Row]:
+    """Rows flown so far, also of a campaign that was interrupted."""
+    path = folder / "rows.csv"
+    return read_rows(path) if path.exists() else []
+
+
 def asked_row(tier: str, out: Path) -> str:
     """Limits of a tier, and which of them are missed."""
     limits = LIMITS[Tier(tier)]
-    robust, paper = (read_rows(out / f"{tier}_{kind}" / "rows.csv") for kind in FILTERS)
-    found = misses(Tier(tier), robust, paper)
+    robust, paper = (known(out / f"{tier}_{kind}") for kind in FILTERS)
+    found = misses(Tier(tier), robust, paper or None)
     slower = f"{100 * (limits.slower_max - 1):+.0f} %" if limits.slower_max is not None else "-"
     return (
         f"| `{tier}` | >= {100 * limits.landed_min:g} % | <= {100 * limits.violations_max:g} % "
@@ -115,7 +121,9 @@ def main() -> None:
             folder = asked.out / f"{tier}_{kind}"
             if not asked.write_only:
                 campaign(tier, kind, runs[kind], folder)
-            flown = read_rows(folder / "rows.csv")  # also of a campaign that was interrupted
+            flown = known(folder)
+            if not flown:
+                continue
             rows.append(row(tier, kind, summary(flown, "", wall_s=0.0, flown_s=0.0)))
             print(rows[-1], flush=True)
     limits = [asked_row(tier, asked.out) for tier in TIERS]
