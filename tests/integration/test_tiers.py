@@ -1,4 +1,4 @@
-"""Two hundred seeds of each tier meet its limits; more of them stand in docs/results.md."""
+"""A hundred seeds of each tier meet its limits; more of them stand in docs/results.md."""
 
 import json
 
@@ -7,13 +7,13 @@ import pytest
 from sim.campaign.tiers import LIMITS, Tier
 from tests.integration.test_campaign import campaign
 
-RUNS = 200
+RUNS = 100
 WALL_MAX_S = 900.0  # alone on a core it takes a minute
 # What is not reached, with a bound of its own; docs/results.md says why.
 FALLS_SHORT = {
     Tier.STORM: {"crashes": 0.03, "violations": 0.03, "touchdown speed, horizontal, 95 %": None},
 }
-PAPER_RUNS = 60  # enough for a median
+PAPER_RUNS = 40  # enough for a median
 
 
 @pytest.mark.parametrize("tier", list(Tier), ids=lambda tier: tier.value)
@@ -44,5 +44,5 @@ def test_the_robust_filter_meets_the_limits(tmp_path, tier):
     assert told["runs"] == RUNS == told["landed"] + told["declared_aborts"] + told["crashes"]
     for number in ("crashes", "violations"):
         assert told[number] <= known.get(number, 0.0) * RUNS
-    # what 200 runs can show, and no more
+    # what 100 runs can show, and no more
     assert told["upper_95_violation_rate"] >= 1.0 - 0.05 ** (1.0 / RUNS) - 1e-9
