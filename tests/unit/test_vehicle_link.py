@@ -4,9 +4,7 @@ import math
 
 import pytest
 
-from bridge.autopilots import ARDUPILOT, PX4
 from bridge.mavlink import Endpoint, dialect
-from bridge.origin import Origin
 from bridge.vehicle import COMPONENT_ID, VehicleLink
 from flightstack.types import Mode, Request
 from tests.unit.vehicle_link_fakes import (
@@ -15,35 +13,14 @@ from tests.unit.vehicle_link_fakes import (
     LOITER,
     OFFBOARD,
     TAKEOFF,
+    FakeAutopilot,
     Setpoint,
     attitude,
     heartbeat,
     home,
+    poll,
     position,
 )
-
-
-class FakeAutopilot:
-    """Listens on UDP, answers nothing by itself; a test says what it sends and looks at what came."""
-
-    def __init__(self, url="udpin:127.0.0.1:0"):
-        self.endpoint = Endpoint(url, 1, 1)
-        self.armed = False
-        self.mode = LOITER
-
-    def send(self, *messages, peer=None):
-        self.endpoint.send(messages, peer)
-
-    def beat(self):
-        self.send(heartbeat(self.mode, armed=self.armed))
-
-    def take(self, until):
-        """Everything up to and with the first message of type ``until``."""
-        received = []
-        while not any(m.get_type() == until for m in received):
-            assert self.endpoint.wait(5.0), f"no {until} came"
-            received += [r.message for r in self.endpoint.receive()]
-        return received
 
 
 @pytest.fixture
@@ -60,11 +37,6 @@ def link(vehicle):
     vehicle.take("HEARTBEAT")
     yield opened
     opened.close()
-
-
-def poll(link, now_s):
-    assert link.endpoint.wait(5.0)
-    link.poll(now_s)
 
 
 def test_hello_is_a_companions_heartbeat(vehicle):
@@ -150,118 +122,6 @@ def test_everything_of_a_tick_is_one_datagram(vehicle, link):
     assert vehicle.endpoint.wait(5.0)
     assert vehicle.endpoint._socket.recvfrom(65536)[0].count(b"\xfd") >= 5
     assert vehicle.endpoint.receive() == []
-
-
-def test_ardupilot_gets_no_setpoint_while_it_takes_off(vehicle):
-    link = VehicleLink(
-        f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT, profile=ARDUPILOT
-    )
-    link.command(Request.TAKEOFF, 0.0)
-    assert not link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.0)
-    link.command(Request.EXTERNAL, 1.0)
-    assert link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 1.0)
-    link.close()
-
-
-@pytest.fixture
-def auto(vehicle):
-    opened = VehicleLink(
-        f"udpout:127.0.0.1:{vehicle.endpoint.local_port}",
-        takeoff_height_m=HEIGHT,
-        profile=None,
-        origin=Origin(47.4, 8.5, 0.0),
-    )
-    opened.poll(0.0)
-    vehicle.take("HEARTBEAT")
-    yield opened
-    opened.close()
-
-
-def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
-    assert auto.profile is None
-    assert auto.failed is None
-    auto.command(Request.LAND, 0.0)  # nobody there yet
-    assert not auto.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.0)
-    vehicle.send(position(10))
-    poll(auto, 0.1)
-    assert auto.profile is None
-    vehicle.beat()
-    poll(auto, 0.2)
-    assert auto.profile is PX4
-    assert auto.status.mode is Mode.HOLD
-    assert auto.refused is None
-    auto.command(Request.LAND, 0.2)
-    vehicle.armed = True
-    vehicle.beat()
-    poll(auto, 0.3)
-    auto.command(Request.LAND, 0.3)
-    auto.flush()
-    sent = vehicle.take("COMMAND_LONG")
-    assert [m.command for m in sent if m.get_type() == "COMMAND_LONG"] == [511, 511, 511, 21]
-    assert auto.take_texts() == [(6, "its heartbeat says: PX4, OFFBOARD")]
-    vehicle.send(heartbeat(4, autopilot=3))  # another one later is not flown, and not taken for the first
-    poll(auto, 0.4)
-    assert auto.profile is PX4
-    assert "autopilot 3" in auto.refused
-
-
-def test_the_motors_of_one_that_is_not_known_are_stopped_all_the_same(vehicle, auto):
-    for tick in range(200):
-        auto.command(Request.MOTORS_OFF, tick * 0.01)
-    auto.flush()
-    kills = [m for m in vehicle.take("COMMAND_LONG") if m.get_type() == "COMMAND_LONG"]
-    assert [(m.command, m.param1, m.param2) for m in kills] == [(400, 0.0, 21196.0)] * 4
-
-
-@pytest.mark.parametrize(("autopilot", "type_", "word"), [(0, 2, "GENERIC (0)"), (3, 1, "FIXED_WING (1)")])
-def test_auto_refuses_who_is_not_known(vehicle, auto, autopilot, type_, word):
-    for _ in range(3):
-        vehicle.send(dialect.MAVLink_heartbeat_message(type_, autopilot, 1, 0, 3, 3))
-        poll(auto, 0.1)
-    assert word in auto.refused
-    assert auto.take_texts() == [(3, auto.refused)]
-    assert (auto.profile, auto.status) == (None, None)
-    assert not auto.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.1)
-
-
-def test_ardupilot_is_prepared_told_its_origin_and_asked_for_everything(vehicle, auto):
-    vehicle.send(heartbeat(0, autopilot=3))
-    poll(auto, 1.0)
-    auto.command(Request.NONE, 1.0)
-    auto.flush()
-    sent = vehicle.take("SET_GPS_GLOBAL_ORIGIN")
-    asked = [(m.command, m.param1, m.param2) for m in sent if m.get_type() == "COMMAND_LONG"]
-    assert {(511, float(i)) for i in (1, 30, 32, 245)} <= {(number, first) for number, first, _ in asked}
-    assert (176, 1.0, 4.0) in asked
-    vehicle.send(dialect.MAVLink_gps_global_origin_message(0, 0, 0, 0))
-    poll(auto, 2.5)
-    auto.command(Request.NONE, 2.5)
-    auto.flush([dialect.MAVLink_ping_message(0, 0, 0, 0)])
-    assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in vehicle.take("PING"))
-
-
-def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in_the_air(vehicle, auto):
-    still = Setpoint((0.0, 0.0, 0.0), 0.0)
-    landed = dialect.MAVLink_extended_sys_state_message
-
-    def shows(now_s, state):
-        vehicle.send(heartbeat(4, armed=True, autopilot=3), landed(0, state))
-        poll(auto, now_s)
-
-    shows(1.0, 1)
-    assert auto.status.mode is Mode.TAKEOFF
-    auto.command(Request.EXTERNAL, 1.0)
-    assert not auto.send_setpoint(still, 1.0)  # would keep it on the ground
-    auto.command(Request.TAKEOFF, 1.1)
-    assert not auto.send_setpoint(still, 1.1)
-    shows(4.0, 3)
-    assert auto.status.mode is Mode.TAKEOFF
-    auto.command(Request.EXTERNAL, 4.0)
-    assert auto.send_setpoint(still, 4.0)
-    assert auto.status.mode is Mode.EXTERNAL  # at once: what it shows on the wire does not change
-    shows(5.0, 1)  # stands on the pad, still pressed down by set-points
-    assert auto.send_setpoint(still, 5.0)
-    assert auto.status.mode is Mode.EXTERNAL
 
 
 def test_a_flight_from_arming_to_motors_off(vehicle, link):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from bridge.autopilots import PX4
 from bridge.commands import CommandSequencer
-from bridge.mavlink import dialect
+from bridge.mavlink import Endpoint, dialect
 from flightstack.types import Landed, Mode, VehicleStatus
 
 OFFBOARD, LOITER, TAKEOFF, LAND = 6 << 16, 4 << 16 | 3 << 24, 4 << 16 | 2 << 24, 4 << 16 | 6 << 24
@@ -50,3 +50,31 @@ def commands(messages):
 
 def params(message):
     return [getattr(message, f"param{i}") for i in range(1, 8)]
+
+
+class FakeAutopilot:
+    """Listens on UDP, answers nothing by itself; a test says what it sends and looks at what came."""
+
+    def __init__(self, url="udpin:127.0.0.1:0"):
+        self.endpoint = Endpoint(url, 1, 1)
+        self.armed = False
+        self.mode = LOITER
+
+    def send(self, *messages, peer=None):
+        self.endpoint.send(messages, peer)
+
+    def beat(self):
+        self.send(heartbeat(self.mode, armed=self.armed))
+
+    def take(self, until):
+        """Everything up to and with the first message of type ``until``."""
+        received = []
+        while not any(m.get_type() == until for m in received):
+            assert self.endpoint.wait(5.0), f"no {until} came"
+            received += [r.message for r in self.endpoint.receive()]
+        return received
+
+
+def poll(link, now_s):
+    assert link.endpoint.wait(5.0)
+    link.poll(now_s)
