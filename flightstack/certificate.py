@@ -7,6 +7,7 @@ checks alone: it promises nothing of a vehicle that lags.
 
 from __future__ import annotations
 
+from flightstack import certificate_ends as ends
 from flightstack import certificate_paper as paper
 from flightstack import certificate_robust as robust
 from flightstack import certificate_touchdown as touchdown
@@ -39,6 +40,9 @@ def _paper(config: FlightConfig) -> list[Check]:
         paper.peak_clears_pad(config),
         paper.gains(config, config.position_loop.gain_1_s, "position_loop.gain_1_s"),
         paper.slews(config, config.limits.slew_max_m_s2, "limits.slew_max_m_s2"),
+        ends.reaches_touchdown(config),
+        ends.contact(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
+        ends.notices(config),
     ]
 
 
@@ -55,6 +59,8 @@ def _robust(config: FlightConfig) -> list[Check]:
         *touchdown.follows(config, x),
         *touchdown.reach(config, x),
         touchdown.in_time(config, x),
+        ends.contact(config, config.robust.descent_m_s, "robust.descent_m_s"),
+        ends.notices(config),
         touchdown.altitude(config, x),
         robust.climb(config, x),
         robust.slew(config, x),

@@ -19,12 +19,11 @@ import numpy as np
 
 from flightstack.certificate_envelope import Extremes
 from flightstack.certificate_types import Check, Need
-from flightstack.conditions import CLIMB_MARGIN_M, TOUCHDOWN_TIME_S
 from flightstack.config import FlightConfig
+from flightstack.guidance import CLIMB_OVER
 
 STEP_S = 2e-3  # of the comparison system
 PIECES = 20  # of the range of lags
-CLIMB_OVER_M = 0.1  # the climb goes so far above the height that is high enough
 DAMPING_MIN = 0.5  # of the position loop around the lagging velocity loop
 
 
@@ -118,14 +117,14 @@ def descent_time_s(config: FlightConfig, x: Extremes) -> float:
 
 def in_time(config: FlightConfig, x: Extremes) -> Check:
     """The descent is over before its time limit."""
-    time_s = descent_time_s(config, x)
+    time_s, most_s = descent_time_s(config, x), config.touchdown.timeout_s
     return Check(
         "descent time",
         "the last descent ends before its time limit",
-        TOUCHDOWN_TIME_S - time_s,
+        most_s - time_s,
         "s",
-        f"it may take {time_s:.3g} s, allowed are {TOUCHDOWN_TIME_S:g}",
-        "raise robust.descent_m_s or lower robust.commit_height_m",
+        f"it may take {time_s:.3g} s, allowed are {most_s:g}",
+        "raise robust.descent_m_s or touchdown.timeout_s, or lower robust.commit_height_m",
     )
 
 
@@ -181,7 +180,7 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
         step = step + term
     y = config.robust.commit_radius_m + x.position_error_m
     state = np.array([y, config.robust.commit_speed_m_s + error + gain * y, 1.0])
-    steps = math.ceil(min(descent_time_s(config, x), TOUCHDOWN_TIME_S) / STEP_S)
+    steps = math.ceil(min(descent_time_s(config, x), config.touchdown.timeout_s) / STEP_S)
     path = np.empty((steps + 1, 3))
     for number in range(steps + 1):
         path[number] = state
@@ -209,7 +208,8 @@ def drift(config: FlightConfig, x: Extremes) -> Check:
 
 def altitude(config: FlightConfig, x: Extremes) -> Check:
     """Above the target there is air to climb into."""
-    top = x.barrier.peak_height_m + CLIMB_MARGIN_M + CLIMB_OVER_M
+    margin_m = config.retreat.climb_margin_m
+    top = x.barrier.peak_height_m + margin_m + CLIMB_OVER * margin_m
     room = config.limits.altitude_max_m - max(top, x.barrier.peak_height_m + x.shape.margin_m.high)
     return Check(
         "altitude",

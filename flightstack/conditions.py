@@ -13,18 +13,9 @@ from flightstack.phases import C
 from flightstack.target_track import TargetState
 from flightstack.types import Inputs, Landed, Mode, Operator, Phase, Vec3
 
-CLIMB_MARGIN_M = 0.2  # above the barrier's peak: clear of everything the barrier guards
-CONTACT_GAP_M = 0.01  # feet this close to the pad may stand on it: noise of two positions, tilt of the pad
-CONTACT_SPEED_M_S = 0.05  # a quarter of the commanded descent: something holds it up
-CONTACT_TIME_S = 0.1  # s of that; ten samples at 100 Hz
 TOLD_SHARE, STOPPED_SHARE = 0.6, 0.4  # of the descent: told to sink so fast, sinking slower than that
-STOPPED_TIME_S = 0.03  # s of that; three samples at 100 Hz
-DRIFT_TIME_S = 0.3  # s ahead: what the horizontal loop needs to answer
 DRIFT_SHARE = 0.6  # of the corridor's radius; nearer to the middle nothing is lost yet
-DRIFT_H_M = 0.08  # of h left to climb away with
-# s; within centimetres of the pad the vehicle sinks on with its last set-point: by then it stands
-TOUCHDOWN_BLIND_S = 0.4
-TOUCHDOWN_TIME_S = 2.0  # s; the descent takes 0.3, a forced disarm shows with the next heartbeat
+OVER_PAD_LEFT = 1.5  # times the radius at which the cone over the pad is entered
 
 
 class View(NamedTuple):
@@ -78,16 +69,16 @@ def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
     return (p[0] + offset[0], p[1] + offset[1], p[2] + offset[2])
 
 
-def high_enough_m(barrier: Barrier, memory: Memory) -> float:
+def high_enough_m(config: FlightConfig, barrier: Barrier, memory: Memory) -> float:
     """Height above which nothing of the target reaches."""
     base = memory.target_position_enu_m[2] if memory.target_position_enu_m else 0.0
-    return base + barrier.peak_height_m + CLIMB_MARGIN_M
+    return base + barrier.peak_height_m + config.retreat.climb_margin_m
 
 
 _PHASE_TIME_S: dict[Phase, Callable[[FlightConfig], float]] = {
     Phase.WAIT: lambda c: c.checks.wait_time_max_s,
     Phase.TAKEOFF: lambda c: c.takeoff.timeout_s,
-    Phase.TOUCHDOWN: lambda _: TOUCHDOWN_TIME_S,
+    Phase.TOUCHDOWN: lambda c: c.touchdown.timeout_s,
     Phase.HOLD: lambda c: c.checks.hold_time_s,
     Phase.CLIMB: lambda c: c.checks.climb_time_max_s,
 }
@@ -107,7 +98,7 @@ def gather(
         word |= C.NOT_FOLLOWING
     if seen.own_ok:
         memory.own_ok_s = now_s
-    elif memory.phase is not Phase.TOUCHDOWN or now_s - memory.own_ok_s > TOUCHDOWN_BLIND_S:
+    elif memory.phase is not Phase.TOUCHDOWN or now_s - memory.own_ok_s > config.touchdown.blind_time_s:
         word |= C.OWN_LOST
     if not seen.link_ok:
         word |= C.LINK_LOST
@@ -134,7 +125,7 @@ def gather(
     if limit is not None and now_s - memory.phase_since_s > limit(config):
         word |= C.PHASE_TIME_OVER
     if memory.phase is Phase.CLIMB and own is not None:
-        word |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(barrier, memory) else 0
+        word |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(config, barrier, memory) else 0
     if good:
         word |= _place_conditions(config, barrier, memory, seen, now_s)
     elif memory.phase is Phase.TOUCHDOWN and not seen.own_ok:
@@ -185,7 +176,7 @@ def _place_conditions(
             word |= C.AT_START
     d = math.hypot(e[0], e[1])
     # the cone is left at a wider radius than it is entered, so that noise does not make the phases chatter
-    radius = touchdown.pad_radius_m * (1.5 if memory.phase is Phase.LAND else 1.0)
+    radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
     if d <= radius and e[2] < max(barrier.peak_height_m, touchdown.height_m):
         word |= C.OVER_PAD
     if _MAY_TOUCH[config.filter](config, barrier, seen, e, d):
@@ -207,7 +198,7 @@ def _may_touch_robust(config: FlightConfig, barrier: Barrier, seen: View, e: Vec
     """Low, in the middle and moving with the target; or on the pad already, pressed down by a gust."""
     del barrier
     robust, touchdown = config.robust, config.touchdown
-    if d_m <= touchdown.pad_radius_m and e[2] < touchdown.feet_below_reference_m + CONTACT_GAP_M:
+    if d_m <= touchdown.pad_radius_m and e[2] < touchdown.feet_below_reference_m + config.contact.gap_m:
         return True
     if not (e[2] < robust.commit_height_m and _slip(seen) < robust.commit_speed_m_s):
         return False
@@ -229,11 +220,11 @@ def _drifted_robust(config: FlightConfig, barrier: Barrier, seen: View, e: Vec3,
     own, target, corridor_m = seen.inputs.own, seen.target, config.robust.corridor_m
     assert own is not None
     assert target is not None
-    if d_m < DRIFT_SHARE * corridor_m or barrier.h(e) < DRIFT_H_M:
+    if d_m < DRIFT_SHARE * corridor_m or barrier.h(e) < config.retreat.h_left_m:
         return False
     v, t = own.velocity_enu_m_s, target.velocity_enu_m_s
     outward = (e[0] * (v[0] - t[0]) + e[1] * (v[1] - t[1])) / d_m
-    return d_m + outward * DRIFT_TIME_S > corridor_m
+    return d_m + outward * config.retreat.drift_time_s > corridor_m
 
 
 _MAY_TOUCH: dict[FilterKind, Callable[[FlightConfig, Barrier, View, Vec3, float], bool]] = {
@@ -253,14 +244,14 @@ def _contact(config: FlightConfig, memory: Memory, seen: View, d_m: float, now_s
     assert target is not None
     assert e is not None
     near = d_m <= config.touchdown.pad_radius_m
-    near = near and e[2] - config.touchdown.feet_below_reference_m < CONTACT_GAP_M
+    near = near and e[2] - config.touchdown.feet_below_reference_m < config.contact.gap_m
     sinking = target.velocity_enu_m_s[2] - own.velocity_enu_m_s[2]
-    if not near or sinking > CONTACT_SPEED_M_S:
+    if not near or sinking > config.contact.speed_m_s:
         memory.contact_since_s = math.inf
         return False
     memory.contact_since_s = min(memory.contact_since_s, now_s)
     standing = status is not None and status.landed is Landed.ON_GROUND
-    return standing or now_s - memory.contact_since_s >= CONTACT_TIME_S
+    return standing or now_s - memory.contact_since_s >= config.contact.time_s
 
 
 def _stopped(config: FlightConfig, memory: Memory, seen: View, now_s: float) -> bool:
@@ -274,7 +265,7 @@ def _stopped(config: FlightConfig, memory: Memory, seen: View, now_s: float) -> 
         memory.stopped_since_s = math.inf
         return False
     memory.stopped_since_s = min(memory.stopped_since_s, now_s)
-    return now_s - memory.stopped_since_s >= STOPPED_TIME_S
+    return now_s - memory.stopped_since_s >= config.contact.stopped_time_s
 
 
 def _contact_robust(config: FlightConfig, memory: Memory, seen: View, d_m: float, now_s: float) -> bool:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 from flightstack.barrier import Barrier
+from flightstack.ends_config import Contact, Retreat, Takeoff, Touchdown
 from flightstack.robust_config import Envelope, OwnStateLink, Robust, TargetLink, VelocityLoop
 from flightstack.strict_toml import ConfigError, Range, from_table, read_toml
 from flightstack.types import Vec3
@@ -24,13 +25,6 @@ class FilterKind(Enum):
 
     PAPER = "paper"  # eq. 11 as printed
     ROBUST = "robust"
-
-
-class TouchdownRule(Enum):
-    """When the motors go off."""
-
-    PAPER = "paper"  # below touchdown.height_m inside the descending cone (paper V)
-    CONTACT = "contact"  # after the vehicle reports that it stands
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,35 +90,15 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Touchdown:
-    """The last centimetres."""
-
-    rule: TouchdownRule = TouchdownRule.CONTACT
-    height_m: Annotated[float, Range(0.01, 0.3)] = 0.05  # paper V: motors off below 5 cm
-    pad_radius_m: Annotated[float, Range(0.03, 2.0)] = 0.10
-    feet_below_reference_m: Annotated[float, Range(0.0, 0.5)] = 0.0144  # Crazyflie 2.0, CAD
-    target_speed_max_m_s: Annotated[float, Range(0.0, 3.0)] = 0.21  # TurtleBot3 Burger wheel limit
-
-
-@dataclass(frozen=True, slots=True)
-class Takeoff:
-    """From the ground to where the landing begins."""
-
-    height_m: Annotated[float, Range(0.2, 10.0)] = 0.5
-    start_offset_m: Vec3 | None = None  # relative to the landing spot, ENU; None: begin where it hovers
-    arrival_radius_m: Annotated[float, Range(0.02, 0.5)] = 0.05
-    arrival_speed_m_s: Annotated[float, Range(0.01, 0.5)] = 0.05
-    timeout_s: Annotated[float, Range(5.0, 300.0)] = 60.0
-
-
-@dataclass(frozen=True, slots=True)
 class Checks:
     """Limits on what the links deliver, and how long to bear with it."""
 
     own_age_max_s: Annotated[float, Range(0.02, 0.4)] = 0.2
     target_age_max_s: Annotated[float, Range(0.02, 1.0)] = 0.25
-    own_drift_max_m: Annotated[float, Range(0.05, 2.0)] = 0.15  # position against velocity, in some 2 s
+    own_drift_max_m: Annotated[float, Range(0.05, 2.0)] = 0.15  # position against velocity
+    own_drift_memory_s: Annotated[float, Range(0.2, 20.0)] = 2.0  # s in which it is forgotten
     follow_lag_max_s: Annotated[float, Range(0.1, 5.0)] = 0.45  # at the highest velocity; behind set-points
+    follow_memory_s: Annotated[float, Range(0.1, 20.0)] = 1.0  # in which it is forgotten; above the lag
     status_age_max_s: Annotated[float, Range(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
     target_speed_max_m_s: Annotated[float, Range(0.1, 10.0)] = 1.5
     target_jump_max_m: Annotated[float, Range(0.02, 5.0)] = 0.2
@@ -150,6 +124,8 @@ class FlightConfig:
     limits: Limits = field(default_factory=Limits)
     touchdown: Touchdown = field(default_factory=Touchdown)
     takeoff: Takeoff = field(default_factory=Takeoff)
+    contact: Contact = field(default_factory=Contact)
+    retreat: Retreat = field(default_factory=Retreat)
     checks: Checks = field(default_factory=Checks)
     # what the robust filter assumes; the paper's does not look at it
     robust: Robust = field(default_factory=Robust)
@@ -161,10 +137,11 @@ class FlightConfig:
 
     def __post_init__(self) -> None:
         peak = self.barrier.build().peak_height_m
-        if self.limits.altitude_max_m < peak + 0.2:
+        least_m = peak + self.retreat.climb_margin_m
+        if self.limits.altitude_max_m < least_m:
             raise ConfigError(
                 f"limits.altitude_max_m: found {self.limits.altitude_max_m:g}, the barrier's peak is "
-                f"{peak:.3g} m above the pad; allow at least {peak + 0.2:.3g}"
+                f"{peak:.3g} m above the pad; allow at least {least_m:.3g}"
             )
         offset = self.takeoff.start_offset_m
         if offset is not None and not all(map(math.isfinite, offset)):

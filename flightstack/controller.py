@@ -24,8 +24,7 @@ from flightstack.target_track import TargetTrack, Verdict
 from flightstack.types import ZERO, Inputs, Landed, Mode, Phase, Request, Vec3, VehicleStatus
 
 LANDED_SETTLE_S = 3.0  # the judge wants 2 s at rest on the pad
-ABORT_SETTLE_S = 1.0
-ABORT_TIME_MAX_S = 60.0
+ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
 
 
 class Event(NamedTuple):
@@ -292,7 +291,7 @@ class Controller:
         if memory.phase is not Phase.ABORT:
             return False
         over = status is None or self._down(status, now_s)
-        return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > ABORT_TIME_MAX_S
+        return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > self.config.retreat.abort_time_max_s
 
     def _down(self, status: VehicleStatus, now_s: float) -> bool:
         """Whether the vehicle stands with its motors off, as far as it says."""

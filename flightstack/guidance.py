@@ -8,17 +8,15 @@ from typing import NamedTuple
 
 from flightstack.barrier import Barrier
 from flightstack.conditions import View, high_enough_m, start_point
-from flightstack.config import FilterKind, FlightConfig, TouchdownRule
+from flightstack.config import FilterKind, FlightConfig
+from flightstack.ends_config import TouchdownRule
 from flightstack.memory import AbortWay, Memory
 from flightstack.position_loop import limit, nominal_velocity
 from flightstack.target_track import TargetState
 from flightstack.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
-LEVEL_FIRST_M = 0.1  # fly sideways to the start only at its height
-DESCENT_M_S = 0.2  # relative to the pad, the last centimetres to contact (paper filter)
-HOLD_CLIMB_M_S = 0.4  # of the robust hold, while the target is out of sight
-LAND_MIN_M_S = 0.1  # slowest descent of the robust landing while above its waiting height
-CLEAR_TIME_MAX_S = 30.0  # s to fly clear; by then something keeps it from that, and it lands where it is
+CLIMB_OVER = 0.5  # share of the climb margin by which the climb aims beyond what is high enough, to get there
+CLEAR_BELOW = 0.25  # share of it that a vehicle flying clear may lack of that height
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 
 
@@ -42,7 +40,8 @@ class Situation(NamedTuple):
 def _wait(s: Situation) -> Wish:
     status = s.seen.inputs.status
     if status is not None and status.armed and status.landed is not Landed.ON_GROUND and s.seen.target_ok:
-        return Wish(Request.EXTERNAL, ZERO)  # found in the air: take over, standing still
+        # found in the air: take over, standing still, and never below the barrier of a pad that comes nearer
+        return Wish(Request.EXTERNAL, ZERO, filtered=s.config.filter is FilterKind.ROBUST)
     return Wish(Request.NONE)
 
 
@@ -62,7 +61,7 @@ def _takeoff(s: Situation) -> Wish:
         return Wish(Request.EXTERNAL, ZERO)
     p = own.position_enu_m
     e = (p[0] - start[0], p[1] - start[1], p[2] - start[2])
-    if abs(e[2]) > LEVEL_FIRST_M:
+    if abs(e[2]) > s.config.takeoff.level_first_m:
         e = (0.0, 0.0, e[2])
     return Wish(Request.EXTERNAL, nominal_velocity(e, s.config.position_loop.gain_1_s, ZERO))
 
@@ -85,7 +84,7 @@ def _land_robust(s: Situation, target: TargetState, e: Vec3) -> Vec3:
     over = robust.gain_over_pad_1_s if s.memory.phase is Phase.LAND else gain
     above = e[2] - robust.wait_height_m
     x, y, z = nominal_velocity((e[0], e[1], above), (over, over, gain), target.velocity_enu_m_s)
-    return (x, y, min(z, target.velocity_enu_m_s[2] - LAND_MIN_M_S) if above > 0.0 else z)
+    return (x, y, min(z, target.velocity_enu_m_s[2] - robust.descent_min_m_s) if above > 0.0 else z)
 
 
 _LANDING: dict[FilterKind, Callable[[Situation, TargetState, Vec3], Vec3]] = {
@@ -111,7 +110,7 @@ def _descend_paper(s: Situation, target: TargetState, e: Vec3) -> Wish:
     if s.config.touchdown.rule is TouchdownRule.PAPER:
         return Wish(Request.MOTORS_OFF)
     x, y, _ = nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
-    return Wish(Request.EXTERNAL, (x, y, target.velocity_enu_m_s[2] - DESCENT_M_S))
+    return Wish(Request.EXTERNAL, (x, y, target.velocity_enu_m_s[2] - s.config.touchdown.descent_m_s))
 
 
 def _descend_robust(s: Situation, target: TargetState, e: Vec3) -> Wish:
@@ -143,7 +142,7 @@ def _hold(s: Situation) -> Wish:
     if s.config.filter is FilterKind.PAPER or target is None or memory.started_s == math.inf:
         return Wish(Request.EXTERNAL, ZERO)
     x, y, z = target.velocity_enu_m_s
-    up = min(s.config.limits.velocity_max_m_s[2], max(0.0, z) + HOLD_CLIMB_M_S)
+    up = min(s.config.limits.velocity_max_m_s[2], max(0.0, z) + s.config.retreat.hold_climb_m_s)
     return Wish(Request.EXTERNAL, limit((x, y, up), s.config.limits.velocity_max_m_s))
 
 
@@ -152,7 +151,8 @@ def _climb(s: Situation) -> Wish:
     if own is None:
         return Wish(Request.EXTERNAL)
     # beyond the height it holds there until the target is back or the time is over
-    missing_m = high_enough_m(s.barrier, s.memory) + 0.1 - own.position_enu_m[2]
+    aim_m = high_enough_m(s.config, s.barrier, s.memory) + CLIMB_OVER * s.config.retreat.climb_margin_m
+    missing_m = aim_m - own.position_enu_m[2]
     up = max(0.0, min(s.config.limits.velocity_max_m_s[2], missing_m * s.config.position_loop.gain_1_s[2]))
     return Wish(Request.EXTERNAL, (0.0, 0.0, up))
 
@@ -164,8 +164,10 @@ def _fly_clear(s: Situation) -> Wish:
         return Wish(Request.LAND)
     dx, dy = own.position_enu_m[0] - target[0], own.position_enu_m[1] - target[1]
     d = math.hypot(dx, dy)
-    high = own.position_enu_m[2] >= high_enough_m(s.barrier, memory) - 0.05
-    if d >= s.config.checks.clearance_m or own.arrival_s - memory.phase_since_s > CLEAR_TIME_MAX_S:
+    retreat = s.config.retreat
+    lacking_m = CLEAR_BELOW * retreat.climb_margin_m
+    high = own.position_enu_m[2] >= high_enough_m(s.config, s.barrier, memory) - lacking_m
+    if d >= s.config.checks.clearance_m or own.arrival_s - memory.phase_since_s > retreat.clear_time_max_s:
         memory.clear = True
         return Wish(Request.LAND)
     vx, vy, vz = s.config.limits.velocity_max_m_s

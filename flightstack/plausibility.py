@@ -4,9 +4,9 @@ A link that delivers fresh time stamps can still deliver nonsense. Three things 
 sensor:
 
 * numbers that repeat to the last bit while they speak of motion are not measured anew: such a state ages;
-* a position goes where its velocity takes it: the difference, with a memory of 2 s, is noise of both;
-* the vehicle follows its set-points within its lag: velocity minus the velocity wanted, summed with a memory
-  of 1 s, is a distance it lags behind, at most some tenths of a second at full speed.
+* a position goes where its velocity takes it: the difference, with a memory, is noise of both;
+* the vehicle follows its set-points within its lag: velocity minus the velocity wanted, summed with a memory,
+  is a distance it lags behind, at most its lag at full speed (``checks`` holds memories and bounds).
 
 What is wrong in the same way in both position and velocity, such as an offset that was there from the start,
 shows in none of them.
@@ -20,10 +20,8 @@ from flightstack.config import FlightConfig
 from flightstack.memory import PlausibilityMemory
 from flightstack.types import ZERO, OwnState, Vec3
 
-DRIFT_MEMORY_S = 2.0  # s of position against velocity
-MISSED_MEMORY_S = 1.0  # s of velocity against what was wanted
 TRUSTED_AGAIN = 0.5  # share of the bound; an offset of 0.3 m stays distrusted for some seconds
-STANDING_M_S = 1e-3  # slower than this, equal numbers may be a perfect sensor that stands
+STANDING_M_S = 1e-3  # slower, equal numbers may be a perfect sensor that stands, or the wire's rounding
 
 
 def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3) -> bool:
@@ -44,7 +42,7 @@ class Plausibility:
         vx, vy, _ = config.limits.velocity_max_m_s
         self._missed_max_m = config.checks.follow_lag_max_s * max(vx, vy)
         period_s = 1.0 / config.loop.rate_hz
-        self._period_s, self._kept = period_s, math.exp(-period_s / MISSED_MEMORY_S)
+        self._period_s, self._kept = period_s, math.exp(-period_s / config.checks.follow_memory_s)
 
     @property
     def drift_m(self) -> float:
@@ -102,7 +100,7 @@ class Plausibility:
         dt_s = own.arrival_s - last.arrival_s
         if not 0.0 < dt_s <= self._checks.own_age_max_s:
             return  # lost in between: nothing so old binds where it is now
-        kept, half = math.exp(-dt_s / DRIFT_MEMORY_S), 0.5 * dt_s
+        kept, half = math.exp(-dt_s / self._checks.own_drift_memory_s), 0.5 * dt_s
         x, y, z = (
             kept * (d + (p - p0) - half * (v + v0))
             for d, p, p0, v, v0 in zip(

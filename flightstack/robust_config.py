@@ -32,6 +32,7 @@ class VelocityLoop:
     )
     slope_time_s: Annotated[float, Range(0.01, 1.0)] = 0.05  # smoothing of the wanted acceleration
     disturbance_time_s: Annotated[float, Range(0.1, 10.0)] = 0.6  # low-pass of wind, drag, weight error
+    disturbance_max_m_s: Annotated[float, Range(0.0, 5.0)] = 0.6  # 2 m/s of wind on a Crazyflie makes 0.25
 
     def rate_max_1_s(self, period_s: float) -> float:
         """Natural frequency below which the model, stepped with this period, is stable.
@@ -59,6 +60,8 @@ class TargetLink:
     velocity_noise_m_s: Annotated[float, Range(1e-4, 1.0)] = 0.02
     jerk_xy_m_s3_sqrthz: Annotated[float, Range(0.01, 20.0)] = 0.6  # about 0.5 m/s^2 changing every second
     jerk_z_m_s3_sqrthz: Annotated[float, Range(0.01, 20.0)] = 0.02  # it drives on a floor; 0.6 on a ship
+    # times the jerk on x and y, while samples surprise the estimator; 1: always the same
+    jerk_growth_max: Annotated[float, Range(1.0, 100.0)] = 1.0
     acceleration_xy_m_s2: Annotated[float, Range(0.001, 10.0)] = 0.3  # before anything is known
     acceleration_z_m_s2: Annotated[float, Range(0.001, 10.0)] = 0.01
 
@@ -84,6 +87,7 @@ class Robust:
     acceleration_max_m_s2: Annotated[Vec3, Range(0.2, 20.0)] = (2.0, 2.0, 2.5)  # of the wanted velocity
     gain_1_s: Annotated[float, Range(0.1, 5.0)] = 1.2  # position loop on the way to the pad
     gain_over_pad_1_s: Annotated[float, Range(0.1, 5.0)] = 2.0  # the same horizontally, over the pad
+    descent_min_m_s: Annotated[float, Range(0.01, 1.0)] = 0.1  # slowest on the way, above the waiting height
     wait_height_m: Annotated[float, Range(0.03, 3.0)] = 0.1  # above the pad until it may go down
     commit_height_m: Annotated[float, Range(0.05, 3.0)] = 0.22  # from here it goes down in one go
     commit_radius_m: Annotated[float, Range(0.005, 1.0)] = 0.04  # if it is so near to the middle

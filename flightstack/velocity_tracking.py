@@ -19,8 +19,6 @@ from flightstack.memory import TrackingMemory
 from flightstack.robust_config import VelocityLoop
 from flightstack.types import ZERO, Vec3
 
-DISTURBANCE_MAX_M_S = 0.6  # of a velocity: 2 m/s of wind on a Crazyflie makes 0.25 m/s
-
 
 class _Axis(NamedTuple):
     """The velocity loop on board along one axis, and how hard it is helped."""
@@ -43,7 +41,7 @@ class VelocityTracking:
         self.memory = TrackingMemory()
         horizontal = _Axis(loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy, loop.error_max_m_s)
         self._axes = (horizontal, horizontal, _Axis(loop.lag_z_s, loop.rate_z_1_s, loop.gain_z, math.inf))
-        self._damping = loop.damping
+        self._damping, self._most_m_s = loop.damping, loop.disturbance_max_m_s
         self._period_s = period_s
         self._slope_share = min(1.0, period_s / loop.slope_time_s)
         self._disturbance_share = min(1.0, period_s / loop.disturbance_time_s)
@@ -55,7 +53,7 @@ class VelocityTracking:
             velocity_enu_m_s: measured now.
             commanding: the last set-point was flown; if not, the model follows the measurement.
         """
-        memory, t = self.memory, self._period_s
+        memory, t, most_m_s = self.memory, self._period_s, self._most_m_s
         if not commanding:
             memory.model_m_s, memory.model_m_s2, memory.slope_m_s2 = velocity_enu_m_s, ZERO, ZERO
             return
@@ -70,7 +68,7 @@ class VelocityTracking:
             d_ = d + self._disturbance_share * (v - m_ - d)
             model.append(m_)
             rate.append(dm_)
-            found.append(max(-DISTURBANCE_MAX_M_S, min(DISTURBANCE_MAX_M_S, d_)))
+            found.append(max(-most_m_s, min(most_m_s, d_)))
         memory.model_m_s = (model[0], model[1], model[2])
         memory.model_m_s2 = (rate[0], rate[1], rate[2])
         memory.disturbance_m_s = (found[0], found[1], found[2])

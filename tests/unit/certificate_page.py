@@ -9,7 +9,6 @@ from flightstack.certificate import checks
 from flightstack.certificate_envelope import extremes
 from flightstack.certificate_robust import between_ticks_m, demand, depth_m, outside
 from flightstack.certificate_touchdown import descent_time_s, drift_m
-from flightstack.conditions import DRIFT_H_M
 from sim import scenario
 
 PAGE = Path(__file__).parents[2] / "docs" / "robust_filter.md"
@@ -55,7 +54,7 @@ def worked():
                 lambda c, x: f"{1e3 * c.robust.commit_radius_m:.0f}; {c.robust.commit_speed_m_s:g}"),
             row("then drifts at most, mm", lambda c, x: f"{1e3 * drift_m(c, x)[0]:.0f}"),
             row("of h to climb away, needed, mm; kept",
-                lambda c, x: f"{1e3 * turn_back_m(c, x):.0f}; {1e3 * DRIFT_H_M:.0f}"),
+                lambda c, x: f"{1e3 * turn_back_m(c, x):.0f}; {1e3 * c.retreat.h_left_m:.0f}"),
         ]
     )  # fmt: skip
 

@@ -77,6 +77,8 @@ def test_the_peak_must_clear_the_pad_from_both_sides():
 def test_the_estimator_must_believe_the_target_from_both_sides():
     assert one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.2501}).proven
     assert not one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.2499}).proven
+    assert one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.0501, "jerk_growth_max": 5.0}).proven
+    assert not one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.0499, "jerk_growth_max": 5.0}).proven
     still = {"jerk_z_m_s3_sqrthz": 0.02}
     assert one("estimator", target=still).proven  # it does not heave
     assert not one("estimator", target=still, envelope={"target_climb_max_m_s": 0.1}).proven

@@ -9,7 +9,6 @@ import pytest
 from flightstack import certificate_bound, identify
 from flightstack.barrier import Barrier
 from flightstack.certificate import checks, problems
-from flightstack.conditions import DRIFT_H_M
 from flightstack.config import FilterKind
 from flightstack.identify_samples import NOISE_SAMPLES
 from flightstack.strict_toml import to_table
@@ -50,7 +49,6 @@ def test_every_check_it_names_exists():
         ("(at 2 cm height it is {} mm wide)", round(1e3 * 0.02 / 1.5)),
         ("alpha beta / e² ({} for the paper's shape)", round(1.5 / math.e**2, 1)),
         ("nothing more than {} can hide", f"{certificate_bound.TOLERANCE:.0e}".replace("e-0", "e-")),
-        ("with {} cm of h left", round(1e2 * DRIFT_H_M)),
         ("what is faster than {} s", round(identify.HIGH_PASS_S)),
         ("({} s under set-points", round(identify.TIME_MIN_S)),
         ("commands that vary by {} cm/s", round(1e2 * identify.EXCITATION_MIN_M_S)),

@@ -6,17 +6,9 @@ from dataclasses import replace
 import pytest
 
 from flightstack.conditions import (
-    CLIMB_MARGIN_M,
-    CONTACT_GAP_M,
-    CONTACT_SPEED_M_S,
-    CONTACT_TIME_S,
-    DRIFT_H_M,
     DRIFT_SHARE,
-    DRIFT_TIME_S,
     STOPPED_SHARE,
-    STOPPED_TIME_S,
     TOLD_SHARE,
-    TOUCHDOWN_TIME_S,
     gather,
     high_enough_m,
     start_point,
@@ -147,7 +139,7 @@ def test_retries_are_counted():
     [
         (Phase.WAIT, ROBUST.checks.wait_time_max_s),
         (Phase.TAKEOFF, ROBUST.takeoff.timeout_s),
-        (Phase.TOUCHDOWN, TOUCHDOWN_TIME_S),
+        (Phase.TOUCHDOWN, ROBUST.touchdown.timeout_s),
         (Phase.HOLD, ROBUST.checks.hold_time_s),
         (Phase.CLIMB, ROBUST.checks.climb_time_max_s),
     ],
@@ -169,9 +161,9 @@ def test_the_landing_has_its_time():
 
 def test_high_enough_is_above_the_peak_over_where_the_target_was_last():
     memory = Memory(phase=Phase.CLIMB, target_position_enu_m=PAD)
-    edge = high_enough_m(BARRIER, memory)
-    assert edge == pytest.approx(PAD[2] + 1.5 / math.e + CLIMB_MARGIN_M)
-    assert high_enough_m(BARRIER, Memory()) == pytest.approx(edge - PAD[2])
+    edge = high_enough_m(ROBUST, BARRIER, memory)
+    assert edge == pytest.approx(PAD[2] + 1.5 / math.e + ROBUST.retreat.climb_margin_m)
+    assert high_enough_m(ROBUST, BARRIER, Memory()) == pytest.approx(edge - PAD[2])
     for above, expected in ((1e-9, True), (-1e-9, False)):
         e = (0.5, 0.0, edge - PAD[2] + above)
         assert ("HIGH_ENOUGH" in names(tick(e=e, memory=memory))) is expected
@@ -242,7 +234,7 @@ def test_the_robust_rule_commits_low_in_the_middle_and_moving_along():
 
 
 def test_a_gust_that_pressed_it_onto_the_pad_is_a_touchdown_all_the_same():
-    low = ROBUST.touchdown.feet_below_reference_m + CONTACT_GAP_M
+    low = ROBUST.touchdown.feet_below_reference_m + ROBUST.contact.gap_m
     edge = ROBUST.touchdown.pad_radius_m
     for z, d, expected in (
         (low - 1e-6, edge - 1e-6, True),
@@ -260,8 +252,8 @@ def drifted(settings, e, **changes):
 def test_it_goes_around_when_it_is_going_to_leave_the_corridor():
     corridor = ROBUST.robust.corridor_m
     d = 0.8 * corridor
-    high = BARRIER.height(d) + DRIFT_H_M
-    edge = (corridor - d) / DRIFT_TIME_S
+    high = BARRIER.height(d) + ROBUST.retreat.h_left_m
+    edge = (corridor - d) / ROBUST.retreat.drift_time_s
     for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
         for share, expected in ((1.01, True), (0.99, False)):
             e, v = [0.0, 0.0, high + 1e-6], [0.0, 0.0, -0.2]
@@ -297,15 +289,16 @@ def test_contact_is_standing_there_for_a_while_or_saying_so(settings):
         return Memory(phase=Phase.TOUCHDOWN, **changes)
 
     assert contact_after(settings, down(), 0.0, e=ON_PAD, landed=Landed.ON_GROUND)
-    assert not contact_after(settings, down(), CONTACT_TIME_S - 0.02, e=ON_PAD)
-    assert contact_after(settings, down(), CONTACT_TIME_S + 0.01, e=ON_PAD)
-    high = (*ON_PAD[:2], settings.touchdown.feet_below_reference_m + CONTACT_GAP_M + 1e-6)
+    contact = settings.contact
+    assert not contact_after(settings, down(), contact.time_s - 0.02, e=ON_PAD)
+    assert contact_after(settings, down(), contact.time_s + 0.01, e=ON_PAD)
+    high = (*ON_PAD[:2], settings.touchdown.feet_below_reference_m + contact.gap_m + 1e-6)
     assert not contact_after(settings, down(), 1.0, e=high)
     assert not contact_after(settings, down(), 1.0, e=(settings.touchdown.pad_radius_m + 1e-6, 0.0, 0.0144))
-    fast = (0.0, 0.0, -1.01 * CONTACT_SPEED_M_S)
+    fast = (0.0, 0.0, -1.01 * contact.speed_m_s)
     assert not contact_after(settings, down(), 1.0, e=ON_PAD, velocity=fast, landed=Landed.ON_GROUND)
     assert not contact_after(
-        settings, down(), 1.0, e=ON_PAD, target_velocity=(0.0, 0.0, 1.01 * CONTACT_SPEED_M_S)
+        settings, down(), 1.0, e=ON_PAD, target_velocity=(0.0, 0.0, 1.01 * contact.speed_m_s)
     )
     assert contact_after(settings, down(), 1.0, e=ON_PAD, velocity=tuple(0.9 * v for v in fast))
     assert contact_after(settings, down(contact=True), 0.0, e=(2.0, 0.0, 2.0))  # once is enough
@@ -321,7 +314,7 @@ def test_contact_starts_anew_when_it_bounces():
 
 
 def test_a_descent_that_stopped_low_over_the_pad_is_contact():
-    r = ROBUST.robust
+    r, stopped_s = ROBUST.robust, ROBUST.contact.stopped_time_s
     told = (0.0, 0.0, -1.01 * TOLD_SHARE * r.descent_m_s)
     slow = (0.0, 0.0, -0.99 * STOPPED_SHARE * r.descent_m_s)
     low = (0.02, 0.0, 0.9 * r.touch_height_m)
@@ -330,8 +323,8 @@ def test_a_descent_that_stopped_low_over_the_pad_is_contact():
         changes = {"e": low, "velocity": slow, **changes}
         return contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=command), seconds, **changes)
 
-    assert found(STOPPED_TIME_S + 0.01)
-    assert not found(STOPPED_TIME_S - 0.02)
+    assert found(stopped_s + 0.01)
+    assert not found(stopped_s - 0.02)
     assert not found(1.0, command=tuple(0.98 * v for v in told))
     assert not found(1.0, velocity=tuple(1.02 * v for v in slow))
     assert not found(1.0, e=(*low[:2], 1.01 * r.touch_height_m))
@@ -355,7 +348,8 @@ def test_a_target_out_of_sight_in_the_last_centimetres():
         assert not contact_after(settings, memory, 1.0, **gone)
         assert contact_after(settings, memory, 0.0, landed=Landed.ON_GROUND, **gone)
         assert not contact_after(settings, Memory(phase=Phase.LAND), 1.0, landed=Landed.ON_GROUND, **gone)
-    assert contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=told), STOPPED_TIME_S + 0.01, **gone)
+    stopped_s = ROBUST.contact.stopped_time_s
+    assert contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=told), stopped_s + 0.01, **gone)
     assert not contact_after(PAPER, Memory(phase=Phase.TOUCHDOWN, command=told), 1.0, **gone)
     high = {**gone, "e": (0.02, 0.0, 1.1 * r.touch_height_m)}
     assert not contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=told), 1.0, **high)

@@ -9,15 +9,7 @@ from hypothesis import strategies as st
 from flightstack import guidance
 from flightstack.conditions import View, high_enough_m
 from flightstack.config import FilterKind, FlightConfig
-from flightstack.guidance import (
-    HOLD_CLIMB_M_S,
-    LAND_MIN_M_S,
-    LEVEL_FIRST_M,
-    TAKEOFF_DONE,
-    Situation,
-    Wish,
-    wish,
-)
+from flightstack.guidance import TAKEOFF_DONE, Situation, Wish, wish
 from flightstack.memory import AbortWay, Memory
 from flightstack.strict_toml import from_table
 from flightstack.target_track import TargetState
@@ -69,7 +61,8 @@ def test_every_phase_way_and_filter_has_an_answer():
 def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered(settings, phase, way, lost):
     found = asked(phase, settings, memory=Memory(abort_way=way), **lost)
     assert isinstance(found, Wish)
-    assert not found.filtered or phase in (Phase.APPROACH, Phase.LAND)
+    filtered = {Phase.APPROACH, Phase.LAND, *([Phase.WAIT] if settings is ROBUST else [])}
+    assert not found.filtered or phase in filtered
     assert found.velocity is None or (
         found.request is Request.EXTERNAL and all(map(math.isfinite, found.velocity))
     )
@@ -78,7 +71,9 @@ def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered
 
 
 def test_waiting_is_doing_nothing_unless_it_is_found_in_the_air():
-    assert asked(Phase.WAIT) == Wish(Request.EXTERNAL, ZERO)
+    """Of a pad that comes nearer the robust filter keeps away even then."""
+    assert asked(Phase.WAIT, PAPER) == Wish(Request.EXTERNAL, ZERO)
+    assert asked(Phase.WAIT, ROBUST) == Wish(Request.EXTERNAL, ZERO, filtered=True)
     for changes in ({"armed": False}, {"landed": Landed.ON_GROUND}, {"target_ok": False}, {"status": False}):
         assert asked(Phase.WAIT, **changes) == Wish(Request.NONE)
     assert asked(Phase.LANDED) == Wish(Request.NONE)
@@ -106,10 +101,11 @@ def test_to_the_start_it_goes_upwards_first():
     settings = config(
         takeoff={"start_offset_m": [-1.0, 0.5, 0.7]}, position_loop={"gain_1_s": [1.0, 2.0, 3.0]}
     )
-    low = asked(Phase.TAKEOFF, settings, (0.0, 0.0, 0.7 - LEVEL_FIRST_M - 1e-6), Memory(climbed=True))
-    assert low.velocity == pytest.approx((0.0, 0.0, 3.0 * LEVEL_FIRST_M), abs=1e-4)
-    level = asked(Phase.TAKEOFF, settings, (0.0, 0.0, 0.7 - LEVEL_FIRST_M + 1e-6), Memory(climbed=True))
-    assert level.velocity == pytest.approx((-1.0, 1.0, 3.0 * LEVEL_FIRST_M), abs=1e-4)
+    near_m = settings.takeoff.level_first_m
+    low = asked(Phase.TAKEOFF, settings, (0.0, 0.0, 0.7 - near_m - 1e-6), Memory(climbed=True))
+    assert low.velocity == pytest.approx((0.0, 0.0, 3.0 * near_m), abs=1e-4)
+    level = asked(Phase.TAKEOFF, settings, (0.0, 0.0, 0.7 - near_m + 1e-6), Memory(climbed=True))
+    assert level.velocity == pytest.approx((-1.0, 1.0, 3.0 * near_m), abs=1e-4)
     assert not level.filtered
     anywhere = asked(Phase.TAKEOFF, config(), memory=Memory(climbed=True))
     assert anywhere == Wish(Request.EXTERNAL, ZERO)
@@ -136,7 +132,7 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
         )
         above, rising = e[2] - r.wait_height_m, found.velocity[2] - MOVING[2]
         if above > 0.0:
-            assert rising == pytest.approx(-max(r.gain_1_s * above, LAND_MIN_M_S))
+            assert rising == pytest.approx(-max(r.gain_1_s * above, r.descent_min_m_s))
         else:
             assert rising == pytest.approx(-r.gain_1_s * above)
         assert found.filtered
@@ -173,14 +169,14 @@ def test_holding_is_standing_still_or_following_what_was_followed_and_rising():
     )
     wide = config(limits={"velocity_max_m_s": [1.0, 1.0, 1.0]})
     found = asked(Phase.HOLD, wide, memory=Memory(started_s=1.0))
-    assert found == Wish(Request.EXTERNAL, (MOVING[0], MOVING[1], MOVING[2] + HOLD_CLIMB_M_S))
+    assert found == Wish(Request.EXTERNAL, (MOVING[0], MOVING[1], MOVING[2] + wide.retreat.hold_climb_m_s))
     narrow = config(limits={"velocity_max_m_s": [0.05, 0.05, 0.1]})
     assert asked(Phase.HOLD, narrow, memory=Memory(started_s=1.0)).velocity == (0.05, -0.05, 0.1)
 
 
 def test_the_climb_ends_above_everything_and_never_sinks():
     memory = Memory(target_position_enu_m=PAD)
-    top = high_enough_m(BARRIER, memory) - PAD[2]
+    top = high_enough_m(ROBUST, BARRIER, memory) - PAD[2]
     fast, slow = (asked(Phase.CLIMB, e=(0.3, 0.0, z), memory=memory).velocity for z in (0.0, top + 0.05))
     assert fast == (0.0, 0.0, ROBUST.limits.velocity_max_m_s[2])
     assert slow == pytest.approx((0.0, 0.0, 0.05 * ROBUST.position_loop.gain_1_s[2]))
@@ -208,7 +204,7 @@ def clearing(e, **changes):
 
 def test_flying_clear_is_up_then_away_then_down():
     vx, _, vz = ROBUST.limits.velocity_max_m_s
-    top = high_enough_m(BARRIER, Memory(target_position_enu_m=PAD)) - PAD[2]
+    top = high_enough_m(ROBUST, BARRIER, Memory(target_position_enu_m=PAD)) - PAD[2]
     assert clearing((0.3, 0.0, 0.1))[0] == Wish(Request.EXTERNAL, (0.0, 0.0, vz))
     assert clearing((0.3, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))
     away = clearing((-0.3, -0.4, top))[0].velocity

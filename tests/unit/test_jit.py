@@ -8,7 +8,8 @@ import sys
 
 import pytest
 
-from flightstack.config import BarrierShape, FlightConfig, Takeoff
+from flightstack.config import BarrierShape, FlightConfig
+from flightstack.ends_config import Takeoff
 from sim import jit
 from sim.params import load
 from sim.scenario import OdometryLink, Scenario, Start, StartKind, TargetSpec, VehicleSpec, VelocityLoop, Wind

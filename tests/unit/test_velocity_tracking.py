@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from flightstack.robust_config import VelocityLoop
 from flightstack.types import ZERO
-from flightstack.velocity_tracking import DISTURBANCE_MAX_M_S, VelocityTracking
+from flightstack.velocity_tracking import VelocityTracking
 
 T_S = 0.01
 LOOP = VelocityLoop()
@@ -114,7 +114,7 @@ def test_the_limits_hold_whatever_is_measured(ticks, most):
         tracking.observe(velocity, commanding=n > 0)
         setpoint = tracking.command(before, reference, velocity, most)
         assert all(abs(u) <= m for u, m in zip(setpoint, most, strict=True))
-        assert all(abs(d) <= DISTURBANCE_MAX_M_S for d in tracking.memory.disturbance_m_s)
+        assert all(abs(d) <= LOOP.disturbance_max_m_s for d in tracking.memory.disturbance_m_s)
         assert tracking.memory.setpoint_m_s == setpoint
 
 
@@ -125,7 +125,7 @@ def test_a_push_that_is_too_strong_is_learned_up_to_the_limit(axis, sign):
     push[axis] = 3.0 * sign
     tracking, _, _ = flown(constant(ZERO, 5.0), Plant(push=tuple(push)))
     expected = [0.0, 0.0, 0.0]
-    expected[axis] = sign * DISTURBANCE_MAX_M_S
+    expected[axis] = sign * LOOP.disturbance_max_m_s
     assert tracking.memory.disturbance_m_s == pytest.approx(expected, abs=1e-9)
 
 

@@ -2,7 +2,8 @@
 
 import math
 
-from flightstack.config import BarrierShape, FlightConfig, Takeoff
+from flightstack.config import BarrierShape, FlightConfig
+from flightstack.ends_config import Takeoff
 from sim.scenario import (
     OdometryLink,
     Scenario,
