@@ -179,6 +179,8 @@ OWN_SITL = replace(  # our simulated vehicle takes PX4's personality unless told
     PX4,
     name="sitl",
     title="own simulator, OFFBOARD",
+    # s; it judges each set-point as it comes, and a deck may be rising until it is flown
+    prestream_s=0.05,
     stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; stays in that mode when the stream comes back",
     time_sync="asked in lockstep: it is the tick",
 )

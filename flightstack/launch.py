@@ -18,7 +18,7 @@ from types import FrameType
 from rich.console import Console
 
 from bridge import zenoh_link
-from bridge.autopilots import AUTO
+from bridge.autopilots import AUTO, OWN_SITL
 from bridge.ros2_network import Ros2Network
 from flightstack.certificate import problems
 from flightstack.config import FilterKind
@@ -178,7 +178,7 @@ class _Launcher:
                 "onboard", "--vehicle", url, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
                 "--listen", onboard_at, "--config", str(config_file), "--duration", str(duration_s),
                 *(word for endpoint in self.options.listen for word in ("--listen", endpoint)),
-                *feed, *lockstep, *wire, *shown, *zenoh, "--autopilot", self.options.autopilot,
+                *feed, *lockstep, *wire, *shown, *zenoh, "--autopilot", _autopilot(self.options),
             )  # fmt: skip
             target.wait_ready()
             onboard.wait_ready()
@@ -325,6 +325,12 @@ class _Launcher:
         )
         feed.flush()
         feed.close()
+
+
+def _autopilot(options: RunOptions) -> str:
+    """Profile of the onboard process: a heartbeat does not tell our own vehicle from what it plays."""
+    own = options.autopilot == AUTO and options.personality == PX4.name
+    return OWN_SITL.name if own else options.autopilot
 
 
 def _parameters(personality: str) -> list[str]:

@@ -1,8 +1,16 @@
 """Where the target is now, how fast and with what acceleration: a Kalman filter over its late samples.
 
 Each axis is a triple integrator driven by white jerk; samples measure position and velocity at their own
-stamp, and the state is carried from there to now. The axes are independent; x and y have the same noise. Lost
-samples make the uncertainty grow, late ones are taken at the time they were measured.
+stamp, and the state is carried from there to now. x and y have the same noise. Lost samples make the
+uncertainty grow, late ones are taken at the time they were measured.
+
+A wheeled robot's acceleration turns with it: in a bend its direction changes all the time and its amount does
+not. So the horizontal acceleration turns at the yaw rate that the samples tell, and the jerk is only what is
+left. Turning makes no acceleration longer: of a robot that slides, or a wrong yaw rate, no more than the
+direction is believed. The covariances of x and y are equal, so turning leaves them as they are.
+
+While the samples miss by more than expected, the jerk on x and y is raised, up to a factor: a robot that
+brakes is followed at once, and one that drives on is known better than by any one jerk.
 """
 
 from __future__ import annotations
@@ -14,7 +22,11 @@ from flightstack.memory import Covariance, MotionMemory
 from flightstack.robust_config import TargetLink
 from flightstack.types import ZERO, Vec3
 
-RESTART_S = 1.0  # s between two samples beyond which the old motion says nothing about the new
+RESTART_S = 1.0  # s between two samples; checks.target_age_max_s is no longer, so the target was lost before
+
+TURN_TIME_S = 0.3  # low-pass of the yaw rate: differences of two measured yaws are noisy
+SURPRISE_TIME_S = 0.15  # low-pass of the squared misses; three samples at 20 Hz
+TURN_MAX_RAD = 0.5  # in one step; so far the series of _turned are exact to 1e-5
 
 
 class TargetMotion(NamedTuple):
@@ -46,37 +58,46 @@ class TargetEstimator:
 
     def __init__(self, link: TargetLink) -> None:
         self.memory = MotionMemory()
+        self._growth2_max = link.jerk_growth_max**2
         position2, velocity2 = link.position_noise_m**2, link.velocity_noise_m_s**2
         self._xy = _Noise(position2, velocity2, link.jerk_xy_m_s3_sqrthz**2, link.acceleration_xy_m_s2**2)
         self._z = _Noise(position2, velocity2, link.jerk_z_m_s3_sqrthz**2, link.acceleration_z_m_s2**2)
 
-    def update(self, time_s: float, position_enu_m: Vec3, velocity_enu_m_s: Vec3) -> None:
+    def update(
+        self, time_s: float, position_enu_m: Vec3, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float = 0.0
+    ) -> None:
         """Take a sample; one that is older than the last, or follows a long gap, starts anew.
 
         Args:
             time_s: stamp of the measurement, on the sender's clock.
             position_enu_m: measured.
             velocity_enu_m_s: measured.
+            yaw_rate_rad_s: measured; 0 if unknown or not finite.
         """
         memory = self.memory
         dt_s = time_s - memory.time_s
+        turn_rate_rad_s = yaw_rate_rad_s if math.isfinite(yaw_rate_rad_s) else 0.0
         memory.time_s = time_s
         if not 0.0 < dt_s <= RESTART_S:  # also the very first, where it is NaN
             memory.position_enu_m, memory.velocity_enu_m_s = position_enu_m, velocity_enu_m_s
-            memory.acceleration_enu_m_s2 = ZERO
+            memory.acceleration_enu_m_s2, memory.turn_rate_rad_s, memory.surprise = ZERO, turn_rate_rad_s, 1.0
             memory.covariance_xy, memory.covariance_z = _start(self._xy), _start(self._z)
             return
-        memory.covariance_xy, gains_xy = _correct(
-            _propagate(memory.covariance_xy, dt_s, self._xy.jerk2), self._xy
+        memory.turn_rate_rad_s += dt_s / (dt_s + TURN_TIME_S) * (turn_rate_rad_s - memory.turn_rate_rad_s)
+        position, velocity, acceleration = _carried(memory, dt_s)
+        memory.covariance_xy, gains_xy, weights = _correct(
+            _propagate(memory.covariance_xy, dt_s, self._jerk2_xy()), self._xy
         )
-        memory.covariance_z, gains_z = _correct(_propagate(memory.covariance_z, dt_s, self._z.jerk2), self._z)
+        memory.covariance_z, gains_z, _ = _correct(
+            _propagate(memory.covariance_z, dt_s, self._z.jerk2), self._z
+        )
         x, y, z = (
-            _move(dt_s, gains, *old)
-            for gains, *old in zip(
+            _corrected(gains, *axis)
+            for gains, *axis in zip(
                 (gains_xy, gains_xy, gains_z),
-                memory.position_enu_m,
-                memory.velocity_enu_m_s,
-                memory.acceleration_enu_m_s2,
+                position,
+                velocity,
+                acceleration,
                 position_enu_m,
                 velocity_enu_m_s,
                 strict=True,
@@ -84,6 +105,13 @@ class TargetEstimator:
         )
         memory.position_enu_m, memory.velocity_enu_m_s = (x[0], y[0], z[0]), (x[1], y[1], z[1])
         memory.acceleration_enu_m_s2 = (x[2], y[2], z[2])
+        missed = 0.25 * (weights[0] * (x[3] + y[3]) + weights[1] * (x[4] + y[4]))
+        memory.surprise += dt_s / (dt_s + SURPRISE_TIME_S) * (missed - memory.surprise)
+
+    def _jerk2_xy(self) -> float:
+        """Square of the jerk on x and y, now."""
+        surprise = self.memory.surprise
+        return self._xy.jerk2 * max(1.0, min(self._growth2_max, surprise * surprise * surprise * surprise))
 
     def at(self, time_s: float) -> TargetMotion:
         """Carry the newest estimate to another time, on the sender's clock.
@@ -95,20 +123,51 @@ class TargetEstimator:
         dt_s = time_s - memory.time_s
         if math.isnan(dt_s):
             raise ValueError("no target sample yet: there is no motion to carry on")
-        half = 0.5 * dt_s * dt_s
-        (x, y, z), (vx, vy, vz), (ax, ay, az) = (
-            memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2,
-        )  # fmt: skip
         ahead_s = max(0.0, dt_s)
-        pp, _, _, vv, _, _ = _propagate(memory.covariance_xy, ahead_s, self._xy.jerk2)
+        pp, _, _, vv, _, _ = _propagate(memory.covariance_xy, ahead_s, self._jerk2_xy())
         return TargetMotion(
-            (x + dt_s * vx + half * ax, y + dt_s * vy + half * ay, z + dt_s * vz + half * az),
-            (vx + dt_s * ax, vy + dt_s * ay, vz + dt_s * az),
-            memory.acceleration_enu_m_s2,
+            *_carried(memory, dt_s),
             math.sqrt(pp),
             math.sqrt(_position_variance(memory.covariance_z, ahead_s, self._z.jerk2)),
             math.sqrt(vv),
         )
+
+
+def _carried(memory: MotionMemory, dt_s: float) -> tuple[Vec3, Vec3, Vec3]:
+    """Position, velocity and acceleration ``dt_s`` later, with an acceleration that turns."""
+    (x, y, z), (vx, vy, vz), (ax, ay, az) = (
+        memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2,
+    )  # fmt: skip
+    t, half = dt_s, 0.5 * dt_s * dt_s
+    turned = max(-TURN_MAX_RAD, min(TURN_MAX_RAD, memory.turn_rate_rad_s * dt_s))
+    cos, sin, v_along, v_across, p_along, p_across = _turned(turned)
+    return (
+        (
+            x + t * vx + t * t * (p_along * ax - p_across * ay),
+            y + t * vy + t * t * (p_along * ay + p_across * ax),
+            z + t * vz + half * az,
+        ),
+        (
+            vx + t * (v_along * ax - v_across * ay),
+            vy + t * (v_along * ay + v_across * ax),
+            vz + t * az,
+        ),
+        (cos * ax - sin * ay, cos * ay + sin * ax, az),
+    )
+
+
+def _turned(angle_rad: float) -> tuple[float, float, float, float, float, float]:
+    """Parts along and across of a vector that has turned, of its mean, and of the mean of that over the time.
+
+    Series, since they are needed at zero, and the same on every machine: sin x / x, (1 - cos x) / x and
+    (1 - cos x) / x^2, (x - sin x) / x^2.
+    """
+    x2 = angle_rad * angle_rad
+    v_along = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0)
+    p_along = 0.5 - x2 / 24.0 * (1.0 - x2 / 30.0)
+    v_across = angle_rad * p_along
+    p_across = angle_rad / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0))
+    return 1.0 - angle_rad * v_across, angle_rad * v_along, v_along, v_across, p_along, p_across
 
 
 def _propagate(covariance: Covariance, dt_s: float, jerk2: float) -> Covariance:
@@ -145,29 +204,32 @@ def _start(noise: _Noise) -> Covariance:
 _Gains = tuple[float, float, float, float, float, float]  # of position, then of velocity: p, v, a each
 
 
-def _correct(covariance: Covariance, noise: _Noise) -> tuple[Covariance, _Gains]:
-    """Position and velocity are measured with independent noise: one scalar update after the other."""
+def _correct(covariance: Covariance, noise: _Noise) -> tuple[Covariance, _Gains, tuple[float, float]]:
+    """Position and velocity are measured with independent noise: one scalar update after the other.
+
+    Returns:
+        Covariance, gains, and one over the variance by which position and velocity are expected to miss.
+    """
     pp, pv, pa, vv, va, aa = covariance
     s = 1.0 / (pp + noise.position2)
     kp, kv, ka = pp * s, pv * s, pa * s
     pp, pv, pa, vv, va, aa = (
         pp - kp * pp, pv - kp * pv, pa - kp * pa, vv - kv * pv, va - kv * pa, aa - ka * pa,
     )  # fmt: skip
-    s = 1.0 / (vv + noise.velocity2)
-    lp, lv, la = pv * s, vv * s, va * s
+    t = 1.0 / (vv + noise.velocity2)
+    lp, lv, la = pv * t, vv * t, va * t
     corrected = (
         pp - lp * pv, pv - lp * vv, pa - lp * va, vv - lv * vv, va - lv * va, aa - la * va,
     )  # fmt: skip
-    return corrected, (kp, kv, ka, lp, lv, la)
+    return corrected, (kp, kv, ka, lp, lv, la), (s, t)
 
 
-def _move(
-    dt_s: float, gains: _Gains, p: float, v: float, a: float, measured_p: float, measured_v: float
-) -> tuple[float, float, float]:
-    """Position, velocity and acceleration of one axis, carried on and corrected."""
+def _corrected(
+    gains: _Gains, p: float, v: float, a: float, measured_p: float, measured_v: float
+) -> tuple[float, float, float, float, float]:
+    """Position, velocity and acceleration of one axis by what was measured, and the squares of the misses."""
     kp, kv, ka, lp, lv, la = gains
-    p, v = p + dt_s * v + 0.5 * dt_s * dt_s * a, v + dt_s * a
-    missed = measured_p - p
-    p, v, a = p + kp * missed, v + kv * missed, a + ka * missed
-    missed = measured_v - v
-    return p + lp * missed, v + lv * missed, a + la * missed
+    missed_p = measured_p - p
+    p, v, a = p + kp * missed_p, v + kv * missed_p, a + ka * missed_p
+    missed_v = measured_v - v
+    return p + lp * missed_v, v + lv * missed_v, a + la * missed_v, missed_p * missed_p, missed_v * missed_v

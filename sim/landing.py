@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from bridge.autopilots import OWN_SITL
 from bridge.vehicle import COMPONENT_ID as COMPANION_ID
 from bridge.vehicle import VehicleLink
 from flightstack.controller import Controller, Outputs
@@ -98,7 +99,12 @@ class _Companion:
         self._target = DirectTarget(scenario, seed, grid)
         here, there = wires((SYSTEM_ID, COMPONENT_ID), (SYSTEM_ID, COMPANION_ID))
         self._link = VehicleLink(
-            "", takeoff_height_m=config.takeoff.height_m, rate_hz=rate_hz, defer_timesync=True, endpoint=there
+            "",
+            takeoff_height_m=config.takeoff.height_m,
+            profile=OWN_SITL,
+            rate_hz=rate_hz,
+            defer_timesync=True,
+            endpoint=there,
         )
         vehicle = VehicleSim(scenario, seed)
         autopilot = Autopilot(vehicle, rate_hz, trim_enu_m_s=vehicle.trim_velocity_enu_m_s)
