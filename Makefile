@@ -1,6 +1,8 @@
 # Two commands: `make fly` and `make test`. Both make their own virtual environment in .venv.
 PYTHON ?= python3
 VENV := .venv
+# or each of the hundreds of processes of the tests would compile the sources anew
+unexport PYTHONDONTWRITEBYTECODE
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
