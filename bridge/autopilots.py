@@ -276,8 +276,8 @@ def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
         type_: MAV_TYPE of its heartbeat.
         chosen: the profile that was given, None for ``auto``.
     """
-    known = ", ".join(f"{p.title} ({number})" for number, p in _BY_AUTOPILOT.items())
     if chosen is None and found(autopilot) is None:
+        known = ", ".join(f"{p.title} ({number})" for number, p in _BY_AUTOPILOT.items())
         name = _name("MAV_AUTOPILOT", autopilot)
         return f"the vehicle's heartbeat says autopilot {name}: it is not flown; known are {known}"
     if chosen is not None and autopilot != chosen.autopilot:

@@ -208,7 +208,7 @@ class VehicleLink:
             sequencer.home_amsl_m = self.state.home_amsl_m
         commands = sequencer.step(request, self.status, now_s)
         self._outgoing += commands
-        if any(command.command == dialect.MAV_CMD_NAV_TAKEOFF for command in commands):
+        if commands and any(command.command == dialect.MAV_CMD_NAV_TAKEOFF for command in commands):
             self.state.follow(self.state.profile is None or self.state.profile.stream_in_takeoff)
         if request is Request.NONE:
             known = self.state.origin_known or self.own is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -169,8 +168,13 @@ class VehicleState:
             self.status = VehicleStatus(old.arrival_s, old.armed, self._mode(), self._landed, self._ready)
 
 
-def _usable(*values: float) -> bool:
-    return isfinite(sum(values)) and max(values) < _LARGEST and min(values) > -_LARGEST
+def _usable(a: float, b: float, c: float, d: float, e: float, f: float) -> bool:
+    """Whether all are numbers of sensible size; a NaN is none."""
+    most = _LARGEST
+    return (
+        -most < a < most and -most < b < most and -most < c < most
+        and -most < d < most and -most < e < most and -most < f < most
+    )  # fmt: skip
 
 
 def _late(time_s: float, newest_s: float) -> bool:

@@ -14,7 +14,7 @@ from flightstack.conditions import View, gather, view
 from flightstack.config import FlightConfig
 from flightstack.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
 from flightstack.guidance import Situation, Wish, wish
-from flightstack.law import LAWS
+from flightstack.law import LAWS, Held
 from flightstack.memory import AbortWay, Memory, State
 from flightstack.phases import Condition, next_phase
 from flightstack.plausibility import Plausibility
@@ -23,7 +23,7 @@ from flightstack.safety_filter import FilterResult, FilterStatus, SafetyFilter
 from flightstack.target_track import TargetTrack, Verdict
 from flightstack.types import ZERO, Inputs, Landed, Mode, Phase, Request, Vec3, VehicleStatus
 
-LANDED_SETTLE_S = 3.0  # the judge wants 2 s at rest on the pad
+LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
 ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
 
 
@@ -150,8 +150,9 @@ class Controller:
                 events.append(Event(ERROR, "ABORT: emergency stop (motors off)"))
             memory.abort_way = AbortWay.MOTORS_OFF
         asked = wish(Situation(self.config, self.barrier, memory, seen))
-        barrier = self._evaluate(asked, seen)
-        gate, setpoint, wanted = self._command(asked, seen, barrier)
+        held = self._law.held(seen)
+        barrier = self._evaluate(asked, seen, held)
+        gate, setpoint, wanted = self._command(asked, seen, barrier, held)
         return Outputs(
             phase=memory.phase,
             request=asked.request,
@@ -209,11 +210,11 @@ class Controller:
             return AbortWay.LAND_HERE
         return AbortWay.FLY_CLEAR
 
-    def _evaluate(self, asked: Wish, seen: View) -> Barriers | None:
+    def _evaluate(self, asked: Wish, seen: View, held: Held) -> Barriers | None:
         """Barrier and filter; the values are computed whenever they can be, the filter only for landing."""
         if seen.e_m is None or seen.target is None:
             return None
-        held_m, gradient, dh_dt = self._law.held(seen).evaluate(seen.e_m, seen.target.velocity_enu_m_s)
+        held_m, gradient, dh_dt = held.evaluate(seen.e_m, seen.target.velocity_enu_m_s)
         h_m = self.barrier.h(seen.e_m)
         nominal = asked.velocity if asked.velocity is not None else ZERO
         if not asked.filtered or asked.velocity is None or not (seen.own_ok and seen.target_ok):
@@ -234,21 +235,15 @@ class Controller:
 
     def _box(self, seen: View) -> tuple[Vec3, Vec3]:
         """Admissible velocities of this tick: the box of eq. 11 cut by what the slew limit can reach."""
-        base, step, most = self._base(seen), self._slew_step, self.config.limits.velocity_max_m_s
-        lower = (
-            max(-most[0], base[0] - step[0]),
-            max(-most[1], base[1] - step[1]),
-            max(-most[2], base[2] - step[2]),
-        )
-        upper = (
-            min(most[0], base[0] + step[0]),
-            min(most[1], base[1] + step[1]),
-            min(most[2], base[2] + step[2]),
-        )
-        return lower, upper
+        (bx, by, bz), (sx, sy, sz) = self._base(seen), self._slew_step
+        mx, my, mz = self.config.limits.velocity_max_m_s
+        x, y, z = bx - sx, by - sy, bz - sz
+        lower = (x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz)
+        x, y, z = bx + sx, by + sy, bz + sz
+        return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def _command(
-        self, asked: Wish, seen: View, barrier: Barriers | None
+        self, asked: Wish, seen: View, barrier: Barriers | None, held: Held
     ) -> tuple[GateVerdict, ApprovedSetpoint | None, Vec3 | None]:
         memory, own = self.memory, seen.inputs.own
         if asked.velocity is None or asked.request is not Request.EXTERNAL:
@@ -257,9 +252,7 @@ class Controller:
         check = None
         if asked.filtered and barrier is not None and seen.e_m is not None and seen.target is not None:
             wanted = barrier.result.velocity_enu_m_s
-            check = BarrierCheck(
-                self._law.held(seen), seen.e_m, seen.target.velocity_enu_m_s, barrier.result.status
-            )
+            check = BarrierCheck(held, seen.e_m, seen.target.velocity_enu_m_s, barrier.result.status)
         else:
             most = self.config.limits.velocity_max_m_s
             wanted = slew(self._base(seen), limit(asked.velocity, most), self._slew_step)

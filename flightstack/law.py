@@ -146,14 +146,14 @@ class RobustLaw:
 
         No further than the age limit: beyond it the target is lost, and only what stays bounded is of use.
         """
-        last = track.at(now_s)
+        last = track.memory.last
         if last is None:
             return None
         delay_s = self._config.target.delay_s
         latest_s = self._estimator.memory.time_s + self._config.checks.target_age_max_s
         motion = self._estimator.at(min(now_s - track.memory.offset_s, latest_s) + delay_s)
         return TargetState(
-            last.age_s + delay_s,
+            track.age_s(last, now_s) + delay_s,
             motion.position_enu_m,
             motion.velocity_enu_m_s,
             last.yaw_rad,

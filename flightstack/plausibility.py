@@ -100,12 +100,12 @@ class Plausibility:
         dt_s = own.arrival_s - last.arrival_s
         if not 0.0 < dt_s <= self._checks.own_age_max_s:
             return  # lost in between: nothing so old binds where it is now
-        kept, half = math.exp(-dt_s / self._checks.own_drift_memory_s), 0.5 * dt_s
-        x, y, z = (
-            kept * (d + (p - p0) - half * (v + v0))
-            for d, p, p0, v, v0 in zip(
-                self.memory.drift_m, own.position_enu_m, last.position_enu_m, own.velocity_enu_m_s,
-                last.velocity_enu_m_s, strict=True,
-            )
+        kept, half, d = math.exp(-dt_s / self._checks.own_drift_memory_s), 0.5 * dt_s, self.memory.drift_m
+        p, p0, v, v0 = (
+            own.position_enu_m, last.position_enu_m, own.velocity_enu_m_s, last.velocity_enu_m_s
         )  # fmt: skip
-        self.memory.drift_m = (x, y, z)
+        self.memory.drift_m = (
+            kept * (d[0] + (p[0] - p0[0]) - half * (v[0] + v0[0])),
+            kept * (d[1] + (p[1] - p0[1]) - half * (v[1] + v0[1])),
+            kept * (d[2] + (p[2] - p0[2]) - half * (v[2] + v0[2])),
+        )

@@ -91,18 +91,10 @@ class TargetEstimator:
         memory.covariance_z, gains_z, _ = _correct(
             _propagate(memory.covariance_z, dt_s, self._z.jerk2), self._z
         )
-        x, y, z = (
-            _corrected(gains, *axis)
-            for gains, *axis in zip(
-                (gains_xy, gains_xy, gains_z),
-                position,
-                velocity,
-                acceleration,
-                position_enu_m,
-                velocity_enu_m_s,
-                strict=True,
-            )
-        )
+        (p, q, r), (u, v, w), (a, b, c) = position, velocity, acceleration
+        x = _corrected(gains_xy, p, u, a, position_enu_m[0], velocity_enu_m_s[0])
+        y = _corrected(gains_xy, q, v, b, position_enu_m[1], velocity_enu_m_s[1])
+        z = _corrected(gains_z, r, w, c, position_enu_m[2], velocity_enu_m_s[2])
         memory.position_enu_m, memory.velocity_enu_m_s = (x[0], y[0], z[0]), (x[1], y[1], z[1])
         memory.acceleration_enu_m_s2 = (x[2], y[2], z[2])
         missed = 0.25 * (weights[0] * (x[3] + y[3]) + weights[1] * (x[4] + y[4]))
@@ -124,12 +116,12 @@ class TargetEstimator:
         if math.isnan(dt_s):
             raise ValueError("no target sample yet: there is no motion to carry on")
         ahead_s = max(0.0, dt_s)
-        pp, _, _, vv, _, _ = _propagate(memory.covariance_xy, ahead_s, self._jerk2_xy())
+        jerk2_xy = self._jerk2_xy()
         return TargetMotion(
             *_carried(memory, dt_s),
-            math.sqrt(pp),
+            math.sqrt(_position_variance(memory.covariance_xy, ahead_s, jerk2_xy)),
             math.sqrt(_position_variance(memory.covariance_z, ahead_s, self._z.jerk2)),
-            math.sqrt(vv),
+            math.sqrt(_velocity_variance(memory.covariance_xy, ahead_s, jerk2_xy)),
         )
 
 
@@ -195,6 +187,13 @@ def _position_variance(covariance: Covariance, dt_s: float, jerk2: float) -> flo
         pp + 2.0 * dt_s * pv + t2 * (pa + vv) + dt_s * t2 * va + 0.25 * t2 * t2 * aa
         + jerk2 * dt_s * t2 * t2 / 20.0
     )  # fmt: skip
+
+
+def _velocity_variance(covariance: Covariance, dt_s: float, jerk2: float) -> float:
+    """Fourth number of ``_propagate``."""
+    _, _, _, vv, va, aa = covariance
+    t2 = dt_s * dt_s
+    return vv + 2.0 * dt_s * va + t2 * aa + jerk2 * dt_s * t2 / 3.0
 
 
 def _start(noise: _Noise) -> Covariance:

@@ -126,15 +126,16 @@ class TargetTrack:
         proof_s = self._checks.target_age_max_s + self._checks.recovery_time_s
         return lost and not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
 
-    def at(self, now_s: float) -> TargetState | None:
-        """Target moved on to now with its last velocity; ``None`` before the first sample.
+    def age_s(self, sample: TargetSample, now_s: float) -> float:
+        """Age from the measurement, less the shortest delay seen (clocks of two machines differ)."""
+        return max(0.0, now_s - sample.source_time_s - self.memory.offset_s)
 
-        The age counts from the measurement, less the shortest delay seen (clocks of two machines differ).
-        """
+    def at(self, now_s: float) -> TargetState | None:
+        """Target moved on to now with its last velocity; ``None`` before the first sample."""
         last = self.memory.last
         if last is None:
             return None
-        age_s = max(0.0, now_s - last.source_time_s - self.memory.offset_s)
+        age_s = self.age_s(last, now_s)
         ahead_s = min(age_s, self._checks.target_age_max_s)
         x, y, z = last.position_enu_m
         vx, vy, vz = last.velocity_enu_m_s

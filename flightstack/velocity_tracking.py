@@ -16,6 +16,7 @@ import math
 from typing import NamedTuple
 
 from flightstack.memory import TrackingMemory
+from flightstack.position_loop import clip
 from flightstack.robust_config import VelocityLoop
 from flightstack.types import ZERO, Vec3
 
@@ -53,25 +54,29 @@ class VelocityTracking:
             velocity_enu_m_s: measured now.
             commanding: the last set-point was flown; if not, the model follows the measurement.
         """
-        memory, t, most_m_s = self.memory, self._period_s, self._most_m_s
+        memory = self.memory
         if not commanding:
             memory.model_m_s, memory.model_m_s2, memory.slope_m_s2 = velocity_enu_m_s, ZERO, ZERO
             return
-        model, rate, found = [], [], []
-        for axis, v, u, m, dm, d in zip(
-            self._axes, velocity_enu_m_s, memory.setpoint_m_s, memory.model_m_s, memory.model_m_s2,
-            memory.disturbance_m_s, strict=True,
-        ):  # fmt: skip
-            w = axis.rate_1_s
-            dm_ = dm + t * (w * w * (u - m) - 2.0 * self._damping * w * dm)
-            m_ = m + t * dm_
-            d_ = d + self._disturbance_share * (v - m_ - d)
-            model.append(m_)
-            rate.append(dm_)
-            found.append(max(-most_m_s, min(most_m_s, d_)))
-        memory.model_m_s = (model[0], model[1], model[2])
-        memory.model_m_s2 = (rate[0], rate[1], rate[2])
-        memory.disturbance_m_s = (found[0], found[1], found[2])
+        v, u, m, dm, d = (
+            velocity_enu_m_s, memory.setpoint_m_s, memory.model_m_s, memory.model_m_s2, memory.disturbance_m_s
+        )  # fmt: skip
+        step, (x, y, z) = self._observe, self._axes  # written out: a loop over three axes costs twice as much
+        mx, dmx, dx = step(x, v[0], u[0], m[0], dm[0], d[0])
+        my, dmy, dy = step(y, v[1], u[1], m[1], dm[1], d[1])
+        mz, dmz, dz = step(z, v[2], u[2], m[2], dm[2], d[2])
+        memory.model_m_s, memory.model_m_s2 = (mx, my, mz), (dmx, dmy, dmz)
+        memory.disturbance_m_s = (dx, dy, dz)
+
+    def _observe(
+        self, axis: _Axis, v: float, u: float, m: float, dm: float, d: float
+    ) -> tuple[float, float, float]:
+        """Velocity by the model, its derivative, and the disturbance, of one axis."""
+        t, w, most_m_s = self._period_s, axis.rate_1_s, self._most_m_s
+        dm += t * (w * w * (u - m) - 2.0 * self._damping * w * dm)
+        m += t * dm
+        d += self._disturbance_share * (v - m - d)
+        return m, dm, clip(d, -most_m_s, most_m_s)
 
     def command(self, before_m_s: Vec3, reference_m_s: Vec3, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
         """Set-point that makes the vehicle fly the reference.
@@ -82,17 +87,18 @@ class VelocityTracking:
             velocity_m_s: measured now.
             most_m_s: bound of the set-point on each axis.
         """
-        memory, t = self.memory, self._period_s
-        slope, out = [], []
-        for axis, b, r, v, s, d, most in zip(
-            self._axes, before_m_s, reference_m_s, velocity_m_s, memory.slope_m_s2, memory.disturbance_m_s,
-            most_m_s, strict=True,
-        ):  # fmt: skip
-            s_ = s + self._slope_share * ((r - b) / t - s)
-            u = r + axis.lag_s * s_ + axis.gain * (r - v) - d
-            u = max(v - axis.error_max_m_s, min(v + axis.error_max_m_s, u))
-            slope.append(s_)
-            out.append(max(-most, min(most, u)))
-        memory.slope_m_s2 = (slope[0], slope[1], slope[2])
-        memory.setpoint_m_s = (out[0], out[1], out[2])
+        memory, (x, y, z), step = self.memory, self._axes, self._command
+        b, r, v, s, d = before_m_s, reference_m_s, velocity_m_s, memory.slope_m_s2, memory.disturbance_m_s
+        sx, ux = step(x, b[0], r[0], v[0], s[0], d[0], most_m_s[0])
+        sy, uy = step(y, b[1], r[1], v[1], s[1], d[1], most_m_s[1])
+        sz, uz = step(z, b[2], r[2], v[2], s[2], d[2], most_m_s[2])
+        memory.slope_m_s2, memory.setpoint_m_s = (sx, sy, sz), (ux, uy, uz)
         return memory.setpoint_m_s
+
+    def _command(
+        self, axis: _Axis, b: float, r: float, v: float, s: float, d: float, most: float
+    ) -> tuple[float, float]:
+        """Smoothed derivative of the velocity wanted, and set-point, of one axis."""
+        s += self._slope_share * ((r - b) / self._period_s - s)
+        u = r + axis.lag_s * s + axis.gain * (r - v) - d
+        return s, clip(clip(u, v - axis.error_max_m_s, v + axis.error_max_m_s), -most, most)

@@ -88,7 +88,7 @@ class LinkFaults:
 
     def active(self, way: Way) -> bool:
         """Whether messages in this direction have to go through ``fate``."""
-        return any(one.way is way for one in self._running)
+        return bool(self._running) and any(one.way is way for one in self._running)
 
     def fate(self, way: Way, message: Message, now_ns: int) -> Fate:
         """Decide on one message, which may be changed in place; call it once a message, in order.

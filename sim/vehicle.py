@@ -44,6 +44,7 @@ LANDED_AFTER_MS = 150  # in contact for this long is landed
 AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
 WARM_UP_MS = 100  # every loop of the firmware has run by then, and motion capture has come
 SUPPLY_MS = 320  # the noise of the IMU, of which six numbers go every 2 ms, is drawn so far ahead
+_STATE_TEXTS = tuple(str(state.value) for state in STATES)
 _LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
 NAN3: Vec3 = (math.nan, math.nan, math.nan)
 
@@ -290,7 +291,8 @@ class VehicleSim:
     @property
     def state_text(self) -> str:
         """State of the supervisor in words."""
-        return str(STATES[self._state[0]].value)
+        text: str = _STATE_TEXTS[self._state[0]]
+        return text
 
     @property
     def motors_running(self) -> bool:

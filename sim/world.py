@@ -254,8 +254,9 @@ class World:
     def set_deck(self, position: Vec3, yaw: float, velocity: Vec3, rate: float) -> None:
         """Place the deck; from here on it moves on an arc: body-frame speed, climb and turn rate constant."""
         turn = rate * STEP_S
-        chord = math.sin(0.5 * turn) / (0.5 * turn) if turn else 1.0  # chord over arc length
-        along, across = chord * math.cos(0.5 * turn) * STEP_S, chord * math.sin(0.5 * turn) * STEP_S
+        sine = math.sin(0.5 * turn)
+        chord = sine / (0.5 * turn) if turn else 1.0  # chord over arc length
+        along, across = chord * math.cos(0.5 * turn) * STEP_S, chord * sine * STEP_S
         self._set_deck(*position, *velocity, yaw, rate, math.cos(turn), math.sin(turn), along, across)
 
     def step(self, force: Vec3, torque: Vec3) -> int:
