@@ -36,7 +36,7 @@ Of the robust filter, by `sim/campaign/tiers.py`; crashes and misses that nobody
 Time is the median to first contact against that of the paper's filter.
 
 """
-TAIL = "\nWhat the storm falls short of, and what was tried: [storm.md](storm.md).\n"
+TAIL = "\nHow the storm is landed in, and what was tried: [storm.md](storm.md).\n"
 ASKED_COLUMNS = ("tier", "landed", "violations", "error", "speed", "time", "result")
 COLUMNS = (
     "tier, filter",

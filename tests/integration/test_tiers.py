@@ -1,4 +1,4 @@
-"""A hundred seeds of each tier meet its limits; more of them stand in docs/results.md."""
+"""Two hundred seeds of each tier meet its limits; more of them stand in docs/results.md."""
 
 import json
 
@@ -7,12 +7,8 @@ import pytest
 from sim.campaign.tiers import LIMITS, Tier
 from tests.integration.test_campaign import campaign
 
-RUNS = 100
+RUNS = 200
 WALL_MAX_S = 900.0  # alone on a core it takes a minute
-# What is not reached, with a bound of its own; docs/results.md says why.
-FALLS_SHORT = {
-    Tier.STORM: {"crashes": 0.03, "violations": 0.03, "touchdown speed, horizontal, 95 %": None},
-}
 PAPER_RUNS = 40  # enough for a median
 
 
@@ -36,13 +32,9 @@ def test_the_robust_filter_meets_the_limits(tmp_path, tier):
         *words, "--runs", RUNS, "--filter", "robust", "--out", tmp_path / "robust", "--require", tier.value,
         *against, check=False, wall_max_s=WALL_MAX_S,
     )  # fmt: skip
-    missed = [line.partition(f"{tier.value}: ")[2] for line in done.stderr.splitlines() if "not met" in line]
-    known = FALLS_SHORT.get(tier, {})
-    assert {line.partition(":")[0] for line in missed} <= set(known), done.stdout + done.stderr
-    assert done.returncode == bool(missed)
+    assert done.returncode == 0, done.stdout + done.stderr
     told = json.loads(done.stdout.strip().splitlines()[-1])
     assert told["runs"] == RUNS == told["landed"] + told["declared_aborts"] + told["crashes"]
-    for number in ("crashes", "violations"):
-        assert told[number] <= known.get(number, 0.0) * RUNS
-    # what 100 runs can show, and no more
+    assert told["crashes"] == told["violations"] == 0
+    # what so many runs can show, and no more
     assert told["upper_95_violation_rate"] >= 1.0 - 0.05 ** (1.0 / RUNS) - 1e-9
