@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import hypothesis
@@ -36,6 +37,13 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "vehicle: flies our simulated vehicle, or the one of --vehicle")
     config.addinivalue_line("markers", "arms: not run on a vehicle that was given without --arm-ok")
     config.addinivalue_line("markers", "simulated: needs the simulated room")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """One more than there are cores: flights in real time mostly wait, in groups of their own."""
+    del config
+    return (os.cpu_count() or 1) + 1
 
 
 @pytest.hookimpl(tryfirst=True)  # before the workers look at the groups

@@ -77,6 +77,9 @@ def untimed(folder):
     return [row.untimed() for row in read_rows(folder / "rows.csv")]
 
 
+shared = pytest.mark.xdist_group("campaign")  # one worker flies it once
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A campaign nobody disturbed."""
@@ -85,6 +88,7 @@ def whole(tmp_path_factory):
     return folder, done
 
 
+@shared
 def test_complete(whole):
     folder, done = whole
     told = json.loads(done.stdout.strip().splitlines()[-1])
@@ -102,6 +106,7 @@ def test_complete(whole):
     assert re.search(r"@@[A-Z]+@@", page) is None
 
 
+@shared
 def test_the_command_of_a_seed_repeats_it(whole, tmp_path):
     folder, done = whole
     command = json.loads(done.stdout)["worst"][0]["command"].split()
@@ -116,6 +121,7 @@ def test_the_command_of_a_seed_repeats_it(whole, tmp_path):
         assert told[key] == getattr(row, key), key
 
 
+@shared
 def test_the_number_of_workers_changes_nothing(whole, tmp_path):
     campaign(*SHORT, "--workers", 1, "--out", tmp_path)
     assert untimed(tmp_path) == untimed(whole[0])
@@ -152,6 +158,7 @@ class Running:
         return self.process.returncode, out
 
 
+@shared
 def test_a_killed_worker_costs_no_row(whole, tmp_path):
     running = Running(tmp_path, *SHORT, "--workers", 2)
     running.wait_for_rows(2)

@@ -16,6 +16,7 @@ from tests.integration.test_readme import BIN, ROOT
 DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # the page's one line for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")
 PAGE = ROOT / "docs/logs.md"
+pytestmark = pytest.mark.xdist_group("log docs")  # they share two flights
 
 
 @pytest.fixture(scope="module")

@@ -27,6 +27,7 @@ from logs.view_layouts import layout
 from tests.integration.runs import COMMAND, flightstack, fly
 
 ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.xdist_group("viewers")  # they share a flight
 RERUN = Path(sys.executable).parent / "rerun"
 PATIENCE_S = 180.0
 ROS_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")  # ROS 2 design, "Topic and Service name mapping"
