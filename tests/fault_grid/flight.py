@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.autopilots import OWN_SITL
 from bridge.cdr import encode_odometry
 from bridge.frames import quaternion_from_yaw
 from bridge.mavlink import Received
@@ -178,7 +179,7 @@ class Flight:
         here, self._there = wires((SYSTEM_ID, COMPONENT_ID), (SYSTEM_ID, COMPANION_ID))
         self.link = VehicleLink(
             "", takeoff_height_m=config.takeoff.height_m, rate_hz=rate_hz, defer_timesync=True,
-            endpoint=self._there,
+            endpoint=self._there, profile=OWN_SITL,
         )  # fmt: skip
         self.vehicle = VehicleSim(scenario, seed)
         self._autopilot = Autopilot(self.vehicle, rate_hz, trim_enu_m_s=self.vehicle.trim_velocity_enu_m_s)

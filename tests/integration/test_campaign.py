@@ -168,6 +168,7 @@ def test_a_killed_worker_costs_no_row(whole, tmp_path):
     assert untimed(tmp_path) == untimed(whole[0])
 
 
+@shared
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
     running = Running(tmp_path, *SHORT, "--workers", 2)
@@ -187,6 +188,7 @@ def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
     assert untimed(tmp_path) == untimed(whole[0])
 
 
+@shared
 def test_more_runs_extend_it_and_fewer_are_refused(whole, tmp_path):
     campaign("stop_and_go", "--runs", 2, "--seed", 40, "--no-report", "--workers", 1, "--out", tmp_path)
     campaign("stop_and_go", "--runs", 3, "--seed", 40, "--no-report", "--workers", 1, "--out", tmp_path)
@@ -196,6 +198,7 @@ def test_more_runs_extend_it_and_fewer_are_refused(whole, tmp_path):
     assert "at least 3 runs" in done.stderr
 
 
+@shared
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -234,6 +237,7 @@ def test_require_tells_what_is_missed(tmp_path):
     assert len(untimed(tmp_path)) == 1
 
 
+@shared
 def test_a_cluster_that_loses_a_worker_ends_complete_and_equal(whole, tmp_path):
     scheduler = subprocess.Popen(
         [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",

@@ -19,16 +19,15 @@ KEYS = {
 @pytest.mark.parametrize("filter_name", ["paper", "robust"])
 @pytest.mark.parametrize("scenario", PAPER)
 def test_the_papers_runs_land(tmp_path, scenario, filter_name):
-    for seed in (0, 1):
-        result = fly(tmp_path / str(seed), scenario, seed, "--filter", filter_name)
-        assert result.code == 0, result.err
-        found = result.json
-        assert set(found) >= KEYS
-        assert (found["scenario"], found["seed"], found["filter"]) == (scenario, seed, filter_name)
-        assert found["outcome"] == "landed"
-        assert found["judged_from"] == "true states"
-        assert found["touchdown_error_m"] <= 0.10
-        assert -0.2 < found["h_min_outside_pad_m"] < 1.0
+    result = fly(tmp_path, scenario, 0, "--filter", filter_name)
+    assert result.code == 0, result.err
+    found = result.json
+    assert set(found) >= KEYS
+    assert (found["scenario"], found["seed"], found["filter"]) == (scenario, 0, filter_name)
+    assert found["outcome"] == "landed"
+    assert found["judged_from"] == "true states"
+    assert found["touchdown_error_m"] <= 0.10
+    assert -0.2 < found["h_min_outside_pad_m"] < 1.0
 
 
 @pytest.mark.parametrize("scenario", ["straight", "stop_and_go", "reversing"])
