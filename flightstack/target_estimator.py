@@ -97,11 +97,15 @@ class TargetEstimator:
         z = _corrected(gains_z, r, w, c, position_enu_m[2], velocity_enu_m_s[2])
         memory.position_enu_m, memory.velocity_enu_m_s = (x[0], y[0], z[0]), (x[1], y[1], z[1])
         memory.acceleration_enu_m_s2 = (x[2], y[2], z[2])
+        # the mean of four: position and velocity on x and on y, each 1 on average
         missed = 0.25 * (weights[0] * (x[3] + y[3]) + weights[1] * (x[4] + y[4]))
         memory.surprise += dt_s / (dt_s + SURPRISE_TIME_S) * (missed - memory.surprise)
 
     def _jerk2_xy(self) -> float:
-        """Square of the jerk on x and y, now."""
+        """Square of the jerk on x and y, now: the jerk goes with the square of the surprise.
+
+        A surprise of 2, which chance seldom makes, is four times the jerk already.
+        """
         surprise = self.memory.surprise
         return self._xy.jerk2 * max(1.0, min(self._growth2_max, surprise * surprise * surprise * surprise))
 
