@@ -99,7 +99,7 @@ class Bridge:
         messages, problem = vehicle.step(self._source.poll(now_s), now_s)
         self._endpoint.send(messages)
         if problem is not None and self._source.problem_text is not None:
-            problem, self._source.problem_text = f"mocap: {self._source.problem_text}", None
+            problem = f"mocap: {self._source.problem_text}"
         told = self._told
         told.about("poses", problem, now_s, good="mocap: poses are good")
         told.about("vehicle", self._vehicle_problem(now_s), now_s, good=self._greeting())

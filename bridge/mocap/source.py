@@ -30,7 +30,7 @@ class MocapSource:
     """Receives poses under one key.
 
     Attributes:
-        problem_text: why the last unreadable sample was one, None while there has been none.
+        problem_text: why the newest sample is unreadable, None while it is not.
     """
 
     def __init__(self, session: zenoh_link.Session, spec: TargetSpec, offset_flu_m: Vec3 = ZERO) -> None:
@@ -69,6 +69,7 @@ class MocapSource:
         except OdometryError as error:
             self.problem_text = str(error)
             return Sample(None, now_s)
+        self.problem_text = None
         return Sample(centre(pose, self._offset_flu_m), now_s)
 
 
@@ -90,5 +91,4 @@ class CheckedPoses:
         self._problem = step.problem
         if self._problem is not None and self._source.problem_text is not None:
             self._problem = f"mocap: {self._source.problem_text}"
-            self._source.problem_text = None
         return step.passed[-1] if step.passed else None

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 from scipy.spatial.transform import Rotation
 
+from bridge import zenoh_link
 from bridge.frames import (
     euler_from_quaternion,
     ned_covariance_from_enu,
@@ -17,11 +18,12 @@ from bridge.frames import (
 )
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between, centre
 from bridge.mocap.messages import WANTS, odometry, vision_position_estimate
-from bridge.mocap.source import parse_spec
+from bridge.mocap.source import CheckedPoses, MocapSource, parse_spec
 from bridge.mocap.vehicle import MocapVehicle
 from bridge.origin import Origin
 from bridge.packing import pack
 from bridge.pose_cdr import Pose
+from tests.unit.ros2_helpers import pose_stamped
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 S = 1_000_000_000
@@ -316,3 +318,24 @@ def test_the_table_names_every_autopilot_of_the_stack():
 def test_odometry_is_no_pose():
     with pytest.raises(ValueError, match="are no poses: allowed is pose, pose-covariance"):
         parse_spec("a/b", "odometry")
+
+
+def test_why_poses_cannot_be_read_is_known_until_one_can():
+    session = zenoh_link.open_session()
+    try:
+        source = MocapSource(session, parse_spec("lab/pose"))
+        checked = CheckedPoses(source, PoseChecks())
+        session.put("lab/pose", b"no pose")
+        assert checked.poll(1.0, armed=False) is None
+        why = source.problem_text
+        assert why is not None
+        for now_s in (1.002, 1.5, 9.0):  # nothing more comes
+            assert checked.poll(now_s, armed=False) is None
+            assert checked.problem == f"mocap: {why}"
+        session.put("lab/pose", pose_stamped(S, "map", (1.0, 2.0, 0.5)))
+        assert checked.poll(9.1, armed=False) is not None
+        assert source.problem_text is None
+        checked.poll(12.0, armed=False)
+        assert checked.problem == "mocap: no pose for 2.9 s"
+    finally:
+        session.close()
