@@ -1,6 +1,6 @@
 """A velocity for targets that send poses alone: poses in, ``nav_msgs/msg/Odometry`` out.
 
-The velocity is that of the stack's own target estimator (white jerk, position and velocity measured) with the
+The velocity is that of the stack's own target estimator (position and velocity measured) with the
 velocity measured so badly that it says nothing. Nothing goes on before the estimate has settled, none of
 an outlier; what goes on is the pose as it was measured, with that velocity, in the form of any other target.
 """
@@ -65,7 +65,9 @@ class PoseTrack:
             self._estimator.memory.time_s = math.nan
             last = None
         self._outliers, self._last = 0, pose
-        self._estimator.update(time_s, pose.position_m, ZERO)
+        q = pose.orientation_wxyz
+        yaw_rad = yaw_from_quaternion(q)
+        self._estimator.update(time_s, pose.position_m, ZERO, yaw_rad)
         motion = self._estimator.at(time_s)
         self._unsettled = 0 if last is None else self._unsettled + 1
         if last is None or motion.velocity_sigma_m_s > SETTLED_M_S:
@@ -77,9 +79,8 @@ class PoseTrack:
                 )
             return None
         self.problem = ""
-        q = pose.orientation_wxyz
         # Between two poses, unfiltered: it is recorded, nothing flies by it.
-        turned_rad = wrap_angle(yaw_from_quaternion(q) - yaw_from_quaternion(last.orientation_wxyz))
+        turned_rad = wrap_angle(yaw_rad - yaw_from_quaternion(last.orientation_wxyz))
         return encode_odometry(
             pose.stamp_ns,
             pose.frame_id,

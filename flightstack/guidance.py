@@ -17,6 +17,7 @@ from flightstack.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
 CLIMB_OVER = 0.5  # share of the climb margin by which the climb aims beyond what is high enough, to get there
 CLEAR_BELOW = 0.25  # share of it that a vehicle flying clear may lack of that height
+BRAKING = 0.5  # share of the wanted acceleration that brakes: the velocity lags, and the target may speed up
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 
 
@@ -82,9 +83,32 @@ def _land_robust(s: Situation, target: TargetState, e: Vec3) -> Vec3:
     robust = s.config.robust
     gain = robust.gain_1_s
     over = robust.gain_over_pad_1_s if s.memory.phase is Phase.LAND else gain
-    above = e[2] - robust.wait_height_m
+    above = e[2] - robust.wait_height_m - _ahead_m(s, target, e)
     x, y, z = nominal_velocity((e[0], e[1], above), (over, over, gain), target.velocity_enu_m_s)
-    return (x, y, min(z, target.velocity_enu_m_s[2] - robust.descent_min_m_s) if above > 0.0 else z)
+    if above > 0.0:
+        pad_m_s = target.velocity_enu_m_s[2]
+        z = min(max(z, pad_m_s - robust.descent_max_m_s), pad_m_s - robust.descent_min_m_s)
+    return (x, y, z)
+
+
+def _ahead_m(s: Situation, target: TargetState, e: Vec3) -> float:
+    """Height of the boundary ahead that no velocity in the box may be quick enough for, once it is there.
+
+    Far out that is its ring, over which the way leads. Near the middle it is where the vehicle comes to
+    rest, if that is on the other side: the barrier sees an overshoot only when the middle has been
+    passed.
+    """
+    own, (ex, ey, _) = s.seen.inputs.own, e
+    assert own is not None
+    if math.hypot(ex, ey) > s.barrier.peak_distance_m:
+        return s.barrier.peak_height_m
+    v, t = own.velocity_enu_m_s, target.velocity_enu_m_s
+    vx, vy = v[0] - t[0], v[1] - t[1]
+    brakes_m_s2 = BRAKING * min(s.config.robust.acceleration_max_m_s2[:2])
+    rest_s = math.hypot(vx, vy) / (2.0 * brakes_m_s2)  # at this velocity, until as far as it comes
+    if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
+        return 0.0  # on this side
+    return s.barrier.height(math.hypot(ex + rest_s * vx, ey + rest_s * vy))
 
 
 _LANDING: dict[FilterKind, Callable[[Situation, TargetState, Vec3], Vec3]] = {

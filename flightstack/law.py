@@ -138,7 +138,7 @@ class RobustLaw:
     def take(self, sample: TargetSample) -> None:
         """Update the estimate."""
         self._estimator.update(
-            sample.source_time_s, sample.position_enu_m, sample.velocity_enu_m_s, sample.yaw_rate_rad_s
+            sample.source_time_s, sample.position_enu_m, sample.velocity_enu_m_s, sample.yaw_rad
         )
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState | None:

@@ -75,7 +75,8 @@ class MotionMemory:
     position_enu_m: Vec3 = ZERO  # at that time, like the rest
     velocity_enu_m_s: Vec3 = ZERO
     acceleration_enu_m_s2: Vec3 = ZERO
-    turn_rate_rad_s: float = 0.0  # of the acceleration's direction
+    yaw_rad: float | None = None  # measured last, None if it is not known
+    turn_rate_rad_s: float = 0.0  # at which velocity and acceleration turn
     surprise: float = 1.0  # squares of what x and y missed by, over what was expected; 1 on average
     covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of x and of y: they have the same
     covariance_z: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

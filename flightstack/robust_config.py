@@ -63,6 +63,8 @@ class TargetLink:
     # times the jerk on x and y, while samples surprise the estimator; 1: always the same
     jerk_growth_max: Annotated[float, Range(1.0, 100.0)] = 1.0
     acceleration_xy_m_s2: Annotated[float, Range(0.001, 10.0)] = 0.3  # before anything is known
+    acceleration_time_s: Annotated[float, Range(0.05, 1000.0)] = 0.5  # in which that on x and y fades, unseen
+    turns_with_yaw: bool = True  # its velocity does, as of all wheeled robots but those that go sideways
     acceleration_z_m_s2: Annotated[float, Range(0.001, 10.0)] = 0.01
 
 
@@ -88,6 +90,7 @@ class Robust:
     gain_1_s: Annotated[float, Range(0.1, 5.0)] = 1.2  # position loop on the way to the pad
     gain_over_pad_1_s: Annotated[float, Range(0.1, 5.0)] = 2.0  # the same horizontally, over the pad
     descent_min_m_s: Annotated[float, Range(0.01, 1.0)] = 0.1  # slowest on the way, above the waiting height
+    descent_max_m_s: Annotated[float, Range(0.05, 10.0)] = 1.0  # fastest on the way, relative to the pad
     wait_height_m: Annotated[float, Range(0.03, 3.0)] = 0.1  # above the pad until it may go down
     commit_height_m: Annotated[float, Range(0.05, 3.0)] = 0.22  # from here it goes down in one go
     commit_radius_m: Annotated[float, Range(0.005, 1.0)] = 0.04  # if it is so near to the middle

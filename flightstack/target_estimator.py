@@ -4,10 +4,12 @@ Each axis is a triple integrator driven by white jerk; samples measure position 
 stamp, and the state is carried from there to now. x and y have the same noise. Lost samples make the
 uncertainty grow, late ones are taken at the time they were measured.
 
-A wheeled robot's acceleration turns with it: in a bend its direction changes all the time and its amount does
-not. So the horizontal acceleration turns at the yaw rate that the samples tell, and the jerk is only what is
-left. Turning makes no acceleration longer: of a robot that slides, or a wrong yaw rate, no more than the
-direction is believed. The covariances of x and y are equal, so turning leaves them as they are.
+A wheeled robot's velocity turns with it, and nothing else turns it: so the horizontal velocity turns at the
+rate at which the measured yaw does (coordinated turn). What acceleration there is besides comes from setting
+off and braking, and does not last: it fades (R. A. Singer, Estimating Optimal Tracking Filter Performance for
+Manned Maneuvering Targets, IEEE Transactions on Aerospace and Electronic Systems 6(4), 1970). Carried on over
+a gap, an acceleration that lasted would make the target faster than any robot. The vertical one lasts: a deck
+heaves for seconds. The covariances of x and y are equal, so turning leaves them as they are.
 
 While the samples miss by more than expected, the jerk on x and y is raised, up to a factor: a robot that
 brakes is followed at once, and one that drives on is known better than by any one jerk.
@@ -25,6 +27,7 @@ from flightstack.types import ZERO, Vec3
 RESTART_S = 1.0  # s between two samples; checks.target_age_max_s is no longer, so the target was lost before
 
 TURN_TIME_S = 0.3  # low-pass of the yaw rate: differences of two measured yaws are noisy
+TURN_RATE_MAX_RAD_S = 3.0  # a TurtleBot3 turns at up to 2.84 (ROBOTIS, specifications)
 SURPRISE_TIME_S = 0.15  # low-pass of the squared misses; three samples at 20 Hz
 TURN_MAX_RAD = 0.5  # in one step; so far the series of _turned are exact to 1e-5
 
@@ -38,6 +41,15 @@ class TargetMotion(NamedTuple):
     position_sigma_m: float  # standard deviation of x and of y
     position_sigma_z_m: float
     velocity_sigma_m_s: float
+
+
+class _Time(NamedTuple):
+    """A time, and what an acceleration adds to position and velocity over it, and what is left of it."""
+
+    s: float
+    to_position_s2: float
+    to_velocity_s: float
+    left: float
 
 
 class _Noise(NamedTuple):
@@ -59,12 +71,13 @@ class TargetEstimator:
     def __init__(self, link: TargetLink) -> None:
         self.memory = MotionMemory()
         self._growth2_max = link.jerk_growth_max**2
+        self._fade_s, self._turns = link.acceleration_time_s, link.turns_with_yaw
         position2, velocity2 = link.position_noise_m**2, link.velocity_noise_m_s**2
         self._xy = _Noise(position2, velocity2, link.jerk_xy_m_s3_sqrthz**2, link.acceleration_xy_m_s2**2)
         self._z = _Noise(position2, velocity2, link.jerk_z_m_s3_sqrthz**2, link.acceleration_z_m_s2**2)
 
     def update(
-        self, time_s: float, position_enu_m: Vec3, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float = 0.0
+        self, time_s: float, position_enu_m: Vec3, velocity_enu_m_s: Vec3, yaw_rad: float = math.nan
     ) -> None:
         """Take a sample; one that is older than the last, or follows a long gap, starts anew.
 
@@ -72,24 +85,27 @@ class TargetEstimator:
             time_s: stamp of the measurement, on the sender's clock.
             position_enu_m: measured.
             velocity_enu_m_s: measured.
-            yaw_rate_rad_s: measured; 0 if unknown or not finite.
+            yaw_rad: measured; not finite if unknown, then it is taken not to turn.
         """
         memory = self.memory
         dt_s = time_s - memory.time_s
-        turn_rate_rad_s = yaw_rate_rad_s if math.isfinite(yaw_rate_rad_s) else 0.0
+        before_rad, memory.yaw_rad = memory.yaw_rad, yaw_rad if math.isfinite(yaw_rad) else None
         memory.time_s = time_s
         if not 0.0 < dt_s <= RESTART_S:  # also the very first, where it is NaN
             memory.position_enu_m, memory.velocity_enu_m_s = position_enu_m, velocity_enu_m_s
-            memory.acceleration_enu_m_s2, memory.turn_rate_rad_s, memory.surprise = ZERO, turn_rate_rad_s, 1.0
+            memory.acceleration_enu_m_s2, memory.turn_rate_rad_s, memory.surprise = ZERO, 0.0, 1.0
             memory.covariance_xy, memory.covariance_z = _start(self._xy), _start(self._z)
             return
-        memory.turn_rate_rad_s += dt_s / (dt_s + TURN_TIME_S) * (turn_rate_rad_s - memory.turn_rate_rad_s)
-        position, velocity, acceleration = _carried(memory, dt_s)
+        if self._turns:
+            turned_rad_s = _turn_rate(before_rad, memory.yaw_rad, dt_s)
+            memory.turn_rate_rad_s += dt_s / (dt_s + TURN_TIME_S) * (turned_rad_s - memory.turn_rate_rad_s)
+        fading, lasting = self._fading(dt_s), _lasting(dt_s)
+        position, velocity, acceleration = _carried(memory, fading, lasting)
         memory.covariance_xy, gains_xy, weights = _correct(
-            _propagate(memory.covariance_xy, dt_s, self._jerk2_xy()), self._xy
+            _propagate(memory.covariance_xy, fading, self._jerk2_xy()), self._xy
         )
         memory.covariance_z, gains_z, _ = _correct(
-            _propagate(memory.covariance_z, dt_s, self._z.jerk2), self._z
+            _propagate(memory.covariance_z, lasting, self._z.jerk2), self._z
         )
         (p, q, r), (u, v, w), (a, b, c) = position, velocity, acceleration
         x = _corrected(gains_xy, p, u, a, position_enu_m[0], velocity_enu_m_s[0])
@@ -119,85 +135,117 @@ class TargetEstimator:
         dt_s = time_s - memory.time_s
         if math.isnan(dt_s):
             raise ValueError("no target sample yet: there is no motion to carry on")
-        ahead_s = max(0.0, dt_s)
+        fading, lasting = self._fading(dt_s), _lasting(dt_s)
+        carried = _carried(memory, fading, lasting)
+        if dt_s < 0.0:  # it was no less certain then
+            fading = lasting = _lasting(0.0)
         jerk2_xy = self._jerk2_xy()
         return TargetMotion(
-            *_carried(memory, dt_s),
-            math.sqrt(_position_variance(memory.covariance_xy, ahead_s, jerk2_xy)),
-            math.sqrt(_position_variance(memory.covariance_z, ahead_s, self._z.jerk2)),
-            math.sqrt(_velocity_variance(memory.covariance_xy, ahead_s, jerk2_xy)),
+            *carried,
+            math.sqrt(_position_variance(memory.covariance_xy, fading, jerk2_xy)),
+            math.sqrt(_position_variance(memory.covariance_z, lasting, self._z.jerk2)),
+            math.sqrt(_velocity_variance(memory.covariance_xy, fading, jerk2_xy)),
         )
 
+    def _fading(self, dt_s: float) -> _Time:
+        """Of an acceleration that fades."""
+        fade_s, share = self._fade_s, dt_s / self._fade_s
+        gone = -math.expm1(-share)
+        to_velocity_s = fade_s * gone
+        if abs(share) < 0.01:  # the difference below loses digits: its series, to 1e-10
+            bent = 0.5 - share / 6.0 * (1.0 - share / 4.0 * (1.0 - share / 5.0))
+            return _Time(dt_s, dt_s * dt_s * bent, to_velocity_s, 1.0 - gone)
+        return _Time(dt_s, fade_s * (dt_s - to_velocity_s), to_velocity_s, 1.0 - gone)
 
-def _carried(memory: MotionMemory, dt_s: float) -> tuple[Vec3, Vec3, Vec3]:
-    """Position, velocity and acceleration ``dt_s`` later, with an acceleration that turns."""
+
+def _turn_rate(before_rad: float | None, after_rad: float | None, dt_s: float) -> float:
+    """Between two measured yaws, 0 if one is not known."""
+    if before_rad is None or after_rad is None:
+        return 0.0
+    rate_rad_s = math.remainder(after_rad - before_rad, math.tau) / dt_s
+    return max(-TURN_RATE_MAX_RAD_S, min(TURN_RATE_MAX_RAD_S, rate_rad_s))
+
+
+def _lasting(dt_s: float) -> _Time:
+    return _Time(dt_s, 0.5 * dt_s * dt_s, dt_s, 1.0)
+
+
+def _carried(memory: MotionMemory, fading: _Time, lasting: _Time) -> tuple[Vec3, Vec3, Vec3]:
+    """Position, velocity and acceleration later: x and y turn and fade.
+
+    With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); that is the acceleration turning, too.
+    Its part of the position turns by two thirds of the angle, the mean weighted with what it adds.
+    """
     (x, y, z), (vx, vy, vz), (ax, ay, az) = (
         memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2,
     )  # fmt: skip
-    t, half = dt_s, 0.5 * dt_s * dt_s
-    turned = max(-TURN_MAX_RAD, min(TURN_MAX_RAD, memory.turn_rate_rad_s * dt_s))
-    cos, sin, v_along, v_across, p_along, p_across = _turned(turned)
+    t, p, v, left = fading
+    _, pz, vz_, left_z = lasting
+    turned = max(-TURN_MAX_RAD, min(TURN_MAX_RAD, memory.turn_rate_rad_s * t))
+    cos, sin, along, across, p_cos, p_sin = _turned(turned)
+    ux, uy = vx + v * ax, vy + v * ay
     return (
         (
-            x + t * vx + t * t * (p_along * ax - p_across * ay),
-            y + t * vy + t * t * (p_along * ay + p_across * ax),
-            z + t * vz + half * az,
+            x + t * (along * vx - across * vy) + p * (p_cos * ax - p_sin * ay),
+            y + t * (along * vy + across * vx) + p * (p_cos * ay + p_sin * ax),
+            z + t * vz + pz * az,
         ),
-        (
-            vx + t * (v_along * ax - v_across * ay),
-            vy + t * (v_along * ay + v_across * ax),
-            vz + t * az,
-        ),
-        (cos * ax - sin * ay, cos * ay + sin * ax, az),
+        (cos * ux - sin * uy, cos * uy + sin * ux, vz + vz_ * az),
+        (left * (cos * ax - sin * ay), left * (cos * ay + sin * ax), left_z * az),
     )
 
 
 def _turned(angle_rad: float) -> tuple[float, float, float, float, float, float]:
-    """Parts along and across of a vector that has turned, of its mean, and of the mean of that over the time.
+    """Cosine and sine of an angle, of the mean on the way there, and of two thirds of it.
 
-    Series, since they are needed at zero, and the same on every machine: sin x / x, (1 - cos x) / x and
-    (1 - cos x) / x^2, (x - sin x) / x^2.
+    Series, since the mean is needed at zero: sin x / x and (1 - cos x) / x.
     """
     x2 = angle_rad * angle_rad
-    v_along = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0)
-    p_along = 0.5 - x2 / 24.0 * (1.0 - x2 / 30.0)
-    v_across = angle_rad * p_along
-    p_across = angle_rad / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0))
-    return 1.0 - angle_rad * v_across, angle_rad * v_along, v_along, v_across, p_along, p_across
-
-
-def _propagate(covariance: Covariance, dt_s: float, jerk2: float) -> Covariance:
-    """Covariance of a triple integrator driven by white jerk of density ``jerk2``, ``dt_s`` later."""
-    pp, pv, pa, vv, va, aa = covariance
-    t = dt_s
-    t2 = t * t
-    half = 0.5 * t2
-    q = jerk2 * t
+    along = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0)
+    across = angle_rad * (0.5 - x2 / 24.0 * (1.0 - x2 / 30.0))
+    two_thirds = angle_rad * (2.0 / 3.0)
+    y2 = two_thirds * two_thirds
     return (
-        pp + 2.0 * t * pv + t2 * (pa + vv) + t * t2 * va + half * half * aa + q * t2 * t2 / 20.0,
-        pv + t * (vv + pa) + 1.5 * t2 * va + half * t * aa + q * t * t2 / 8.0,
-        pa + t * va + half * aa + q * t2 / 6.0,
-        vv + 2.0 * t * va + t2 * aa + q * t2 / 3.0,
-        va + t * aa + q * t / 2.0,
-        aa + q,
+        1.0 - angle_rad * across,
+        angle_rad * along,
+        along,
+        across,
+        1.0 - 0.5 * y2 * (1.0 - y2 / 12.0),
+        two_thirds * (1.0 - y2 / 6.0),
     )
 
 
-def _position_variance(covariance: Covariance, dt_s: float, jerk2: float) -> float:
+def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
+    """Covariance later, driven by white jerk of density ``jerk2``, of which nothing fades: the safe side."""
+    pp, pv, pa, vv, va, aa = covariance
+    t, p, v, left = time
+    t2 = t * t
+    q = jerk2 * t
+    return (
+        pp + 2.0 * (t * pv + p * pa + t * p * va) + t2 * vv + p * p * aa + q * t2 * t2 / 20.0,
+        pv + v * pa + t * vv + (t * v + p) * va + p * v * aa + q * t * t2 / 8.0,
+        left * (pa + t * va + p * aa) + q * t2 / 6.0,
+        vv + 2.0 * v * va + v * v * aa + q * t2 / 3.0,
+        left * (va + v * aa) + q * t / 2.0,
+        left * left * aa + q,
+    )
+
+
+def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
     """First number of ``_propagate``."""
     pp, pv, pa, vv, va, aa = covariance
-    t2 = dt_s * dt_s
+    t, p, _, _ = time
+    t2 = t * t
     return (
-        pp + 2.0 * dt_s * pv + t2 * (pa + vv) + dt_s * t2 * va + 0.25 * t2 * t2 * aa
-        + jerk2 * dt_s * t2 * t2 / 20.0
+        pp + 2.0 * (t * pv + p * pa + t * p * va) + t2 * vv + p * p * aa + jerk2 * t * t2 * t2 / 20.0
     )  # fmt: skip
 
 
-def _velocity_variance(covariance: Covariance, dt_s: float, jerk2: float) -> float:
+def _velocity_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
     """Fourth number of ``_propagate``."""
     _, _, _, vv, va, aa = covariance
-    t2 = dt_s * dt_s
-    return vv + 2.0 * dt_s * va + t2 * aa + jerk2 * dt_s * t2 / 3.0
+    t, _, v, _ = time
+    return vv + 2.0 * v * va + v * v * aa + jerk2 * t * t * t / 3.0
 
 
 def _start(noise: _Noise) -> Covariance:

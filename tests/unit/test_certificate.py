@@ -210,9 +210,9 @@ def test_the_estimators_own_errors_are_used_and_shrink_with_its_rate():
         assert 0.0 < fresh < usual < lost
     # of a target that hardly ever changes its acceleration the first sample leaves most open
     first = estimate_errors(TargetLink(jerk_xy_m_s3_sqrthz=0.01, acceleration_xy_m_s2=3.0), 50.0, 0.25)
-    assert first.lost.position_sigma_m == pytest.approx(
-        math.hypot(0.005, 0.02 * 0.25, 1.5 * 0.25**2), rel=1e-3
-    )
+    gone_s = 0.5 - 0.5 * math.exp(-0.25 / 0.5)  # acceleration_time_s is 0.5
+    expected_m = math.hypot(0.005, 0.02 * 0.25, 3.0 * 0.5 * (0.25 - gone_s))
+    assert first.lost.position_sigma_m == pytest.approx(expected_m, rel=1e-3)
 
 
 def test_between_samples_the_margin_grows_by_what_is_counted_as_lost():

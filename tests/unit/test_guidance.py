@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from flightstack import guidance
@@ -32,13 +32,13 @@ SHAPES = [PAPER, ROBUST]
 
 def asked(
     phase, settings=ROBUST, e=(0.5, -0.4, 1.0), memory=None, *, own=True, target=True, own_ok=True,
-    target_ok=True, armed=True, landed=Landed.IN_AIR, status=True,
+    target_ok=True, armed=True, landed=Landed.IN_AIR, status=True, velocity=ZERO,
 ):  # fmt: skip
     """The wish in one situation."""
     memory = memory if memory is not None else Memory()
     memory.phase = phase
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
-    state = OwnState(0.0, 0.0, position, ZERO, 0.0)
+    state = OwnState(0.0, 0.0, position, velocity, 0.0)
     word = VehicleStatus(0.0, armed, Mode.EXTERNAL, landed, True)
     inputs = Inputs(state if own else None, word if status else None)
     known = TargetState(0.0, PAD, MOVING, 0.0)
@@ -126,16 +126,44 @@ def test_the_papers_landing_is_proportional_with_the_targets_velocity(e):
 def test_the_robust_landing_waits_low_over_the_middle(e):
     r = ROBUST.robust
     for phase, gain in ((Phase.APPROACH, r.gain_1_s), (Phase.LAND, r.gain_over_pad_1_s)):
-        found = asked(phase, ROBUST, e)
+        found = asked(phase, ROBUST, e, velocity=MOVING)
         assert found.velocity[:2] == pytest.approx(
             [v - gain * x for v, x in zip(MOVING[:2], e[:2], strict=True)]
         )
-        above, rising = e[2] - r.wait_height_m, found.velocity[2] - MOVING[2]
+        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # first over the ring, as high above it
+        above = e[2] - r.wait_height_m - (BARRIER.peak_height_m if far else 0.0)
+        rising = found.velocity[2] - MOVING[2]
         if above > 0.0:
-            assert rising == pytest.approx(-max(r.gain_1_s * above, r.descent_min_m_s))
+            down = min(max(r.gain_1_s * above, r.descent_min_m_s), r.descent_max_m_s)
+            assert rising == pytest.approx(-down)
         else:
             assert rising == pytest.approx(-r.gain_1_s * above)
         assert found.filtered
+
+
+near = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(0.0, 2.0))
+
+
+@given(near, st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)))
+def test_who_comes_to_rest_beyond_the_middle_does_not_sink_below_the_barrier_there(e, slip):
+    """The place by driving there in small steps; on this side of the middle nothing changes."""
+    r = ROBUST.robust
+    brakes = guidance.BRAKING * r.acceleration_max_m_s2[0]
+    speed, (x, y), passed = math.hypot(*slip), e[:2], False
+    flown = (slip[0] + MOVING[0], slip[1] + MOVING[1], 0.0)
+    if speed > 0.0:
+        for n in range(2000):
+            share = (1.0 - (n + 0.5) / 2000) * speed / brakes / 2000
+            x, y = x + share * slip[0], y + share * slip[1]
+            passed = passed or x * slip[0] + y * slip[1] > 0.0
+    assume(speed == 0.0 or abs(x * slip[0] + y * slip[1]) > 1e-5 * speed)
+    ahead = BARRIER.height(math.hypot(x, y)) if passed else 0.0
+    above = e[2] - r.wait_height_m - ahead
+    rising = asked(Phase.APPROACH, e=e, velocity=flown).velocity[2] - MOVING[2]
+    down = min(max(r.gain_1_s * above, r.descent_min_m_s), r.descent_max_m_s)
+    expected = -down if above > 0.0 else -r.gain_1_s * above
+    assume(abs(above) > 1e-4)
+    assert rising == pytest.approx(expected, abs=1e-4)
 
 
 def test_by_contact_it_descends_until_there_is_contact():

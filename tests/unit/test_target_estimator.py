@@ -31,30 +31,30 @@ links = st.builds(
     jerk_z_m_s3_sqrthz=st.floats(0.02, 10.0),
     acceleration_xy_m_s2=st.floats(0.05, 3.0),
     acceleration_z_m_s2=st.floats(0.01, 3.0),
+    acceleration_time_s=st.one_of(st.floats(0.05, 2.0), st.floats(2.0, 1000.0)),
 )
 
 
 def assumed(link, axis):
-    """Jerk and first acceleration of an axis."""
+    """Jerk, first acceleration and the time in which it fades, of an axis."""
     if axis == 2:
-        return link.jerk_z_m_s3_sqrthz, link.acceleration_z_m_s2
-    return link.jerk_xy_m_s3_sqrthz, link.acceleration_xy_m_s2
+        return link.jerk_z_m_s3_sqrthz, link.acceleration_z_m_s2, math.inf
+    return link.jerk_xy_m_s3_sqrthz, link.acceleration_xy_m_s2, link.acceleration_time_s
 
 
 @functools.cache
-def carried(jerk, dt_s):
-    """Transition and noise of a triple integrator over a time, by matrix exponential (Van Loan)."""
+def carried(jerk, fade_s, dt_s):
+    """Transition and noise over a time, by matrix exponential (Van Loan): the noise is that of no fading."""
     drift, noise = np.diag([1.0, 1.0], 1), np.diag([0.0, 0.0, jerk**2])
     block = expm(np.block([[-drift, noise], [np.zeros((3, 3)), drift.T]]) * dt_s)
-    f = block[3:, 3:].T
-    return f, f @ block[:3, 3:]
+    return expm((drift - np.diag([0.0, 0.0, 1.0 / fade_s])) * dt_s), block[3:, 3:].T @ block[:3, 3:]
 
 
 class ByMatrices:
     """The text-book filter of one axis, both measurements in one update."""
 
     def __init__(self, link, axis):
-        self.jerk, self.prior = assumed(link, axis)
+        self.jerk, self.prior, self.fade_s = assumed(link, axis)
         self.r = np.diag([link.position_noise_m**2, link.velocity_noise_m_s**2])
         self.t, self.x, self.p = None, None, None
 
@@ -64,15 +64,15 @@ class ByMatrices:
             self.t, self.x = t_s, np.array([position, velocity, 0.0])
             self.p = np.diag([self.r[0, 0], self.r[1, 1], self.prior**2])
             return
-        f, q = carried(self.jerk, t_s - self.t)
+        f, q = carried(self.jerk, self.fade_s, t_s - self.t)
         x, p, h = f @ self.x, f @ self.p @ f.T + q, np.eye(2, 3)
         k = p @ h.T @ np.linalg.inv(h @ p @ h.T + self.r)
         rest = np.eye(3) - k @ h
         self.t, self.x, self.p = t_s, x + k @ (z - h @ x), rest @ p @ rest.T + k @ self.r @ k.T
 
     def at(self, t_s):
-        f, _ = carried(self.jerk, t_s - self.t)
-        f_ahead, q_ahead = carried(self.jerk, max(0.0, t_s - self.t))
+        f, _ = carried(self.jerk, self.fade_s, t_s - self.t)
+        f_ahead, q_ahead = carried(self.jerk, self.fade_s, max(0.0, t_s - self.t))
         return f @ self.x, f_ahead @ self.p @ f_ahead.T + q_ahead
 
 
@@ -137,7 +137,8 @@ def driven(chance, link, times_s):
         if t_s > before_s:
             state = state.copy()
             for axis in range(3):
-                f, q = carried(assumed(link, axis)[0], round(t_s - before_s, 6))
+                jerk, _, fade_s = assumed(link, axis)
+                f, q = carried(jerk, fade_s, round(t_s - before_s, 6))
                 noise = [chance.gauss(0.0, 1.0) for _ in range(3)]
                 state[axis] = f @ state[axis] + np.linalg.cholesky(q) @ noise
         before_s = t_s
