@@ -8,7 +8,7 @@ logged, replayed and flown by.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
@@ -112,6 +112,11 @@ class TargetSpec:
             return any_type_key(self.domain, self.name)
         return bridge_key(self.name) if self.dialect is Dialect.ROS2DDS else self.name
 
+    @property
+    def fixed_key(self) -> str:
+        """Key expression of the transforms that are said once for good: ``/tf_static`` beside ``/tf``."""
+        return replace(self, name=f"{self.name}_static").key
+
     def described(self) -> dict[str, str]:
         """For the log: where its odometry came from, and what was done to it."""
         x, y, z = self.offset_m
@@ -151,6 +156,9 @@ class TargetSource:
     ) -> None:
         declare = zenoh_link.fifo_subscriber if lossless else zenoh_link.ring_subscriber
         self._subscriber = declare(session, spec.key, CAPACITY)
+        self._fixed = (
+            zenoh_link.kept_subscriber(session, spec.fixed_key) if spec.type is TargetType.TF else None
+        )
         self._spec, self._frame, self._child = spec, frame_id, child_frame_id
         self._link, self._until_look = link, 0
         self._track = PoseTrack(link, child_frame_id)
@@ -167,18 +175,29 @@ class TargetSource:
 
     def poll(self) -> list[RawSample]:
         """Take all that has come, oldest first, as odometry; never blocks."""
+        if self._fixed is not None:
+            self._take(self._fixed, self._fixed_transforms)
+        return self._take(self._subscriber, self._convert)
+
+    def _take(
+        self, subscriber: zenoh_link.Subscriber, convert: Callable[[bytes], list[bytes]]
+    ) -> list[RawSample]:
         taken: list[RawSample] = []
-        for sample in zenoh_link.drain(self._subscriber):
+        for sample in zenoh_link.drain(subscriber):
             raw = raw_sample(sample)
             if self._spec.dialect is Dialect.RMW_ZENOH and not self._is_wanted(str(sample.key_expr)):
                 continue
             try:
-                payloads = self._convert(raw.payload)
+                payloads = convert(raw.payload)
             except OdometryError as error:
                 self._refuse(f"{self._spec.text}: {error}")
                 continue
             taken += [raw._replace(payload=payload) for payload in payloads]
         return taken
+
+    def knows_fixed(self, child_frame_id: str) -> bool:
+        """Whether ``/tf_static`` has said where this frame is fixed to."""
+        return self._chain.is_fixed(child_frame_id)
 
     def take_problems(self) -> list[str]:
         """Texts since the last call, each of them once a flight."""
@@ -186,8 +205,10 @@ class TargetSource:
         return texts
 
     def close(self) -> None:
-        """Undeclare the subscriber."""
+        """Undeclare the subscribers."""
         self._subscriber.undeclare()
+        if self._fixed is not None:
+            self._fixed.undeclare()
 
     def _is_wanted(self, key: str) -> bool:
         """Whether a key of the topic is of the type that we read."""
@@ -248,6 +269,10 @@ class TargetSource:
         if self._chain.problem:
             self._tell(f"{self._spec.text}: {self._chain.problem}")
         return self._followed(poses)
+
+    def _fixed_transforms(self, payload: bytes) -> list[bytes]:
+        self._chain.take_fixed(decode_transforms(payload))
+        return []
 
     def _followed(self, poses: list[Pose]) -> list[bytes]:
         payloads = [self._track.take(shift_pose(pose, self._spec.offset_m)) for pose in poses]

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+import zenoh.ext
 
 Session = Any  # the zenoh package's own types are not relied on
 Publisher = Any
@@ -171,6 +172,19 @@ def ring_subscriber(session: Session, key: str, capacity: int = 256) -> Subscrib
 def fifo_subscriber(session: Session, key: str, capacity: int = 1024) -> Subscriber:
     """Declare a subscriber that loses nothing: when full it holds up the connection (lockstep)."""
     return session.declare_subscriber(_key(key), zenoh.handlers.FifoChannel(capacity))
+
+
+def kept_subscriber(session: Session, key: str, capacity: int = 256) -> Subscriber:
+    """Declare a ring subscriber that is also sent what publishers keep for who comes late.
+
+    ROS 2's *transient local*: rmw_zenoh and zenoh-bridge-ros2dds keep it in advanced publishers.
+    """
+    return zenoh.ext.declare_advanced_subscriber(
+        session,
+        _key(key),
+        zenoh.handlers.RingChannel(capacity),
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+    )
 
 
 def liveliness_token(session: Session, key: str) -> Any:

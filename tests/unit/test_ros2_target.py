@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from zenoh.ext import declare_advanced_publisher
+from zenoh.ext import CacheConfig, declare_advanced_publisher
 
 from bridge import zenoh_link
 from bridge.cdr import OdometryError
@@ -216,6 +216,43 @@ def test_a_target_without_a_velocity_gets_one(kind):
         assert last.velocity_enu_m_s == pytest.approx((0.2, 0.0, 0.0), abs=0.01)
         assert last.source_time_s == pytest.approx(moving(59)[1] / 1e9)
         assert listening.refused == 0
+
+
+@pytest.mark.parametrize("prefix", ["ros2:", "ros2dds:"])
+@pytest.mark.parametrize("early", [True, False])
+def test_a_landing_spot_fixed_to_the_robot_is_found_by_tf_alone(prefix, early):
+    """Said once and kept for who comes late, as robot_state_publisher does (transient local)."""
+    with ros.network(2) as (_, ours, robot_session, state_session):
+        spec = TargetSpec.parse(f"{prefix}/tf", TargetType.TF)
+        typed = ROS_TYPES[TargetType.TF]
+        keys = [
+            topic_key(0, name, *typed) if prefix == "ros2:" else name.removeprefix("/")
+            for name in ("/tf", "/tf_static")
+        ]
+        kept = declare_advanced_publisher(
+            state_session, keys[1], cache=CacheConfig(1), publisher_detection=True
+        )
+        place = ros.transforms((0, "wheels", CHILD, (0.1, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0)))
+        if early:
+            kept.put(place, attachment=attachment(1, STAMP))
+        listening = TargetSource(ours, spec, FRAME, CHILD, TargetLink())
+        robot = Robot(robot_session, keys[0])
+        robot.wait()
+        if not early:
+            kept.put(place, attachment=attachment(1, STAMP))
+        until(lambda: listening.poll() == [] and listening.knows_fixed(CHILD), "the fixed transform")
+        for i in range(60):
+            position, stamp_ns = moving(i)
+            robot.put(ros.transforms((stamp_ns, FRAME, "wheels", position, quaternion_from_yaw(math.pi / 2))))
+        samples = collect(listening, 50)
+        until(lambda: samples.extend(listening.poll()) or samples[-1].sequence == 60, "the last")
+        last = sample_from_cdr(samples[-1].payload, 0.0)
+        x, y, z = moving(59)[0]
+        assert last.position_enu_m == pytest.approx((x, y + 0.1, z + 0.3))
+        assert last.velocity_enu_m_s == pytest.approx((0.2, 0.0, 0.0), abs=0.01)
+        assert last.source_time_s == pytest.approx(moving(59)[1] / 1e9)
+        assert listening.refused == 0
+        listening.close()
 
 
 def one_edge(parent, child):

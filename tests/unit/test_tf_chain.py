@@ -89,3 +89,54 @@ def test_other_robots_do_not_fill_the_memory():
         chain.take([edge(0, "map", f"f{i}")])
     assert len(chain._edges) == FRAMES_MAX
     assert len(chain.take([edge(1, "f0", "foot")])) == 1
+
+
+def test_a_frame_fixed_to_one_that_moves_goes_with_it_and_has_its_time():
+    chance = np.random.default_rng(4)
+    for _ in range(50):
+        poses = []
+        for _ in range(5):
+            q = chance.normal(size=4)
+            poses.append((tuple(map(float, chance.normal(size=3))), tuple(map(float, q / np.linalg.norm(q)))))
+        frames = [
+            "map",
+            "room",
+            "foot",
+            "base",
+            "mast",
+            "pad",
+        ]  # the room is fixed in the map, the robot moves
+        edges = [edge(7, frames[i], frames[i + 1], *poses[i]) for i in range(5)]
+        chain = TransformChain("map", "pad")
+        assert chain.take([edges[1]]) == []
+        assert "no transform of 'pad' yet" in chain.problem
+        chain.take_fixed([edges[4], edges[0]])
+        chain.take_fixed([edges[2]._replace(child_frame_id="/base"), edges[3]])
+        late = 100 * SECOND  # what is fixed has no age
+        [found] = chain.take([edge(late, "room", "foot", *poses[1])])
+        wanted = np.linalg.multi_dot([matrix(*one) for one in poses])
+        assert (found.stamp_ns, found.frame_id, chain.problem) == (late, "map", "")
+        assert matrix(found.position_m, found.orientation_wxyz) == pytest.approx(wanted, abs=1e-12)
+
+
+def test_what_is_fixed_everywhere_is_not_known_to_be_there():
+    chain = TransformChain("map", "pad")
+    chain.take_fixed([edge(0, "map", "robot"), edge(0, "robot", "pad")])
+    assert chain.take([edge(0, "map", "another")]) == []
+    assert chain.problem == "no transform of 'map' yet, to which 'pad' is fixed"
+
+
+def test_a_frame_that_moves_is_not_held_by_what_was_said_of_it_before():
+    chain = TransformChain("map", "foot")
+    chain.take_fixed([edge(0, "map", "foot", (9.0, 9.0, 9.0)), edge(0, "map", "odom", (9.0, 9.0, 9.0))])
+    [found] = chain.take([edge(3, "odom", "foot", (1.0, 0.0, 0.0)), edge(3, "map", "odom", (0.0, 2.0, 0.0))])
+    assert found.position_m == (1.0, 2.0, 0.0)
+
+
+def test_fixed_circles_end():
+    chain = TransformChain("map", "foot")
+    chain.take_fixed([edge(0, "b", "foot"), edge(0, "foot", "b")])
+    assert chain.take([edge(1, "map", "other")]) == []
+    assert "no transform of" in chain.problem
+    chain.take_fixed([edge(0, "map", f"f{i}") for i in range(3 * FRAMES_MAX)])
+    assert len(chain._fixed) == FRAMES_MAX
