@@ -20,7 +20,7 @@ _HEADER = b"\x00\x01\x00\x00"  # CDR version 1, little endian, no options
 _STAMP = struct.Struct("<iI")
 _LENGTH = struct.Struct("<I")
 _DOUBLES = struct.Struct("<85d")
-_POSE_AND_TWIST = struct.Struct("<7d288x6d288x")  # the same without the covariances
+_POSE_AND_TWIST = struct.Struct("<8d48xd224x7d48xd224x")  # of the covariances the variances of x and y alone
 _STRINGS_AT = 12  # bytes: header 4, stamp 8
 _NS_PER_S = 1_000_000_000
 _ENCODINGS = {
@@ -116,11 +116,11 @@ def decode_odometry(payload: bytes) -> Odometry:
 
 
 def decode_pose_and_twist(payload: bytes) -> tuple[int, str, str, tuple[float, ...]]:
-    """Parse what the controller needs, at half the cost: the covariances are skipped.
+    """Parse what the controller needs, at half the cost: most of the covariances is skipped.
 
     Returns:
-        Stamp in nanoseconds, frame, child frame, and 13 numbers as on the wire: position, orientation
-        x y z w, linear and angular twist.
+        Stamp in nanoseconds, frame, child frame, and 17 numbers as on the wire: position, orientation
+        x y z w, variances of x and y, linear and angular twist, variances of the linear one's x and y.
 
     Raises:
         OdometryError: as ``decode_odometry``.

@@ -18,6 +18,7 @@ from bridge.cdr import (
     encode_odometry,
 )
 from bridge.frames import Quat, world_from_body, world_from_body_velocity, yaw_from_quaternion
+from bridge.pose_noise import sigma_of
 from flightstack.types import TargetSample, Vec3
 
 __all__ = [
@@ -65,9 +66,10 @@ def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
         OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
     """
     stamp_ns, frame_id, child_frame_id, n = decode_pose_and_twist(payload)
+    px, py, pz, x, y, z, w, pose_xx, pose_yy, vx, vy, vz, rx, ry, rz, twist_xx, twist_yy = n
+    n = (px, py, pz, x, y, z, w, vx, vy, vz, rx, ry, rz)
     if not (math.isfinite(sum(n)) and max(n) < _LARGEST and min(n) > -_LARGEST):
         raise OdometryError(f"odometry holds a number that is not finite or beyond 1e9: {n}")
-    px, py, pz, x, y, z, w, vx, vy, vz, rx, ry, rz = n
     squared = w * w + x * x + y * y + z * z
     if abs(squared - 1.0) > _UNIT_TOLERANCE:
         raise OdometryError(
@@ -85,6 +87,8 @@ def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
         velocity_enu_m_s=world_from_body_velocity(q, (vx, vy, vz)),
         yaw_rad=yaw_from_quaternion(q),
         yaw_rate_rad_s=world_from_body(q, (rx, ry, rz))[2],
+        position_sigma_m=sigma_of(pose_xx, pose_yy) or 0.0,
+        velocity_sigma_m_s=sigma_of(twist_xx, twist_yy) or 0.0,
     )
 
 

@@ -25,7 +25,15 @@ class MeasurementNoise(NamedTuple):
 
 def noise_of(pose_covariance: Sequence[float], twist_covariance: Sequence[float]) -> MeasurementNoise:
     """Read position and linear velocity out of two covariances of 36 numbers."""
-    return MeasurementNoise(_sigma(pose_covariance), _sigma(twist_covariance))
+    return MeasurementNoise(
+        sigma_of(pose_covariance[0], pose_covariance[7]), sigma_of(twist_covariance[0], twist_covariance[7])
+    )
+
+
+def sigma_of(variance_x: float, variance_y: float) -> float | None:
+    """The larger standard deviation of x and y, ``None`` where the sender does not say."""
+    known = 0.0 < variance_x < _UNUSED_M2 and 0.0 < variance_y < _UNUSED_M2  # False for NaN
+    return math.sqrt(max(variance_x, variance_y)) if known else None
 
 
 def worse_than_told(noise: MeasurementNoise, link: TargetLink) -> str:
@@ -39,10 +47,7 @@ def worse_than_told(noise: MeasurementNoise, link: TargetLink) -> str:
             found.append(f"{sigma:.3g} {unit} where target.{name} is {told:g}")
     if not found:
         return ""
-    return f"its covariance says {' and '.join(found)}: configure what it says, margins are made of that"
-
-
-def _sigma(covariance: Sequence[float]) -> float | None:
-    variance = max(covariance[0], covariance[7])
-    known = min(covariance[0], covariance[7]) > 0.0 and math.isfinite(variance) and variance < _UNUSED_M2
-    return math.sqrt(variance) if known else None
+    return (
+        f"its covariance says {' and '.join(found)}: flown with larger margins; configure what it says, the "
+        "certificate counts that"
+    )

@@ -138,7 +138,12 @@ class RobustLaw:
     def take(self, sample: TargetSample) -> None:
         """Update the estimate."""
         self._estimator.update(
-            sample.source_time_s, sample.position_enu_m, sample.velocity_enu_m_s, sample.yaw_rad
+            sample.source_time_s,
+            sample.position_enu_m,
+            sample.velocity_enu_m_s,
+            sample.yaw_rad,
+            sample.position_sigma_m,
+            sample.velocity_sigma_m_s,
         )
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState | None:

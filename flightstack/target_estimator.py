@@ -60,6 +60,12 @@ class _Noise(NamedTuple):
     jerk2: float
     acceleration2: float
 
+    def at_least(self, position_sigma: float, velocity_sigma: float) -> _Noise:
+        """With measurements no better than these."""
+        return self._replace(
+            position2=max(self.position2, position_sigma**2), velocity2=max(self.velocity2, velocity_sigma**2)
+        )
+
 
 class TargetEstimator:
     """The filter; ``memory`` is all of its state.
@@ -77,7 +83,13 @@ class TargetEstimator:
         self._z = _Noise(position2, velocity2, link.jerk_z_m_s3_sqrthz**2, link.acceleration_z_m_s2**2)
 
     def update(
-        self, time_s: float, position_enu_m: Vec3, velocity_enu_m_s: Vec3, yaw_rad: float = math.nan
+        self,
+        time_s: float,
+        position_enu_m: Vec3,
+        velocity_enu_m_s: Vec3,
+        yaw_rad: float = math.nan,
+        position_sigma_m: float = 0.0,
+        velocity_sigma_m_s: float = 0.0,
     ) -> None:
         """Take a sample; one that is older than the last, or follows a long gap, starts anew.
 
@@ -86,15 +98,21 @@ class TargetEstimator:
             position_enu_m: measured.
             velocity_enu_m_s: measured.
             yaw_rad: measured; not finite if unknown, then it is taken not to turn.
+            position_sigma_m: standard deviation of x and of y, where the sender says that it is larger than
+                configured; a sender that says less is not believed.
+            velocity_sigma_m_s: likewise.
         """
         memory = self.memory
         dt_s = time_s - memory.time_s
         before_rad, memory.yaw_rad = memory.yaw_rad, yaw_rad if math.isfinite(yaw_rad) else None
         memory.time_s = time_s
+        xy = self._xy
+        if position_sigma_m > 0.0 or velocity_sigma_m_s > 0.0:
+            xy = xy.at_least(position_sigma_m, velocity_sigma_m_s)
         if not 0.0 < dt_s <= RESTART_S:  # also the very first, where it is NaN
             memory.position_enu_m, memory.velocity_enu_m_s = position_enu_m, velocity_enu_m_s
             memory.acceleration_enu_m_s2, memory.turn_rate_rad_s, memory.surprise = ZERO, 0.0, 1.0
-            memory.covariance_xy, memory.covariance_z = _start(self._xy), _start(self._z)
+            memory.covariance_xy, memory.covariance_z = _start(xy), _start(self._z)
             return
         if self._turns:
             turned_rad_s = _turn_rate(before_rad, memory.yaw_rad, dt_s)
@@ -102,7 +120,7 @@ class TargetEstimator:
         fading, lasting = self._fading(dt_s), _lasting(dt_s)
         position, velocity, acceleration = _carried(memory, fading, lasting)
         memory.covariance_xy, gains_xy, weights = _correct(
-            _propagate(memory.covariance_xy, fading, self._jerk2_xy()), self._xy
+            _propagate(memory.covariance_xy, fading, self._jerk2_xy()), xy
         )
         memory.covariance_z, gains_z, _ = _correct(
             _propagate(memory.covariance_z, lasting, self._z.jerk2), self._z

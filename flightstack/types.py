@@ -99,6 +99,8 @@ class TargetSample:
     velocity_enu_m_s: Vec3
     yaw_rad: float
     yaw_rate_rad_s: float
+    position_sigma_m: float = 0.0  # standard deviation of x and y as the sender has it, the larger; 0: unsaid
+    velocity_sigma_m_s: float = 0.0  # the same
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ _NS = 1_000_000_000  # nanoseconds in a second
 _MAP = b"map\x00"
 _TICK = struct.Struct("<4siII4sQ")  # encapsulation, stamp, frame "map", tick
 _INPUT = struct.Struct("<4siII4sQd8B10dI")  # up to the number of samples; ends four bytes off alignment
-_SAMPLE = struct.Struct("<10d")
+_SAMPLE = struct.Struct("<12d")
 _U32 = struct.Struct("<I")
 _NO_STATUS = (0, 0, 0, 0, 0.0)
 _NO_OWN = (0.0,) * 9
@@ -68,7 +68,7 @@ def pack_controller_input(
             _names(s.frame_id, s.child_frame_id, off),
             _SAMPLE.pack(
                 s.arrival_s, s.source_time_s, *s.position_enu_m, *s.velocity_enu_m_s, s.yaw_rad,
-                s.yaw_rate_rad_s,
+                s.yaw_rate_rad_s, s.position_sigma_m, s.velocity_sigma_m_s,
             ),
         )  # fmt: skip
         off = 0
@@ -95,7 +95,7 @@ def unpack_controller_input(data: bytes) -> ControllerInputRow:
             at = _aligned(at, 8)
             n = _SAMPLE.unpack_from(data, at)
             at += _SAMPLE.size
-            samples.append(TargetSample(n[0], n[1], frame_id, child_frame_id, n[2:5], n[5:8], n[8], n[9]))
+            samples.append(TargetSample(n[0], n[1], frame_id, child_frame_id, n[2:5], n[5:8], *n[8:]))
     except struct.error as error:
         raise ValueError(f"ControllerInput of {len(data)} bytes is cut short: {error}") from error
     if at != len(data):

@@ -1,5 +1,6 @@
 import math
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -191,3 +192,35 @@ def test_anything_else_is_no_attachment(data):
 def test_publisher_id_of_wrong_length_is_refused():
     with pytest.raises(ValueError, match="16"):
         pack_attachment(1, 2, b"short")
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "sigma"),
+    [
+        (0.0, 0.0, 0.0),  # unknown (nav_msgs/msg/Odometry)
+        (0.0004, 0.0009, 0.03),
+        (0.0009, 0.0004, 0.03),
+        (0.0004, 0.0, 0.0),
+        (-1.0, -1.0, 0.0),
+        (1e6, 1e6, 0.0),  # what is not measured, by habit
+        (math.nan, 0.01, 0.0),
+        (0.01, math.nan, 0.0),
+        (math.inf, 0.01, 0.0),
+    ],
+)
+def test_what_a_sender_says_of_its_accuracy_is_in_the_sample(x, y, sigma):
+    """Through rosbags' encoder; everything else in the covariances means nothing here."""
+    covariance = np.random.default_rng(1).normal(size=36)
+    covariance[0], covariance[7] = x, y
+    for name, field in (
+        ("pose_covariance", "position_sigma_m"), ("twist_covariance", "velocity_sigma_m_s"),
+    ):  # fmt: skip
+        odometry = Odometry(
+            10**9, "map", "base", (1.0, 2.0, 3.0), (S, 0.0, 0.0, S), (0.2, 0.0, 0.0), (0.0, 0.0, 0.3)
+        )
+        payload = bytes(
+            STORE.serialize_cdr(ros_message(replace(odometry, **{name: tuple(covariance)})), NAME)
+        )
+        found = sample_from_cdr(payload, 0.0)
+        assert getattr(found, field) == pytest.approx(sigma)
+        assert replace(found, **{field: 0.0}) == sample_from_cdr(encode(odometry), 0.0)

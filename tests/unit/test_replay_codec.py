@@ -23,7 +23,7 @@ owns = st.builds(OwnState, floats, floats, vec3, vec3, floats)
 statuses = st.builds(
     VehicleStatus, floats, st.booleans(), st.sampled_from(Mode), st.sampled_from(Landed), st.booleans()
 )
-samples = st.builds(TargetSample, floats, floats, texts, texts, vec3, vec3, floats, floats)
+samples = st.builds(TargetSample, floats, floats, texts, texts, vec3, vec3, floats, floats, floats, floats)
 inputs = st.builds(
     Inputs,
     st.none() | owns,
@@ -57,7 +57,8 @@ def as_message(stamp_ns, tick, now_s, given, failed):
                 frame_id=s.frame_id, child_frame_id=s.child_frame_id, arrival_s=s.arrival_s,
                 source_time_s=s.source_time_s, position_enu_m=vector(s.position_enu_m),
                 velocity_enu_m_s=vector(s.velocity_enu_m_s), yaw_rad=s.yaw_rad,
-                yaw_rate_rad_s=s.yaw_rate_rad_s,
+                yaw_rate_rad_s=s.yaw_rate_rad_s, position_sigma_m=s.position_sigma_m,
+                velocity_sigma_m_s=s.velocity_sigma_m_s,
             )
             for s in given.target_samples
         ],

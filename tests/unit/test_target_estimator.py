@@ -314,3 +314,27 @@ def test_a_sample_that_is_not_believed_changes_nothing(changes):
     assert controller.state.motion == before
     controller.step(Inputs(target_samples=(sample(1.0),)), 1.0)
     assert controller.state.motion.time_s == 1001.0
+
+
+def fed(link, said=(0.0, 0.0), count=60):
+    estimator, chance = TargetEstimator(link), random.Random(8)
+    for n in range(count):
+        position, velocity = circle(0.02 * n)
+        noisy = tuple(a + chance.gauss(0.0, 0.02) for a in position)
+        estimator.update(0.02 * n, noisy, velocity, math.nan, *said)
+    return estimator
+
+
+@given(st.floats(0.0, 0.2), st.floats(0.0, 1.0))
+def test_a_sender_that_says_it_is_worse_is_believed_and_one_that_is_better_is_not(position_m, velocity_m_s):
+    """On x and y; upwards robots on wheels say anything."""
+    found = fed(LINK, (position_m, velocity_m_s))
+    noise = {
+        "position_noise_m": max(position_m, LINK.position_noise_m),
+        "velocity_noise_m_s": max(velocity_m_s, LINK.velocity_noise_m_s),
+    }
+    configured = fed(replace(LINK, **noise))
+    assert found.memory.covariance_xy == pytest.approx(configured.memory.covariance_xy, rel=1e-12)
+    assert found.memory.position_enu_m[:2] == pytest.approx(configured.memory.position_enu_m[:2], abs=1e-12)
+    assert found.memory.covariance_z == fed(LINK).memory.covariance_z
+    assert found.at(1.3).position_sigma_m >= fed(LINK).at(1.3).position_sigma_m
