@@ -51,21 +51,35 @@ def watch(
     """
     from bridge import zenoh_link
 
-    previous = signal.signal(signal.SIGTERM, _end)
+    ended = Ended()
+    previous = {number: signal.signal(number, ended.end) for number in (signal.SIGINT, signal.SIGTERM)}
     if zenoh_config is None:
         connect = connect or (DEFAULT,)
     session = zenoh_link.open_session([], connect, config_file=zenoh_config)
     role, whom = zenoh_link.dialled(connect, config_file=zenoh_config)
-    source = Source(session, role, ", ".join(whom), namespace)
+    source = Source(session, role, ", ".join(whom), namespace, ended)
     try:
         if once:
             sys.exit(_once(source, as_json, timeout_s))
         (_stream if as_json else _live)(source)
-    except (KeyboardInterrupt, BrokenPipeError):
-        pass  # how watching ends
+    except BrokenPipeError:
+        pass  # who read it has gone
     finally:
         session.close()
-        signal.signal(signal.SIGTERM, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+class Ended:
+    """Whether Ctrl-C or SIGTERM came; an exception out of nowhere is lost in code that is not Python."""
+
+    def __init__(self) -> None:
+        self.yes = False
+
+    def end(self, number: int, frame: FrameType | None) -> None:
+        """Handle the signal."""
+        del number, frame
+        self.yes = True
 
 
 class Source(NamedTuple):
@@ -75,17 +89,13 @@ class Source(NamedTuple):
     role: Role
     whom: str
     namespace: str
+    ended: Ended
 
     def watch(self) -> Watch:
         """Begin to listen."""
         from flightstack.watch import Watch
 
         return Watch(self.session, self.namespace, role=self.role)
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    del number, frame
-    raise KeyboardInterrupt
 
 
 def _once(source: Source, as_json: bool, timeout_s: float) -> int:
@@ -98,6 +108,8 @@ def _once(source: Source, as_json: bool, timeout_s: float) -> int:
     seen = source.watch()
     until_s = time.monotonic() + timeout_s
     while not (seen.news is News.FRESH and seen.health is not None) and time.monotonic() < until_s:
+        if source.ended.yes:
+            break
         time.sleep(LOOK_S)
         seen.poll()
     if as_json:
@@ -111,7 +123,7 @@ def _stream(source: Source) -> None:
     from flightstack.watch_json import snapshot
 
     seen = source.watch()
-    while True:
+    while not source.ended.yes:
         time.sleep(0.5)
         seen.poll()
         click.echo(json.dumps(snapshot(seen)))
@@ -125,6 +137,6 @@ def _live(source: Source) -> None:
     title = f"{source.namespace} at {source.whom}"
     view = LiveView(source.session, source.namespace, title, Console(), source.whom, source.role)
     with view.live:
-        while True:
+        while not source.ended.yes:
             time.sleep(1.0 / REFRESH_HZ)
             view.poll()

@@ -1,5 +1,6 @@
 """The configurations of docs/zenoh.md in use: certificates, passwords, rules, and a router that dies."""
 
+import itertools
 import json
 import os
 import re
@@ -76,23 +77,27 @@ def router(kind):
         session.close()
 
 
+questions = itertools.count()
+
+
 def who_hears(sessions, sender, key):
     """Names of those whom a sample on the key reaches."""
+    asked, marks = (f"{word} {next(questions)}".encode() for word in ("asked", "mark"))
     publisher = zenoh_link.dropping_publisher(sessions[sender], key)
     mark = zenoh_link.dropping_publisher(sessions["robot"], TARGET)
     heard = {name: zenoh_link.ring_subscriber(session, "cf1/**") for name, session in sessions.items()}
     others = [name for name in sessions if name not in (sender, "robot")]
-    found, marked = set(), set()
+    found, marked = set(), set()  # of this question: what was asked before may still be on its way
 
     def passed():
         # What the robot sends passes; it comes after what we ask about, and tells when to look.
-        publisher.put(b"asked")
-        mark.put(b"mark")
+        publisher.put(asked)
+        mark.put(marks)
         for name, subscriber in heard.items():
             for sample in zenoh_link.drain(subscriber):
                 payload = sample.payload.to_bytes()
-                found.update({name} if payload == b"asked" and name != sender else set())
-                marked.update({name} if payload == b"mark" else set())
+                found.update({name} if payload == asked and name != sender else set())
+                marked.update({name} if payload == marks else set())
         return marked.issuperset(others)
 
     until(passed, "what the robot sends")
