@@ -29,13 +29,20 @@ def matrix(position, q):
     return out
 
 
+def placed(chance, count):
+    """Places and unit quaternions by chance."""
+    turns = chance.normal(size=(count, 4))
+    turns /= np.linalg.norm(turns, axis=1)[:, None]
+    return [
+        (tuple(place), tuple(q))
+        for place, q in zip(chance.normal(size=(count, 3)).tolist(), turns.tolist(), strict=True)
+    ]
+
+
 def test_a_chain_of_random_turns_is_the_product_of_matrices():
     chance = np.random.default_rng(3)
     for _ in range(50):
-        poses = []
-        for _ in range(3):
-            q = chance.normal(size=4)
-            poses.append((tuple(map(float, chance.normal(size=3))), tuple(map(float, q / np.linalg.norm(q)))))
+        poses = placed(chance, 3)
         chain = TransformChain("map", "base")
         frames = ["map", "odom", "foot", "base"]
         [found] = chain.take(edge(5, frames[i], frames[i + 1], *poses[i]) for i in range(3))
@@ -94,10 +101,7 @@ def test_other_robots_do_not_fill_the_memory():
 def test_a_frame_fixed_to_one_that_moves_goes_with_it_and_has_its_time():
     chance = np.random.default_rng(4)
     for _ in range(50):
-        poses = []
-        for _ in range(5):
-            q = chance.normal(size=4)
-            poses.append((tuple(map(float, chance.normal(size=3))), tuple(map(float, q / np.linalg.norm(q)))))
+        poses = placed(chance, 5)
         frames = [
             "map",
             "room",
