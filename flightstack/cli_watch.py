@@ -71,7 +71,7 @@ def watch(
 
 
 class Ended:
-    """Whether Ctrl-C or SIGTERM came; an exception out of nowhere is lost in code that is not Python."""
+    """Whether SIGINT or SIGTERM came, SIGINT also to a shell's background job, which else ignores it."""
 
     def __init__(self) -> None:
         self.yes = False
