@@ -195,10 +195,6 @@ class TargetSource:
             taken += [raw._replace(payload=payload) for payload in payloads]
         return taken
 
-    def knows_fixed(self, child_frame_id: str) -> bool:
-        """Whether ``/tf_static`` has said where this frame is fixed to."""
-        return self._chain.is_fixed(child_frame_id)
-
     def take_problems(self) -> list[str]:
         """Texts since the last call, each of them once a flight."""
         texts, self._texts = self._texts, []

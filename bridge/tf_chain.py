@@ -38,10 +38,6 @@ class TransformChain:
             child, edge = _without_slash(transform)
             _keep(self._fixed, child, edge, child == self._child)
 
-    def is_fixed(self, child_frame_id: str) -> bool:
-        """Whether a frame is known to be fixed to another."""
-        return child_frame_id in self._fixed
-
     def take(self, transforms: Iterable[Transform]) -> list[Pose]:
         """Take the transforms of one message; returns the poses that they make known, oldest first."""
         taken = [_without_slash(transform) for transform in transforms]
@@ -51,9 +47,8 @@ class TransformChain:
         poses: list[Pose] = []
         for child, edge in taken:
             if child == carrier:
-                pose = self._climb(
-                    edge if place is None else _compose(edge, place, edge.stamp_ns), edge.stamp_ns
-                )
+                there = edge if place is None else _compose(edge, place._replace(stamp_ns=edge.stamp_ns))
+                pose = self._climb(there)
                 if pose is not None:
                     poses.append(pose)
         if not poses and carrier not in self._edges:
@@ -72,7 +67,7 @@ class TransformChain:
             frame, place = fixed.frame_id, fixed if place is None else _compose(fixed, place)
         return frame, place
 
-    def _climb(self, pose: Pose, stamp_ns: int) -> Pose | None:
+    def _climb(self, pose: Pose) -> Pose | None:
         for _ in range(DEPTH_MAX):
             if pose.frame_id == self._frame:
                 self.problem = ""
@@ -88,7 +83,7 @@ class TransformChain:
                     f"{self._frame!r}"
                 )
                 return None
-            age_s = (stamp_ns - above.stamp_ns) / 1e9
+            age_s = (pose.stamp_ns - above.stamp_ns) / 1e9
             if age_s > EDGE_AGE_MAX_S:
                 self.problem = (
                     f"the transform of {pose.frame_id!r} in {above.frame_id!r} is {age_s:.1f} s older than "
@@ -111,12 +106,12 @@ def _keep(edges: dict[str, Pose], child: str, edge: Pose, always: bool) -> None:
         edges[child] = edge
 
 
-def _compose(above: Pose, pose: Pose, stamp_ns: int | None = None) -> Pose:
-    """A pose in the frame that ``above`` is given in; its stamp is that of the lower one if none is given."""
+def _compose(above: Pose, pose: Pose) -> Pose:
+    """A pose in the frame that ``above`` is given in; the stamp stays that of the lower one."""
     x, y, z = world_from_body(above.orientation_wxyz, pose.position_m)
     ax, ay, az = above.position_m
     return Pose(
-        pose.stamp_ns if stamp_ns is None else stamp_ns,
+        pose.stamp_ns,
         above.frame_id,
         (ax + x, ay + y, az + z),
         _product(above.orientation_wxyz, pose.orientation_wxyz),

@@ -198,7 +198,7 @@ def _carried(memory: MotionMemory, fading: _Time, lasting: _Time) -> tuple[Vec3,
         memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2,
     )  # fmt: skip
     t, p, v, left = fading
-    _, pz, vz_, left_z = lasting
+    _, p_z, v_z, left_z = lasting
     turned = max(-TURN_MAX_RAD, min(TURN_MAX_RAD, memory.turn_rate_rad_s * t))
     cos, sin, along, across, p_cos, p_sin = _turned(turned)
     ux, uy = vx + v * ax, vy + v * ay
@@ -206,9 +206,9 @@ def _carried(memory: MotionMemory, fading: _Time, lasting: _Time) -> tuple[Vec3,
         (
             x + t * (along * vx - across * vy) + p * (p_cos * ax - p_sin * ay),
             y + t * (along * vy + across * vx) + p * (p_cos * ay + p_sin * ax),
-            z + t * vz + pz * az,
+            z + t * vz + p_z * az,
         ),
-        (cos * ux - sin * uy, cos * uy + sin * ux, vz + vz_ * az),
+        (cos * ux - sin * uy, cos * uy + sin * ux, vz + v_z * az),
         (left * (cos * ax - sin * ay), left * (cos * ay + sin * ax), left_z * az),
     )
 

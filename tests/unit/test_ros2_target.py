@@ -240,7 +240,7 @@ def test_a_landing_spot_fixed_to_the_robot_is_found_by_tf_alone(prefix, early):
         robot.wait()
         if not early:
             kept.put(place, attachment=attachment(1, STAMP))
-        until(lambda: listening.poll() == [] and listening.knows_fixed(CHILD), "the fixed transform")
+        until(lambda: listening.poll() == [] and CHILD in listening._chain._fixed, "the fixed transform")
         for i in range(60):
             position, stamp_ns = moving(i)
             robot.put(ros.transforms((stamp_ns, FRAME, "wheels", position, quaternion_from_yaw(math.pi / 2))))
