@@ -10,12 +10,15 @@ from __future__ import annotations
 import fcntl
 import json
 import platform
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from flightstack.certificate import problems
@@ -152,11 +155,13 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
         todo = list(missing(rows, wanted.first_seed, wanted.runs))
         try:
             if todo:
-                with RowsFile(folder / ROWS) as file:
+                with RowsFile(folder / ROWS) as file, _interrupts() as interrupts:
                     for row in _rows(wanted, todo, workers, cluster):
                         file.add([row])
                         fresh.append(row)
                         on_row(row)
+                        if interrupts:
+                            break
         except KeyboardInterrupt:
             pass  # told by the number of rows that are missing
         if todo:  # what is on the disk counts: the interrupt may have come between the file and our list
@@ -193,6 +198,26 @@ def _identity(wanted: Plan) -> dict[str, Any]:
         "machine": platform.machine(),
         **{name: metadata.version(name) for name in _PACKAGES},
     }
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Ctrl-C interrupts at once, or after the next row where the exception was lost on its way."""
+    came: list[int] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        del frame
+        came.append(number)
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # signals are not for others
+        yield came
+        return
+    previous = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGINT, previous)
 
 
 @contextmanager
