@@ -14,7 +14,14 @@ from typing import Annotated
 
 from flightstack.barrier import Barrier
 from flightstack.ends_config import Contact, Retreat, Takeoff, Touchdown
-from flightstack.robust_config import Envelope, OwnStateLink, Robust, TargetLink, VelocityLoop
+from flightstack.robust_config import (
+    Envelope,
+    OwnStateLink,
+    Robust,
+    TargetLink,
+    VelocityFeedback,
+    VelocityLoop,
+)
 from flightstack.strict_toml import ConfigError, Range, from_table, read_toml
 from flightstack.types import Vec3
 from flightstack.vehicle_config import VehicleSide
@@ -130,6 +137,7 @@ class FlightConfig:
     # what the robust filter assumes; the paper's does not look at it
     robust: Robust = field(default_factory=Robust)
     velocity_loop: VelocityLoop = field(default_factory=VelocityLoop)
+    velocity_feedback: VelocityFeedback = field(default_factory=VelocityFeedback)
     own: OwnStateLink = field(default_factory=OwnStateLink)
     target: TargetLink = field(default_factory=TargetLink)
     envelope: Envelope = field(default_factory=Envelope)  # what `check` proves it for

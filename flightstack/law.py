@@ -110,7 +110,9 @@ class RobustLaw:
         self._config, self._barrier = config, barrier
         self._most = config.limits.velocity_max_m_s
         self._estimator = TargetEstimator(config.target)
-        self._tracking = VelocityTracking(config.velocity_loop, 1.0 / config.loop.rate_hz)
+        self._tracking = VelocityTracking(
+            config.velocity_loop, 1.0 / config.loop.rate_hz, config.velocity_feedback, config.own.delay_s
+        )
         self._slope = barrier.slope(config.touchdown.pad_radius_m)  # steepest outside the pad
         self._lag_z_s = config.velocity_loop.lag_z_s
         # so that the margin is there in full where judging begins, at the pad's edge
