@@ -8,6 +8,7 @@ checks alone: it promises nothing of a vehicle that lags.
 from __future__ import annotations
 
 from flightstack import certificate_ends as ends
+from flightstack import certificate_feedback as feedback
 from flightstack import certificate_paper as paper
 from flightstack import certificate_robust as robust
 from flightstack import certificate_touchdown as touchdown
@@ -47,7 +48,7 @@ def _paper(config: FlightConfig) -> list[Check]:
 
 
 def _robust(config: FlightConfig) -> list[Check]:
-    x = extremes(config)
+    x, fed_back = extremes(config), config.velocity_feedback.horizontal
     return [
         paper.feasible(config, x.shape, x.target_climb_m_s),
         robust.recovers(config, x),
@@ -66,7 +67,7 @@ def _robust(config: FlightConfig) -> list[Check]:
         robust.slew(config, x),
         robust.holds(config, x),
         robust.estimator(config, x),
-        touchdown.damping(config, x),
+        *(feedback.comes_to_rest(config) if fed_back else [touchdown.damping(config, x)]),
         touchdown.drift(config, x),
     ]
 

@@ -194,12 +194,14 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
 def drift(config: FlightConfig, x: Extremes) -> Check:
     """From the decision to go down the vehicle stays over the pad until contact."""
     farthest, when_s = drift_m(config, x)
+    lead = not config.velocity_feedback.horizontal
     return Check(
         "drift",
         "once it goes down it touches the pad, whatever the target does",
-        x.pad_radius_m - farthest,
+        x.pad_radius_m - farthest if lead else math.nan,
         "m",
-        f"{1000.0 * farthest:.3g} mm from the middle after {when_s:.2f} s; the pad has "
+        ("" if lead else "with the lead instead of velocity_feedback, of which no bound is known: ")
+        + f"{1000.0 * farthest:.3g} mm from the middle after {when_s:.2f} s; the pad has "
         f"{1000.0 * x.pad_radius_m:g} mm",
         "lower robust.commit_speed_m_s or robust.commit_radius_m; it will go around more often instead",
         Need.PROOF,

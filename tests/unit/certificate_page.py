@@ -3,6 +3,7 @@
 python -m tests.unit.certificate_page
 """
 
+import math
 from pathlib import Path
 
 from flightstack.certificate import checks
@@ -52,7 +53,9 @@ def worked():
             row("last descent takes at most, s", lambda c, x: f"{descent_time_s(c, x):.2f}"),
             row("starts down within, mm; slip, m/s",
                 lambda c, x: f"{1e3 * c.robust.commit_radius_m:.0f}; {c.robust.commit_speed_m_s:g}"),
-            row("then drifts at most, mm", lambda c, x: f"{1e3 * drift_m(c, x)[0]:.0f}"),
+            row("then drifts at most, mm",
+                lambda c, x: "unknown" if c.velocity_feedback.horizontal
+                else f"{1e3 * drift_m(c, x)[0]:.0f}"),
             row("of h to climb away, needed, mm; kept",
                 lambda c, x: f"{1e3 * turn_back_m(c, x):.0f}; {1e3 * c.retreat.h_left_m:.0f}"),
         ]
@@ -78,7 +81,9 @@ def verdicts():
     names = list(dict.fromkeys(name for result in results for name in result))
 
     def word(check):
-        return "–" if check is None else "proven" if check.proven else f"**{check.room:.2g} {check.unit}**"
+        if check is None or check.proven:
+            return "–" if check is None else "proven"
+        return "**unknown**" if math.isnan(check.room) else f"**{check.room:.2g} {check.unit}**"
 
     rows = [(name, [word(result.get(name)) for result in results]) for name in names]
     return _table([_row(name, words) for name, words in rows if any("*" in w for w in words)])

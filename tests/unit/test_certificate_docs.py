@@ -38,7 +38,8 @@ def test_every_parameter_it_names_exists():
 
 
 def test_every_check_it_names_exists():
-    names = {check.name for check in checks(config())}
+    plain, fed_back = config(), config(velocity_feedback={"horizontal": True})
+    names = {check.name for settings in (plain, fed_back) for check in checks(settings)}
     for named in re.findall(r"[Cc]heck \*([a-z ]+)\*", TEXT):
         assert named in names, named
 

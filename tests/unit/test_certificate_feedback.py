@@ -1,0 +1,135 @@
+"""What is proven of the fed-back loop, against the code that flies and a plant with a delay."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from flightstack.certificate import checks, problems
+from flightstack.certificate_feedback import decay_1_s, linear
+from flightstack.types import ZERO
+from flightstack.velocity_tracking import VelocityTracking
+from sim.scenario import load
+from tests.unit.certificate_helpers import config, one
+from tests.unit.tracking_helpers import Plant
+
+STORM = load("storm").onboard
+FEEDBACK = {
+    "horizontal": True, "error_rate_1_s": 4.5, "tilt_rate_1_s": 15.0, "observer_rate_1_s": 25.0,
+}  # fmt: skip
+BASE = {
+    "velocity_feedback": FEEDBACK,
+    "velocity_loop": {"rate_xy_1_s": 5.2, "damping": 0.68, "slope_time_s": 0.04, "error_max_m_s": 5.0},
+    "own": {"delay_s": 0.03},
+    "robust": {"gain_over_pad_1_s": 2.4},
+}
+WIDE = (50.0, 50.0, 50.0)
+
+
+def fed_back(**sections):
+    merged = {name: {**values, **sections.get(name, {})} for name, values in BASE.items()}
+    return config(**{**sections, **merged})
+
+
+def flown(settings_, factor, seconds, start_m):
+    """Position against the target of a vehicle at rest that is ``start_m`` off, tick by tick."""
+    period_s, gain = 1.0 / settings_.loop.rate_hz, settings_.robust.gain_over_pad_1_s
+    tracking = VelocityTracking(
+        settings_.velocity_loop, period_s, settings_.velocity_feedback, settings_.own.delay_s
+    )
+    plant, late = Plant(settings_.velocity_loop, rate=factor), round(settings_.own.delay_s / period_s)
+    position, before, measured, sent, path = start_m, -gain * start_m, [0.0] * (late + 1), ZERO, []
+    for n in range(round(seconds / period_s)):
+        tracking.observe((measured[-1 - late], 0.0, 0.0), commanding=n > 0)
+        wanted = -gain * position
+        setpoint = tracking.command(
+            (before, 0.0, 0.0), (wanted, 0.0, 0.0), (measured[-1 - late], 0.0, 0.0), WIDE
+        )
+        plant.fly(sent)  # it comes a tick late
+        before, sent = wanted, setpoint
+        position += period_s * plant.velocity[0]
+        measured.append(plant.velocity[0])
+        path.append(position)
+    return np.array(path)
+
+
+@given(share=st.floats(0.0, 1.0))
+@settings(max_examples=25, deadline=None)
+def test_every_vehicle_of_the_spread_comes_to_rest_at_least_as_fast_as_proven(share):
+    settings_ = fed_back()
+    slower, faster = 1.0 / 1.3, 1.0 / 0.7
+    proven, _ = decay_1_s(settings_, slower, faster)
+    assert proven > 0.3
+    path = np.abs(flown(settings_, slower + share * (faster - slower), 14.0, 0.05))
+    early, late = path[200:500].max(), path[1000:1300].max()  # 8 s later
+    assert late <= early * np.exp(-8.0 * proven) + 1e-12
+
+
+@pytest.mark.parametrize("factor", [1.0 / 1.3, 1.0, 1.2])
+def test_the_matrix_is_the_loop_that_flies(factor):
+    """The first second and a half of the way back, with the code's own ticks."""
+    settings_ = fed_back()
+    period_s = 1.0 / settings_.loop.rate_hz
+    state, step = np.zeros(8), expm(linear(settings_, factor) * period_s)
+    state[0] = 0.05
+    path = []
+    for _ in range(150):
+        state = step @ state
+        path.append(state[0])
+    assert np.abs(flown(settings_, factor, 1.5, 0.05) - path).max() < 0.1 * 0.05
+
+
+def test_a_vehicle_may_differ_in_rate_and_damping_on_their_own():
+    a, b = linear(STORM, 1.1), linear(STORM, 1.1, 1.1)
+    assert (a == b).all()
+    assert np.flatnonzero(np.any(linear(STORM, 1.1, 0.9) != a, axis=1)).tolist() == [2]
+
+
+def test_what_decays_in_parts_decays_as_a_whole():
+    whole, _ = decay_1_s(STORM, 0.8, 1.3)
+    parts = min(decay_1_s(STORM, low, high)[0] for low, high in ((0.8, 1.0), (1.0, 1.3)))
+    assert whole == pytest.approx(parts, rel=0.05)
+    assert decay_1_s(STORM, 1.0, 1.0)[0] >= whole
+
+
+@given(st.floats(0.6, 1.6))
+@settings(max_examples=30, deadline=None)
+def test_no_rate_is_proven_beyond_that_of_the_poles(factor):
+    slowest = -np.linalg.eigvals(linear(STORM, factor)).real.max()
+    low, high = min(factor, 1.0), max(factor, 1.0)
+    assert decay_1_s(STORM, low, high)[0] <= max(0.0, slowest)
+
+
+def test_the_checks_are_there_with_feedback_alone():
+    assert one("velocity feedback", **BASE).proven
+    assert one("velocity feedback, spread", **BASE).proven
+    names = {check.name for check in checks(config())}
+    assert "position loop" in names
+    assert not any(name.startswith("velocity feedback") for name in names)
+    with_it = {check.name for check in checks(fed_back())}
+    assert "position loop" not in with_it
+    assert not one("drift", **BASE).proven  # derived for the lead
+    assert one("drift").proven
+
+
+def test_a_loop_that_swings_with_a_quicker_vehicle_is_not_proven_but_may_fly():
+    hard = {"velocity_feedback": {**FEEDBACK, "error_rate_1_s": 9.0}}
+    found = one("velocity feedback, spread", **{**BASE, **hard})
+    assert not found.proven
+    assert found.remedy
+    assert one("velocity feedback", **{**BASE, **hard}).proven
+    assert not [text for text in problems(config(**{**BASE, **hard})) if "velocity feedback" in text]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"velocity_feedback": {**FEEDBACK, "error_rate_1_s": 20.0, "tilt_rate_1_s": 30.0}},
+        {"loop": {"rate_hz": 20}},
+        {"own": {"delay_s": 0.15}},
+    ],
+)
+def test_a_loop_that_swings_by_itself_must_not_fly(wrong):
+    refused = problems(config(**{**BASE, **wrong}))
+    assert any(text.startswith("velocity feedback:") for text in refused)
