@@ -51,8 +51,8 @@ class VelocityFeedback:
     """
 
     horizontal: bool = False
-    error_rate_1_s: Annotated[float, Range(0.5, 20.0)] = 4.5  # at which a wrong velocity is mended
-    tilt_rate_1_s: Annotated[float, Range(1.0, 50.0)] = 15.0  # at which the acceleration for that is reached
+    error_rate_1_s: Annotated[float, Range(0.5, 20.0)] = 5.0  # at which a wrong velocity is mended
+    tilt_rate_1_s: Annotated[float, Range(1.0, 50.0)] = 13.0  # at which the acceleration for that is reached
     observer_rate_1_s: Annotated[float, Range(1.0, 50.0)] = 25.0  # at which disturbances are learned
     acceleration_max_m_s2: Annotated[float, Range(0.2, 20.0)] = (
         3.0  # wanted; 3.5 tilt a vehicle by 20 degrees
