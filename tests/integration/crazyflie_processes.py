@@ -78,7 +78,10 @@ def fly(one: Client, server: Server) -> None:
     """Armed, taken off, in OFFBOARD with a stream of zeros."""
     ready = lambda m: is_a("SYS_STATUS")(m) and m.onboard_control_sensors_health & 0x10000000  # noqa: E731
     one.until(ready, each=one.hello)
-    one.send(one.command(400, 1.0), one.command(22))
+    armed = lambda m: m.get_type() == "HEARTBEAT" and m.base_mode & 0x80  # noqa: E731
+    # a machine that stops for a moment makes poses stale, and arming is refused: as a pilot would, ask again
+    one.until(armed, each=lambda: one.send(one.command(400, 1.0)))
+    one.send(one.command(22))
     one.until(is_a("COMMAND_ACK", command=22, result=0))
     one.until(is_a("HEARTBEAT", custom_mode=HOLD), each=one.hello)
     one.send(setpoint(), one.command(176, 1.0, 6.0))
