@@ -36,7 +36,13 @@ Of the robust filter, by `sim/campaign/tiers.py`; crashes and misses that nobody
 Time is the median to first contact against that of the paper's filter.
 
 """
-TAIL = "\nHow the storm is landed in, and what was tried: [storm.md](storm.md).\n"
+TAIL = """
+How the storm is landed in, and what was tried: [storm.md](storm.md).
+
+`deck` bounds the tilt (set-points at most 0.4 m/s ahead of the velocity). With 0.6 m/s one of 10,000, a weak
+vehicle, came 11 mm below the barrier while the deck rose under it; with 0.4 m/s three others gave up in the
+air, high above it, because they did not fly what they were told.
+"""
 ASKED_COLUMNS = ("tier", "landed", "violations", "error", "speed", "time", "result")
 COLUMNS = (
     "tier, filter",
