@@ -11,7 +11,6 @@ import click
 
 from flightstack import cli_options as shared
 from flightstack.cli_bridge import bridge
-from flightstack.cli_campaign import campaign
 from flightstack.cli_check import check
 from flightstack.cli_identify import identify
 from flightstack.cli_log import diff, log
@@ -33,6 +32,7 @@ from flightstack.cli_zenoh import (
 )
 from flightstack.config import FilterKind
 from flightstack.strict_toml import ConfigError
+from sim.campaign.verb import campaign
 
 LANDED, FLEW, WRONG_INPUT = 0, 1, 2
 
