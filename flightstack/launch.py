@@ -23,7 +23,7 @@ from bridge.ros2_network import Ros2Network
 from flightstack.certificate import problems
 from flightstack.config import FilterKind
 from flightstack.live import REFRESH_HZ, LiveView
-from flightstack.processes import Child, Port
+from flightstack.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from logs.feed import Feed
 from sim.autopilot.geo import ORIGIN_WGS84
@@ -193,6 +193,8 @@ class _Launcher:
             problem = self._watch(onboard, [vehicle, target, recorder], onboard_at, console)
             wall_s = time.monotonic() - started
             self.end_all()
+            if problem is None and recorder.process.returncode != 0:  # it may be behind the flight
+                problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
             return Run(self.scenario, self.folder, self.log, wall_s, self.interrupted, problem)
         finally:
             for number, handler in previous.items():
@@ -201,7 +203,7 @@ class _Launcher:
     def end_all(self) -> None:
         """End every child, the recorder last, so that it closes the log behind the others."""
         for child in reversed(self.children):
-            child.end()
+            child.end(CLOSE_TIME_MAX_S if child.name == "record" else END_TIME_MAX_S)
         self.children.clear()
         for port in self.ports:
             port.close()

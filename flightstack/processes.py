@@ -18,6 +18,7 @@ START_TIME_MAX_S = 120.0  # s until a child says ready: the first time the simul
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PRCTL = ctypes.CDLL(None).prctl if sys.platform == "linux" else None  # looked up before any fork
 END_TIME_MAX_S = 5.0  # s until a child that was asked to end has ended
+CLOSE_TIME_MAX_S = 60.0  # s for the recorder: what it was sent must reach a slow disk
 
 
 class LaunchError(RuntimeError):
@@ -82,12 +83,12 @@ class Child:
         """Whether it still runs."""
         return self.process.poll() is None
 
-    def end(self) -> int:
-        """Ask it to end, then make it; its exit status."""
+    def end(self, within_s: float = END_TIME_MAX_S) -> int:
+        """Ask it to end, after so many seconds make it; its exit status."""
         if self.alive():
             self.process.send_signal(signal.SIGTERM)
         try:
-            code = self.process.wait(END_TIME_MAX_S)
+            code = self.process.wait(within_s)
         except subprocess.TimeoutExpired:
             self.process.kill()
             code = self.process.wait()

@@ -31,10 +31,12 @@ def test_a_disk_that_fills_up_in_flight_ends_the_record_and_not_the_flight(tmp_p
     log = tmp_path / "flight.mcap"
     full = log.stat().st_size + 40_000  # a late recorder must not get to the end first
     resource.prlimit(run.children()["record"], resource.RLIMIT_FSIZE, (full, full))
-    run.wait_for("record ended in flight")
-    assert "writing failed (File too large)" in (tmp_path / "record.txt").read_text()
-    run.wait_for("-> LANDED")
     assert run.end() == 1  # landed, but the record of it is not whole
+    said = "\n".join(run.lines)  # in either order: in lockstep a recorder on a busy machine is seconds behind
+    assert "-> LANDED" in said
+    assert "record ended in flight" in said or "record did not end in order" in said
+    assert "writing failed (File too large)" in said
+    assert "writing failed (File too large)" in (tmp_path / "record.txt").read_text()
     assert log.stat().st_size <= full
     found = LogFile(log)
     assert sum(1 for _ in found.messages()) > 100
