@@ -10,6 +10,7 @@ import time
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from flightstack.pacing import ask_for_priority
 from sim.pacing import StopSignal, TickGrid
 from sim.process_deck import RealTimeDeck
 from sim.process_vehicle import VehicleNode
@@ -37,6 +38,7 @@ class RealTimeLoop:
             ticks: how many; None for no end.
         """
         node, grid = self._node, self._grid
+        ask_for_priority()  # a vehicle is nobody's ordinary process: its physics wait for no other program
         self._start_s = time.monotonic()
         node.log.epoch_ns = time.time_ns()  # making the vehicle took a while
         tick = 0
