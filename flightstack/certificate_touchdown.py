@@ -18,6 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from flightstack.certificate_envelope import Extremes
+from flightstack.certificate_follow import follow_m
 from flightstack.certificate_types import Check, Need
 from flightstack.config import FlightConfig
 from flightstack.guidance import CLIMB_OVER
@@ -193,17 +194,25 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
 
 def drift(config: FlightConfig, x: Extremes) -> Check:
     """From the decision to go down the vehicle stays over the pad until contact."""
-    farthest, when_s = drift_m(config, x)
-    lead = not config.velocity_feedback.horizontal
+    if config.velocity_feedback.horizontal:
+        farthest, vehicle = follow_m(config, x)
+        claim = "a target that it has followed cannot get away from under it, whatever it does"
+        worst = (
+            f"{1000.0 * farthest:.3g} mm from the middle, a velocity loop {vehicle:.3g} times as fast as told"
+        )
+        remedy = "lower envelope.lag_spread or envelope.target_acceleration_max_m_s2"
+    else:
+        farthest, when_s = drift_m(config, x)
+        claim = "once it goes down it touches the pad, whatever the target does"
+        worst = f"{1000.0 * farthest:.3g} mm from the middle after {when_s:.2f} s"
+        remedy = "lower robust.commit_speed_m_s or robust.commit_radius_m"
     return Check(
         "drift",
-        "once it goes down it touches the pad, whatever the target does",
-        x.pad_radius_m - farthest if lead else math.nan,
+        claim,
+        x.pad_radius_m - farthest,
         "m",
-        ("" if lead else "with the lead instead of velocity_feedback, of which no bound is known: ")
-        + f"{1000.0 * farthest:.3g} mm from the middle after {when_s:.2f} s; the pad has "
-        f"{1000.0 * x.pad_radius_m:g} mm",
-        "lower robust.commit_speed_m_s or robust.commit_radius_m; it will go around more often instead",
+        f"{worst}; the pad has {1000.0 * x.pad_radius_m:g} mm",
+        f"{remedy}; it will go around more often instead",
         Need.PROOF,
     )
 

@@ -98,7 +98,7 @@ def _show(name: str, config: FlightConfig, results: list[Check]) -> None:
         table.add_column(heading, justify="right" if heading == "room" else "left", overflow="fold")
     for result in results:
         word, colour = _WORDS[result.proven, result.need.value]
-        room = "unknown" if math.isnan(result.room) else f"{result.room:.3g} {result.unit}".strip()
+        room = "no bound" if math.isinf(result.room) else f"{result.room:.3g} {result.unit}".strip()
         claim = f"{result.name}: {result.claim}"
         table.add_row(Text(word, style=colour), Text(claim), Text(room), Text(result.worst))
     console = Console()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from flightstack.certificate import checks
 from flightstack.certificate_envelope import extremes
+from flightstack.certificate_follow import follow_m
 from flightstack.certificate_robust import between_ticks_m, demand, depth_m, outside
 from flightstack.certificate_touchdown import descent_time_s, drift_m
 from sim import scenario
@@ -54,8 +55,7 @@ def worked():
             row("starts down within, mm; slip, m/s",
                 lambda c, x: f"{1e3 * c.robust.commit_radius_m:.0f}; {c.robust.commit_speed_m_s:g}"),
             row("then drifts at most, mm",
-                lambda c, x: "unknown" if c.velocity_feedback.horizontal
-                else f"{1e3 * drift_m(c, x)[0]:.0f}"),
+                lambda c, x: f"{1e3 * (drift_m, follow_m)[c.velocity_feedback.horizontal](c, x)[0]:.0f}"),
             row("of h to climb away, needed, mm; kept",
                 lambda c, x: f"{1e3 * turn_back_m(c, x):.0f}; {1e3 * c.retreat.h_left_m:.0f}"),
         ]

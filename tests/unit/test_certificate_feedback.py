@@ -105,8 +105,6 @@ def test_the_checks_are_there_with_feedback_alone():
     assert not any(name.startswith("velocity feedback") for name in names)
     with_it = {check.name for check in checks(fed_back())}
     assert "position loop" not in with_it
-    assert not one("drift", **BASE).proven  # derived for the lead
-    assert one("drift").proven
 
 
 def test_a_loop_that_swings_with_a_quicker_vehicle_is_not_proven_but_may_fly():
