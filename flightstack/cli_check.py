@@ -61,9 +61,9 @@ def _load(name_or_file: str) -> FlightConfig:
             return from_table(FlightConfig, table["onboard"], "onboard")
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None
-    from sim import scenario
+    from flightstack.launch import onboard_of
 
-    return scenario.load(name_or_file).onboard
+    return onboard_of(name_or_file)
 
 
 def _as_json(name: str, config: FlightConfig, results: list[Check]) -> dict[str, object]:

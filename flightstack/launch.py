@@ -21,7 +21,7 @@ from bridge import zenoh_link
 from bridge.autopilots import AUTO, OWN_SITL
 from bridge.ros2_network import Ros2Network
 from flightstack.certificate import problems
-from flightstack.config import FilterKind
+from flightstack.config import FilterKind, FlightConfig
 from flightstack.live import REFRESH_HZ, LiveView
 from flightstack.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port
 from flightstack.strict_toml import ConfigError, dumps, to_table
@@ -66,6 +66,15 @@ class Run:
     wall_s: float  # from the first tick to the end
     interrupted: bool
     problem: str | None  # a process that failed
+
+
+def onboard_of(scenario: str) -> FlightConfig:
+    """The onboard process's part of a scenario, by name or file.
+
+    Raises:
+        ConfigError: there is none, or it is wrong.
+    """
+    return load_scenario(scenario).onboard
 
 
 def prepare(options: RunOptions) -> Scenario:

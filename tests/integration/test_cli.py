@@ -1,10 +1,12 @@
 """The command line: wrong input, help, listing."""
 
+import subprocess
+import sys
+
 import pytest
 
+from flightstack.cli import VERBS
 from tests.integration.runs import flightstack
-
-VERBS = ["sitl", "onboard", "vehicle", "target", "record", "report", "scenarios", "compare"]
 
 
 @pytest.mark.parametrize(
@@ -55,6 +57,24 @@ def test_help_of_each_verb(verb):
     result = flightstack(verb, "--help")
     assert result.code == 0
     assert len(result.out.splitlines()) >= 5
+
+
+def test_help_lists_every_verb_with_a_line():
+    lines = flightstack("--help").out.partition("Commands:\n")[2].splitlines()
+    told = {line.split()[0]: line.split()[1:] for line in lines if line[2:3].strip()}
+    assert list(told) == sorted(VERBS)
+    assert all(told.values())
+
+
+def test_a_verb_loads_nothing_of_the_others():
+    code = (
+        "import sys; from flightstack.cli import main; main(['key', '--help'], standalone_mode=False); "
+        "print(*{name.partition('.')[0] for name in sys.modules})"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0, check=True
+    )
+    assert not {"numpy", "rich", "pymavlink", "sim", "logs", "bridge"} & set(done.stdout.split())
 
 
 def test_scenarios_lists_the_papers_runs():

@@ -3,11 +3,11 @@
 import re
 from pathlib import Path
 
-from flightstack.cli_px4_sim import px4_sim
 from sim.params import load
 from sim.px4.airframe import FORMATS, parameters
 from sim.px4.motors import PX4_OF_M
 from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
+from sim.px4.verb import px4_sim
 from sim.scenario import Airframe
 
 PAGE = (Path(__file__).parents[2] / "docs/px4_sim.md").read_text()
