@@ -56,6 +56,17 @@ def fly(out: Path, scenario: str, seed: int = 0, *more) -> Result:
     )
 
 
+def replayed(log: Path) -> dict:
+    """Result of a replay that must decide at each tick what was decided, inputs from the wire included."""
+    done = flightstack("replay", log, "--check", "--json")
+    assert done.code == 0, done.out + done.err
+    found = done.json
+    assert found["result"] == "equal"
+    assert found["wire"] == {"count": 0, "ticks": 0, "first": []}
+    assert found["start"] == "tick 0"
+    return found
+
+
 class Flying:
     """A run in the background, to be disturbed."""
 

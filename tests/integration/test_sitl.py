@@ -6,7 +6,7 @@ import pytest
 
 from flightstack.types import Phase
 from logs.flight import load_flight
-from tests.integration.runs import Flying, flightstack, fly, gone, kill
+from tests.integration.runs import Flying, flightstack, fly, gone, kill, replayed
 
 PAPER = ["paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2"]
 KEYS = {
@@ -16,9 +16,15 @@ KEYS = {
 }  # fmt: skip
 
 
+def assert_decided_again(log):
+    found = replayed(log)
+    assert found["phases_recorded"][-1]["phase"] == "LANDED"
+    assert found["compared"] > 500
+
+
 @pytest.mark.parametrize("filter_name", ["paper", "robust"])
 @pytest.mark.parametrize("scenario", PAPER)
-def test_the_papers_runs_land(tmp_path, scenario, filter_name):
+def test_the_papers_runs_land_and_replay_bit_by_bit(tmp_path, scenario, filter_name):
     result = fly(tmp_path, scenario, 0, "--filter", filter_name)
     assert result.code == 0, result.err
     found = result.json
@@ -28,15 +34,17 @@ def test_the_papers_runs_land(tmp_path, scenario, filter_name):
     assert found["judged_from"] == "true states"
     assert found["touchdown_error_m"] <= 0.10
     assert -0.2 < found["h_min_outside_pad_m"] < 1.0
+    assert_decided_again(tmp_path / "flight.mcap")
 
 
 @pytest.mark.parametrize("scenario", ["straight", "stop_and_go", "reversing"])
-def test_other_paths_loops_and_a_start_in_hover_land_by_contact(tmp_path, scenario):
+def test_other_paths_loops_and_a_start_in_hover_land_by_contact_and_replay(tmp_path, scenario):
     result = fly(tmp_path, scenario)
     assert result.code == 0, result.err
     assert result.json["outcome"] == "landed"
     assert result.json["touchdown_error_m"] <= 0.10
     assert result.json["touchdown_speed_vertical_m_s"] < 0.35  # set down; a fall from 5 cm ends with 0.75 m/s
+    assert_decided_again(tmp_path / "flight.mcap")
 
 
 def test_the_same_seed_makes_the_same_log_and_another_one_does_not(tmp_path):
