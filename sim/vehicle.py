@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import math
 
-from flightstack.barrier import Barrier
 from flightstack.types import ZERO, Vec3
-from sim.battery import BatteryModel
-from sim.contact import GAP_MS, NONE_MS
 from sim.fault_battery import BatteryFaults
 from sim.fault_motors import MotorFaults
 from sim.faults import Faults
@@ -19,20 +16,17 @@ from sim.firmware.paper_loop import axes_from_force
 from sim.firmware.setpoint import STOP, Setpoint
 from sim.firmware.stack import Firmware
 from sim.firmware.supervisor import PERIOD_MS, STATES, State
-from sim.flight import WIND_EVERY_MS, VehicleRecord, fly
-from sim.ground_effect import GroundEffect
+from sim.flight import fly
 from sim.imu import Imu
 from sim.mocap import MocapTape
-from sim.params import CONTROL_STEP_S, STEP_S, Plant, load
-from sim.records import cell, new, reader, scalars
+from sim.params import CONTROL_STEP_S, STEP_S
+from sim.physics import Physics
+from sim.records import scalars
 from sim.rotation import quaternion_from_axes, rotation_axes
-from sim.rotors import Rotors
 from sim.scenario import Scenario, StartKind
 from sim.sensors import NS_PER_MS, ms_from, stream
-from sim.target import TargetModel
 from sim.vehicle_types import Estimate, Truth
-from sim.wind import WindModel
-from sim.world import ContactBit, World
+from sim.world import ContactBit
 
 CONTACT_PAD = ContactBit.PAD.value
 CONTACT_GROUND = ContactBit.GROUND.value
@@ -41,12 +35,10 @@ CONTACT_PAD_EDGE = ContactBit.PAD_EDGE.value
 CONTACT_TUMBLED = ContactBit.TUMBLED.value
 
 LANDED_AFTER_MS = 150  # in contact for this long is landed
-AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
 WARM_UP_MS = 100  # every loop of the firmware has run by then, and motion capture has come
 SUPPLY_MS = 320  # the noise of the IMU, of which six numbers go every 2 ms, is drawn so far ahead
 _STATE_TEXTS = tuple(str(state.value) for state in STATES)
 _LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
-NAN3: Vec3 = (math.nan, math.nan, math.nan)
 
 
 class VehicleSim:
@@ -67,55 +59,28 @@ class VehicleSim:
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
-        self._params = params = load(scenario.vehicle.airframe)
-        self.plant = plant = Plant.draw(scenario.vehicle, seed)
-        self._mass = params.body.mass_kg * plant.mass
+        self._physics = physics = Physics(scenario, seed)
+        r, self._vehicle, self._world = physics.record, physics.vehicle, physics.world
+        self._params, self.plant, self._rotors = physics.params, physics.plant, physics.rotors
+        self._battery, self._wind = physics.battery, physics.wind
+        params = physics.params
         self._gravity = params.contact.gravity_m_s2
-        self._barrier = Barrier(scenario.judge.alpha_1_m, scenario.judge.beta_m)
-        r = new(VehicleRecord)
-        self._vehicle = cell(r)
-        self._world = World(params, self._mass, scenario.target, r.body, r.deck, r.reach, r.memory)
-        self._rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
-        pad_radius = scenario.target.pad_radius_m
-        GroundEffect(params.rotor, scenario.vehicle.ground_effect_gain, pad_radius, r.ground)
-        hover_rpm = params.rotor.rpm(self._mass * self._gravity / 4.0 / plant.thrust)
-        self._battery = BatteryModel(params.battery, hover_rpm, r.battery)
-        self._wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
         self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed, r.imu)
         self._firmware = Firmware(scenario.vehicle, params, r.firmware)
-        drag_xy, _, drag_z = params.body.drag_n_s_m
-        r.drag.xy, r.drag.along, r.drag.weight = drag_xy, drag_z - drag_xy, self._mass * self._gravity
-        judge = scenario.judge
-        cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
-        self._h_min, self._h_min_outside, self._tumbled = scalars(
-            r.judge, "h_min", "h_min_outside", "tumbled"
-        )
         self._mocap = MocapTape(scenario.vehicle.mocap, seed, r.mocap, r.body)
-        motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, hover_rpm)
+        motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, physics.hover_rpm)
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
         self._ms = self._supplied_ms = 0
-        self._since_ms, self._pad_ms, self._ground_ms = scalars(r.contact, "since_ms", "pad_ms", "ground_ms")
-        self._touch_ms, self._judging, self._contacts = scalars(r.contact, "touch_ms", "judging", "bits")
-        self._read_body, self._read_deck, self._read_contact = (
-            reader(r.body),
-            reader(r.deck),
-            reader(r.contact),
-        )
         self._allowed, self._state = scalars(r.firmware.supervisor, "motors_allowed", "state")
-        for times in (self._since_ms, self._pad_ms, self._ground_ms, self._touch_ms):
-            times[0] = NONE_MS
         self.trim_velocity_enu_m_s: Vec3 = ZERO
         self.sent_before_ms = 0
-        target = TargetModel(scenario.target, seed)
-        pose = target.pose
-        self.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
-        self._judging[0] = scenario.start.kind is StartKind.HOVER
+        physics.judging[0] = scenario.start.kind is StartKind.HOVER
         if scenario.start.kind is StartKind.HOVER:
             self._start_hover(scenario, seed)
         else:
             x, y = scenario.start.ground_position_m
             self._world.set_vehicle((x, y, -params.geometry.foot_bottom_m - 1e-5))
-            self._ground_ms[0], self._since_ms[0] = 0, -LANDED_AFTER_MS
+            physics.ground_ms[0], physics.since_ms[0] = 0, -LANDED_AFTER_MS
         self._settle()
 
     def _start_hover(self, scenario: Scenario, seed: int) -> None:
@@ -130,7 +95,7 @@ class VehicleSim:
         for _ in range(20):  # drag depends on the tilt, the tilt on the drag
             along = (drag_z - drag_xy) * (wx * zx + wy * zy + wz * zz)
             fx, fy = -drag_xy * wx - along * zx, -drag_xy * wy - along * zy
-            fz = self._mass * self._gravity - drag_xy * wz - along * zz
+            fz = self._physics.weight_n - drag_xy * wz - along * zz
             length = math.sqrt(fx * fx + fy * fy + fz * fz)
             zx, zy, zz = fx / length, fy / length, fz / length
         self._world.set_vehicle(position, quaternion_from_axes(axes_from_force(fx, fy, fz, 1.0, 0.0)))
@@ -146,7 +111,7 @@ class VehicleSim:
         rng = stream(seed, "start")
         distance = rng.uniform(*scenario.start.distance_m)
         bearing = rng.uniform(-math.pi, math.pi)
-        height = rng.uniform(*scenario.start.h_m) + self._barrier.height(distance)
+        height = rng.uniform(*scenario.start.h_m) + self._physics.barrier.height(distance)
         return (distance * math.cos(bearing), distance * math.sin(bearing), height)
 
     def _settle(self) -> None:
@@ -174,8 +139,7 @@ class VehicleSim:
             if not self.faults.quiet:
                 stop_ms = min(stop_ms, self._fail())
             self._ms = fly(self._vehicle, self._ms, stop_ms)
-        if not self._judging[0] and self._off_the_ground:
-            self._judging[0] = True
+        self._physics.judge_once_airborne(self._ms)
 
     def _supply(self) -> None:
         """Draw ahead what compiled code takes."""
@@ -192,7 +156,7 @@ class VehicleSim:
         """
         faults, mocap, now_ms = self.faults, self._mocap, self._ms
         now_ns = now_ms * NS_PER_MS
-        if now_ms % PERIOD_MS == 0 and faults.waits_for_takeoff and self._off_the_ground:
+        if now_ms % PERIOD_MS == 0 and faults.waits_for_takeoff and self._physics.airborne(now_ms):
             faults.took_off(now_ns)
         if now_ns >= faults.next_ns:
             faults.run(now_ns)
@@ -205,19 +169,6 @@ class VehicleSim:
                 self._firmware.estimator.correct(x, y, z, yaw)
             next_ms = min(next_ms, mocap.next_ms())
         return min(next_ms, ms_from(faults.next_ns))
-
-    @property
-    def _first_touch(self) -> tuple[float, Vec3, Vec3]:
-        """Time, place and velocity relative to the pad; NaN until there was one."""
-        if self._touch_ms[0] == NONE_MS:
-            return (math.nan, NAN3, NAN3)
-        contact = self._read_contact()  # ends with place and velocity
-        return (self._touch_ms[0] * STEP_S, contact[-6:-3], contact[-3:])
-
-    @property
-    def _off_the_ground(self) -> bool:
-        last_ms = max(self._pad_ms[0], self._ground_ms[0])
-        return bool(self._ms - last_ms > AIRBORNE_AFTER_MS)
 
     def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
         """Fail, or heal, as MAV_CMD_INJECT_FAILURE asks; None when done, else why not.
@@ -260,8 +211,7 @@ class VehicleSim:
 
     def begin_judging(self) -> None:
         """The landing begins: the next touch of the pad is the first."""
-        self._judging[0] = True
-        self._touch_ms[0] = NONE_MS
+        self._physics.judge_from_here()
 
     @property
     def time_s(self) -> float:
@@ -309,18 +259,18 @@ class VehicleSim:
     @property
     def on_pad(self) -> bool:
         """In contact with the pad's top (true contact; bounces shorter than 30 ms don't count)."""
-        return bool(self._ms - self._pad_ms[0] <= GAP_MS)
+        return self._physics.on_pad(self._ms)
 
     @property
     def on_ground(self) -> bool:
         """In contact with the floor."""
-        return bool(self._ms - self._ground_ms[0] <= GAP_MS)
+        return self._physics.on_ground(self._ms)
 
     @property
     def landed(self) -> bool:
         """In contact with pad or floor for 0.15 s."""
         stands = self.on_pad or self.on_ground
-        return stands and bool(self._ms - self._since_ms[0] >= LANDED_AFTER_MS)
+        return stands and bool(self._ms - self._physics.since_ms[0] >= LANDED_AFTER_MS)
 
     def estimate(self) -> Estimate:
         """Return what has reached the autopilot of what the estimator believes."""
@@ -334,34 +284,7 @@ class VehicleSim:
 
     def truth(self) -> Truth:
         """Return the true state now and the extremes and contacts since the last call; those start anew."""
-        body, deck = self._read_body(), self._read_deck()  # in the order of their records
-        position, pad = body[:3], deck[:3]
-        h = self._barrier.h((position[0] - pad[0], position[1] - pad[1], position[2] - pad[2]))
-        touch_s, touch_e, touch_v = self._first_touch
-        truth = Truth(
-            self._ms * STEP_S,
-            position,
-            body[3:6],
-            body[6:10],
-            body[10:13],
-            self._rotors.rpm,
-            pad,
-            deck[3:6],
-            math.remainder(deck[6], 2.0 * math.pi),
-            h,
-            min(h, self._h_min[0]),
-            self._h_min_outside[0],
-            self._contacts[0] | (CONTACT_TUMBLED if self._tumbled[0] else 0),
-            touch_e,
-            touch_v,
-            touch_s,
-            self.motors_running,
-            self._battery.voltage_v,
-            self._wind.now_enu_m_s,
-        )
-        self._h_min[0] = self._h_min_outside[0] = math.inf
-        self._tumbled[0] = self._contacts[0] = 0
-        return truth
+        return self._physics.truth(self._ms, self.motors_running)
 
 
 def warm_up(scenario: Scenario) -> None:

@@ -41,7 +41,7 @@ def test_equals_the_vehicle_of_the_simulator_bit_by_bit_when_it_gets_the_same_ro
         vehicle.advance(2)
         plant.wanted[:] = vehicle._firmware.commands
         plant.advance(2)
-        assert plant.body().position_enu_m == vehicle._read_body()[:3], tick
+        assert plant.body().position_enu_m == vehicle._physics.body()[:3], tick
     theirs, ours = vehicle.truth(), plant.truth()
     assert ours.position_enu_m[2] > 0.5
     assert ours.quaternion == theirs.quaternion
@@ -133,7 +133,7 @@ def test_stands_still_until_the_motors_turn_on_floor_and_first_judged_in_the_air
 def test_the_deck_carries_what_landed_on_it():
     plant = Px4Plant(scenario(Start(StartKind.HOVER, offset_m=(0.5, 0.0, 1.0))), 1)
     pad = plant.truth().pad_position_enu_m
-    plant._judging[0] = True
+    plant._physics.judge_from_here()
     plant._world.set_vehicle((pad[0], pad[1], pad[2] + 0.05))
     plant.advance(600)
     truth = plant.truth()
