@@ -51,8 +51,8 @@ class Crash:
     missing_simulated_s: float | None
 
 
-def crash(folder: Path, victim: str, seed: int, *, lockstep: bool) -> Crash:
-    """Fly, kill, and look at the log."""
+def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float = 1.0) -> Crash:
+    """Fly, kill after so much of the random wait, and look at the log."""
     wires = ["--lockstep"] if lockstep else []
     run = Flying(folder, "--scenario", "paper_moving_1", "--seed", seed, *wires)
     try:
@@ -61,7 +61,7 @@ def crash(folder: Path, victim: str, seed: int, *, lockstep: bool) -> Crash:
         children = run.children()
         assert set(children) == {"record", "target", "vehicle", "onboard"}
         # the moment is random on purpose: nothing is waited for
-        time.sleep(random.Random(f"{victim} {seed} {lockstep}").uniform(*WHEN_S[lockstep]))
+        time.sleep(sooner * random.Random(f"{victim} {seed} {lockstep}").uniform(*WHEN_S[lockstep]))
         pid = run.process.pid if victim == "launcher" else children[victim]
         killed_s = time.time()
         if run.process.poll() is not None or run.children() != children:
