@@ -6,6 +6,7 @@ the time of the log. In lockstep that is simulated time after a fixed date, so t
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import struct
@@ -102,6 +103,12 @@ def ask_for_priority() -> bool:
     except (AttributeError, OSError):
         return False
     return True
+
+
+def give_up_priority() -> None:
+    """Be an ordinary process again: one that cannot keep up must not take a core from all others."""
+    with contextlib.suppress(AttributeError, OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def quiet_garbage_collector() -> None:

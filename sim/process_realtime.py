@@ -10,7 +10,7 @@ import time
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from flightstack.pacing import ask_for_priority
+from flightstack.pacing import ask_for_priority, give_up_priority
 from sim.pacing import StopSignal, TickGrid
 from sim.process_deck import RealTimeDeck
 from sim.process_vehicle import VehicleNode
@@ -101,6 +101,7 @@ class RealTimeLoop:
     def _catch_breath(self, late_s: float) -> None:
         """After a long pause go on from here: simulated time stood still, the log's clock moves."""
         if late_s > _BEHIND_MAX_S:
+            give_up_priority()
             self._start_s += late_s
             self._node.log.epoch_ns += round(late_s * 1e9)
             self._node.autopilot.flight.say(

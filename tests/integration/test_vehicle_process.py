@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import os
+import re
 import signal
 import struct
 import time
@@ -73,6 +75,23 @@ def test_ends_on_a_signal_also_before_anybody_has_called(lockstep: bool, number:
     with vehicle(1, lockstep=lockstep) as (child, ready):
         assert ready.startswith("ready udpin:127.0.0.1:")
         assert terminate(child, number) < 1.0
+
+
+def test_after_a_pause_it_goes_on_from_there_and_takes_no_core_from_others() -> None:
+    with vehicle(1, lockstep=False) as (child, ready):
+        client = Client(ready.removeprefix("ready "))
+        called_s = time.monotonic()
+        client.hello()
+        before = client.until(is_a("LOCAL_POSITION_NED")).time_boot_ms
+        child.send_signal(signal.SIGSTOP)
+        start_s = time.monotonic()
+        wait_for(lambda: time.monotonic() - start_s > 0.5, "half a second")
+        child.send_signal(signal.SIGCONT)
+        client.until(lambda m: is_a("STATUSTEXT")(m) and re.match(r"Machine paused \d\.\d\d s", m.text))
+        after = client.until(is_a("LOCAL_POSITION_NED")).time_boot_ms
+        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # it stood still
+        assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
+        assert terminate(child) < 1.0
 
 
 def test_bad_url_is_an_error_with_a_reason() -> None:
