@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flightstack.cli_zenoh import ROS_DOMAIN_MAX, plugs
+from flightstack.hangup import say
 
 if TYPE_CHECKING:
     from bridge.mocap.checks import Limits
@@ -108,7 +109,8 @@ def crazyflie(
 ) -> None:  # fmt: skip
     """Show a stock Crazyflie as a MAVLink vehicle with PX4's modes (docs/crazyflie.md).
 
-    Ctrl-C lands it first when it is in the air; a second one ends at once, and the motors stop.
+    Ctrl-C, or a terminal that closes, lands it first when it is in the air; a second Ctrl-C ends at once, and
+    the motors stop.
     """
     from bridge.crazyflie import process
     from bridge.crazyflie.rules import Rules
@@ -116,7 +118,7 @@ def crazyflie(
     rules = Rules(speed_max_m_s, land_on_silence, mocap_key is not None)
     options = process.Options(uri, url, peers, cache, signing_key, allow_unsigned, rules, duration_s)
     if mocap_key is None:
-        sys.exit(process.run(options, say=_say))
+        sys.exit(process.run(options, say=say))
 
     from bridge import zenoh_link
     from bridge.mocap.checks import PoseChecks
@@ -130,8 +132,8 @@ def crazyflie(
         poses = CheckedPoses(
             MocapSource(session, spec, offset_flu_m), PoseChecks(_limits(frame_id, pose_speed_m_s))
         )
-        status = process.run(options, poses, _say)
-        _say(summary(poses.checks))
+        status = process.run(options, poses, say)
+        say(summary(poses.checks))
     finally:
         session.close()
     sys.exit(status)
@@ -178,8 +180,4 @@ def mocap(
         vehicle_url, spec, connect, listen, zenoh_config, _limits(frame_id, pose_speed_m_s), offset_flu_m,
         place, system_id, signing_key, allow_unsigned, duration_s,
     )  # fmt: skip
-    sys.exit(process.run(options, _say))
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)
+    sys.exit(process.run(options, say))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 from pathlib import Path
 
@@ -10,12 +9,7 @@ import click
 
 from flightstack import cli_options as shared
 from flightstack.cli_zenoh import plugs, ros2, ros2_network, target_key, target_offset, target_type
-
-
-def _say(text: str) -> None:
-    """Print a line, unless nobody listens any more: a closed terminal must not end a flight."""
-    with contextlib.suppress(BrokenPipeError):
-        click.echo(text)
+from flightstack.hangup import say
 
 
 @click.command()
@@ -48,7 +42,8 @@ def onboard(
 ) -> None:  # fmt: skip
     """Run the onboard process against any vehicle and target.
 
-    Ctrl-C asks for an abort (fly clear, land); a second one ends the process at once.
+    Ctrl-C asks for an abort (fly clear, land), and so does a terminal that closes; a second Ctrl-C ends the
+    process at once.
     """
     from bridge.ros2_target import TargetType
     from flightstack import config
@@ -73,6 +68,6 @@ def onboard(
         ros_domain,
         target_offset,
     )
-    ended = process.run(config.load(config_file), options, say=_say)
-    _say(f"{ended.phase.name}: {ended.reason}")
+    ended = process.run(config.load(config_file), options, say=say)
+    say(f"{ended.phase.name}: {ended.reason}")
     sys.exit(ended.exit_code)

@@ -28,6 +28,7 @@ from flightstack.certificate import problems
 from flightstack.config import FlightConfig
 from flightstack.controller import ERROR, WARN, Controller, Outputs
 from flightstack.exchange import answer, take
+from flightstack.hangup import on_hangup
 from flightstack.live_health import LiveHealth
 from flightstack.lockstep import LockstepWires
 from flightstack.onboard_log import OnboardLog
@@ -78,7 +79,7 @@ class Ended(NamedTuple):
 
 
 class Signals:
-    r"""Ctrl-C asks for an abort, Ctrl-\ for the motors to stop at once.
+    r"""Ctrl-C, or a terminal that closes, asks for an abort; Ctrl-\ for the motors to stop at once.
 
     A second Ctrl-C or SIGTERM ends the process, and the vehicle lands itself.
     """
@@ -89,10 +90,14 @@ class Signals:
         signal.signal(signal.SIGINT, self._interrupt)
         signal.signal(signal.SIGTERM, self._terminate)
         signal.signal(signal.SIGQUIT, self._emergency)
+        on_hangup(self._abort)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
         self.stop = self.operator is not Operator.NONE
+        self._abort(number, frame)
+
+    def _abort(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
         self.operator = max(self.operator, Operator.ABORT)
 
     def _emergency(self, number: int, frame: FrameType | None) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
+from flightstack.hangup import on_hangup
 from logs.recorder_process import RecorderError, RecorderProcess, Source
 from logs.recording import Recorder, Statistics
 from logs.schemas import typestore
@@ -71,6 +72,7 @@ def record_main(
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, stop)
+    on_hangup(stop)
     typestore()  # half a second of work the first time: not in the middle of a flight
     print("ready", flush=True)
     counts = process.run(until_clients)

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from types import FrameType
 
+from flightstack.hangup import on_hangup
+
 NS_PER_S = 1_000_000_000
 STARTUP_S = 60.0  # s of wall time the processes of a run give each other to come up, compiling included
 SILENCE_S = 3.0  # s of wall time without an answer after which a process counts as dead
@@ -18,15 +20,16 @@ class NoAnswerError(RuntimeError):
 
 
 class StopSignal:
-    """Turns SIGTERM and SIGINT into a flag the loops look at, so that they end in order."""
+    """Turns SIGTERM, SIGINT and SIGHUP into a flag the loops look at, so that they end in order."""
 
     def __init__(self) -> None:
         self.is_set = False
 
     def install(self) -> StopSignal:
-        """Take over both signals; main thread only."""
+        """Take over the signals; main thread only."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._set)
+        on_hangup(self._set)
         return self
 
     def _set(self, number: int, frame: FrameType | None) -> None:

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import re
 import select
-import signal
 import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Protocol
 
 from bridge.crazyflie.mavlink import COMPONENT_ID, SYSTEM_ID, Node
@@ -25,6 +23,7 @@ from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.types import Arrived, Packet
 from bridge.mavlink import Endpoint, Peer, parse_peer, parse_url
 from bridge.signing_key import load_key
+from bridge.stop import Stop
 
 _URI = re.compile(
     r"^(radio://[0-9A-Fa-f]+/\d{1,3}/(250K|1M|2M)(/[0-9A-Fa-f]{1,10})?(\?rate_limit=\d+)?|usb://\d+"
@@ -61,23 +60,6 @@ class Options:
     allow_unsigned: bool = False
     rules: Rules = field(default_factory=Rules)
     duration_s: float | None = None
-
-
-class Stop:
-    """SIGTERM and SIGINT: the first asks for a landing, the second ends at once."""
-
-    def __init__(self) -> None:
-        self.count = 0
-
-    def install(self) -> Stop:
-        """Take over both signals; main thread only."""
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._set)
-        return self
-
-    def _set(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.count += 1
 
 
 class Loop:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -21,6 +19,7 @@ from bridge.mocap.vehicle import COMPONENT_ID, MocapVehicle
 from bridge.origin import Origin
 from bridge.ros2_target import TargetSpec
 from bridge.signing_key import load_key
+from bridge.stop import Stop
 from flightstack.types import ZERO, Vec3
 
 TICK_S = 0.002  # s; longest a pose waits for the loop
@@ -78,7 +77,7 @@ class Bridge:
         say: Callable[[str], None],
     ) -> None:
         self._source, self._vehicle, self._endpoint = source, vehicle, endpoint
-        self._system_id = system_id
+        self._system_id, self._say = system_id, say
         self._told = Told(say)
         self._start_s = time.monotonic()
         self._greeted = False
@@ -87,6 +86,18 @@ class Bridge:
     def now_s(self) -> float:
         """The bridge's clock."""
         return time.monotonic() - self._start_s
+
+    def run(self, stop: Stop, duration_s: float | None) -> None:
+        """Turn until told to end; a vehicle that is armed keeps its poses, unless told twice."""
+        told = False
+        while stop.count < 2:
+            self.turn()
+            if stop.count or (duration_s is not None and self.now_s >= duration_s):
+                if not self._vehicle.flies(self.now_s):
+                    return
+                if not told:
+                    self._say("mocap: the vehicle is armed: ends when it is not, or when told once more")
+                    told = True
 
     def turn(self) -> None:
         """Wait for a tick or the vehicle, then pass on what has come."""
@@ -122,21 +133,13 @@ class Bridge:
 
 
 def run(options: Options, say: Callable[[str], None] = print) -> int:
-    """Pass poses on until told to end; prints ``ready`` when it listens.
+    """Pass poses on until told to end and the vehicle is disarmed; prints ``ready`` when it listens.
 
     Raises:
         ValueError: a URL or key that is not understood, or a network without a key.
         OSError: an address that cannot be opened.
     """
-    ended = False
-
-    def end(number: int, frame: FrameType | None) -> None:
-        nonlocal ended
-        del number, frame
-        ended = True
-
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, end)
+    stop = Stop().install()
     with ExitStack() as stack:
         endpoint = Endpoint(
             options.vehicle_url,
@@ -155,8 +158,7 @@ def run(options: Options, say: Callable[[str], None] = print) -> int:
         bridge = Bridge(source, vehicle, endpoint, options.system_id, say)
         say("ready")
         sys.stdout.flush()
-        while not ended and (options.duration_s is None or bridge.now_s < options.duration_s):
-            bridge.turn()
+        bridge.run(stop, options.duration_s)
     say(summary(vehicle.checks))
     return 0
 

@@ -60,6 +60,10 @@ class MocapVehicle:
         """Whether the vehicle is there."""
         return now_s - self._heard_s <= SILENT_S
 
+    def flies(self, now_s: float) -> bool:
+        """Whether it is there and armed: then it needs its poses."""
+        return self._armed and self.heard(now_s)
+
     def handle(self, message: Message, now_s: float) -> list[Message]:
         """Take a message of the vehicle's autopilot; returns what to answer."""
         id_ = message.get_msgId()
@@ -74,7 +78,7 @@ class MocapVehicle:
 
     def step(self, samples: Sequence[Sample], now_s: float) -> tuple[list[Message], str | None]:
         """What to send now, and why there is no pose to rely on."""
-        judged = self.checks.step(samples, now_s, armed=self._armed and self.heard(now_s))
+        judged = self.checks.step(samples, now_s, armed=self.flies(now_s))
         messages: list[Message] = []
         if now_s - self._beat_s >= (_HEARTBEAT_S if self.heard(now_s) else _HELLO_S) - 1e-9:
             self._beat_s = now_s

@@ -3,66 +3,22 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge import zenoh_link
 from bridge.ros2_names import topic_key
 from bridge.ros2_target import ROS_TYPES, TargetType
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.server import Server
 from tests.integration.crazyflie_processes import bridge, client, fly, verb
+from tests.integration.mocap_processes import KEY, Mocap, plain_vehicle
 from tests.integration.runs import flightstack
-from tests.integration.sim_processes import PATIENCE_S, Client, free_port, is_a, wait_for
-from tests.unit.ros2_helpers import pose_stamped
+from tests.integration.sim_processes import PATIENCE_S, is_a, wait_for
 
 pytestmark = pytest.mark.xdist_group("real-time")
-
-KEY = "lab/cf1/pose"
-
-
-class Mocap:
-    """Publishes a pose at 100 Hz under a key, until stopped."""
-
-    def __init__(self, key: str, pose: Callable[[], tuple]) -> None:
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        self._session = zenoh_link.open_session([self.endpoint])
-        self._publisher = zenoh_link.dropping_publisher(self._session, key)
-        self._pose, self._done = pose, threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def _run(self) -> None:
-        while not self._done.wait(0.01):
-            self._publisher.put(pose_stamped(time.time_ns(), "map", *self._pose()))
-
-    def stop(self) -> None:
-        self._done.set()
-        self._thread.join()
-
-    def __enter__(self) -> Mocap:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-        self._session.close()
-
-
-@contextmanager
-def plain_vehicle(autopilot: int) -> Iterator[Client]:
-    """A socket that beats like an autopilot, and decodes what comes with pymavlink alone."""
-    one = Client(f"udpin:127.0.0.1:{free_port()}", 1, 1, listen=True)
-    try:
-        one.beat = lambda: one.send(mav.MAVLink_heartbeat_message(2, autopilot, 0, 0, 3, 3))
-        yield one
-    finally:
-        one.close()
 
 
 @pytest.mark.parametrize("dialect", ["plain", "rmw_zenoh"])
