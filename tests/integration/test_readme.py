@@ -49,6 +49,7 @@ def test_the_readme_has_the_commands_it_promises():
     assert verbs >= {"make", "sitl", "scenarios", "report", "compare", *APART}
 
 
+@pytest.mark.xdist_group("real-time")  # one of them listens where the parts apart do
 def test_the_commands_that_fly_report_and_compare(tmp_path):
     ran = 0
     for command in commands():
