@@ -9,7 +9,7 @@ from tests.integration.test_campaign import campaign
 
 RUNS = 200
 WALL_MAX_S = 900.0  # alone on a core it takes a minute
-PAPER_RUNS = 40  # enough for a median
+PAPER_RUNS = 20  # enough for a median
 
 
 @pytest.mark.parametrize("tier", list(Tier), ids=lambda tier: tier.value)
