@@ -7,6 +7,7 @@ import select
 import signal
 import subprocess
 import termios
+from contextlib import contextmanager
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
@@ -80,11 +81,13 @@ def test_a_crazyflie_bridge_whose_terminal_closes_lands_first():
         assert State.LOCKED not in [state for _, state in server.firmware.supervisor.history]
 
 
-@pytest.mark.xdist_group("real-time")
-def test_a_vehicle_that_is_armed_keeps_its_poses_although_their_bridge_was_told_to_end():
-    def beat(base_mode):
-        vehicle.send(mav.MAVLink_heartbeat_message(2, 12, base_mode, 0, 3, 3))
+def beat(vehicle, base_mode):
+    vehicle.send(mav.MAVLink_heartbeat_message(2, 12, base_mode, 0, 3, 3))
 
+
+@contextmanager
+def mocap_bridge():
+    """A vehicle that has been heard by the bridge of its poses."""
     with (
         Mocap(KEY, lambda: ((1.0, 2.0, 0.5), (1.0, 0.0, 0.0, 0.0))) as mocap,
         plain_vehicle(12) as vehicle,
@@ -94,26 +97,33 @@ def test_a_vehicle_that_is_armed_keeps_its_poses_although_their_bridge_was_told_
         ) as started,
     ):  # fmt: skip
         vehicle.until(is_a("HEARTBEAT"))
-        vehicle.until(is_a("ODOMETRY"), each=lambda: beat(ARMED))
+        vehicle.until(is_a("ODOMETRY"), each=lambda: beat(vehicle, ARMED))
+        yield vehicle, started
+
+
+@pytest.mark.xdist_group("real-time")
+def test_a_vehicle_that_is_armed_keeps_its_poses_although_their_bridge_was_told_to_end():
+    with mocap_bridge() as (vehicle, started):
         started.child.send_signal(signal.SIGTERM)
-        wait_for(lambda: beat(ARMED) or started.said("ends when it is not"), "the reason")
+        wait_for(lambda: beat(vehicle, ARMED) or started.said("ends when it is not"), "the reason")
         vehicle.log.clear()
-        vehicle.until(is_a("ODOMETRY"), each=lambda: beat(ARMED))
+        vehicle.until(is_a("ODOMETRY"), each=lambda: beat(vehicle, ARMED))
         assert started.child.poll() is None
-        wait_for(lambda: beat(0) or started.child.poll() is not None, "the end")
+        wait_for(lambda: beat(vehicle, 0) or started.child.poll() is not None, "the end")
         assert started.child.returncode == 0
 
 
 @pytest.mark.xdist_group("real-time")
 def test_a_vehicle_that_is_not_heard_any_more_does_not_hold_the_bridge():
-    with (
-        Mocap(KEY, lambda: ((1.0, 2.0, 0.5), (1.0, 0.0, 0.0, 0.0))) as mocap,
-        plain_vehicle(12) as vehicle,
-        verb(
-            "mocap", "--key", KEY, "--connect", mocap.endpoint,
-            "--vehicle", f"udpout:127.0.0.1:{vehicle._to[1]}",
-        ) as started,
-    ):  # fmt: skip
-        vehicle.until(is_a("HEARTBEAT"))
-        vehicle.send(mav.MAVLink_heartbeat_message(2, 12, ARMED, 0, 3, 3))
+    with mocap_bridge() as (_, started):
         assert started.end() == 0
+
+
+@pytest.mark.xdist_group("real-time")
+def test_told_twice_the_bridge_of_an_armed_vehicle_ends_at_once():
+    with mocap_bridge() as (vehicle, started):
+        started.child.send_signal(signal.SIGINT)
+        wait_for(lambda: beat(vehicle, ARMED) or started.said("ends when it is not"), "the reason")
+        started.child.send_signal(signal.SIGINT)
+        wait_for(lambda: beat(vehicle, ARMED) or started.child.poll() is not None, "the end")
+        assert started.child.returncode == 0
