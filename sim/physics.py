@@ -30,10 +30,13 @@ class Physics:
     Attributes:
         params: of the vehicle's file.
         plant: factors by which this vehicle differs from the nominal one.
-        mass_kg: its own.
         weight_n: its own.
         hover_rpm: rotor speed that holds it in still air.
-        record: memory that the steps of 1 ms work on, in one piece.
+        record, vehicle: memory that the steps of 1 ms work on, in one piece, and its view for them.
+        world, rotors, battery, wind: its parts, which are views of that memory.
+        barrier: of the judge.
+        judging: whether touches count, one element.
+        pad_ms, ground_ms, since_ms: last contact with pad and floor, and since when it stands; one element.
 
     Args:
         scenario: plant, wind, target, judge.
@@ -43,11 +46,11 @@ class Physics:
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.params = params = load(scenario.vehicle.airframe)
         self.plant = plant = Plant.draw(scenario.vehicle, seed)
-        self.mass_kg = params.body.mass_kg * plant.mass
-        self.weight_n = self.mass_kg * params.contact.gravity_m_s2
+        mass_kg = params.body.mass_kg * plant.mass
+        self.weight_n = mass_kg * params.contact.gravity_m_s2
         self.record = r = new(VehicleRecord)
         self.vehicle = cell(r)
-        self.world = World(params, self.mass_kg, scenario.target, r.body, r.deck, r.reach, r.memory)
+        self.world = World(params, mass_kg, scenario.target, r.body, r.deck, r.reach, r.memory)
         self.rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
         pad_radius = scenario.target.pad_radius_m
         GroundEffect(params.rotor, scenario.vehicle.ground_effect_gain, pad_radius, r.ground)

@@ -8,50 +8,11 @@ from scipy.linalg import expm
 
 from flightstack.certificate import checks, problems
 from flightstack.certificate_feedback import decay_1_s, linear
-from flightstack.types import ZERO
-from flightstack.velocity_tracking import VelocityTracking
 from sim.scenario import load
 from tests.unit.certificate_helpers import config, one
-from tests.unit.tracking_helpers import Plant
+from tests.unit.feedback_helpers import BASE, FEEDBACK, fed_back, flown
 
 STORM = load("storm").onboard
-FEEDBACK = {
-    "horizontal": True, "error_rate_1_s": 4.5, "tilt_rate_1_s": 15.0, "observer_rate_1_s": 25.0,
-}  # fmt: skip
-BASE = {
-    "velocity_feedback": FEEDBACK,
-    "velocity_loop": {"rate_xy_1_s": 5.2, "damping": 0.68, "slope_time_s": 0.04, "error_max_m_s": 5.0},
-    "own": {"delay_s": 0.03},
-    "robust": {"gain_over_pad_1_s": 2.4},
-}
-WIDE = (50.0, 50.0, 50.0)
-
-
-def fed_back(**sections):
-    merged = {name: {**values, **sections.get(name, {})} for name, values in BASE.items()}
-    return config(**{**sections, **merged})
-
-
-def flown(settings_, factor, seconds, start_m):
-    """Position against the target of a vehicle at rest that is ``start_m`` off, tick by tick."""
-    period_s, gain = 1.0 / settings_.loop.rate_hz, settings_.robust.gain_over_pad_1_s
-    tracking = VelocityTracking(
-        settings_.velocity_loop, period_s, settings_.velocity_feedback, settings_.own.delay_s
-    )
-    plant, late = Plant(settings_.velocity_loop, rate=factor), round(settings_.own.delay_s / period_s)
-    position, before, measured, sent, path = start_m, -gain * start_m, [0.0] * (late + 1), ZERO, []
-    for n in range(round(seconds / period_s)):
-        tracking.observe((measured[-1 - late], 0.0, 0.0), commanding=n > 0)
-        wanted = -gain * position
-        setpoint = tracking.command(
-            (before, 0.0, 0.0), (wanted, 0.0, 0.0), (measured[-1 - late], 0.0, 0.0), WIDE
-        )
-        plant.fly(sent)  # it comes a tick late
-        before, sent = wanted, setpoint
-        position += period_s * plant.velocity[0]
-        measured.append(plant.velocity[0])
-        path.append(position)
-    return np.array(path)
 
 
 @given(share=st.floats(0.0, 1.0))
@@ -61,7 +22,7 @@ def test_every_vehicle_of_the_spread_comes_to_rest_at_least_as_fast_as_proven(sh
     slower, faster = 1.0 / 1.3, 1.0 / 0.7
     proven, _ = decay_1_s(settings_, slower, faster)
     assert proven > 0.3
-    path = np.abs(flown(settings_, slower + share * (faster - slower), 14.0, 0.05))
+    path = np.abs(flown(settings_, slower + share * (faster - slower), np.zeros(1400), start_m=0.05))
     early, late = path[200:500].max(), path[1000:1300].max()  # 8 s later
     assert late <= early * np.exp(-8.0 * proven) + 1e-12
 
@@ -77,7 +38,7 @@ def test_the_matrix_is_the_loop_that_flies(factor):
     for _ in range(150):
         state = step @ state
         path.append(state[0])
-    assert np.abs(flown(settings_, factor, 1.5, 0.05) - path).max() < 0.1 * 0.05
+    assert np.abs(flown(settings_, factor, np.zeros(150), start_m=0.05) - path).max() < 0.1 * 0.05
 
 
 def test_a_vehicle_may_differ_in_rate_and_damping_on_their_own():

@@ -12,11 +12,8 @@ from scipy.linalg import expm
 from flightstack.certificate_envelope import extremes
 from flightstack.certificate_feedback import linear
 from flightstack.certificate_follow import SLACK, _gains, _piece_m, _ports, follow_m
-from flightstack.types import ZERO
-from flightstack.velocity_tracking import VelocityTracking
 from tests.unit.certificate_helpers import config, one
-from tests.unit.test_certificate_feedback import BASE, FEEDBACK, WIDE, fed_back
-from tests.unit.tracking_helpers import Plant
+from tests.unit.feedback_helpers import BASE, FEEDBACK, fed_back, flown
 
 LIMITED = fed_back()
 FED = fed_back(  # nothing reaches the feedback's own limits
@@ -49,29 +46,6 @@ def turned_against(settings_, factor):
     told = flown(settings_, factor, knock, none)[::-1], flown(settings_, factor, none, knock)[::-1]
     error = x.velocity_error_m_s + gain * x.position_error_m
     return np.sign(told[0]) * x.target_acceleration_m_s2, np.sign(told[1]) * error
-
-
-def flown(settings_, factor, accelerations, errors):
-    """Position against such a target, m, flown with the code's own ticks."""
-    period_s, gain = 1.0 / settings_.loop.rate_hz, settings_.robust.gain_over_pad_1_s
-    tracking = VelocityTracking(
-        settings_.velocity_loop, period_s, settings_.velocity_feedback, settings_.own.delay_s
-    )
-    plant, late = Plant(settings_.velocity_loop, rate=factor), round(settings_.own.delay_s / period_s)
-    position, target, before, measured, sent, path = 0.0, 0.0, 0.0, [0.0] * (late + 1), ZERO, []
-    for n, (acceleration, error) in enumerate(zip(accelerations, errors, strict=True)):
-        tracking.observe((measured[-1 - late], 0.0, 0.0), commanding=n > 0)
-        wanted = target + error - gain * position
-        setpoint = tracking.command(
-            (before, 0.0, 0.0), (wanted, 0.0, 0.0), (measured[-1 - late], 0.0, 0.0), WIDE
-        )
-        plant.fly(sent)  # it comes a tick late
-        before, sent = wanted, setpoint
-        target += period_s * acceleration
-        position += period_s * (plant.velocity[0] - target)
-        measured.append(plant.velocity[0])
-        path.append(position)
-    return np.array(path)
 
 
 def farthest(*flight):
