@@ -108,10 +108,11 @@ def test_preflight_of_nobody_and_of_nonsense():
     assert "no heartbeat" in done.json["problem"]
     assert flightstack("preflight", "--vehicle", "tcp:127.0.0.1:9").code == 2
     assert flightstack("preflight", "--vehicle", "udpout:127.0.0.1:9", "--autopilot", "betaflight").code == 2
-    wrong = flightstack("vehicle", "--scenario", "lab", "--parameter", "COM_OF_LOSS_T=99", "--duration", 1)
+    vehicle = ("vehicle", "--scenario", "lab", "--url", "udpin:127.0.0.1:0", "--duration", 1)
+    wrong = flightstack(*vehicle, "--parameter", "COM_OF_LOSS_T=99")
     assert wrong.code == 2
     assert "allowed is 0.1 to 5" in wrong.err
-    assert flightstack("vehicle", "--scenario", "lab", "--parameter", "COM_OF_LOSS_T").code == 2
+    assert flightstack(*vehicle, "--parameter", "COM_OF_LOSS_T").code == 2
 
 
 @pytest.mark.xdist_group("real-time")

@@ -13,6 +13,7 @@ import pytest
 
 from logs.flight import load_flight
 from tests.integration.runs import WALL_MAX_S
+from tests.unit.ros2_helpers import on_free_ports
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -49,7 +50,7 @@ def test_the_readme_has_the_commands_it_promises():
     assert verbs >= {"make", "sitl", "scenarios", "report", "compare", *APART}
 
 
-@pytest.mark.xdist_group("real-time")  # one of them listens where the parts apart do
+@pytest.mark.xdist_group("real-time")
 def test_the_commands_that_fly_report_and_compare(tmp_path):
     ran = 0
     for command in commands():
@@ -67,7 +68,8 @@ def test_the_commands_that_fly_report_and_compare(tmp_path):
 @pytest.mark.xdist_group("real-time")
 def test_the_parts_apart_land(tmp_path):
     (tmp_path / "runs").mkdir()
-    parts = {verb(c): c for c in commands() if verb(c) in APART}
+    page = on_free_ports("\n".join(commands())).replace("/tmp/flight-recorder", f"{tmp_path}/feed")
+    parts = {verb(c): c for c in page.splitlines() if verb(c) in APART}
     assert list(parts) == list(APART)
     run(f"{BIN}/flightstack --version", tmp_path)
     running = []
@@ -80,9 +82,10 @@ def test_the_parts_apart_land(tmp_path):
                 )
             )
             if name in ("record", "vehicle"):  # the target says ready once somebody listens
-                assert running[-1].stdout.readline().startswith("ready"), name
+                ready = running[-1].stdout.readline()
+                assert ready.startswith("ready"), (tmp_path / f"{name}.txt").read_text()
         said, _ = running[-1].communicate(timeout=WALL_MAX_S)
-        assert running[-1].returncode == 0, said
+        assert running[-1].returncode == 0, said + (tmp_path / "onboard.txt").read_text()
         assert "LANDED: motors off" in said
     finally:
         for process in reversed(running):

@@ -1,8 +1,10 @@
 """ROS 2 messages by mcap-ros2-support, a CDR codec that shares nothing with ours, and sessions."""
 
+import re
 import socket
 import time
 from contextlib import contextmanager
+from functools import cache
 from types import SimpleNamespace
 
 import zenoh
@@ -23,12 +25,22 @@ def space(**fields):
     return SimpleNamespace(**fields)
 
 
+@cache
+def encoder(name):
+    return serialize_dynamic(name, schema_text(name))[name]
+
+
+@cache
+def decoder(name):
+    return generate_dynamic(name, schema_text(name))[name]
+
+
 def encode(name, message):
-    return serialize_dynamic(name, schema_text(name))[name](message)
+    return encoder(name)(message)
 
 
 def decode(name, payload):
-    return generate_dynamic(name, schema_text(name))[name](payload)
+    return decoder(name)(payload)
 
 
 def header(stamp_ns, frame_id):
@@ -88,6 +100,13 @@ def free_endpoint():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def on_free_ports(text):
+    """The same commands with each port they name, 7447 to 14580, changed to one that is free."""
+    found = set(re.findall(r":(74\d\d|14\d\d\d)\b", text))
+    free = {port: free_endpoint().rsplit(":", 1)[1] for port in found}
+    return re.sub(r":(74\d\d|14\d\d\d)\b", lambda match: f":{free[match[1]]}", text)
 
 
 def until(condition, what="it", timeout_s=PATIENCE_S):
