@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import select
 import socket
 import time
@@ -204,19 +203,8 @@ class Endpoint:
         refusal = self._signer.refusal(frame)
         return refusal.value if refusal is not None else None
 
-    def wait(self, timeout_s: float, *, spin_s: float = 0.0) -> bool:
-        """Wait until a datagram is there; False when none came in ``timeout_s``.
-
-        Args:
-            timeout_s: wall time.
-            spin_s: look without sleeping for so long at first, giving way to others between looks: waking a
-                sleeping process on another core takes 0.1 ms and more, which is what lockstep waits for.
-        """
-        spin_until = time.monotonic() + min(timeout_s, spin_s)
-        while time.monotonic() < spin_until:
-            if select.select((self._socket,), (), (), 0.0)[0]:
-                return True
-            os.sched_yield()
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until a datagram is there; False when none came in ``timeout_s`` of wall time."""
         readable, _, _ = select.select((self._socket,), (), (), max(0.0, timeout_s))
         return bool(readable)
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from bridge import zenoh_link
 from bridge.odometry import RawSample, SampleSource
 from bridge.vehicle import VehicleLink
-from flightstack.pacing import LOCKSTEP_SPIN_S, NO_GO, PAIR, RUN_AHEAD_TICKS
+from flightstack.pacing import NO_GO, PAIR, RUN_AHEAD_TICKS
 
 CREDIT_EVERY = 10  # ticks
 WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
@@ -58,7 +58,7 @@ class LockstepWires:
                 link.endpoint.repeat(self.reply)
             if self._stopped() or time.monotonic() > until:
                 return None
-            link.endpoint.wait(WAIT_SLICE_S, spin_s=LOCKSTEP_SPIN_S)
+            link.endpoint.wait(WAIT_SLICE_S)
 
     def target(self, tick: int) -> list[RawSample]:
         """Samples that the target released up to this tick."""

@@ -20,7 +20,6 @@ EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simul
 PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/lockstep.md
 RUN_AHEAD_TICKS = 20  # how far the target may be ahead of the onboard process's credit
 NO_GO = -1  # the target may not drive yet
-LOCKSTEP_SPIN_S = 0.001  # s; an answer in lockstep takes half a millisecond
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,9 +95,9 @@ class Inlet(Endpoint):
         for good in split_frames(frame):
             self.other._arrived.append(Received(decode(good), good, PEER))
 
-    def wait(self, timeout_s: float, *, spin_s: float = 0.0) -> bool:
+    def wait(self, timeout_s: float) -> bool:
         """Let the other side answer now."""
-        del timeout_s, spin_s
+        del timeout_s
         if self.answer is not None:
             self.answer()
         return bool(self._arrived)

@@ -15,7 +15,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.decoding import Message
 from bridge.mavlink import Peer, Received
-from flightstack.pacing import LOCKSTEP_SPIN_S
 from flightstack.types import ZERO
 from sim.pacing import SILENCE_S, STARTUP_S, NoAnswerError, StopSignal, TickGrid, wait_until
 from sim.process_deck import STALE_S, DeckState, LockstepDeck, reckon
@@ -130,9 +129,7 @@ class LockstepLoop:
             return
         sent_s = repeat_s = time.monotonic()
         while not answered and not self._stop.is_set:
-            self._node.endpoint.wait(
-                _WAIT_S if self._companion else _REPEAT_UNHEARD_S, spin_s=LOCKSTEP_SPIN_S
-            )
+            self._node.endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
             answered = self._take(self._node.endpoint.receive(), now_ns, now_s)
             wall_s = time.monotonic()
             if answered:

@@ -1,7 +1,7 @@
 """The real vehicle process in lockstep against a minimal companion: processor time per simulated second.
 
-Twice: with a companion that answers some ticks ahead, so that the vehicle never waits (it spins while it
-does, which is not its work), and in turns, as a real companion has to.
+Twice: with a companion that answers some ticks ahead, so that the vehicle never waits, and in turns, as a
+real companion has to.
 """
 
 from __future__ import annotations
