@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import Any
 
@@ -10,6 +11,9 @@ import click
 from flightstack.strict_toml import ConfigError
 
 WRONG_INPUT = 2
+
+# Matrices here are small: numpy's threads would cost each process 0.1 s when it starts, and help nothing.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 # where each verb is; a process of a flight loads its own alone
