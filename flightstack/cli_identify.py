@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 import numpy as np
 
-from flightstack.types import Phase
+from flightstack.types import FilterStatus, Phase
 
 if TYPE_CHECKING:
     from flightstack.identify import Loop, Segment
@@ -161,8 +161,6 @@ def _motion(flights: list[Flight]) -> Motion:
 
 def _tracking_error_m_s(steps: list[Steps]) -> float:
     """95 % of how much lower than wanted the vehicle flies while the filter guards it."""
-    from flightstack.safety_filter import FilterStatus  # not at the top: every verb would load the solver
-
     filtered = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
     short = []
     for s in steps:

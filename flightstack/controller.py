@@ -19,9 +19,9 @@ from flightstack.memory import AbortWay, Memory, State
 from flightstack.phases import Condition, next_phase
 from flightstack.plausibility import Plausibility
 from flightstack.position_loop import limit, slew
-from flightstack.safety_filter import FilterResult, FilterStatus, SafetyFilter
+from flightstack.safety_filter import FilterResult, SafetyFilter
 from flightstack.target_track import TargetTrack, Verdict
-from flightstack.types import ZERO, Inputs, Landed, Mode, Phase, Request, Vec3, VehicleStatus
+from flightstack.types import ZERO, FilterStatus, Inputs, Landed, Mode, Phase, Request, Vec3, VehicleStatus
 
 LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
 ABORT_SETTLE_S = 1.0  # for the heartbeat that says so

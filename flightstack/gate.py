@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
-from flightstack.safety_filter import RESIDUAL_MAX_M_S, FilterStatus
-from flightstack.types import Vec3
+from flightstack.safety_filter import RESIDUAL_MAX_M_S
+from flightstack.types import FilterStatus, Vec3
 
 _KEY = object()
 BOX_TOLERANCE_M_S = 1e-9

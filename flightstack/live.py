@@ -12,8 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bridge import zenoh_link
-from flightstack.safety_filter import FilterStatus
-from flightstack.types import Landed, Mode, Phase
+from flightstack.types import FilterStatus, Landed, Mode, Phase
 from flightstack.watch import News, Watch
 from logs.codec import ControllerStepRow, LoopTimingRow
 from logs.codec_health import HealthRow

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import time
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ from osqp import ext_builtin as osqp
 from scipy import sparse
 
 from flightstack.projection import best_corner, project
-from flightstack.types import Vec3
+from flightstack.types import FilterStatus, Vec3
 
 # Solver settings, by a scan over random programs of this size: of 99,842 feasible ones 99,817 were solved
 # within 4,000 iterations, median 40, largest distance to the exact projection 8e-8 m/s.
@@ -30,16 +29,6 @@ RHO = 1.0
 RELAXATION = 1.5
 ITERATIONS_MAX = 4000  # about 1 ms; beyond it the exact projection takes over
 RESIDUAL_MAX_M_S = 1e-6  # what a result may miss box or barrier by before it is refused
-
-
-class FilterStatus(IntEnum):
-    """How the filtered velocity came about."""
-
-    NOT_RUN = 0
-    SOLVED = 1
-    CLOSED_FORM = 2  # solver failed or its result did not pass the check; exact projection used
-    INFEASIBLE = 3  # nothing in the box meets the barrier; fastest way to raise h used
-    REJECTED = 4  # inputs not finite; no result
 
 
 class FilterResult(NamedTuple):

@@ -28,6 +28,16 @@ class Phase(IntEnum):
     ABORT = 8
 
 
+class FilterStatus(IntEnum):
+    """How the filtered velocity came about."""
+
+    NOT_RUN = 0
+    SOLVED = 1
+    CLOSED_FORM = 2  # solver failed or its result did not pass the check; exact projection used
+    INFEASIBLE = 3  # nothing in the box meets the barrier; fastest way to raise h used
+    REJECTED = 4  # inputs not finite; no result
+
+
 class Request(IntEnum):
     """What the stack wants of the vehicle's mode, held as a level until the heartbeat shows it.
 

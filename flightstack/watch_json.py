@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from flightstack.safety_filter import FilterStatus
-from flightstack.types import Landed, Mode, Phase
+from flightstack.types import FilterStatus, Landed, Mode, Phase
 from flightstack.watch import News, Watch
 
 

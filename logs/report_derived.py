@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.law import LAWS
-from flightstack.safety_filter import FilterStatus
+from flightstack.types import FilterStatus
 from logs.flight_data import Flight, Floats
 
 _RAN = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE)

@@ -6,7 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from flightstack.safety_filter import FilterStatus
+from flightstack.types import FilterStatus
 from logs.flight_data import Flight, Floats, Steps
 from logs.report_derived import estimate_errors, tilt_deg
 from logs.report_series import AXES, value_range

@@ -105,30 +105,34 @@ def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
     """Shade the phases over the whole height of each row, name them on top, mark faults by a strip."""
     low, high = shown_range(flight)
     zero = zero_s(flight)
+    shapes: list[dict[str, Any]] = []  # added at once: plotly looks at all that are there each time
+    names: list[dict[str, Any]] = []
     for phase, begin_s, end_s in flight.phase_spans():
         begin, end = begin_s - zero, end_s - zero
         color = PHASE_BANDS.get(Phase(phase), "rgba(0,0,0,0.05)") if isinstance(phase, Phase) else GRID
-        for row in range(1, rows + 1):
-            axis = "" if row == 1 else str(row)
-            figure.add_shape(
-                type="rect", xref=f"x{axis}", yref=f"y{axis} domain", x0=begin, x1=end, y0=0, y1=1,
-                fillcolor=color, line_width=0, layer="below",
-            )  # fmt: skip
+        shapes += _bands(rows, begin, end, 0.0, color)
         left, right = max(begin, low), min(end, high)
         if right - left >= LABEL_SHARE * (high - low):
-            figure.add_annotation(
-                x=(left + right) / 2, y=1.0, xref="x", yref="y domain", yanchor="bottom", showarrow=False,
-                text=phase_name(phase),
-                font={"size": 10, "color": "#616e7c"},
-            )  # fmt: skip
-
+            names.append({
+                "x": (left + right) / 2, "y": 1.0, "xref": "x", "yref": "y domain", "yanchor": "bottom",
+                "showarrow": False, "text": phase_name(phase), "font": {"size": 10, "color": "#616e7c"},
+            })  # fmt: skip
     for fault in fault_spans(flight):
-        for row in range(1, rows + 1):
-            axis = "" if row == 1 else str(row)
-            figure.add_shape(
-                type="rect", xref=f"x{axis}", yref=f"y{axis} domain", x0=fault.begin_s - zero,
-                x1=fault.end_s - zero, y0=_FAULT_STRIP, y1=1, fillcolor=FAULT, line_width=0, layer="below",
-            )  # fmt: skip
+        shapes += _bands(rows, fault.begin_s - zero, fault.end_s - zero, _FAULT_STRIP, FAULT)
+    figure.layout.shapes += tuple(map(go.layout.Shape, shapes))
+    figure.layout.annotations += tuple(map(go.layout.Annotation, names))
+
+
+def _bands(rows: int, begin_s: float, end_s: float, bottom: float, color: str) -> list[dict[str, Any]]:
+    """A band in each row, from a share of its height to the top."""
+    axes = ["" if row == 1 else str(row) for row in range(1, rows + 1)]
+    return [
+        {
+            "type": "rect", "xref": f"x{axis}", "yref": f"y{axis} domain", "x0": begin_s, "x1": end_s,
+            "y0": bottom, "y1": 1, "fillcolor": color, "line": {"width": 0}, "layer": "below",
+        }
+        for axis in axes
+    ]  # fmt: skip
 
 
 def time_axis(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:

@@ -5,7 +5,8 @@ import statistics
 import time
 
 from flightstack.projection import project
-from flightstack.safety_filter import FilterStatus, SafetyFilter
+from flightstack.safety_filter import SafetyFilter
+from flightstack.types import FilterStatus
 
 PROGRAMS = 100_000
 

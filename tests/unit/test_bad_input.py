@@ -8,9 +8,8 @@ import pytest
 
 from flightstack.config import FilterKind, FlightConfig
 from flightstack.memory import AbortWay
-from flightstack.safety_filter import FilterStatus
 from flightstack.strict_toml import from_table
-from flightstack.types import Landed, Mode, Operator, Phase, Request
+from flightstack.types import FilterStatus, Landed, Mode, Operator, Phase, Request
 from tests.point_mass import DT_S, World, each_sample
 
 REACTION_MAX_S = 0.5

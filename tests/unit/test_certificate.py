@@ -19,9 +19,9 @@ from flightstack.law import RobustLaw
 from flightstack.projection import best_corner
 from flightstack.robust_barrier import RobustBarrier
 from flightstack.robust_config import TargetLink
-from flightstack.safety_filter import FilterStatus, SafetyFilter
+from flightstack.safety_filter import SafetyFilter
 from flightstack.target_track import TargetTrack
-from flightstack.types import Inputs, TargetSample
+from flightstack.types import FilterStatus, Inputs, TargetSample
 from tests.unit.certificate_helpers import config, one, rooms
 
 # name of a check, what to change, the last value that passes and the first that does not

@@ -92,7 +92,8 @@ def test_infeasible_sets_are_found(sections, word):
 
 def test_the_feasibility_bound_is_where_the_program_really_fails():
     assert problems(paper(touchdown={"target_speed_max_m_s": 0.533})) == []
-    from flightstack.safety_filter import FilterStatus, SafetyFilter
+    from flightstack.safety_filter import SafetyFilter
+    from flightstack.types import FilterStatus
 
     barrier = config().barrier.build()
     e = (1e-1, 0.0, barrier.height(1e-1))  # on the boundary by the apex, target coming along x

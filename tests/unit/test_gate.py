@@ -21,7 +21,8 @@ from flightstack.gate import (
     GateVerdict,
 )
 from flightstack.robust_barrier import RobustBarrier
-from flightstack.safety_filter import RESIDUAL_MAX_M_S, FilterStatus, SafetyFilter
+from flightstack.safety_filter import RESIDUAL_MAX_M_S, SafetyFilter
+from flightstack.types import FilterStatus
 
 CONE = Barrier(1.0, 1.5)
 BOX = (0.2, 0.3, 0.5)

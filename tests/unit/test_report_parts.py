@@ -10,8 +10,8 @@ import pytest
 
 from flightstack.config import FilterKind, load
 from flightstack.robust_barrier import RobustBarrier
-from flightstack.safety_filter import FilterStatus, SafetyFilter
-from flightstack.types import Phase
+from flightstack.safety_filter import SafetyFilter
+from flightstack.types import FilterStatus, Phase
 from logs.flight import load_flight
 from logs.report_compare import write_comparison
 from logs.report_derived import estimate_errors, held_margin_m, tilt_deg

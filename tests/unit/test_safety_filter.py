@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from osqp import ext_builtin
 
 from flightstack.projection import best_corner, project
-from flightstack.safety_filter import RESIDUAL_MAX_M_S, FilterStatus, SafetyFilter
+from flightstack.safety_filter import RESIDUAL_MAX_M_S, SafetyFilter
+from flightstack.types import FilterStatus
 
 FILTER = SafetyFilter(0.7)
 BOX = (0.2, 0.2, 0.5)
