@@ -13,7 +13,6 @@ from flightstack.config import FlightConfig, load
 from flightstack.strict_toml import dumps, from_table, to_table
 from sim import scenario
 from sim.vehicle import VehicleSim
-from tests.integration.runs import flightstack
 from tests.unit.certificate_helpers import config
 
 REPO = Path(__file__).parents[2]
@@ -94,17 +93,11 @@ def test_wrong_input_exits_2_with_one_line(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def flights(tmp_path_factory):
+def flights(flown):
     """Logs of two landings."""
-    logs = []
-    for seed in (1, 2):
-        out = tmp_path_factory.mktemp("flight")
-        flown = flightstack(
-            "sitl", "--scenario", "lab", "--seed", seed, "--lockstep", "--no-report", "--out", out
-        )
-        assert flown.code == 0, flown.err
-        logs.append(next(out.glob("*.mcap")))
-    return logs
+    landings = [flown("lab", seed) for seed in (1, 2)]
+    assert [landing.code for landing in landings] == [0, 0], landings
+    return [landing.log for landing in landings]
 
 
 def step_lag_s(axis):

@@ -20,14 +20,14 @@ def events(folder, *words):
     return [text for text in told if any(word in text for word in words)]
 
 
-def test_a_dead_motor_ends_in_a_declared_crash(tmp_path):
-    result = fly(tmp_path, "fault_motor_dead")
+def test_a_dead_motor_ends_in_a_declared_crash(flown):
+    result = flown("fault_motor_dead")
     assert result.code == 1, result.err
     assert result.json["outcome"] == "crashed"
-    told = events(tmp_path, "Fault", "tumbled", "ABORT")
+    told = events(result.folder, "Fault", "tumbled", "ABORT")
     assert told[0] == "Fault: motor 2 dead"
     assert any("-> ABORT: the vehicle does not fly what it is told" in text for text in told)
-    truth = load_flight(tmp_path / "flight.mcap").truth
+    truth = load_flight(result.log).truth
     assert not truth.motors_running[-1]
 
 
@@ -39,11 +39,11 @@ def test_motion_capture_frozen_for_half_a_second_is_borne(tmp_path):
     assert events(tmp_path, "Fault") == ["Fault: mocap stuck", "Fault over: mocap stuck"]
 
 
-def test_the_log_says_when_the_robot_was_out_of_sight_and_what_came_of_it(tmp_path):
-    result = fly(tmp_path, "fault_target_dropout")
+def test_the_log_says_when_the_robot_was_out_of_sight_and_what_came_of_it(flown):
+    result = flown("fault_target_dropout")
     assert (result.code, result.json["outcome"]) == (0, "landed"), result.err
     assert result.json["touchdown_error_m"] < 0.08
-    told = events(tmp_path, "Fault", "target")
+    told = events(result.folder, "Fault", "target")
     assert told[:2] == ["Fault: target odometry off", "APPROACH -> HOLD: target lost"]
     assert "HOLD -> CLIMB: target stayed lost" in told
     assert "CLIMB -> APPROACH: target back" in told
@@ -70,15 +70,12 @@ def test_a_vehicle_without_a_heartbeat_is_given_up(tmp_path):
     assert any("-> ABORT" in text for text in told)
 
 
-def test_failing_runs_repeat_bit_by_bit(tmp_path):
-    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
-        result = fly(tmp_path / name, "fault_link_burst", seed)
-        assert result.json["outcome"] in ("landed", "aborted"), result.err
-        assert events(tmp_path / name, "Fault: link in burst loss")
-    log = {name: tmp_path / name / "flight.mcap" for name in "abc"}
-    same = flightstack("compare", log["a"], log["b"])
+def test_failing_runs_repeat_bit_by_bit(flown, tmp_path):
+    first, second = flown("fault_link_burst"), fly(tmp_path, "fault_link_burst")
+    assert first.json["outcome"] == second.json["outcome"] in ("landed", "aborted"), second.err
+    assert events(first.folder, "Fault: link in burst loss")
+    same = flightstack("compare", first.log, tmp_path / "flight.mcap")
     assert (same.code, same.out.strip().splitlines()[-1]) == (0, "equal"), same.out
-    assert flightstack("compare", log["a"], log["c"]).code == 1
 
 
 def test_a_wrong_fault_is_refused_before_anything_starts(tmp_path):

@@ -5,26 +5,29 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.integration.runs import WALL_MAX_S, flightstack, fly
+from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.test_readme import BIN, ROOT
 
 DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # the page's one line for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")
 PAGE = ROOT / "docs/logs.md"
-pytestmark = pytest.mark.xdist_group("log docs")  # they share two flights
+pytestmark = pytest.mark.xdist_group("log docs")  # they share a flight
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Where the commands find the logs they name, of two equal flights."""
+def folder(flown, tmp_path_factory):
+    """Where the commands find the logs they name: one flight, as that two are equal is tested elsewhere."""
     path = tmp_path_factory.mktemp("docs")
+    flight = flown("paper_static_1")
+    assert flight.code == 0
     for name in ("first", "second"):
-        assert fly(path / "runs" / name, "paper_static_1").code == 0
+        shutil.copytree(flight.folder, path / "runs" / name)
     (path / ".venv").symlink_to(BIN.parent)
     return path
 

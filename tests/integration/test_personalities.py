@@ -25,9 +25,10 @@ def landed(tmp_path, *arguments):
 
 
 @pytest.mark.parametrize("plays", PERSONALITIES)
-def test_lockstep_landing_and_its_replay(tmp_path, plays):
-    log = landed(tmp_path, "--scenario", "lab", "--seed", 1, "--lockstep", "--personality", plays)
-    replayed = flightstack("replay", log)
+def test_lockstep_landing_and_its_replay(flown, plays):
+    landing = flown("lab", 1, *(() if plays == "px4" else ("--personality", plays)))
+    assert (landing.json["outcome"], landing.json["violation"]) == ("landed", False)
+    replayed = flightstack("replay", landing.log)
     assert replayed.code == 0, replayed.out
     assert "wire: equal" in replayed.out
 

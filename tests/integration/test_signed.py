@@ -94,13 +94,13 @@ def test_signed_client_flies_and_an_unsigned_one_gets_no_reaction(key_file, vehi
     assert "MAVLink not let through: unsigned " in child.stderr.read()
 
 
-def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, tmp_path):
+def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, tmp_path):
     signed = fly(tmp_path / "signed", "paper_static_2", 0, "--signing-key", key_file)
-    plain = fly(tmp_path / "plain", "paper_static_2", 0)
+    plain = flown("paper_static_2", 0)
     assert signed.json["outcome"] == plain.json["outcome"] == "landed"
     states = sorted(p.name for p in key_file.parent.glob("*.state"))
     assert states == ["fleet.key.1-1-0.state", "fleet.key.1-191-0.state"]
-    compared = flightstack("compare", tmp_path / "signed/flight.mcap", tmp_path / "plain/flight.mcap")
+    compared = flightstack("compare", tmp_path / "signed/flight.mcap", plain.log)
     assert compared.code == 0, compared.out
 
 

@@ -9,6 +9,7 @@ from logs.flight import load_flight
 from tests.integration.runs import Flying, flightstack, fly, gone, kill, replayed
 
 PAPER = ["paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2"]
+FILTERS = {"paper": (), "robust": ("--filter", "robust")}  # the first is what these scenarios ask for
 KEYS = {
     "scenario", "seed", "filter", "outcome", "violation", "h_min_m", "h_min_outside_pad_m",
     "touchdown_error_m", "touchdown_speed_vertical_m_s", "touchdown_speed_horizontal_m_s", "time_to_land_s",
@@ -22,10 +23,10 @@ def assert_decided_again(log):
     assert found["compared"] > 500
 
 
-@pytest.mark.parametrize("filter_name", ["paper", "robust"])
+@pytest.mark.parametrize("filter_name", FILTERS)
 @pytest.mark.parametrize("scenario", PAPER)
-def test_the_papers_runs_land_and_replay_bit_by_bit(tmp_path, scenario, filter_name):
-    result = fly(tmp_path, scenario, 0, "--filter", filter_name)
+def test_the_papers_runs_land_and_replay_bit_by_bit(flown, scenario, filter_name):
+    result = flown(scenario, 0, *FILTERS[filter_name])
     assert result.code == 0, result.err
     found = result.json
     assert set(found) >= KEYS
@@ -34,7 +35,7 @@ def test_the_papers_runs_land_and_replay_bit_by_bit(tmp_path, scenario, filter_n
     assert found["judged_from"] == "true states"
     assert found["touchdown_error_m"] <= 0.10
     assert -0.2 < found["h_min_outside_pad_m"] < 1.0
-    assert_decided_again(tmp_path / "flight.mcap")
+    assert_decided_again(result.log)
 
 
 @pytest.mark.parametrize("scenario", ["straight", "stop_and_go", "reversing"])
@@ -47,22 +48,17 @@ def test_other_paths_loops_and_a_start_in_hover_land_by_contact_and_replay(tmp_p
     assert_decided_again(tmp_path / "flight.mcap")
 
 
-def test_the_same_seed_makes_the_same_log_and_another_one_does_not(tmp_path):
-    for name, seed in (("a", 7), ("b", 7), ("c", 8)):
-        assert fly(tmp_path / name, "paper_moving_2", seed).code == 0
-    log = {name: tmp_path / name / "flight.mcap" for name in "abc"}
-    same = flightstack("compare", log["a"], log["b"])
-    assert (same.code, same.out.strip().splitlines()[-1]) == (0, "equal"), same.out
-    other = flightstack("compare", log["a"], log["c"])
-    assert other.code == 1
-    assert "/cf1/" in other.out
-
-
-def test_runs_live_side_by_side(tmp_path):
+def test_the_same_seed_makes_the_same_log_and_another_one_flown_beside_it_does_not(flown, tmp_path):
+    first = flown("paper_moving_2", 0)
     flying = [
-        Flying(tmp_path / str(k), "--scenario", "paper_static_2", "--lockstep", "--seed", k) for k in (0, 1)
+        Flying(tmp_path / str(k), "--scenario", "paper_moving_2", "--lockstep", "--seed", k) for k in (0, 1)
     ]
     assert [run.end() for run in flying] == [0, 0], [run.lines for run in flying]
+    same = flightstack("compare", first.log, tmp_path / "0" / "flight.mcap")
+    assert (same.code, same.out.strip().splitlines()[-1]) == (0, "equal"), same.out
+    other = flightstack("compare", first.log, tmp_path / "1" / "flight.mcap")
+    assert other.code == 1
+    assert "/cf1/" in other.out
 
 
 @pytest.mark.parametrize("wires", [["--lockstep"], []])

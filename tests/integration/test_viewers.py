@@ -24,7 +24,7 @@ from rosbags.interfaces import Nodetype
 
 from logs.codec_mavlink import unpack_mavlink
 from logs.view_layouts import layout
-from tests.integration.runs import COMMAND, flightstack, fly
+from tests.integration.runs import COMMAND, flightstack
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.xdist_group("viewers")  # they share a flight
@@ -35,10 +35,10 @@ REACH_M = 2.5  # of the picture of the barrier, for alpha = 1/m
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("viewed")
-    assert fly(folder, "paper_moving_1").code == 0
-    return folder / "flight.mcap"
+def log(flown):
+    flight = flown("paper_moving_1")
+    assert flight.code == 0
+    return flight.log
 
 
 @pytest.fixture(scope="module")

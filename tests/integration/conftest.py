@@ -1,0 +1,49 @@
+"""Lockstep flights that several tests only look at: flown once, by whichever worker needs it first."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.integration.runs import Result, fly
+
+
+@dataclass
+class Flown(Result):
+    """An ended run and its folder, which is everybody's: look, do not write."""
+
+    folder: Path
+
+    @property
+    def log(self) -> Path:
+        return self.folder / "flight.mcap"
+
+
+Flights = Callable[..., Flown]
+
+
+@pytest.fixture(scope="session")
+def flown(tmp_path_factory) -> Flights:
+    """``flown(scenario, seed, *options)``: the same words make the same log, so one flight is enough."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent  # of all workers of this session
+    base = base / "flown"
+    base.mkdir(exist_ok=True)
+
+    def get(scenario: str, seed: int = 0, *options: str) -> Flown:
+        folder = base / "_".join([scenario, str(seed), *options]).replace("/", "_")
+        told = folder.with_suffix(".json")
+        with folder.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # a run is bounded, and so is this wait
+            if not told.exists():
+                told.write_text(json.dumps(asdict(fly(folder, scenario, seed, *options))))
+        return Flown(**json.loads(told.read_text()), folder=folder)
+
+    return get
