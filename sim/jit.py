@@ -1,7 +1,7 @@
 """Compiles the functions that run every millisecond (numba), and says where the machine code is kept.
 
-With ``NUMBA_DISABLE_JIT=1`` the same functions run as plain Python. No fast-math: operations keep the order
-in which they are written, so that a run is the same bits every time.
+With ``NUMBA_DISABLE_JIT=1`` the same functions run as plain Python, and numba is not even loaded. No
+fast-math: operations keep the order in which they are written, so that a run is the same bits every time.
 
 numba looks only at the file of a compiled function to see whether its cached machine code is good, not at
 what that function calls. The cache directory therefore carries a hash of all the sources.
@@ -16,14 +16,18 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar, cast
 
-from numba import config, njit
-
 from bridge import frames
 from flightstack import barrier
 
 F = TypeVar("F", bound=Callable[..., object])
 
 HERE = Path(__file__).parent
+OFF = "NUMBA_DISABLE_JIT"  # numba's own switch
+
+
+def is_off() -> bool:
+    """Whether this process runs everything as plain Python."""
+    return os.environ.get(OFF) == "1"
 
 
 def _fingerprint() -> str:
@@ -54,6 +58,10 @@ def cache_directory() -> Path | None:
 
 def jitted(function: F) -> F:
     """Compile ``function`` when it is first called; the machine code is cached on disk if possible."""
+    if is_off():
+        return function
+    from numba import config, njit  # half a second, and as much again when the first machine code is loaded
+
     directory = cache_directory()
     if directory is None:
         return cast(F, njit(function))

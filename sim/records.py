@@ -16,6 +16,8 @@ from typing import Annotated, Any, Protocol, TypeVar, cast, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
+from sim.jit import is_off
+
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 Vector = Annotated[F64, 3]
@@ -88,6 +90,25 @@ def cell(record: R) -> Cell[R]:
     ``cell(record)["name"]`` is a view of the field with one element more in front.
     """
     return cast("Cell[R]", np.asarray(cast(np.record, record)).reshape(1))
+
+
+def cell_of_numbers(record: R) -> Cell[R]:
+    """``cell`` for code that takes single numbers out and no slices: as quick when it is not compiled.
+
+    Plain Python then gets the fields by ctypes, in the same memory: 0.1 us each, where numpy's take 3.
+    """
+    array = np.asarray(cast(np.record, record)).reshape(1)
+    if not is_off():
+        return cast("Cell[R]", array)
+    return cast("Cell[R]", (np.ctypeslib.as_ctypes_type(_bare(array.dtype)).from_buffer(array),))
+
+
+def _bare(kind: np.dtype[Any]) -> np.dtype[Any]:
+    """The same layout without numpy's record type, which ctypes does not know."""
+    if kind.names is None:
+        return kind
+    formats = [_bare(kind[name]) for name in kind.names]
+    return np.dtype({"names": kind.names, "formats": formats})
 
 
 Scalar = Any  # a memoryview of one number, which is Python's own when it is taken out

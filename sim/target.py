@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 from flightstack.types import Vec3
 from sim.jit import jitted
 from sim.params import load
-from sim.records import F64, Cell, Record, Vector, cell, new, reader
+from sim.records import F64, Cell, Record, Vector, cell_of_numbers, new, reader
 from sim.scenario import OdometryLink, PathKind, TargetSpec
 from sim.sensors import NS, MeasurementChannel, stream
 
@@ -176,10 +176,11 @@ class TargetModel:
         m.heave_phase = 2.0 * math.pi * heave
         m.x, m.y = spec.position_m
         m.yaw = wrap(2.0 * math.pi * heading) if spec.random_heading else wrap(spec.heading_rad)
-        self._cell, self._read = cell(m), reader(m.pad)
+        self._cell, self._read = cell_of_numbers(m), reader(m.pad)
         publish(self._cell, step_s)
         self._show()
-        drive(cell(new(MotionRecord)), step_s, False)  # compiled, or loaded, before time begins to count
+        # compiled, or loaded, before time begins to count
+        drive(cell_of_numbers(new(MotionRecord)), step_s, False)
 
     def step(self, dt_s: float, driving: bool) -> None:
         """Move on by ``dt_s``, see ``drive``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -74,6 +75,8 @@ def target(
     ros2_where: str | None, ros_domain: int,
 ) -> None:  # fmt: skip
     """Run the ground robot: drives the scenario's path and publishes its odometry on Zenoh."""
+    # A hundred short steps a second, and nothing else of the simulator: numba takes far longer to load.
+    os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
     from sim.scenario import load
     from sim.target_process import target_main
 

@@ -10,9 +10,11 @@ import pytest
 
 from flightstack.config import BarrierShape, FlightConfig
 from flightstack.ends_config import Takeoff
-from sim import jit
+from sim import jit, scenario
+from sim.pacing import TickGrid
 from sim.params import load
 from sim.scenario import OdometryLink, Scenario, Start, StartKind, TargetSpec, VehicleSpec, VelocityLoop, Wind
+from sim.target_motion import TargetMotion
 from sim.vehicle import VehicleSim
 from sim.world import World, contact_count
 
@@ -52,12 +54,25 @@ def flat(value):
     return [value]
 
 
-def in_a_process(**environment):
-    """The same flights in a fresh interpreter."""
-    code = (
-        "import json; from tests.unit.test_jit import CASES, flight; "
-        "print(json.dumps([flight(*case) for case in CASES]))"
-    )
+def drives():
+    """All numbers of the robots of all scenarios, with what they measure."""
+    out = []
+    for name in scenario.names():
+        robot = TargetMotion(scenario.load(name), 3, TickGrid(100))
+        for tick in range(STEPS):
+            robot.step(driving=tick > 20)
+            model = robot.model
+            out.append([*model.pose, model.velocity_enu_m_s, model.velocity_body_m_s, model.yaw_rate_rad_s])
+        out.append(robot.due)
+    return out
+
+
+FLIGHTS, DRIVES = "[flight(*case) for case in CASES]", "drives()"
+
+
+def in_a_process(what=FLIGHTS, **environment):
+    """The same in a fresh interpreter."""
+    code = f"import json; from tests.unit.test_jit import CASES, drives, flight; print(json.dumps({what}))"
     env = {**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True, text=True)
     return flat(json.loads(done.stdout))
@@ -72,6 +87,18 @@ def test_plain_python_flies_the_same(compiled):
     plain = in_a_process(NUMBA_DISABLE_JIT="1")
     assert plain == pytest.approx(compiled, abs=1e-9, rel=1e-9, nan_ok=True)
     assert any(isinstance(n, float) and math.isfinite(n) and n not in (0.0, 1.0) for n in plain)
+
+
+def test_the_robot_drives_the_same_bits_in_plain_python_without_numba():
+    """Its process runs so; a campaign runs it compiled, and the two must be equal."""
+    assert repr(in_a_process(DRIVES, NUMBA_DISABLE_JIT="1")) == repr(flat(json.loads(json.dumps(drives()))))
+    words = ["-m", "flightstack.cli", "target", "--scenario", "lab", "--duration", "0.1"]
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", *words], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0
+    assert "sim.target_motion" in done.stderr
+    assert "numba" not in done.stderr
 
 
 def test_another_process_flies_the_same_bits(compiled):
