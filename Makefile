@@ -4,7 +4,8 @@ VENV := .venv
 # or each of the hundreds of processes of the tests would compile the sources anew
 unexport PYTHONDONTWRITEBYTECODE
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# not compiled: Python does that by itself with what is imported, a tenth of what is installed
+PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: fly test bench clean
 
