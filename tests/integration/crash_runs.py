@@ -58,6 +58,7 @@ def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float
     try:
         run.wait_for("-> APPROACH")
         begun_s = time.time()
+        run.some_log()
         children = run.children()
         assert set(children) == {"record", "target", "vehicle", "onboard"}
         # the moment is random on purpose: nothing is waited for

@@ -9,8 +9,11 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.integration.sim_processes import wait_for
+
 COMMAND = [sys.executable, "-m", "flightstack.cli"]
 WALL_MAX_S = 240.0
+SOME_BYTES = 200_000  # of a log: two seconds of it
 
 
 @dataclass
@@ -87,6 +90,12 @@ class Flying:
             if word in line:
                 return
         raise AssertionError(f"ended without {word!r}: {self.lines}")
+
+    def some_log(self) -> Path:
+        """The log, once there is something in it: on a busy machine the recorder is behind the flight."""
+        log = self.out / "flight.mcap"
+        wait_for(lambda: log.stat().st_size > SOME_BYTES, "a log that grows")
+        return log
 
     def children(self) -> dict[str, int]:
         """Process ids of the run by verb."""

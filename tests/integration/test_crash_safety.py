@@ -34,8 +34,8 @@ def test_a_kill_costs_half_a_second_of_the_log_at_most(tmp_path, victim, lockste
 
 def test_a_disk_that_fills_up_in_flight_ends_the_record_and_not_the_flight(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
-    run.wait_for("-> APPROACH")  # by then more is on the disk than one chunk
-    log = tmp_path / "flight.mcap"
+    run.wait_for("-> APPROACH")
+    log = run.some_log()
     full = log.stat().st_size + 40_000  # a late recorder must not get to the end first
     resource.prlimit(run.children()["record"], resource.RLIMIT_FSIZE, (full, full))
     assert run.end() == 1  # landed, but the record of it is not whole

@@ -30,12 +30,13 @@ def test_a_real_time_flight_replays_bit_by_bit_inputs_from_the_wire_included(tmp
 def test_a_log_whose_recorder_was_killed_replays_up_to_the_break(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
     run.wait_for("-> LAND:")
+    log = run.some_log()
     kill(run.children()["record"])
     assert run.end() == 1
-    result = replay(tmp_path / "flight.mcap")
+    result = replay(log)
     assert result.equal
     assert any("breaks off" in note for note in result.notes)
-    assert result.compared > 100  # a recorder on a busy machine is seconds behind
+    assert result.compared > 100
 
 
 class Lines:
