@@ -25,6 +25,7 @@ _STREAMS = (
 )  # fmt: skip
 PER_TICK = 20  # datagrams
 HEIGHT_M = 0.5
+PATIENCE_S = 10.0
 LAND = CODES[FlightMode.LAND]
 _SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4,
           "float": 4, "int64_t": 8, "uint64_t": 8, "double": 8}  # fmt: skip
@@ -340,6 +341,8 @@ class Fuzz:
 
     def _hear(self, good: list[bytes]) -> None:
         rig, heard = self.rig, []
+        # not at once where a busy kernel puts it off
+        assert self.endpoint.wait(PATIENCE_S), "the datagram did not come over the loopback"
         while self.endpoint.wait(0.0):
             for received in self.endpoint.receive():
                 header = received.message.get_header()
