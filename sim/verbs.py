@@ -75,8 +75,10 @@ def target(
     ros2_where: str | None, ros_domain: int,
 ) -> None:  # fmt: skip
     """Run the ground robot: drives the scenario's path and publishes its odometry on Zenoh."""
+    from sim.jit import OFF
+
     # A hundred short steps a second, and nothing else of the simulator: numba takes far longer to load.
-    os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
+    os.environ.setdefault(OFF, "1")
     from sim.scenario import load
     from sim.target_process import target_main
 
