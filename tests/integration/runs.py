@@ -13,7 +13,7 @@ from tests.integration.sim_processes import wait_for
 
 COMMAND = [sys.executable, "-m", "flightstack.cli"]
 WALL_MAX_S = 240.0
-SOME_BYTES = 200_000  # of a log: two seconds of it
+SOME_BYTES = 400_000  # of a log: two seconds of it
 
 
 @dataclass
@@ -91,10 +91,10 @@ class Flying:
                 return
         raise AssertionError(f"ended without {word!r}: {self.lines}")
 
-    def some_log(self) -> Path:
+    def some_log(self, some_bytes: int = SOME_BYTES) -> Path:
         """The log, once there is something in it: on a busy machine the recorder is behind the flight."""
         log = self.out / "flight.mcap"
-        wait_for(lambda: log.stat().st_size > SOME_BYTES, "a log that grows")
+        wait_for(lambda: log.stat().st_size > some_bytes, "a log that grows")
         return log
 
     def children(self) -> dict[str, int]:
