@@ -12,7 +12,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "flightstack.robust_barrier": (f"{UNIT}/test_robust_barrier.py",),
     "flightstack.safety_filter": (f"{UNIT}/test_safety_filter.py",),
     "flightstack.projection": (f"{UNIT}/test_safety_filter.py",),
-    "flightstack.gate": (f"{UNIT}/test_gate.py",),
+    "flightstack.gate": (f"{UNIT}/test_gate.py", f"{UNIT}/test_gate_maker.py"),
     "flightstack.phases": (f"{UNIT}/test_phases_exhaustive.py", f"{UNIT}/test_phases.py"),
 }
 
