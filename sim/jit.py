@@ -27,7 +27,7 @@ OFF = "NUMBA_DISABLE_JIT"  # numba's own switch
 
 def is_off() -> bool:
     """Whether this process runs everything as plain Python."""
-    return os.environ.get(OFF) == "1"
+    return os.environ.get(OFF, "0") not in ("", "0")
 
 
 def _fingerprint() -> str:

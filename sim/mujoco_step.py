@@ -14,8 +14,9 @@ from typing import NamedTuple, cast
 import mujoco
 import numpy as np
 from llvmlite import binding
-from numba import config, types
+from numba import types
 
+from sim.jit import is_off
 from sim.raw_memory import address_of
 
 
@@ -44,7 +45,7 @@ def _library() -> str:
 def _load() -> Callable[[int, int], None]:
     """Make ``mj_step(address of mjModel, address of mjData)``, callable from compiled code."""
     path = _library()
-    if config.DISABLE_JIT:
+    if is_off():
         function = ctypes.CDLL(path).mj_step
         function.argtypes, function.restype = (ctypes.c_void_p, ctypes.c_void_p), None
         return lambda model, data: function(int(model), int(data))  # numpy's whole numbers are not taken

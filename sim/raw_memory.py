@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import carray, config, types
+from numba import carray, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from sim.jit import jitted
+from sim.jit import is_off, jitted
 from sim.records import F64
 
 I32 = npt.NDArray[np.int32]
@@ -48,7 +48,7 @@ def ints(address: int, count: int) -> I32:
     return carray(_pointer(address), (count,), np.int32)  # type: ignore[no-any-return]
 
 
-if config.DISABLE_JIT:
+if is_off():
 
     def doubles(address: int, count: int) -> F64:
         """The same in plain Python."""
