@@ -38,9 +38,9 @@ def flown(tmp_path_factory) -> Flights:
     base.mkdir(exist_ok=True)
 
     def get(scenario: str, seed: int = 0, *options: str) -> Flown:
-        folder = base / "_".join([scenario, str(seed), *options]).replace("/", "_")
-        told = folder.with_suffix(".json")
-        with folder.with_suffix(".lock").open("w") as lock:
+        name = "_".join([scenario, str(seed), *options]).replace("/", "_")
+        folder, told = base / name, base / f"{name}.json"
+        with (base / f"{name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)  # a run is bounded, and so is this wait
             if not told.exists():
                 told.write_text(json.dumps(asdict(fly(folder, scenario, seed, *options))))

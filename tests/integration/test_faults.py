@@ -76,6 +76,7 @@ def test_failing_runs_repeat_bit_by_bit(flown, tmp_path):
     assert events(first.folder, "Fault: link in burst loss")
     same = flightstack("compare", first.log, tmp_path / "flight.mcap")
     assert (same.code, same.out.strip().splitlines()[-1]) == (0, "equal"), same.out
+    assert flightstack("compare", first.log, flown("fault_link_burst", 1).log).code == 1
 
 
 def test_a_wrong_fault_is_refused_before_anything_starts(tmp_path):
