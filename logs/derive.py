@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
+from types import MappingProxyType
 
 from logs.codec import CDR_HEADER, ControllerStepRow, Vec3, unpack_controller_step
 from logs.codec_log import pack_string
@@ -63,13 +64,17 @@ class Deriver:
         self._scene = Scene(self._base)
         self._slots: dict[int, int] = {}
 
-    def configure(self, run: Mapping[str, str]) -> None:
-        """Take the barrier's shape from the metadata of the run, where it is given, and its text to show.
+    def configure(self, run: Mapping[str, str], shape: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Take barrier and pad from the metadata of the run, and its text to show.
+
+        Args:
+            run: metadata of the run; empty for a real flight.
+            shape: barrier and pad where the run does not name them (``flight_config.shape``).
 
         Raises:
             ValueError: A shape that is not a number.
         """
-        self._scene.configure(run)
+        self._scene.configure({**shape, **run})
         self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in run.items()))
 
     def step(self, log_time_ns: int, payload: bytes) -> list[Derived]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 
+from flightstack.strict_toml import ConfigError
 from logs.codec import unpack_loop_timing
 from logs.derive import STEP_SUFFIX, Derived, Deriver
 from logs.derive_diagnostics import FrameCounter, Health
+from logs.flight_config import ATTACHMENT, read_config, shape
 from logs.mavlink_decoded import FrameDecoder
 from logs.schemas import CONTROLLER_STEP, LOOP_TIMING, MAVLINK
 
@@ -21,6 +24,7 @@ class Derivers:
 
     def __init__(self) -> None:
         self._run: dict[str, str] = {}
+        self._shape: dict[str, str] = {}  # of barrier and pad, by the configuration
         self._onboard: dict[str, str] = {}
         self._steps: dict[str, Deriver] = {}
         self._frames: dict[str, _Frames] = {}
@@ -35,18 +39,27 @@ class Derivers:
         if name == "run":
             self._run.update(values)
             for deriver in self._steps.values():
-                deriver.configure(self._run)
+                deriver.configure(self._run, self._shape)
         elif name == "onboard":
             self._onboard.update(values)
             for frames in self._frames.values():
                 self._configure(frames)
+
+    def attachment(self, name: str, data: bytes) -> None:
+        """Take barrier and pad from the configuration, for a flight without metadata of a run."""
+        if name != ATTACHMENT:
+            return
+        with contextlib.suppress(ConfigError):  # of another version: barrier and pad are not drawn by it
+            self._shape = shape(read_config(data))
+        for deriver in self._steps.values():
+            deriver.configure(self._run, self._shape)
 
     def declare(self, topic: str, schema: str) -> Derive | None:
         """Return what to call with each message of a channel; None: nothing is derived from it."""
         if schema == CONTROLLER_STEP:
             if topic not in self._steps:
                 self._steps[topic] = Deriver(topic, self._health_of(topic.removesuffix(STEP_SUFFIX)))
-                self._steps[topic].configure(self._run)
+                self._steps[topic].configure(self._run, self._shape)
             return self._steps[topic].step
         if schema == LOOP_TIMING:
             health = self._health_of(topic.removesuffix(TIMING_SUFFIX))

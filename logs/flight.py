@@ -6,7 +6,6 @@ what came before the cut, and says so.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -16,9 +15,10 @@ import numpy as np
 
 from flightstack.barrier import Barrier
 from flightstack.config import FlightConfig
-from flightstack.strict_toml import ConfigError, from_table
+from flightstack.strict_toml import ConfigError
 from flightstack.types import Vec3
 from logs.codec import unpack_log
+from logs.flight_config import ATTACHMENT, read_config
 from logs.flight_data import Event, Flight, Steps, TargetOdometry, Timing, Truth
 from logs.flight_decode import columns
 from logs.reader import LogError, LogFile, Message
@@ -26,7 +26,7 @@ from logs.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE
 
 __all__ = ["Event", "Flight", "Steps", "TargetOdometry", "Timing", "Truth", "load_flight"]
 
-PAD_RADIUS_M = 0.10  # m, radius within which first contact counts as landed, where the log names no other
+PAD_RADIUS_M = 0.10  # m, a Crazyflie's pad, where the log holds neither a run nor a configuration
 TARGET_TOPIC_END = "/target/odom"  # below any namespace
 
 _DTYPES = {"Floats": np.float64, "Ints": np.int64, "Bools": np.bool_}
@@ -78,7 +78,7 @@ def load_flight(path: Path | str) -> Flight:
         config=config,
         barrier=_barrier(run, config),
         velocity_max_m_s=_velocity_max(run, config),
-        pad_radius_m=_number(run, "pad_radius_m") or PAD_RADIUS_M,
+        pad_radius_m=_pad_radius(run, config),
         problems=tuple(problems),
     )
 
@@ -146,13 +146,13 @@ def _complain(found: Sequence[str], schema: str, problems: list[str]) -> None:
 
 def _config(attachments: dict[str, bytes], problems: list[str]) -> FlightConfig | None:
     """Configuration the onboard process flew with, if the log holds it."""
-    data = attachments.get("onboard.toml")
+    data = attachments.get(ATTACHMENT)
     if data is None:
         return None
     try:
-        return from_table(FlightConfig, tomllib.loads(data.decode()))
-    except (ConfigError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        problems.append(f"onboard.toml in the log: {error}")
+        return read_config(data)
+    except ConfigError as error:
+        problems.append(f"{ATTACHMENT} in the log: {error}")
         return None
 
 
@@ -163,6 +163,14 @@ def _barrier(run: dict[str, str], config: FlightConfig | None) -> Barrier | None
         if alpha_1_m is not None and beta_m is not None:
             return Barrier(alpha_1_m, beta_m)
     return config.barrier.build() if config is not None else None
+
+
+def _pad_radius(run: dict[str, str], config: FlightConfig | None) -> float:
+    """Of the scenario, else of the configuration, which is all that a real flight has."""
+    told_m = _number(run, "pad_radius_m")
+    if told_m is not None:
+        return told_m
+    return config.touchdown.pad_radius_m if config is not None else PAD_RADIUS_M
 
 
 def _velocity_max(run: dict[str, str], config: FlightConfig | None) -> Vec3 | None:

@@ -73,6 +73,12 @@ class Steps:
         """(n,) estimated horizontal distance to the landing spot, m; NaN where not both were valid."""
         return np.hypot(self.e_m[:, 0], self.e_m[:, 1])
 
+    @cached_property
+    def relative_velocity_m_s(self) -> Floats:
+        """(n, 3) estimated velocity relative to the landing spot, m/s; NaN where not both were valid."""
+        velocity_m_s = self.own_velocity_enu_m_s - self.target_velocity_enu_m_s
+        return np.where(self.both_valid[:, None], velocity_m_s, np.nan)
+
 
 @dataclass(frozen=True)
 class Truth:

@@ -217,7 +217,9 @@ class Recorder:
         if not separator:
             raise ValueError("attachment without a head line")
         content = json.loads(head)
-        self._file.attachment(str(content["name"]), str(content["media_type"]), record.log_time_ns, data)
+        name = str(content["name"])
+        self._file.attachment(name, str(content["media_type"]), record.log_time_ns, data)
+        self._derivers.attachment(name, data)
 
     def _losses(self, client: _Client, record: Record) -> None:
         content = json.loads(record.payload)

@@ -24,7 +24,7 @@ from logs.report_tables import (
     versions_table,
 )
 from logs.verdict import judge
-from logs.verdict_types import TRUE_STATES, Verdict
+from logs.verdict_types import SOURCES, TRUTH, Verdict
 
 __all__ = ["ReportError", "plotly_source", "render", "section", "write_report"]
 
@@ -120,13 +120,13 @@ def _subtitle(run: dict[str, str], verdict: Verdict) -> str:
 
 
 def _source(verdict: Verdict) -> str:
-    if verdict.judged_from == TRUE_STATES:
+    if verdict.judged_from == TRUTH:
         return (
             "Judged from the simulator's true states, sampled every physics step, "
             "whatever the controller believed."
         )
     return (
-        "Judged from the vehicle's own estimate: this log holds no true states. "
+        f"Judged from {SOURCES[verdict.judged_from]}: this log holds no true states. "
         "An estimate shows neither contacts nor its own errors."
     )
 

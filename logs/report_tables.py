@@ -11,7 +11,7 @@ from logs.codec_log import Severity
 from logs.flight_data import Bools, Flight, Floats, phase_name
 from logs.report_faults import fault_spans
 from logs.report_links import Stream
-from logs.verdict_types import ESTIMATE, Outcome, Verdict
+from logs.verdict_types import ESTIMATE, SOURCES, Outcome, Verdict
 
 _SAME_TICK_S = 0.011  # an event of the tick in which a phase began
 _EVENTS_MAX = 500  # a page with more is not read
@@ -65,7 +65,7 @@ def headline(verdict: Verdict) -> tuple[str, str]:
 
 def result_table(flight: Flight, verdict: Verdict) -> str:
     """The verdict with units, and what each line was judged from."""
-    source, v = verdict.judged_from, verdict
+    source, v = SOURCES[verdict.judged_from], verdict
     relative = f"relative to the pad; {source}"
     rows = [
         ("outcome", v.outcome.value, "", v.reason),

@@ -1,7 +1,9 @@
 """Judging by the vehicle's own estimate, for logs without true states. Definitions: ``verdict.py``.
 
-An estimate knows no contacts: the phase machine's TOUCHDOWN stands for the first contact and LANDED for the
-motors that stopped, and a crash that the stack did not notice looks like a timeout. The reason says so.
+An estimate knows no contacts: where it shows that the pad stopped the descent stands for the first contact,
+phase LANDED for the motors that stopped, and a crash that the stack did not notice looks like a timeout. The
+reason says so. Its numbers are as good as the estimates of vehicle and target: a constant error of either
+does not show.
 """
 
 from __future__ import annotations
@@ -11,7 +13,8 @@ import math
 import numpy as np
 
 from flightstack.types import Phase
-from logs.flight_data import Bools, Flight, Steps
+from logs.estimate_touchdown import EstimatedTouchdown, feet_and_gap_m, find_touchdown
+from logs.flight_data import Flight, Steps
 from logs.verdict_types import (
     ESTIMATE,
     GAP_MAX_S,
@@ -20,14 +23,15 @@ from logs.verdict_types import (
     Verdict,
     abort_declared,
     finite,
+    judged_until,
     lowest,
     violated,
 )
 
 REST_SPEED_MAX_M_S = 0.10  # relative to the pad; a resting vehicle's estimate still carries noise
-REST_HEIGHT_MAX_M = 0.05  # of the reference point above the pad: feet (14 mm) and noise
+REST_HEIGHT_MAX_M = 0.05  # of the feet over or under the pad, beyond the configured gap: two estimates drift
 _SAME_S = 1e-6  # below the resolution of a tick
-_NO_CONTACTS = "judged by the estimate, which shows no contacts"
+_NO_CONTACTS = "judged from the vehicle's own estimate, which shows no contacts"
 
 
 def judge_estimate(flight: Flight) -> Verdict:
@@ -41,70 +45,56 @@ def judge_estimate(flight: Flight) -> Verdict:
             return _nothing(Outcome.ABORTED, f"before the landing began: {abort.text}")
         return _nothing(Outcome.TIMEOUT, "the landing never began: no controller step in phase APPROACH")
     begin = int(np.searchsorted(steps.t_s, start_s))
-    touch = _first(np.isin(steps.phase, (Phase.TOUCHDOWN, Phase.LANDED)), begin)
+    touch = find_touchdown(steps, flight.config, begin)
     outcome, reason = _outcome(flight, steps, touch)
-    d_m, h_m = steps.d_m[begin:], steps.h_m[begin:]
+    counts = slice(begin, judged_until(flight, steps.t_s, steps.d_m))
+    d_m, h_m = steps.d_m[counts], np.where(steps.both_valid, steps.h_m, np.nan)[counts]
     # After touchdown the filter no longer runs, and h outside the pad is all that counts.
-    until = len(steps.t_s) if touch is None else touch
-    known = bool((steps.both_valid & np.isfinite(steps.h_m))[begin:until].all())
-    known = known and (flight.complete or outcome is Outcome.LANDED)
-    usable = steps.both_valid[begin:]
-    h_m = np.where(usable, h_m, np.nan)
+    needed = h_m if touch is None else h_m[: touch.index - begin]
+    known = bool(np.isfinite(needed).all()) and (flight.complete or outcome is Outcome.LANDED)
     started_safe = bool(h_m[0] >= 0.0) if math.isfinite(h_m[0]) else None
     outside_m = lowest(np.where(d_m > flight.pad_radius_m, h_m, np.nan))
-    v_m_s = np.full(3, np.nan) if touch is None else _relative_velocity(steps, touch)
+    vx, vy, vz = (math.nan,) * 3 if touch is None else touch.velocity_m_s
     return Verdict(
         outcome=outcome,
         violation=violated(outside_m, started_safe, complete=known and started_safe is not None),
         h_min_m=lowest(h_m),
         h_min_outside_pad_m=outside_m,
-        touchdown_error_m=None if touch is None else finite(steps.d_m[touch]),
-        touchdown_speed_vertical_m_s=finite(-v_m_s[2]),
-        touchdown_speed_horizontal_m_s=finite(float(np.hypot(v_m_s[0], v_m_s[1]))),
-        time_to_land_s=(
-            float(steps.t_s[touch] - start_s) if touch is not None and outcome is Outcome.LANDED else None
-        ),
+        touchdown_error_m=None if touch is None else finite(touch.d_m),
+        touchdown_speed_vertical_m_s=finite(-vz),
+        touchdown_speed_horizontal_m_s=finite(math.hypot(vx, vy)),
+        time_to_land_s=touch.t_s - start_s if touch is not None and outcome is Outcome.LANDED else None,
         reason=f"{reason}; {_NO_CONTACTS}",
         started_safe=started_safe,
         judged_from=ESTIMATE,
     )
 
 
-def _outcome(flight: Flight, steps: Steps, touch: int | None) -> tuple[Outcome, str]:
+def _outcome(flight: Flight, steps: Steps, touch: EstimatedTouchdown | None) -> tuple[Outcome, str]:
     abort = abort_declared(flight)
     if abort:
         return Outcome.ABORTED, abort.text
     if touch is None:
         return Outcome.TIMEOUT, "no touchdown and no declared abort until the log ends"
-    if not steps.d_m[touch] <= flight.pad_radius_m:
-        return (
-            Outcome.TIMEOUT,
-            f"touchdown {steps.d_m[touch]:.3f} m from the pad's centre, or not known where",
-        )
-    landed = _first(steps.phase == Phase.LANDED, touch)
-    if landed is None:
+    if not touch.d_m <= flight.pad_radius_m:
+        return Outcome.TIMEOUT, f"touchdown {touch.d_m:.3f} m from the pad's centre, or not known where"
+    landed = np.flatnonzero(steps.phase == Phase.LANDED)
+    if not len(landed):
         return Outcome.TIMEOUT, "touched down, but the motors never stopped"
-    at = int(np.searchsorted(steps.t_s, steps.t_s[landed] + REST_TIME_S - _SAME_S))
+    at = int(np.searchsorted(steps.t_s, steps.t_s[landed[0]] + REST_TIME_S - _SAME_S))
     if at >= len(steps.t_s):
-        seen_s = float(steps.t_s[-1] - steps.t_s[landed])
+        seen_s = float(steps.t_s[-1] - steps.t_s[landed[0]])
         return Outcome.TIMEOUT, f"the log ends {seen_s:.2f} s after the motors stopped; 2 s are needed"
     if np.diff(steps.t_s[: at + 1]).max() > GAP_MAX_S:
         return Outcome.TIMEOUT, f"the controller's steps have a gap of more than {GAP_MAX_S:g} s"
-    speed_m_s = float(np.linalg.norm(_relative_velocity(steps, at)))
-    rests = steps.d_m[at] <= flight.pad_radius_m and abs(steps.e_m[at, 2]) <= REST_HEIGHT_MAX_M
-    if not (rests and speed_m_s <= REST_SPEED_MAX_M_S):
-        text = f"did not rest on the pad: d {steps.d_m[at]:.3f} m, relative speed {speed_m_s:.3f} m/s"
-        return Outcome.TIMEOUT, text
+    feet_m, gap_m = feet_and_gap_m(flight.config)
+    d_m, height_m = float(steps.d_m[at]), float(steps.e_m[at, 2]) - feet_m
+    speed_m_s = float(np.linalg.norm(steps.relative_velocity_m_s[at]))
+    on_pad = d_m <= flight.pad_radius_m and abs(height_m) <= gap_m + REST_HEIGHT_MAX_M
+    if not (on_pad and speed_m_s <= REST_SPEED_MAX_M_S):
+        text = f"did not rest on the pad: d {d_m:.3f} m, feet {height_m:+.3f} m above it"
+        return Outcome.TIMEOUT, f"{text}, relative speed {speed_m_s:.3f} m/s"
     return Outcome.LANDED, "rests on the pad 2 s after the motors stopped"
-
-
-def _first(mask: Bools, begin: int) -> int | None:
-    found = np.flatnonzero(mask[begin:])
-    return begin + int(found[0]) if len(found) else None
-
-
-def _relative_velocity(steps: Steps, at: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    return np.asarray(steps.own_velocity_enu_m_s[at] - steps.target_velocity_enu_m_s[at])
 
 
 def _nothing(outcome: Outcome, reason: str) -> Verdict:

@@ -12,12 +12,13 @@ from logs.flight_data import Truth
 from logs.verdict_types import (
     GAP_MAX_S,
     REST_TIME_S,
-    TRUE_STATES,
+    TRUTH,
     Judged,
     Outcome,
     Verdict,
     abort_declared,
     finite,
+    judged_until,
     lowest,
     violated,
 )
@@ -67,7 +68,7 @@ def judge_truth(flight: Judged, truth: Truth) -> Verdict:
         return _nothing(Outcome.TIMEOUT, "the true states end before the landing began")
     touch = _first_contact(truth, begin)
     outcome, reason = _outcome(flight, truth, begin, touch)
-    until = _judged_until(flight, truth)
+    until = judged_until(flight, truth.t_s, truth.d_m)
     missing = _missing(flight, truth, start_s, begin, until, outcome)
     if outcome is Outcome.LANDED and not _covered(truth, start_s, begin):
         outcome, reason = Outcome.TIMEOUT, f"not shown to have landed: {missing}"
@@ -89,7 +90,7 @@ def judge_truth(flight: Judged, truth: Truth) -> Verdict:
         time_to_land_s=on_pad.t_s - start_s if on_pad and outcome is Outcome.LANDED else None,
         reason=f"{reason}; {missing}" if missing and missing not in reason else reason,
         started_safe=started_safe,
-        judged_from=TRUE_STATES,
+        judged_from=TRUTH,
     )
 
 
@@ -140,21 +141,6 @@ def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) ->
         return Outcome.TIMEOUT, text
     text = f"touched {touch.d_m * 100:.1f} cm from the centre, rests on the pad 2 s after the motors stopped"
     return Outcome.LANDED, text
-
-
-def _judged_until(flight: Judged, truth: Truth) -> int:
-    """Index of the first true state whose h no longer counts: after a declared abort that has flown clear.
-
-    Who lands beside the robot ends below its pad, where h < 0 by geometry. The state that first shows the
-    vehicle outside the clearance distance still counts, with the physics steps before it. Without the
-    configuration nothing is known of a clearance distance, and all counts.
-    """
-    abort = abort_declared(flight)
-    if abort is None or flight.config is None:
-        return len(truth.t_s)
-    clear = (truth.t_s > abort.t_s) & (truth.d_m > flight.config.checks.clearance_m)
-    found = np.flatnonzero(clear)
-    return int(found[0]) + 1 if len(found) else len(truth.t_s)
 
 
 def _first_contact(truth: Truth, begin: int) -> _Touch | None:
@@ -236,7 +222,7 @@ def _never_began(flight: Judged, truth: Truth) -> Verdict:
 
 
 def _nothing(outcome: Outcome, reason: str) -> Verdict:
-    return Verdict(outcome, None, None, None, None, None, None, None, reason, None, TRUE_STATES)
+    return Verdict(outcome, None, None, None, None, None, None, None, reason, None, TRUTH)
 
 
 def _names(bits: int) -> str:

@@ -16,8 +16,9 @@ from logs.flight_data import Event, Floats, Ints
 VIOLATION_LIMIT_M = -0.005  # m, h below this outside the pad is a violation
 REST_TIME_S = 2.0  # s after the motors stop
 GAP_MAX_S = 0.2  # s without data beyond which nothing is known about what happened in between
-TRUE_STATES = "true states"
+TRUTH = "truth"
 ESTIMATE = "estimate"
+SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # in words, by ``judged_from``
 _SAID_WITHIN_S = 0.1  # an event of the tick itself, with margin for another clock
 
 
@@ -89,7 +90,7 @@ class Verdict:
         time_to_land_s: from the begin of the landing to first contact, if landed.
         reason: why this outcome, in words.
         started_safe: h >= 0 when the landing began; ``None`` if not known.
-        judged_from: "true states" or "estimate".
+        judged_from: ``TRUTH`` or ``ESTIMATE``.
     """
 
     outcome: Outcome
@@ -149,3 +150,22 @@ def abort_declared(flight: Judged) -> Abort | None:
     t_s = float(flight.steps.t_s[steps[0]])
     near = [e.text for e in flight.events if abs(e.t_s - t_s) <= _SAID_WITHIN_S and "abort" in e.text.lower()]
     return Abort(t_s, f"declared abort: {near[0] if near else 'no reason in the log'}")
+
+
+def judged_until(flight: Judged, t_s: Floats, d_m: Floats) -> int:
+    """Index of the first state whose h no longer counts: after a declared abort that has flown clear.
+
+    Who lands beside the robot ends below its pad, where h < 0 by geometry. The state that first shows the
+    vehicle outside the clearance distance still counts, with the physics steps before it. Without the
+    configuration nothing is known of a clearance distance, and all counts.
+
+    Args:
+        flight: with its configuration.
+        t_s: (n,) times of the states.
+        d_m: (n,) horizontal distance to the landing spot; NaN where it is not known.
+    """
+    abort = abort_declared(flight)
+    if abort is None or flight.config is None:
+        return len(t_s)
+    found = np.flatnonzero((t_s > abort.t_s) & (d_m > flight.config.checks.clearance_m))
+    return int(found[0]) + 1 if len(found) else len(t_s)

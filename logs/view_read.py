@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.strict_toml import ConfigError
 from logs.codec import (
     ControllerStepRow,
     LogRow,
@@ -19,6 +20,7 @@ from logs.codec import (
     unpack_loop_timing,
     unpack_true_state,
 )
+from logs.flight_config import ATTACHMENT, read_config, shape
 from logs.reader import LogError, LogFile
 from logs.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, TRUE_STATE
 
@@ -31,7 +33,7 @@ class Seen:
     """A flight as rows, in the order of log time.
 
     Attributes:
-        run: metadata of the run, empty for a log made by hand.
+        run: metadata of the run; of a real flight, which has none, barrier and pad of the configuration.
         namespace: first part of the topics of the controller, "" if it had none.
         steps, timings, truths, events: (log time in ns, row).
         problem: why the log is not whole; empty for one that is.
@@ -58,7 +60,7 @@ def read(path: Path) -> Seen:
         LogError: Not a log, without controller steps and true states, or a message that is not ours.
     """
     log = LogFile(path)
-    seen = Seen(dict(log.metadata().get("run", {})))
+    seen = Seen(_shape(log) | log.metadata().get("run", {}))
     for message in log.messages():
         try:
             if message.schema == CONTROLLER_STEP:
@@ -78,6 +80,15 @@ def read(path: Path) -> Seen:
     for rows in (seen.steps, seen.timings, seen.truths, seen.events):
         rows.sort(key=lambda row: row[0])
     return seen
+
+
+def _shape(log: LogFile) -> dict[str, str]:
+    """Barrier and pad by the configuration in the log, empty where there is none of this version."""
+    found = [a.data for a in log.attachments() if a.name == ATTACHMENT]
+    try:
+        return shape(read_config(found[-1])) if found else {}
+    except ConfigError:
+        return {}
 
 
 def times(rows: Sequence[tuple[int, object]]) -> Ints:

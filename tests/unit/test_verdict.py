@@ -42,7 +42,7 @@ def test_landed(verdict_of):
     assert verdict.outcome is Outcome.LANDED
     assert verdict.violation is False
     assert verdict.started_safe is True
-    assert verdict.judged_from == "true states"
+    assert verdict.judged_from == "truth"
     x, y, _ = touch.first_touch_relative_position_enu_m
     vx, vy, vz = touch.first_touch_relative_velocity_enu_m_s
     assert verdict.touchdown_error_m == pytest.approx(math.hypot(x, y))
