@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 
 from rich.console import Console
@@ -15,7 +14,7 @@ from bridge.ros2_network import Ros2Network
 from flightstack.certificate import problems
 from flightstack.config import FilterKind, FlightConfig
 from flightstack.launcher import NAMESPACE, Launcher, Shown
-from flightstack.run_log import describe
+from flightstack.recording import describe, log_in, new_folder
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from sim.autopilot.geo import ORIGIN_WGS84
 from sim.autopilot.personality import PERSONALITIES, PX4
@@ -99,32 +98,12 @@ def run(options: RunOptions, console: Console) -> Run:
     """
     scenario = prepare(options)
     folder = options.out or new_folder(f"{scenario.name}-seed{options.seed}-{scenario.onboard.filter.value}")
-    folder.mkdir(parents=True, exist_ok=True)
-    log = folder / "flight.mcap"
-    if log.exists():
-        raise ConfigError(f"--out: {log} exists and is not written over; give another folder")
+    log = log_in(folder)
     scenario_file, config_file = folder / "scenario.toml", folder / "onboard.toml"
     scenario_file.write_text(dumps(to_table(scenario)))
     config_file.write_text(dumps(to_table(scenario.onboard)))
     with Launcher(folder, console, tells=options.live) as launcher:
         return _fly(launcher, options, scenario, log)
-
-
-def new_folder(name: str) -> Path:
-    """Make a folder in ``runs`` for what a flight leaves behind.
-
-    Raises:
-        ConfigError: too many of this name and second.
-    """
-    base = f"{datetime.now().strftime('%Y%m%d-%H%M%S')}-{name}"
-    for number in range(1000):
-        folder = Path("runs") / (f"{base}-{number}" if number else base)
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        return folder
-    raise ConfigError(f"runs/{base}: a thousand runs of this second exist already; give --out")
 
 
 def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Run:
