@@ -22,6 +22,8 @@ VERBS = {
     "campaign": "sim.campaign.verb:campaign",
     "check": "flightstack.cli_check:check",
     "compare": "flightstack.cli_log:diff",
+    "config": "flightstack.cli_config:config",
+    "fly": "flightstack.cli_fly:fly",
     "identify": "flightstack.cli_identify:identify",
     "key": "flightstack.cli_key:key",
     "log": "flightstack.cli_log:log",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flightstack.config import FilterKind, FlightConfig, load
+from flightstack.config import FilterKind, FlightConfig, load, names, path_of
 from flightstack.strict_toml import ConfigError, from_table, read_toml
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ PROVEN, NOT_PROVEN = 0, 1
 def check(config: str, filter_name: str | None, as_json: bool) -> None:
     """Prove before flight that CONFIG keeps its promises over all it declares.
 
-    CONFIG is a configuration of `onboard`, or a scenario: a name or a file. Each line shows the worst point
+    CONFIG is a configuration of `onboard` or a scenario, by name or as a file. Each line shows the worst point
     and how much room is left there (docs/robust_filter.md).
 
     Exit status: 0 all proven, 1 something is not, 2 wrong input.
@@ -51,8 +51,8 @@ def check(config: str, filter_name: str | None, as_json: bool) -> None:
 
 
 def _load(name_or_file: str) -> FlightConfig:
-    """Configuration of a file or scenario."""
-    path = Path(name_or_file)
+    """Configuration of a name, file or scenario."""
+    path = path_of(name_or_file) if name_or_file in names() else Path(name_or_file)
     if path.is_file():
         table = read_toml(path)
         if "onboard" not in table:

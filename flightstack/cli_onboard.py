@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -11,63 +14,64 @@ from flightstack import cli_options as shared
 from flightstack.cli_zenoh import plugs, ros2, ros2_network, target_key, target_offset, target_type
 from flightstack.hangup import say
 
+_FLIGHT = (
+    shared.vehicle_url, target_key, target_type, target_offset, ros2, shared.config(), plugs,
+    shared.namespace, shared.no_record, shared.duration, shared.system_id, shared.autopilot,
+    shared.signing_key, shared.allow_unsigned,
+)  # fmt: skip
+
+
+def flight_options(verb: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of every verb that flies any vehicle: where it is plugged in."""
+    for option in reversed(_FLIGHT):
+        verb = option(verb)
+    return verb
+
 
 @click.command()
-@shared.vehicle_url
-@target_key
-@target_type
-@target_offset
-@ros2
-@click.option(
-    "--config",
-    "config_file",
-    required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Configuration (TOML).",
-)
-@plugs
-@shared.namespace
+@flight_options
 @shared.recorder
 @shared.lockstep
-@shared.duration
-@shared.system_id
-@shared.autopilot
-@shared.signing_key
-@shared.allow_unsigned
-def onboard(
-    vehicle_url: str, target_key: str, config_file: Path, connect: tuple[str, ...], listen: tuple[str, ...],
-    namespace: str, recorder: Path | None, lockstep: bool, duration_s: float | None, system_id: int,
-    autopilot: str, signing_key: Path | None, allow_unsigned: bool, target_type: str, ros2_where: str | None,
-    ros_domain: int, zenoh_config: Path | None, target_offset: tuple[float, float, float],
-) -> None:  # fmt: skip
-    """Run the onboard process against any vehicle and target.
+def onboard(config_file: Path, recorder: Path | None, no_record: bool, **plugged: Any) -> None:
+    """Run the onboard process against any vehicle and target; `fly` adds a live view and a report.
 
-    Ctrl-C asks for an abort (fly clear, land), and so does a terminal that closes; a second Ctrl-C ends the
-    process at once.
+    Records to a log of its own in runs/, unless --recorder or --no-record say otherwise. Ctrl-C asks for an
+    abort (fly clear, land), and so does a terminal that closes; a second Ctrl-C ends the process at once.
     """
     from bridge.ros2_target import TargetType
     from flightstack import config
     from flightstack import onboard as process
+    from flightstack.processes import LaunchError
+    from flightstack.recording import OwnRecorder
 
-    options = process.Options(
-        vehicle_url,
-        target_key,
-        list(connect),
-        list(listen),
-        namespace,
-        recorder,
-        lockstep,
-        duration_s,
-        system_id,
-        signing_key,
-        allow_unsigned,
-        autopilot,
-        TargetType(target_type),
-        zenoh_config,
-        ros2_network(ros2_where, ros_domain),
-        ros_domain,
-        target_offset,
-    )
-    ended = process.run(config.load(config_file), options, say=say)
+    with ExitStack() as stack:
+        own = stack.enter_context(OwnRecorder()) if recorder is None and not no_record else None
+        options = process.Options(
+            vehicle_url=plugged["vehicle_url"],
+            target_key=plugged["target_key"],
+            connect=list(plugged["connect"]),
+            listen=list(plugged["listen"]),
+            namespace=plugged["namespace"],
+            recorder=recorder,
+            own_recorder=own,
+            lockstep=plugged["lockstep"],
+            duration_s=plugged["duration_s"],
+            system_id=plugged["system_id"],
+            signing_key=plugged["signing_key"],
+            allow_unsigned=plugged["allow_unsigned"],
+            autopilot=plugged["autopilot"],
+            target_type=TargetType(plugged["target_type"]),
+            zenoh_config=plugged["zenoh_config"],
+            ros2=ros2_network(plugged["ros2_where"], plugged["ros_domain"]),
+            ros_domain=plugged["ros_domain"],
+            target_offset_m=plugged["target_offset"],
+        )
+        try:
+            ended = process.run(config.load(config_file), options, say=say)
+        except LaunchError as error:
+            click.echo(f"flightstack: {error}; --no-record flies without a log", err=True)
+            sys.exit(1)
     say(f"{ended.phase.name}: {ended.reason}")
+    if own is not None and own.problem is not None:
+        click.echo(f"onboard: WARNING: {own.problem}", err=True)
     sys.exit(ended.exit_code)

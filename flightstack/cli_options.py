@@ -38,6 +38,26 @@ def _numbers(context: click.Context, option: click.Parameter, given: tuple[str, 
     return found
 
 
+def _configuration(context: click.Context, option: click.Parameter, given: str | None) -> Path | None:
+    """File of a configuration by name or path."""
+    del context, option
+    from flightstack.config import path_of
+
+    return path_of(given) if given is not None else None
+
+
+def config(required: bool = True, help: str = "Configuration (TOML)") -> Callable[[Any], Any]:
+    """``--config``."""
+    return click.option(
+        "--config",
+        "config_file",
+        required=required,
+        metavar="NAME_OR_FILE",
+        callback=_configuration,
+        help=f"{help}: a name (see `config`) or a file.",
+    )
+
+
 seed = click.option(
     "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all chance."
 )
@@ -51,7 +71,17 @@ recorder = click.option(
     "--recorder",
     type=click.Path(path_type=Path),
     metavar="SOCKET",
-    help="Socket of a running `record`; without it nothing is recorded.",
+    help="Socket of a running `record`.",
+)
+no_record = click.option("--no-record", is_flag=True, help="Record nothing.")
+out = click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for log and report; default: a new one in runs/.",
+)
+as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object as the last line.")
+with_report = click.option(
+    "--report/--no-report", "with_report", default=True, show_default=True, help="Write the HTML report."
 )
 namespace = click.option(
     "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."

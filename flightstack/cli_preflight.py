@@ -28,10 +28,9 @@ _PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # its co
 @click.command()
 @shared.vehicle_url
 @shared.autopilot
-@click.option(
-    "--config", "config_file", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Configuration to be flown; default: the paper's limits, nothing accepted.",
-)  # fmt: skip
+@shared.config(
+    required=False, help="Configuration to be flown; default: the paper's limits, nothing accepted"
+)
 @shared.system_id
 @click.option(
     "--wait", "wait_s", type=click.FloatRange(0.1, 600.0), default=10.0, show_default=True, metavar="S",

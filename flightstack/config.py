@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import Enum
+from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
@@ -175,8 +176,31 @@ class FlightConfig:
             )
 
 
+def names() -> list[str]:
+    """Names of the configurations that come with the package."""
+    folder = resources.files("flightstack.configurations")
+    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+
+
+def path_of(name_or_file: str) -> Path:
+    """File of a configuration given by name or path.
+
+    Raises:
+        ConfigError: neither a known name nor a file.
+    """
+    if name_or_file in names():
+        return Path(str(resources.files("flightstack.configurations") / f"{name_or_file}.toml"))
+    path = Path(name_or_file)
+    if path.is_file():
+        return path
+    raise ConfigError(
+        f"configuration {name_or_file!r}: neither a file nor one of: {', '.join(names())} "
+        "(`flightstack config NAME` prints one)"
+    )
+
+
 def load(path: Path) -> FlightConfig:
-    """Read and check a configuration file.
+    """Read and check a configuration file; ``path_of`` finds one by name.
 
     Raises:
         ConfigError: with file, key, what was found and what is allowed.

@@ -39,6 +39,7 @@ from flightstack.pacing import (
     ask_for_priority,
     quiet_garbage_collector,
 )
+from flightstack.recording import OwnRecorder
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from flightstack.types import ZERO, Operator, Phase, Vec3
 from flightstack.zenoh_wires import ZenohPlan, ZenohWires
@@ -56,7 +57,8 @@ class Options:
     connect: list[str] = field(default_factory=list)
     listen: list[str] = field(default_factory=list)
     namespace: str = "cf1"
-    recorder: Path | None = None
+    recorder: Path | None = None  # socket of a running one
+    own_recorder: OwnRecorder | None = None  # started if there is no other
     lockstep: bool = False
     duration_s: float | None = None
     system_id: int = 1
@@ -131,8 +133,13 @@ class Onboard:
             profile=chosen,
             origin=Origin(*origin) if origin is not None else None,
         )
-        recorder = str(options.recorder) if options.recorder else None
-        self.feed = Feed.connect(recorder, "onboard", lossless=options.lockstep)
+        self.log_file: Path | None = None
+        recorder = options.recorder
+        if recorder is None and options.own_recorder is not None:
+            plugged = {"vehicle": options.vehicle_url, "target": options.target_key}
+            recorder, self.log_file = options.own_recorder.start(config, plugged)
+        socket = str(recorder) if recorder is not None else None
+        self.feed = Feed.connect(socket, "onboard", lossless=options.lockstep)
         self._describe()
         self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz, options.lockstep)
         self.health = LiveHealth(self.session, options.namespace, rate_hz)
@@ -223,6 +230,7 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
         ConfigError: the configuration must not fly.
         ValueError: a URL, endpoint or key that is not understood, or a network without a key.
         OSError: an address or file that cannot be opened.
+        LaunchError: its own recorder did not start.
     """
     found = problems(config)
     if found:
@@ -232,6 +240,8 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
     try:
         for warning in onboard.link.endpoint.warnings:
             _warn(warning)
+        if onboard.log_file is not None:
+            say(f"log {onboard.log_file}")
         say("ready")
         sys.stdout.flush()
         if not options.lockstep:  # only the simulator runs in lockstep, and its parameters are known

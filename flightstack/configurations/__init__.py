@@ -1,0 +1,1 @@
+"""Configurations of the onboard process that come with the package, by name."""

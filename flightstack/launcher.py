@@ -1,0 +1,183 @@
+"""The processes of one flight: started in order, watched with a live view, ended in order."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType, TracebackType
+
+from rich.console import Console
+
+from bridge import zenoh_link
+from flightstack.live import REFRESH_HZ, LiveView
+from flightstack.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port
+
+NAMESPACE = "cf1"
+LAND_ALONE_MAX_S = 20.0  # s of wall time for the vehicle's own landing without the onboard process
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the live view shows.
+
+    Attributes:
+        endpoint: Zenoh endpoint of the onboard process.
+        title: of the view.
+    """
+
+    endpoint: str
+    title: str
+
+
+class Launcher:
+    """Holds the children, so that they are ended whatever happens; a context manager.
+
+    Attributes:
+        children: running processes of this flight, in the order in which they were started.
+        interrupted: whether the operator asked for the end of the run.
+        aborted: whether the onboard process has given up and left the vehicle to its autopilot.
+        socket: where the recorder listens.
+
+    Args:
+        folder: for what the children say.
+        console: for the lines of the onboard process.
+        tells: whether these are shown.
+    """
+
+    def __init__(self, folder: Path, console: Console, *, tells: bool) -> None:
+        self.folder, self.console = folder, console
+        self.children: list[Child] = []
+        self.interrupted = False
+        self.aborted = False
+        self._tells = tells
+        self._ports: list[Port] = []
+        # a short path: socket names are limited to 107 bytes
+        self._sockets = Path(tempfile.mkdtemp(prefix="flightstack-"))
+        self.socket = self._sockets / "recorder"
+
+    def __enter__(self) -> Launcher:
+        handlers = (self._interrupt, self._interrupt, self._emergency)
+        pairs = zip(_SIGNALS, handlers, strict=True)
+        self._previous = {number: signal.signal(number, handler) for number, handler in pairs}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        del kind, error, trace
+        self.end_all()
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+        shutil.rmtree(self._sockets, ignore_errors=True)
+
+    def endpoint(self) -> str:
+        """Zenoh endpoint of loopback on a port kept free for this flight.
+
+        Raises:
+            LaunchError: there is no free port.
+        """
+        port = Port()
+        self._ports.append(port)
+        return port.endpoint
+
+    def start(self, verb: str, *arguments: str) -> Child:
+        """Start a verb of ``flightstack``."""
+        child = Child(verb, [verb, *arguments], self.folder)
+        self.children.append(child)
+        return child
+
+    def record(self, log: Path) -> Child:
+        """Start the recorder and wait until it listens at ``socket``.
+
+        Raises:
+            LaunchError: it did not start.
+        """
+        recorder = self.start("record", "--socket", str(self.socket), "--out", str(log))
+        recorder.wait_ready()
+        return recorder
+
+    def end_all(self) -> None:
+        """End every child, the recorder last, so that it closes the log behind the others."""
+        for child in reversed(self.children):
+            child.end(CLOSE_TIME_MAX_S if child.name == "record" else END_TIME_MAX_S)
+        self.children.clear()
+        for port in self._ports:
+            port.close()
+
+    def watch(self, onboard: Child, others: list[Child], limit_s: float, shown: Shown | None) -> str | None:
+        """Watch until the onboard process ends; the problem, if there was one.
+
+        Args:
+            onboard: the onboard process.
+            others: processes that have to outlive it.
+            limit_s: wall time after which the run is given up.
+            shown: for the live view; None: there is none.
+        """
+        until = time.monotonic() + limit_s
+        view = session = None
+        problem: str | None = None
+        if shown is not None:
+            session = zenoh_link.open_session([], [shown.endpoint])
+            view = LiveView(session, NAMESPACE, shown.title, self.console)
+            view.live.start()
+        try:
+            while onboard.alive():
+                self._say(onboard.lines(1.0 / REFRESH_HZ))
+                if view is not None:
+                    view.poll()
+                for child in [c for c in others if not c.alive()]:
+                    # nobody else needs it to end safely: the onboard process holds, climbs or lands away
+                    others.remove(child)
+                    problem = f"{child.name} ended in flight: {child.errors() or 'no reason given'}"
+                    self.console.print(problem, style="red", markup=False)
+                if self.interrupted:
+                    return "interrupted"
+                if time.monotonic() > until:
+                    return f"not over after {limit_s:.0f} s"
+            self._say(onboard.lines(0.0))
+        finally:
+            if view is not None:
+                view.live.stop()
+            if session is not None:
+                session.close()
+        if onboard.process.returncode not in (0, 1):
+            problem = f"onboard ended in flight: {onboard.errors() or 'no reason given'}"
+            self.aborted = True
+        if self.aborted:
+            self._let_it_land(others, until)
+        return problem
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.interrupted = True
+
+    def _emergency(self, number: int, frame: FrameType | None) -> None:
+        """An emergency stop is the onboard process's to give."""
+        del frame
+        for child in self.children:
+            if child.name == "onboard" and child.alive():
+                child.process.send_signal(number)
+
+    def _say(self, lines: list[str]) -> None:
+        for line in lines:
+            self.aborted = self.aborted or "-> ABORT" in line
+            if self._tells:
+                self.console.print(line, highlight=False, markup=False)
+
+    def _let_it_land(self, others: list[Child], until: float) -> None:
+        """Without the onboard process the vehicle lands by itself: wait until it says so.
+
+        What it has said so far has not been read: one that never armed, or stands already, is known at once.
+        """
+        vehicle = next((c for c in others if c.name == "vehicle"), None)
+        until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), False
+        while vehicle is not None and vehicle.alive() and not self.interrupted and time.monotonic() < until:
+            said = [line for line in vehicle.lines(0.2) if line in ("armed", "disarmed")]
+            armed = said[-1] == "armed" if said else armed
+            if not armed:
+                return
