@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from logs.reader import LogFile
 
 DONE, BROKEN = 0, 1
+LANDED, NOT_LANDED = 0, 1
 SHOWN = 20  # differences printed; the first ones tell the story
 
 _log = click.argument("log_file", metavar="LOG", type=click.Path(dir_okay=False, path_type=Path))
@@ -29,7 +30,7 @@ def _out(command: Callable[..., None]) -> Callable[..., None]:
 
 @click.group()
 def log() -> None:
-    """Look into flight logs, compare, cut, repair and export them; a broken LOG is read up to its break.
+    """Look into flight logs, judge, compare, cut, repair, export them; a broken LOG is read up to its break.
 
     Exit status: 0 done, 1 the LOG is broken (what is before the break was used) or differs, 2 wrong input.
     """
@@ -45,6 +46,38 @@ def info(log_file: Path, as_json: bool) -> None:
     found = tools_info.gather(_open(log_file))
     click.echo(json.dumps(found.as_json()) if as_json else "\n".join(tools_info.lines(found)))
     sys.exit(DONE if found.complete else BROKEN)
+
+
+@log.command()
+@_log
+@click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object, with the keys of `sitl --json`."
+)
+def verdict(log_file: Path, as_json: bool) -> None:
+    """Judge the flight in a LOG: by true states, or, of a real flight, by the vehicle's own estimate.
+
+    Exit status: 0 landed, 1 anything else that flew, 2 the LOG cannot be read.
+    """
+    from logs.flight import load_flight
+    from logs.verdict import judge
+    from logs.verdict_result import verdict_result
+
+    flight = load_flight(log_file)
+    values = verdict_result(flight, judge(flight))
+    show_verdict(values, as_json=as_json)
+    sys.exit(LANDED if values["outcome"] == "landed" else NOT_LANDED)
+
+
+def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
+    """Print a verdict as a table, or as one line of JSON."""
+    if as_json:
+        click.echo(json.dumps(values))
+        return
+    from rich.console import Console
+
+    from flightstack.verdict_table import verdict_table
+
+    Console(highlight=False).print(verdict_table(values, values["reason"]))
 
 
 @log.command()

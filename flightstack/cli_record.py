@@ -54,12 +54,32 @@ def record(
     type=click.Path(dir_okay=False, path_type=Path),
     help="HTML file; default: next to the log, flight.html for flight.mcap, or comparison.html.",
 )
-def report(log: Path, other: Path | None, out: Path | None) -> None:
-    """Write the report of a LOG, or a comparison with an OTHER: one self-contained HTML page."""
-    if other is None:
-        from logs.report import write_report
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print the verdict as a JSON object, with the keys of `sitl --json`.",
+)
+def report(log: Path, other: Path | None, out: Path | None, as_json: bool) -> None:
+    """Write the report of a LOG, or a comparison with an OTHER: one self-contained HTML page.
 
-        click.echo(write_report(log, out))
+    Prints the verdict on a LOG and where its page is. Exit status: 0 written, 2 wrong input.
+    """
+    if other is None:
+        from flightstack.cli_log import show_verdict
+        from logs.flight import load_flight
+        from logs.report import write_page
+        from logs.verdict import judge
+        from logs.verdict_result import verdict_result
+
+        flight = load_flight(log)
+        verdict = judge(flight)
+        page = write_page(flight, verdict, out)
+        show_verdict(verdict_result(flight, verdict, page), as_json=as_json)
+        if not as_json:
+            click.echo(page)
+    elif as_json:
+        raise click.UsageError("--json is for the report of one LOG, not for a comparison")
     else:
         from logs.report_compare import write_comparison
 

@@ -7,26 +7,14 @@ import sys
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
 from flightstack.launch import Run, RunOptions, result_json, run
 from flightstack.processes import LaunchError
+from flightstack.verdict_table import verdict_table
 from logs.flight import load_flight
 from logs.reader import LogError
 from logs.report import ReportError, write_report
 from logs.verdict import judge
-
-_ROWS = (
-    ("outcome", "outcome", ""),
-    ("violation", "violation", ""),
-    ("lowest h", "h_min_m", "m"),
-    ("lowest h outside the pad", "h_min_outside_pad_m", "m"),
-    ("touchdown error", "touchdown_error_m", "m"),
-    ("touchdown speed, vertical", "touchdown_speed_vertical_m_s", "m/s"),
-    ("touchdown speed, horizontal", "touchdown_speed_horizontal_m_s", "m/s"),
-    ("time to land", "time_to_land_s", "s"),
-    ("real-time factor", "realtime_factor", ""),
-)
 
 
 def fly(options: RunOptions, *, as_json: bool, with_report: bool) -> int:
@@ -64,26 +52,12 @@ def conclude(flown: Run, options: RunOptions, console: Console, *, as_json: bool
     if as_json:
         print(text)
     else:
-        console.print(_table(values, flown, verdict.reason))
+        problem = f"; {flown.problem}" if flown.problem else ""
+        console.print(verdict_table(values, verdict.reason + problem))
         _paths(console, flown.log, report if with_report else None)
     if flown.problem:
         print(f"flightstack: {flown.problem}", file=sys.stderr)
     return 0 if values["outcome"] == "landed" and flown.problem is None else 1
-
-
-def _table(values: dict[str, object], flown: Run, reason: str) -> Table:
-    table = Table(
-        title=f"{values['scenario']}, seed {values['seed']}, filter {values['filter']}", title_justify="left"
-    )
-    table.add_column("result")
-    table.add_column("value", justify="right")
-    table.add_column("unit")
-    for name, key, unit in _ROWS:
-        value = values[key]
-        shown = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
-        table.add_row(name, shown, unit)
-    table.caption = reason if flown.problem is None else f"{reason}; {flown.problem}"
-    return table
 
 
 def _paths(console: Console, log: Path, report: Path | None) -> None:

@@ -26,7 +26,7 @@ from logs.report_tables import (
 from logs.verdict import judge
 from logs.verdict_types import SOURCES, TRUTH, Verdict
 
-__all__ = ["ReportError", "plotly_source", "render", "section", "write_report"]
+__all__ = ["ReportError", "plotly_source", "render", "section", "write_page", "write_report"]
 
 _H_TOLERANCE_M = 1e-6  # the barrier we draw has to be the one the simulator judged by
 _FILES = (("onboard.toml", "Configuration of the onboard process"), ("scenario.toml", "Scenario, whole"))
@@ -54,8 +54,17 @@ def write_report(log: Path, out: Path | None = None) -> Path:
         ReportError: the plotting library is not installed.
     """
     flight = load_flight(log)
-    text = render(flight, judge(flight))
-    target = log.with_suffix(".html") if out is None else out
+    return write_page(flight, judge(flight), out)
+
+
+def write_page(flight: Flight, verdict: Verdict, out: Path | None = None) -> Path:
+    """Write the report of a flight that was judged already; as :func:`write_report`.
+
+    Raises:
+        ReportError: the plotting library is not installed.
+    """
+    text = render(flight, verdict)
+    target = flight.path.with_suffix(".html") if out is None else out
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(text, encoding="utf-8")
     return target

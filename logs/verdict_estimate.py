@@ -31,7 +31,7 @@ from logs.verdict_types import (
 REST_SPEED_MAX_M_S = 0.10  # relative to the pad; a resting vehicle's estimate still carries noise
 REST_HEIGHT_MAX_M = 0.05  # of the feet over or under the pad, beyond the configured gap: two estimates drift
 _SAME_S = 1e-6  # below the resolution of a tick
-_NO_CONTACTS = "judged from the vehicle's own estimate, which shows no contacts"
+_NO_CONTACTS = "an estimate shows no contacts"
 
 
 def judge_estimate(flight: Flight) -> Verdict:

@@ -1,0 +1,40 @@
+"""A verdict in the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from logs.verdict_types import SOURCES
+
+_ROWS = (
+    ("outcome", "outcome", ""),
+    ("violation", "violation", ""),
+    ("lowest h", "h_min_m", "m"),
+    ("lowest h outside the pad", "h_min_outside_pad_m", "m"),
+    ("touchdown error", "touchdown_error_m", "m"),
+    ("touchdown speed, vertical", "touchdown_speed_vertical_m_s", "m/s"),
+    ("touchdown speed, horizontal", "touchdown_speed_horizontal_m_s", "m/s"),
+    ("time to land", "time_to_land_s", "s"),
+    ("real-time factor", "realtime_factor", ""),
+)
+
+
+def verdict_table(values: Mapping[str, Any], reason: str) -> Group:
+    """Return the values of ``logs.verdict_result.verdict_result`` as a table; "-" for what is not known."""
+    told = ((values["scenario"],), ("seed", values["seed"]), ("filter", values["filter"]))
+    title = ", ".join(" ".join(str(word) for word in words) for words in told if None not in words)
+    table = Table()
+    table.add_column("result")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    for name, key, unit in _ROWS:
+        value = values[key]
+        shown = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
+        table.add_row(name, shown, unit)
+    source = f"judged from {SOURCES[values['judged_from']]}"
+    return Group(Text(title, style="italic"), table, Text(source), Text(reason))
