@@ -18,8 +18,9 @@ from flightstack.types import Phase
 from logs.codec_log import Severity
 from logs.derive_markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
 from logs.view_blueprint import AXES, EVENTS, PHASE, RUN, blueprint
+from logs.view_canvas import Canvas
 from logs.view_read import Floats, Ints, Seen, column, read, times
-from logs.view_scene import TRUE_COLOR, VELOCITIES, rgba, scene, truth, velocities, when
+from logs.view_scene import TRUE_COLOR, VELOCITIES, rgba, scene, truth, velocities
 
 ZERO_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
 _LEVELS: dict[int, str] = {
@@ -51,8 +52,7 @@ class Recording:
         self._send()
 
     def _send(self) -> None:
-        for part in (scene, velocities, truth, _curves, _events):
-            part(self._stream, self._seen)
+        draw(Canvas(self._stream, self._seen.origin_ns), self._seen)
         self._stream.flush()
         self._stream.disconnect()
 
@@ -92,61 +92,65 @@ def open_viewer(recording: Path, *, web: bool) -> int:
     return subprocess.run([program, str(recording), "--bind", "127.0.0.1", *serving], check=False).returncode
 
 
-def _curves(stream: rr.RecordingStream, seen: Seen) -> None:
+def draw(canvas: Canvas, seen: Seen) -> None:
+    """Send all of a flight, or the next piece of it."""
+    for part in (scene, velocities, truth, _curves, _events):
+        part(canvas, seen)
+
+
+def _curves(canvas: Canvas, seen: Seen) -> None:
     if seen.truths:
-        _curve(stream, seen, "/safety/h/true", times(seen.truths), column(seen.truths, "h_m"), TRUE_COLOR)
+        _curve(canvas, "/safety/h/true", times(seen.truths), column(seen.truths, "h_m"), TRUE_COLOR)
     steps = seen.steps
     if steps:
         at_ns = times(steps)
         apart_m = column(steps, "own_position_enu_m") - column(steps, "target_position_enu_m")
         apart_m[(column(steps, "own_valid") * column(steps, "target_valid")) == 0.0] = np.nan
-        _curve(stream, seen, "/safety/h/controller", at_ns, column(steps, "h_m"), OWN_COLOR)
-        _curve(stream, seen, "/safety/h/zero", at_ns[[0, -1]], np.zeros(2), ZERO_COLOR)
-        _curve(stream, seen, "/safety/slack", at_ns, column(steps, "slack_m_s"), OWN_COLOR)
-        _curve(stream, seen, "/safety/dh_dt", at_ns, column(steps, "dh_dt_m_s"), OWN_COLOR)
-        _curve(stream, seen, "/safety/active", at_ns, column(steps, "barrier_active"), OWN_COLOR)
-        _curve(stream, seen, "/distance/horizontal", at_ns, np.hypot(apart_m[:, 0], apart_m[:, 1]), OWN_COLOR)
-        _curve(stream, seen, "/distance/height", at_ns, apart_m[:, 2], TARGET_COLOR)
+        _curve(canvas, "/safety/h/controller", at_ns, column(steps, "h_m"), OWN_COLOR)
+        _curve(canvas, "/safety/h/zero", at_ns[[0, -1]], np.zeros(2), ZERO_COLOR)
+        _curve(canvas, "/safety/slack", at_ns, column(steps, "slack_m_s"), OWN_COLOR)
+        _curve(canvas, "/safety/dh_dt", at_ns, column(steps, "dh_dt_m_s"), OWN_COLOR)
+        _curve(canvas, "/safety/active", at_ns, column(steps, "barrier_active"), OWN_COLOR)
+        _curve(canvas, "/distance/horizontal", at_ns, np.hypot(apart_m[:, 0], apart_m[:, 1]), OWN_COLOR)
+        _curve(canvas, "/distance/height", at_ns, apart_m[:, 2], TARGET_COLOR)
         for name, field, color in VELOCITIES:
             vector = column(steps, field)
             if name == "command":
                 vector[column(steps, "setpoint_sent") == 0.0] = np.nan
             for axis, values in zip(AXES, vector.T, strict=True):
-                _curve(stream, seen, f"/velocity/{axis}/{name}", at_ns, values, color)
+                _curve(canvas, f"/velocity/{axis}/{name}", at_ns, values, color)
         for name, color in (("own", OWN_COLOR), ("target", TARGET_COLOR)):
-            _curve(stream, seen, f"/age/{name}", at_ns, 1e3 * column(steps, f"{name}_age_s"), color)
+            _curve(canvas, f"/age/{name}", at_ns, 1e3 * column(steps, f"{name}_age_s"), color)
         for name, color in (("accepted", FILTERED_COLOR), ("rejected", ZERO_COLOR)):
-            _curve(stream, seen, f"/samples/{name}", at_ns, column(steps, f"target_{name}"), color)
-        _phases(stream, seen)
+            _curve(canvas, f"/samples/{name}", at_ns, column(steps, f"target_{name}"), color)
+        _phases(canvas, seen)
     for name, color in (("lateness", NOMINAL_COLOR), ("exec", OWN_COLOR), ("solve", FILTERED_COLOR)):
         if seen.timings:
             at_ns, values = times(seen.timings), 1e3 * column(seen.timings, f"{name}_s")
-            _curve(stream, seen, f"/loop/{name}", at_ns, values, color)
+            _curve(canvas, f"/loop/{name}", at_ns, values, color)
 
 
-def _phases(stream: rr.RecordingStream, seen: Seen) -> None:
+def _phases(canvas: Canvas, seen: Seen) -> None:
     phase = column(seen.steps, "phase").astype(int)
-    begins = np.concatenate(([0], np.flatnonzero(np.diff(phase)) + 1))
+    before = np.concatenate(([-1 if canvas.phase is None else canvas.phase], phase[:-1]))
+    begins = np.flatnonzero(phase != before)
+    canvas.phase = int(phase[-1])
     names = [Phase(p).name if p in Phase._value2member_map_ else str(p) for p in phase[begins]]
-    stream.send_columns(PHASE, when(seen, times(seen.steps)[begins]), rr.StateChange.columns(state=names))
+    canvas.columns(PHASE, times(seen.steps)[begins], rr.StateChange.columns(state=names))
 
 
-def _events(stream: rr.RecordingStream, seen: Seen) -> None:
-    stream.log(RUN, rr.TextDocument(_run_text(seen), media_type="text/markdown"), static=True)
+def _events(canvas: Canvas, seen: Seen) -> None:
+    canvas.style(RUN, rr.TextDocument(_run_text(seen), media_type="text/markdown"))
     if seen.events:
         texts = [f"{row.name}: {row.message}" for _, row in seen.events]
         levels = [_LEVELS.get(row.level, "INFO") for _, row in seen.events]
-        stream.send_columns(
-            EVENTS, when(seen, times(seen.events)), rr.TextLog.columns(text=texts, level=levels)
-        )
+        canvas.columns(EVENTS, times(seen.events), rr.TextLog.columns(text=texts, level=levels))
 
 
-def _curve(
-    stream: rr.RecordingStream, seen: Seen, entity: str, at_ns: Ints, values: Floats, color: Color
-) -> None:
+def _curve(canvas: Canvas, entity: str, at_ns: Ints, values: Floats, color: Color) -> None:
     """Send one curve; a gap where there is no number."""
-    stream.log(entity, rr.SeriesLines(colors=[rgba(color)], names=[entity.rpartition("/")[2]]), static=True)
-    stream.send_columns(entity, when(seen, at_ns), rr.Scalars.columns(scalars=values))
+    canvas.style(entity, rr.SeriesLines(colors=[rgba(color)], names=[entity.rpartition("/")[2]]))
+    canvas.columns(entity, at_ns, rr.Scalars.columns(scalars=values))
 
 
 def _run_text(seen: Seen) -> str:

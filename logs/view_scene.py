@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import rerun as rr
 
@@ -22,8 +20,9 @@ from logs.derive_markers import (
     surface,
 )
 from logs.derive_markers import Path as BoundedPath
-from logs.view_blueprint import FLIGHT, LOG_TIME, WORLD
-from logs.view_read import Floats, Ints, Seen, column, every, times
+from logs.view_blueprint import WORLD
+from logs.view_canvas import Canvas
+from logs.view_read import Floats, Seen, column, every, times
 
 SCENE_PERIOD_NS = 20_000_000  # 50 Hz
 PATH_PERIOD_NS = 200_000_000  # 5 Hz: each row is a whole path
@@ -40,9 +39,9 @@ VELOCITIES = (
 )
 
 
-def scene(stream: rr.RecordingStream, seen: Seen) -> None:
+def scene(canvas: Canvas, seen: Seen) -> None:
     """Send what the controller saw: vehicle, target with its pad and barrier, both paths."""
-    stream.log(WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    canvas.style(WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     if not seen.steps:
         return
     steps = [seen.steps[i] for i in every(seen.steps, SCENE_PERIOD_NS)]
@@ -55,30 +54,27 @@ def scene(stream: rr.RecordingStream, seen: Seen) -> None:
         position_m, half_rad = column(steps, position)[good], 0.5 * column(steps, yaw)[good]
         nothing = np.zeros_like(half_rad)
         turn = np.stack([nothing, nothing, np.sin(half_rad), np.cos(half_rad)], axis=1)
-        at = when(seen, at_ns[good])
         moved = rr.Transform3D.columns(translation=position_m, quaternion=turn)
-        stream.send_columns(f"{WORLD}/{name}", at, moved)
+        canvas.columns(f"{WORLD}/{name}", at_ns[good], moved)
         if name == "target":  # the barrier goes with the target but does not turn with it
-            stream.send_columns(SPOT, at, rr.Transform3D.columns(translation=position_m))
-    stream.log(
+            canvas.columns(SPOT, at_ns[good], rr.Transform3D.columns(translation=position_m))
+    canvas.style(
         f"{WORLD}/vehicle/body",
         rr.Boxes3D(half_sizes=[BODY_HALF_M], colors=[rgba(OWN_COLOR)], fill_mode="solid"),
-        static=True,
     )
     radius_m, thickness_m = float(seen.run.get("pad_radius_m", PAD_RADIUS_M)), 0.01
-    stream.log(
+    canvas.style(
         f"{WORLD}/target/pad",
         rr.Cylinders3D(
             lengths=[thickness_m], radii=[radius_m], centers=[(0.0, 0.0, -0.5 * thickness_m)],
             colors=[rgba(PAD_COLOR)], fill_mode="solid",
         ),
-        static=True,
     )  # fmt: skip
-    _barrier(stream, seen)
-    _paths(stream, seen)
+    _barrier(canvas, seen)
+    _paths(canvas, seen)
 
 
-def truth(stream: rr.RecordingStream, seen: Seen) -> None:
+def truth(canvas: Canvas, seen: Seen) -> None:
     """Send what the simulator knows, where there was one."""
     if not seen.truths:
         return
@@ -86,12 +82,12 @@ def truth(stream: rr.RecordingStream, seen: Seen) -> None:
     moved = rr.Transform3D.columns(
         translation=column(scene, "position_enu_m"), quaternion=column(scene, "orientation_xyzw")
     )
-    stream.send_columns(f"{WORLD}/true_vehicle", when(seen, times(scene)), moved)
+    canvas.columns(f"{WORLD}/true_vehicle", times(scene), moved)
     body = rr.Boxes3D(half_sizes=[BODY_HALF_M], colors=[rgba(TRUE_COLOR)])
-    stream.log(f"{WORLD}/true_vehicle/body", body, static=True)
+    canvas.style(f"{WORLD}/true_vehicle/body", body)
 
 
-def _barrier(stream: rr.RecordingStream, seen: Seen) -> None:
+def _barrier(canvas: Canvas, seen: Seen) -> None:
     if "barrier_alpha_1_m" not in seen.run or "barrier_beta_m" not in seen.run:
         return
     barrier = Barrier(float(seen.run["barrier_alpha_1_m"]), float(seen.run["barrier_beta_m"]))
@@ -103,7 +99,7 @@ def _barrier(stream: rr.RecordingStream, seen: Seen) -> None:
         vertex_positions=corners, triangle_indices=triangles, vertex_normals=_normals(corners),
         albedo_factor=rgba(BARRIER_COLOR), face_rendering="DoubleSided",
     )  # fmt: skip
-    stream.log(f"{SPOT}/barrier", mesh, static=True)
+    canvas.style(f"{SPOT}/barrier", mesh)
 
 
 def _normals(corners: Floats) -> Floats:
@@ -114,28 +110,31 @@ def _normals(corners: Floats) -> Floats:
     return np.repeat(normal, 3, axis=0)
 
 
-def _paths(stream: rr.RecordingStream, seen: Seen) -> None:
+def _paths(canvas: Canvas, seen: Seen) -> None:
     """Send both paths as they grow."""
     for name, valid, field, color in (
         ("vehicle_path", "own_valid", "own_position_enu_m", OWN_COLOR),
         ("target_path", "target_valid", "target_position_enu_m", TARGET_COLOR),
     ):
-        path, strips, at_ns = BoundedPath(), [], []
-        due = set(every(seen.steps, PATH_PERIOD_NS))
-        for index, (time_ns, row) in enumerate(seen.steps):
+        path = canvas.paths.setdefault(name, BoundedPath())
+        strips, at_ns = [], []
+        for time_ns, row in seen.steps:
             if getattr(row, valid):
                 path.add(time_ns, getattr(row, field))
-            if index in due and (marker := path.marker(0, color)) is not None:
+            if not canvas.due(name, PATH_PERIOD_NS, time_ns):
+                continue
+            if (marker := path.marker(0, color)) is not None:
                 strips.append(np.frombuffer(marker.points, dtype="<f8").reshape(-1, 3))
                 at_ns.append(time_ns)
         if strips:
-            at = when(seen, np.array(at_ns, dtype=np.int64))
-            stream.send_columns(f"{WORLD}/{name}", at, rr.LineStrips3D.columns(strips=strips))
+            canvas.columns(
+                f"{WORLD}/{name}", np.array(at_ns, dtype=np.int64), rr.LineStrips3D.columns(strips=strips)
+            )
             style = rr.LineStrips3D.from_fields(radii=[LINE_RADIUS_M], colors=[rgba(color)])
-            stream.log(f"{WORLD}/{name}", style, static=True)
+            canvas.style(f"{WORLD}/{name}", style)
 
 
-def velocities(stream: rr.RecordingStream, seen: Seen) -> None:
+def velocities(canvas: Canvas, seen: Seen) -> None:
     """Send arrows at the vehicle, one metre a metre a second; none where there is no such velocity."""
     steps = [seen.steps[i] for i in every(seen.steps, SCENE_PERIOD_NS)]
     if not steps:
@@ -147,19 +146,9 @@ def velocities(stream: rr.RecordingStream, seen: Seen) -> None:
         if name == "command":
             there &= column(steps, "setpoint_sent") > 0.0
         columns = rr.Arrows3D.columns(vectors=vector[there], origins=origin_m[there])
-        stream.send_columns(
-            f"{WORLD}/velocity/{name}", when(seen, times(steps)), columns.partition(there.astype(int))
-        )
+        canvas.columns(f"{WORLD}/velocity/{name}", times(steps), columns.partition(there.astype(int)))
         style = rr.Arrows3D.from_fields(radii=[ARROW_RADIUS_M], colors=[rgba(color)])
-        stream.log(f"{WORLD}/velocity/{name}", style, static=True)
-
-
-def when(seen: Seen, at_ns: Ints) -> Sequence[rr.TimeColumn]:
-    """Log times in ns on both timelines."""
-    return (
-        rr.TimeColumn(FLIGHT, duration=(at_ns - seen.origin_ns).astype("timedelta64[ns]")),
-        rr.TimeColumn(LOG_TIME, timestamp=at_ns.astype("datetime64[ns]")),
-    )
+        canvas.style(f"{WORLD}/velocity/{name}", style)
 
 
 def rgba(color: Color) -> tuple[int, int, int, int]:
