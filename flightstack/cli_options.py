@@ -138,3 +138,22 @@ duration = click.option(
     metavar="S",
     help="End after so many seconds of stack time.",
 )
+view = click.option(
+    "--view", is_flag=False, flag_value="native", metavar="[native|web|FILE.rrd]",
+    help="The scene in 3-D while it flies: in a window of Rerun, in a browser, or in a file (docs/live.md).",
+)  # fmt: skip
+
+
+def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
+    """Return what to raise when a viewer cannot be imported: Rerun is missing, or the error as it is.
+
+    Args:
+        error: of the import.
+        what: verb or option that needs it.
+    """
+    if error.name is None or error.name.partition(".")[0] != "rerun":
+        return error
+    return ValueError(
+        f"`{what}` needs Rerun: pip install 'crazyflie-flightstack[view]'; "
+        "or open the log itself in another viewer (docs/viewing.md)"
+    )

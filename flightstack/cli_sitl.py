@@ -35,6 +35,7 @@ from flightstack.config import FilterKind
 @shared.signing_key
 @ros2
 @zenoh_config
+@shared.view
 @shared.personality
 @shared.autopilot
 @click.option(
@@ -44,7 +45,8 @@ from flightstack.config import FilterKind
 def sitl(
     scenario: str, seed: int, filter_name: str | None, lockstep: bool, duration_s: float | None,
     out: Path | None, as_json: bool, with_report: bool, signing_key: Path | None, listen: tuple[str, ...],
-    ros2_where: str | None, ros_domain: int, zenoh_config: Path | None, personality: str, autopilot: str,
+    ros2_where: str | None, ros_domain: int, zenoh_config: Path | None, view: str | None, personality: str,
+    autopilot: str,
 ) -> None:  # fmt: skip
     """Fly a scenario in software: vehicle, target, onboard process and recorder, all over the real wires.
 
@@ -67,6 +69,7 @@ def sitl(
         listen,
         zenoh_config,
         network,
+        view=view,
         personality=personality,
         autopilot=autopilot,
     )

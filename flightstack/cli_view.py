@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from flightstack.cli_options import without_rerun
+
 SHOWN, BROKEN = 0, 1
 
 
@@ -40,12 +42,7 @@ def view(log_file: Path, save: Path | None, web: bool, layouts: Path | None, for
     try:
         from logs.view import Recording, open_viewer
     except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != "rerun":
-            raise
-        raise ValueError(
-            "`view` needs Rerun: pip install 'crazyflie-flightstack[view]'; "
-            "or open the log itself in another viewer (docs/viewing.md)"
-        ) from error
+        raise without_rerun(error, "view") from error
     recording = Recording(log_file)
     if save is not None:
         from logs.tools_file import new_file

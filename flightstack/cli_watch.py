@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
+from flightstack import cli_options as shared
 from flightstack.cli_zenoh import zenoh_config
 
 if TYPE_CHECKING:
@@ -20,6 +23,8 @@ if TYPE_CHECKING:
 
 FRESH, NOTHING = 0, 1
 LOOK_S = 0.05  # between two looks
+DRAW_S = 0.1  # between two pieces of the view in 3-D
+NICER = 10  # steps of priority that a view in 3-D gives way to the flight
 DEFAULT = "tcp/127.0.0.1:7448"  # where docs and README let the onboard process listen
 
 
@@ -41,9 +46,11 @@ DEFAULT = "tcp/127.0.0.1:7448"  # where docs and README let the onboard process 
     "--timeout", "timeout_s", type=click.FloatRange(min=0.1, max=3600.0), default=5.0, show_default=True,
     metavar="S", help="How long --once waits.",
 )  # fmt: skip
+@shared.view
+@shared.config(required=False, help="Configuration of the flight: --view draws barrier and pad by it")
 def watch(
     connect: tuple[str, ...], zenoh_config: Path | None, namespace: str, once: bool, as_json: bool,
-    timeout_s: float,
+    timeout_s: float, view: str | None, config_file: Path | None,
 ) -> None:  # fmt: skip
     """Watch a flight: phase, h, set-points, ages, battery, loop timing; Ctrl-C ends it.
 
@@ -51,6 +58,9 @@ def watch(
     """
     from bridge import zenoh_link
 
+    if view is not None and (once or as_json):
+        raise click.UsageError("--view draws until it is ended; --once and --json print: give one of them")
+    draws = _drawing(view, config_file, namespace) if view is not None else None
     ended = Ended()
     previous = {number: signal.signal(number, ended.end) for number in (signal.SIGINT, signal.SIGTERM)}
     if zenoh_config is None:
@@ -61,7 +71,7 @@ def watch(
     try:
         if once:
             sys.exit(_once(source, as_json, timeout_s))
-        (_stream if as_json else _live)(source)
+        draws(source) if draws else _stream(source) if as_json else _live(source)
     except BrokenPipeError:
         pass  # who read it has gone
     finally:
@@ -127,6 +137,42 @@ def _stream(source: Source) -> None:
         time.sleep(0.5)
         seen.poll()
         click.echo(json.dumps(snapshot(seen)))
+
+
+def _drawing(view: str, config_file: Path | None, namespace: str) -> Callable[[Source], None]:
+    """Open the view before anything else, and return what draws in it until it is ended.
+
+    Raises:
+        ConfigError: the configuration is wrong.
+        ValueError: Rerun is not installed, or the file to write is not allowed.
+    """
+    from flightstack.config import load
+    from logs.flight_config import shape
+
+    try:
+        from logs.view_live import LiveRecording
+    except ModuleNotFoundError as error:
+        raise shared.without_rerun(error, "--view") from error
+    run = {"namespace": namespace}
+    if config_file is not None:
+        run |= shape(load(config_file))
+    else:
+        click.echo("flightstack: the pad is drawn as a Crazyflie's, the barrier not; give --config", err=True)
+    os.nice(NICER)  # of the viewer, too, which it starts
+    recording = LiveRecording(view, run, namespace)
+    click.echo(f"ready {recording.address}")
+
+    def draw(source: Source) -> None:
+        seen = source.watch()
+        try:
+            while not source.ended.yes and not recording.closed:
+                time.sleep(DRAW_S)
+                seen.poll()
+                recording.add(seen.new_steps, seen.new_timings, seen.health.reason if seen.health else "")
+        finally:
+            recording.close()
+
+    return draw
 
 
 def _live(source: Source) -> None:

@@ -40,6 +40,7 @@ class RunOptions:
     listen: tuple[str, ...] = ()  # where others may watch, besides a free port of loopback
     zenoh_config: Path | None = None  # of the onboard process
     ros2: Ros2Network | None = None  # where target and flight are shown to ROS 2
+    view: str | None = None  # where the scene is shown in 3-D
     personality: str = PX4.name  # of the simulated vehicle
     autopilot: str = AUTO  # of the onboard process
 
@@ -112,6 +113,8 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     lockstep = ["--lockstep"] if options.lockstep else []
     target_at, onboard_at = launcher.endpoint(), launcher.endpoint()
     recorder = launcher.record(log)
+    if options.view is not None:
+        launcher.view(options.view, onboard_at, folder / "onboard.toml")
     _describe(launcher.socket, options, scenario, folder / "scenario.toml")
     common = ["--scenario", str(folder / "scenario.toml"), "--seed", str(options.seed)]
     common += ["--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(duration_s + 10.0), *lockstep]

@@ -101,6 +101,21 @@ class Launcher:
         recorder.wait_ready()
         return recorder
 
+    def view(self, where: str, endpoint: str, config: Path) -> None:
+        """Start the view in 3-D, which only listens; nothing waits for it once it is there.
+
+        Args:
+            where: of the option ``--view``.
+            endpoint: Zenoh endpoint of the onboard process.
+            config: file with the configuration of the onboard process.
+
+        Raises:
+            LaunchError: it did not start.
+        """
+        words = ("--view", where, "--connect", endpoint, "--config", str(config))
+        shown_at = self.start("watch", *words).wait_ready()
+        self.console.print(f"view: {shown_at}", style="dim", soft_wrap=True, markup=False)
+
     def end_all(self) -> None:
         """End every child, the recorder last, so that it closes the log behind the others."""
         for child in reversed(self.children):

@@ -37,6 +37,8 @@ class Watch:
         step: newest controller step, ``None`` before the first.
         health: newest health.
         timings: the last second of loop timing.
+        new_steps: what came with the last poll.
+        new_timings: the same of loop timing.
         refused: samples that were not what their key promises.
     """
 
@@ -67,20 +69,25 @@ class Watch:
         self.step: ControllerStepRow | None = None
         self.health: HealthRow | None = None
         self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)
+        self.new_steps: list[ControllerStepRow] = []
+        self.new_timings: list[LoopTimingRow] = []
         self.refused = 0
         self._began_s = clock()
         self._step_s = self._health_s = math.nan
 
     def poll(self) -> None:
         """Take what has come."""
+        self.new_steps, self.new_timings = [], []
         for payload in self._payloads("controller/step"):
             step = self._decode(unpack_controller_step, payload)
             if step is not None and (self.step is None or step.tick != self.step.tick):
                 self.step, self._step_s = step, self._clock()
+                self.new_steps.append(step)
         for payload in self._payloads("loop/timing"):
             timing = self._decode(unpack_loop_timing, payload)
             if timing is not None:
                 self.timings.append(timing)
+                self.new_timings.append(timing)
         for payload in self._payloads("health"):
             health = self._decode(unpack_health, payload)
             if health is not None and (self.health is None or health.tick != self.health.tick):

@@ -83,13 +83,23 @@ def open_viewer(recording: Path, *, web: bool) -> int:
     Raises:
         OSError: Rerun's program is not there.
     """
+    program = viewer_program()
+    # Rerun itself would listen to every network; what flew is for this machine.
+    serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # free ports
+    return subprocess.run([program, str(recording), "--bind", "127.0.0.1", *serving], check=False).returncode
+
+
+def viewer_program() -> str:
+    """Rerun's program.
+
+    Raises:
+        FileNotFoundError: it is not there.
+    """
     beside = Path(sys.executable).with_name("rerun")  # of this environment, active or not
     program = str(beside) if beside.exists() else shutil.which("rerun")
     if program is None:
         raise FileNotFoundError(f"no program `rerun` at {beside} or in PATH; pip install rerun-sdk again")
-    # Rerun itself would listen to every network; what flew is for this machine.
-    serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # free ports
-    return subprocess.run([program, str(recording), "--bind", "127.0.0.1", *serving], check=False).returncode
+    return program
 
 
 def draw(canvas: Canvas, seen: Seen) -> None:
