@@ -32,7 +32,7 @@ def test_the_papers_runs_land_and_replay_bit_by_bit(flown, scenario, filter_name
     assert set(found) >= KEYS
     assert (found["scenario"], found["seed"], found["filter"]) == (scenario, 0, filter_name)
     assert found["outcome"] == "landed"
-    assert found["judged_from"] == "true states"
+    assert found["judged_from"] == "truth"
     assert found["touchdown_error_m"] <= 0.10
     assert -0.2 < found["h_min_outside_pad_m"] < 1.0
     assert_decided_again(result.log)
