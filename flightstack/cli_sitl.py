@@ -23,15 +23,9 @@ from flightstack.config import FilterKind
 )
 @shared.lockstep
 @shared.duration
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for log and report; default: a new one in runs/.",
-)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object as the last line.")
-@click.option(
-    "--report/--no-report", "with_report", default=True, show_default=True, help="Write the HTML report."
-)
+@shared.out
+@shared.as_json
+@shared.with_report
 @shared.signing_key
 @ros2
 @zenoh_config
@@ -50,15 +44,16 @@ def sitl(
 
     Exit status: 0 landed, 1 anything else that flew, 2 wrong input.
     """
-    from flightstack import sitl as runner
-    from flightstack.launch import RunOptions
+    from rich.console import Console
 
-    kind = FilterKind(filter_name) if filter_name else None
-    network = ros2_network(ros2_where, ros_domain)
+    from flightstack.launch import RunOptions, run
+    from flightstack.processes import LaunchError
+    from flightstack.result import conclude
+
     options = RunOptions(
         scenario,
         seed,
-        kind,
+        FilterKind(filter_name) if filter_name else None,
         lockstep,
         duration_s,
         out,
@@ -66,8 +61,14 @@ def sitl(
         signing_key,
         listen,
         zenoh_config,
-        network,
+        ros2_network(ros2_where, ros_domain),
         personality=personality,
         autopilot=autopilot,
     )
-    sys.exit(runner.fly(options, as_json=as_json, with_report=with_report))
+    console = Console(stderr=as_json, highlight=False)
+    try:
+        flown = run(options, console)
+    except LaunchError as error:
+        click.echo(f"flightstack: {error}", err=True)
+        sys.exit(1)
+    sys.exit(conclude(flown, console, as_json=as_json, with_report=with_report))

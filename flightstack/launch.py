@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from flightstack.certificate import problems
 from flightstack.config import FilterKind, FlightConfig
 from flightstack.launcher import NAMESPACE, Launcher, Shown
 from flightstack.recording import describe, log_in, new_folder
+from flightstack.result import Flown
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from sim.autopilot.geo import ORIGIN_WGS84
 from sim.autopilot.personality import PERSONALITIES, PX4
@@ -42,18 +42,6 @@ class RunOptions:
     ros2: Ros2Network | None = None  # where target and flight are shown to ROS 2
     personality: str = PX4.name  # of the simulated vehicle
     autopilot: str = AUTO  # of the onboard process
-
-
-@dataclass(frozen=True)
-class Run:
-    """What a run left behind."""
-
-    scenario: Scenario
-    folder: Path
-    log: Path
-    wall_s: float  # from the first tick to the end
-    interrupted: bool
-    problem: str | None  # a process that failed
 
 
 def onboard_of(scenario: str) -> FlightConfig:
@@ -89,7 +77,7 @@ def prepare(options: RunOptions) -> Scenario:
     return scenario
 
 
-def run(options: RunOptions, console: Console) -> Run:
+def run(options: RunOptions, console: Console) -> Flown:
     """Fly one scenario with processes of its own.
 
     Raises:
@@ -106,7 +94,7 @@ def run(options: RunOptions, console: Console) -> Run:
         return _fly(launcher, options, scenario, log)
 
 
-def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Run:
+def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Flown:
     """Start everybody after those he connects to; then watch until the flight ends."""
     folder, duration_s = launcher.folder, scenario.duration_max_s
     lockstep = ["--lockstep"] if options.lockstep else []
@@ -152,7 +140,8 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     launcher.end_all()
     if problem is None and recorder.process.returncode != 0:  # it may be behind the flight
         problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
-    return Run(scenario, folder, log, wall_s, launcher.interrupted, problem)
+    about = {"scenario": scenario.name, "seed": options.seed, "filter": scenario.onboard.filter.value}
+    return Flown(about, folder, log, wall_s, onboard.process.returncode, launcher.last_line, problem)
 
 
 def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_file: Path) -> None:
@@ -184,21 +173,3 @@ def _autopilot(options: RunOptions) -> str:
 def _parameters(personality: str) -> list[str]:
     values = PERSONALITIES[personality].set_before_flight
     return [word for name, value in values.items() for word in ("--parameter", f"{name}={value:g}")]
-
-
-def result_json(
-    run_: Run, options: RunOptions, verdict: dict[str, object], simulated_s: float, report: Path
-) -> str:
-    """The one object that ``--json`` prints."""
-    factor = simulated_s / run_.wall_s if run_.wall_s > 0.0 else None
-    return json.dumps(
-        {
-            "scenario": run_.scenario.name,
-            "seed": options.seed,
-            "filter": run_.scenario.onboard.filter.value,
-            **verdict,
-            "realtime_factor": factor,
-            "log": str(run_.log),
-            "report": str(report),
-        }
-    )

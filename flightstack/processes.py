@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 START_TIME_MAX_S = 120.0  # s until a child says ready: the first time the simulator compiles its loops
+_WRONG_INPUT = 2  # exit status of every verb
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PRCTL = ctypes.CDLL(None).prctl if sys.platform == "linux" else None  # looked up before any fork
 END_TIME_MAX_S = 5.0  # s until a child that was asked to end has ended
@@ -22,7 +23,15 @@ CLOSE_TIME_MAX_S = 60.0  # s for the recorder: what it was sent must reach a slo
 
 
 class LaunchError(RuntimeError):
-    """A child that did not start; the text holds what it said."""
+    """A child that did not start; the text holds what it said.
+
+    Attributes:
+        code: exit status for who started it: 2 if the child found its input wrong, else 1.
+    """
+
+    def __init__(self, text: str, code: int = 1) -> None:
+        super().__init__(text)
+        self.code = 2 if code == _WRONG_INPUT else 1
 
 
 class Child:
@@ -62,8 +71,8 @@ class Child:
                     return line.removeprefix("ready").strip()
             if self.process.poll() is not None:
                 break
-        self.end()
-        raise LaunchError(f"{self.name} did not start: {self.errors() or 'no reason given'}")
+        code = self.end()
+        raise LaunchError(f"{self.name} did not start: {self.errors() or 'no reason given'}", code)
 
     def lines(self, timeout_s: float) -> list[str]:
         """Whole lines of output that came within the time."""

@@ -1,0 +1,123 @@
+"""The result of a flight: judged from its log, reported, and said in a table or as one JSON object."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from logs.flight import load_flight
+from logs.reader import LogError
+from logs.report import ReportError, write_report
+from logs.verdict import Verdict, judge
+
+_ROWS = (
+    ("outcome", "outcome", ""),
+    ("violation", "violation", ""),
+    ("lowest h", "h_min_m", "m"),
+    ("lowest h outside the pad", "h_min_outside_pad_m", "m"),
+    ("touchdown error", "touchdown_error_m", "m"),
+    ("touchdown speed, vertical", "touchdown_speed_vertical_m_s", "m/s"),
+    ("touchdown speed, horizontal", "touchdown_speed_horizontal_m_s", "m/s"),
+    ("time to land", "time_to_land_s", "s"),
+    ("judged from", "judged_from", ""),
+    ("real-time factor", "realtime_factor", ""),
+)
+_VERDICT = tuple(field.name for field in fields(Verdict))
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What a flight left behind.
+
+    Attributes:
+        about: what was flown, the first keys of ``--json``.
+        folder: where everything is.
+        log: the flight log; None: nothing was recorded.
+        wall_s: wall time from the first tick to the end.
+        code: exit status of the onboard process; None if it was ended.
+        last_line: the last that the onboard process said.
+        problem: a process that failed.
+    """
+
+    about: Mapping[str, object]
+    folder: Path
+    log: Path | None
+    wall_s: float
+    code: int | None
+    last_line: str
+    problem: str | None
+
+
+def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
+    """Judge a flight, write its report, print what was reached.
+
+    Returns:
+        Exit status: 0 landed, 1 anything else.
+    """
+    values = values_of(flown)
+    report = flown.folder / "report.html" if flown.log is not None else None
+    if flown.log is not None and report is not None and with_report and values["judged_from"] is not None:
+        try:
+            write_report(flown.log, report)
+        except ReportError as error:  # the flight counts all the same
+            print(f"flightstack: {error}", file=sys.stderr)
+    values |= {"log": str(flown.log) if flown.log else None, "report": str(report) if report else None}
+    if as_json:
+        print(json.dumps(values))
+    else:
+        console.print(_table(values, flown))
+        _paths(console, flown.log, report if with_report else None)
+    if flown.problem:
+        print(f"flightstack: {flown.problem}", file=sys.stderr)
+    return 0 if landed(values, flown) else 1
+
+
+def landed(values: Mapping[str, object], flown: Flown) -> bool:
+    """Whether it landed, and no process failed."""
+    return values["outcome"] == "landed" and flown.problem is None
+
+
+def values_of(flown: Flown) -> dict[str, object]:
+    """The keys of ``--json`` up to the files; of what nothing is known, None.
+
+    Without a log the outcome is what the onboard process says, and nothing is measured.
+    """
+    try:
+        flight = load_flight(flown.log) if flown.log is not None else None
+    except LogError as error:
+        print(f"flightstack: no result: {flown.problem or flown.last_line} {error}", file=sys.stderr)
+        flight = None
+    if flight is None:
+        told = "landed" if flown.log is None and flown.code == 0 else None
+        nothing = dict.fromkeys((*_VERDICT, "realtime_factor"))
+        return {**flown.about, **nothing, "outcome": told, "reason": flown.last_line}
+    flown_s = float(flight.steps.t_s[-1] - flight.steps.t_s[0]) if flight.steps is not None else 0.0
+    factor = flown_s / flown.wall_s if flown.wall_s > 0.0 else None
+    return {**flown.about, **judge(flight).to_json_dict(), "realtime_factor": factor}
+
+
+def _table(values: Mapping[str, object], flown: Flown) -> Table:
+    title = ", ".join(f"{name} {value}" for name, value in flown.about.items() if value is not None)
+    table = Table(title=title, title_justify="left")
+    table.add_column("result")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    for name, key, unit in _ROWS:
+        value = values[key]
+        shown = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
+        table.add_row(name, shown, unit)
+    reason = str(values["reason"])
+    table.caption = reason if flown.problem is None else f"{reason}; {flown.problem}"
+    return table
+
+
+def _paths(console: Console, log: Path | None, report: Path | None) -> None:
+    console.print(f"log     {log or 'none, as asked for'}", soft_wrap=True)
+    if report is not None:
+        console.print(f"report  {report}", soft_wrap=True)
