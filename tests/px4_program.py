@@ -1,4 +1,4 @@
-"""Where the tests find a real PX4 (SITL, v1.16): FLIGHTSTACK_PX4, or the folder shared/px4 beside the checkout."""
+"""Where the tests find a real PX4 (SITL): FLIGHTSTACK_PX4, or the folder shared/px4 beside the checkout."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 def px4_place() -> Path | None:
     """Program or folder; None where there is none, and nobody named one.
 
-    A place that the environment names and that holds no PX4 is an error where it is used, not a reason to skip.
+    A place that the environment names and that holds no PX4 is an error where it is used, not skipped.
     """
     named = os.environ.get(PX4_PLACE)
     if named:

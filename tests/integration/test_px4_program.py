@@ -12,6 +12,7 @@ import pytest
 
 from sim import params
 from sim.px4.airframe import parameters
+from sim.px4.plant import Px4Plant
 from sim.px4.program import InstanceClaim, Px4Error, Px4Model, Px4Program, find_px4
 from sim.scenario import load
 from tests.px4_program import px4_or_skip
@@ -35,11 +36,8 @@ def flying(folder, instance, scenario, *more):
     poses = loaded.vehicle.mocap if "--mocap" in more else None
     wanted = parameters(params.load(loaded.vehicle.airframe), poses)
     px4 = Px4Program(px4_or_skip(), folder, Px4Model.NONE_IRIS, instance=instance, parameters=wanted)
-    simulator = subprocess.Popen(
-        [sys.executable, "-m", "flightstack.cli", "px4-sim", "--scenario", scenario, "--once", *more]
-        + ["--tcp", f"127.0.0.1:{px4.simulator_port}"],
-        cwd=ROOT,
-    )
+    words = ["px4-sim", "--scenario", scenario, "--once", "--tcp", f"127.0.0.1:{px4.simulator_port}", *more]
+    simulator = subprocess.Popen([sys.executable, "-m", "flightstack.cli", *words], cwd=ROOT)
     try:
         yield px4, wanted
     finally:
@@ -58,7 +56,7 @@ def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_r
             px4.console("param", "compare", name, str(value))  # raises where it differs
         said = px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
         place = {words[0]: words[1] for words in map(str.split, said) if len(words) > 1}
-        east, north = load(scenario).start.ground_position_m
+        east, north, _ = Px4Plant(load(scenario), 0).body().position_enu_m
         assert float(place["y:"]) == pytest.approx(east, abs=0.1)  # NED
         assert float(place["x:"]) == pytest.approx(north, abs=0.1)
 
@@ -95,7 +93,8 @@ def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, ins
 
 def test_dies_with_its_parent(tmp_path, instance):
     code = (
-        "import sys, time; from pathlib import Path; from sim.px4.program import Px4Model, Px4Program; "
+        "import sys, time; from pathlib import Path; from sim.px4.plant import Px4Plant
+from sim.px4.program import Px4Model, Px4Program; "
         "p = Px4Program(Path(sys.argv[1]), Path(sys.argv[2]), Px4Model.NONE_IRIS, instance=int(sys.argv[3]));"
         "print(p.process.pid, flush=True); time.sleep(600)"
     )
