@@ -22,7 +22,7 @@ _OURS = ("config_file", "no_record")
 @shared.with_report
 @click.pass_context
 def fly(
-    context: click.Context, config_file: Path, no_record: bool, out: Path | None, as_json: bool,
+    context: click.Context, /, config_file: Path, no_record: bool, out: Path | None, as_json: bool,
     with_report: bool, **plugged: Any,
 ) -> None:  # fmt: skip
     r"""Fly a real vehicle onto a real target: checks before flight, recorder, live view, landing, report.

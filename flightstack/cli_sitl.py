@@ -46,9 +46,10 @@ def sitl(
     """
     from rich.console import Console
 
-    from flightstack.launch import RunOptions, run
+    from flightstack.launch import run
     from flightstack.processes import LaunchError
     from flightstack.result import conclude
+    from flightstack.run_options import RunOptions
 
     options = RunOptions(
         scenario,

@@ -3,45 +3,28 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
-from bridge.autopilots import AUTO, OWN_SITL
-from bridge.ros2_network import Ros2Network
 from flightstack.certificate import problems
-from flightstack.config import FilterKind, FlightConfig
+from flightstack.config import FlightConfig
+from flightstack.config import load as load_config
+from flightstack.config import path_of as path_of_config
+from flightstack.launch_vehicles import VEHICLES, common_words, configuration_for, speed_words
 from flightstack.launcher import NAMESPACE, Launcher, Shown
 from flightstack.recording import describe, log_in, new_folder
 from flightstack.result import Flown
+from flightstack.run_options import RunOptions
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from sim.autopilot.geo import ORIGIN_WGS84
-from sim.autopilot.personality import PERSONALITIES, PX4
+from sim.autopilot.personality import PERSONALITIES
 from sim.scenario import Scenario, path_of
 from sim.scenario import load as load_scenario
 
 GRACE_S = 60.0  # s of wall time beyond the scenario's duration before a run is given up
 LOCKSTEP_SLOWEST = 0.2  # share of real time below which a lockstep run is given up
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """What ``flightstack sitl`` was asked for."""
-
-    scenario: str
-    seed: int = 0
-    filter: FilterKind | None = None
-    lockstep: bool = False
-    duration_s: float | None = None
-    out: Path | None = None
-    live: bool = True
-    signing_key: Path | None = None
-    listen: tuple[str, ...] = ()  # where others may watch, besides a free port of loopback
-    zenoh_config: Path | None = None  # of the onboard process
-    ros2: Ros2Network | None = None  # where target and flight are shown to ROS 2
-    personality: str = PX4.name  # of the simulated vehicle
-    autopilot: str = AUTO  # of the onboard process
 
 
 def onboard_of(scenario: str) -> FlightConfig:
@@ -54,12 +37,15 @@ def onboard_of(scenario: str) -> FlightConfig:
 
 
 def prepare(options: RunOptions) -> Scenario:
-    """Load and check the scenario.
+    """Load and check the scenario, with the configuration that fits what flies.
 
     Raises:
         ConfigError: it must not fly.
     """
     scenario = load_scenario(options.scenario)
+    name = options.config or configuration_for(options.flies, scenario)
+    if name is not None:
+        scenario = replace(scenario, onboard=load_config(path_of_config(name)))
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)
     if PERSONALITIES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
@@ -73,8 +59,8 @@ def prepare(options: RunOptions) -> Scenario:
         scenario = replace(scenario, duration_max_s=options.duration_s)
     found = problems(scenario.onboard)
     if found:
-        raise ConfigError(f"{options.scenario}: refused before take-off: " + "; ".join(found))
-    return scenario
+        raise ConfigError(f"{name or options.scenario}: refused before take-off: " + "; ".join(found))
+    return VEHICLES[options.flies].adapt(scenario)
 
 
 def run(options: RunOptions, console: Console) -> Flown:
@@ -98,27 +84,24 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     """Start everybody after those he connects to; then watch until the flight ends."""
     folder, duration_s = launcher.folder, scenario.duration_max_s
     lockstep = ["--lockstep"] if options.lockstep else []
+    speed = speed_words(options.speed)
     target_at, onboard_at = launcher.endpoint(), launcher.endpoint()
     recorder = launcher.record(log)
     _describe(launcher.socket, options, scenario, folder / "scenario.toml")
-    common = ["--scenario", str(folder / "scenario.toml"), "--seed", str(options.seed)]
-    common += ["--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(duration_s + 10.0), *lockstep]
-    feed = ["--recorder", str(launcher.socket)]
-    wire = ["--signing-key", str(options.signing_key)] if options.signing_key is not None else []
     ros2 = options.ros2
     shown = ["--ros2", ros2.where, "--ros-domain", str(ros2.domain)] if ros2 is not None else []
     zenoh = ["--zenoh-config", str(options.zenoh_config)] if options.zenoh_config is not None else []
-    vehicle = launcher.start(
-        "vehicle", *common, *feed, *wire, "--connect", target_at, "--url", "udpin:127.0.0.1:0",
-        "--personality", options.personality, *_parameters(options.personality),
+    vehicle = VEHICLES[options.flies].start(launcher, options, scenario, target_at)
+    target = launcher.start(
+        "target", *common_words(launcher, options), *lockstep, *speed, *shown,
+        "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(duration_s + 10.0),
+        "--listen", target_at, "--connect", onboard_at,
     )  # fmt: skip
-    target = launcher.start("target", *common, *feed, *shown, "--listen", target_at, "--connect", onboard_at)
-    url = vehicle.wait_ready().replace("udpin", "udpout")
     onboard = launcher.start(
-        "onboard", "--vehicle", url, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
+        "onboard", *vehicle.words, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
         "--listen", onboard_at, "--config", str(folder / "onboard.toml"), "--duration", str(duration_s),
         *(word for endpoint in options.listen for word in ("--listen", endpoint)),
-        *feed, *lockstep, *wire, *shown, *zenoh, "--autopilot", _autopilot(options),
+        "--recorder", str(launcher.socket), *lockstep, *shown, *zenoh,
     )  # fmt: skip
     target.wait_ready()
     onboard.wait_ready()
@@ -134,8 +117,9 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     live = options.live and launcher.console.is_terminal and not options.lockstep
     started = time.monotonic()
     problem = launcher.watch(
-        onboard, [vehicle, target, recorder], limit_s, Shown(onboard_at, title) if live else None
-    )
+        onboard, [*vehicle.children, target, recorder], limit_s,
+        Shown(onboard_at, title) if live else None, vehicle.teller,
+    )  # fmt: skip
     wall_s = time.monotonic() - started
     launcher.end_all()
     if problem is None and recorder.process.returncode != 0:  # it may be behind the flight
@@ -162,14 +146,3 @@ def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_
             "scenario_source.toml": path_of(options.scenario).read_bytes(),
         },
     )
-
-
-def _autopilot(options: RunOptions) -> str:
-    """Profile of the onboard process: a heartbeat does not tell our own vehicle from what it plays."""
-    own = options.autopilot == AUTO and options.personality == PX4.name
-    return OWN_SITL.name if own else options.autopilot
-
-
-def _parameters(personality: str) -> list[str]:
-    values = PERSONALITIES[personality].set_before_flight
-    return [word for name, value in values.items() for word in ("--parameter", f"{name}={value:g}")]

@@ -8,6 +8,7 @@ import shutil
 import signal
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -17,7 +18,7 @@ from rich.console import Console
 from bridge import zenoh_link
 from flightstack.hangup import on_hangup
 from flightstack.live import REFRESH_HZ, LiveView
-from flightstack.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port
+from flightstack.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port, Running
 from flightstack.recording import start_recorder
 
 NAMESPACE = "cf1"
@@ -62,7 +63,7 @@ class Launcher:
 
     def __init__(self, folder: Path, console: Console, *, tells: bool, real: bool = False) -> None:
         self.folder, self.console = folder, console
-        self.children: list[Child] = []
+        self.children: list[Running] = []
         self.interrupted = False
         self.aborted = False
         self.last_line = ""
@@ -129,7 +130,12 @@ class Launcher:
         return LAND_MAX_S if self._real and name == "onboard" else END_TIME_MAX_S
 
     def watch(
-        self, onboard: Child, others: list[Child], limit_s: float | None, shown: Shown | None
+        self,
+        onboard: Child,
+        others: Sequence[Running],
+        limit_s: float | None,
+        shown: Shown | None,
+        teller: Child | None = None,
     ) -> str | None:
         """Watch until the onboard process ends; the problem, if there was one.
 
@@ -138,7 +144,9 @@ class Launcher:
             others: processes that have to outlive it.
             limit_s: wall time after which the run is given up; None: the onboard process knows its own.
             shown: for the live view; None: there is none.
+            teller: process that says when the motors are armed and disarmed; None: nobody does.
         """
+        others = list(others)
         until = time.monotonic() + (limit_s if limit_s is not None else math.inf)
         view = session = None
         problem: str | None = None
@@ -171,7 +179,7 @@ class Launcher:
             problem = f"onboard ended in flight: {onboard.errors() or 'no reason given'}"
             self.aborted = True
         if self.aborted:
-            self._let_it_land(others, until)
+            self._let_it_land(teller, until)
         return problem
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
@@ -182,7 +190,7 @@ class Launcher:
         """Give a signal to the onboard process, which knows what to do in flight."""
         del frame
         for child in self.children:
-            if child.name == "onboard" and child.alive():
+            if isinstance(child, Child) and child.name == "onboard" and child.alive():
                 child.process.send_signal(number)
 
     def _say(self, lines: list[str]) -> None:
@@ -196,15 +204,14 @@ class Launcher:
         with contextlib.suppress(OSError):  # a closed terminal must not end a flight
             self.console.print(text, style=style, highlight=False, markup=False)
 
-    def _let_it_land(self, others: list[Child], until: float) -> None:
+    def _let_it_land(self, teller: Child | None, until: float) -> None:
         """Without the onboard process the vehicle lands by itself: wait until it says so.
 
         What it has said so far has not been read: one that never armed, or stands already, is known at once.
         """
-        vehicle = next((c for c in others if c.name == "vehicle"), None)
         until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), False
-        while vehicle is not None and vehicle.alive() and not self.interrupted and time.monotonic() < until:
-            said = [line for line in vehicle.lines(0.2) if line in ("armed", "disarmed")]
+        while teller is not None and teller.alive() and not self.interrupted and time.monotonic() < until:
+            said = [line for line in teller.lines(0.2) if line in ("armed", "disarmed")]
             armed = said[-1] == "armed" if said else armed
             if not armed:
                 return

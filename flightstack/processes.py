@@ -12,7 +12,9 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 START_TIME_MAX_S = 120.0  # s until a child says ready: the first time the simulator compiles its loops
 _WRONG_INPUT = 2  # exit status of every verb
@@ -34,15 +36,49 @@ class LaunchError(RuntimeError):
         self.code = 2 if code == _WRONG_INPUT else 1
 
 
-class Child:
-    """One process of the run, its output kept in a file."""
+class Running(Protocol):
+    """A process of a run, as far as its launcher looks after it."""
 
-    def __init__(self, name: str, arguments: list[str], folder: Path) -> None:
+    @property
+    def name(self) -> str:
+        """What it is."""
+
+    def alive(self) -> bool:
+        """Whether it still runs."""
+
+    def errors(self) -> str:
+        """The last that it said of what went wrong."""
+
+    def end(self, within_s: float) -> int:
+        """Ask it to end, after so many seconds make it; its exit status."""
+
+
+class Child:
+    """One process of the run, its output kept in a file.
+
+    Args:
+        name: of the process and its file.
+        arguments: of the program.
+        folder: for what it writes to standard error.
+        program: words before the arguments; None: ``flightstack``.
+        works_in: its working folder; None: ours.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        folder: Path,
+        *,
+        program: Sequence[str] | None = None,
+        works_in: Path | None = None,
+    ) -> None:
         self.name = name
         self.output = folder / f"{name}.txt"
         with self.output.open("wb") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "flightstack.cli", *arguments],
+                [*(program or (sys.executable, "-m", "flightstack.cli")), *arguments],
+                cwd=works_in,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=errors,

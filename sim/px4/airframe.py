@@ -25,8 +25,9 @@ _DAMPING = 0.8
 _SLOWER = 4.0  # attitude loop against that natural frequency
 _INTEGRAL_1_S = 1.3  # I over P, as PX4's defaults 0.2 and 0.15
 _YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths about the vertical
-_FIXED: dict[str, float] = {
-    "THR_MDL_FAC": 0.0,  # an output is a share of the thrust
+_THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # an output is a share of the thrust
+# what the check before a flight asks for, of any PX4 without a radio in a simulation
+SAFE_PARAMETERS: dict[str, float] = {
     "COM_RC_IN_MODE": 4,  # no sticks
     "COM_OBL_RC_ACT": 4,  # land when the set-points stop; the check before a flight asks for it
     "SYS_FAILURE_EN": 0,  # the simulation's default is 1, which the check refuses
@@ -81,7 +82,7 @@ def parameters(params: Params, mocap: OdometryLink | None = None) -> dict[str, f
     yaw = 4.0 * rotor.thrust_max_n * ratio / jz
     found["MC_YAWRATE_P"] = _YAW_1_S / yaw
     found["MC_YAW_P"] = _YAW_ATTITUDE_1_S
-    found |= _FIXED
+    found |= _THRUST | SAFE_PARAMETERS
     found |= _SATELLITES if mocap is None else _MOCAP | {"EKF2_EV_DELAY": mocap.delay_s * 1e3}  # ms
     return {name: value if isinstance(value, int) else round(value, 5) for name, value in found.items()}
 
