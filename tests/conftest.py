@@ -9,6 +9,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from bridge.autopilots import AUTO, CHOICES
 from tests.flight_suite.room import PERSONALITIES
 
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
@@ -24,10 +25,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     add("--flights", type=int, default=1, metavar="N", help="fly each flight of a real client N times")
     add("--vehicle", metavar="URL", help="fly this vehicle and no other: only the tests that can are run")
     add("--target", default="cf1/target/odom", metavar="KEY", help="Zenoh key of its target's odometry")
+    add(
+        "--target-offset", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
+        help="landing spot from the target's tracked frame, in that frame's axes, m: forward, left, up",
+    )  # fmt: skip
     add("--connect", action="append", default=[], metavar="ENDPOINT", help="Zenoh endpoint of the target")
     add("--listen", metavar="ENDPOINT", help="Zenoh endpoint of the onboard process")
     add("--config", type=Path, metavar="FILE", help="configuration of the onboard process")
-    add("--autopilot", default="px4", metavar="NAME", help="profile of the vehicle")
+    add("--autopilot", default=AUTO, choices=CHOICES, help="profile of the vehicle; auto: by its heartbeat")
     add("--system-id", type=int, default=1, metavar="N", help="of the vehicle")
     add("--signing-key", type=Path, metavar="FILE", help="sign MAVLink with it")
     add("--takeoff-height", type=float, default=0.5, metavar="M", help="height of the steps without a target")
@@ -57,18 +62,23 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if config.getoption("--vehicle") is None:
         if config.getoption("--flights") == 1:  # they mostly wait: one worker does, while others compute
             for item in items:
-                if "vehicle" in item.keywords:
+                if _marked(item, "vehicle"):
                     item.add_marker(pytest.mark.xdist_group("vehicle"))
         return
     arm_ok = config.getoption("--arm-ok")
 
     def runs(item: pytest.Item) -> bool:
-        marks = item.keywords
-        return "vehicle" in marks and "simulated" not in marks and (arm_ok or "arms" not in marks)
+        flies = _marked(item, "vehicle") and not _marked(item, "simulated")
+        return flies and (arm_ok or not _marked(item, "arms"))
 
     left_out = [item for item in items if not runs(item)]
     items[:] = [item for item in items if runs(item)]
     config.hook.pytest_deselected(items=left_out)
+
+
+def _marked(item: pytest.Item, name: str) -> bool:
+    """Whether a test has this marker; its keywords hold the values of its parameters, too."""
+    return item.get_closest_marker(name) is not None
 
 
 def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None:

@@ -9,9 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from bridge.autopilots import OWN_SITL, PX4
 from flightstack.processes import Child, Port
 from flightstack.strict_toml import dumps, to_table
+from flightstack.types import ZERO, Vec3
 from sim.scenario import load
+from tests.flight_suite.limits import LIMITS, Limits
 
 SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that drives off
 # of our simulated vehicle, with the parameters that its defaults leave unsafe
@@ -51,6 +54,8 @@ class Room:
         system_id: of the vehicle.
         signing_key: for MAVLink; None: unsigned.
         takeoff_height_m: how high the pilot climbs.
+        target_offset_m: landing spot from the tracked frame, in that frame's axes.
+        limits: of the steps; None: those of the profile.
         target: the simulated robot; None on hardware.
         vehicle: the simulated vehicle; None on hardware.
     """
@@ -66,6 +71,8 @@ class Room:
     system_id: int = 1
     signing_key: Path | None = None
     takeoff_height_m: float = 0.5
+    target_offset_m: Vec3 = ZERO
+    limits: Limits | None = None
     target: Child | None = None
     vehicle: Child | None = None
 
@@ -93,6 +100,7 @@ def simulated(folder: Path, personality: str) -> Iterator[Room]:
         yield Room(
             url, personality, "cf1/target/odom", (target_at,), onboard_at, config, folder,
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=vehicle,
+            limits=LIMITS[OWN_SITL.name] if personality == PX4.name else None,
         )  # fmt: skip
     finally:
         for child in reversed(children):
@@ -117,4 +125,5 @@ def given(config: pytest.Config, folder: Path) -> Iterator[Room]:
             option("--vehicle"), option("--autopilot"), option("--target"), tuple(option("--connect")),
             option("--listen") or port.endpoint, option("--config"), folder, Fence(height_m, distance_m),
             option("--system-id"), option("--signing-key"), option("--takeoff-height"),
+            tuple(option("--target-offset")),
         )  # fmt: skip
