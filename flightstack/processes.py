@@ -38,7 +38,7 @@ class Child:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 start_new_session=True,  # Ctrl-C reaches the launcher alone, which ends the children in order
-                preexec_fn=_end_with_parent,
+                preexec_fn=end_with_parent,
             )
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
@@ -97,8 +97,8 @@ class Child:
         return code
 
 
-def _end_with_parent() -> None:
-    """Have the kernel ask this process to end when the launcher is killed; runs in the new process."""
+def end_with_parent() -> None:
+    """Have the kernel ask this process to end when its parent is killed; runs in the new process."""
     if _PRCTL is not None:
         _PRCTL(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
 

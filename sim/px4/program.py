@@ -1,0 +1,331 @@
+"""PX4's own software in the loop as a child process: started, made ready, asked, ended; each wait bounded."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping
+from enum import Enum
+from pathlib import Path
+from typing import NamedTuple
+
+from flightstack.processes import LaunchError, end_with_parent
+from sim.autopilot.geo import ORIGIN_WGS84
+
+INSTANCES = range(10)  # from 10 on PX4 sends the MAVLink of all instances to one port (px4-rc.mavlink)
+BOOT_MAX_S = 90.0  # s of wall time for wait_ready, unless said otherwise
+CONSOLE_MAX_S = 10.0  # s for one command at PX4's console
+END_MAX_S = 5.0  # s until PX4 has ended in order
+_BOOTED = "Startup script returned successfully"
+_CHECKED = "Preflight check: OK"
+_LOOK_S = 0.05  # s between two looks at its output
+_ASK_S = 0.2  # s between two questions at its console
+_LAST_LINES = 12
+_SAME_PLACE_DEG = 1e-5  # 1 m: PX4 prints its reference with six digits
+_REFERENCE = re.compile(r"^\s*(ref_lat|ref_lon): (\S+)", re.MULTILINE)
+_ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
+# rcS multiplies these with the speed, for clients that stay in real time; ours are as fast as the simulation
+_SCALED_WITH_SPEED = ("COM_DL_LOSS_T", "COM_RC_LOSS_T", "COM_OF_LOSS_T", "COM_OBC_LOSS_T")
+
+
+class Px4Model(Enum):
+    """Who computes the physics; the value is PX4_SIM_MODEL."""
+
+    NONE_IRIS = "none_iris"  # a simulator that PX4 connects to: flightstack px4-sim
+    SIHSIM_QUADX = "sihsim_quadx"  # PX4's own simulator-in-hardware, 1 kg
+
+
+_AUTOSTART = {Px4Model.NONE_IRIS: "10016", Px4Model.SIHSIM_QUADX: "10040"}
+
+
+class Px4Error(LaunchError):
+    """PX4 did not start, ended, or refused; the text holds its last lines."""
+
+
+class Px4Files(NamedTuple):
+    """What of a PX4 build is needed."""
+
+    binary: Path
+    etc: Path  # its start-up file system
+    alias: Path  # px4-alias.sh, which names its modules
+
+
+def find_px4(place: Path) -> Px4Files:
+    """The files of a PX4 SITL build.
+
+    Args:
+        place: the program ``px4``, or a folder that holds it: itself, in ``bin``, or a PX4-Autopilot source
+            tree that was built.
+
+    Raises:
+        FileNotFoundError: it is not there, or ``etc`` or ``px4-alias.sh`` are not beside it.
+    """
+    place = place.expanduser().absolute()
+    tried = [place]
+    if place.is_dir():
+        tried = [place / name for name in ("px4", "bin/px4", "build/px4_sitl_default/bin/px4")]
+    binary = next((file for file in tried if file.is_file() and os.access(file, os.X_OK)), None)
+    if binary is None:
+        raise FileNotFoundError(
+            f"no PX4 program found at {place}: give the file px4 of a SITL build, for example "
+            "PX4-Autopilot/build/px4_sitl_default/bin/px4"
+        )
+    etc = next((p for p in (binary.parent / "etc", binary.parent.parent / "etc") if p.is_dir()), None)
+    alias = binary.parent / "px4-alias.sh"
+    if etc is None or not alias.is_file():
+        missing = "its folder etc" if etc is None else "px4-alias.sh"
+        raise FileNotFoundError(f"{binary}: {missing} is not beside it, as it is in a PX4 SITL build")
+    return Px4Files(binary, etc, alias)
+
+
+class InstanceClaim:
+    """The lowest instance number that no other program of this project uses, kept until ``close``.
+
+    Raises:
+        Px4Error: all are taken.
+    """
+
+    def __init__(self) -> None:
+        for number in INSTANCES:
+            file = os.open(
+                Path(tempfile.gettempdir()) / f"flightstack-px4-{number}.lock", os.O_RDWR | os.O_CREAT, 0o666
+            )
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                os.close(file)
+                continue
+            if _instance_runs(number):
+                os.close(file)
+                continue
+            self._file = file
+            self.number = number
+            return
+        raise Px4Error(f"all PX4 instances, 0 to {INSTANCES.stop - 1}, are in use here; end one")
+
+    def close(self) -> None:
+        """Give the number back."""
+        os.close(self._file)
+
+
+def _instance_runs(number: int) -> bool:
+    """Whether a PX4 of this number runs already, started by anybody: it holds a lock file."""
+    lock = Path(f"/tmp/px4_lock-{number}")  # src: PX4 platforms/posix/src/px4/common/main.cpp
+    if not lock.exists():
+        return False
+    with contextlib.suppress(OSError), lock.open("r+") as file:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return False
+    return True
+
+
+class Px4Program:
+    """One PX4 SITL process.
+
+    Attributes:
+        folder: its working folder: parameters, its own log (``log/``), output (``px4.txt``).
+        simulator_port: TCP port of the simulator that it connects to (``NONE_IRIS``).
+        onboard_port: UDP port to which it sends a companion computer's MAVLink: ``udpin:127.0.0.1:PORT``.
+        onboard_local_port: UDP port from which it does so: ``udpout:127.0.0.1:PORT`` meets it there.
+        ground_port: UDP port of loopback on which it answers ground stations.
+
+    Args:
+        binary: see ``find_px4``.
+        folder: made when missing; parameters of an earlier run there are thrown away.
+        model: who computes the physics.
+        instance: number that moves all ports, 0 to 9.
+        parameters: PX4's, by name; integers for PX4's integers.
+        speed: of ``SIHSIM_QUADX`` against real time; with ``NONE_IRIS`` the simulator sets the speed.
+        origin_wgs84: of the room: degrees, degrees, m; None leaves PX4's.
+
+    Raises:
+        FileNotFoundError: no PX4 there.
+        ValueError: an instance that does not exist.
+        OSError: it could not be started.
+    """
+
+    def __init__(
+        self,
+        binary: Path,
+        folder: Path,
+        model: Px4Model,
+        *,
+        instance: int = 0,
+        parameters: Mapping[str, float] | None = None,
+        speed: float = 1.0,
+        origin_wgs84: tuple[float, float, float] | None = ORIGIN_WGS84,
+    ) -> None:
+        if instance not in INSTANCES:
+            raise ValueError(f"PX4 instance {instance}: allowed are 0 to {INSTANCES.stop - 1}")
+        files = find_px4(binary)
+        self.folder = folder.absolute()
+        self.instance = instance
+        self.simulator_port = 4560 + instance
+        self.onboard_port, self.onboard_local_port = 14540 + instance, 14580 + instance
+        self.ground_port = 18570 + instance
+        self._parameters = dict(parameters or {})
+        self._speed, self._model, self._origin = speed, model, origin_wgs84
+        self._bin = self.folder / "bin"
+        self.output = self.folder / "px4.txt"
+        self._lay_out(files)
+        with self.output.open("wb") as output:
+            self.process = subprocess.Popen(
+                [self._bin / "px4", "-d", "-w", self.folder, files.etc, "-i", str(instance)],
+                cwd=self.folder,
+                env=self._environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # its start script's children are ended with it
+                preexec_fn=end_with_parent,
+            )
+
+    def _lay_out(self, files: Px4Files) -> None:
+        """Its working folder: links to the program by the names of its modules, no parameters of old."""
+        self._bin.mkdir(parents=True, exist_ok=True)
+        for name in ("parameters.bson", "parameters_backup.bson"):
+            (self.folder / name).unlink(missing_ok=True)
+        links = {"px4": files.binary, "px4-alias.sh": files.alias}
+        links |= {name: Path("px4") for name in _ALIAS.findall(files.alias.read_text())}
+        for name, aim in links.items():
+            link = self._bin / name
+            link.unlink(missing_ok=True)
+            link.symlink_to(aim)
+
+    def _environment(self) -> dict[str, str]:
+        ours = {name: text for name, text in os.environ.items() if not name.startswith("PX4_")}
+        ours |= {f"PX4_PARAM_{name}": str(value) for name, value in self._parameters.items()}
+        ours |= {"PX4_SIM_MODEL": self._model.value, "PX4_SYS_AUTOSTART": _AUTOSTART[self._model]}
+        if self._model is Px4Model.SIHSIM_QUADX:
+            places = ("LAT", "LON", "ALT")
+            ours |= {f"PX4_HOME_{p}": str(v) for p, v in zip(places, self._origin or (), strict=False)}
+            if self._speed != 1.0:
+                ours["PX4_SIM_SPEED_FACTOR"] = f"{self._speed:g}"
+        return ours
+
+    def wait_ready(self, timeout_s: float = BOOT_MAX_S) -> None:
+        """Wait until it would arm, with all parameters as wanted and the room's origin.
+
+        The simulator has to run: PX4 waits for it. The origin is set after PX4 has a position, since with
+        satellites its first fix would set another.
+
+        Raises:
+            Px4Error: it ended, the time is over, or it does not take a parameter.
+        """
+        until_s = time.monotonic() + timeout_s
+        while _BOOTED not in self._said():
+            self._keep_waiting(until_s, f"{_BOOTED!r}")
+            time.sleep(_LOOK_S)
+        self._settle_parameters()
+        self._wait_checked(until_s)
+        if self._origin is not None:
+            self.console("commander", "set_ekf_origin", *(f"{value:.9g}" for value in self._origin))
+            while not self._at_origin():
+                self._keep_waiting(until_s, "the origin of the room")
+                time.sleep(_ASK_S)
+            self._wait_checked(until_s)
+
+    def _settle_parameters(self) -> None:
+        """Set one by one what the environment did not.
+
+        PX4 keeps no value that equals its own default, so there the start script's default for simulations
+        wins (SYS_FAILURE_EN of v1.16).
+        """
+        if self._model is Px4Model.SIHSIM_QUADX and self._speed != 1.0:
+            for name in _SCALED_WITH_SPEED:
+                if name not in self._parameters:
+                    self.console("param", "reset", name)
+        for name, value in self._parameters.items():
+            if self._client("param", ("compare", name, str(value)), CONSOLE_MAX_S).returncode == 0:
+                continue
+            self.console("param", "set", name, str(value))
+            self.console("param", "compare", name, str(value))
+
+    def _wait_checked(self, until_s: float) -> None:
+        while _CHECKED not in self._client("commander", ("check",), CONSOLE_MAX_S).stdout:
+            self._keep_waiting(until_s, f"{_CHECKED!r}")
+            time.sleep(_ASK_S)
+
+    def _at_origin(self) -> bool:
+        assert self._origin is not None
+        said = self._client("listener", ("vehicle_local_position", "-n", "1"), CONSOLE_MAX_S).stdout
+        found = dict(_REFERENCE.findall(said))
+        latitude, longitude, _ = self._origin
+        return (
+            abs(float(found.get("ref_lat", "nan")) - latitude) < _SAME_PLACE_DEG
+            and abs(float(found.get("ref_lon", "nan")) - longitude) < _SAME_PLACE_DEG
+        )
+
+    def console(self, module: str, *words: str, timeout_s: float = CONSOLE_MAX_S) -> str:
+        """What a module answers at PX4's console, e.g. ``console("param", "show", "MAV_SYS_ID")``.
+
+        Raises:
+            Px4Error: PX4 does not run, does not answer in time, or the command failed.
+        """
+        done = self._client(module, words, timeout_s)
+        if done.returncode != 0:
+            command = " ".join((module, *words))
+            raise Px4Error(f"PX4: {command!r} failed with status {done.returncode}: {done.stdout.strip()}")
+        return done.stdout
+
+    def _client(
+        self, module: str, words: tuple[str, ...], timeout_s: float
+    ) -> subprocess.CompletedProcess[str]:
+        if not self.alive():
+            raise Px4Error(f"PX4 has ended with status {self.process.returncode}:\n{self.last_lines()}")
+        try:
+            return subprocess.run(
+                [self._bin / f"px4-{module}", "--instance", str(self.instance), *words],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                timeout=timeout_s,
+                check=False,
+            )
+        except FileNotFoundError as error:
+            raise Px4Error(f"this PX4 has no module {module!r}") from error
+        except subprocess.TimeoutExpired as error:
+            command = " ".join((module, *words))
+            raise Px4Error(
+                f"PX4 did not answer {command!r} in {timeout_s:g} s:\n{self.last_lines()}"
+            ) from error
+
+    def _keep_waiting(self, until_s: float, what: str) -> None:
+        if not self.alive():
+            raise Px4Error(f"PX4 ended with status {self.process.returncode}:\n{self.last_lines()}")
+        if time.monotonic() > until_s:
+            raise Px4Error(f"PX4 did not come to {what} in time; its last lines:\n{self.last_lines()}")
+
+    def _said(self) -> str:
+        return self.output.read_text(errors="replace")
+
+    def last_lines(self) -> str:
+        """Its last lines of output."""
+        lines = [line for line in self._said().splitlines() if line.strip()]
+        return "\n".join(lines[-_LAST_LINES:]) or "(it said nothing)"
+
+    def alive(self) -> bool:
+        """Whether it still runs."""
+        return self.process.poll() is None
+
+    def end(self, within_s: float = END_MAX_S) -> int:
+        """Ask it to end, after so many seconds make it, and all that it started; its exit status."""
+        if self.alive():
+            self._signal(signal.SIGCONT)  # a stopped process hears nothing
+            self._signal(signal.SIGTERM)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(within_s)
+        self._signal(signal.SIGKILL)
+        return self.process.wait()
+
+    def _signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, number)
