@@ -24,6 +24,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     add = parser.addoption
     add("--flights", type=int, default=1, metavar="N", help="fly each flight of a real client N times")
     add("--vehicle", metavar="URL", help="fly this vehicle and no other: only the tests that can are run")
+    add("--px4", type=Path, metavar="PLACE", help="fly this PX4 SITL, by px4-sim, and no other vehicle")
+    add("--scenario", default="large", metavar="NAME_OR_FILE", help="scenario of --px4")
     add("--target", default="cf1/target/odom", metavar="KEY", help="Zenoh key of its target's odometry")
     add(
         "--target-offset", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
@@ -59,13 +61,14 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 @pytest.hookimpl(tryfirst=True)  # before the workers look at the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """A vehicle that was given is flown by the tests made for it, and armed only where that was allowed."""
-    if config.getoption("--vehicle") is None:
+    px4 = config.getoption("--px4") is not None
+    if config.getoption("--vehicle") is None and not px4:
         if config.getoption("--flights") == 1:  # they mostly wait: one worker does, while others compute
             for item in items:
                 if _marked(item, "vehicle"):
                     item.add_marker(pytest.mark.xdist_group("vehicle"))
         return
-    arm_ok = config.getoption("--arm-ok")
+    arm_ok = px4 or config.getoption("--arm-ok")
 
     def runs(item: pytest.Item) -> bool:
         flies = _marked(item, "vehicle") and not _marked(item, "simulated")
@@ -93,7 +96,14 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "flight_number" in metafunc.fixturenames:
         metafunc.parametrize("flight_number", range(config.getoption("--flights")))
     if "personality" in metafunc.fixturenames:
-        mine = config.getoption("--vehicle") is None
-        # what tries the room rather than the vehicle needs one personality only
-        known = list(PERSONALITIES)[: 1 if metafunc.definition.get_closest_marker("simulated") else None]
-        metafunc.parametrize("personality", known if mine else [config.getoption("--autopilot")])
+        metafunc.parametrize("personality", _personalities(metafunc))
+
+
+def _personalities(metafunc: pytest.Metafunc) -> list[str]:
+    option = metafunc.config.getoption
+    if option("--px4") is not None:
+        return ["real-px4"]
+    if option("--vehicle") is not None:
+        return [option("--autopilot")]
+    # what tries the room rather than the vehicle needs one personality only
+    return list(PERSONALITIES)[: 1 if metafunc.definition.get_closest_marker("simulated") else None]

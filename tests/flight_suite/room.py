@@ -13,7 +13,7 @@ from bridge.autopilots import OWN_SITL, PX4
 from flightstack.processes import Child, Port
 from flightstack.strict_toml import dumps, to_table
 from flightstack.types import ZERO, Vec3
-from sim.scenario import load
+from sim.scenario import Scenario, load
 from tests.flight_suite.limits import LIMITS, Limits
 
 SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that drives off
@@ -77,14 +77,20 @@ class Room:
     vehicle: Child | None = None
 
 
+def configured(scenario: Scenario, folder: Path) -> Path:
+    """A scenario's configuration of the onboard process as a file, for a room where nobody comes back."""
+    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # less waiting
+    side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
+    file = folder / "onboard.toml"
+    file.write_text(dumps(to_table(replace(scenario.onboard, checks=checks, vehicle=side))))
+    return file
+
+
 @contextlib.contextmanager
 def simulated(folder: Path, personality: str) -> Iterator[Room]:
     """Start vehicle and robot, in real time; ended whatever happens."""
     scenario = load(SCENARIO)
-    config = folder / "onboard.toml"
-    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # nobody comes back: less waiting
-    side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
-    config.write_text(dumps(to_table(replace(scenario.onboard, checks=checks, vehicle=side))))
+    config = configured(scenario, folder)
     ports, children = [Port(), Port()], []
     target_at, onboard_at = (port.endpoint for port in ports)
     common = ["--scenario", SCENARIO, "--seed", "1", "--duration", "300"]

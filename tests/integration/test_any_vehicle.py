@@ -19,6 +19,7 @@ from flightstack.types import ZERO, Landed, Mode, Request
 from tests.flight_suite.companion import companion
 from tests.flight_suite.limits import Lost
 from tests.flight_suite.pilot import Pilot
+from tests.flight_suite.px4_room import on_px4
 from tests.flight_suite.radio import Radio
 from tests.flight_suite.room import Fence, given, simulated
 from tests.integration.runs import WALL_MAX_S, flightstack
@@ -36,8 +37,13 @@ LANDED_MAX_S = 40.0  # from the loss of the companion to motors off, by the vehi
 
 @pytest.fixture
 def room(request, tmp_path, personality, flight_number):
-    given_room = request.config.getoption("--vehicle") is not None
-    where = given(request.config, tmp_path) if given_room else simulated(tmp_path, personality)
+    option = request.config.getoption
+    if option("--vehicle") is not None:
+        where = given(request.config, tmp_path)
+    elif option("--px4") is not None:
+        where = on_px4(tmp_path, option("--px4"), option("--scenario"), seed=flight_number)
+    else:
+        where = simulated(tmp_path, personality)
     with where as one:
         yield one
 
