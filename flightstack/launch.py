@@ -154,6 +154,11 @@ class _Launcher:
         self.interrupted = False
         self.aborted = False  # the onboard process has given up and left the vehicle to its autopilot
 
+    @property
+    def longest_s(self) -> float:
+        """Longest that it may take: until the time is over, and then to abort."""
+        return self.scenario.duration_max_s + self.scenario.onboard.retreat.abort_time_max_s
+
     def run(self, scenario_file: Path, config_file: Path, console: Console) -> Run:
         """Start everybody after those he connects to; then watch until the flight ends."""
         previous = {n: signal.signal(n, self._interrupt) for n in (signal.SIGINT, signal.SIGTERM)}
@@ -168,7 +173,8 @@ class _Launcher:
             recorder.wait_ready()
             self._describe(scenario_file)
             common = ["--scenario", str(scenario_file), "--seed", str(self.options.seed)]
-            common += ["--rate", str(rate_hz), "--duration", str(duration_s + 10.0), *lockstep]
+            others_s = self.longest_s + 10.0
+            common += ["--rate", str(rate_hz), "--duration", str(others_s), *lockstep]
             feed = ["--recorder", str(self.socket)]
             key = self.options.signing_key
             wire = ["--signing-key", str(key)] if key is not None else []
@@ -234,8 +240,7 @@ class _Launcher:
                 child.process.send_signal(number)
 
     def _watch(self, onboard: Child, others: list[Child], onboard_at: str, console: Console) -> str | None:
-        duration_s = self.scenario.duration_max_s
-        limit_s = duration_s / LOCKSTEP_SLOWEST if self.options.lockstep else duration_s
+        limit_s = self.longest_s / (LOCKSTEP_SLOWEST if self.options.lockstep else 1.0)
         until = time.monotonic() + limit_s + GRACE_S
         view = session = None
         problem: str | None = None
