@@ -12,7 +12,14 @@ from flightstack.certificate import problems
 from flightstack.config import FlightConfig
 from flightstack.config import load as load_config
 from flightstack.config import path_of as path_of_config
-from flightstack.launch_vehicles import VEHICLES, common_words, configuration_for, speed_words
+from flightstack.launch_vehicles import (
+    VEHICLES,
+    common_words,
+    configuration_for,
+    longest_s,
+    others_s,
+    speed_words,
+)
 from flightstack.launcher import NAMESPACE, Launcher, Shown
 from flightstack.recording import describe, log_in, new_folder
 from flightstack.result import Flown
@@ -94,7 +101,7 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     vehicle = VEHICLES[options.flies].start(launcher, options, scenario, target_at)
     target = launcher.start(
         "target", *common_words(launcher, options), *lockstep, *speed, *shown,
-        "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(duration_s + 10.0),
+        "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),
         "--listen", target_at, "--connect", onboard_at,
     )  # fmt: skip
     onboard = launcher.start(
@@ -112,7 +119,9 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
         launcher.console.print(
             f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True
         )
-    limit_s = (duration_s / LOCKSTEP_SLOWEST if options.lockstep else duration_s) + GRACE_S
+    limit_s = (
+        longest_s(scenario) / (LOCKSTEP_SLOWEST if options.lockstep else min(1.0, options.speed)) + GRACE_S
+    )
     title = f"{scenario.name}  seed {options.seed}  filter {scenario.onboard.filter.value}"
     live = options.live and launcher.console.is_terminal and not options.lockstep
     started = time.monotonic()
@@ -125,7 +134,8 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     if problem is None and recorder.process.returncode != 0:  # it may be behind the flight
         problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
     about = {"scenario": scenario.name, "seed": options.seed, "filter": scenario.onboard.filter.value}
-    return Flown(about, folder, log, wall_s, onboard.process.returncode, launcher.last_line, problem)
+    code, said = onboard.process.returncode, launcher.last_line
+    return Flown(about, folder, log, wall_s, code, said, problem, launcher.interrupted)
 
 
 def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_file: Path) -> None:

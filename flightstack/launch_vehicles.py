@@ -81,7 +81,7 @@ class OwnVehicle:
         values = PERSONALITIES[options.personality].set_before_flight
         child = launcher.start(
             "vehicle", *common_words(launcher, options), *lockstep, *key,
-            "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(scenario.duration_max_s + 10.0),
+            "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),
             "--connect", target_at, "--url", "udpin:127.0.0.1:0", "--personality", options.personality,
             *(word for name, value in values.items() for word in ("--parameter", f"{name}={value:g}")),
         )  # fmt: skip
@@ -204,7 +204,7 @@ class ArduPilotWithItsOwnPhysics:
 
 
 # What ArduCopter's simulated quadrotor needs besides its defaults: its frame and battery, calibrations that
-# match its sensors (Tools/autotest/default_params/copter.parm), no radio, what the check before a flight wants
+# match its sensors (Tools/autotest/default_params/copter.parm), no radio, what is checked before a flight
 ARDUPILOT_PARAMETERS: Mapping[str, float] = {
     "FRAME_CLASS": 1,
     "FRAME_TYPE": 0,
@@ -247,6 +247,16 @@ def common_words(launcher: Launcher, options: RunOptions) -> list[str]:
     return ["--scenario", str(file), "--seed", str(options.seed), "--recorder", str(launcher.socket)]
 
 
+def longest_s(scenario: Scenario) -> float:
+    """Longest that a flight may take, s: until the time is over, and then to abort."""
+    return scenario.duration_max_s + scenario.onboard.retreat.abort_time_max_s
+
+
+def others_s(scenario: Scenario) -> float:
+    """How long the simulator's processes run, s: past the end of the onboard process."""
+    return longest_s(scenario) + 10.0
+
+
 def speed_words(speed: float) -> list[str]:
     """The option ``--speed``, where it is not real time."""
     return ["--speed", f"{speed:g}"] if speed != 1.0 else []
@@ -267,7 +277,7 @@ def around_the_start(scenario: Scenario) -> Scenario:
 
 
 def _on_the_floor(scenario: Scenario) -> list[str]:
-    """On the floor its own height is zero, and not that of its feet: the landing spot is put below by them."""
+    """On the floor its own height is zero, not its feet's: the landing spot is put below by them."""
     down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
     return ["--target-offset", "0", "0", f"{-down_m:g}"]
 

@@ -43,6 +43,7 @@ class Flown:
         code: exit status of the onboard process; None if it was ended.
         last_line: the last that the onboard process said.
         problem: a process that failed.
+        interrupted: whether the operator ended it.
     """
 
     about: Mapping[str, object]
@@ -52,6 +53,7 @@ class Flown:
     code: int | None
     last_line: str
     problem: str | None
+    interrupted: bool = False
 
 
 def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
@@ -60,22 +62,28 @@ def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool
     Returns:
         Exit status: 0 landed, 1 anything else.
     """
-    values = values_of(flown)
-    report = flown.folder / "report.html" if flown.log is not None else None
-    if flown.log is not None and report is not None and with_report and values["judged_from"] is not None:
-        try:
-            write_report(flown.log, report)
-        except ReportError as error:  # the flight counts all the same
-            print(f"flightstack: {error}", file=sys.stderr)
-    values |= {"log": str(flown.log) if flown.log else None, "report": str(report) if report else None}
+    values = conclude_values(flown, with_report=with_report)
     if as_json:
         print(json.dumps(values))
     else:
         console.print(_table(values, flown))
-        _paths(console, flown.log, report if with_report else None)
+        _paths(console, values, with_report=with_report)
     if flown.problem:
         print(f"flightstack: {flown.problem}", file=sys.stderr)
     return 0 if landed(values, flown) else 1
+
+
+def conclude_values(flown: Flown, *, with_report: bool) -> dict[str, object]:
+    """Judge a flight and write its report; the keys of ``--json``."""
+    values = values_of(flown)
+    report = flown.folder / "report.html" if flown.log is not None else None
+    if flown.log is not None and with_report and values["judged_from"] is not None:
+        try:
+            write_report(flown.log, report)
+        except ReportError as error:  # the flight counts all the same
+            print(f"flightstack: {error}", file=sys.stderr)
+    log = str(flown.log) if flown.log is not None else None
+    return {**values, "log": log, "report": str(report) if report is not None else None}
 
 
 def landed(values: Mapping[str, object], flown: Flown) -> bool:
@@ -117,7 +125,7 @@ def _table(values: Mapping[str, object], flown: Flown) -> Table:
     return table
 
 
-def _paths(console: Console, log: Path | None, report: Path | None) -> None:
-    console.print(f"log     {log or 'none, as asked for'}", soft_wrap=True)
-    if report is not None:
-        console.print(f"report  {report}", soft_wrap=True)
+def _paths(console: Console, values: Mapping[str, object], *, with_report: bool) -> None:
+    console.print(f"log     {values['log'] or 'none, as asked for'}", soft_wrap=True)
+    if with_report and values["report"] is not None:
+        console.print(f"report  {values['report']}", soft_wrap=True)

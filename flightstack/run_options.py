@@ -9,6 +9,9 @@ from pathlib import Path
 from bridge.autopilots import AUTO
 from bridge.ros2_network import Ros2Network
 from flightstack.config import FilterKind
+from flightstack.strict_toml import ConfigError
+
+PX4_PERSONALITY = "px4"  # default of the simulated vehicle
 
 
 class Flies(Enum):
@@ -57,7 +60,7 @@ class RunOptions:
     listen: tuple[str, ...] = ()
     zenoh_config: Path | None = None
     ros2: Ros2Network | None = None
-    personality: str = "px4"
+    personality: str = PX4_PERSONALITY
     autopilot: str = AUTO
     config: str | None = None
     flies: Flies = Flies.OWN
@@ -65,3 +68,26 @@ class RunOptions:
     instance: int | None = None
     mocap: bool = False
     speed: float = 1.0
+
+    def check(self) -> None:
+        """Refuse what does not go together.
+
+        Raises:
+            ConfigError: which options, and why.
+        """
+        own = self.flies is Flies.OWN
+        for name, given, allowed, why in (
+            ("--lockstep", self.lockstep, own, "needs the simulated vehicle; --speed makes PX4 faster"),
+            (
+                "--signing-key",
+                self.signing_key is not None,
+                own,
+                "is not known to a PX4 or ArduPilot in software",
+            ),
+            ("--personality", self.personality != PX4_PERSONALITY, own, "is of the simulated vehicle"),
+            ("--speed", self.speed != 1.0, not own, "is of PX4 and ArduPilot; --lockstep is faster"),
+            ("--instance", self.instance is not None, not own, "is of PX4 and ArduPilot"),
+            ("--mocap", self.mocap, self.flies is Flies.PX4, "is what --px4 can have instead of satellites"),
+        ):
+            if given and not allowed:
+                raise ConfigError(f"{name} with {self.flies.value or 'the simulated vehicle'}: {name} {why}")
