@@ -10,6 +10,7 @@ import hypothesis
 import pytest
 
 from bridge.autopilots import AUTO, CHOICES
+from flightstack.config import path_of
 from tests.flight_suite.room import PERSONALITIES
 
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
@@ -33,7 +34,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )  # fmt: skip
     add("--connect", action="append", default=[], metavar="ENDPOINT", help="Zenoh endpoint of the target")
     add("--listen", metavar="ENDPOINT", help="Zenoh endpoint of the onboard process")
-    add("--config", type=Path, metavar="FILE", help="configuration of the onboard process")
+    add("--config", type=path_of, metavar="NAME_OR_FILE", help="configuration of the onboard process")
     add("--autopilot", default=AUTO, choices=CHOICES, help="profile of the vehicle; auto: by its heartbeat")
     add("--system-id", type=int, default=1, metavar="N", help="of the vehicle")
     add("--signing-key", type=Path, metavar="FILE", help="sign MAVLink with it")
