@@ -27,7 +27,7 @@ NO_GO = -1  # the target may not drive yet
 class FastClock:
     """The wall clock, ``speed`` times as fast; for simulators that run as fast.
 
-    Processes of one run agree about ``unix_ns``: it is right at the last midnight (UTC) and counts from there.
+    Processes of one run agree about ``unix_ns``: it counts from the last midnight (UTC), when it was right.
     """
 
     speed: float = 1.0

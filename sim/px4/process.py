@@ -175,7 +175,7 @@ def _check_speed(speed: float, with_robot: bool) -> None:
     if with_robot and speed == 0.0:
         raise ValueError(
             "speed is 0, as fast as PX4 answers: the deck follows a robot over Zenoh, which drives at a "
-            "speed of its own; give that of `target --speed`, or leave --connect, --listen and --zenoh-config out"
+            "speed of its own; give that of `target --speed`, or leave the Zenoh options out"
         )
 
 
