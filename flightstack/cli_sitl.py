@@ -50,10 +50,7 @@ _PROGRAM = click.Path(exists=True, path_type=Path)
     help="Number that moves the ports of PX4 or ArduPilot; default: a free one, 0 for ArduPilot.",
 )  # fmt: skip
 @click.option("--mocap", is_flag=True, help="Give PX4 the scenario's motion capture instead of satellites.")
-@click.option(
-    "--speed", type=click.FloatRange(0.1, 100.0), default=1.0, show_default=True, metavar="X",
-    help="Simulated against real time, of PX4 and ArduPilot.",
-)  # fmt: skip
+@shared.speed
 @click.option(
     "--runs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N",
     help="Fly N times, with seeds from --seed on, and sum up.",
