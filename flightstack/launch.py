@@ -147,6 +147,8 @@ def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_
             "description": scenario.description,
             "seed": str(options.seed),
             "mode": "lockstep" if options.lockstep else "real-time",
+            **({"vehicle": options.flies.value.removeprefix("--")} if options.flies.value else {}),
+            **({"speed": f"{options.speed:g}"} if options.speed != 1.0 else {}),
             "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
             "judge_beta_m": repr(scenario.judge.beta_m),
             "pad_radius_m": repr(scenario.target.pad_radius_m),
