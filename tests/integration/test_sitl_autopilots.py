@@ -1,4 +1,4 @@
-"""``sitl`` with somebody else's autopilot: a real PX4 where there is one, a stand-in for ArduPilot's program."""
+"""``sitl`` with another autopilot: a real PX4 where there is one, a stand-in for ArduPilot's program."""
 
 import os
 import sys
@@ -38,7 +38,8 @@ def test_arducopters_program_is_started_and_flown_over_tcp(tmp_path):
     scenario = load("grid")
     there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     config, still = tmp_path / "config.toml", tmp_path / "still.toml"
-    config.write_text(dumps(to_table(replace(scenario.onboard, vehicle=there))))
+    checks = replace(scenario.onboard.checks, wait_time_max_s=150.0)  # a busy machine starts slowly
+    config.write_text(dumps(to_table(replace(scenario.onboard, vehicle=there, checks=checks))))
     target = replace(scenario.target, path=PathKind.STILL, speed_m_s=0.0)
     still.write_text(dumps(to_table(replace(scenario, name="still", target=target))))
     program = tmp_path / "arducopter"
