@@ -8,28 +8,54 @@ from ipaddress import IPv4Address
 
 from bridge.peers import Peer
 
-_URL = re.compile(r"^(udpin|udpout):(?://)?([^:/\s]+):(\d{1,5})$")
+DEFAULT_BAUD = 921_600  # bits/s of a serial line that names none, as PX4's TELEM2 has
+_BAUDS = range(1_200, 12_000_001)  # bits/s
+_URL = re.compile(r"^(udpin|udpout|tcp):(?://)?([^:/\s]+):(\d{1,5})$")
+_SERIAL = re.compile(r"^serial:(?://(?=/))?(/\S+?)(?::(\d{1,8}))?$")
 _URL_HELP = (
-    "allowed is 'udpin:HOST:PORT' (listen; port 0 takes any free one) or 'udpout:HOST:PORT' (send there "
-    "first), HOST an IPv4 address or a name, PORT up to 65535, for example udpin:127.0.0.1:14540"
+    "allowed is 'udpin:HOST:PORT' (listen; port 0 takes any free one), 'udpout:HOST:PORT' (send there "
+    "first), 'tcp:HOST:PORT' (connect there), HOST an IPv4 address or a name, PORT up to 65535, or "
+    f"'serial:DEVICE:BAUD' (without BAUD {DEFAULT_BAUD}), for example udpin:127.0.0.1:14540 or "
+    "serial:/dev/ttyACM0:57600"
 )
 _PEER = re.compile(r"^([^:/\s]+):(\d{1,5})$")
 _PEER_HELP = "allowed is HOST:PORT, PORT 1 to 65535, for example 127.0.0.1:14550"
 
 
 def parse_url(url: str) -> tuple[str, str, int]:
-    """Split an endpoint URL into kind ("udpin" or "udpout"), host and port.
+    """Split an endpoint URL.
+
+    Returns:
+        Kind ("udpin", "udpout", "tcp"), host and port; or "serial", device and bits a second.
 
     Raises:
         ValueError: the URL is none of the allowed forms.
     """
+    line = _SERIAL.match(url)
+    if line is not None:
+        baud = int(line.group(2) or DEFAULT_BAUD)
+        if baud not in _BAUDS:
+            raise ValueError(
+                f"MAVLink URL {url!r} has {baud} baud: allowed is {_BAUDS.start} to {_BAUDS.stop - 1}"
+            )
+        return "serial", line.group(1), baud
     match = _URL.match(url)
     if match is None:
         raise ValueError(f"MAVLink URL {url!r} is not understood: {_URL_HELP}")
     kind, host, port = match.group(1), match.group(2), int(match.group(3))
-    if port > 65535 or (port == 0 and kind == "udpout"):
+    if port > 65535 or (port == 0 and kind != "udpin"):
         raise ValueError(f"MAVLink URL {url!r} has port {port}: {_URL_HELP}")
     return kind, host, port
+
+
+def baud_of(url: str) -> int | None:
+    """Bits a second of a serial line; None for everything else, whose speed is not known.
+
+    Raises:
+        ValueError: the URL is none of the allowed forms.
+    """
+    kind, _, number = parse_url(url)
+    return number if kind == "serial" else None
 
 
 def parse_peer(text: str) -> Peer:
@@ -77,7 +103,7 @@ def check_policy(
 
     Args:
         url: as it was given.
-        address: where it listens, or whom it calls; a caller hears nobody else.
+        address: where it listens, or whom it calls, who alone is heard then; device and baud of a cable.
         always: peers that get telemetry unasked.
         signed: there is a signing key.
         allow_unsigned: a person has said that none is wanted.
@@ -88,11 +114,14 @@ def check_policy(
     Raises:
         ValueError: what is wrong, and what to do.
     """
-    listens = parse_url(url)[0] == "udpin"
+    kind = parse_url(url)[0]
+    listens = kind == "udpin"
     if signed and allow_unsigned:
         raise ValueError("a signing key and --allow-unsigned exclude each other: give one of them")
     if always and not listens:
         raise ValueError(f"MAVLink URL {url!r} calls one address and speaks to no other peer: use udpin")
+    if kind == "serial":  # a cable: who holds its other end can do more than send
+        return None
     if is_local(address):
         for host, port in [peer for peer in always if not is_local(peer)]:
             raise ValueError(

@@ -97,6 +97,17 @@ def _landing(status: VehicleStatus) -> bool:
     return status.mode is Mode.LAND or not (status.armed or status.landed in _AIRBORNE)
 
 
+def _offboard_or_airborne(status: VehicleStatus) -> bool:
+    # A vehicle in the air is never switched for a take-off: somebody else may be flying it.
+    return _external(status) or _airborne(status)
+
+
+def _may_arm_in_its_mode(status: VehicleStatus) -> bool:
+    # Without set-points PX4's checks fail in OFFBOARD, where a landing by set-points leaves it, and in LAND.
+    standing = status.landed is Landed.ON_GROUND and not status.armed
+    return not (standing and status.mode in (Mode.EXTERNAL, Mode.LAND))
+
+
 def _fixed(*params: float | None) -> Callable[[float], Params]:
     return lambda _altitude_m: params
 
@@ -111,6 +122,14 @@ def _px4_mode(main: int, sub: int = 0) -> int:
 
 _ARM = Step(_ARM_DISARM, "arm", _fixed(1.0, 0.0, None, None, None, None, None), _armed)
 _LAND = Step(_NAV_LAND, "land", _fixed(None, None, None, None, None, None, None), _landing)
+_OFFBOARD = Step(
+    _DO_SET_MODE,
+    "switch to OFFBOARD",
+    _fixed(_CUSTOM_MODE_ENABLED, 6.0, 0.0, None, None, None, None),
+    _external,
+    prestream=True,
+)
+_OWN_TAKEOFF = (_ARM, Step(_NAV_TAKEOFF, "take off", _takeoff, _flying))
 # The kill is tried for a minute: while it is wanted, giving up early helps nobody.
 _KILL = Step(
     _ARM_DISARM,
@@ -149,16 +168,10 @@ PX4 = Profile(
     sequences=MappingProxyType(
         {
             Request.NONE: (),
-            Request.TAKEOFF: (_ARM, Step(_NAV_TAKEOFF, "take off", _takeoff, _flying)),
-            Request.EXTERNAL: (
-                Step(
-                    _DO_SET_MODE,
-                    "switch to OFFBOARD",
-                    _fixed(_CUSTOM_MODE_ENABLED, 6.0, 0.0, None, None, None, None),
-                    _external,
-                    prestream=True,
-                ),
-            ),
+            # By set-points: COM_OBL_RC_ACT acts in OFFBOARD alone, so a companion that dies in the climb of
+            # AUTO.TAKEOFF would leave it hovering.
+            Request.TAKEOFF: (replace(_OFFBOARD, done=_offboard_or_airborne), _ARM),
+            Request.EXTERNAL: (_OFFBOARD,),
             Request.LAND: (_LAND,),
             Request.MOTORS_OFF: (_KILL,),
         }
@@ -173,6 +186,16 @@ PX4 = Profile(
     needs_origin=False,
     stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; goes on by itself when the stream comes back",
     time_sync="asked at 10 Hz, answered",
+    prepare=(
+        Step(
+            _DO_SET_MODE,
+            "switch to HOLD",
+            _fixed(_CUSTOM_MODE_ENABLED, 4.0, 3.0, None, None, None, None),
+            _may_arm_in_its_mode,
+            period_s=1.0,
+            tries=3600,
+        ),
+    ),
 )
 
 OWN_SITL = replace(  # our simulated vehicle takes PX4's personality unless told otherwise
@@ -189,6 +212,9 @@ CRAZYFLIE = replace(
     PX4,
     name="crazyflie",
     title="Crazyflie behind the bridge, OFFBOARD",
+    # In its own take-off the bridge lands it when the companion dies; in OFFBOARD the motors stop after 2 s.
+    sequences=MappingProxyType({**PX4.sequences, Request.TAKEOFF: _OWN_TAKEOFF}),
+    prepare=(),  # nothing of it depends on the mode
     stream_lost="the firmware stops the motors after 2 s, or the bridge lands it (--land-on-silence)",
     time_sync="nobody asks",
 )

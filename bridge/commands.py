@@ -15,6 +15,7 @@ from bridge.decoding import Message
 from bridge.profile import Profile, Reading, Step, TakeoffAltitude
 from flightstack.types import Request, VehicleStatus
 
+_NAV_TAKEOFF = dialect.MAV_CMD_NAV_TAKEOFF
 _STREAM_GAP_S = 0.3  # s; a longer pause between two set-points ends a stream (PX4 itself allows 1.0 s)
 _RESULTS: dict[int, str] = {
     value: entry.name.removeprefix("MAV_RESULT_") for value, entry in dialect.enums["MAV_RESULT"].items()
@@ -140,7 +141,8 @@ class CommandSequencer:
 
     @property
     def _counts_from_sea_level(self) -> bool:
-        return self._profile.takeoff_altitude is TakeoffAltitude.AMSL
+        own = any(step.command == _NAV_TAKEOFF for step in self._profile.sequences[Request.TAKEOFF])
+        return own and self._profile.takeoff_altitude is TakeoffAltitude.AMSL
 
     def _ask_home(self, now_s: float) -> list[Message]:
         """Without its height above sea level no height above home can be told."""

@@ -13,6 +13,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.wide_messages import MESSAGES
+
 Message = Any  # an instance of one of pymavlink's generated classes, which carry no types
 
 _HEADER = struct.Struct("<xBBBBBBHB")
@@ -36,7 +38,7 @@ def decode(frame: bytes) -> Message:
     """Decode one frame from ``split_frames``.
 
     Raises:
-        KeyError: the message id is not in the dialect.
+        KeyError: the message is not known.
         Exception: whatever a message class raises for its field values.
     """
     length, incompat, compat, sequence, system, component, id_low, id_high = _HEADER.unpack_from(frame)
@@ -88,4 +90,4 @@ def _wire_kinds(cls: Any) -> list[str]:
     return [kind_of[name] for name in cls.ordered_fieldnames]
 
 
-_LAYOUTS: dict[int, _Layout] = {id_: _layout(cls) for id_, cls in dialect.mavlink_map.items()}
+_LAYOUTS: dict[int, _Layout] = {id_: _layout(cls) for id_, cls in MESSAGES.items()}

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 
 from bridge.framing import FrameCounters
 
-_PASSED = ("received", "sent")
+_PASSED = ("received", "sent", "bytes_in", "bytes_out", "unknown_frames", "stale_answered")
 
 
 @dataclass(slots=True)
@@ -15,13 +15,18 @@ class EndpointCounters(FrameCounters):
 
     received: int = 0  # frames decoded
     sent: int = 0  # frames handed to the socket, once per peer
-    send_errors: int = 0  # datagrams the system did not take
+    bytes_in: int = 0  # everything that came over the line, frames or not
+    bytes_out: int = 0  # what the system took
+    send_errors: int = 0  # datagrams the system did not take; frames while a line or connection was lost
+    outgoing_full: int = 0  # serial and TCP: whole frames for which the line had no room
+    connections_lost: int = 0  # serial and TCP
     peers_refused: int = 0  # heartbeats of senders for whom the peer table had no room
     oversize: int = 0  # datagrams longer than 4096 bytes
     withheld: int = 0  # answers not sent: more bytes than a sender without heartbeat had sent us
     setup_signing: int = 0  # attempts to set a key over the network, never obeyed
     unchecked: int = 0  # without a key: signed frames, taken as if they were unsigned
     # With a key only:
+    stale_answered: int = 0  # heartbeats sent to peers whose signing clock is behind
     unsigned: int = 0  # frames without a signature
     bad_signature: int = 0  # signed with another key, forged or changed
     replayed: int = 0  # not later than the last frame of the same stream

@@ -1,34 +1,32 @@
-"""One MAVLink 2 endpoint: a UDP socket, its peers, and the frames that pass through it."""
+"""One MAVLink 2 endpoint: a socket or serial line, its peers, and the frames that pass through it."""
 
 from __future__ import annotations
 
 import math
-import select
-import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from enum import Enum
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.address import check_policy, local_host_for, parse_peer, parse_url, resolve
+from bridge.address import check_policy, parse_peer, parse_url, resolve
 from bridge.decoding import Message, decode
 from bridge.endpoint_counters import EndpointCounters
 from bridge.framing import FLAG_SIGNED, intact, split_frames, without_signature
 from bridge.packing import pack
 from bridge.peers import Peer, PeerTable
-from bridge.signing import Signer
+from bridge.signing import Refusal, Signer
+from bridge.signing_answer import ANSWERED, StaleAnswers
 from bridge.signing_key import SigningKey
+from bridge.stream_framing import StreamFramer
+from bridge.transports import open_transport
 
 __all__ = ["Direction", "Endpoint", "Peer", "Received", "dialect", "parse_peer", "parse_url"]
 
-_DATAGRAMS_PER_CALL = 512  # a flood must not keep the loop in receive() for ever,
+_CHUNKS_PER_CALL = 512  # a flood must not keep the loop in receive() for ever,
 _RECEIVE_MAX_S = 0.004  # s of processor time: nor may datagrams that are full of small frames
 _UNTIMED_BYTES = 4096  # in one call, before the clock is looked at, which costs as much as a small datagram
-_RECEIVED_MAX = 4096  # bytes of a datagram that is looked at; nobody joins frames beyond an Ethernet frame
-_DATAGRAM_MAX = 1400  # bytes; below an Ethernet frame and PX4's 1600-byte buffer (mavlink_receiver.cpp)
-_SOCKET_BUFFER = 1 << 20  # bytes, asked for; the kernel may give less
 _HEARTBEAT = bytes(3)  # message id 0, on the wire
 _SETUP_SIGNING: int = dialect.MAVLINK_MSG_ID_SETUP_SIGNING
 
@@ -52,15 +50,17 @@ Tap = Callable[[Direction, bytes, Peer], None]
 
 
 class Endpoint:
-    """A UDP socket that speaks MAVLink 2; not thread-safe, owned by one loop.
+    """A UDP socket, serial line or TCP connection that speaks MAVLink 2; not thread-safe, owned by one loop.
 
     With a key every frame is signed, and what is not signed with it is dropped before it is decoded.
 
     Attributes:
         tap: called with every valid frame both ways, for the recorder; an outgoing frame is shown once.
             It sees frames without their signatures: nothing to learn from, and the same whatever the clock.
+            Frames of unknown messages, whose checksum cannot be checked, are shown to it and to nobody else.
         counters: what passed and what was thrown away.
-        local_port: the port the socket is bound to.
+        local_port: the UDP port the socket is bound to, 0 of others.
+        baud: bits a second of a serial line, None of others.
         warnings: what a person should know before flying.
     """
 
@@ -78,10 +78,11 @@ class Endpoint:
         allow_unsigned: bool = False,
         link_id: int = 0,
     ) -> None:
-        """Open the socket.
+        """Open the socket or line.
 
         Args:
-            url: ``udpin:HOST:PORT`` listens, ``udpout:HOST:PORT`` sends there first and hears nobody else.
+            url: ``udpin:HOST:PORT`` listens; ``udpout:HOST:PORT`` sends there first, ``tcp:HOST:PORT``
+                connects there, ``serial:DEVICE:BAUD`` is a line: they hear nobody else.
             system_id: our MAVLink system id, 1 to 255.
             component_id: our MAVLink component id, 1 to 255.
             max_peers: how many senders of heartbeats are remembered and served at a time.
@@ -93,14 +94,15 @@ class Endpoint:
         Raises:
             ValueError: bad URL or id, the host has no IPv4 address, it would listen to a network without a
                 key, or the state of signing cannot be understood.
-            OSError: the address cannot be bound, for example because another process has the port, or the
-                state of signing cannot be read or written.
+            OSError: the address cannot be bound, for example because another process has the port, the
+                device cannot be opened, or the state of signing cannot be read or written. A TCP connection
+                that is refused is no error: it is tried again, and ``take_notices`` says so.
         """
         for name, value in (("system", system_id), ("component", component_id)):
             if not 1 <= value <= 255:
                 raise ValueError(f"MAVLink {name} id is {value}: allowed is 1 to 255")
         kind, host, port = parse_url(url)
-        address = resolve(f"MAVLink URL {url!r}", host, port)
+        address = (host, port) if kind == "serial" else resolve(f"MAVLink URL {url!r}", host, port)
         configured = tuple(dict.fromkeys(always))
         warning = check_policy(
             url, address, configured, signed=signing_key is not None, allow_unsigned=allow_unsigned
@@ -108,30 +110,20 @@ class Endpoint:
         self.tap: Tap | None = None
         self.counters = EndpointCounters()
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
-        self._peers = PeerTable((address,) if kind == "udpout" else configured, max_peers)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._peers = PeerTable(configured if kind == "udpin" else (address,), max_peers)
+        self._transport = open_transport(url, address, self.counters)
         try:
-            self._open(url, kind, address)
             self._signer = Signer(signing_key, system_id, component_id, link_id) if signing_key else None
         except BaseException:
-            self._socket.close()
+            self._transport.close()
             raise
-        self.local_port: int = self._socket.getsockname()[1]
+        self._framer = StreamFramer(self.counters) if self._transport.is_stream else None
+        self._answers = StaleAnswers()
+        self._unknown: list[bytes] = []  # frames of unknown messages in the chunk at hand
+        self.local_port = self._transport.local_port
+        self.baud = self._transport.baud
         signer_warning = self._signer.warning if self._signer else None
         self.warnings = tuple(text for text in (warning, signer_warning) if text is not None)
-
-    def _open(self, url: str, kind: str, address: Peer) -> None:
-        try:
-            self._socket.setblocking(False)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BUFFER)
-            if kind == "udpin":
-                self._socket.bind(address)
-            else:
-                self._socket.bind((local_host_for(address), 0))
-                self._socket.connect(address)  # the kernel drops what comes from elsewhere
-        except OSError as error:
-            hint = "is another process listening there?" if kind == "udpin" else "is there a route to it?"
-            raise OSError(error.errno, f"cannot open {url!r}: {error.strerror}; {hint}") from error
 
     @property
     def peers(self) -> tuple[Peer, ...]:
@@ -146,19 +138,17 @@ class Endpoint:
         """
         received: list[Received] = []
         size, until_s = 0, math.inf
-        for _ in range(_DATAGRAMS_PER_CALL):
-            try:
-                datagram, peer = self._socket.recvfrom(_RECEIVED_MAX + 1)
-            except BlockingIOError:
+        for _ in range(_CHUNKS_PER_CALL):
+            chunk = self._transport.receive()
+            if chunk is None:
                 break
-            except OSError:  # a peer's port was closed, or ours: nothing to mend here
-                continue
-            if len(datagram) > _RECEIVED_MAX:
-                self.counters.oversize += 1
-                continue
-            for frame in split_frames(datagram, self.counters):
+            data, peer = chunk
+            for frame in self._split(data):
                 self._take(frame, peer, received)
-            size += len(datagram)
+            for frame in self._unknown:
+                self._take_unknown(frame, peer)
+            self._unknown.clear()
+            size += len(data)
             if size > _UNTIMED_BYTES:
                 now_s = time.thread_time()
                 if now_s > until_s:
@@ -168,12 +158,27 @@ class Endpoint:
             self._signer.save_if_due()
         return received
 
+    def _split(self, data: bytes) -> Iterator[bytes]:
+        if self._framer is not None:
+            return self._framer.push(data, self._unknown.append)
+        return split_frames(data, self.counters, self._unknown.append)
+
+    def _take_unknown(self, frame: bytes, peer: Peer) -> None:
+        """Show a frame of an unknown message to the recorder; it may neither make a peer nor earn credit."""
+        refused = self._refused(frame)
+        if refused is not None:
+            self.counters.add(refused.value)
+        elif self.tap is not None:
+            self.tap(Direction.IN, without_signature(frame) if frame[2] & FLAG_SIGNED else frame, peer)
+
     def _take(self, frame: bytes, peer: Peer, received: list[Received]) -> None:
         """Check a frame, decode it, note its sender; what is refused is counted."""
         counters, size = self.counters, len(frame)
         refused = self._refused(frame)
         if refused is not None:
-            counters.add(refused)
+            counters.add(refused.value)
+            if refused in ANSWERED:
+                self._answer_stale(peer)
             return
         if frame[2] & FLAG_SIGNED:
             frame = without_signature(frame)
@@ -192,25 +197,34 @@ class Endpoint:
             self.tap(Direction.IN, frame, peer)
         received.append(Received(message, frame, peer))
 
-    def _refused(self, frame: bytes) -> str | None:
-        """Name of the counter of a frame that signing keeps out, None to let it in."""
+    def _refused(self, frame: bytes) -> Refusal | None:
+        """Why signing keeps a frame out, None to let it in."""
         signed = frame[2] & FLAG_SIGNED
         if self._signer is None:
             self.counters.unchecked += signed  # cannot be checked: no better than an unsigned one
             return None
-        if not signed:
-            return "unsigned"
-        refusal = self._signer.refusal(frame)
-        return refusal.value if refusal is not None else None
+        return self._signer.refusal(frame) if signed else Refusal.UNSIGNED
+
+    def _answer_stale(self, peer: Peer) -> None:
+        """Send our heartbeat to a peer whose clock is behind: a signed frame moves an autopilot's forward."""
+        heartbeat = self._answers.due(peer)
+        if heartbeat is not None and self._signer is not None:
+            mav = self._mav  # no new number, and not shown to the tap: it depends on wall time
+            frame = pack(heartbeat, mav.seq, mav.srcSystem, mav.srcComponent)
+            self._transport.send((self._signer.sign(frame),), peer)
+            self.counters.stale_answered += 1
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until a datagram is there; False when none came in ``timeout_s`` of wall time."""
-        readable, _, _ = select.select((self._socket,), (), (), max(0.0, timeout_s))
-        return bool(readable)
+        """Wait until something is there; False when nothing came in ``timeout_s`` of wall time."""
+        return self._transport.wait(max(0.0, timeout_s))
 
     def fileno(self) -> int:
-        """Descriptor of the socket, for a ``select`` over several links."""
-        return self._socket.fileno()
+        """Descriptor for a ``select`` over several links; ask anew each time, since a line may be lost."""
+        return self._transport.fileno()
+
+    def take_notices(self) -> list[str]:
+        """Texts for a person since the last call: the line was lost, or is back."""
+        return self._transport.take_notices()
 
     def pack(self, message: Message) -> bytes:
         """Serialise a message, unsigned, with our ids and the next sequence number.
@@ -225,7 +239,7 @@ class Endpoint:
         return frame
 
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
-        """Send messages, in order, in one datagram (more only when they exceed 1400 bytes).
+        """Send messages, in order; by UDP in one datagram (more only when they exceed 1400 bytes).
 
         Args:
             messages: instances of the dialect's message classes.
@@ -235,6 +249,8 @@ class Endpoint:
         Raises:
             struct.error: a field does not fit its type on the wire.
         """
+        if self._signer is not None:
+            self._answers.note(messages)
         peers = (peer,) if peer is not None else self.peers
         if not messages or not peers:
             return
@@ -242,9 +258,8 @@ class Endpoint:
         frames, wire = self._pack(messages, allowance_bytes)
         if not frames:
             return
-        for datagram in _datagrams(wire):
-            for to in peers:
-                self._send_to(datagram, to)
+        for to in peers:
+            self._transport.send(wire, to)
         if allowance_bytes is not None:
             self._peers.spend(peers[0], sum(map(len, wire)))
         self.counters.sent += len(frames) * len(peers)
@@ -265,11 +280,11 @@ class Endpoint:
                 self.counters.withheld += 1
                 continue
             self._peers.spend(to, len(wire))
-            self._send_to(wire, to)
+            self._transport.send((wire,), to)
 
     def close(self) -> None:
-        """Close the socket and write down the state of signing; may be called twice."""
-        self._socket.close()
+        """Close the socket or line and write down the state of signing; may be called twice."""
+        self._transport.close()
         if self._signer is not None:
             self._signer.close()
 
@@ -293,30 +308,3 @@ class Endpoint:
             frames.append(frame)
             wire.append(signed)
         return frames, wire
-
-    def _send_to(self, datagram: bytes, peer: Peer) -> None:
-        for _ in range(2):
-            try:
-                self._socket.sendto(datagram, peer)
-            except (
-                ConnectionRefusedError
-            ):  # says that an earlier datagram found no listener: not about this one
-                continue
-            except OSError:  # full buffer or no route: the caller sends again next tick
-                self.counters.send_errors += 1
-            return
-        self.counters.send_errors += 1
-
-
-def _datagrams(frames: list[bytes]) -> list[bytes]:
-    """Join frames, in order, into as few datagrams as the size limit allows."""
-    if sum(map(len, frames)) <= _DATAGRAM_MAX:
-        return [b"".join(frames)]
-    datagrams: list[bytes] = []
-    current = b""
-    for frame in frames:
-        if current and len(current) + len(frame) > _DATAGRAM_MAX:
-            datagrams.append(current)
-            current = b""
-        current += frame
-    return [*datagrams, current]

@@ -1,7 +1,7 @@
 """Turns pymavlink's message objects into MAVLink 2 frames, at a quarter of the cost of pymavlink's ``pack``.
 
 The frames equal those of ``MAVLink_message.pack`` byte for byte, and what it refuses is refused with the same
-kind of error, for every message of the dialect, which a test holds. Frames are unsigned; ``signing`` signs.
+kind of error, for every message of pymavlink, which a test holds. Frames are unsigned; ``signing`` signs.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from collections.abc import Callable
 from operator import attrgetter, itemgetter
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
-
 from bridge.decoding import Message
 from bridge.framing import CRC_EXTRA, checksum
+from bridge.wide_messages import MESSAGES
 
 _MARKER = b"\xfd"
 _HEAD = struct.Struct("6B").pack  # length, flags, sequence, sender
@@ -79,6 +78,5 @@ def _all_of(names: list[str]) -> Callable[[Message], tuple[Any, ...]]:
 
 
 _PACKERS: dict[int, tuple[bytes, bytes, Payload]] = {
-    id_: (id_.to_bytes(3, "little"), CRC_EXTRA[id_], _payload(cls))
-    for id_, cls in dialect.mavlink_map.items()
+    id_: (id_.to_bytes(3, "little"), CRC_EXTRA[id_], _payload(cls)) for id_, cls in MESSAGES.items()
 }

@@ -28,8 +28,9 @@ _STAMP = 12  # bytes from the timestamp to the end
 
 
 class Refusal(Enum):
-    """Why a signed frame was not let in; the value is the name of its counter."""
+    """Why a frame was not let in; the value is the name of its counter."""
 
+    UNSIGNED = "unsigned"
     REFLECTED = "reflected"
     BAD_SIGNATURE = "bad_signature"
     REPLAYED = "replayed"

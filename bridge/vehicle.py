@@ -118,7 +118,7 @@ class VehicleLink:
         self.refused: str | None = None
         self._target = (system_id, component_id)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
-        self._wants = self._adopt(profile) if profile is not None else None
+        self._wants = self._wanted(profile) if profile is not None else None
         self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
         self._assembler = TextAssembler()
         self.endpoint = endpoint or Endpoint(
@@ -162,6 +162,18 @@ class VehicleLink:
     def profile(self) -> Profile | None:
         """What is flown: as given, or as the heartbeat said; None before."""
         return self.state.profile
+
+    def adopt(self, profile: Profile) -> None:
+        """Fly by this profile from now on: the check before the flight knows it better than a heartbeat.
+
+        Raises:
+            RuntimeError: a profile was given, or a heartbeat has been taken; it stays.
+        """
+        if self.state.profile is not None:
+            raise RuntimeError(f"the link flies by {self.state.profile.name} already, not by {profile.name}")
+        self.state.profile = profile
+        self.state.follow(profile.stream_in_takeoff)
+        self._wants = self._wanted(profile)
 
     @property
     def heard(self) -> bool:
@@ -277,7 +289,7 @@ class VehicleLink:
         """Close the endpoint."""
         self.endpoint.close()
 
-    def _adopt(self, profile: Profile) -> _Wants:
+    def _wanted(self, profile: Profile) -> _Wants:
         """Make what depends on the autopilot."""
         rates_hz = {
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._rate_hz,
@@ -296,9 +308,7 @@ class VehicleLink:
         profile = found(heartbeat.autopilot)
         if profile is None or refusal(heartbeat.autopilot, heartbeat.type, None) is not None:
             return
-        self.state.profile = profile
-        self.state.follow(profile.stream_in_takeoff)
-        self._wants = self._adopt(profile)
+        self.adopt(profile)
         self._say(dialect.MAV_SEVERITY_INFO, f"its heartbeat says: {profile.title}")
 
     def _may_stream(self, profile: Profile) -> bool:

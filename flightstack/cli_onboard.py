@@ -32,6 +32,7 @@ def flight_options(verb: Callable[..., Any]) -> Callable[..., Any]:
 @flight_options
 @shared.recorder
 @shared.lockstep
+@shared.speed
 def onboard(config_file: Path, recorder: Path | None, no_record: bool, **plugged: Any) -> None:
     """Run the onboard process against any vehicle and target; `fly` adds a live view and a report.
 
@@ -65,6 +66,7 @@ def onboard(config_file: Path, recorder: Path | None, no_record: bool, **plugged
             ros2=ros2_network(plugged["ros2_where"], plugged["ros_domain"]),
             ros_domain=plugged["ros_domain"],
             target_offset_m=plugged["target_offset"],
+            speed=plugged["speed"],
         )
         try:
             ended = process.run(config.load(config_file), options, say=say)

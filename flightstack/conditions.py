@@ -92,7 +92,7 @@ def gather(
     word = 0
     if inputs.operator is Operator.EMERGENCY_STOP:
         word |= C.EMERGENCY
-    if inputs.operator is Operator.ABORT:
+    if inputs.operator in (Operator.ABORT, Operator.LAND):
         word |= C.ABORT_ASKED
     if not seen.follows:
         word |= C.NOT_FOLLOWING
@@ -146,7 +146,7 @@ def _status_conditions(memory: Memory, seen: View, good: bool) -> int:
         memory.was_armed = True
     if status.mode is Mode.EXTERNAL:
         word |= C.EXTERNAL
-        memory.was_external = True
+        memory.was_external = memory.was_external or status.armed  # PX4 stays in it after a landing
     if memory.was_armed:
         word |= C.WAS_ARMED
     if memory.was_external:

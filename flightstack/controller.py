@@ -16,12 +16,25 @@ from flightstack.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
 from flightstack.guidance import Situation, Wish, wish
 from flightstack.law import LAWS, Held
 from flightstack.memory import AbortWay, Memory, State
-from flightstack.phases import Condition, next_phase
+from flightstack.phases import Condition, Rule, next_phase
 from flightstack.plausibility import Plausibility
 from flightstack.position_loop import limit, slew
+from flightstack.reasons import Known, reason
 from flightstack.safety_filter import FilterResult, SafetyFilter
 from flightstack.target_track import TargetTrack, Verdict
-from flightstack.types import ZERO, FilterStatus, Inputs, Landed, Mode, Phase, Request, Vec3, VehicleStatus
+from flightstack.types import (
+    ZERO,
+    FilterStatus,
+    Inputs,
+    Landed,
+    Mode,
+    Operator,
+    OwnState,
+    Phase,
+    Request,
+    Vec3,
+    VehicleStatus,
+)
 
 LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
 ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
@@ -80,6 +93,13 @@ class Outputs(NamedTuple):
     target_rejected: int
 
 
+def _follows_in_the_air(status: VehicleStatus | None) -> bool:
+    """Whether the vehicle says that it flies by our set-points."""
+    if status is None or not status.armed or status.mode is not Mode.EXTERNAL:
+        return False
+    return status.landed is not Landed.ON_GROUND
+
+
 class Controller:
     """The pure core. ``state`` is all that a step depends on besides its inputs and the configuration."""
 
@@ -131,7 +151,8 @@ class Controller:
         if inputs.own is not None:
             plausibility.take(inputs.own)
             flown = memory.commanding and plausibility.believes(now_s)
-            plausibility.follow(memory.command if flown else None, inputs.own.velocity_enu_m_s)
+            wanted = self._flown(inputs.own, inputs.status) if plausibility.believes(now_s) else None
+            plausibility.follow(wanted, inputs.own.velocity_enu_m_s)
             own = law.own(inputs.own)
             inputs = Inputs(own, inputs.status, inputs.target_samples, inputs.operator)
             law.observe(own.velocity_enu_m_s, commanding=flown)
@@ -139,16 +160,15 @@ class Controller:
         seen = view(self.config, inputs, target, now_s, believed=believed, follows=follows)
         if target is not None and seen.target_ok:
             memory.target_position_enu_m = target.position_enu_m
+            memory.target_velocity_enu_m_s = target.velocity_enu_m_s
         if memory.yaw_rad is None and inputs.own is not None:
             memory.yaw_rad = inputs.own.yaw_rad
         word = gather(self.config, self.barrier, memory, seen, command_failed, now_s)
-        change = next_phase(memory.phase, word)
-        if change is not None:
-            events.append(self._enter(*change, word, now_s))
-        elif word & Condition.EMERGENCY and memory.phase is Phase.ABORT:
-            if memory.abort_way is not AbortWay.MOTORS_OFF:
-                events.append(Event(ERROR, "ABORT: emergency stop (motors off)"))
-            memory.abort_way = AbortWay.MOTORS_OFF
+        rule = next_phase(memory.phase, word)
+        if rule is not None:
+            events.append(self._enter(rule, word, seen, now_s))
+        elif memory.phase is Phase.ABORT:
+            events += self._abort_otherwise(inputs.operator)
         asked = wish(Situation(self.config, self.barrier, memory, seen))
         held = self._law.held(seen)
         barrier = self._evaluate(asked, seen, held)
@@ -177,22 +197,48 @@ class Controller:
                 events.append(Event(WARN, f"target sample refused: {verdict.value}"))
         return events
 
-    def _enter(self, phase: Phase, reason: str, word: int, now_s: float) -> Event:
+    def _flown(self, own: OwnState, status: VehicleStatus | None) -> Vec3 | None:
+        """Velocity that the vehicle is to fly since the last tick; ``None`` while it flies none of ours.
+
+        In the climb from the ground how fast it rises is the autopilot's (it spools up and ramps), sideways is
+        not; while it stands nothing is flown.
+        """
         memory = self.memory
-        text = f"{memory.phase.name} -> {phase.name}: {reason}"
+        if memory.commanding:
+            return memory.command
+        if not memory.lifting or not _follows_in_the_air(status):
+            return None
+        return (memory.command[0], memory.command[1], own.velocity_enu_m_s[2])
+
+    def _abort_otherwise(self, operator: Operator) -> list[Event]:
+        """A person may still ask for more than the abort does."""
+        memory = self.memory
+        if operator is Operator.EMERGENCY_STOP and memory.abort_way is not AbortWay.MOTORS_OFF:
+            memory.abort_way = AbortWay.MOTORS_OFF
+            return [Event(ERROR, "ABORT: emergency stop (motors off)")]
+        if operator is Operator.LAND and memory.abort_way is AbortWay.FLY_CLEAR:
+            memory.abort_way = AbortWay.LAND_HERE
+            return [Event(ERROR, "ABORT: ended by the operator (land here)")]
+        return []
+
+    def _enter(self, rule: Rule, word: int, seen: View, now_s: float) -> Event:
+        memory, phase = self.memory, rule.to
+        known = Known(self.config.checks, seen, self.plausibility, self.track.memory.refusal, now_s)
+        why = reason(rule, word, known)
+        text = f"{memory.phase.name} -> {phase.name}: {why}"
         if memory.phase in TRIED and phase in TRY_AGAIN:
             memory.retries += 1
         if phase is Phase.APPROACH and memory.started_s == math.inf:
             memory.started_s = now_s
         if phase is Phase.ABORT:
-            memory.abort_way = self._abort_way(word)
+            memory.abort_way = self._abort_way(word, seen.inputs.operator)
             text += f" ({memory.abort_way.name.lower().replace('_', ' ')})"
         if phase is Phase.TOUCHDOWN:  # what an earlier descent had begun to see
             memory.contact_since_s = memory.stopped_since_s = math.inf
-        memory.phase, memory.phase_since_s, memory.reason = phase, now_s, reason
+        memory.phase, memory.phase_since_s, memory.reason = phase, now_s, why
         return Event(ERROR if phase is Phase.ABORT else WARN if phase is Phase.HOLD else INFO, text)
 
-    def _abort_way(self, word: int) -> AbortWay:
+    def _abort_way(self, word: int, operator: Operator) -> AbortWay:
         c, memory = Condition, self.memory
         if word & c.EMERGENCY:
             return AbortWay.MOTORS_OFF
@@ -204,7 +250,7 @@ class Controller:
             return AbortWay.LAND_HERE
         if word & c.WAS_EXTERNAL and not word & c.EXTERNAL and not word & c.LINK_LOST:
             return AbortWay.HANDS_OFF
-        if word & _NOT_FLOWN_BY_US or memory.target_position_enu_m is None:
+        if operator is Operator.LAND or word & _NOT_FLOWN_BY_US or memory.target_position_enu_m is None:
             return AbortWay.LAND_HERE
         if memory.phase is Phase.TOUCHDOWN and memory.contact:
             return AbortWay.LAND_HERE
@@ -229,7 +275,7 @@ class Controller:
 
     def _base(self, seen: View) -> Vec3:
         """Where the slew limit starts: the last command, or the present velocity when none was in force."""
-        if self.memory.commanding or seen.inputs.own is None:
+        if self.memory.commanding or self.memory.lifting or seen.inputs.own is None:
             return self.memory.command
         return limit(seen.inputs.own.velocity_enu_m_s, self.config.limits.velocity_max_m_s)
 
@@ -246,8 +292,8 @@ class Controller:
         self, asked: Wish, seen: View, barrier: Barriers | None, held: Held
     ) -> tuple[GateVerdict, ApprovedSetpoint | None, Vec3 | None]:
         memory, own = self.memory, seen.inputs.own
-        if asked.velocity is None or asked.request is not Request.EXTERNAL:
-            memory.commanding = False
+        if asked.velocity is None:
+            memory.commanding = memory.lifting = False
             return GateVerdict.NOT_IN_CONTROL, None, None
         check = None
         if asked.filtered and barrier is not None and seen.e_m is not None and seen.target is not None:
@@ -256,7 +302,8 @@ class Controller:
         else:
             most = self.config.limits.velocity_max_m_s
             wanted = slew(self._base(seen), limit(asked.velocity, most), self._slew_step)
-        setpoint = self._law.setpoint(self._base(seen), wanted, seen)
+        least_z_m_s = self._least_z_m_s(seen)
+        setpoint = self._law.setpoint(self._base(seen), wanted, seen, least_z_m_s)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
         verdict, approved = self._gate.check(
             wanted,
@@ -272,9 +319,20 @@ class Controller:
             memory.command = self._law.tracking.setpoint_m_s = ZERO
         else:
             memory.command = wanted
+        climbs = memory.phase is Phase.TAKEOFF and not memory.climbed
         following = seen.inputs.status is not None and seen.inputs.status.mode is Mode.EXTERNAL
-        memory.commanding = approved is not None and following
+        memory.commanding = approved is not None and following and not climbs
+        memory.lifting = approved is not None and following and climbs
         return verdict, approved, wanted
+
+    def _least_z_m_s(self, seen: View) -> float:
+        """Lowest vertical velocity that a set-point may lead to if it stays the last one.
+
+        So near to the pad nothing but the pad stops a vehicle whose companion has died.
+        """
+        if self.memory.phase is not Phase.TOUCHDOWN or seen.target is None:
+            return -math.inf
+        return seen.target.velocity_enu_m_s[2] - self._law.contact_speed_max_m_s
 
     def _finished(self, inputs: Inputs, now_s: float) -> bool:
         memory, status = self.memory, inputs.status

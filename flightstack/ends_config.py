@@ -66,4 +66,6 @@ class Retreat:
     hold_climb_m_s: Annotated[float, Range(0.02, 5.0)] = 0.4  # of the robust hold, target out of sight
     climb_margin_m: Annotated[float, Range(0.05, 5.0)] = 0.2  # above the barrier's peak: clear of the target
     clear_time_max_s: Annotated[float, Range(5.0, 600.0)] = 30.0  # to fly clear; then it lands where it is
+    # slowest that the vehicle's own landing sinks: how long a target that comes nearer has time to
+    landing_speed_m_s: Annotated[float, Range(0.05, 5.0)] = 0.3
     abort_time_max_s: Annotated[float, Range(5.0, 1800.0)] = 60.0  # until the stack ends, not down by then

@@ -13,7 +13,7 @@ from flightstack.ends_config import TouchdownRule
 from flightstack.memory import AbortWay, Memory
 from flightstack.position_loop import limit, nominal_velocity
 from flightstack.target_track import TargetState
-from flightstack.types import ZERO, Landed, Operator, Phase, Request, Vec3
+from flightstack.types import ZERO, Landed, Operator, OwnState, Phase, Request, Vec3
 
 CLIMB_OVER = 0.5  # share of the climb margin by which the climb aims beyond what is high enough, to get there
 CLEAR_BELOW = 0.25  # share of it that a vehicle flying clear may lack of that height
@@ -50,13 +50,15 @@ def _takeoff(s: Situation) -> Wish:
     own, target, memory = s.seen.inputs.own, s.seen.target, s.memory
     if own is None or target is None:
         return Wish(Request.TAKEOFF)
-    z = own.position_enu_m[2]
+    z, height_m = own.position_enu_m[2], s.config.takeoff.height_m
     memory.ground_z_m = min(memory.ground_z_m, z)
-    high = z - memory.ground_z_m > TAKEOFF_DONE * s.config.takeoff.height_m
-    if memory.was_armed and (high or memory.was_external):  # what follows set-points goes on by them
+    climbed_m = z - memory.ground_z_m
+    if memory.was_armed and climbed_m > TAKEOFF_DONE * height_m:
         memory.climbed = True
-    if not memory.climbed:
-        return Wish(Request.TAKEOFF)
+    if not memory.climbed:  # an autopilot that takes off by set-points flies this one, others by themselves
+        up = (height_m - climbed_m) * s.config.position_loop.gain_1_s[2]
+        climb = limit((0.0, 0.0, max(0.0, up)), s.config.limits.velocity_max_m_s)
+        return Wish(Request.EXTERNAL if _flies_by_us(s) else Request.TAKEOFF, climb)
     start = start_point(s.config, target)
     if start is None:
         return Wish(Request.EXTERNAL, ZERO)
@@ -65,6 +67,13 @@ def _takeoff(s: Situation) -> Wish:
     if abs(e[2]) > s.config.takeoff.level_first_m:
         e = (0.0, 0.0, e[2])
     return Wish(Request.EXTERNAL, nominal_velocity(e, s.config.position_loop.gain_1_s, ZERO))
+
+
+def _flies_by_us(s: Situation) -> bool:
+    """Whether it has lifted off and follows set-points: nothing is left to ask of its own take-off."""
+    status = s.seen.inputs.status
+    standing = status is None or status.landed is Landed.ON_GROUND
+    return s.memory.was_external and not standing
 
 
 def _land(s: Situation) -> Wish:
@@ -191,14 +200,38 @@ def _fly_clear(s: Situation) -> Wish:
     retreat = s.config.retreat
     lacking_m = CLEAR_BELOW * retreat.climb_margin_m
     high = own.position_enu_m[2] >= high_enough_m(s.config, s.barrier, memory) - lacking_m
-    if d >= s.config.checks.clearance_m or own.arrival_s - memory.phase_since_s > retreat.clear_time_max_s:
+    outside = d >= s.config.checks.clearance_m
+    stays_out = outside and _landing_distance_m(s, own, (dx, dy)) >= s.config.checks.clearance_m
+    if stays_out or own.arrival_s - memory.phase_since_s > retreat.clear_time_max_s:
         memory.clear = True
         return Wish(Request.LAND)
     vx, vy, vz = s.config.limits.velocity_max_m_s
-    if not high:
-        return Wish(Request.EXTERNAL, (0.0, 0.0, vz))
+    up = 0.0 if high else vz
+    if not (high or outside):
+        return Wish(Request.EXTERNAL, (0.0, 0.0, up))
     away = (dx / d, dy / d) if d > 1e-6 else (1.0, 0.0)
-    return Wish(Request.EXTERNAL, limit((away[0] * vx, away[1] * vy, 0.0), (vx, vy, vz)))
+    return Wish(Request.EXTERNAL, limit((away[0] * vx, away[1] * vy, up), (vx, vy, vz)))
+
+
+def _landing_distance_m(s: Situation, own: OwnState, away_m: tuple[float, float]) -> float:
+    """Least horizontal distance from the target in a landing that begins now.
+
+    The vehicle comes to rest by its velocity loop, then sinks straight down; the target drives on as it did
+    when it was seen last.
+    """
+    memory = s.memory
+    assert memory.target_velocity_enu_m_s is not None  # known since its position is
+    lag_s = s.config.velocity_loop.lag_xy_s
+    (vx, vy, _), (tx, ty, _) = own.velocity_enu_m_s, memory.target_velocity_enu_m_s
+    ground_z_m = memory.ground_z_m if memory.ground_z_m < math.inf else 0.0  # found in the air: the origin's
+    sinks_s = max(0.0, own.position_enu_m[2] - ground_z_m) / s.config.retreat.landing_speed_m_s
+    x, y = away_m[0] + vx * lag_s, away_m[1] + vy * lag_s
+    closing_m2_s, speed2_m2_s2 = x * tx + y * ty, tx * tx + ty * ty
+    if closing_m2_s <= 0.0:
+        return math.hypot(x, y)
+    passed = closing_m2_s < speed2_m2_s2 * sinks_s  # it comes by before the vehicle is down
+    nearest_s = closing_m2_s / speed2_m2_s2 if passed else sinks_s
+    return math.hypot(x - tx * nearest_s, y - ty * nearest_s)
 
 
 _ABORT: dict[AbortWay, Callable[[Situation], Wish]] = {

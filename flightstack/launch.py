@@ -2,59 +2,36 @@
 
 from __future__ import annotations
 
-import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
-from bridge.autopilots import AUTO, OWN_SITL
-from bridge.ros2_network import Ros2Network
 from flightstack.certificate import problems
-from flightstack.config import FilterKind, FlightConfig
+from flightstack.config import FlightConfig
+from flightstack.config import load as load_config
+from flightstack.config import path_of as path_of_config
+from flightstack.launch_vehicles import (
+    VEHICLES,
+    common_words,
+    configuration_for,
+    longest_s,
+    others_s,
+    speed_words,
+)
 from flightstack.launcher import NAMESPACE, Launcher, Shown
 from flightstack.recording import describe, log_in, new_folder
+from flightstack.result import Flown
+from flightstack.run_options import RunOptions
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from sim.autopilot.geo import ORIGIN_WGS84
-from sim.autopilot.personality import PERSONALITIES, PX4
+from sim.autopilot.personality import PERSONALITIES
 from sim.scenario import Scenario, path_of
 from sim.scenario import load as load_scenario
 
 GRACE_S = 60.0  # s of wall time beyond the scenario's duration before a run is given up
 LOCKSTEP_SLOWEST = 0.2  # share of real time below which a lockstep run is given up
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """What ``flightstack sitl`` was asked for."""
-
-    scenario: str
-    seed: int = 0
-    filter: FilterKind | None = None
-    lockstep: bool = False
-    duration_s: float | None = None
-    out: Path | None = None
-    live: bool = True
-    signing_key: Path | None = None
-    listen: tuple[str, ...] = ()  # where others may watch, besides a free port of loopback
-    zenoh_config: Path | None = None  # of the onboard process
-    ros2: Ros2Network | None = None  # where target and flight are shown to ROS 2
-    view: str | None = None  # where the scene is shown in 3-D
-    personality: str = PX4.name  # of the simulated vehicle
-    autopilot: str = AUTO  # of the onboard process
-
-
-@dataclass(frozen=True)
-class Run:
-    """What a run left behind."""
-
-    scenario: Scenario
-    folder: Path
-    log: Path
-    wall_s: float  # from the first tick to the end
-    interrupted: bool
-    problem: str | None  # a process that failed
 
 
 def onboard_of(scenario: str) -> FlightConfig:
@@ -67,12 +44,15 @@ def onboard_of(scenario: str) -> FlightConfig:
 
 
 def prepare(options: RunOptions) -> Scenario:
-    """Load and check the scenario.
+    """Load and check the scenario, with the configuration that fits what flies.
 
     Raises:
         ConfigError: it must not fly.
     """
     scenario = load_scenario(options.scenario)
+    name = options.config or configuration_for(options.flies, scenario)
+    if name is not None:
+        scenario = replace(scenario, onboard=load_config(path_of_config(name)))
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)
     if PERSONALITIES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
@@ -86,11 +66,11 @@ def prepare(options: RunOptions) -> Scenario:
         scenario = replace(scenario, duration_max_s=options.duration_s)
     found = problems(scenario.onboard)
     if found:
-        raise ConfigError(f"{options.scenario}: refused before take-off: " + "; ".join(found))
-    return scenario
+        raise ConfigError(f"{name or options.scenario}: refused before take-off: " + "; ".join(found))
+    return VEHICLES[options.flies].adapt(scenario)
 
 
-def run(options: RunOptions, console: Console) -> Run:
+def run(options: RunOptions, console: Console) -> Flown:
     """Fly one scenario with processes of its own.
 
     Raises:
@@ -107,33 +87,30 @@ def run(options: RunOptions, console: Console) -> Run:
         return _fly(launcher, options, scenario, log)
 
 
-def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Run:
+def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Flown:
     """Start everybody after those he connects to; then watch until the flight ends."""
     folder, duration_s = launcher.folder, scenario.duration_max_s
     lockstep = ["--lockstep"] if options.lockstep else []
+    speed = speed_words(options.speed)
     target_at, onboard_at = launcher.endpoint(), launcher.endpoint()
     recorder = launcher.record(log)
     if options.view is not None:
         launcher.view(options.view, onboard_at, folder / "onboard.toml")
     _describe(launcher.socket, options, scenario, folder / "scenario.toml")
-    common = ["--scenario", str(folder / "scenario.toml"), "--seed", str(options.seed)]
-    common += ["--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(duration_s + 10.0), *lockstep]
-    feed = ["--recorder", str(launcher.socket)]
-    wire = ["--signing-key", str(options.signing_key)] if options.signing_key is not None else []
     ros2 = options.ros2
     shown = ["--ros2", ros2.where, "--ros-domain", str(ros2.domain)] if ros2 is not None else []
     zenoh = ["--zenoh-config", str(options.zenoh_config)] if options.zenoh_config is not None else []
-    vehicle = launcher.start(
-        "vehicle", *common, *feed, *wire, "--connect", target_at, "--url", "udpin:127.0.0.1:0",
-        "--personality", options.personality, *_parameters(options.personality),
+    vehicle = VEHICLES[options.flies].start(launcher, options, scenario, target_at)
+    target = launcher.start(
+        "target", *common_words(launcher, options), *lockstep, *speed, *shown,
+        "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),
+        "--listen", target_at, "--connect", onboard_at,
     )  # fmt: skip
-    target = launcher.start("target", *common, *feed, *shown, "--listen", target_at, "--connect", onboard_at)
-    url = vehicle.wait_ready().replace("udpin", "udpout")
     onboard = launcher.start(
-        "onboard", "--vehicle", url, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
+        "onboard", *vehicle.words, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
         "--listen", onboard_at, "--config", str(folder / "onboard.toml"), "--duration", str(duration_s),
         *(word for endpoint in options.listen for word in ("--listen", endpoint)),
-        *feed, *lockstep, *wire, *shown, *zenoh, "--autopilot", _autopilot(options),
+        "--recorder", str(launcher.socket), *lockstep, *shown, *zenoh,
     )  # fmt: skip
     target.wait_ready()
     onboard.wait_ready()
@@ -144,18 +121,23 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
         launcher.console.print(
             f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True
         )
-    limit_s = (duration_s / LOCKSTEP_SLOWEST if options.lockstep else duration_s) + GRACE_S
+    limit_s = (
+        longest_s(scenario) / (LOCKSTEP_SLOWEST if options.lockstep else min(1.0, options.speed)) + GRACE_S
+    )
     title = f"{scenario.name}  seed {options.seed}  filter {scenario.onboard.filter.value}"
     live = options.live and launcher.console.is_terminal and not options.lockstep
     started = time.monotonic()
     problem = launcher.watch(
-        onboard, [vehicle, target, recorder], limit_s, Shown(onboard_at, title) if live else None
-    )
+        onboard, [*vehicle.children, target, recorder], limit_s,
+        Shown(onboard_at, title) if live else None, vehicle.teller,
+    )  # fmt: skip
     wall_s = time.monotonic() - started
     launcher.end_all()
     if problem is None and recorder.process.returncode != 0:  # it may be behind the flight
         problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
-    return Run(scenario, folder, log, wall_s, launcher.interrupted, problem)
+    about = {"scenario": scenario.name, "seed": options.seed, "filter": scenario.onboard.filter.value}
+    code, said = onboard.process.returncode, launcher.last_line
+    return Flown(about, folder, log, wall_s, code, said, problem, launcher.interrupted)
 
 
 def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_file: Path) -> None:
@@ -167,6 +149,8 @@ def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_
             "description": scenario.description,
             "seed": str(options.seed),
             "mode": "lockstep" if options.lockstep else "real-time",
+            **({"vehicle": options.flies.value.removeprefix("--")} if options.flies.value else {}),
+            **({"speed": f"{options.speed:g}"} if options.speed != 1.0 else {}),
             "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
             "judge_beta_m": repr(scenario.judge.beta_m),
             "pad_radius_m": repr(scenario.target.pad_radius_m),
@@ -175,33 +159,4 @@ def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_
             "scenario.toml": scenario_file.read_bytes(),
             "scenario_source.toml": path_of(options.scenario).read_bytes(),
         },
-    )
-
-
-def _autopilot(options: RunOptions) -> str:
-    """Profile of the onboard process: a heartbeat does not tell our own vehicle from what it plays."""
-    own = options.autopilot == AUTO and options.personality == PX4.name
-    return OWN_SITL.name if own else options.autopilot
-
-
-def _parameters(personality: str) -> list[str]:
-    values = PERSONALITIES[personality].set_before_flight
-    return [word for name, value in values.items() for word in ("--parameter", f"{name}={value:g}")]
-
-
-def result_json(
-    run_: Run, options: RunOptions, verdict: dict[str, object], simulated_s: float, report: Path
-) -> str:
-    """The one object that ``--json`` prints."""
-    factor = simulated_s / run_.wall_s if run_.wall_s > 0.0 else None
-    return json.dumps(
-        {
-            "scenario": run_.scenario.name,
-            "seed": options.seed,
-            "filter": run_.scenario.onboard.filter.value,
-            **verdict,
-            "realtime_factor": factor,
-            "log": str(run_.log),
-            "report": str(report),
-        }
     )

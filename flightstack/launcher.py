@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import shutil
 import signal
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -13,12 +16,16 @@ from types import FrameType, TracebackType
 from rich.console import Console
 
 from bridge import zenoh_link
+from flightstack.hangup import on_hangup
 from flightstack.live import REFRESH_HZ, LiveView
-from flightstack.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port
+from flightstack.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port, Running
+from flightstack.recording import start_recorder
 
 NAMESPACE = "cf1"
 LAND_ALONE_MAX_S = 20.0  # s of wall time for the vehicle's own landing without the onboard process
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT)
+LAND_MAX_S = (
+    30.0  # s for an onboard process that is asked to end in flight: it brings a real vehicle down first
+)
 
 
 @dataclass(frozen=True)
@@ -28,10 +35,12 @@ class Shown:
     Attributes:
         endpoint: Zenoh endpoint of the onboard process.
         title: of the view.
+        namespace: first part of its keys.
     """
 
     endpoint: str
     title: str
+    namespace: str = NAMESPACE
 
 
 class Launcher:
@@ -40,6 +49,7 @@ class Launcher:
     Attributes:
         children: running processes of this flight, in the order in which they were started.
         interrupted: whether the operator asked for the end of the run.
+        last_line: the last that the onboard process said.
         aborted: whether the onboard process has given up and left the vehicle to its autopilot.
         socket: where the recorder listens.
 
@@ -47,23 +57,28 @@ class Launcher:
         folder: for what the children say.
         console: for the lines of the onboard process.
         tells: whether these are shown.
+        real: a vehicle that is not ours to end: Ctrl-C, SIGTERM and a terminal that closes go to the onboard
+            process, which lands it; the run ends with that process and not before.
     """
 
-    def __init__(self, folder: Path, console: Console, *, tells: bool) -> None:
+    def __init__(self, folder: Path, console: Console, *, tells: bool, real: bool = False) -> None:
         self.folder, self.console = folder, console
-        self.children: list[Child] = []
+        self.children: list[Running] = []
         self.interrupted = False
         self.aborted = False
-        self._tells = tells
+        self.last_line = ""
+        self._tells, self._real = tells, real
         self._ports: list[Port] = []
         # a short path: socket names are limited to 107 bytes
         self._sockets = Path(tempfile.mkdtemp(prefix="flightstack-"))
         self.socket = self._sockets / "recorder"
 
     def __enter__(self) -> Launcher:
-        handlers = (self._interrupt, self._interrupt, self._emergency)
-        pairs = zip(_SIGNALS, handlers, strict=True)
-        self._previous = {number: signal.signal(number, handler) for number, handler in pairs}
+        end = self._hand_on if self._real else self._interrupt
+        handlers = {signal.SIGINT: end, signal.SIGTERM: end, signal.SIGQUIT: self._hand_on}
+        self._previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+        if self._real:
+            on_hangup(self._hand_on)
         return self
 
     def __exit__(
@@ -97,48 +112,63 @@ class Launcher:
         Raises:
             LaunchError: it did not start.
         """
-        recorder = self.start("record", "--socket", str(self.socket), "--out", str(log))
-        recorder.wait_ready()
+        recorder = start_recorder(self.socket, log)
+        self.children.append(recorder)
         return recorder
 
-    def view(self, where: str, endpoint: str, config: Path) -> None:
+    def view(self, where: str, endpoint: str, config: Path, namespace: str = NAMESPACE) -> None:
         """Start the view in 3-D, which only listens; nothing waits for it once it is there.
 
         Args:
             where: of the option ``--view``.
             endpoint: Zenoh endpoint of the onboard process.
             config: file with the configuration of the onboard process.
+            namespace: first part of its Zenoh keys.
 
         Raises:
             LaunchError: it did not start.
         """
-        words = ("--view", where, "--connect", endpoint, "--config", str(config))
+        words = ("--view", where, "--connect", endpoint, "--config", str(config), "--namespace", namespace)
         shown_at = self.start("watch", *words).wait_ready()
         self.console.print(f"view: {shown_at}", style="dim", soft_wrap=True, markup=False)
 
     def end_all(self) -> None:
         """End every child, the recorder last, so that it closes the log behind the others."""
         for child in reversed(self.children):
-            child.end(CLOSE_TIME_MAX_S if child.name == "record" else END_TIME_MAX_S)
+            child.end(self._end_max_s(child.name))
         self.children.clear()
         for port in self._ports:
             port.close()
 
-    def watch(self, onboard: Child, others: list[Child], limit_s: float, shown: Shown | None) -> str | None:
+    def _end_max_s(self, name: str) -> float:
+        if name == "record":
+            return CLOSE_TIME_MAX_S
+        return LAND_MAX_S if self._real and name == "onboard" else END_TIME_MAX_S
+
+    def watch(
+        self,
+        onboard: Child,
+        others: Sequence[Running],
+        limit_s: float | None,
+        shown: Shown | None,
+        teller: Child | None = None,
+    ) -> str | None:
         """Watch until the onboard process ends; the problem, if there was one.
 
         Args:
             onboard: the onboard process.
             others: processes that have to outlive it.
-            limit_s: wall time after which the run is given up.
+            limit_s: wall time after which the run is given up; None: the onboard process knows its own.
             shown: for the live view; None: there is none.
+            teller: process that says when the motors are armed and disarmed; None: nobody does.
         """
-        until = time.monotonic() + limit_s
+        others = list(others)
+        until = time.monotonic() + (limit_s if limit_s is not None else math.inf)
         view = session = None
         problem: str | None = None
         if shown is not None:
             session = zenoh_link.open_session([], [shown.endpoint])
-            view = LiveView(session, NAMESPACE, shown.title, self.console)
+            view = LiveView(session, shown.namespace, shown.title, self.console)
             view.live.start()
         try:
             while onboard.alive():
@@ -149,50 +179,55 @@ class Launcher:
                     # nobody else needs it to end safely: the onboard process holds, climbs or lands away
                     others.remove(child)
                     problem = f"{child.name} ended in flight: {child.errors() or 'no reason given'}"
-                    self.console.print(problem, style="red", markup=False)
+                    self._print(problem, style="red")
                 if self.interrupted:
                     return "interrupted"
-                if time.monotonic() > until:
+                if limit_s is not None and time.monotonic() > until:
                     return f"not over after {limit_s:.0f} s"
             self._say(onboard.lines(0.0))
         finally:
             if view is not None:
-                view.live.stop()
+                with contextlib.suppress(OSError):  # its terminal may be closed
+                    view.live.stop()
             if session is not None:
                 session.close()
         if onboard.process.returncode not in (0, 1):
             problem = f"onboard ended in flight: {onboard.errors() or 'no reason given'}"
             self.aborted = True
         if self.aborted:
-            self._let_it_land(others, until)
+            self._let_it_land(teller, until)
         return problem
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.interrupted = True
 
-    def _emergency(self, number: int, frame: FrameType | None) -> None:
-        """An emergency stop is the onboard process's to give."""
+    def _hand_on(self, number: int, frame: FrameType | None) -> None:
+        """Give a signal to the onboard process, which knows what to do in flight."""
         del frame
         for child in self.children:
-            if child.name == "onboard" and child.alive():
+            if isinstance(child, Child) and child.name == "onboard" and child.alive():
                 child.process.send_signal(number)
 
     def _say(self, lines: list[str]) -> None:
         for line in lines:
+            self.last_line = line
             self.aborted = self.aborted or "-> ABORT" in line
             if self._tells:
-                self.console.print(line, highlight=False, markup=False)
+                self._print(line)
 
-    def _let_it_land(self, others: list[Child], until: float) -> None:
+    def _print(self, text: str, style: str | None = None) -> None:
+        with contextlib.suppress(OSError):  # a closed terminal must not end a flight
+            self.console.print(text, style=style, highlight=False, markup=False)
+
+    def _let_it_land(self, teller: Child | None, until: float) -> None:
         """Without the onboard process the vehicle lands by itself: wait until it says so.
 
         What it has said so far has not been read: one that never armed, or stands already, is known at once.
         """
-        vehicle = next((c for c in others if c.name == "vehicle"), None)
         until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), False
-        while vehicle is not None and vehicle.alive() and not self.interrupted and time.monotonic() < until:
-            said = [line for line in vehicle.lines(0.2) if line in ("armed", "disarmed")]
+        while teller is not None and teller.alive() and not self.interrupted and time.monotonic() < until:
+            said = [line for line in teller.lines(0.2) if line in ("armed", "disarmed")]
             armed = said[-1] == "armed" if said else armed
             if not armed:
                 return

@@ -33,12 +33,14 @@ class Law(Protocol):
         acceleration_max_m_s2: of the velocity wanted.
         motion: state of the estimator.
         tracking: state of the corrections.
+        contact_speed_max_m_s: relative to the pad, that a set-point of the touchdown may lead to.
     """
 
     rate_1_s: float
     acceleration_max_m_s2: Vec3
     motion: MotionMemory
     tracking: TrackingMemory
+    contact_speed_max_m_s: float
 
     def take(self, sample: TargetSample) -> None:
         """Take a believed sample."""
@@ -58,8 +60,15 @@ class Law(Protocol):
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, seen: View) -> float:
         """Least vertical velocity, with the horizontal velocity there is; -inf for no such bound."""
 
-    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View) -> Vec3:
-        """Set-point that makes the vehicle fly the velocity wanted."""
+    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View, least_z_m_s: float) -> Vec3:
+        """Set-point that makes the vehicle fly the velocity wanted.
+
+        Args:
+            before_m_s: velocity wanted that the present one was reached from within a tick.
+            wanted_m_s: velocity wanted now.
+            seen: what is known.
+            least_z_m_s: lowest vertical velocity that the set-point may lead to if none follows it.
+        """
 
 
 class PaperLaw:
@@ -69,6 +78,7 @@ class PaperLaw:
         self.rate_1_s = config.barrier.omega_1_s
         self.acceleration_max_m_s2 = config.limits.slew_max_m_s2
         self.motion, self.tracking = MotionMemory(), TrackingMemory()
+        self.contact_speed_max_m_s = config.touchdown.descent_m_s  # it corrects for nothing
         self._barrier = barrier
 
     def take(self, sample: TargetSample) -> None:
@@ -95,9 +105,9 @@ class PaperLaw:
         del h_m, gradient, before_m_s, seen
         return -float("inf")
 
-    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View) -> Vec3:
+    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View, least_z_m_s: float) -> Vec3:
         """The velocity wanted."""
-        del before_m_s, seen
+        del before_m_s, seen, least_z_m_s
         return wanted_m_s
 
 
@@ -107,6 +117,7 @@ class RobustLaw:
     def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
         self.rate_1_s = config.robust.rate_1_s
         self.acceleration_max_m_s2 = config.robust.acceleration_max_m_s2
+        self.contact_speed_max_m_s = config.robust.descent_m_s + config.robust.descent_lead_max_m_s
         self._config, self._barrier = config, barrier
         self._most = config.limits.velocity_max_m_s
         self._estimator = TargetEstimator(config.target)
@@ -200,11 +211,11 @@ class RobustLaw:
         inward = gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1])
         return t[2] - self.rate_1_s * left_m - inward
 
-    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View) -> Vec3:
+    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View, least_z_m_s: float) -> Vec3:
         """Corrected for lag and disturbance."""
         own = seen.inputs.own
         velocity = own.velocity_enu_m_s if own is not None else wanted_m_s
-        return self._tracking.command(before_m_s, wanted_m_s, velocity, self._most)
+        return self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s)
 
 
 LAWS: Mapping[FilterKind, Callable[[FlightConfig, Barrier], Law]] = MappingProxyType(

@@ -45,8 +45,10 @@ class Memory:
     command: Vec3 = (
         ZERO  # last velocity wanted, before corrections for the vehicle's lag; base of the slew limit
     )
-    commanding: bool = False  # a command went out in the last tick
+    commanding: bool = False  # a command went out in the last tick, and is flown
+    lifting: bool = False  # the same of the climb of a take-off, flown once the vehicle has lifted off
     target_position_enu_m: Vec3 | None = None  # last known
+    target_velocity_enu_m_s: Vec3 | None = None  # at that time
     abort_way: AbortWay = AbortWay.NONE
     reason: str = ""
 
@@ -62,6 +64,7 @@ class TrackMemory:
     settled: bool = False  # the flight has begun: the target does not turn up elsewhere any more
     accepted: int = 0
     rejected: int = 0
+    refusal: str = ""  # why the newest sample was refused; empty: it was not
 
 
 Covariance = tuple[float, float, float, float, float, float]  # pp, pv, pa, vv, va, aa

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
-from typing import NamedTuple
 
+from bridge.address import is_local, parse_url, resolve
 from bridge.autopilots import AUTO, profile
 from bridge.odometry import RawSample
 from bridge.origin import Origin
@@ -29,10 +29,12 @@ from flightstack.config import FlightConfig
 from flightstack.controller import ERROR, WARN, Controller, Outputs
 from flightstack.exchange import answer, take
 from flightstack.hangup import on_hangup
+from flightstack.leaving import Ended, Leaving, Patience
 from flightstack.live_health import LiveHealth
 from flightstack.lockstep import LockstepWires
 from flightstack.onboard_log import OnboardLog
 from flightstack.pacing import (
+    FastClock,
     LockstepClock,
     RealTimePacer,
     Tick,
@@ -70,20 +72,13 @@ class Options:
     ros2: Ros2Network | None = None  # where the flight is shown to ROS 2, and where a target of ROS 2 is
     ros_domain: int = 0
     target_offset_m: Vec3 = ZERO  # landing spot, in the axes of the frame that the target sends
-
-
-class Ended(NamedTuple):
-    """How the process ended."""
-
-    phase: Phase
-    reason: str
-    exit_code: int
+    speed: float = 1.0  # of stack time against real time; another than 1 only with a simulator as fast
 
 
 class Signals:
     r"""Ctrl-C, or a terminal that closes, asks for an abort; Ctrl-\ for the motors to stop at once.
 
-    A second Ctrl-C or SIGTERM ends the process, and the vehicle lands itself.
+    A second Ctrl-C or SIGTERM ends the process once the vehicle has been told to land itself.
     """
 
     def __init__(self) -> None:
@@ -144,19 +139,21 @@ class Onboard:
         self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz, options.lockstep)
         self.health = LiveHealth(self.session, options.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap
+        self.leaving = Leaving(options.duration_s)
         self.foreign = 0
         self.reply = b""  # lockstep: frame of the last answer
 
     def tick(
-        self, tick: Tick, raw: list[RawSample], operator: Operator, overruns: int
+        self, tick: Tick, raw: list[RawSample], signals: Signals, overruns: int
     ) -> tuple[Outputs, float]:
         """One pass: decode, step, send; the datagram goes out before anything is logged."""
         started_s = time.perf_counter()
         link = self.link
+        operator = self.leaving.operator(signals.operator, link.status, tick.now_s, stop=signals.stop)
         taken = take(link, [one.payload for one in raw], operator, tick.now_s)
         out = self.controller.step(taken.inputs, tick.now_s, command_failed=taken.command_failed)
         self.reply = answer(link, out, tick.now_s, lockstep=self.options.lockstep)
-        exec_s = time.perf_counter() - started_s
+        exec_s = (time.perf_counter() - started_s) * self.options.speed
         self.log.samples(raw, tick.unix_ns)
         for text in taken.problems:
             self.log.event(tick.unix_ns, WARN, text)
@@ -228,10 +225,12 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
 
     Raises:
         ConfigError: the configuration must not fly.
-        ValueError: a URL, endpoint or key that is not understood, or a network without a key.
+        ValueError: a URL, endpoint or key that is not understood, a network without a key, or a speed that a
+            real vehicle or lockstep does not have.
         OSError: an address or file that cannot be opened.
         LaunchError: its own recorder did not start.
     """
+    _check_speed(options)
     found = problems(config)
     if found:
         raise ConfigError("refused before take-off: " + "; ".join(found))
@@ -254,6 +253,20 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
         onboard.close()
 
 
+def _check_speed(options: Options) -> None:
+    """Only a simulator runs at another speed than the world."""
+    if options.speed == 1.0:
+        return
+    if options.lockstep:
+        raise ValueError("--speed and --lockstep exclude each other: in lockstep the simulator sets the time")
+    kind, host, port = parse_url(options.vehicle_url)
+    if kind == "serial" or not is_local(resolve(f"MAVLink URL {options.vehicle_url!r}", host, port)):
+        raise ValueError(
+            f"--speed is {options.speed:g} and {options.vehicle_url!r} is not on loopback: allowed is 1, "
+            "since only a simulator runs at another speed"
+        )
+
+
 def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended | None:
     """Look at the autopilot's parameters; its frames are no part of the flight, and not in the log."""
     options, endpoint = onboard.options, onboard.link.endpoint
@@ -271,6 +284,8 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
     )
     endpoint.tap = tap
     onboard.feed.metadata("preflight", preflight.record(report))
+    if report.profile is not None and onboard.link.profile is None:
+        onboard.link.adopt(report.profile)
     for line in preflight.lines(report):
         say(line)
     if signals.operator is Operator.EMERGENCY_STOP:
@@ -280,16 +295,10 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
 
 
 def _done(onboard: Onboard, out: Outputs, now_s: float, signals: Signals) -> Ended | None:
-    memory, limit_s = onboard.controller.memory, onboard.options.duration_s
-    if out.finished:
-        return Ended(out.phase, memory.reason, 0 if out.phase is Phase.LANDED else 1)
-    if onboard.link.refused is not None:
+    memory, status = onboard.controller.memory, onboard.link.status
+    if onboard.link.refused is not None and not out.finished:
         return Ended(out.phase, onboard.link.refused, 1)
-    if signals.stop:
-        return Ended(out.phase, "ended by the operator", 1)
-    if limit_s is not None and now_s >= limit_s:
-        return Ended(out.phase, f"{limit_s:g} s are over", 1)
-    return None
+    return onboard.leaving.ended(out, memory, status, now_s, stop=signals.stop)
 
 
 def _say_events(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
@@ -300,11 +309,14 @@ def _say_events(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
 
 def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
     ask_for_priority()
-    pacer = RealTimePacer(onboard.config.loop.rate_hz)
+    clock = FastClock(onboard.options.speed)
+    pacer = RealTimePacer(
+        onboard.config.loop.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
+    )
     while True:
         tick = pacer.wait()
         onboard.link.poll(tick.now_s)
-        out, _ = onboard.tick(tick, onboard.odometry.poll(), signals.operator, pacer.overruns)
+        out, _ = onboard.tick(tick, onboard.odometry.poll(), signals, pacer.overruns)
         _say_events(out, tick, say)
         ended = _done(onboard, out, tick.now_s, signals)
         if ended is not None:
@@ -313,7 +325,8 @@ def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
 
 def _wires(onboard: Onboard, signals: Signals) -> LockstepWires:
     namespace = onboard.options.namespace
-    return LockstepWires(onboard.link, onboard.odometry, onboard.session, namespace, lambda: signals.stop)
+    patience = Patience(lambda: signals.stop)
+    return LockstepWires(onboard.link, onboard.odometry, onboard.session, namespace, patience.over)
 
 
 def _lockstep(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
@@ -325,7 +338,7 @@ def _lockstep(onboard: Onboard, signals: Signals, say: Callable[[str], None]) ->
             phase = out.phase if out is not None else Phase.WAIT
             return Ended(phase, "ended by the operator" if signals.stop else "the vehicle fell silent", 1)
         tick = clock.tick(sim_ns)
-        out, _ = onboard.tick(tick, wires.target(tick.number), signals.operator, 0)
+        out, _ = onboard.tick(tick, wires.target(tick.number), signals, 0)
         wires.reply = onboard.reply
         _say_events(out, tick, say)
         if wires.go_tick < 0 and onboard.controller.memory.started_s <= tick.now_s:

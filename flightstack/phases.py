@@ -47,14 +47,19 @@ NONE = 0
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One row: go ``to`` when all of ``when`` and none of ``unless`` hold, because of ``reason``."""
+    """One row: go ``to`` when all of ``when`` and none of ``unless`` hold, because of ``reason``.
+
+    ``about``: conditions besides ``when`` whose numbers a person wants to read with the reason.
+    """
 
     when: int
     to: Phase
     reason: str
     unless: int = NONE
+    about: int = NONE
 
 
+_LOSSES = C.OWN_LOST | C.LINK_LOST | C.TARGET_LOST
 _OPERATOR = (
     Rule(C.EMERGENCY, Phase.ABORT, "emergency stop"),
     Rule(C.ABORT_ASKED, Phase.ABORT, "abort asked by the operator"),
@@ -76,7 +81,7 @@ TABLE: dict[Phase, tuple[Rule, ...]] = {
     Phase.WAIT: (
         *_OPERATOR,
         Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
-        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "inputs did not become ready in time"),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "inputs did not become ready in time", about=_LOSSES),
         Rule(C.READY | C.EXTERNAL, Phase.APPROACH, "flying and all inputs fresh", unless=C.STANDING),
         Rule(C.READY | C.STANDING, Phase.TAKEOFF, "all inputs fresh"),
     ),
@@ -115,7 +120,7 @@ TABLE: dict[Phase, tuple[Rule, ...]] = {
         Rule(C.RECOVERED | C.RETRIES_LEFT, Phase.TAKEOFF, "inputs good again"),
         Rule(C.PHASE_TIME_OVER | C.OWN_LOST, Phase.ABORT, "own state stayed lost"),
         Rule(C.PHASE_TIME_OVER | C.LINK_LOST, Phase.ABORT, "heartbeat stayed lost"),
-        Rule(C.PHASE_TIME_OVER, Phase.CLIMB, "target stayed lost"),
+        Rule(C.PHASE_TIME_OVER, Phase.CLIMB, "target stayed lost", about=C.TARGET_LOST),
     ),
     Phase.CLIMB: (
         *_IN_FLIGHT,
@@ -123,15 +128,15 @@ TABLE: dict[Phase, tuple[Rule, ...]] = {
         Rule(C.LINK_LOST, Phase.ABORT, "heartbeat lost in the climb"),
         Rule(C.RECOVERED | C.STARTED | C.RETRIES_LEFT | C.HIGH_ENOUGH, Phase.APPROACH, "target back"),
         Rule(C.RECOVERED | C.RETRIES_LEFT | C.HIGH_ENOUGH, Phase.TAKEOFF, "target back", unless=C.STARTED),
-        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "target did not come back"),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "target did not come back", about=C.TARGET_LOST),
     ),
     Phase.ABORT: (),
 }  # fmt: skip
 
 
-def next_phase(phase: Phase, conditions: int) -> tuple[Phase, str] | None:
-    """First matching rule of the phase as ``(next phase, reason)``; ``None`` if the phase stays."""
+def next_phase(phase: Phase, conditions: int) -> Rule | None:
+    """First matching rule of the phase; ``None`` if the phase stays."""
     for rule in TABLE[phase]:
         if conditions & rule.when == rule.when and not conditions & rule.unless:
-            return rule.to, rule.reason
+            return rule
     return None

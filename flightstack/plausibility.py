@@ -34,13 +34,16 @@ class Plausibility:
 
     Args:
         config: of the flight; ``checks`` holds the bounds.
+
+    Attributes:
+        missed_max_m: bound of ``missed_m``, ``checks.follow_lag_max_s`` at the highest horizontal velocity.
     """
 
     def __init__(self, config: FlightConfig) -> None:
         self.memory = PlausibilityMemory()
         self._checks = config.checks
         vx, vy, _ = config.limits.velocity_max_m_s
-        self._missed_max_m = config.checks.follow_lag_max_s * max(vx, vy)
+        self.missed_max_m = config.checks.follow_lag_max_s * max(vx, vy)
         period_s = 1.0 / config.loop.rate_hz
         self._period_s, self._kept = period_s, math.exp(-period_s / config.checks.follow_memory_s)
 
@@ -94,7 +97,7 @@ class Plausibility:
     @property
     def follows(self) -> bool:
         """Whether the vehicle flies what it is told."""
-        return self.missed_m <= self._missed_max_m
+        return self.missed_m <= self.missed_max_m
 
     def _drift(self, last: OwnState, own: OwnState) -> None:
         dt_s = own.arrival_s - last.arrival_s

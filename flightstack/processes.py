@@ -12,9 +12,12 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 START_TIME_MAX_S = 120.0  # s until a child says ready: the first time the simulator compiles its loops
+_WRONG_INPUT = 2  # exit status of every verb
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PRCTL = ctypes.CDLL(None).prctl if sys.platform == "linux" else None  # looked up before any fork
 END_TIME_MAX_S = 5.0  # s until a child that was asked to end has ended
@@ -22,18 +25,60 @@ CLOSE_TIME_MAX_S = 60.0  # s for the recorder: what it was sent must reach a slo
 
 
 class LaunchError(RuntimeError):
-    """A child that did not start; the text holds what it said."""
+    """A child that did not start; the text holds what it said.
+
+    Attributes:
+        code: exit status for who started it: 2 if the child found its input wrong, else 1.
+    """
+
+    def __init__(self, text: str, code: int = 1) -> None:
+        super().__init__(text)
+        self.code = 2 if code == _WRONG_INPUT else 1
+
+
+class Running(Protocol):
+    """A process of a run, as far as its launcher looks after it."""
+
+    @property
+    def name(self) -> str:
+        """What it is."""
+
+    def alive(self) -> bool:
+        """Whether it still runs."""
+
+    def errors(self) -> str:
+        """The last that it said of what went wrong."""
+
+    def end(self, within_s: float) -> int:
+        """Ask it to end, after so many seconds make it; its exit status."""
 
 
 class Child:
-    """One process of the run, its output kept in a file."""
+    """One process of the run, its output kept in a file.
 
-    def __init__(self, name: str, arguments: list[str], folder: Path) -> None:
+    Args:
+        name: of the process and its file.
+        arguments: of the program.
+        folder: for what it writes to standard error.
+        program: words before the arguments; None: ``flightstack``.
+        works_in: its working folder; None: ours.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        folder: Path,
+        *,
+        program: Sequence[str] | None = None,
+        works_in: Path | None = None,
+    ) -> None:
         self.name = name
         self.output = folder / f"{name}.txt"
         with self.output.open("wb") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "flightstack.cli", *arguments],
+                [*(program or (sys.executable, "-m", "flightstack.cli")), *arguments],
+                cwd=works_in,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=errors,
@@ -62,8 +107,8 @@ class Child:
                     return line.removeprefix("ready").strip()
             if self.process.poll() is not None:
                 break
-        self.end()
-        raise LaunchError(f"{self.name} did not start: {self.errors() or 'no reason given'}")
+        code = self.end()
+        raise LaunchError(f"{self.name} did not start: {self.errors() or 'no reason given'}", code)
 
     def lines(self, timeout_s: float) -> list[str]:
         """Whole lines of output that came within the time."""

@@ -113,6 +113,7 @@ class Robust:
     commit_speed_m_s: Annotated[float, Range(0.01, 1.0)] = 0.12  # and so slow against the target
     corridor_m: Annotated[float, Range(0.01, 2.0)] = 0.085  # going to leave this radius: go around
     descent_m_s: Annotated[float, Range(0.05, 1.0)] = 0.22  # relative to the pad, to contact
+    descent_lead_max_m_s: Annotated[float, Range(0.0, 1.0)] = 0.15  # set-point faster than that, for the lag
     touch_height_m: Annotated[float, Range(0.005, 0.5)] = 0.05  # below it a stopped descent is contact
 
     def margin_m(self, slope: float, sigma_xy_m: float, sigma_z_m: float) -> float:

@@ -67,8 +67,10 @@ class TargetTrack:
             memory.last = sample
             memory.offset_s = min(memory.offset_s, sample.arrival_s - sample.source_time_s)
             memory.accepted += 1
+            memory.refusal = ""
         else:
             memory.rejected += 1
+            memory.refusal = verdict.value
         return verdict
 
     def _judge(self, sample: TargetSample) -> Verdict:

@@ -78,6 +78,7 @@ class Operator(IntEnum):
     NONE = 0
     ABORT = 1
     EMERGENCY_STOP = 2
+    LAND = 3  # where it is, by the vehicle's own landing: the stack is about to end
 
 
 @dataclass(frozen=True, slots=True)

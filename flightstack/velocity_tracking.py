@@ -7,6 +7,8 @@ clamped, as no model is perfect.
 
 from __future__ import annotations
 
+import math
+
 from flightstack.memory import TrackingMemory
 from flightstack.robust_config import VelocityFeedback, VelocityLoop
 from flightstack.types import ZERO, Vec3
@@ -54,7 +56,14 @@ class VelocityTracking:
         memory.model_m_s, memory.model_m_s2 = (mx, my, mz), (dmx, dmy, dmz)
         memory.disturbance_m_s = (dx, dy, dz)
 
-    def command(self, before_m_s: Vec3, reference_m_s: Vec3, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
+    def command(
+        self,
+        before_m_s: Vec3,
+        reference_m_s: Vec3,
+        velocity_m_s: Vec3,
+        most_m_s: Vec3,
+        least_z_m_s: float = -math.inf,
+    ) -> Vec3:
         """Set-point that makes the vehicle fly the reference.
 
         Args:
@@ -62,6 +71,8 @@ class VelocityTracking:
             reference_m_s: velocity wanted now.
             velocity_m_s: measured now.
             most_m_s: bound of the set-point on each axis.
+            least_z_m_s: lowest vertical velocity that the set-point may lead to if it stays the last one: the
+                set-point itself and the disturbance that was learned.
         """
         memory, (x, y, z) = self.memory, self._axes
         b, r, v, s = before_m_s, reference_m_s, velocity_m_s, memory.slope_m_s2
@@ -69,5 +80,6 @@ class VelocityTracking:
         sx, ux = x.command(b[0], r[0], v[0], s[0], m[0], dm[0], d[0], most_m_s[0])
         sy, uy = y.command(b[1], r[1], v[1], s[1], m[1], dm[1], d[1], most_m_s[1])
         sz, uz = z.command(b[2], r[2], v[2], s[2], m[2], dm[2], d[2], most_m_s[2])
+        uz = min(max(uz, least_z_m_s - d[2]), most_m_s[2])
         memory.slope_m_s2, memory.setpoint_m_s = (sx, sy, sz), (ux, uy, uz)
         return memory.setpoint_m_s

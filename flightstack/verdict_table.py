@@ -11,6 +11,7 @@ from rich.text import Text
 
 from logs.verdict_types import SOURCES
 
+_ABOUT = ("scenario", "seed", "config", "filter")
 _ROWS = (
     ("outcome", "outcome", ""),
     ("violation", "violation", ""),
@@ -26,8 +27,8 @@ _ROWS = (
 
 def verdict_table(values: Mapping[str, Any], reason: str) -> Group:
     """Return the values of ``logs.verdict_result.verdict_result`` as a table; "-" for what is not known."""
-    told = ((values["scenario"],), ("seed", values["seed"]), ("filter", values["filter"]))
-    title = ", ".join(" ".join(str(word) for word in words) for words in told if None not in words)
+    told = {name: values[name] for name in _ABOUT if values.get(name) is not None}
+    title = ", ".join(f"{name} {value}" for name, value in told.items())
     table = Table()
     table.add_column("result")
     table.add_column("value", justify="right")
@@ -36,5 +37,5 @@ def verdict_table(values: Mapping[str, Any], reason: str) -> Group:
         value = values[key]
         shown = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
         table.add_row(name, shown, unit)
-    source = f"judged from {SOURCES[values['judged_from']]}"
-    return Group(Text(title, style="italic"), table, Text(source), Text(reason))
+    source = SOURCES.get(values["judged_from"], "what the onboard process said")
+    return Group(Text(title, style="italic"), table, Text(f"judged from {source}"), Text(reason))

@@ -1,4 +1,4 @@
-"""ROS message types of decoded MAVLink messages, made from pymavlink's dialect.
+"""ROS message types of decoded MAVLink messages, made from pymavlink's message classes.
 
 ``LOCAL_POSITION_NED`` becomes ``mavlink_msgs/msg/LocalPositionNed``: a header and the message's fields in the
 order of the wire, in the units of MAVLink. Names become lower case, which ROS asks for; text of fixed length
@@ -82,11 +82,10 @@ def definition(schema: str) -> str:
 
 @cache
 def _dialect() -> dict[int, Any]:
-    """pymavlink's classes by number; imported when first needed, since that takes a while."""
-    from pymavlink.dialects.v20 import ardupilotmega
+    """Classes of all known messages by number; imported when first needed, since that takes a while."""
+    from bridge.wide_messages import MESSAGES
 
-    classes: dict[int, Any] = ardupilotmega.mavlink_map
-    return classes
+    return MESSAGES
 
 
 @cache

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bridge.autopilots import PX4
+from bridge.autopilots import AUTO, PROFILES, PX4
 from flightstack.config import FlightConfig
 from flightstack.controller import Controller, Outputs
 from flightstack.memory import State
@@ -194,6 +194,9 @@ class _Run:
             self.result.notes.append("the log does not say how the vehicle was connected: wire not replayed")
             return
         autopilot = onboard.get("autopilot", PX4.name)  # older logs: there was no choice
+        recognised = self.flight.preflight.get("profile", AUTO)
+        if autopilot == AUTO and recognised in PROFILES:
+            autopilot = recognised
         lockstep = onboard["lockstep"] == "true"
         self.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot)
         self.result.wire = Tally()

@@ -64,6 +64,7 @@ class FlightInputs:
         space: first part of the topics, for example ``/cf1``.
         table: the configuration as plain TOML data.
         onboard: metadata of the onboard process; empty in a log that has none.
+        preflight: of its check before the flight, the same.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -77,6 +78,7 @@ class FlightInputs:
         except LogError as error:
             raise ReplayError(str(error)) from error
         self.onboard = self.log.metadata().get("onboard", {})
+        self.preflight = self.log.metadata().get("preflight", {})
         self.space = self._space()
         found = [each.data for each in self.log.attachments() if each.name == CONFIG]
         if not found:

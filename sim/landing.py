@@ -17,6 +17,7 @@ from bridge.vehicle import COMPONENT_ID as COMPANION_ID
 from bridge.vehicle import VehicleLink
 from flightstack.controller import Controller, Outputs
 from flightstack.exchange import answer, take
+from flightstack.leaving import Leaving
 from flightstack.pacing import NO_GO, RUN_AHEAD_TICKS, LockstepClock, Tick
 from flightstack.types import Inputs, Operator
 from logs.verdict_truth import judge_truth
@@ -89,13 +90,13 @@ class _Companion:
         rate_hz = config.loop.rate_hz
         self.controller = Controller(config)
         self._on_step = on_step
-        self._duration_s = scenario.duration_max_s
+        self._leaving = Leaving(scenario.duration_max_s)
         self._clock = LockstepClock(rate_hz)
         self._stop = StopSignal()
         self._last_s = 0.0
         self._over = False
         grid = TickGrid(rate_hz)
-        self._ticks_max = grid.count(scenario.duration_max_s + 10.0)
+        self._ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
         self._target = DirectTarget(scenario, seed, grid)
         here, there = wires((SYSTEM_ID, COMPONENT_ID), (SYSTEM_ID, COMPANION_ID))
         self._link = VehicleLink(
@@ -132,7 +133,8 @@ class _Companion:
             raise RuntimeError("the vehicle waits for an answer, but did not ask for it")
         tick = self._clock.tick(sim_ns)
         now_s = self._last_s = tick.now_s
-        taken = take(link, (), Operator.NONE, now_s)
+        operator = self._leaving.operator(Operator.NONE, link.status, now_s)
+        taken = take(link, (), operator, now_s)
         given = taken.inputs
         inputs = Inputs(given.own, given.status, self._target.samples(now_s), given.operator)
         out = self.controller.step(inputs, now_s, command_failed=taken.command_failed)
@@ -144,4 +146,5 @@ class _Companion:
             self._target.go_tick = tick.number + RUN_AHEAD_TICKS + 1
         if self._on_step is not None:
             self._on_step(tick, out)
-        self._over = out.finished or now_s >= self._duration_s
+        ended = self._leaving.ended(out, self.controller.memory, link.status, now_s)
+        self._over = ended is not None

@@ -9,6 +9,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from bridge.autopilots import AUTO, CHOICES
+from flightstack.config import path_of
 from tests.flight_suite.room import PERSONALITIES
 
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
@@ -23,11 +25,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     add = parser.addoption
     add("--flights", type=int, default=1, metavar="N", help="fly each flight of a real client N times")
     add("--vehicle", metavar="URL", help="fly this vehicle and no other: only the tests that can are run")
+    add("--px4", type=Path, metavar="PLACE", help="fly this PX4 SITL, by px4-sim, and no other vehicle")
+    add("--scenario", default="large", metavar="NAME_OR_FILE", help="scenario of --px4")
     add("--target", default="cf1/target/odom", metavar="KEY", help="Zenoh key of its target's odometry")
+    add(
+        "--target-offset", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
+        help="landing spot from the target's tracked frame, in that frame's axes, m: forward, left, up",
+    )  # fmt: skip
     add("--connect", action="append", default=[], metavar="ENDPOINT", help="Zenoh endpoint of the target")
     add("--listen", metavar="ENDPOINT", help="Zenoh endpoint of the onboard process")
-    add("--config", type=Path, metavar="FILE", help="configuration of the onboard process")
-    add("--autopilot", default="px4", metavar="NAME", help="profile of the vehicle")
+    add("--config", type=path_of, metavar="NAME_OR_FILE", help="configuration of the onboard process")
+    add("--autopilot", default=AUTO, choices=CHOICES, help="profile of the vehicle; auto: by its heartbeat")
     add("--system-id", type=int, default=1, metavar="N", help="of the vehicle")
     add("--signing-key", type=Path, metavar="FILE", help="sign MAVLink with it")
     add("--takeoff-height", type=float, default=0.5, metavar="M", help="height of the steps without a target")
@@ -54,21 +62,27 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 @pytest.hookimpl(tryfirst=True)  # before the workers look at the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """A vehicle that was given is flown by the tests made for it, and armed only where that was allowed."""
-    if config.getoption("--vehicle") is None:
+    px4 = config.getoption("--px4") is not None
+    if config.getoption("--vehicle") is None and not px4:
         if config.getoption("--flights") == 1:  # they mostly wait: one worker does, while others compute
             for item in items:
-                if "vehicle" in item.keywords:
+                if _marked(item, "vehicle"):
                     item.add_marker(pytest.mark.xdist_group("vehicle"))
         return
-    arm_ok = config.getoption("--arm-ok")
+    arm_ok = px4 or config.getoption("--arm-ok")
 
     def runs(item: pytest.Item) -> bool:
-        marks = item.keywords
-        return "vehicle" in marks and "simulated" not in marks and (arm_ok or "arms" not in marks)
+        flies = _marked(item, "vehicle") and not _marked(item, "simulated")
+        return flies and (arm_ok or not _marked(item, "arms"))
 
     left_out = [item for item in items if not runs(item)]
     items[:] = [item for item in items if runs(item)]
     config.hook.pytest_deselected(items=left_out)
+
+
+def _marked(item: pytest.Item, name: str) -> bool:
+    """Whether a test has this marker; its keywords hold the values of its parameters, too."""
+    return item.get_closest_marker(name) is not None
 
 
 def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None:
@@ -83,7 +97,14 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "flight_number" in metafunc.fixturenames:
         metafunc.parametrize("flight_number", range(config.getoption("--flights")))
     if "personality" in metafunc.fixturenames:
-        mine = config.getoption("--vehicle") is None
-        # what tries the room rather than the vehicle needs one personality only
-        known = list(PERSONALITIES)[: 1 if metafunc.definition.get_closest_marker("simulated") else None]
-        metafunc.parametrize("personality", known if mine else [config.getoption("--autopilot")])
+        metafunc.parametrize("personality", _personalities(metafunc))
+
+
+def _personalities(metafunc: pytest.Metafunc) -> list[str]:
+    option = metafunc.config.getoption
+    if option("--px4") is not None:
+        return ["real-px4"]
+    if option("--vehicle") is not None:
+        return [option("--autopilot")]
+    # what tries the room rather than the vehicle needs one personality only
+    return list(PERSONALITIES)[: 1 if metafunc.definition.get_closest_marker("simulated") else None]

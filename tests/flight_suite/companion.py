@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 
 from bridge import zenoh_link
-from flightstack.processes import Child
+from flightstack.processes import END_TIME_MAX_S, Child
 from flightstack.types import Phase
 from flightstack.watch import News, Watch
 from tests.flight_suite.room import Room
@@ -68,6 +68,11 @@ class Companion:
         """Send a signal."""
         self.child.process.send_signal(number)
 
+    def kill(self) -> None:
+        """Kill it, and wait until the system has closed its sockets: the next step opens the same ones."""
+        self.signal(signal.SIGKILL)
+        self.child.process.wait(END_TIME_MAX_S)
+
     def _look(self, timeout_s: float) -> None:
         self.said += self.child.lines(timeout_s)
         self.watch.poll()
@@ -93,23 +98,20 @@ class Companion:
         self.child.end()
 
 
+def onboard_words(room: Room) -> list[str]:
+    """The verb ``onboard`` with its options for a room."""
+    words = ["onboard", "--vehicle", room.url, "--autopilot", room.autopilot, "--target", room.target_key]
+    words += ["--target-offset", *map(str, room.target_offset_m), "--config", str(room.config)]
+    words += ["--listen", room.listen, "--system-id", str(room.system_id), "--duration", "120"]
+    words += [word for endpoint in room.connect for word in ("--connect", endpoint)]
+    words += ["--no-record"] if room.target is not None else []  # a real flight is recorded
+    return words + (["--signing-key", str(room.signing_key)] if room.signing_key else [])
+
+
 @contextlib.contextmanager
 def companion(room: Room) -> Iterator[Companion]:
     """Start the onboard process; on the way out it is ended."""
-    words = ["onboard", "--vehicle", room.url, "--target", room.target_key, "--config", str(room.config)]
-    words += [
-        "--autopilot",
-        room.autopilot,
-        "--listen",
-        room.listen,
-        "--system-id",
-        str(room.system_id),
-        "--duration",
-        "120",
-    ]
-    words += [word for endpoint in room.connect for word in ("--connect", endpoint)]
-    words += ["--signing-key", str(room.signing_key)] if room.signing_key else []
-    child = Child("onboard", words, room.folder)
+    child = Child("onboard", onboard_words(room), room.folder)
     session = None
     try:
         child.wait_ready()

@@ -14,6 +14,7 @@ from bridge.vehicle import VehicleLink
 from flightstack.config import load
 from flightstack.pacing import RealTimePacer
 from flightstack.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus
+from tests.flight_suite.limits import LIMITS, Limits
 from tests.flight_suite.room import Room
 
 RATE_HZ = 50
@@ -86,6 +87,14 @@ class Pilot:
         """Newest status."""
         assert self.link.status is not None, "no status"
         return self.link.status
+
+    @property
+    def limits(self) -> Limits:
+        """Of the steps: the room's, or those of the profile that it flies by."""
+        if self._room.limits is not None:
+            return self._room.limits
+        assert self.link.profile is not None, "not connected"
+        return LIMITS[self.link.profile.name]
 
     @property
     def height_m(self) -> float:

@@ -9,9 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from bridge.autopilots import OWN_SITL, PX4
 from flightstack.processes import Child, Port
 from flightstack.strict_toml import dumps, to_table
-from sim.scenario import load
+from flightstack.types import ZERO, Vec3
+from sim.scenario import Scenario, load
+from tests.flight_suite.limits import LIMITS, Limits
 
 SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that drives off
 # of our simulated vehicle, with the parameters that its defaults leave unsafe
@@ -51,6 +54,8 @@ class Room:
         system_id: of the vehicle.
         signing_key: for MAVLink; None: unsigned.
         takeoff_height_m: how high the pilot climbs.
+        target_offset_m: landing spot from the tracked frame, in that frame's axes.
+        limits: of the steps; None: those of the profile.
         target: the simulated robot; None on hardware.
         vehicle: the simulated vehicle; None on hardware.
     """
@@ -66,18 +71,26 @@ class Room:
     system_id: int = 1
     signing_key: Path | None = None
     takeoff_height_m: float = 0.5
+    target_offset_m: Vec3 = ZERO
+    limits: Limits | None = None
     target: Child | None = None
     vehicle: Child | None = None
+
+
+def configured(scenario: Scenario, folder: Path) -> Path:
+    """A scenario's configuration of the onboard process as a file, for a room where nobody comes back."""
+    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # less waiting
+    side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
+    file = folder / "onboard.toml"
+    file.write_text(dumps(to_table(replace(scenario.onboard, checks=checks, vehicle=side))))
+    return file
 
 
 @contextlib.contextmanager
 def simulated(folder: Path, personality: str) -> Iterator[Room]:
     """Start vehicle and robot, in real time; ended whatever happens."""
     scenario = load(SCENARIO)
-    config = folder / "onboard.toml"
-    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # nobody comes back: less waiting
-    side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
-    config.write_text(dumps(to_table(replace(scenario.onboard, checks=checks, vehicle=side))))
+    config = configured(scenario, folder)
     ports, children = [Port(), Port()], []
     target_at, onboard_at = (port.endpoint for port in ports)
     common = ["--scenario", SCENARIO, "--seed", "1", "--duration", "300"]
@@ -93,6 +106,7 @@ def simulated(folder: Path, personality: str) -> Iterator[Room]:
         yield Room(
             url, personality, "cf1/target/odom", (target_at,), onboard_at, config, folder,
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=vehicle,
+            limits=LIMITS[OWN_SITL.name] if personality == PX4.name else None,
         )  # fmt: skip
     finally:
         for child in reversed(children):
@@ -117,4 +131,5 @@ def given(config: pytest.Config, folder: Path) -> Iterator[Room]:
             option("--vehicle"), option("--autopilot"), option("--target"), tuple(option("--connect")),
             option("--listen") or port.endpoint, option("--config"), folder, Fence(height_m, distance_m),
             option("--system-id"), option("--signing-key"), option("--takeoff-height"),
+            tuple(option("--target-offset")),
         )  # fmt: skip

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import signal
+import socket
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,25 +17,33 @@ import pytest
 
 from flightstack.types import ZERO, Landed, Mode, Request
 from tests.flight_suite.companion import companion
+from tests.flight_suite.limits import Lost
 from tests.flight_suite.pilot import Pilot
+from tests.flight_suite.px4_room import on_px4
 from tests.flight_suite.radio import Radio
 from tests.flight_suite.room import Fence, given, simulated
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import ROOT
 
 pytestmark = pytest.mark.vehicle
-SAFE_S = 2.0  # from the loss of a part to a safe state
+SAFE_S = 2.0  # from the loss of a part to what the onboard process does about it
 HEARTBEAT_LOST_S = 3.0  # it comes once a second, and two may be lost
-SLOW_M_S = 0.15  # a vehicle that holds still
-HOLD_M = 0.3  # that it may drift in five seconds
-STEP_M_S, STEP_S = 0.3, 2.0
+STANDING_M_S = 0.15  # own velocity of a vehicle that stands on the ground
+STOPPED_S = 2.0  # from the emergency stop to motors off
+AWAY_M_S = 0.3  # of a pilot who leaves
 FLIGHT_MAX_S = 90.0
+LANDED_MAX_S = 40.0  # from the loss of the companion to motors off, by the vehicle itself
 
 
 @pytest.fixture
 def room(request, tmp_path, personality, flight_number):
-    given_room = request.config.getoption("--vehicle") is not None
-    where = given(request.config, tmp_path) if given_room else simulated(tmp_path, personality)
+    option = request.config.getoption
+    if option("--vehicle") is not None:
+        where = given(request.config, tmp_path)
+    elif option("--px4") is not None:
+        where = on_px4(tmp_path, option("--px4"), option("--scenario"), seed=flight_number)
+    else:
+        where = simulated(tmp_path, personality)
     with where as one:
         yield one
 
@@ -63,7 +72,7 @@ def test_connects_and_tells_who_and_where_it_is(pilot):
     assert pilot.status.landed is Landed.ON_GROUND
     assert not pilot.status.armed
     assert pilot.link.state.counters.other_autopilot == 0
-    assert speed_m_s(pilot) < SLOW_M_S
+    assert speed_m_s(pilot) < STANDING_M_S
 
 
 def test_its_parameters_are_safe(room):
@@ -76,17 +85,22 @@ def test_its_parameters_are_safe(room):
 
 @pytest.mark.arms
 def test_takes_off_holds_follows_set_points_and_lands(pilot, room):
+    limits = pilot.limits
     pilot.take_off()
-    pilot.fly_for("settle", ZERO, 3.0)
-    x, y, z = pilot.own.position_enu_m
+    pilot.fly_for("settle", ZERO, limits.settle_s)
+    begun = pilot.own.position_enu_m
     pilot.fly_for("hold", ZERO, 5.0)
     held = pilot.own.position_enu_m
-    assert math.dist((x, y, z), held) < HOLD_M
-    pilot.fly_for("north", (0.0, STEP_M_S, 0.0), STEP_S)
-    moved = pilot.own.position_enu_m[1] - held[1]
-    assert 0.4 < moved / (STEP_M_S * STEP_S) < 1.3, f"moved {moved:.2f} m"
+    assert math.dist(begun, held) < limits.drift_m
+    pilot.fly_for("north", (0.0, limits.step_m_s, 0.0), limits.step_s)
+    turned = pilot.own.position_enu_m
+    pilot.fly_for("south", (0.0, -limits.step_m_s, 0.0), limits.step_s)
+    back = pilot.own.position_enu_m
+    moved_m = (2.0 * turned[1] - held[1] - back[1]) / 2.0  # a steady drift is not in it
+    least, most = limits.moved_share
+    assert least < moved_m / (limits.step_m_s * limits.step_s) < most, f"moved {moved_m:.2f} m"
     pilot.fly_for("stop", ZERO, 2.0)
-    assert speed_m_s(pilot) < SLOW_M_S
+    assert speed_m_s(pilot) < limits.still_m_s
     pilot.ask("land", Request.LAND, lambda: not pilot.status.armed, 30.0)
     assert pilot.status.landed is Landed.ON_GROUND
     assert pilot.max_height_m < room.takeoff_height_m + 0.5
@@ -96,22 +110,29 @@ def test_takes_off_holds_follows_set_points_and_lands(pilot, room):
 def test_emergency_stop_just_after_arming(pilot):
     pilot.ask("arm", Request.TAKEOFF, lambda: pilot.status.armed, 20.0)
     took_s = pilot.ask("stop", Request.MOTORS_OFF, lambda: not pilot.status.armed, 5.0)
-    assert took_s < SAFE_S
+    assert took_s < STOPPED_S
     assert pilot.max_height_m < 0.3
 
 
 @pytest.mark.arms
 def test_a_companion_that_falls_silent_leaves_a_safe_vehicle(pilot):
     pilot.take_off()
-    pilot.fly_for("on the way", (0.0, STEP_M_S, 0.0), 1.0)
-    pilot.listen("silent", lambda: safe(pilot), SAFE_S)
+    pilot.fly_for("on the way", (0.0, pilot.limits.step_m_s, 0.0), 1.0)
+    pilot.listen("silent", lambda: safe(pilot), pilot.limits.lost_s)
+    if pilot.limits.lost is Lost.LANDS:
+        pilot.listen("landing", lambda: stands(pilot), LANDED_MAX_S)
 
 
 def safe(pilot) -> bool:
-    """Landing, down, or holding still: no longer flying what it was told last."""
+    """Whether it does what its autopilot does without set-points, and no longer what it was sent last."""
     if not pilot.status.armed or pilot.status.mode is Mode.LAND:
         return True
-    return speed_m_s(pilot) < SLOW_M_S
+    return pilot.limits.lost is Lost.STOPS and speed_m_s(pilot) < pilot.limits.still_m_s
+
+
+def stands(pilot) -> bool:
+    """Whether it is on the ground with its motors off."""
+    return not pilot.status.armed and pilot.status.landed is Landed.ON_GROUND
 
 
 @pytest.mark.arms
@@ -140,10 +161,17 @@ def test_an_abort_brings_it_down_clear_of_the_target(room, phase):
 def test_a_killed_companion_leaves_a_safe_vehicle(room, phase):
     with companion(room) as flying:
         flying.until(f"-> {phase}", FLIGHT_MAX_S)
-        flying.signal(signal.SIGKILL)
-        with Pilot(room) as pilot:
-            pilot.connect()
-            pilot.watch("safe state", lambda: safe(pilot), SAFE_S)
+        flying.kill()
+        left_alone(room)
+
+
+def left_alone(room) -> None:
+    """Look on while a vehicle that nobody flies any more brings itself into a safe state."""
+    with Pilot(room) as pilot:
+        pilot.connect()
+        pilot.watch("safe state", lambda: safe(pilot), pilot.limits.lost_s)
+        if pilot.limits.lost is Lost.LANDS:
+            pilot.watch("landing", lambda: stands(pilot), LANDED_MAX_S)
 
 
 def down(room) -> bool:
@@ -174,9 +202,7 @@ def test_a_cut_radio_leaves_a_safe_vehicle(room, phase):
     with Radio(room.url) as radio, companion(replace(room, url=radio.url)) as flying:
         flying.until(f"-> {phase}", FLIGHT_MAX_S)
         radio.cut()
-        with Pilot(room) as pilot:
-            pilot.connect()
-            pilot.watch("safe state", lambda: safe(pilot), SAFE_S)
+        left_alone(room)
         flying.until("-> ABORT", HEARTBEAT_LOST_S + SAFE_S)
     assert down(room)
 
@@ -194,7 +220,7 @@ def test_a_step_beyond_the_fence_ends_on_the_ground(room, fence):
 
 def fly_away(pilot):
     pilot.take_off()
-    pilot.fly_for("away", (STEP_M_S, 0.0, 0.0), 6.0)
+    pilot.fly_for("away", (AWAY_M_S, 0.0, 0.0), 6.0)
 
 
 @pytest.mark.simulated
@@ -206,30 +232,23 @@ def test_a_companion_beyond_the_fence_is_called_off(room):
     assert down(room)
 
 
-def suite(room, *more):
-    """The suite on a vehicle that is given: this simulated one."""
-    words = ["--vehicle", room.url, "--config", room.config, "--target", room.target_key]
-    words += ["--connect", room.connect[0], "--listen", room.listen, "--autopilot", room.autopilot, *more]
-    return subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", "tests/integration",
-         *map(str, words)],
-        cwd=ROOT, capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
-    )  # fmt: skip
-
-
 @pytest.mark.simulated
-def test_a_given_vehicle_arms_only_where_that_was_allowed(room):
-    careful = suite(room, "--collect-only")
-    assert "test_connects" in careful.stdout
-    assert "test_follows" not in careful.stdout
-    allowed = suite(room, "--collect-only", "--arm-ok")
-    assert "test_follows" in allowed.stdout
-    assert "silent_is_left_alone" not in allowed.stdout
-    assert "test_mavsdk" not in allowed.stdout
+def test_a_killed_companion_leaves_its_sockets_to_the_next(room):
+    with companion(room) as flying:
+        flying.kill()
+        host, port = room.listen.removeprefix("tcp/").split(":")
+        with socket.create_server((host, int(port))):
+            pass
 
 
 @pytest.mark.simulated
 def test_a_given_vehicle_is_flown(room):
-    done = suite(room, "--arm-ok", "-k", "test_connects or test_follows")
+    words = ["--vehicle", room.url, "--config", room.config, "--target", room.target_key, "--arm-ok"]
+    words += ["--connect", room.connect[0], "--listen", room.listen, "-k", "test_connects or test_follows"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", __file__,
+         *map(str, words)],
+        cwd=ROOT, capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, done.stdout
     assert "2 passed" in done.stdout

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from flightstack.cli import main
-from flightstack.config import FlightConfig, load
+from flightstack.config import FlightConfig, load, path_of
 from flightstack.strict_toml import dumps, from_table, to_table
 from sim import scenario
 from sim.vehicle import VehicleSim
@@ -74,8 +74,8 @@ def test_the_papers_scenarios_pass_the_papers_checks(name):
 
 
 def test_the_documented_configuration_passes():
-    assert load(REPO / "docs" / "onboard.toml").filter.value == "paper"
-    assert run("check", REPO / "docs" / "onboard.toml").exit_code == 0
+    assert load(path_of("crazyflie")).filter.value == "paper"
+    assert run("check", "crazyflie").exit_code == 0
 
 
 def test_wrong_input_exits_2_with_one_line(tmp_path):

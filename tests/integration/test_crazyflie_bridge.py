@@ -93,7 +93,7 @@ def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
         with Server(Firmware(plant)) as server, bridge(server) as started:
             landed = subprocess.run(
                 [*COMMAND, "onboard", "--vehicle", started.url.replace("udpin", "udpout"), "--connect", here,
-                 "--listen", there, "--config", "docs/onboard.toml", "--duration", "120"],
+                 "--listen", there, "--config", "crazyflie", "--no-record", "--duration", "120"],
                 cwd=ROOT, capture_output=True, text=True, timeout=180.0, check=False,
             )  # fmt: skip
             assert landed.returncode == 0, landed.stdout + landed.stderr + "".join(started.lines)

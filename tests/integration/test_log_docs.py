@@ -57,7 +57,8 @@ def test_the_table_is_what_a_flight_records(folder):
 
 def test_the_commands_run(folder):
     lines = re.findall(r"^\.venv/bin/flightstack log .*$", PAGE.read_text(), re.MULTILINE)
-    assert {shlex.split(line)[2] for line in lines} == {"info", "verdict", "diff", "cut", "filter", "recover", "export"}
+    verbs = {"info", "verdict", "diff", "cut", "filter", "recover", "export"}
+    assert {shlex.split(line)[2] for line in lines} == verbs
     for line in lines:
         done = subprocess.run(
             shlex.split(line), cwd=folder, capture_output=True, text=True, timeout=WALL_MAX_S, check=False

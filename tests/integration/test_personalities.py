@@ -7,6 +7,7 @@ import subprocess
 
 import pytest
 
+from flightstack.config import path_of
 from logs.reader import LogFile
 from tests.integration.runs import COMMAND, WALL_MAX_S, flightstack
 from tests.integration.sim_processes import ROOT
@@ -84,7 +85,7 @@ def test_preflight_tells_safe_from_unsafe(tmp_path):
         unsafe = [p["name"] for p in done.json["parameters"] if p["level"] == "unsafe"]
         assert (done.code, unsafe) == (1, ["COM_OF_LOSS_T", "MPC_Z_VEL_MAX_DN"])
         config = tmp_path / "accepts.toml"
-        text = (ROOT / "docs" / "onboard.toml").read_text()
+        text = path_of("crazyflie").read_text()
         accepted = 'accepted_parameters = ["COM_OF_LOSS_T", "MPC_Z_VEL_MAX_DN"]'
         config.write_text(re.sub(r"accepted_parameters = \[\]", accepted, text))
         done = flightstack("preflight", "--vehicle", vehicle.url, "--config", config)
@@ -118,7 +119,7 @@ def test_preflight_of_nobody_and_of_nonsense():
 
 @pytest.mark.xdist_group("real-time")
 def test_onboard_does_not_arm_what_is_unsafe():
-    onboard = ("onboard", "--config", ROOT / "docs" / "onboard.toml", "--duration", 20)
+    onboard = ("onboard", "--config", "crazyflie", "--no-record", "--duration", 20)
     with Vehicle("--personality", "ardupilot") as vehicle:
         done = flightstack(*onboard, "--vehicle", vehicle.url)
         assert done.code == 1, done.out

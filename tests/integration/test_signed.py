@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.signing import Signer
 from bridge.signing_key import load_key
 from tests.integration.runs import COMMAND, flightstack, fly
-from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, is_a, terminate
+from tests.integration.sim_processes import PATIENCE_S, Client, is_a, terminate
 
 ARMED = 128
 TAKEOFF, HOLD = 0x02040000, 0x03040000
@@ -134,8 +134,7 @@ def test_wrong_wires_of_the_vehicle_are_refused_with_what_to_do(arguments, words
 
 
 def test_onboard_refuses_the_network_without_a_key():
-    config = ROOT / "docs/onboard.toml"
-    done = flightstack("onboard", "--vehicle", "udpin:0.0.0.0:0", "--config", config)
+    done = flightstack("onboard", "--vehicle", "udpin:0.0.0.0:0", "--config", "crazyflie")
     assert (done.code, done.out) == (2, "")
     assert "--signing-key FILE" in done.err
 

@@ -1,19 +1,18 @@
 """Vehicles other than the Crazyflie: their files, how they fly, and a configuration that knows their size."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from flightstack.certificate import problems
 from flightstack.config import load as load_config
+from flightstack.config import path_of
 from sim.params import load
 from sim.scenario import Airframe, StartKind, Wind
 from sim.scenario import load as load_scenario
 from sim.vehicle import VehicleSim
 
 TICK_MS = 10
-FILE = Path(__file__).parents[2] / "docs" / "onboard_large.toml"
 
 
 def still(name):
@@ -72,7 +71,7 @@ def test_one_kilogram_answers_velocities_as_px4s_simulator_does():
 
 
 def test_the_configuration_file_is_the_scenarios():
-    assert load_config(FILE) == load_scenario("large").onboard
+    assert load_config(path_of("sitl-1kg")) == load_scenario("large").onboard
 
 
 def test_the_large_configuration_is_proven_and_made_for_its_vehicle():

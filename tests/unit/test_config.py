@@ -6,7 +6,7 @@ import pytest
 
 from flightstack.certificate import problems
 from flightstack.conditions import View
-from flightstack.config import FilterKind, FlightConfig, load
+from flightstack.config import FilterKind, FlightConfig, load, names, path_of
 from flightstack.law import RobustLaw
 from flightstack.strict_toml import ConfigError, dumps, from_table, to_table
 from flightstack.types import Inputs
@@ -131,9 +131,7 @@ def test_an_unknown_scenario_is_refused_with_the_names():
 
 
 def test_the_documented_configuration_names_every_key_and_its_default():
-    from pathlib import Path
-
-    file = Path(__file__).parents[2] / "docs" / "onboard.toml"
+    file = path_of("crazyflie")
     documented = to_table(load(file))
     defaults = to_table(config())
     text = file.read_text()
@@ -145,6 +143,19 @@ def test_the_documented_configuration_names_every_key_and_its_default():
     assert {k: v for k, v in documented.items() if k not in changed} == {
         k: v for k, v in defaults.items() if k not in changed
     }
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_configuration_that_comes_with_the_package_is_found_by_name_and_may_fly(name):
+    assert problems(load(path_of(name))) == []
+
+
+def test_a_configuration_that_does_not_exist_is_refused_with_the_names(tmp_path):
+    with pytest.raises(ConfigError, match="crazyflie"):
+        path_of("nowhere")
+    file = tmp_path / "mine.toml"
+    file.write_text("")
+    assert path_of(str(file)) == file
 
 
 def test_what_only_the_robust_filter_looks_at_does_not_refuse_the_papers():

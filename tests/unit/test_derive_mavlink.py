@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from bridge.wide_messages import MESSAGES
 from logs import codec, mavlink_types, schemas
 from logs.codec_mavlink import FrameError, peer_of
 from logs.mavlink_decoded import TOPICS_MAX, FrameDecoder
@@ -28,7 +29,7 @@ def framed(number, payload, sequence=0, system=1, component=1):
     payload = payload.rstrip(b"\x00") or payload[:1]
     head = bytes([len(payload), 0, 0, sequence, system, component]) + number.to_bytes(3, "little")
     crc = mav.x25crc(head + payload)
-    crc.accumulate(bytes([mav.mavlink_map[number].crc_extra]))
+    crc.accumulate(bytes([MESSAGES[number].crc_extra]))
     return b"\xfd" + head + payload + crc.crc.to_bytes(2, "little")
 
 
@@ -44,7 +45,7 @@ def decoded(frame, peer=b"p00"):
 
 @pytest.mark.parametrize("number", mavlink_types.numbers())
 def test_every_message_of_the_dialect(number):
-    cls = mav.mavlink_map[number]
+    cls = MESSAGES[number]
     rng = np.random.default_rng(number)
     kind = mavlink_types.of(number)
     assert ROS_TYPE.fullmatch(kind.schema.removeprefix(mavlink_types.PACKAGE))

@@ -82,12 +82,41 @@ def test_version_1_frames_are_dropped_and_counted():
     assert counters.garbage_bytes == 0
 
 
-def test_unknown_message_is_dropped_and_counted():
-    good = frames_of(1)[0]
-    unknown = b"\xfd\x02\x00\x00\x00\x01\x01\xff\xff\xff\x01\x02\x03\x04"
+UNKNOWN = b"\xfd\x02\x00\x00\x00\x01\x01\xff\xff\xff\x01\x02\x03\x04"
+
+
+@pytest.mark.parametrize("before", [0, 1, 3])
+@pytest.mark.parametrize("behind", [0, 1])
+def test_unknown_message_is_kept_raw_where_the_frames_around_show_its_length(before, behind):
+    good, kept = frames_of(1)[0], []
     counters = FrameCounters()
-    assert list(split_frames(unknown + good, counters)) == [good]
-    assert counters.unknown_id == 1
+    found = list(split_frames(good + UNKNOWN * (before + 1) + good * behind, counters, kept.append))
+    assert (found, kept) == ([good] * (1 + behind), [UNKNOWN] * (before + 1))
+    assert (counters.unknown_frames, counters.unknown_id, counters.garbage_bytes) == (before + 1, 0, 0)
+
+
+@pytest.mark.parametrize(
+    "datagram",
+    [
+        pytest.param(UNKNOWN + b"\x00", id="something else behind"),
+        pytest.param(UNKNOWN[:-1], id="cut short"),
+        pytest.param(UNKNOWN[:5] + b"\x00" + UNKNOWN[6:], id="no sender"),
+        pytest.param(UNKNOWN * 5, id="nothing but unknown ones"),
+    ],
+)
+def test_what_only_looks_like_an_unknown_message_is_garbage(datagram):
+    kept, counters = [], FrameCounters()
+    assert list(split_frames(datagram, counters, kept.append)) == []
+    assert len(kept) <= 4
+    assert counters.garbage_bytes + sum(map(len, kept)) == len(datagram)
+    assert counters.garbage_bytes > 0
+
+
+def test_unknown_message_never_hides_a_good_frame():
+    good, kept = frames_of(1)[0], []
+    header = bytes([0xFD, len(good) + 3, 0, 0, 0, 1, 1, 255, 255, 255])
+    assert list(split_frames(header + b"abc" + good + b"\x01\x02", None, kept.append)) == [good]
+    assert kept == []
 
 
 def test_signed_frame_is_kept_whole_and_unknown_flags_are_refused():
@@ -167,12 +196,17 @@ def test_decoding_equals_pymavlink_for_every_message():
         "udpin:127.0.0.1",
         "udpin:127.0.0.1:99999",
         "udpout:127.0.0.1:0",
-        "tcp:1.2.3.4:5",
+        "tcp:1.2.3.4:0",
+        "tcp:1.2.3.4",
+        "serial:ttyS0",
+        "serial:",
+        "serial:/dev/ttyS0:1",
+        "serial:/dev/ttyS0:99999999",
         "udpin:a b:1",
     ],
 )
 def test_bad_url_says_what_is_allowed(url):
-    with pytest.raises(ValueError, match="udpin"):
+    with pytest.raises(ValueError, match="allowed is"):
         parse_url(url)
 
 

@@ -3,12 +3,11 @@
 import dataclasses
 import math
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from flightstack.config import FilterKind, load
+from flightstack.config import FilterKind, load, path_of
 from flightstack.robust_barrier import RobustBarrier
 from flightstack.safety_filter import SafetyFilter
 from flightstack.types import FilterStatus, Phase
@@ -22,7 +21,7 @@ from logs.report_repeat import command, repeat_section
 from logs.report_tables import Html, ages_table, faults_table, links_table, phases_table, table
 from tests.synthetic_flight import BARRIER, BOX, landing, write_log
 
-CONFIG = Path(__file__).parents[2] / "docs" / "onboard.toml"
+CONFIG = path_of("crazyflie")
 MARGIN_M, FADE_M = 0.04, 0.06
 
 

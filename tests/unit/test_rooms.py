@@ -7,8 +7,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 ROOMS = ("flightstack", "bridge", "sim", "logs")
-# the launcher puts rooms together; nothing else of the onboard process knows the simulator
-KNOW_ALL = ("launch.py",)
+# the launcher of `sitl` puts rooms together; nothing else of the onboard process knows the simulator
+KNOW_ALL = ("launch.py", "launch_vehicles.py")
 
 
 def imported(path):

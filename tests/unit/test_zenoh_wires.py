@@ -10,13 +10,13 @@ from bridge import zenoh_link
 from bridge.ros2_network import Ros2Network
 from bridge.ros2_target import TargetSpec, TargetType
 from bridge.zenoh_alarm import PATIENCE_S
-from flightstack.config import load
+from flightstack.config import load, path_of
 from flightstack.zenoh_wires import ZenohPlan, ZenohWires
 from tests.unit import ros2_helpers as ros
 from tests.unit.ros2_helpers import until
 
 ROOT = Path(__file__).parents[2]
-CONFIG = load(ROOT / "docs" / "onboard.toml")
+CONFIG = load(path_of("crazyflie"))
 STAMP = 1_700_000_000_000_000_000
 
 
@@ -94,7 +94,7 @@ def run(*words):
     )  # fmt: skip
 
 
-ONBOARD = ("onboard", "--vehicle", "udpout:127.0.0.1:9", "--config", "docs/onboard.toml")
+ONBOARD = ("onboard", "--vehicle", "udpout:127.0.0.1:9", "--config", "crazyflie")
 CLIENT = ("--zenoh-config", "docs/zenoh/client.json5")
 
 
@@ -108,7 +108,7 @@ CLIENT = ("--zenoh-config", "docs/zenoh/client.json5")
         ((*ONBOARD, "--target-type", "twist"), 2, "pose-covariance"),
         ((*ONBOARD, "--ros-domain", "300"), 2, "0<=x<=232"),
         ((*ONBOARD, "--ros2", "localhost"), 2, "tcp/127.0.0.1:7447"),
-        ((*ONBOARD, "--zenoh-config", "docs/onboard.toml"), 2, "Zenoh configuration docs/onboard.toml"),
+        ((*ONBOARD, "--zenoh-config", "pyproject.toml"), 2, "Zenoh configuration pyproject.toml"),
         ((*ONBOARD, *CLIENT, "--listen", "tcp/127.0.0.1:0"), 2, "cannot listen"),
         (("target", "--scenario", "straight", "--namespace", "1", "--ros2", "{router}"), 2, "not by a digit"),
         (("watch", "--once", "--zenoh-config", "no.json5"), 2, "does not exist"),

@@ -1,0 +1,60 @@
+"""The room of a PX4 SITL: PX4 itself, on the physics of ``flightstack px4-sim``, and the simulated robot."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from bridge.autopilots import AUTO
+from flightstack.processes import Child, Port
+from sim import params
+from sim.px4.airframe import parameters
+from sim.px4.program import InstanceClaim, Px4Model, Px4Program
+from sim.scenario import load
+from tests.flight_suite.room import Fence, Room, configured
+
+FENCE = Fence(height_m=4.0, distance_m=25.0)  # the robot of scenario `large` drives straight on at 0.4 m/s
+
+
+@contextlib.contextmanager
+def on_px4(folder: Path, place: Path, scenario_name: str, seed: int) -> Iterator[Room]:
+    """Start simulator, PX4 and robot, in real time; ended whatever happens.
+
+    Args:
+        folder: for output of processes.
+        place: of PX4's program, as ``sim.px4.program.find_px4`` takes it.
+        scenario_name: name or file of the scenario.
+        seed: of wind, noise and the vehicle's spread.
+
+    Raises:
+        FileNotFoundError: no PX4 there.
+        LaunchError: a process did not start.
+    """
+    scenario = load(scenario_name)
+    common = ["--scenario", scenario_name, "--seed", str(seed)]
+    with contextlib.ExitStack() as stack:
+        claim = stack.enter_context(contextlib.closing(InstanceClaim()))
+        target_at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
+
+        def start(verb: str, *words: str) -> Child:
+            child = Child(verb, [verb, *common, *words], folder)
+            stack.callback(child.end)
+            child.wait_ready()
+            return child
+
+        # PX4's TCP port follows from its instance
+        simulator = start("px4-sim", "--tcp", f"127.0.0.1:{4560 + claim.number}", "--connect", target_at)
+        px4 = Px4Program(
+            place, folder / "px4", Px4Model.NONE_IRIS, instance=claim.number,
+            parameters=parameters(params.load(scenario.vehicle.airframe)),
+        )  # fmt: skip
+        stack.callback(px4.end)
+        px4.wait_ready()
+        # the last: a robot that drives straight on does not wait
+        target = start("target", "--listen", target_at, "--connect", onboard_at)
+        yield Room(
+            f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
+            configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # so does PX4
+            takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
+        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Makes the packaged tables that come from other projects; ``python -m tests.tables`` says how."""
