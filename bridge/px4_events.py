@@ -1,9 +1,9 @@
 """Texts of PX4's events: why it does not arm, what its fail-safe does, and the like.
 
 PX4 sends an event as a number with arguments (MAVLink EVENT) on every link; the same words as STATUSTEXT it
-sends only where a ground station is. The texts are PX4's own, in ``px4_events.json`` (release and licence stand
-there), made by ``python -m tests.tables px4_events FILE`` from the metadata of a PX4 build. An event that the
-table does not have is told by its number. Format: github.com/mavlink/libevents, README.
+sends only where a ground station is. The texts are PX4's own, in ``px4_events.json`` (release and licence are
+named there), made by ``python -m tests.tables px4_events FILE`` from the metadata of a PX4 build. An event
+that the table does not have is told by its number. Format: github.com/mavlink/libevents, README.
 """
 
 from __future__ import annotations

@@ -196,8 +196,9 @@ class Onboard:
         """What went over the serial line."""
         counters, took_s = self.link.endpoint.counters, time.monotonic() - self._opened_s
         return (
-            f"serial line: {counters.bytes_in / took_s:.0f} B/s in, {counters.bytes_out / took_s:.0f} B/s out, "
-            f"in {took_s:.1f} s; {counters.garbage_bytes} bytes in no frame, lost {counters.connections_lost} times"
+            f"serial line in {took_s:.1f} s: {counters.bytes_in / took_s:.0f} B/s in, "
+            f"{counters.bytes_out / took_s:.0f} B/s out, {counters.garbage_bytes} bytes in no frame, "
+            f"lost {counters.connections_lost} times"
         )
 
     def close(self) -> None:

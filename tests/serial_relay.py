@@ -1,6 +1,6 @@
 """Joins a vehicle that speaks UDP to a pseudo-terminal or a TCP client, as slowly and badly as a test wants.
 
-A thread passes bytes both ways. Each direction has its own line: so many bits a second, a small hardware buffer in
+A thread passes bytes both ways. Each direction has its own line: so many bits a second, a small buffer in
 front of it, noise between frames, stretches in which the cable is pulled.
 """
 

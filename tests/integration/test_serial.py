@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
 
 from flightstack.processes import Child, Port
-from tests.serial_relay import PtyEnd, Relay, TcpEnd
+from tests.serial_relay import PtyEnd, Relay
 
 ROOT = Path(__file__).parents[2]
 FLIGHT_MAX_S = 120.0
@@ -28,7 +28,7 @@ def fly(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="docs/on
         config: of the onboard process.
     """
     with ExitStack() as stack:
-        ports = [stack.enter_context(_closing(Port())) for _ in range(2)]
+        ports = [stack.enter_context(closing(Port())) for _ in range(2)]
         robot, onboard = (port.endpoint for port in ports)
         target = Child(
             "target", ["target", "--scenario", "large", "--listen", robot, "--connect", onboard], folder
@@ -71,24 +71,11 @@ def _cut(relay, cut_s):
     relay.plug()
 
 
-class _closing:
-    def __init__(self, port):
-        self._port = port
-
-    def __enter__(self):
-        return self._port
-
-    def __exit__(self, *_):
-        self._port.close()
-
-
 @pytest.mark.parametrize(
     ("baud", "noise_bytes_s"), [(921_600, 2000.0), (57_600, 100.0)], ids=["921600 baud", "57600 baud"]
 )
 def test_lands_over_a_noisy_serial_line(tmp_path, baud, noise_bytes_s):
-    code, text, relay = fly(
-        tmp_path, lambda folder: PtyEnd(folder, baud), baud, noise_bytes_s=noise_bytes_s
-    )
+    code, text, relay = fly(tmp_path, lambda folder: PtyEnd(folder, baud), baud, noise_bytes_s=noise_bytes_s)
     assert code == 0, text
     assert f"serial line, {baud} baud" in text
     assert relay.noise_bytes > 500

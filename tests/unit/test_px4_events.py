@@ -56,12 +56,15 @@ def test_every_event_of_the_table_is_told_whatever_its_arguments():
 
 def test_arguments_are_written_as_the_template_says():
     filled = px4_events._filled
-    assert filled(r"at {1:.1m/s}, {2m_v} \< {3} <param>A_B</param>", [1.25, 7, "x"]) == "at 1.2 m/s, 7 m < x A_B"
+    assert (
+        filled(r"at {1:.1m/s}, {2m_v} \< {3} <param>A_B</param>", [1.25, 7, "x"]) == "at 1.2 m/s, 7 m < x A_B"
+    )
     assert filled("{2}", [1]) == "{2}"
 
 
 @pytest.mark.skipif(
-    not (PX4 / "etc/extras/all_events.json.xz").is_file(), reason="FLIGHTSTACK_PX4 names no PX4 with its metadata"
+    not (PX4 / "etc/extras/all_events.json.xz").is_file(),
+    reason="FLIGHTSTACK_PX4 names no PX4 with its metadata",
 )
 def test_table_is_what_its_command_makes():
     assert maker.FILE.read_text() == maker.table(PX4 / "etc/extras/all_events.json.xz")

@@ -40,7 +40,7 @@ def test_frame_is_given_with_its_last_byte():
 
 
 def test_hundred_thousand_bytes_of_noise_lose_no_frame():
-    """Noise between the frames, more than half of it made of start bytes; every good frame comes, in order."""
+    """Noise between the frames, half of it start bytes; every good frame comes, in order."""
     rng, counters = random.Random(2), FrameCounters()
     frames, stream, noise = frames_of(2000, seed=3), bytearray(), 0
     for frame in frames:
