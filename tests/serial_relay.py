@@ -135,14 +135,36 @@ class TcpEnd:
         self.pull()
 
 
+# What an autopilot sends whenever its buffer has room; the rest it makes rarer until it fits (PX4: MAV_x_RATE).
+_FIRST = frozenset({
+    mav.MAVLINK_MSG_ID_HEARTBEAT, mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mav.MAVLINK_MSG_ID_ATTITUDE,
+    mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, mav.MAVLINK_MSG_ID_SYS_STATUS, mav.MAVLINK_MSG_ID_COMMAND_ACK,
+    mav.MAVLINK_MSG_ID_PARAM_VALUE, mav.MAVLINK_MSG_ID_STATUSTEXT, mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+    mav.MAVLINK_MSG_ID_TIMESYNC, mav.MAVLINK_MSG_ID_HOME_POSITION,
+})  # fmt: skip
+
+
 class Line:
     """One direction: bytes go in at once and come out at so many bits a second; what does not fit is lost."""
 
-    def __init__(self, baud: int | None, buffer_bytes: int = 2048) -> None:
-        self._rate, self._buffer_max = (baud / 10 if baud else None), buffer_bytes
+    def __init__(self, baud: int | None) -> None:
+        self._rate = baud / 10 if baud else None
+        self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes; 0.05 s or 0.1 s
         self._buffer = bytearray()
         self._credit = 0.0
-        self.passed = self.lost = self.queued_max = 0
+        self.passed = self.lost = self.thinned = self.queued_max = 0
+
+    def put_frames(self, datagram: bytes) -> None:
+        """As an autopilot: whole frames or none, and the less important ones only into a nearly empty buffer."""
+        while datagram:
+            end = 12 + datagram[1]
+            frame, datagram = datagram[:end], datagram[end:]
+            first = int.from_bytes(frame[7:10], "little") in _FIRST
+            room = self._buffer_max // (1 if first else 5) - len(self._buffer)
+            if len(frame) <= room:
+                self.put(frame)
+            else:
+                self.thinned += 1
 
     def put(self, data: bytes) -> None:
         room = self._buffer_max - len(self._buffer)
@@ -216,7 +238,7 @@ class Relay:
                 self._is_in = self._wanted
             with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
                 while True:
-                    self.in_line.put(self._udp.recv(65536))
+                    self.in_line.put_frames(self._udp.recv(65536))
             noise += self._noise_bytes_s * elapsed_s
             if noise >= 1.0:
                 self.in_line.put(self._chance.randbytes(int(noise)))
