@@ -34,6 +34,11 @@ class _Layout:
     plain: tuple[int, ...] | None  # positions alone, when there are neither arrays nor strings
 
 
+def message_id(frame: bytes) -> int:
+    """Message id in the header of a frame of version 2."""
+    return frame[7] | frame[8] << 8 | frame[9] << 16
+
+
 def decode(frame: bytes) -> Message:
     """Decode one frame from ``split_frames``.
 

@@ -130,6 +130,11 @@ class Endpoint:
         """Whom ``send`` reaches: configured peers, and everyone with a heartbeat heard in the last 10 s."""
         return self._peers.reached
 
+    @property
+    def signed(self) -> bool:
+        """Whether frames are signed."""
+        return self._signer is not None
+
     def receive(self) -> list[Received]:
         """Take what is in the socket now, in order of arrival; never blocks, never raises.
 

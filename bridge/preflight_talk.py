@@ -35,12 +35,14 @@ class Report:
         version: its release, None when it did not say.
         findings: one for each rule; none when it did not come so far.
         problem: why it is not flown whatever its parameters, None when nothing speaks against it.
+        line: what the flight needs of a serial line, and what was measured on it; None of other links.
     """
 
     profile: Profile | None
     version: str | None
     findings: tuple[Finding, ...]
     problem: str | None
+    line: str | None = None
 
     @property
     def blocking(self) -> tuple[Finding, ...]:

@@ -1,7 +1,7 @@
 """Answers peers whose signing clock is behind, so that it is moved forward.
 
 An autopilot without a clock of its own starts at the time it had when it was switched off, and takes the time
-of a signed frame that it accepts when that is later (mavlink.io, guide/message_signing). An endpoint that only
+of a signed frame that it accepts when that is later (mavlink.io, guide/message_signing). An endpoint that
 listens until it knows a peer would refuse its frames for ever and never send one.
 """
 

@@ -26,7 +26,7 @@ class TextAssembler:
         if self._parts and (message.id != self._id or message.chunk_seq != self._next):
             texts.append(self._take(" ..."))
         if message.id == 0 and not self._parts:
-            return [*texts, (message.severity, _clean(message.text))]
+            return [*texts, (message.severity, clean(message.text))]
         self._id, self._severity, self._next = message.id, message.severity, message.chunk_seq + 1
         self._parts.append(message.text)
         if len(message.text) < _CHUNK or len(self._parts) == _CHUNKS_MAX:
@@ -34,11 +34,11 @@ class TextAssembler:
         return texts
 
     def _take(self, mark: str) -> tuple[int, str]:
-        text = _clean("".join(self._parts)) + mark
+        text = clean("".join(self._parts)) + mark
         self._parts = []
         return (self._severity, text)
 
 
-def _clean(text: str) -> str:
+def clean(text: str) -> str:
     """Printable characters only: the text goes to terminals and logs, and comes from the network."""
     return "".join(c if c.isprintable() else " " for c in text).strip()

@@ -14,9 +14,11 @@ from bridge.autopilots import PX4, found, refusal
 from bridge.commands import CommandSequencer
 from bridge.decoding import Message
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
+from bridge.line_budget import LinePlan
 from bridge.mavlink import Endpoint, Peer
 from bridge.origin import Origin, OriginSender
 from bridge.profile import Profile
+from bridge.px4_events import EVENT, event_text
 from bridge.signing_key import SigningKey
 from bridge.streams import StreamRequests
 from bridge.texts import TextAssembler
@@ -88,11 +90,13 @@ class VehicleLink:
         allow_unsigned: bool = False,
         origin: Origin | None = None,
         endpoint: Endpoint | None = None,
+        line: LinePlan | None = None,
     ) -> None:
         """Open the link.
 
         Args:
-            url: MAVLink URL, ``udpin:HOST:PORT`` or ``udpout:HOST:PORT``.
+            url: MAVLink URL, ``udpin:HOST:PORT``, ``udpout:HOST:PORT``, ``serial:DEVICE:BAUD`` or
+                ``tcp:HOST:PORT``.
             takeoff_height_m: height above home of ``Request.TAKEOFF``, m.
             rate_hz: rate of the loop, asked of the vehicle for position and attitude.
             profile: what the autopilot wants; None: the one that fits its first heartbeat.
@@ -103,6 +107,7 @@ class VehicleLink:
             allow_unsigned: listen to a network without a key.
             origin: where its local coordinates begin, told to a vehicle that needs it and does not know.
             endpoint: takes the place of one opened here, and of the URL and key.
+            line: lower rates of position, attitude and set-points, for a slow serial line.
 
         Raises:
             ValueError: bad URL or id, a rate or height that is not positive, or a network without a key.
@@ -118,6 +123,7 @@ class VehicleLink:
         self.refused: str | None = None
         self._target = (system_id, component_id)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
+        self._line, self._setpoints = line, 0
         self._wants = self._wanted(profile) if profile is not None else None
         self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
         self._assembler = TextAssembler()
@@ -140,6 +146,7 @@ class VehicleLink:
         self._handlers: dict[int, Callable[[Message, float], None]] = {
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
+            EVENT: self._on_event,
             dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
         }
 
@@ -242,6 +249,12 @@ class VehicleLink:
         if profile is None or not self._may_stream(profile) or not math.isfinite(sum(velocity) + yaw):
             self.counters.setpoints_refused += 1
             return False
+        if self._wants is not None:
+            self._wants.sequencer.note_setpoint(now_s)
+        self.state.follow(True)
+        self._setpoints += 1
+        if self._line is not None and self._setpoints % self._line.setpoint_every:
+            return True  # the line has no room for each; a newer one follows
         north, east, down = ned_from_enu(velocity)
         unused = (0.0, 0.0, 0.0)
         self._outgoing.append(
@@ -259,9 +272,6 @@ class VehicleLink:
                 0.0,
             )
         )
-        if self._wants is not None:
-            self._wants.sequencer.note_setpoint(now_s)
-        self.state.follow(True)
         return True
 
     def flush(self, extra_messages: Sequence[Message] = ()) -> None:
@@ -291,9 +301,10 @@ class VehicleLink:
 
     def _wanted(self, profile: Profile) -> _Wants:
         """Make what depends on the autopilot."""
+        state_hz = self._rate_hz if self._line is None else self._line.state_hz
         rates_hz = {
-            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._rate_hz,
-            dialect.MAVLINK_MSG_ID_ATTITUDE: self._rate_hz,
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: state_hz,
             dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_STATE_HZ,
             **profile.asked_hz,
         }
@@ -353,6 +364,14 @@ class VehicleLink:
             self._say(severity, text)
             if self._wants is not None:
                 self._wants.sequencer.note_text(text)
+
+    def _on_event(self, message: Message, arrival_s: float) -> None:
+        del arrival_s
+        said = event_text(message)
+        if said is not None:
+            self._say(*said)
+            if self._wants is not None:
+                self._wants.sequencer.note_text(said[1])
 
     def _on_timesync(self, message: Message, arrival_s: float) -> None:
         if message.tc1 != 0:

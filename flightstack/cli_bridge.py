@@ -146,7 +146,7 @@ def crazyflie(
 )  # fmt: skip
 @click.option(
     "--vehicle", "vehicle_url", required=True, metavar="URL",
-    help="MAVLink URL of the vehicle: udpout:HOST:PORT or udpin:HOST:PORT.",
+    help="MAVLink URL of the vehicle: udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD.",
 )  # fmt: skip
 @click.option(
     "--origin", nargs=3, type=float, metavar="LAT LON ALT",

@@ -91,7 +91,8 @@ vehicle_url = click.option(
     "vehicle_url",
     required=True,
     metavar="URL",
-    help="MAVLink URL: udpin:HOST:PORT or udpout:HOST:PORT.",
+    help="MAVLink URL: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD], by default "
+    "at 921600 baud.",
 )
 system_id = click.option(
     "--system-id",

@@ -56,6 +56,8 @@ def preflight(
         for warning in endpoint.warnings:
             print(f"preflight: WARNING: {warning}", file=sys.stderr)
         report = checks.check(endpoint, config, autopilot, system_id, wait_s=wait_s)
+        for notice in endpoint.take_notices():
+            print(f"preflight: WARNING: {notice}", file=sys.stderr)
     finally:
         endpoint.close()
     if as_json:
@@ -72,6 +74,7 @@ def to_json(report: Report) -> dict[str, Any]:
         "autopilot": report.profile.name if report.profile is not None else None,
         "version": report.version,
         "problem": report.problem,
+        "line": report.line,
         "parameters": [{**asdict(f), "level": f.level.value.lower()} for f in report.findings],
     }
 
@@ -91,4 +94,6 @@ def _print(report: Report) -> None:
                 finding.name, value, f"[{style}]{finding.level.value}[/]", finding.wanted, finding.why
             )
         console.print(table)
+    if report.line is not None:
+        console.print(report.line, soft_wrap=True, markup=False)
     console.print(checks.verdict(report) or "may arm", soft_wrap=True, markup=False)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
-from bridge.address import is_local, parse_url, resolve
+from bridge.address import baud_of, is_local, parse_url, resolve
 from bridge.autopilots import AUTO, profile
 from bridge.odometry import RawSample
 from bridge.origin import Origin
@@ -117,6 +117,9 @@ class Onboard:
         origin = config.vehicle.origin_wgs84
         self.wires = ZenohWires(config, _zenoh_plan(options))
         self.session, self.odometry = self.wires.session, self.wires.odometry
+        line = preflight.line_plan(
+            baud_of(options.vehicle_url), config, signed=options.signing_key is not None
+        )
         self.link = VehicleLink(
             options.vehicle_url,
             takeoff_height_m=config.takeoff.height_m,
@@ -127,6 +130,7 @@ class Onboard:
             allow_unsigned=options.allow_unsigned,
             profile=chosen,
             origin=Origin(*origin) if origin is not None else None,
+            line=line,
         )
         self.log_file: Path | None = None
         recorder = options.recorder
@@ -141,6 +145,7 @@ class Onboard:
         self.link.endpoint.tap = self.log.tap
         self.leaving = Leaving(options.duration_s)
         self.foreign = 0
+        self._opened_s = time.monotonic()
         self.reply = b""  # lockstep: frame of the last answer
 
     def tick(
@@ -162,7 +167,7 @@ class Onboard:
         if link.counters.foreign != self.foreign:
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self.foreign = link.counters.foreign
-        for text in self.wires.texts(tick.now_s):
+        for text in (*link.endpoint.take_notices(), *self.wires.texts(tick.now_s)):
             _warn(text)
             self.log.event(tick.unix_ns, WARN, text)
         payload = self.log.step(tick, taken, out, self.controller.state)
@@ -190,11 +195,22 @@ class Onboard:
             },
         )
 
+    def _line_use(self) -> str:
+        """What went over the serial line."""
+        counters, took_s = self.link.endpoint.counters, time.monotonic() - self._opened_s
+        return (
+            f"serial line in {took_s:.1f} s: {counters.bytes_in / took_s:.0f} B/s in, "
+            f"{counters.bytes_out / took_s:.0f} B/s out, {counters.garbage_bytes} bytes in no frame, "
+            f"lost {counters.connections_lost} times"
+        )
+
     def close(self) -> None:
         """Close all links; the feed says goodbye to the recorder."""
         dropped = self.link.endpoint.counters.dropped()
         if dropped:
             print(f"onboard: MAVLink not let through: {dropped}", file=sys.stderr)
+        if self.link.endpoint.baud is not None:
+            print(f"onboard: {self._line_use()}", file=sys.stderr)
         self.feed.close()
         self.link.close()
         self.wires.close()
@@ -283,6 +299,8 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
         stopped=lambda: signals.stop or signals.operator is not Operator.NONE,
     )
     endpoint.tap = tap
+    for notice in endpoint.take_notices():
+        _warn(notice)
     onboard.feed.metadata("preflight", preflight.record(report))
     if report.profile is not None and onboard.link.profile is None:
         onboard.link.adopt(report.profile)

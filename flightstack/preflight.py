@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from bridge.autopilots import profile
+from bridge.line_budget import LinePlan, LineTooSlowError, plan
 from bridge.mavlink import Endpoint
 from bridge.preflight import Level, Needs
 from bridge.preflight_talk import Report, examine
@@ -16,6 +19,20 @@ _SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE)
 def needs_of(config: FlightConfig) -> Needs:
     """What a flight of this configuration needs of its autopilot."""
     return Needs(config.limits.velocity_max_m_s, config.limits.altitude_max_m, config.takeoff.height_m)
+
+
+def line_plan(baud: int | None, config: FlightConfig, *, signed: bool) -> LinePlan:
+    """Rates at which the flight of this configuration fits into a line.
+
+    Args:
+        baud: of a serial line, None of other links.
+        config: what is to be flown.
+        signed: MAVLink is signed.
+
+    Raises:
+        LineTooSlowError: it does not fit.
+    """
+    return plan(baud, config.loop.rate_hz, config.checks.own_age_max_s, signed=signed)
 
 
 def check(
@@ -41,9 +58,21 @@ def check(
         ValueError: there is no such autopilot.
     """
     accepted = config.vehicle.accepted_parameters
-    return examine(
+    try:
+        line = line_plan(endpoint.baud, config, signed=endpoint.signed)
+    except LineTooSlowError as error:
+        return Report(None, None, (), str(error))
+    counters, began_s = endpoint.counters, time.monotonic()
+    before = (counters.bytes_in, counters.bytes_out)
+    report = examine(
         endpoint, system_id, profile(autopilot), needs_of(config), accepted, wait_s=wait_s, stopped=stopped
     )
+    if endpoint.baud is None:
+        return report
+    took_s = time.monotonic() - began_s
+    came, went = (counters.bytes_in - before[0]) / took_s, (counters.bytes_out - before[1]) / took_s
+    measured = f"measured in {took_s:.1f} s: {came:.0f} B/s in, {went:.0f} B/s out"
+    return replace(report, line=f"serial line, {endpoint.baud} baud: {line.text}; {measured}")
 
 
 def lines(report: Report) -> Iterator[str]:
@@ -51,6 +80,8 @@ def lines(report: Report) -> Iterator[str]:
     if report.profile is not None:
         version = f", release {report.version}" if report.version is not None else ", release not told"
         yield f"preflight: {report.profile.title}{version}"
+    if report.line is not None:
+        yield f"preflight: {report.line}"
     if report.problem is not None:
         yield f"preflight: {report.problem}"
     for level in _SHOWN:
@@ -78,4 +109,11 @@ def record(report: Report) -> dict[str, str]:
         f.name: f"{'missing' if f.value is None else repr(f.value)} {f.level.value}" for f in report.findings
     }
     name = report.profile.name if report.profile is not None else "none"
-    return {"profile": name, "version": report.version or "", "problem": report.problem or "", **found}
+    line = {"line": report.line} if report.line is not None else {}
+    return {
+        "profile": name,
+        "version": report.version or "",
+        "problem": report.problem or "",
+        **line,
+        **found,
+    }

@@ -13,11 +13,12 @@ from collections.abc import Sequence
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.autopilots import PX4, profile
-from bridge.decoding import Message, decode
+from bridge.decoding import Message, decode, message_id
 from bridge.endpoint_counters import EndpointCounters
 from bridge.mavlink import Endpoint, Peer, Received
 from bridge.origin import Origin
 from bridge.vehicle import COMPONENT_ID, VehicleLink
+from bridge.wide_messages import MESSAGES
 from flightstack.config import FlightConfig
 from flightstack.controller import Outputs
 from flightstack.exchange import answer, take
@@ -38,13 +39,15 @@ class RecordedEndpoint(Endpoint):
         self.tap = None
         self.counters = EndpointCounters()
         self.warnings = ()
+        self.local_port, self.baud = 0, None
         self.incoming: deque[bytes] = deque()
         self.sent: list[bytes] = []
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=COMPONENT_ID)
 
     def receive(self) -> list[Received]:
         """Take all frames, oldest first."""
-        received = [Received(decode(frame), frame, _VEHICLE) for frame in self.incoming]
+        known = [frame for frame in self.incoming if message_id(frame) in MESSAGES]  # others were kept raw
+        received = [Received(decode(frame), frame, _VEHICLE) for frame in known]
         self.incoming.clear()
         return received
 
@@ -55,6 +58,10 @@ class RecordedEndpoint(Endpoint):
 
     def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
         """Do nothing: repeats are not in a log either."""
+
+    def take_notices(self) -> list[str]:
+        """Nothing: a recorded line is never lost."""
+        return []
 
     def close(self) -> None:
         """Nothing to close."""

@@ -78,6 +78,8 @@ def vehicle_main(
     try:
         with ExitStack() as stack:
             kind, host, port = parse_url(url)
+            if kind not in ("udpin", "udpout"):
+                raise ValueError(f"MAVLink URL {url!r}: the simulated vehicle speaks UDP, udpin or udpout")
             if lockstep and peers:
                 raise ValueError("--peer is for real time: in lockstep the companion calls first")
             endpoint = Endpoint(

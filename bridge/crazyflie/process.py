@@ -106,6 +106,8 @@ class Loop:
             peer = self._peer_of.get(reply.sender)
             if peer is not None:
                 endpoint.send([reply.message], peer)
+        for notice in endpoint.take_notices():
+            self._say(f"crazyflie: {notice}")
         for text in node.take_texts():
             self._say(f"crazyflie: {text.text}")
 

@@ -102,6 +102,8 @@ class Bridge:
     def turn(self) -> None:
         """Wait for a tick or the vehicle, then pass on what has come."""
         self._endpoint.wait(TICK_S)
+        for notice in self._endpoint.take_notices():
+            self._say(f"mocap: {notice}")
         now_s, vehicle = self.now_s, self._vehicle
         for received in self._endpoint.receive():
             header = received.message.get_header()

@@ -6,11 +6,13 @@ python -m tests.unit.autopilots_page
 from pathlib import Path
 
 from bridge.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
+from bridge.line_budget import LineTooSlowError
 from bridge.mavlink import dialect
 from bridge.preflight import Level, Needs
 from bridge.preflight_rules import RULES
 from bridge.profile import Reading
-from flightstack.preflight import needs_of
+from flightstack.config import BarrierShape, FlightConfig
+from flightstack.preflight import line_plan, needs_of
 from flightstack.types import Mode, Request
 from sim import scenario
 from sim.autopilot.modes import FlightMode
@@ -141,8 +143,22 @@ def personalities():
     return _table(["", *(p.name for p in who)], [[n, *(value(p) for p in who)] for n, value in rows])
 
 
+def line_rates():
+    config = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))
+    rows = []
+    for baud in (921_600, 115_200, 57_600, 38_400, 19_200):
+        try:
+            plan = line_plan(baud, config, signed=False)
+        except LineTooSlowError:
+            rows.append((str(baud), "refused", "", "", ""))
+            continue
+        state, setpoint = (f"{hz:.3g} Hz" for hz in (plan.state_hz, plan.setpoint_hz))
+        rows.append((str(baud), state, f"{plan.in_bytes_s:.0f} B/s", setpoint, f"{plan.out_bytes_s:.0f} B/s"))
+    return _table(("baud", "position and attitude", "needs in", "set-points", "needs out"), rows)
+
+
 def tables():
-    found = {"profiles": profiles(), "personalities": personalities()}
+    found = {"profiles": profiles(), "personalities": personalities(), "line rates": line_rates()}
     return found | {f"rules {name}": rules(name) for name in RULES if RULES[name]}
 
 

@@ -102,13 +102,13 @@ def test_a_changed_frame_to_the_vehicle_is_found(tmp_path):
     assert SINK in {d.topic for d in result.wire.first}
 
 
-def test_a_frame_that_cannot_be_decoded_is_a_finding(tmp_path):
+def test_a_frame_of_an_unknown_message_is_passed_over_and_what_it_was_is_missed(tmp_path):
     def change(data):
         stamp_ns, frame = unpack_mavlink(data)
         return pack_mavlink(stamp_ns, frame[:7] + b"\xff\xff\xff" + frame[10:])
 
     found = misread(write_kept(GOLDEN, tmp_path / "changed.mcap", change=once(SOURCE, 700, change)))
-    assert (found[0].topic, found[0].field) == (SOURCE, "frame")
+    assert found[0].topic == "wire, inputs"
 
 
 def tick_of(odometry, said):

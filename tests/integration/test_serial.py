@@ -1,0 +1,82 @@
+"""Landings over a serial line and over TCP: slow, noisy, cut, and pulled out in flight."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import pytest
+
+from flightstack.processes import Child, Port
+from tests.serial_relay import PtyEnd, Relay
+
+ROOT = Path(__file__).parents[2]
+FLIGHT_MAX_S = 120.0
+
+
+def fly(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="docs/onboard_large.toml"):
+    """One landing of scenario ``large`` in real time; its exit status, output, relay.
+
+    Args:
+        folder: for the outputs of the processes.
+        make_near: makes the relay's end at the onboard process.
+        baud: of the line, None without a limit.
+        noise_bytes_s: random bytes a second beside the vehicle's.
+        cut_s: (after how many seconds of flight, for how many) the cable is pulled.
+        config: of the onboard process.
+    """
+    with ExitStack() as stack:
+        ports = [stack.enter_context(closing(Port())) for _ in range(2)]
+        robot, onboard = (port.endpoint for port in ports)
+        target = Child(
+            "target", ["target", "--scenario", "large", "--listen", robot, "--connect", onboard], folder
+        )
+        stack.callback(target.end)
+        target.wait_ready()
+        vehicle = Child(
+            "vehicle",
+            ["vehicle", "--scenario", "large", "--url", "udpin:127.0.0.1:0", "--connect", robot],
+            folder,
+        )
+        stack.callback(vehicle.end)
+        port = int(vehicle.wait_ready().rpartition(":")[2])
+        relay = Relay(make_near(folder), port, baud, noise_bytes_s=noise_bytes_s)
+        stack.callback(relay.close)
+        flight = Child(
+            "onboard",
+            ["onboard", "--vehicle", relay.near.url, "--target", "cf1/target/odom", "--connect", robot,
+             "--listen", onboard, "--config", str(ROOT / config), "--autopilot", "sitl"],
+            folder,
+        )  # fmt: skip
+        stack.callback(flight.end)
+        flight.wait_ready()
+        cutter = threading.Thread(target=_cut, args=(relay, cut_s), daemon=True)
+        lines, until_s = [], time.monotonic() + FLIGHT_MAX_S
+        while flight.alive() and time.monotonic() < until_s:
+            lines += flight.lines(0.2)
+            if cut_s and not cutter.ident and any("-> APPROACH" in line for line in lines):
+                cutter.start()
+        assert not flight.alive(), f"no end within {FLIGHT_MAX_S:g} s: {lines[-5:]}"
+        lines += flight.lines(0.0)
+        return flight.end(), "\n".join([*lines, flight.output.read_text()]), relay
+
+
+def _cut(relay, cut_s):
+    after_s, for_s = cut_s
+    time.sleep(after_s)
+    relay.pull()
+    time.sleep(for_s)
+    relay.plug()
+
+
+@pytest.mark.parametrize(
+    ("baud", "noise_bytes_s"), [(921_600, 2000.0), (57_600, 100.0)], ids=["921600 baud", "57600 baud"]
+)
+def test_lands_over_a_noisy_serial_line(tmp_path, baud, noise_bytes_s):
+    code, text, relay = fly(tmp_path, lambda folder: PtyEnd(folder, baud), baud, noise_bytes_s=noise_bytes_s)
+    assert code == 0, text
+    assert f"serial line, {baud} baud" in text
+    assert relay.noise_bytes > 500
+    assert relay.out_line.lost == 0, "more was sent than the line carries"

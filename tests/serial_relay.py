@@ -1,0 +1,259 @@
+"""Joins a vehicle that speaks UDP to a pseudo-terminal or a TCP client, as slowly and badly as a test wants.
+
+A thread passes bytes both ways. Each direction has its own line: so many bits a second, a small buffer in
+front of it, noise between frames, stretches in which the cable is pulled.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import pty
+import random
+import select
+import socket
+import struct
+import termios
+import threading
+import time
+import tty
+from pathlib import Path
+from typing import Protocol
+
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+_TURN_S = 0.002  # s; at 57,600 baud 12 bytes
+_PIECE = 256  # bytes read at a time
+
+
+class Near(Protocol):
+    """The end at which the onboard process is."""
+
+    url: str
+
+    def read(self) -> bytes: ...
+
+    def write(self, data: bytes) -> int: ...
+
+    def pull(self) -> None: ...
+
+    def plug(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class PtyEnd:
+    """A pseudo-terminal under a fixed name; a pulled cable is one whose device has gone."""
+
+    def __init__(self, folder: Path, baud: int) -> None:
+        self._link = folder / "ttyTEST"
+        self.url = f"serial:{self._link}:{baud}"
+        self._master = -1
+        self.plug()
+
+    def plug(self) -> None:
+        self._master, slave = pty.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        self._link.unlink(missing_ok=True)
+        self._link.symlink_to(os.ttyname(slave))
+        self._slave = slave  # kept open: a master without a slave reads as an error
+
+    def pull(self) -> None:
+        self._link.unlink(missing_ok=True)
+        os.close(self._slave)
+        os.close(self._master)
+        self._master = -1
+
+    def read(self) -> bytes:
+        with contextlib.suppress(OSError):
+            return os.read(self._master, _PIECE) if self._master >= 0 else b""
+        return b""
+
+    def write(self, data: bytes) -> int:
+        with contextlib.suppress(OSError):
+            return os.write(self._master, data) if self._master >= 0 else len(data)
+        return 0
+
+    def close(self) -> None:
+        if self._master >= 0:
+            self.pull()
+
+
+class TcpEnd:
+    """A TCP server that takes one client at a time; a pulled cable is a connection closed, and none taken."""
+
+    def __init__(self) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self._port = probe.getsockname()[1]
+        self.url = f"tcp:127.0.0.1:{self._port}"
+        self._server: socket.socket | None = None
+        self._client: socket.socket | None = None
+        self.plug()
+
+    def plug(self) -> None:
+        self._server = socket.socket()
+        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._server.bind(("127.0.0.1", self._port))
+        self._server.listen(1)
+        self._server.setblocking(False)
+
+    def pull(self) -> None:
+        for end in (self._client, self._server):
+            if end is not None:
+                end.close()
+        self._client = self._server = None
+
+    def read(self) -> bytes:
+        if self._client is None and self._server is not None:
+            with contextlib.suppress(BlockingIOError):
+                self._client, _ = self._server.accept()
+                self._client.setblocking(False)
+        if self._client is None:
+            return b""
+        try:
+            data = self._client.recv(_PIECE)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._client.close()
+            self._client = None
+        return data
+
+    def write(self, data: bytes) -> int:
+        if self._client is None:
+            return len(data)
+        with contextlib.suppress(OSError):
+            return self._client.send(data)
+        return 0
+
+    def close(self) -> None:
+        self.pull()
+
+
+# What an autopilot sends whenever its buffer has room; the rest it makes rarer until it fits (PX4: MAV_x_RATE).
+_FIRST = frozenset({
+    mav.MAVLINK_MSG_ID_HEARTBEAT, mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mav.MAVLINK_MSG_ID_ATTITUDE,
+    mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, mav.MAVLINK_MSG_ID_SYS_STATUS, mav.MAVLINK_MSG_ID_COMMAND_ACK,
+    mav.MAVLINK_MSG_ID_PARAM_VALUE, mav.MAVLINK_MSG_ID_STATUSTEXT, mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+    mav.MAVLINK_MSG_ID_TIMESYNC, mav.MAVLINK_MSG_ID_HOME_POSITION,
+})  # fmt: skip
+
+
+class Line:
+    """One direction: bytes go in at once and come out at so many bits a second; what does not fit is lost."""
+
+    def __init__(self, baud: int | None) -> None:
+        self._rate = baud / 10 if baud else None
+        self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes; 0.05 s or 0.1 s
+        self._buffer = bytearray()
+        self._credit = 0.0
+        self.passed = self.lost = self.thinned = self.queued_max = 0
+
+    def put_frames(self, datagram: bytes) -> None:
+        """As an autopilot: whole frames or none, and the less important ones only into a nearly empty buffer."""
+        while datagram:
+            end = 12 + datagram[1]
+            frame, datagram = datagram[:end], datagram[end:]
+            first = int.from_bytes(frame[7:10], "little") in _FIRST
+            room = self._buffer_max // (1 if first else 5) - len(self._buffer)
+            if len(frame) <= room:
+                self.put(frame)
+            else:
+                self.thinned += 1
+
+    def put(self, data: bytes) -> None:
+        room = self._buffer_max - len(self._buffer)
+        self.lost += max(0, len(data) - room)
+        self._buffer += data[:room]
+        self.queued_max = max(self.queued_max, len(self._buffer))
+
+    def take(self, elapsed_s: float) -> bytes:
+        if self._rate is None:
+            count = len(self._buffer)
+        else:
+            self._credit = min(self._credit + self._rate * elapsed_s, self._rate * 0.02)
+            count = min(int(self._credit), len(self._buffer))
+            self._credit -= count
+        out = bytes(self._buffer[:count])
+        del self._buffer[:count]
+        self.passed += count
+        return out
+
+
+class Relay:
+    """Runs in a thread until it is closed.
+
+    Args:
+        near: where the onboard process is.
+        vehicle: UDP port on loopback at which the simulated vehicle listens.
+        baud: of the line, None for one without a limit.
+        noise_bytes_s: random bytes a second, put between what the vehicle sends.
+        seed: of the noise.
+    """
+
+    def __init__(
+        self, near: Near, vehicle: int, baud: int | None, *, noise_bytes_s: float = 0.0, seed: int = 0
+    ) -> None:
+        self.near, self.in_line, self.out_line = near, Line(baud), Line(baud)
+        self.noise_bytes = 0
+        self._noise_bytes_s, self._chance = noise_bytes_s, random.Random(seed)
+        self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._udp.connect(("127.0.0.1", vehicle))
+        self._udp.setblocking(False)
+        self._wanted, self._is_in = True, True
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def pull(self) -> None:
+        """Pull the cable."""
+        self._wanted = False
+
+    def plug(self) -> None:
+        """Put it back."""
+        self._wanted = True
+
+    def close(self) -> None:
+        """End the thread and close both sides."""
+        self._stop.set()
+        self._thread.join(5.0)
+        self._udp.close()
+        self.near.close()
+
+    def _run(self) -> None:
+        then_s, noise, rest = time.monotonic(), 0.0, b""
+        parser = mav.MAVLink(None)
+        parser.robust_parsing = True
+        while not self._stop.is_set():
+            select.select((self._udp,), (), (), _TURN_S)
+            now_s = time.monotonic()
+            elapsed_s, then_s = now_s - then_s, now_s
+            if self._wanted != self._is_in:
+                (self.near.plug if self._wanted else self.near.pull)()
+                self._is_in = self._wanted
+            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                while True:
+                    self.in_line.put_frames(self._udp.recv(65536))
+            noise += self._noise_bytes_s * elapsed_s
+            if noise >= 1.0:
+                self.in_line.put(self._chance.randbytes(int(noise)))
+                self.noise_bytes += int(noise)
+                noise -= int(noise)
+            rest += self.in_line.take(elapsed_s)
+            if rest and self._is_in:
+                rest = rest[self.near.write(rest) :]
+            while data := self.near.read():
+                self.out_line.put(data)
+            for message in parser.parse_buffer(self.out_line.take(elapsed_s)) or ():
+                with contextlib.suppress(ConnectionRefusedError, BlockingIOError):
+                    self._udp.send(bytes(message.get_msgbuf()))  # a datagram holds whole frames
+
+
+def waiting_bytes(descriptor: int) -> int:
+    """Bytes that can be read from a descriptor now."""
+    return int(struct.unpack("I", fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4)))[0])
