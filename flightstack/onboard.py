@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
+
 from bridge.autopilots import AUTO, profile
 from bridge.odometry import RawSample
 from bridge.origin import Origin
