@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 FLIGHT_MAX_S = 120.0
 
 
-def fly(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="docs/onboard_large.toml"):
+def fly(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="sitl-1kg"):
     """One landing of scenario ``large`` in real time; its exit status, output, relay.
 
     Args:
