@@ -6,7 +6,7 @@ import contextlib
 import math
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from bridge import zenoh_link
 from flightstack.processes import END_TIME_MAX_S, Child
@@ -37,18 +37,35 @@ class Companion:
         Raises:
             AssertionError: it ended before, took too long, or left the fence; then it has been called off.
         """
+        self._until(lambda: any(word in line for line in self.said), word, limit_s)
+
+    def until_high(self, height_m: float, limit_s: float) -> None:
+        """Follow it until the vehicle is so high above where it was seen first.
+
+        Raises:
+            AssertionError: as of ``until``.
+        """
+        self._until(lambda: self._height_m() > height_m, f"{height_m:g} m", limit_s)
+
+    def _until(self, done: Callable[[], bool], what: str, limit_s: float) -> None:
         until_s = time.monotonic() + limit_s
-        while not any(word in line for line in self.said):
+        while not done():
             alive = self.child.alive()
             self._look(POLL_S)
-            if not alive and not any(word in line for line in self.said):
-                raise AssertionError(f"ended before {word!r}: {self.said[-8:]} {self.child.errors()}")
+            if not alive and not done():
+                raise AssertionError(f"ended before {what!r}: {self.said[-8:]} {self.child.errors()}")
             why = self._trouble()
             if time.monotonic() > until_s:
-                why = f"no {word!r} within {limit_s:g} s"
+                why = f"no {what!r} within {limit_s:g} s"
             if why is not None:
                 self._call_off()
                 raise AssertionError(f"{why}; called off: {self.said[-8:]}")
+
+    def _height_m(self) -> float:
+        step = self.watch.step
+        if step is None or self._start is None or not step.own_valid:
+            return 0.0
+        return step.own_position_enu_m[2] - self._start[2]
 
     def ended(self, limit_s: float) -> int:
         """Follow it to its end; the exit status."""

@@ -18,7 +18,15 @@ FENCE = Fence(height_m=4.0, distance_m=25.0)  # the robot of scenario `large` dr
 
 
 @contextlib.contextmanager
-def on_px4(folder: Path, place: Path, scenario_name: str, seed: int) -> Iterator[Room]:
+def on_px4(
+    folder: Path,
+    place: Path,
+    scenario_name: str,
+    seed: int,
+    *,
+    mocap: bool = False,
+    recorder: Path | None = None,
+) -> Iterator[Room]:
     """Start simulator, PX4 and robot, in real time; ended whatever happens.
 
     Args:
@@ -26,12 +34,15 @@ def on_px4(folder: Path, place: Path, scenario_name: str, seed: int) -> Iterator
         place: of PX4's program, as ``sim.px4.program.find_px4`` takes it.
         scenario_name: name or file of the scenario.
         seed: of wind, noise and the vehicle's spread.
+        mocap: the scenario's motion capture instead of satellites.
+        recorder: socket of a recorder for the true states.
 
     Raises:
         FileNotFoundError: no PX4 there.
         LaunchError: a process did not start.
     """
     scenario = load(scenario_name)
+    poses = scenario.vehicle.mocap if mocap else None
     common = ["--scenario", scenario_name, "--seed", str(seed)]
     with contextlib.ExitStack() as stack:
         claim = stack.enter_context(contextlib.closing(InstanceClaim()))
@@ -44,10 +55,13 @@ def on_px4(folder: Path, place: Path, scenario_name: str, seed: int) -> Iterator
             return child
 
         # PX4's TCP port follows from its instance
-        simulator = start("px4-sim", "--tcp", f"127.0.0.1:{4560 + claim.number}", "--connect", target_at)
+        plugs = ["--tcp", f"127.0.0.1:{4560 + claim.number}", "--connect", target_at]
+        plugs += ["--mocap"] if mocap else []
+        plugs += ["--recorder", str(recorder)] if recorder is not None else []
+        simulator = start("px4-sim", *plugs)
         px4 = Px4Program(
             place, folder / "px4", Px4Model.NONE_IRIS, instance=claim.number,
-            parameters=parameters(params.load(scenario.vehicle.airframe)),
+            parameters=parameters(params.load(scenario.vehicle.airframe), poses),
         )  # fmt: skip
         stack.callback(px4.end)
         px4.wait_ready()
