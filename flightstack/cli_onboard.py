@@ -34,11 +34,13 @@ from flightstack.hangup import say
 @shared.autopilot
 @shared.signing_key
 @shared.allow_unsigned
+@shared.speed
 def onboard(
     vehicle_url: str, target_key: str, config_file: Path, connect: tuple[str, ...], listen: tuple[str, ...],
     namespace: str, recorder: Path | None, lockstep: bool, duration_s: float | None, system_id: int,
     autopilot: str, signing_key: Path | None, allow_unsigned: bool, target_type: str, ros2_where: str | None,
     ros_domain: int, zenoh_config: Path | None, target_offset: tuple[float, float, float],
+    speed: float,
 ) -> None:  # fmt: skip
     """Run the onboard process against any vehicle and target.
 
@@ -67,6 +69,7 @@ def onboard(
         ros2_network(ros2_where, ros_domain),
         ros_domain,
         target_offset,
+        speed,
     )
     ended = process.run(config.load(config_file), options, say=say)
     say(f"{ended.phase.name}: {ended.reason}")

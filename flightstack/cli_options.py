@@ -101,6 +101,14 @@ parameters = click.option(
     callback=_numbers,
     help="Parameter of the autopilot, set before it starts; repeatable.",
 )
+speed = click.option(
+    "--speed",
+    type=click.FloatRange(0.1, 20.0),
+    default=1.0,
+    show_default=True,
+    metavar="X",
+    help="Stack time against real time, for a simulator that runs as fast; never for a real vehicle.",
+)
 duration = click.option(
     "--duration",
     "duration_s",

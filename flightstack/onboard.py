@@ -14,6 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
+
+from bridge.address import is_local, parse_url, resolve
 from bridge.autopilots import AUTO, profile
 from bridge.odometry import RawSample
 from bridge.origin import Origin
@@ -32,6 +34,7 @@ from flightstack.live_health import LiveHealth
 from flightstack.lockstep import LockstepWires
 from flightstack.onboard_log import OnboardLog
 from flightstack.pacing import (
+    FastClock,
     LockstepClock,
     RealTimePacer,
     Tick,
@@ -67,6 +70,7 @@ class Options:
     ros2: Ros2Network | None = None  # where the flight is shown to ROS 2, and where a target of ROS 2 is
     ros_domain: int = 0
     target_offset_m: Vec3 = ZERO  # landing spot, in the axes of the frame that the target sends
+    speed: float = 1.0  # of stack time against real time; another than 1 only with a simulator as fast
 
 
 class Signals:
@@ -142,7 +146,7 @@ class Onboard:
         taken = take(link, [one.payload for one in raw], operator, tick.now_s)
         out = self.controller.step(taken.inputs, tick.now_s, command_failed=taken.command_failed)
         self.reply = answer(link, out, tick.now_s, lockstep=self.options.lockstep)
-        exec_s = time.perf_counter() - started_s
+        exec_s = (time.perf_counter() - started_s) * self.options.speed
         self.log.samples(raw, tick.unix_ns)
         for text in taken.problems:
             self.log.event(tick.unix_ns, WARN, text)
@@ -214,9 +218,11 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
 
     Raises:
         ConfigError: the configuration must not fly.
-        ValueError: a URL, endpoint or key that is not understood, or a network without a key.
+        ValueError: a URL, endpoint or key that is not understood, a network without a key, or a speed that a
+            real vehicle or lockstep does not have.
         OSError: an address or file that cannot be opened.
     """
+    _check_speed(options)
     found = problems(config)
     if found:
         raise ConfigError("refused before take-off: " + "; ".join(found))
@@ -235,6 +241,20 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
         return (_lockstep if options.lockstep else _real_time)(onboard, signals, say)
     finally:
         onboard.close()
+
+
+def _check_speed(options: Options) -> None:
+    """Only a simulator runs at another speed than the world."""
+    if options.speed == 1.0:
+        return
+    if options.lockstep:
+        raise ValueError("--speed and --lockstep exclude each other: in lockstep the simulator sets the time")
+    kind, host, port = parse_url(options.vehicle_url)
+    if kind == "serial" or not is_local(resolve(f"MAVLink URL {options.vehicle_url!r}", host, port)):
+        raise ValueError(
+            f"--speed is {options.speed:g} and {options.vehicle_url!r} is not on loopback: allowed is 1, "
+            "since only a simulator runs at another speed"
+        )
 
 
 def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended | None:
@@ -279,7 +299,10 @@ def _say_events(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
 
 def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
     ask_for_priority()
-    pacer = RealTimePacer(onboard.config.loop.rate_hz)
+    clock = FastClock(onboard.options.speed)
+    pacer = RealTimePacer(
+        onboard.config.loop.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
+    )
     while True:
         tick = pacer.wait()
         onboard.link.poll(tick.now_s)

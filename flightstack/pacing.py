@@ -19,18 +19,43 @@ EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simul
 
 PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/lockstep.md
 RUN_AHEAD_TICKS = 20  # how far the target may be ahead of the onboard process's credit
+_DAY_NS = 86_400_000_000_000
 NO_GO = -1  # the target may not drive yet
 
 
 @dataclass(frozen=True, slots=True)
+class FastClock:
+    """The wall clock, ``speed`` times as fast; for simulators that run as fast.
+
+    Processes of one run agree about ``unix_ns``: it counts from the last midnight (UTC), when it was right.
+    """
+
+    speed: float = 1.0
+
+    def monotonic(self) -> float:
+        """Seconds since some time in the past."""
+        return time.monotonic() * self.speed
+
+    def sleep(self, seconds: float) -> None:
+        """Sleep so many seconds of this clock."""
+        time.sleep(seconds / self.speed)
+
+    def unix_ns(self) -> int:
+        """Unix time; ahead of the true one unless ``speed`` is 1."""
+        now_ns = time.time_ns()
+        ahead = self.speed - 1.0
+        return now_ns + round(ahead * (now_ns % _DAY_NS)) if ahead else now_ns
+
+
+@dataclass(frozen=True, slots=True)
 class Tick:
-    """One tick: its time on the stack's clock, and how the wall clock kept it."""
+    """One tick: its time on the stack's clock, and how that was kept."""
 
     number: int
     now_s: float
     unix_ns: int
-    period_s: float  # wall time since the last tick began; 0 for the first
-    lateness_s: float  # wall time behind the deadline; 0 in lockstep
+    period_s: float  # since the last tick began, wall time in lockstep; 0 for the first
+    lateness_s: float  # behind the deadline; 0 in lockstep
 
 
 class RealTimePacer:

@@ -14,7 +14,6 @@ With ``--ros2`` the samples go to the ROS 2 topic ``/cf1/target/odom`` as well.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -25,7 +24,15 @@ from bridge.odometry import OdometryPublisher
 from bridge.ros2_network import Ros2Network
 from bridge.ros2_node import Ros2Node, Ros2Publisher
 from bridge.ros2_target import ROS_TYPES, TargetType
-from flightstack.pacing import EPOCH_NS, NO_GO, PAIR, RUN_AHEAD_TICKS, RealTimePacer, quiet_garbage_collector
+from flightstack.pacing import (
+    EPOCH_NS,
+    NO_GO,
+    PAIR,
+    RUN_AHEAD_TICKS,
+    FastClock,
+    RealTimePacer,
+    quiet_garbage_collector,
+)
 from flightstack.types import Phase
 from logs.codec import Severity, unpack_controller_step
 from logs.feed import FeedError
@@ -147,6 +154,7 @@ def target_main(
     duration_s: float | None = None,
     zenoh_config: Path | None = None,
     ros2: Ros2Network | None = None,
+    speed: float = 1.0,
 ) -> int:
     """Run the robot until SIGTERM, SIGINT or ``duration_s``; prints ``ready`` when it can be reached.
 
@@ -162,12 +170,16 @@ def target_main(
         duration_s: how long, simulated or real; None: no end.
         zenoh_config: Zenoh configuration to begin with.
         ros2: where to be a ROS 2 node as well.
+        speed: of its time against real time, unless in lockstep.
 
     Returns:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
     stop = StopSignal().install()
+    clock = FastClock(speed)
     try:
+        if lockstep and speed != 1.0:
+            raise ValueError("--speed and --lockstep exclude each other")
         with ExitStack() as stack:
             session = zenoh_link.open_session(listen, connect, config_file=zenoh_config)
             stack.callback(session.close)
@@ -175,14 +187,14 @@ def target_main(
             if ros2 is not None:
                 robot.shown = _shown(ros2, namespace, stack)
             if not lockstep:
-                robot.epoch_ns = time.time_ns()  # once all that takes time is done
+                robot.epoch_ns = clock.unix_ns()  # once all that takes time is done
             log = EventLog.connect(feed_socket, "target", robot.epoch_ns, lossless=lockstep)
             stack.callback(log.close)
             ticks = robot.grid.count(duration_s)
             if lockstep:
                 _Lockstep(robot, session, namespace, log, stop).run(ticks)
             else:
-                _RealTime(robot, session, namespace, log, stop).run(ticks)
+                _RealTime(robot, session, namespace, log, stop).run(ticks, clock)
     except ValueError as error:
         print(f"target: {error}", file=sys.stderr)
         return 2
@@ -271,7 +283,7 @@ class _Lockstep:
 
 
 class _RealTime:
-    """Ticks by the wall clock; after a pause the robot is where it would have been."""
+    """Ticks by a clock; after a pause the robot is where it would have been."""
 
     def __init__(
         self, robot: Robot, session: zenoh_link.Session, namespace: str, log: EventLog, stop: StopSignal
@@ -280,11 +292,13 @@ class _RealTime:
         self._steps = zenoh_link.ring_subscriber(session, f"{namespace}/controller/step")
         print("ready", flush=True)
 
-    def run(self, ticks: int | None) -> None:
+    def run(self, ticks: int | None, clock: FastClock) -> None:
         """Drive until the end."""
         robot = self._robot
         quiet_garbage_collector()
-        pacer = RealTimePacer(robot.grid.rate_hz)
+        pacer = RealTimePacer(
+            robot.grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
+        )
         driving = robot.drives_at_once
         while not self._stop.is_set:
             now = pacer.wait()

@@ -68,11 +68,12 @@ def vehicle(
 @shared.recorder
 @shared.rate
 @shared.lockstep
+@shared.speed
 @shared.duration
 def target(
     scenario: str, seed: int, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str,
     recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None, zenoh_config: Path | None,
-    ros2_where: str | None, ros_domain: int,
+    ros2_where: str | None, ros_domain: int, speed: float,
 ) -> None:  # fmt: skip
     """Run the ground robot: drives the scenario's path and publishes its odometry on Zenoh."""
     from sim.jit import OFF
@@ -87,7 +88,7 @@ def target(
             load(scenario), seed, lockstep=lockstep, rate_hz=rate_hz, listen=list(listen),
             connect=list(connect), namespace=namespace, duration_s=duration_s,
             feed_socket=str(recorder) if recorder else None, zenoh_config=zenoh_config,
-            ros2=ros2_network(ros2_where, ros_domain),
+            ros2=ros2_network(ros2_where, ros_domain), speed=speed,
         )
     )  # fmt: skip
 

@@ -7,6 +7,10 @@ thrust F at arm l, rate loop (P + D s) and motor lag T this makes, per axis,
     J dw/dt = k u,  k = 4 sqrt(1/2) F l (roll, pitch)  or  4 F c (yaw, c = torque / thrust)
     T s^2 + (1 + D k/J) s + P k/J = 0
 
+An axis on which no motor has an effectiveness above 0.05 is taken out of the allocation;
+a small vehicle's moments are below it with PX4's own thrust coefficient. All four are equal, so that only
+ratios count, and a larger coefficient is chosen.
+
 The gains put the natural frequency at 1.3 / T with a damping of 0.8; the attitude loop above is slower by 4.
 """
 
@@ -19,6 +23,8 @@ from sim.px4.motors import PX4_OF_M
 from sim.rotors import MIX_YAW, POSITION_X, POSITION_Y
 from sim.scenario import OdometryLink
 
+# Yaw of a Crazyflie: 20 times 0.00705 m is 0.141; with PX4's 6.5 it is 0.046, below the limit of 0.05
+THRUST_COEFFICIENT = 20.0
 _MOTOR_1 = 101  # PX4's output function Motor1
 _NATURAL = 1.3  # natural frequency of the rate loop times the motor lag
 _DAMPING = 0.8
@@ -71,6 +77,7 @@ def parameters(params: Params, mocap: OdometryLink | None = None) -> dict[str, f
     for ours, px4 in sorted(enumerate(PX4_OF_M), key=lambda pair: pair[1]):
         found[f"CA_ROTOR{px4}_PX"] = POSITION_X[ours] * rotor.arm_m
         found[f"CA_ROTOR{px4}_PY"] = -POSITION_Y[ours] * rotor.arm_m  # FRD: y to the right
+        found[f"CA_ROTOR{px4}_CT"] = THRUST_COEFFICIENT
         found[f"CA_ROTOR{px4}_KM"] = -MIX_YAW[ours] * ratio  # positive: turns counter-clockwise
     for px4 in range(4):
         found[f"PWM_MAIN_FUNC{px4 + 1}"] = _MOTOR_1 + px4
@@ -97,8 +104,8 @@ def _rate_gains(axis: str, per_command: float, lag_s: float) -> dict[str, float]
     }
 
 
-# How PX4 takes parameters: from the environment of its start script (rcS; up to v1.16 what its airframe sets
-# wins), in an airframe file, or at its console
+# How PX4 takes parameters: from the environment of its start script (rcS), all but those whose value is PX4's
+# own default and not its simulation's (SYS_FAILURE_EN); in an airframe file; or at its console
 FORMATS = {
     "env": "export PX4_PARAM_{}={}",
     "airframe": "param set-default {} {}",

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
 from bridge import zenoh_link
-from flightstack.pacing import quiet_garbage_collector
+from flightstack.pacing import FastClock, quiet_garbage_collector
 from logs.feed import Feed, FeedError
 from sim.pacing import NoAnswerError, StopSignal
 from sim.process_deck import RealTimeDeck
@@ -32,8 +31,9 @@ _NS_PER_STEP = STEP_MS * 1_000_000
 class Px4Node:
     """What the process does besides PX4: the deck follows the robot, the truth goes into the log."""
 
-    def __init__(self, deck: RealTimeDeck | None, log: VehicleLog) -> None:
+    def __init__(self, deck: RealTimeDeck | None, log: VehicleLog, clock: FastClock) -> None:
         self.log = log
+        self._clock = clock
         self._deck = deck
         self._deck_s = 0.0  # simulated time of all flights so far: the deck's clock never goes back
         self._touched = self._stale = False
@@ -41,7 +41,7 @@ class Px4Node:
     def begin(self) -> None:
         """A flight begins."""
         self._touched = False
-        self.log.epoch_ns = time.time_ns()
+        self.log.epoch_ns = self._clock.unix_ns()
 
     def end(self, flown_s: float) -> None:
         """It is over, after so much simulated time."""
@@ -145,7 +145,8 @@ def px4_sim_main(
             feed = Feed.connect(feed_socket, "vehicle", lossless=False)
             stack.callback(feed.close)
             deck = RealTimeDeck(session, namespace) if session is not None else None
-            node = Px4Node(deck, VehicleLog(feed, time.time_ns(), namespace))
+            clock = FastClock(speed or 1.0)  # without a robot and as fast as it can, no other clock counts
+            node = Px4Node(deck, VehicleLog(feed, clock.unix_ns(), namespace), clock)
             _say(f"ready tcp:{host}:{server.port}")
             quiet_garbage_collector()
             while not stop.is_set:
@@ -171,10 +172,10 @@ def px4_sim_main(
 def _check_speed(speed: float, with_robot: bool) -> None:
     if not 0.0 <= speed <= SPEED_MAX:
         raise ValueError(f"speed is {speed:g}: allowed is 0 (as fast as PX4 answers) to {SPEED_MAX:g}")
-    if with_robot and speed != 1.0:
+    if with_robot and speed == 0.0:
         raise ValueError(
-            f"speed is {speed:g}: the deck follows a robot over Zenoh, which drives in real time, so 1 alone "
-            "is allowed; leave --connect, --listen and --zenoh-config out for another speed"
+            "speed is 0, as fast as PX4 answers: the deck follows a robot over Zenoh, which drives at a "
+            "speed of its own; give that of `target --speed`, or leave the Zenoh options out"
         )
 
 

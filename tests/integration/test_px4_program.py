@@ -93,8 +93,7 @@ def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, ins
 
 def test_dies_with_its_parent(tmp_path, instance):
     code = (
-        "import sys, time; from pathlib import Path; from sim.px4.plant import Px4Plant
-from sim.px4.program import Px4Model, Px4Program; "
+        "import sys, time; from pathlib import Path; from sim.px4.program import Px4Model, Px4Program; "
         "p = Px4Program(Path(sys.argv[1]), Path(sys.argv[2]), Px4Model.NONE_IRIS, instance=int(sys.argv[3]));"
         "print(p.process.pid, flush=True); time.sleep(600)"
     )

@@ -179,7 +179,7 @@ def test_a_silent_px4_ends_it_with_the_reason():
         (["--scenario", "nowhere"], "neither a file nor"),
         (["--scenario", "grid", "--tcp", "4560"], "HOST:PORT"),
         (["--scenario", "grid", "--tcp", "0.0.0.0:4560"], "--allow-unsigned"),
-        (["--scenario", "grid", "--speed", "2", "--connect", "tcp/127.0.0.1:7447"], "real time"),
+        (["--scenario", "grid", "--speed", "0", "--connect", "tcp/127.0.0.1:7447"], "a speed of its own"),
     ],
 )
 def test_wrong_input_is_status_2_with_a_reason(arguments, word):

@@ -32,6 +32,18 @@ def allocate(thrust, roll, pitch, yaw):
     return np.clip(thrust - half * roll * y + half * pitch * x + yaw * spin, 0.0, 1.0)
 
 
+def controlled_axes(parameters):
+    """1 for each of roll, pitch, yaw on which a motor has an effectiveness above 0.05; PX4 drops others."""
+    moments = np.array(
+        [
+            parameters.get(f"CA_ROTOR{i}_CT", 6.5) * parameters.get(f"CA_ROTOR{i}_{arm}", 1.0)
+            for arm in ("PY", "PX", "KM")
+            for i in range(4)
+        ]
+    ).reshape(3, 4)
+    return (np.abs(moments).max(axis=1) > 0.05).astype(float)
+
+
 def rotated(q):
     """Matrix of a quaternion (w, x, y, z): body to world."""
     w, x, y, z = q
@@ -132,6 +144,7 @@ class Pilot:
         self.p = parameters
         self.estimate = Estimator()
         self.goal = np.zeros(3)
+        self.controlled = controlled_axes(parameters)
         self.armed = False
         self._velocity_i, self._rate_i = np.zeros(3), np.zeros(3)
         self._rates, self._slope = np.zeros(3), np.zeros(3)
@@ -177,7 +190,7 @@ class Pilot:
             for term in "PID"
         )
         self._rate_i = np.clip(self._rate_i + i * (wanted - rates) * dt, -0.3, 0.3)
-        return p * (wanted - rates) + self._rate_i - d * self._slope
+        return self.controlled * (p * (wanted - rates) + self._rate_i - d * self._slope)
 
 
 class FakePx4:

@@ -13,7 +13,7 @@ from sim.px4.airframe import FORMATS, parameter_text, parameters
 from sim.px4.motors import rotor_speeds
 from sim.rotors import MIX_YAW
 from sim.scenario import Airframe, OdometryLink
-from tests.unit.px4_fakes import QUAD_X, parameters_of
+from tests.unit.px4_fakes import QUAD_X, controlled_axes, parameters_of
 
 FRAMES = list(Airframe)
 
@@ -45,6 +45,15 @@ def test_hover_thrust_and_torque_ratio_are_those_of_the_vehicle(airframe, hover,
     torque = (rotor.torque_linear_n_m_rpm + rotor.torque_square_n_m_rpm2 * speeds[0]) * speeds[0]
     assert torque / rotor.thrust_n(speeds[0]) == pytest.approx(found["CA_ROTOR0_KM"], abs=1e-4)
     assert MIX_YAW[0] == -1
+
+
+@pytest.mark.parametrize("airframe", FRAMES)
+def test_px4_controls_every_axis_and_would_not_with_its_own_thrust_coefficient_on_a_crazyflie(airframe):
+    found = parameters(load(airframe))
+    assert list(controlled_axes(found)) == [1.0, 1.0, 1.0]
+    without = {name: value for name, value in found.items() if not name.endswith("_CT")}
+    yaw = 0.0 if airframe is Airframe.CRAZYFLIE20 else 1.0
+    assert list(controlled_axes(without)) == [1.0, 1.0, yaw]
 
 
 @pytest.mark.parametrize("airframe", FRAMES)
