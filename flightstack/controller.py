@@ -200,8 +200,8 @@ class Controller:
     def _flown(self, own: OwnState, status: VehicleStatus | None) -> Vec3 | None:
         """Velocity that the vehicle is to fly since the last tick; ``None`` while it flies none of ours.
 
-        In the climb from the ground how fast it rises is the autopilot's (it spools up and ramps), sideways is
-        not; while it stands nothing is flown.
+        In the climb from the ground the autopilot decides how fast it rises (it spools up and ramps), but not
+        how it moves sideways. While it stands nothing is flown.
         """
         memory = self.memory
         if memory.commanding:

@@ -60,7 +60,9 @@ class Law(Protocol):
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, seen: View) -> float:
         """Least vertical velocity, with the horizontal velocity there is; -inf for no such bound."""
 
-    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View, least_z_m_s: float) -> Vec3:
+    def setpoint(
+        self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View, least_z_m_s: float = -math.inf
+    ) -> Vec3:
         """Set-point that makes the vehicle fly the velocity wanted.
 
         Args:
@@ -105,7 +107,9 @@ class PaperLaw:
         del h_m, gradient, before_m_s, seen
         return -float("inf")
 
-    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View, least_z_m_s: float) -> Vec3:
+    def setpoint(
+        self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View, least_z_m_s: float = -math.inf
+    ) -> Vec3:
         """The velocity wanted."""
         del before_m_s, seen, least_z_m_s
         return wanted_m_s
@@ -211,7 +215,9 @@ class RobustLaw:
         inward = gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1])
         return t[2] - self.rate_1_s * left_m - inward
 
-    def setpoint(self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View, least_z_m_s: float) -> Vec3:
+    def setpoint(
+        self, before_m_s: Vec3, wanted_m_s: Vec3, seen: View, least_z_m_s: float = -math.inf
+    ) -> Vec3:
         """Corrected for lag and disturbance."""
         own = seen.inputs.own
         velocity = own.velocity_enu_m_s if own is not None else wanted_m_s

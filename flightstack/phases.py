@@ -81,7 +81,7 @@ TABLE: dict[Phase, tuple[Rule, ...]] = {
     Phase.WAIT: (
         *_OPERATOR,
         Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
-        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "inputs did not become ready in time", about=_LOSSES),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "inputs did not become ready in time", about=_LOSSES | C.READY),
         Rule(C.READY | C.EXTERNAL, Phase.APPROACH, "flying and all inputs fresh", unless=C.STANDING),
         Rule(C.READY | C.STANDING, Phase.TAKEOFF, "all inputs fresh"),
     ),

@@ -44,6 +44,8 @@ def reason(rule: Rule, word: int, known: Known) -> str:
     """
     asked = (rule.when | rule.about) & word
     told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
+    if not told and rule.about & ~word & Condition.READY:
+        told = ["the vehicle does not say that it is ready to arm"]
     return f"{rule.reason}: {', '.join(told)}" if told else rule.reason
 
 

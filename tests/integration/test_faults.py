@@ -44,8 +44,9 @@ def test_the_log_says_when_the_robot_was_out_of_sight_and_what_came_of_it(flown)
     assert (result.code, result.json["outcome"]) == (0, "landed"), result.err
     assert result.json["touchdown_error_m"] < 0.08
     told = events(result.folder, "Fault", "target")
-    assert told[:2] == ["Fault: target odometry off", "APPROACH -> HOLD: target lost"]
-    assert "HOLD -> CLIMB: target stayed lost" in told
+    assert told[0] == "Fault: target odometry off"
+    assert told[1].startswith("APPROACH -> HOLD: target lost: the target's newest sample is 0.")
+    assert any(text.startswith("HOLD -> CLIMB: target stayed lost") for text in told)
     assert "CLIMB -> APPROACH: target back" in told
     assert told.count("Fault over: target odometry off") == 2
 
@@ -55,7 +56,8 @@ def test_a_clock_that_stands_still_is_an_own_state_lost_and_a_declared_abort(tmp
     assert result.code == 1, result.err
     assert result.json["outcome"] == "aborted"
     told = events(tmp_path, "Fault", "->")
-    assert told.index("Fault: clock stuck") < told.index("APPROACH -> HOLD: own state lost")
+    lost = next(n for n, text in enumerate(told) if text.startswith("APPROACH -> HOLD: own state lost"))
+    assert told.index("Fault: clock stuck") < lost
 
 
 def test_a_vehicle_without_a_heartbeat_is_given_up(tmp_path):
@@ -66,7 +68,7 @@ def test_a_vehicle_without_a_heartbeat_is_given_up(tmp_path):
     assert result.json["outcome"] == "aborted", result.err
     told = events(tmp_path / "out", "Fault", "->")
     assert "Fault: heartbeat off" in told
-    assert "APPROACH -> HOLD: heartbeat lost" in told
+    assert any(text.startswith("APPROACH -> HOLD: heartbeat lost") for text in told)
     assert any("-> ABORT" in text for text in told)
 
 

@@ -36,6 +36,11 @@ def _steps(profile, request):
     return ", ".join(f"{s.name} ({s.command}; {s.tries} × {s.period_s:g} s)" for s in steps)
 
 
+def _takeoff_height(profile):
+    own = any(step.command == dialect.MAV_CMD_NAV_TAKEOFF for step in profile.sequences[Request.TAKEOFF])
+    return profile.takeoff_altitude.value if own else "not told: it climbs by set-points"
+
+
 def _modes(profile, mode):
     found = [number for number, of in profile.modes.items() if of is mode]
     return ", ".join(f"0x{n:08x}" if n > 0xFFFF else str(n) for n in found) or "none of its own"
@@ -63,7 +68,7 @@ def profiles():
         ("lands in", lambda p: _modes(p, Mode.LAND)),
         ("on the ground, before anything", lambda p: ", ".join(s.name for s in p.prepare) or "nothing"),
         ("take-off", lambda p: _steps(p, Request.TAKEOFF)),
-        ("height of the take-off", lambda p: p.takeoff_altitude.value),
+        ("height of the take-off", _takeoff_height),
         (
             "set-points during its take-off",
             lambda p: "allowed" if p.stream_in_takeoff else "held back: one ends it",

@@ -11,6 +11,7 @@ TEXT = PAGE.read_text()
 # of the autopilots' own, named in the text as settings of a person, not of the check
 SETTINGS = {
     "EKF2_EV_CTRL", "EKF2_HGT_REF", "EKF2_GPS_CTRL", "VISO_TYPE", "GPS1_TYPE", "EK3_SRC1_POSXY",
+    "COM_SPOOLUP_TIME", "MPC_TKO_RAMP_T",
 }  # fmt: skip
 
 

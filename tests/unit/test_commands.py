@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from bridge.autopilots import ARDUPILOT, PX4
+from bridge.autopilots import ARDUPILOT, CRAZYFLIE, PX4
 from bridge.commands import CommandSequencer
 from bridge.mavlink import dialect
 from bridge.streams import StreamRequests
@@ -27,8 +27,41 @@ def test_nothing_is_sent_for_none_or_to_an_unknown_vehicle():
         assert s.step(request, None, 1.0) == []
 
 
-def test_takeoff_arms_then_takes_off_then_is_quiet():
+def test_px4_takes_off_in_offboard_where_its_fail_safe_holds():
     s = sequencer()
+    assert s.step(Request.TAKEOFF, status(0.0), 0.0) == []  # not before set-points stream
+    for tick in range(100):
+        s.note_setpoint(tick * 0.01)
+    assert commands(s.step(Request.TAKEOFF, status(1.0), 1.0)) == [176]
+    assert commands(s.step(Request.TAKEOFF, status(1.1, mode=Mode.EXTERNAL), 1.1)) == [400]
+    assert s.step(Request.TAKEOFF, status(1.2, mode=Mode.EXTERNAL, armed=True), 1.2) == []
+    assert s.reached
+
+
+def test_a_take_off_without_a_height_asks_for_no_home():
+    s = sequencer()
+    s.home_amsl_m = None
+    s.note_setpoint(0.0)
+    s.note_setpoint(0.3)
+    assert commands(s.step(Request.TAKEOFF, status(0.3), 0.3)) == [176]
+
+
+def test_before_a_second_flight_px4_leaves_offboard():
+    s = sequencer()
+    assert s.step(Request.NONE, status(0.0), 0.0) == []
+    for mode in (Mode.EXTERNAL, Mode.LAND):
+        (hold,) = sequencer().step(Request.NONE, status(0.0, mode=mode), 0.0)
+        assert hold.command == 176
+        assert params(hold)[:3] == [1.0, 4.0, 3.0]
+        for flying in ({"armed": True}, {"landed": Landed.IN_AIR}):
+            assert sequencer().step(Request.NONE, status(0.0, mode=mode, **flying), 0.0) == []
+    (hold,) = s.step(Request.NONE, status(1.0, mode=Mode.EXTERNAL), 1.0)
+    assert s.step(Request.NONE, status(1.5, mode=Mode.EXTERNAL), 1.5) == []
+    assert commands(s.step(Request.NONE, status(2.0, mode=Mode.EXTERNAL), 2.0)) == [176]
+
+
+def test_takeoff_arms_then_takes_off_then_is_quiet():
+    s = sequencer(CRAZYFLIE)
     (arm,) = s.step(Request.TAKEOFF, status(0.0), 0.0)
     assert arm.command == 400
     assert params(arm)[:2] == [1.0, 0.0]
@@ -43,8 +76,8 @@ def test_takeoff_arms_then_takes_off_then_is_quiet():
     assert s.step(Request.TAKEOFF, status(9.0, armed=True, landed=Landed.IN_AIR), 9.0) == []
 
 
-def test_takeoff_height_counts_from_home_above_sea_level_on_px4_only():
-    for autopilot, expected in ((PX4, 488.0 + HEIGHT), (ARDUPILOT, HEIGHT)):
+def test_takeoff_height_counts_from_home_above_sea_level_where_px4s_commands_are_flown():
+    for autopilot, expected in ((CRAZYFLIE, 488.0 + HEIGHT), (ARDUPILOT, HEIGHT)):
         s = sequencer(autopilot)
         s.home_amsl_m = 488.0
         ready = status(0.0, armed=True, mode=Mode.EXTERNAL)
@@ -54,13 +87,13 @@ def test_takeoff_height_counts_from_home_above_sea_level_on_px4_only():
 
 
 def test_home_is_asked_for_before_arming_where_heights_count_from_the_sea():
-    s = sequencer(PX4)
+    s = sequencer(CRAZYFLIE)
     s.home_amsl_m = None
     asked = [m for tick in range(3100) for m in s.step(Request.TAKEOFF, status(tick * 0.01), tick * 0.01)]
     assert {(m.command, m.param1) for m in asked} == {(512, 242.0)}
     assert len(asked) == 30
     assert "HOME_POSITION" in s.failed
-    for autopilot, home_amsl_m in ((PX4, 488.0), (ARDUPILOT, None)):
+    for autopilot, home_amsl_m in ((CRAZYFLIE, 488.0), (ARDUPILOT, None)):
         told = sequencer(autopilot)
         told.home_amsl_m = home_amsl_m
         ready = status(0.0, mode=Mode.TAKEOFF if autopilot is ARDUPILOT else Mode.HOLD)

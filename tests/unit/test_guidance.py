@@ -63,8 +63,9 @@ def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered
     assert isinstance(found, Wish)
     filtered = {Phase.APPROACH, Phase.LAND, *([Phase.WAIT] if settings is ROBUST else [])}
     assert not found.filtered or phase in filtered
+    with_velocity = {Request.EXTERNAL, *([Request.TAKEOFF] if phase is Phase.TAKEOFF else [])}
     assert found.velocity is None or (
-        found.request is Request.EXTERNAL and all(map(math.isfinite, found.velocity))
+        found.request in with_velocity and all(map(math.isfinite, found.velocity))
     )
     if phase in (Phase.APPROACH, Phase.LAND):
         assert found.filtered == (found.velocity is not None) == (not lost)
@@ -79,22 +80,40 @@ def test_waiting_is_doing_nothing_unless_it_is_found_in_the_air():
     assert asked(Phase.LANDED) == Wish(Request.NONE)
 
 
-def test_the_take_off_is_the_autopilots_until_it_is_high_and_armed():
+def test_the_take_off_climbs_straight_up_until_it_is_high_and_armed():
     settings = config(takeoff={"height_m": 0.5, "start_offset_m": [-1.0, 0.0, 0.7]})
     memory = Memory(was_armed=True)
 
     def at(z, memory_=memory):
         return asked(Phase.TAKEOFF, settings, (0.0, 0.0, z - PAD[2]), memory_)
 
-    assert at(0.01) == Wish(Request.TAKEOFF)
-    assert at(0.01 + TAKEOFF_DONE * 0.5 - 1e-6) == Wish(Request.TAKEOFF)
+    def climbs(found, up_m_s):
+        return found.request is Request.TAKEOFF and found.velocity == pytest.approx(
+            (0.0, 0.0, up_m_s), abs=1e-5
+        )
+
+    gain_1_s = settings.position_loop.gain_1_s[2]
+    assert climbs(at(0.01), min(settings.limits.velocity_max_m_s[2], 0.5 * gain_1_s))
+    assert climbs(at(0.01 + TAKEOFF_DONE * 0.5 - 1e-6), (1.0 - TAKEOFF_DONE) * 0.5 * gain_1_s)
     assert memory.ground_z_m == pytest.approx(0.01)
     never_armed = Memory(ground_z_m=0.01)
-    assert at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6, never_armed) == Wish(Request.TAKEOFF)
+    assert climbs(at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6, never_armed), (1.0 - TAKEOFF_DONE) * 0.5 * gain_1_s)
+    assert climbs(at(9.0, never_armed), 0.0)  # it never sinks
     assert at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6).request is Request.EXTERNAL
     assert at(0.02).request is Request.EXTERNAL  # once climbed it stays ours
     for lost in ({"own": False}, {"target": False}):
         assert asked(Phase.TAKEOFF, settings, memory=Memory(climbed=True), **lost) == Wish(Request.TAKEOFF)
+
+
+def test_once_it_has_lifted_off_by_set_points_nothing_is_left_to_ask_of_the_take_off():
+    flies = Memory(was_armed=True, was_external=True, ground_z_m=PAD[2])
+    for landed, request in ((Landed.ON_GROUND, Request.TAKEOFF), (Landed.TAKEOFF, Request.EXTERNAL)):
+        found = asked(Phase.TAKEOFF, e=(0.0, 0.0, 0.05), memory=flies, landed=landed)
+        assert found.request is request
+        assert found.velocity[2] > 0.0  # no zero velocity so near to the ground, wherever the start is
+    assert not flies.climbed
+    silent = asked(Phase.TAKEOFF, e=(0.0, 0.0, 0.05), memory=flies, status=False)
+    assert silent.request is Request.TAKEOFF
 
 
 def test_to_the_start_it_goes_upwards_first():
@@ -225,8 +244,10 @@ def test_ways_to_end_that_fly_nowhere(way, request_):
     assert asked(Phase.ABORT, memory=Memory(abort_way=way)) == Wish(request_)
 
 
-def clearing(e, **changes):
-    memory = Memory(abort_way=AbortWay.FLY_CLEAR, target_position_enu_m=PAD)
+def clearing(e, target_m_s=ZERO, **changes):
+    memory = Memory(
+        abort_way=AbortWay.FLY_CLEAR, target_position_enu_m=PAD, target_velocity_enu_m_s=target_m_s
+    )
     return asked(Phase.ABORT, ROBUST, e, memory, **changes), memory
 
 
@@ -244,6 +265,37 @@ def test_flying_clear_is_up_then_away_then_down():
     assert memory.clear
     assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Wish(Request.LAND)  # it stays so
     assert clearing((0.0, -far + 1e-6, top))[0].request is Request.EXTERNAL
+
+
+def test_it_does_not_land_while_it_closes_in():
+    """What it still moves by its velocity loop counts, and what the target drives until it is down."""
+    vx, vy, vz = ROBUST.limits.velocity_max_m_s
+    far, lag_s = ROBUST.checks.clearance_m, ROBUST.velocity_loop.lag_xy_s
+    z = 0.3 - PAD[2]  # 0.3 m above the origin
+    sinks_s = 0.3 / ROBUST.retreat.landing_speed_m_s
+    coming = {"velocity": (-0.4, 0.0, 0.0)}
+    still = clearing((far + 0.4 * lag_s - 1e-6, 0.0, z), **coming)[0]
+    assert still == Wish(Request.EXTERNAL, (vx, 0.0, vz))  # away at once: it is clear of the barrier
+    assert clearing((far + 0.4 * lag_s + 1e-6, 0.0, z), **coming)[0] == Wish(Request.LAND)
+    followed = (0.0, -0.2, 0.0)
+    reach_m = far + 0.2 * sinks_s
+    assert clearing((0.0, -reach_m + 1e-6, z), followed)[0] == Wish(Request.EXTERNAL, (0.0, -vy, vz))
+    assert clearing((0.0, -reach_m - 1e-6, z), followed)[0] == Wish(Request.LAND)
+    assert clearing((0.0, far + 1e-6, z), followed)[0] == Wish(Request.LAND)  # it drives away
+    # It comes by at 0.9 of the clearance before the vehicle is down.
+    assert clearing((0.9 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0].request is Request.EXTERNAL
+    assert clearing((1.1 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0] == Wish(Request.LAND)
+
+
+def test_from_the_ground_it_took_off_from_the_landing_takes_longer():
+    memory = Memory(
+        abort_way=AbortWay.FLY_CLEAR, target_position_enu_m=PAD, target_velocity_enu_m_s=(0.2, 0.0, 0.0),
+        ground_z_m=-1.0,
+    )  # fmt: skip
+    reach_m = ROBUST.checks.clearance_m + 0.2 * (1.0 + 0.3) / ROBUST.retreat.landing_speed_m_s
+    for more_m, request in ((-1e-6, Request.EXTERNAL), (1e-6, Request.LAND)):
+        e = (reach_m + more_m, 0.0, 0.3 - PAD[2])
+        assert asked(Phase.ABORT, ROBUST, e, memory).request is request
 
 
 @pytest.mark.parametrize("lost", [{"own": False}, {"own_ok": False}])

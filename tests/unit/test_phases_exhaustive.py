@@ -183,7 +183,8 @@ def test_the_machine_does_what_the_table_says(phase):
     chance = random.Random(int(phase))
     asked = [chance.getrandbits(BITS) for _ in range(20_000)] + list(mentioned(phase))
     meant = expected(phase, np.array(asked, np.int32), names)
-    found = [names[next_phase(phase, word) or STAY] for word in asked]
+    rules = [next_phase(phase, word) for word in asked]
+    found = [names[STAY if rule is None else (rule.to, rule.reason)] for rule in rules]
     assert np.array_equal(found, meant)
 
 

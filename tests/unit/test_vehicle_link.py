@@ -144,7 +144,7 @@ def test_a_flight_from_arming_to_motors_off(vehicle, link):
         vehicle.beat()
 
     for request, reached in (
-        (Request.TAKEOFF, lambda: link.status.mode is Mode.TAKEOFF),
+        (Request.TAKEOFF, lambda: link.status.mode is Mode.EXTERNAL and link.status.armed),
         (Request.EXTERNAL, lambda: link.status.mode is Mode.EXTERNAL),
         (Request.LAND, lambda: link.status.mode is Mode.LAND),
         (Request.MOTORS_OFF, lambda: not link.status.armed),
@@ -176,12 +176,13 @@ def test_a_refusal_is_explained(vehicle, link):
     for tick in range(600):
         now = tick * 0.01
         vehicle.send(
-            heartbeat(),
+            heartbeat(OFFBOARD),
             home(),
             dialect.MAVLink_command_ack_message(400, 1),
             dialect.MAVLink_statustext_message(2, b"no GPS", 0, 0),
         )
         poll(link, now)
+        link.send_setpoint(Setpoint((0.0, 0.0, 0.5), 0.0), now)
         link.command(Request.TAKEOFF, now)
     assert link.failed is not None
     assert "arm (command 400)" in link.failed
