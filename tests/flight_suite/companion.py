@@ -48,7 +48,7 @@ class Companion:
         self._until(lambda: self._height_m() > height_m, f"{height_m:g} m", limit_s)
 
     def _until(self, done: Callable[[], bool], what: str, limit_s: float) -> None:
-        until_s = time.monotonic() + limit_s
+        until_s = time.monotonic() + limit_s / self._room.speed
         while not done():
             alive = self.child.alive()
             self._look(POLL_S)
@@ -69,7 +69,7 @@ class Companion:
 
     def ended(self, limit_s: float) -> int:
         """Follow it to its end; the exit status."""
-        until_s = time.monotonic() + limit_s
+        until_s = time.monotonic() + limit_s / self._room.speed
         while self.child.alive():
             self._look(POLL_S)
             why = self._trouble()
@@ -120,6 +120,7 @@ def onboard_words(room: Room) -> list[str]:
     words = ["onboard", "--vehicle", room.url, "--autopilot", room.autopilot, "--target", room.target_key]
     words += ["--target-offset", *map(str, room.target_offset_m), "--config", str(room.config)]
     words += ["--listen", room.listen, "--system-id", str(room.system_id), "--duration", "120"]
+    words += ["--speed", str(room.speed)] if room.speed != 1.0 else []
     words += [word for endpoint in room.connect for word in ("--connect", endpoint)]
     return words + (["--signing-key", str(room.signing_key)] if room.signing_key else [])
 

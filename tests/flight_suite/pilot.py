@@ -12,7 +12,7 @@ from bridge.origin import Origin
 from bridge.signing_key import load_key
 from bridge.vehicle import VehicleLink
 from flightstack.config import load
-from flightstack.pacing import RealTimePacer
+from flightstack.pacing import FastClock, RealTimePacer
 from flightstack.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus
 from tests.flight_suite.limits import LIMITS, Limits
 from tests.flight_suite.room import Room
@@ -54,7 +54,10 @@ class Pilot:
             signing_key=load_key(room.signing_key) if room.signing_key else None,
             origin=Origin(*place) if place is not None else None,
         )  # fmt: skip
-        self._pacer = RealTimePacer(RATE_HZ)
+        clock = FastClock(room.speed)
+        self._pacer = RealTimePacer(
+            RATE_HZ, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
+        )
         self.now_s = 0.0
         self.texts: list[str] = []
         self.start_enu_m: Vec3 | None = None

@@ -24,16 +24,18 @@ def on_px4(
     scenario_name: str,
     seed: int,
     *,
+    speed: float = 1.0,
     mocap: bool = False,
     recorder: Path | None = None,
 ) -> Iterator[Room]:
-    """Start simulator, PX4 and robot, in real time; ended whatever happens.
+    """Start simulator, PX4 and robot; ended whatever happens.
 
     Args:
         folder: for output of processes.
         place: of PX4's program, as ``sim.px4.program.find_px4`` takes it.
         scenario_name: name or file of the scenario.
         seed: of wind, noise and the vehicle's spread.
+        speed: of all of it against real time.
         mocap: the scenario's motion capture instead of satellites.
         recorder: socket of a recorder for the true states.
 
@@ -43,7 +45,7 @@ def on_px4(
     """
     scenario = load(scenario_name)
     poses = scenario.vehicle.mocap if mocap else None
-    common = ["--scenario", scenario_name, "--seed", str(seed)]
+    common = ["--scenario", scenario_name, "--seed", str(seed), "--speed", str(speed)]
     with contextlib.ExitStack() as stack:
         claim = stack.enter_context(contextlib.closing(InstanceClaim()))
         target_at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
@@ -71,4 +73,5 @@ def on_px4(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
             configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # so does PX4
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
+            speed=speed,
         )  # fmt: skip

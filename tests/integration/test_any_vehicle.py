@@ -41,7 +41,9 @@ def room(request, tmp_path, personality, flight_number):
     if option("--vehicle") is not None:
         where = given(request.config, tmp_path)
     elif option("--px4") is not None:
-        where = on_px4(tmp_path, option("--px4"), option("--scenario"), seed=flight_number)
+        where = on_px4(
+            tmp_path, option("--px4"), option("--scenario"), flight_number, speed=option("--speed")
+        )
     else:
         where = simulated(tmp_path, personality)
     with where as one:

@@ -24,6 +24,7 @@ from tests.px4_program import px4_or_skip
 
 pytestmark = pytest.mark.xdist_group("vehicle")
 FLIGHTS = 3
+SPEED = float(__import__("os").environ.get("TMPSPEED", "2"))
 FLIGHT_MAX_S = 60.0
 LOST_S = 2.5  # COM_OF_LOSS_T = 1.0 s, and a heartbeat once a second
 LANDED_MAX_S = 30.0
@@ -78,7 +79,9 @@ def flown(tmp_path_factory):
         recorder = Child("record", words, folder)
         stack.callback(recorder.end, RECORDED_MAX_S)
         recorder.wait_ready()
-        with on_px4(folder, place, str(scenario_file(folder)), seed=1, mocap=True, recorder=socket) as room:
+        with on_px4(
+            folder, place, str(scenario_file(folder)), seed=1, speed=SPEED, mocap=True, recorder=socket
+        ) as room:
             for _ in range(FLIGHTS):
                 with companion(room) as flying:
                     ends.append((flying.ended(FLIGHT_MAX_S), flying.said[-1]))
