@@ -24,7 +24,7 @@ from tests.px4_program import px4_or_skip
 
 pytestmark = pytest.mark.xdist_group("vehicle")
 FLIGHTS = 3
-SPEED = float(__import__("os").environ.get("TMPSPEED", "2"))
+SPEED = 1.5
 FLIGHT_MAX_S = 60.0
 LOST_S = 2.5  # COM_OF_LOSS_T = 1.0 s, and a heartbeat once a second
 LANDED_MAX_S = 30.0
