@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from bridge.autopilots import AUTO
 from flightstack.processes import Child, Port
+from flightstack.strict_toml import dumps, to_table
 from sim import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
@@ -33,7 +35,7 @@ def on_px4(
     Args:
         folder: for output of processes.
         place: of PX4's program, as ``sim.px4.program.find_px4`` takes it.
-        scenario_name: name or file of the scenario.
+        scenario_name: name or file of the scenario; its robot waits for the first approach.
         seed: of wind, noise and the vehicle's spread.
         speed: of all of it against real time.
         mocap: the scenario's motion capture instead of satellites.
@@ -44,8 +46,12 @@ def on_px4(
         LaunchError: a process did not start.
     """
     scenario = load(scenario_name)
+    # until the first approach, or it is far away before everything has started
+    scenario = replace(scenario, target=replace(scenario.target, wait_for_landing=True))
+    file = folder / "scenario.toml"
+    file.write_text(dumps(to_table(scenario)))
     poses = scenario.vehicle.mocap if mocap else None
-    common = ["--scenario", scenario_name, "--seed", str(seed), "--speed", str(speed)]
+    common = ["--scenario", str(file), "--seed", str(seed), "--speed", str(speed)]
     with contextlib.ExitStack() as stack:
         claim = stack.enter_context(contextlib.closing(InstanceClaim()))
         target_at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
@@ -67,7 +73,6 @@ def on_px4(
         )  # fmt: skip
         stack.callback(px4.end)
         px4.wait_ready()
-        # the last: a robot that drives straight on does not wait
         target = start("target", "--listen", target_at, "--connect", onboard_at)
         yield Room(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
