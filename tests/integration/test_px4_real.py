@@ -29,6 +29,7 @@ FLIGHT_MAX_S = 60.0
 LOST_S = 2.5  # COM_OF_LOSS_T = 1.0 s, and a heartbeat once a second
 LANDED_MAX_S = 30.0
 RECORDED_MAX_S = 30.0
+ROBOT_M_S = 0.2
 TAKEOFF_M = 1.2
 KILLED_M = 0.4  # above the ground, in the climb
 ERROR_M = 0.25  # of a pad of 0.5 m
@@ -42,7 +43,7 @@ def scenario_file(folder):
     large = load("large")
     start = replace(large.start, offset_m=(-1.5, 0.6, 1.1))
     short = replace(
-        large, name="large_short", start=start, target=replace(large.target, speed_m_s=0.2),
+        large, name="large_short", start=start, target=replace(large.target, speed_m_s=ROBOT_M_S),
         onboard=replace(large.onboard, takeoff=replace(large.onboard.takeoff, height_m=TAKEOFF_M)),
     )  # fmt: skip
     file = folder / "large_short.toml"
@@ -111,6 +112,7 @@ def test_after_each_of_them_the_vehicle_truly_stands_on_the_pad(flown):
         assert truth.d_m[at] < ERROR_M
         assert truth.e_m[at, 2] == pytest.approx(STANDS_M, abs=NEAR_M)
         assert np.hypot(*truth.relative_velocity_m_s[at, :2]) < STILL_M_S
+        assert np.hypot(*truth.pad_velocity_enu_m_s[at, :2]) == pytest.approx(ROBOT_M_S, abs=STILL_M_S)
 
 
 def test_killed_in_its_climb_it_came_down_by_itself(flown):
