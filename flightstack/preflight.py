@@ -9,13 +9,23 @@ from bridge.mavlink import Endpoint
 from bridge.preflight import Level, Needs
 from bridge.preflight_talk import Report, examine
 from flightstack.config import FlightConfig
+from flightstack.law import LAWS
 
 _SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE)
 
 
-def needs_of(config: FlightConfig) -> Needs:
-    """What a flight of this configuration needs of its autopilot."""
-    return Needs(config.limits.velocity_max_m_s, config.limits.altitude_max_m, config.takeoff.height_m)
+def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
+    """What a flight of this configuration needs of its autopilot.
+
+    Args:
+        config: what is to be flown.
+        system_id: of the vehicle.
+    """
+    limits = config.limits
+    acceleration_m_s2 = LAWS[config.filter](config, config.barrier.build()).acceleration_max_m_s2
+    return Needs(
+        limits.velocity_max_m_s, limits.altitude_max_m, config.takeoff.height_m, acceleration_m_s2, system_id
+    )
 
 
 def check(
@@ -42,8 +52,9 @@ def check(
     """
     accepted = config.vehicle.accepted_parameters
     return examine(
-        endpoint, system_id, profile(autopilot), needs_of(config), accepted, wait_s=wait_s, stopped=stopped
-    )
+        endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
+        stopped=stopped,
+    )  # fmt: skip
 
 
 def lines(report: Report) -> Iterator[str]:
