@@ -41,6 +41,7 @@ from flightstack.pacing import (
 )
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from flightstack.types import ZERO, Operator, Phase, Vec3
+from flightstack.wait_report import WaitReport
 from flightstack.zenoh_wires import ZenohPlan, ZenohWires
 from logs.feed import Feed
 
@@ -137,8 +138,11 @@ class Onboard:
         self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz, options.lockstep)
         self.health = LiveHealth(self.session, options.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap
-        self.foreign = 0
+        lockstep = options.lockstep  # there wall time has no part in what is said
+        self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
+        self.foreign_said = 1
         self.reply = b""  # lockstep: frame of the last answer
+        self.report: str | None = None  # what is to be said of this tick's wait
 
     def tick(
         self, tick: Tick, raw: list[RawSample], operator: Operator, overruns: int
@@ -154,13 +158,17 @@ class Onboard:
         for text in taken.problems:
             self.log.event(tick.unix_ns, WARN, text)
         for severity, text in link.take_texts():
+            self.waiting.note_text(tick.now_s, severity, text)
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
-        if link.counters.foreign != self.foreign:
+        if link.counters.foreign >= self.foreign_said:  # a ground station sends many: said on doublings
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
-            self.foreign = link.counters.foreign
+            self.foreign_said = 2 * link.counters.foreign
         for text in self.wires.texts(tick.now_s):
             _warn(text)
             self.log.event(tick.unix_ns, WARN, text)
+        self.report = self.waiting.step(out, self.controller.memory, len(raw), taken.problems, tick.now_s)
+        if self.report is not None and not self.options.lockstep:
+            self.log.event(tick.unix_ns, WARN, self.report)
         payload = self.log.step(tick, taken, out, self.controller.state)
         self.log.timing(tick, out, exec_s, overruns, self.feed.dropped, payload)
         reason, battery = self.controller.memory.reason, link.state.battery
@@ -251,6 +259,11 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
     if options.duration_s is not None:
         wait_s = min(wait_s, options.duration_s)
     tap, endpoint.tap = endpoint.tap, None
+
+    def tell(text: str) -> None:
+        say(f"preflight: {text}")
+        onboard.log.event(time.time_ns(), WARN, f"preflight: {text}")
+
     report = preflight.check(
         endpoint,
         onboard.config,
@@ -258,6 +271,7 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
         options.system_id,
         wait_s=wait_s,
         stopped=lambda: signals.stop or signals.operator is not Operator.NONE,
+        say=tell,
     )
     endpoint.tap = tap
     onboard.feed.metadata("preflight", preflight.record(report))
@@ -271,14 +285,17 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
 
 def _done(onboard: Onboard, out: Outputs, now_s: float, signals: Signals) -> Ended | None:
     memory, limit_s = onboard.controller.memory, onboard.options.duration_s
+    lacking = f": {'; '.join(onboard.waiting.lacking)}" if onboard.waiting.lacking else ""
     if out.finished:
-        return Ended(out.phase, memory.reason, 0 if out.phase is Phase.LANDED else 1)
+        asked = signals.operator is not Operator.NONE
+        reason = memory.reason if asked else memory.reason + lacking
+        return Ended(out.phase, reason, 0 if out.phase is Phase.LANDED else 1)
     if onboard.link.refused is not None:
         return Ended(out.phase, onboard.link.refused, 1)
     if signals.stop:
         return Ended(out.phase, "ended by the operator", 1)
     if limit_s is not None and now_s >= limit_s:
-        return Ended(out.phase, f"{limit_s:g} s are over", 1)
+        return Ended(out.phase, f"{limit_s:g} s are over{lacking}", 1)
     return None
 
 
@@ -296,6 +313,8 @@ def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
         onboard.link.poll(tick.now_s)
         out, _ = onboard.tick(tick, onboard.odometry.poll(), signals.operator, pacer.overruns)
         _say_events(out, tick, say)
+        if onboard.report is not None:
+            say(f"{tick.now_s:8.2f} s  {onboard.report}")
         ended = _done(onboard, out, tick.now_s, signals)
         if ended is not None:
             return ended

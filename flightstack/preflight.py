@@ -36,6 +36,7 @@ def check(
     *,
     wait_s: float,
     stopped: Callable[[], bool] = lambda: False,
+    say: Callable[[str], None] = lambda _text: None,
 ) -> Report:
     """Ask the vehicle for its parameters and judge them.
 
@@ -46,6 +47,7 @@ def check(
         system_id: of the vehicle.
         wait_s: for its first heartbeat.
         stopped: the check is broken off when it says so.
+        say: takes a sentence every two seconds about what the check waits for.
 
     Raises:
         ValueError: there is no such autopilot.
@@ -53,7 +55,7 @@ def check(
     accepted = config.vehicle.accepted_parameters
     return examine(
         endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
-        stopped=stopped,
+        stopped=stopped, say=say,
     )  # fmt: skip
 
 
