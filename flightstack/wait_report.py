@@ -133,7 +133,8 @@ class WaitReport:
         search = self._searches and lost and not self._arrived
         if not search:
             wires.search.stop()
-        problems = tuple(dict.fromkeys((*wires.odometry.told[-_PROBLEMS:], *self._refusals)))
+        found = dict.fromkeys((*wires.odometry.told[-_PROBLEMS:], *self._refusals))
+        problems = tuple(text.removeprefix(f"{wires.target.text}: ") for text in found)[:_PROBLEMS]
         return TargetSeen(
             name=wires.target.text,
             age_s=age_s if age_s is None or math.isfinite(age_s) else None,

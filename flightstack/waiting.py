@@ -156,4 +156,4 @@ def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
     if bound is None:
         return ""
     left_s = max(0.0, bound.limit_s(config) - in_phase_s)
-    return f"{bound.then} in {left_s:.0f} s ({bound.setting})"
+    return f"{bound.then} within {left_s:.0f} s ({bound.setting})"

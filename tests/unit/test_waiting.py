@@ -78,7 +78,7 @@ def test_what_ends_a_wait_is_counted_down_with_its_setting():
     config = FlightConfig(
         barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5), retreat=Retreat(abort_time_max_s=40.0)
     )
-    assert countdown(config, Phase.WAIT, 12.0) == "gives up in 48 s (checks.wait_time_max_s)"
-    assert countdown(config, Phase.ABORT, 12.0) == "ends in 28 s (retreat.abort_time_max_s)"
-    assert countdown(config, Phase.HOLD, 3.0) == "aborts in 0 s (checks.hold_time_s)"
+    assert countdown(config, Phase.WAIT, 12.0) == "gives up within 48 s (checks.wait_time_max_s)"
+    assert countdown(config, Phase.ABORT, 12.0) == "ends within 28 s (retreat.abort_time_max_s)"
+    assert countdown(config, Phase.HOLD, 3.0) == "aborts within 0 s (checks.hold_time_s)"
     assert countdown(config, Phase.APPROACH, 3.0) == ""  # left at once
