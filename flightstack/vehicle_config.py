@@ -8,7 +8,6 @@ from flightstack.strict_toml import ConfigError
 from flightstack.types import Vec3
 
 _NAME_MAX = 16  # characters of a MAVLink parameter's name
-_HEIGHT_LEAST_M = 0.01  # m, either way; less is 0 in ArduPilot's centimetres
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +50,7 @@ def check_origin(name: str, origin_wgs84: Vec3) -> None:
             f"{name}: found {list(origin_wgs84)}; allowed are a latitude of -90 to 90 and "
             "a longitude of -180 to 180 degrees, and -500 to 9000 m"
         )
-    if abs(height_m) < _HEIGHT_LEAST_M:
+    if abs(round(height_m * 1000.0)) < 10:  # mm on the wire; less is 0 in its centimetres
         raise ConfigError(
             f"{name}: found a height of {height_m:g} m; ArduPilot takes 0 for an unknown height and resets "
             "its height datum every second on the ground; give the height above sea level, or 10 where it is "

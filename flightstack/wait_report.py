@@ -47,7 +47,7 @@ class WaitReport:
         self._due_s = PERIOD_S
         self._arrivals = Arrivals()
         self._refused: dict[str, int] = {}
-        self._arrived = 0
+        self._arrived = self._refused_before = 0  # samples of the target
         self._texts: deque[tuple[float, str]] = deque(maxlen=_REASONS)
         self._refusals: deque[str] = deque(maxlen=_PROBLEMS)
 
@@ -90,7 +90,6 @@ class WaitReport:
 
     def _waiting(self, out: Outputs, memory: Memory, now_s: float) -> str | None:
         self.lacking = missing(self._vehicle(out, now_s), self._target(out), self._config.checks)
-        self._arrived = 0
         self._refusals.clear()
         if not self.lacking:
             return None
@@ -128,9 +127,11 @@ class WaitReport:
 
     def _target(self, out: Outputs) -> TargetSeen:
         target, wires = out.seen.target, self._wires
+        refused, self._refused_before = wires.odometry.refused - self._refused_before, wires.odometry.refused
+        arrived, self._arrived = self._arrived + refused, 0
         age_s = target.age_s if target is not None else None
         lost = age_s is None or age_s > self._config.checks.target_age_max_s
-        search = self._searches and lost and not self._arrived
+        search = self._searches and lost and not arrived
         if not search:
             wires.search.stop()
         found = dict.fromkeys((*wires.odometry.told[-_PROBLEMS:], *self._refusals))
@@ -138,7 +139,7 @@ class WaitReport:
         return TargetSeen(
             name=wires.target.text,
             age_s=age_s if age_s is None or math.isfinite(age_s) else None,
-            arrived=self._arrived,
+            arrived=arrived,
             problems=problems,
             keys=wires.search.keys() if search else (),
         )

@@ -45,7 +45,7 @@ class TargetSeen(NamedTuple):
     Attributes:
         name: key or topic, as given.
         age_s: of the newest sample that was believed; None: there was none.
-        arrived: samples since the last report, believed or not.
+        arrived: samples since the last report, believed or not, those that made no odometry included.
         problems: what was found wrong with samples.
         keys: others that a target might be under.
     """
@@ -122,7 +122,7 @@ def _of_target(seen: TargetSeen, checks: Checks) -> tuple[str, ...]:
         age, most = f"{seen.age_s:.1f} s old", f"{checks.target_age_max_s:g}"
         return (f"the newest sample on {seen.name} is {age}; checks.target_age_max_s allows {most}",)
     if problems:
-        return (f"no sample on {seen.name}{problems}",)
+        return (f"no sample on {seen.name} any more; of earlier ones{problems}",)
     there = f"there are {', '.join(seen.keys)}" if seen.keys else "nor on any key like odometry, pose or tf"
     return (f"no sample on {seen.name}; {there}",)
 

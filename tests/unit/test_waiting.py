@@ -54,7 +54,7 @@ def test_each_lack_of_the_vehicle_has_its_sentence(changed, words):
         ({"age_s": None, "arrived": 0, "keys": ("a/odom", "b/odom")}, "there are a/odom, b/odom"),
         (
             {"age_s": None, "arrived": 0, "problems": ("has the hash RIHS01_0",)},
-            "no sample on cf1/target/odom: has the hash RIHS01_0",
+            "no sample on cf1/target/odom any more; of earlier ones: has the hash RIHS01_0",
         ),
         (
             {"age_s": None, "arrived": 7, "problems": ("frame_id is 'odom'",)},
