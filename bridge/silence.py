@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import NamedTuple
 
@@ -18,8 +18,9 @@ class _Cause(NamedTuple):
     text: str  # with the count as {n}
 
 
-# The first that applies is named: those of signing come before the damage that other traffic may cause.
-_CAUSES = (
+# The first that applies is named. Frames of unknown messages come with those of any vehicle, so who speaks
+# instead of this one comes before them.
+_SIGNING = (
     _Cause(("bad_signature",), "{n} frames are signed with another key than --signing-key"),
     _Cause(("unsigned",), "{n} frames have no signature: with --signing-key only signed ones are heard"),
     _Cause(
@@ -27,6 +28,8 @@ _CAUSES = (
         "{n} signed frames are refused by their time stamps: its clock and ours differ",
     ),
     _Cause(("reflected",), "{n} frames have our own ids: the link sends back what we send"),
+)
+_DAMAGE = (
     _Cause(("version_1",), "{n} frames are MAVLink 1: set that link of the vehicle to MAVLink 2"),
     _Cause(("bad_crc", "unknown_id", "undecodable"), "{n} frames are damaged or of unknown messages"),
     _Cause(("garbage_bytes",), "{n} bytes are no MAVLink 2 frames"),
@@ -64,14 +67,22 @@ def why_silent(
     """
     since = "" if heard_s is None else f" for {heard_s:.0f} s"
     text = f"no heartbeat of system {system_id}, component 1{since}: "
-    for cause in _CAUSES:
-        n = sum(grown.get(name, 0) for name in cause.counters)
-        if n:
-            return text + cause.text.format(n=n)
+    cause = _first(_SIGNING, grown)
+    if cause:
+        return text + cause
     if grown.get("received") and senders:
         shown = ", ".join(f"{system}/{component}" for system, component in sorted(senders)[:_SENDERS_SHOWN])
         more = ", ..." if len(senders) > _SENDERS_SHOWN else ""
         return text + f"frames come from system/component {shown}{more}; --system-id names the vehicle's"
     if grown.get("received"):
         return text + "other frames of it come"
-    return text + "nothing arrives"
+    return text + (_first(_DAMAGE, grown) or "nothing arrives")
+
+
+def _first(causes: Sequence[_Cause], grown: Mapping[str, int]) -> str:
+    """Sentence of the first cause that applies; empty if none does."""
+    for cause in causes:
+        n = sum(grown.get(name, 0) for name in cause.counters)
+        if n:
+            return cause.text.format(n=n)
+    return ""

@@ -27,7 +27,7 @@ def test_the_cause_is_named_with_its_count(grown, words):
 
 def test_who_speaks_instead_is_named():
     senders = {(255, 190): 3, (2, 1): 4}
-    text = why_silent(1, {"received": 7}, senders)
+    text = why_silent(1, {"received": 7, "unknown_id": 5, "garbage_bytes": 150}, senders)  # as beside PX4
     assert text == (
         "no heartbeat of system 1, component 1: frames come from system/component 2/1, 255/190; --system-id "
         "names the vehicle's"
