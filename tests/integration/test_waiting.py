@@ -174,9 +174,6 @@ def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(
     found = [text for text in messages(log) if text.startswith("waiting: ")]
     assert any("there are robot7/odom" in text for text in found)
     assert any("no heartbeat of system 1" in text for text in found)
-    replayed = flightstack("replay", log)  # these texts are none of the controller's
-    assert replayed.code == 0, replayed.out + replayed.err
-    assert "wire: equal" in replayed.out
 
 
 def messages(log):
