@@ -1,12 +1,13 @@
-"""What an endpoint let pass and what it threw away."""
+"""What an endpoint let pass and what it threw away, and what a vehicle link left aside of the rest."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 from bridge.framing import FrameCounters
 
 _PASSED = ("received", "sent", "bytes_in", "bytes_out", "unknown_frames", "stale_answered")
+_SENDERS_MAX = 16  # other systems and components that are counted one by one
 
 
 @dataclass(slots=True)
@@ -43,3 +44,19 @@ class EndpointCounters(FrameCounters):
         """What was thrown away, as one line; empty when nothing was."""
         counts = asdict(self)
         return ", ".join(f"{name} {n}" for name, n in counts.items() if n and name not in _PASSED)
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """Frames and set-points that were not let through."""
+
+    foreign: int = 0  # frames of other systems or components
+    held_lost: int = 0  # lockstep: frames that no tick ever claimed
+    setpoints_refused: int = 0  # not finite, or forbidden while the vehicle takes off by itself
+    senders: dict[tuple[int, int], int] = field(default_factory=dict)  # of them, by system and component
+
+    def add_foreign(self, sender: tuple[int, int]) -> None:
+        """Count a frame of somebody else."""
+        self.foreign += 1
+        if sender in self.senders or len(self.senders) < _SENDERS_MAX:
+            self.senders[sender] = self.senders.get(sender, 0) + 1

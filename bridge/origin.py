@@ -32,12 +32,17 @@ class OriginSender:
         self._tries = 0
         self._last_s = -math.inf
 
+    def restart(self) -> None:
+        """Start over: the vehicle may have forgotten its origin."""
+        self._tries = 0
+
     def step(self, status: VehicleStatus | None, known: bool, now_s: float) -> list[Message]:
         """Return what to send now.
 
         Args:
             status: newest status of the vehicle.
-            known: it has shown its origin, or a local position, which it has only with one.
+            known: it has shown its origin, or a local position, which it has only with one. Nothing is sent
+                then: an origin that is set again resets estimates.
             now_s: the stack's clock.
         """
         origin = self._origin

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -25,12 +26,20 @@ class Needs(NamedTuple):
     velocity_max_m_s: Vec3  # command box
     altitude_max_m: float  # above the ground
     takeoff_height_m: float
+    acceleration_max_m_s2: Vec3  # of the wanted velocity, ENU
+    system_id: int = 1  # of the vehicle, and so of the companion, which shares it
 
     @property
     def horizontal_m_s(self) -> float:
         """Longest horizontal velocity that may be commanded."""
         x, y, _ = self.velocity_max_m_s
-        return float((x * x + y * y) ** 0.5)
+        return math.hypot(x, y)
+
+    @property
+    def horizontal_m_s2(self) -> float:
+        """Largest horizontal acceleration of the wanted velocity."""
+        x, y, _ = self.acceleration_max_m_s2
+        return math.hypot(x, y)
 
 
 Values = Mapping[str, float]

@@ -65,6 +65,21 @@ def _speeds(xy: str, up: str, down: str, unit_m_s: float = 1.0) -> tuple[Rule, .
     )
 
 
+def _acceleration(name: str, need: Callable[[Needs], float]) -> Rule:
+    """A limit of acceleration in cm/s^2; rounded up."""
+
+    def least(needs: Needs) -> float:
+        return math.ceil(need(needs) * 100.0 - 1e-6)
+
+    return Rule(
+        name,
+        lambda value, needs: value >= need(needs) * 100.0 - 1e-4,
+        lambda needs: _TO.format(least(needs)),
+        "cm/s^2, below what the configuration wants: the vehicle lags more than velocity_loop says",
+        Level.NOTE,
+    )
+
+
 def _fence_height(name: str, none: str) -> Rule:
     return Rule(
         name,
@@ -152,6 +167,8 @@ RULES: Mapping[str, tuple[Rule, ...]] = MappingProxyType(
             _loss_time("GUID_TIMEOUT", "it stops"),
             _without("GUID_OPTIONS", 0x30, "a value without bits 4 and 5", "velocity is not stabilised"),
             *_speeds("WPNAV_SPEED", "WPNAV_SPEED_UP", "WPNAV_SPEED_DN", 0.01),
+            _acceleration("WPNAV_ACCEL", lambda needs: needs.horizontal_m_s2),
+            _acceleration("WPNAV_ACCEL_Z", lambda needs: needs.acceleration_max_m_s2[2]),
             Rule(
                 "DISARM_DELAY",
                 lambda value, _: value == 0.0 or value >= _ARMED_S,
@@ -169,9 +186,14 @@ RULES: Mapping[str, tuple[Rule, ...]] = MappingProxyType(
             _one_of(
                 "FS_GCS_ENABLE",
                 {5: "land", 1: "RTL"},
-                "when the companion is lost it stops and stays in the air until the battery is empty; as a "
-                "station counts who sends heartbeats as SYSID_MYGCS, set-points do not",
-                Level.NOTE,
+                "when the companion is lost it stops and stays in the air, armed, until the battery is empty",
+            ),
+            Rule(
+                "SYSID_MYGCS",
+                lambda value, needs: value == needs.system_id,
+                lambda needs: f"{needs.system_id} (the companion's system id, the vehicle's own)",
+                "FS_GCS_ENABLE acts when the heartbeats of this system id stop: the loss of the companion "
+                "does not count, that of a ground station does",
             ),
             _one_of(
                 "FS_THR_ENABLE", {0: "off"}, "when the radio is lost the landing is broken off", Level.NOTE

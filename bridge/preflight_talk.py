@@ -12,16 +12,19 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.autopilot_version import is_recorded, marked, release
 from bridge.autopilots import found, refusal
 from bridge.decoding import Message
+from bridge.endpoint_counters import LinkCounters
 from bridge.mavlink import Endpoint, Peer
 from bridge.parameters import ParameterReader
 from bridge.preflight import Finding, Level, Needs, Rule, judge
 from bridge.preflight_rules import RULES
 from bridge.profile import Profile
+from bridge.silence import Arrivals, why_silent
 
 _HELLO_S = 0.2  # s between heartbeats until the vehicle is heard
 _HEARTBEAT_S = 1.0
 _VERSION_S = 0.5  # s between two tries
 _VERSION_TRIES = 4
+_SAY_S = 2.0  # s between two sentences about what is waited for
 _SLICE_S = 0.02  # s between two looks
 _READ_MAX_S = 30.0  # s for everything, once the vehicle is heard
 
@@ -64,6 +67,7 @@ def examine(
     *,
     wait_s: float,
     stopped: Callable[[], bool] = lambda: False,
+    say: Callable[[str], None] = lambda _text: None,
 ) -> Report:
     """Ask the vehicle and judge its answers.
 
@@ -75,10 +79,12 @@ def examine(
         accepted: names of parameters that a person has accepted.
         wait_s: for its first heartbeat.
         stopped: the talk is broken off when it says so.
+        say: takes a sentence every two seconds about what it waits for, and how long yet.
     """
     talk = _Talk(endpoint, system_id, chosen)
     began_s = time.monotonic()
     until_s = began_s + wait_s
+    said_s = began_s
     heard = False
     while not talk.over and not stopped():
         now_s = time.monotonic()
@@ -86,6 +92,9 @@ def examine(
             heard, until_s = True, now_s + _READ_MAX_S
         if now_s >= until_s:
             break
+        if now_s - said_s >= _SAY_S:
+            said_s = now_s
+            say(f"waiting: {talk.waits_for()}; for {until_s - now_s:.0f} s more")
         talk.turn(now_s)
     reader, profile = talk.reader, talk.profile
     if stopped():
@@ -93,8 +102,7 @@ def examine(
     if talk.refused is not None:
         return Report(profile, talk.version, (), talk.refused)
     if profile is None or reader is None:
-        text = f"no heartbeat of system {system_id}, component 1, within {wait_s:g} s"
-        return Report(None, None, (), f"{text}: is the vehicle's link up?")
+        return Report(None, None, (), f"{talk.waits_for()}; within {wait_s:g} s, is the vehicle's link up?")
     findings = judge(talk.rules, reader.values, reader.missing, needs, accepted)
     return Report(profile, talk.version, tuple(findings), None)
 
@@ -116,11 +124,28 @@ class _Talk:
         self._version_tries = 0
         self._version_over = False
         self._recorded = False
+        self._foreign = LinkCounters()
+        self._arrivals = Arrivals()
+        self._why = ""  # nothing is heard, as of the last look that found anything
 
     @property
     def over(self) -> bool:
         """Whether nothing is left to find out."""
         return self.refused is not None or (self.reader is not None and self.reader.done)
+
+    def waits_for(self) -> str:
+        """Say what has not come yet."""
+        if not self.heard:
+            grown = self._arrivals.grown(self._endpoint.counters)
+            if grown.keys() - {"sent"} or not self._why:
+                self._why = why_silent(self._target[0], grown, self._foreign.senders)
+            return self._why
+        if self.reader is None:
+            return "the vehicle does not say its version (AUTOPILOT_VERSION)"
+        names = [rule.name for rule in self.rules]
+        known = self.reader.values.keys() | self.reader.missing.keys()
+        left = [name for name in names if name not in known]
+        return f"{len(known)} of {len(names)} parameters have come; missing are {', '.join(left[:4])}"
 
     def turn(self, now_s: float) -> None:
         """Say what is due, wait a little, take what came."""
@@ -133,9 +158,12 @@ class _Talk:
         self._endpoint.wait(_SLICE_S)
         for received in self._endpoint.receive():
             header = received.message.get_header()
-            if (header.srcSystem, header.srcComponent) == self._target:
+            sender = (header.srcSystem, header.srcComponent)
+            if sender == self._target:
                 self._peer = received.peer
                 self._take(received.message)
+            else:
+                self._foreign.add_foreign(sender)
 
     def _ask(self, profile: Profile, now_s: float) -> list[Message]:
         if self._version_over and self.reader is None:

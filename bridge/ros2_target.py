@@ -164,7 +164,7 @@ class TargetSource:
         self._track = PoseTrack(link, child_frame_id)
         self._chain = TransformChain(frame_id, child_frame_id)
         self._texts: list[str] = []
-        self._told: set[str] = set()
+        self._told: dict[str, None] = {}
         self.refused = 0  # samples that made no odometry, but for poses the velocity is not yet known of
         self._convert: Callable[[bytes], list[bytes]] = {
             TargetType.ODOMETRY: self._odometry,
@@ -199,6 +199,11 @@ class TargetSource:
         """Texts since the last call, each of them once a flight."""
         texts, self._texts = self._texts, []
         return texts
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """All texts of the flight so far, oldest first."""
+        return tuple(self._told)
 
     def close(self) -> None:
         """Undeclare the subscribers."""
@@ -291,5 +296,5 @@ class TargetSource:
 
     def _tell(self, text: str) -> None:
         if text not in self._told and len(self._told) < TEXTS_MAX:
-            self._told.add(text)
+            self._told[text] = None
             self._texts.append(text)

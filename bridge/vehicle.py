@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -13,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.autopilots import PX4, found, refusal
 from bridge.commands import CommandSequencer
 from bridge.decoding import Message
+from bridge.endpoint_counters import LinkCounters
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
 from bridge.line_budget import LinePlan
 from bridge.mavlink import Endpoint, Peer
@@ -33,6 +33,7 @@ _HELLO_S = 0.2  # s of wall time between heartbeats until the vehicle has been h
 _LANDED_STATE_HZ = 5.0  # Hz; as often as PX4 sends it by itself
 _TEXTS_MAX = 256  # texts kept until somebody takes them
 _HELD_MAX = 4096  # messages kept in lockstep until their tick is known
+_RESTARTED = "restarted, or heard again after a silence: what does not come is asked for again"
 
 
 class Setpoint(Protocol):
@@ -45,15 +46,6 @@ class Setpoint(Protocol):
     @property
     def yaw_rad(self) -> float:
         """Heading to hold, counter-clockwise from east."""
-
-
-@dataclass(slots=True)
-class LinkCounters:
-    """Frames and set-points that were not let through."""
-
-    foreign: int = 0  # frames of other systems or components
-    held_lost: int = 0  # lockstep: frames that no tick ever claimed
-    setpoints_refused: int = 0  # not finite, or forbidden while the vehicle takes off by itself
 
 
 class _Wants(NamedTuple):
@@ -142,6 +134,7 @@ class VehicleLink:
         self._heartbeat_at_s = -math.inf
         self._hello_at_s = -math.inf
         self._hello = b""  # heartbeat sent first, repeated until the vehicle has been heard
+        self._restarted_s = -math.inf  # the newest restart that was acted on
         self._warned: str | None = None
         self._handlers: dict[int, Callable[[Message, float], None]] = {
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
@@ -199,8 +192,9 @@ class VehicleLink:
         for received in self.endpoint.receive():
             message = received.message
             header = message.get_header()
-            if (header.srcSystem, header.srcComponent) != self._target:
-                self.counters.foreign += 1
+            sender = (header.srcSystem, header.srcComponent)
+            if sender != self._target:
+                self.counters.add_foreign(sender)
                 continue
             self._vehicle = received.peer
             if not self.defer_timesync:
@@ -230,7 +224,8 @@ class VehicleLink:
         if commands and any(command.command == dialect.MAV_CMD_NAV_TAKEOFF for command in commands):
             self.state.follow(self.state.profile is None or self.state.profile.stream_in_takeoff)
         if request is Request.NONE:
-            known = self.state.origin_known or self.own is not None
+            own, restarted_s = self.own, self.state.restarted_s
+            known = self.state.origin_known or (own is not None and own.arrival_s >= restarted_s)
             self._outgoing += origin.step(self.status, known, now_s)
 
     def send_setpoint(self, setpoint: Setpoint, now_s: float) -> bool:
@@ -399,6 +394,11 @@ class VehicleLink:
             self._heartbeat_at_s = now_s
             self._outgoing.append(_heartbeat())
         if self.state.autopilot is not None and self._wants is not None:
+            if self.state.restarted_s != self._restarted_s:
+                self._restarted_s = self.state.restarted_s
+                self._wants.streams.restart()
+                self._wants.origin.restart()
+                self._say(dialect.MAV_SEVERITY_INFO, _RESTARTED)
             self._outgoing += self._wants.streams.step(now_s)
         self._warn()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from flightstack.types import Landed, Mode, OwnState, VehicleStatus
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 _RESTART_S = 1.0  # s; a boot clock that falls back further than this is a reboot, less is a late datagram
+_SILENT_S = 2.5  # s without a heartbeat, which comes at 1 Hz: it may have restarted meanwhile
 _YAW_AGE_MAX_S = 0.5  # s between a position and the attitude its heading is taken from
 _LARGEST = 1e6  # m, m/s: a number beyond this is damage
 _VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
@@ -51,7 +53,9 @@ class VehicleState:
         autopilot: MAV_AUTOPILOT of the newest heartbeat, None before.
         type: MAV_TYPE of the newest heartbeat, None before.
         profile: what the modes are read by; None while it is not known, and then there is no status.
-        origin_known: the vehicle has said where its local coordinates begin.
+        origin_known: the vehicle has said where its local coordinates begin, since it restarted last.
+        restarted_s: when it seemed to have restarted, on the stack's clock: its boot clock fell back, or its
+            heartbeat came back after a silence. -inf before that.
     """
 
     def __init__(self, profile: Profile | None) -> None:
@@ -63,6 +67,8 @@ class VehicleState:
         self.autopilot: int | None = None
         self.type: int | None = None
         self.origin_known = False
+        self.restarted_s = -math.inf
+        self._beat_s = math.inf  # arrival of the newest heartbeat, whatever it says
         self._following = profile is None or profile.stream_in_takeoff
         self._custom_mode = 0
         self.battery: Battery | None = None
@@ -111,21 +117,28 @@ class VehicleState:
         elif self._yaw_enu_rad is None or abs(time_s - self._yaw_time_s) > _YAW_AGE_MAX_S:
             self.counters.without_yaw += 1
         else:
+            if self.own is not None and time_s < self.own.source_time_s:
+                self._restart(arrival_s)
             position, velocity = enu_from_ned((m.x, m.y, m.z)), enu_from_ned((m.vx, m.vy, m.vz))
             self.own = OwnState(arrival_s, time_s, position, velocity, self._yaw_enu_rad)
 
     def _on_attitude(self, m: Message, arrival_s: float) -> None:
-        del arrival_s  # the age of a heading is judged against the position's own time stamp
         time_s: float = m.time_boot_ms * 1e-3
         if not _usable(m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed):
             self.counters.not_finite += 1
         elif self._yaw_enu_rad is not None and _late(time_s, self._yaw_time_s):
             self.counters.out_of_order += 1
         else:
+            if self._yaw_enu_rad is not None and time_s < self._yaw_time_s:
+                self._restart(arrival_s)
+            # the age of a heading is judged against the position's own time stamp
             self._yaw_enu_rad = yaw_enu_from_ned(m.yaw)
             self._yaw_time_s = time_s
 
     def _on_heartbeat(self, m: Message, arrival_s: float) -> None:
+        if arrival_s - self._beat_s > _SILENT_S:
+            self._restart(arrival_s)
+        self._beat_s = arrival_s
         self.autopilot, self.type, profile = m.autopilot, m.type, self.profile
         if profile is None or refusal(m.autopilot, m.type, profile) is not None:
             self.counters.other_autopilot += 1  # its mode numbers would mean something else
@@ -135,6 +148,10 @@ class VehicleState:
             self._following = False
         self._custom_mode = m.custom_mode
         self.status = VehicleStatus(arrival_s, armed, self._mode(), self._landed, self._ready)
+
+    def _restart(self, arrival_s: float) -> None:
+        """Take note of a restart, or of a silence long enough for one."""
+        self.restarted_s, self.origin_known = arrival_s, False
 
     def _mode(self) -> Mode:
         """Mode of the newest heartbeat; an external mode that does not follow us is a take-off of its own."""

@@ -169,6 +169,13 @@ def ring_subscriber(session: Session, key: str, capacity: int = 256) -> Subscrib
     return session.declare_subscriber(_key(key), zenoh.handlers.RingChannel(capacity))
 
 
+def remote_subscriber(session: Session, key: str, capacity: int = 256) -> Subscriber:
+    """Declare a ring subscriber that does not hear what its own session publishes."""
+    return session.declare_subscriber(
+        _key(key), zenoh.handlers.RingChannel(capacity), allowed_origin=zenoh.Locality.REMOTE
+    )
+
+
 def fifo_subscriber(session: Session, key: str, capacity: int = 1024) -> Subscriber:
     """Declare a subscriber that loses nothing: when full it holds up the connection (lockstep)."""
     return session.declare_subscriber(_key(key), zenoh.handlers.FifoChannel(capacity))

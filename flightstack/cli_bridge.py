@@ -171,10 +171,11 @@ def mocap(
     from bridge.mocap import process
     from bridge.mocap.source import parse_spec
     from bridge.origin import Origin
+    from flightstack.vehicle_config import check_origin
 
+    if origin is not None:
+        check_origin("--origin", origin)
     place = Origin(*origin) if origin is not None else None
-    if place is not None and not (abs(place.latitude_deg) <= 90.0 and abs(place.longitude_deg) <= 180.0):
-        raise ValueError(f"origin {origin}: latitude is -90 to 90, longitude -180 to 180 degrees")
     spec = parse_spec(pose_key, pose_type, ros_domain)
     options = process.Options(
         vehicle_url, spec, connect, listen, zenoh_config, _limits(frame_id, pose_speed_m_s), offset_flu_m,

@@ -55,7 +55,10 @@ def preflight(
     try:
         for warning in endpoint.warnings:
             print(f"preflight: WARNING: {warning}", file=sys.stderr)
-        report = checks.check(endpoint, config, autopilot, system_id, wait_s=wait_s)
+        report = checks.check(
+            endpoint, config, autopilot, system_id, wait_s=wait_s,
+            say=lambda text: print(f"preflight: {text}", file=sys.stderr),
+        )  # fmt: skip
         for notice in endpoint.take_notices():
             print(f"preflight: WARNING: {notice}", file=sys.stderr)
     finally:

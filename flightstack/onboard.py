@@ -44,6 +44,7 @@ from flightstack.pacing import (
 from flightstack.recording import OwnRecorder
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from flightstack.types import ZERO, Operator, Phase, Vec3
+from flightstack.wait_report import WaitReport
 from flightstack.zenoh_wires import ZenohPlan, ZenohWires
 from logs.feed import Feed
 
@@ -144,9 +145,12 @@ class Onboard:
         self.health = LiveHealth(self.session, options.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap
         self.leaving = Leaving(options.duration_s)
-        self.foreign = 0
+        lockstep = options.lockstep  # there wall time has no part in what is said
+        self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
+        self.foreign_said = 1
         self._opened_s = time.monotonic()
         self.reply = b""  # lockstep: frame of the last answer
+        self.report: str | None = None  # what is to be said of this tick's wait
 
     def tick(
         self, tick: Tick, raw: list[RawSample], signals: Signals, overruns: int
@@ -163,13 +167,17 @@ class Onboard:
         for text in taken.problems:
             self.log.event(tick.unix_ns, WARN, text)
         for severity, text in link.take_texts():
+            self.waiting.note_text(tick.now_s, severity, text)
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
-        if link.counters.foreign != self.foreign:
+        if link.counters.foreign >= self.foreign_said:  # a ground station sends many: said on doublings
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
-            self.foreign = link.counters.foreign
+            self.foreign_said = 2 * link.counters.foreign
         for text in (*link.endpoint.take_notices(), *self.wires.texts(tick.now_s)):
             _warn(text)
             self.log.event(tick.unix_ns, WARN, text)
+        self.report = self.waiting.step(out, self.controller.memory, len(raw), taken.problems, tick.now_s)
+        if self.report is not None and not self.options.lockstep:
+            self.log.event(tick.unix_ns, WARN, self.report)
         payload = self.log.step(tick, taken, out, self.controller.state)
         self.log.timing(tick, out, exec_s, overruns, self.feed.dropped, payload)
         reason, battery = self.controller.memory.reason, link.state.battery
@@ -290,6 +298,11 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
     if options.duration_s is not None:
         wait_s = min(wait_s, options.duration_s)
     tap, endpoint.tap = endpoint.tap, None
+
+    def tell(text: str) -> None:
+        say(f"preflight: {text}")
+        onboard.log.event(time.time_ns(), WARN, f"preflight: {text}")
+
     report = preflight.check(
         endpoint,
         onboard.config,
@@ -297,6 +310,7 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
         options.system_id,
         wait_s=wait_s,
         stopped=lambda: signals.stop or signals.operator is not Operator.NONE,
+        say=tell,
     )
     endpoint.tap = tap
     for notice in endpoint.take_notices():
@@ -316,7 +330,11 @@ def _done(onboard: Onboard, out: Outputs, now_s: float, signals: Signals) -> End
     memory, status = onboard.controller.memory, onboard.link.status
     if onboard.link.refused is not None and not out.finished:
         return Ended(out.phase, onboard.link.refused, 1)
-    return onboard.leaving.ended(out, memory, status, now_s, stop=signals.stop)
+    ended = onboard.leaving.ended(out, memory, status, now_s, stop=signals.stop)
+    lacking = onboard.waiting.lacking
+    if ended is None or not lacking or signals.stop or signals.operator is not Operator.NONE:
+        return ended
+    return ended._replace(reason=f"{ended.reason}: {'; '.join(lacking)}")
 
 
 def _say_events(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
@@ -336,6 +354,8 @@ def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
         onboard.link.poll(tick.now_s)
         out, _ = onboard.tick(tick, onboard.odometry.poll(), signals, pacer.overruns)
         _say_events(out, tick, say)
+        if onboard.report is not None:
+            say(f"{tick.now_s:8.2f} s  {onboard.report}")
         ended = _done(onboard, out, tick.now_s, signals)
         if ended is not None:
             return ended

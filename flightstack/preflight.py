@@ -12,13 +12,23 @@ from bridge.mavlink import Endpoint
 from bridge.preflight import Level, Needs
 from bridge.preflight_talk import Report, examine
 from flightstack.config import FlightConfig
+from flightstack.law import LAWS
 
 _SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE)
 
 
-def needs_of(config: FlightConfig) -> Needs:
-    """What a flight of this configuration needs of its autopilot."""
-    return Needs(config.limits.velocity_max_m_s, config.limits.altitude_max_m, config.takeoff.height_m)
+def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
+    """What a flight of this configuration needs of its autopilot.
+
+    Args:
+        config: what is to be flown.
+        system_id: of the vehicle.
+    """
+    limits = config.limits
+    acceleration_m_s2 = LAWS[config.filter](config, config.barrier.build()).acceleration_max_m_s2
+    return Needs(
+        limits.velocity_max_m_s, limits.altitude_max_m, config.takeoff.height_m, acceleration_m_s2, system_id
+    )
 
 
 def line_plan(baud: int | None, config: FlightConfig, *, signed: bool) -> LinePlan:
@@ -43,6 +53,7 @@ def check(
     *,
     wait_s: float,
     stopped: Callable[[], bool] = lambda: False,
+    say: Callable[[str], None] = lambda _text: None,
 ) -> Report:
     """Ask the vehicle for its parameters and judge them.
 
@@ -53,6 +64,7 @@ def check(
         system_id: of the vehicle.
         wait_s: for its first heartbeat.
         stopped: the check is broken off when it says so.
+        say: takes a sentence every two seconds about what the check waits for.
 
     Raises:
         ValueError: there is no such autopilot.
@@ -65,8 +77,9 @@ def check(
     counters, began_s = endpoint.counters, time.monotonic()
     before = (counters.bytes_in, counters.bytes_out)
     report = examine(
-        endpoint, system_id, profile(autopilot), needs_of(config), accepted, wait_s=wait_s, stopped=stopped
-    )
+        endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
+        stopped=stopped, say=say,
+    )  # fmt: skip
     if endpoint.baud is None:
         return report
     took_s = time.monotonic() - began_s

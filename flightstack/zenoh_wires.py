@@ -9,6 +9,7 @@ from pathlib import Path
 from bridge import zenoh_link
 from bridge.ros2_network import Ros2Network
 from bridge.ros2_target import Dialect, TargetSource, TargetSpec
+from bridge.target_keys import KeySearch
 from bridge.zenoh_alarm import ConnectionAlarm
 from flightstack.config import FlightConfig
 from flightstack.controller import Outputs
@@ -43,6 +44,12 @@ class ZenohPlan:
 class ZenohWires:
     """Owns the sessions.
 
+    Attributes:
+        session: that is flown by.
+        odometry: the target's motion.
+        search: for other keys a target might be under; idle until it is asked.
+        target: whose motion it is.
+
     Raises:
         ValueError: an endpoint, key, topic, domain or configuration that is not understood.
         ZenohLinkError: a session that could not be opened.
@@ -70,6 +77,7 @@ class ZenohWires:
             where, plan.target, checks.target_frame, checks.target_child_frame, config.target,
             lossless=plan.lockstep,
         )  # fmt: skip
+        self.search = KeySearch(where)
         self._texts = [
             f"Zenoh listens on {endpoint} without rules: whoever reaches it can send a target (docs/zenoh.md)"
             for endpoint in zenoh_link.open_to_all(plan.listen, config_file=plan.config_file)
@@ -91,6 +99,7 @@ class ZenohWires:
 
     def close(self) -> None:
         """Close everything."""
+        self.search.stop()
         if self._shown is not None:
             self._shown.close()
         for session in reversed(self._sessions):

@@ -55,13 +55,15 @@ _ROWS = (
     _action("BATT_FS_CRT_ACT", "COM_LOW_BAT_ACT", {0: 0, 1: 2, 2: 3}),  # nothing; land; RTL
     _fixed("FENCE_ENABLE", 0, _INT8),
     _fixed("ARMING_CHECK", 1, _INT32),
-    _fixed("SYSID_MYGCS", 255, _INT16),
+    Parameter("SYSID_MYGCS", _INT16, 255, 1, 255),  # whose heartbeats FS_GCS_ENABLE minds
     _fixed("SYSID_ENFORCE", 0, _INT8),
     _fixed("FRAME_CLASS", 1, _INT8),
     _fixed("WP_YAW_BEHAVIOR", 2, _INT8),
     _speed("WPNAV_SPEED", "MPC_XY_VEL_MAX", 500.0, 2000.0),  # cm/s
     _speed("WPNAV_SPEED_UP", "MPC_Z_VEL_MAX_UP", 250.0, 800.0),
     _speed("WPNAV_SPEED_DN", "MPC_Z_VEL_MAX_DN", 150.0, 500.0),
+    _fixed("WPNAV_ACCEL", 500, REAL32),  # cm/s^2: the highest, the simulator limits no acceleration
+    _fixed("WPNAV_ACCEL_Z", 500, REAL32),
     _speed("LAND_SPEED", "MPC_LAND_SPEED", 30.0, 80.0),
     Parameter("RTL_ALT", _INT32, 100, 10, 2000, stands_for=("RTL_RETURN_ALT",), scale=_CM),
 )

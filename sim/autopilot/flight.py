@@ -66,7 +66,7 @@ class Flight:
         self.texts = Texts()
         x, y, _ = vehicle.estimate().position_enu_m
         self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s, repeats=personality.guided)
-        self.watches = Watches(parameters, vehicle)
+        self.watches = Watches(parameters, vehicle, personality.station_id)
         self._parameters = parameters
         self._ground = Standing(vehicle)
         self._owner = ControlOwner()

@@ -72,6 +72,8 @@ class Personality:
     needs_origin: bool  # no position before SET_GPS_GLOBAL_ORIGIN, unless it starts in the air
     rates_hz: Mapping[int, float] = field(default_factory=lambda: DEFAULT_HZ)
     every_tick: tuple[int, ...] = EVERY_TICK
+    # parameter with the system id whose heartbeats are the ground station's; None: those of type GCS are
+    station_id: str | None = None
     data_streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # of REQUEST_DATA_STREAM
     labels: Mapping[FlightMode, str] = field(default_factory=dict)  # of modes it calls otherwise
     # what a person sets before this stack flies it, since the default is not safe (bridge/preflight_rules.py)
@@ -179,7 +181,8 @@ ARDUPILOT = Personality(
             FlightMode.OFFBOARD: "GUIDED",
         }
     ),
-    set_before_flight=MappingProxyType({"GUID_TIMEOUT": 0.5}),
+    set_before_flight=MappingProxyType({"GUID_TIMEOUT": 0.5, "FS_GCS_ENABLE": 5.0, "SYSID_MYGCS": 1.0}),
+    station_id="SYSID_MYGCS",
     data_streams=MappingProxyType(
         {
             **_ARDUPILOT_STREAMS,

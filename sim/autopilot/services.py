@@ -68,8 +68,7 @@ class Services:
             self.handlers[m.MAVLINK_MSG_ID_REQUEST_DATA_STREAM] = self._data_stream
 
     def _heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        del sender
-        if self._flight.watches.heartbeat(message.type, now_s):
+        if self._flight.watches.heartbeat(message.type, sender[0], now_s):
             self._flight.say(dialect.MAV_SEVERITY_INFO, "Ground station is back")
         return []
 

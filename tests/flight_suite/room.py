@@ -20,9 +20,9 @@ SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that driv
 # of our simulated vehicle, with the parameters that its defaults leave unsafe
 PERSONALITIES: Mapping[str, tuple[str, ...]] = {
     "px4": (),
-    "ardupilot": ("GUID_TIMEOUT=0.5", "FS_GCS_ENABLE=5"),
+    "ardupilot": ("GUID_TIMEOUT=0.5", "FS_GCS_ENABLE=5", "SYSID_MYGCS=1"),
 }
-ORIGIN_WGS84 = (47.397742, 8.545594, 0.0)  # what ArduPilot needs without satellites
+ORIGIN_WGS84 = (47.397742, 8.545594, 10.0)  # what ArduPilot needs without satellites
 
 
 @dataclass(frozen=True)

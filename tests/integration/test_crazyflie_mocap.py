@@ -111,7 +111,8 @@ def test_another_type_under_the_topic_is_said():
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["--key", "a/b", "--origin", "95", "8", "400"], "latitude is -90 to 90"),
+        (["--key", "a/b", "--origin", "95", "8", "400"], "latitude of -90 to 90"),
+        (["--key", "a/b", "--origin", "47.4", "8.5", "0"], "height of 0 m"),
         (["--key", "ros2:/0bad"], "is not a full name"),
         (["--key", "a//b"], "Zenoh key 'a//b' is not allowed"),
     ],

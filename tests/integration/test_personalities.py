@@ -42,7 +42,7 @@ def test_a_vehicle_of_one_kilogram(tmp_path, plays):
 def test_from_the_ground_as_ardupilot_with_an_origin_to_be_told(tmp_path):
     log = landed(tmp_path, "--scenario", "paper_moving_1", "--lockstep", "--personality", "ardupilot")
     (config,) = [a.data.decode() for a in LogFile(log).attachments() if a.name == "onboard.toml"]
-    assert "origin_wgs84 = [47.397742, 8.545594, 0.0]" in config
+    assert "origin_wgs84 = [47.397742, 8.545594, 10.0]" in config
 
 
 @pytest.mark.xdist_group("real-time")
@@ -124,7 +124,9 @@ def test_onboard_does_not_arm_what_is_unsafe():
         done = flightstack(*onboard, "--vehicle", vehicle.url)
         assert done.code == 1, done.out
         assert "UNSAFE: GUID_TIMEOUT is 3: s without set-points" in done.out
-        assert "WAIT: unsafe parameters of the autopilot: GUID_TIMEOUT" in done.out
+        assert (
+            "WAIT: unsafe parameters of the autopilot: GUID_TIMEOUT, FS_GCS_ENABLE, SYSID_MYGCS" in done.out
+        )
         other = flightstack(*onboard, "--vehicle", vehicle.url, "--autopilot", "px4")
         assert other.code == 1
         assert "is for autopilot 12: it is not flown" in other.out

@@ -297,6 +297,28 @@ def test_every_parameter_of_a_personality_stands_for_ones_that_exist() -> None:
             values.preset(name, value)
 
 
+def test_the_station_is_who_has_the_id_of_sysid_mygcs_and_its_silence_lands() -> None:
+    companion_beat = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4, 3)
+    station_beat = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
+    for mine, mode in ((COMPANION[0], FlightMode.LAND), (255, FlightMode.OFFBOARD)):
+        rig = grounded()
+        set_parameter(rig, "FS_GCS_ENABLE", 5.0, mav.MAV_PARAM_TYPE_INT8)
+        set_parameter(rig, "SYSID_MYGCS", float(mine), mav.MAV_PARAM_TYPE_INT16)
+        rig.command(176, 1.0, GUIDED)
+        rig.command(400, 1.0)
+        rig.command(TAKE_OFF, *[0.0] * 6, 0.5)
+        for _ in range(60):
+            rig.handle(companion_beat, COMPANION)
+            rig.run(0.1)
+        rig.run(0.1, (0.0, 0.0, 0.0), COMPANION)
+        assert rig.mode is FlightMode.OFFBOARD
+        for _ in range(52):  # a ground station that is heard does not make up for the companion
+            if mine == COMPANION[0]:
+                rig.handle(station_beat, (255, 190))
+            rig.run(0.1)
+        assert rig.mode is mode
+
+
 def test_presets_that_cannot_be_are_refused_with_what_can() -> None:
     values = Parameters(1, ARDUPILOT.parameters(1), bytewise=False)
     values.preset("GUID_TIMEOUT", 0.5)

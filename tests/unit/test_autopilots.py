@@ -174,9 +174,45 @@ def test_ardupilots_take_off_is_over_for_the_sequencer_only_in_the_air():
 
 def test_data_streams_are_asked_for_after_the_intervals():
     streams = StreamRequests({32: 50.0}, 1, 1, 0.0, {32: 6})
-    asked = [m for tick in range(2000) for m in streams.step(tick * 0.01)]
+    asked = [m for tick in range(1000) for m in streams.step(tick * 0.01)]
     assert [m.get_type() for m in asked] == ["COMMAND_LONG"] * 5 + ["REQUEST_DATA_STREAM"] * 5
     assert (asked[-1].req_stream_id, asked[-1].req_message_rate, asked[-1].start_stop) == (6, 50, 1)
+
+
+def asked_s(streams, from_s, until_s):
+    """Times at which something is asked for."""
+    ticks = range(round(from_s * 100), round(until_s * 100))
+    return [tick * 0.01 for tick in ticks for _ in streams.step(tick * 0.01)]
+
+
+def test_what_never_comes_is_asked_for_every_three_seconds_in_both_ways():
+    streams = StreamRequests({32: 50.0}, 1, 1, 0.0, {32: 6})
+    assert asked_s(streams, 0.0, 9.5) == pytest.approx([float(s) for s in range(10)])
+    assert asked_s(streams, 9.5, 60.0) == pytest.approx([12.0 + 3.0 * n for n in range(16)])
+    later = [m.get_type() for tick in range(6000, 12000) for m in streams.step(tick * 0.01)]
+    assert set(later) == {"COMMAND_LONG", "REQUEST_DATA_STREAM"}
+    assert len(later) == 20
+
+
+def test_a_stream_that_comes_more_slowly_than_asked_is_left_as_it_is():
+    streams = StreamRequests({32: 50.0}, 1, 1, 0.0)
+    sent = 0
+    for tick in range(6000):
+        if tick % 10 == 0:  # 10 Hz, which is all that the line has room for
+            streams.seen(32)
+        sent += len(streams.step(tick * 0.01))
+    assert sent == 5
+
+
+def test_after_a_restart_what_does_not_come_is_asked_for_at_once():
+    streams = StreamRequests({32: 50.0, 30: 50.0}, 1, 1, 0.0)
+    for tick in range(2000):
+        streams.seen(30)
+        streams.step(tick * 0.01)
+    streams.restart()
+    streams.seen(30)
+    assert [m.param1 for m in streams.step(20.0)] == [32.0]  # 30 comes: it is not asked for again
+    assert asked_s(streams, 20.01, 22.5) == pytest.approx([21.0, 21.0, 22.0, 22.0])  # then neither comes
 
 
 def test_the_origin_is_told_once_a_second_on_the_ground_until_it_is_known():

@@ -10,7 +10,7 @@ from bridge.mavlink import Endpoint, dialect
 from bridge.preflight import Level, Needs, judge
 from bridge.preflight_rules import RULES
 from bridge.preflight_talk import examine
-from flightstack.config import FlightConfig
+from flightstack.config import FilterKind, FlightConfig
 from flightstack.preflight import lines, needs_of, record, verdict
 from flightstack.strict_toml import ConfigError, from_table
 from sim import scenario
@@ -20,7 +20,7 @@ from sim.autopilot.personality import PX4 as PLAYS_PX4
 from sim.autopilot.server import Autopilot
 from tests.unit.autopilot_fakes import RATE_HZ, FakeVehicle
 
-NEEDS = Needs((0.5, 0.5, 0.5), 3.0, 0.5)
+NEEDS = Needs((0.5, 0.5, 0.5), 3.0, 0.5, (0.8, 0.6, 1.5))
 RULE_OF = {(name, rule.name): rule for name, rules in RULES.items() for rule in rules}
 SHARED = {  # of PX4 v1.16 and its SITL, with an Offboard flight in mind
     "COM_OF_LOSS_T": 1.0, "MPC_XY_VEL_MAX": 12.0, "MPC_Z_VEL_MAX_UP": 3.0, "MPC_Z_VEL_MAX_DN": 1.5,
@@ -31,6 +31,7 @@ PX4_DEFAULTS = SHARED | {
     "COM_OBL_RC_ACT": 0.0, "COM_RC_IN_MODE": 3.0, "COM_RCL_EXCEPT": 0.0, "COM_RC_OVERRIDE": 1.0,
     "MAV_FWDEXTSP": 1.0,
 }  # fmt: skip
+ARDUPILOT_UNSAFE = {"GUID_TIMEOUT", "FS_GCS_ENABLE", "SYSID_MYGCS"}  # with its defaults
 
 
 def unsafe(name, values, needs=NEEDS, accepted=()):
@@ -76,6 +77,9 @@ def test_px4s_defaults_are_unsafe_for_what_they_do_when_the_stream_stops():
         ("ardupilot", "ARMING_CHECK", (1, 64), (0,)),
         ("ardupilot", "FS_EKF_ACTION", (1, 2, 3), (0,)),
         ("ardupilot", "FS_GCS_ENABLE", (1, 5), (0, 2)),
+        ("ardupilot", "SYSID_MYGCS", (1,), (255, 0, 2)),
+        ("ardupilot", "WPNAV_ACCEL", (100, 250), (99,)),
+        ("ardupilot", "WPNAV_ACCEL_Z", (150, 400), (100, 149)),
     ],
 )
 def test_limits_of_what_is_safe(name, parameter, safe, not_safe):
@@ -86,8 +90,10 @@ def test_limits_of_what_is_safe(name, parameter, safe, not_safe):
 
 @pytest.mark.parametrize("box", [(0.2, 0.2, 0.5), (0.333, 1.0, 0.1), (3.0, 4.0, 1.234)])
 def test_the_speed_that_is_asked_for_suffices(box):
-    needs = Needs(box, 3.0, 0.5)
-    for rule in (r for rules in RULES.values() for r in rules if "VEL_MAX" in r.name or "WPNAV" in r.name):
+    needs = Needs(box, 3.0, 0.5, (1.0, 1.0, 1.0))
+    for rule in (
+        r for rules in RULES.values() for r in rules if "VEL_MAX" in r.name or "WPNAV_SPEED" in r.name
+    ):
         number = float(rule.wanted(needs).removeprefix("at least "))
         assert rule.safe(number, needs), rule.name
         assert not rule.safe(0.97 * number, needs), rule.name
@@ -135,7 +141,9 @@ def test_accepted_names_are_checked():
         ({"accepted_parameters": ["guid_timeout"]}, "in capitals"),
         ({"accepted_parameters": [""]}, "found ''"),
         ({"accepted_parameters": ["ABCDEFGHIJKLMNOPQ"]}, "at most 16"),
-        ({"origin_wgs84": [91.0, 0.0, 0.0]}, "latitude of -90 to 90"),
+        ({"origin_wgs84": [91.0, 0.0, 10.0]}, "latitude of -90 to 90"),
+        ({"origin_wgs84": [47.0, 8.0, 0.0]}, "height of 0 m; ArduPilot takes 0 .* or 10 where"),
+        ({"origin_wgs84": [47.0, 8.0, -0.004]}, "height of -0.004 m"),
         ({"origin_wgs84": [47.0, 8.0]}, "exactly 3"),
     ):
         with pytest.raises(ConfigError, match=words):
@@ -204,11 +212,40 @@ def test_the_simulator_is_recognised_and_safe():
 def test_ardupilots_default_time_out_keeps_it_from_arming():
     report = talk(Vehicle(PLAYS_ARDUPILOT))
     assert (report.profile, report.version) == (ARDUPILOT, "4.6.0")
-    assert [f.name for f in report.blocking] == ["GUID_TIMEOUT"]
+    assert {f.name for f in report.blocking} == ARDUPILOT_UNSAFE
     assert "GUID_TIMEOUT" in verdict(report)
     assert "accepted_parameters" in verdict(report)
     assert any("UNSAFE: GUID_TIMEOUT is 3: s without set-points" in line for line in lines(report))
-    assert talk(Vehicle(PLAYS_ARDUPILOT), accepted=("GUID_TIMEOUT",)).safe
+    assert talk(Vehicle(PLAYS_ARDUPILOT), accepted=ARDUPILOT_UNSAFE).safe
+
+
+def test_a_lost_companion_comes_down_only_if_its_own_heartbeats_are_minded():
+    """Both parameters together: FS_GCS_ENABLE alone acts on the loss of somebody else."""
+    values = {"FS_GCS_ENABLE": 5.0, "SYSID_MYGCS": 7.0}
+    rules = [RULE_OF["ardupilot", name] for name in values]
+    needs = NEEDS._replace(system_id=7)
+    assert [f.level for f in judge(rules, values, {}, needs, ())] == [Level.OK, Level.OK]
+    for wrong in ({"FS_GCS_ENABLE": 0.0}, {"SYSID_MYGCS": 255.0}):
+        (name,) = wrong
+        assert {f.name for f in judge(rules, values | wrong, {}, needs, ()) if f.level is Level.UNSAFE} == {
+            name
+        }
+    (finding,) = (f for f in judge(rules, {"SYSID_MYGCS": 255.0}, {}, needs, ()) if f.name == "SYSID_MYGCS")
+    assert "set it to 7 (the companion's system id, the vehicle's own)" in finding.text
+
+
+def test_a_limit_of_acceleration_below_the_configuration_is_noted():
+    found = judge([RULE_OF["ardupilot", "WPNAV_ACCEL_Z"]], {"WPNAV_ACCEL_Z": 100.0}, {}, NEEDS, ())
+    assert [f.level for f in found] == [Level.NOTE]
+    assert "WPNAV_ACCEL_Z is 100: cm/s^2" in found[0].text
+    assert "set it to at least 150" in found[0].text
+    robust, paper = (
+        needs_of(scenario.load("lab").with_filter(kind).onboard)
+        for kind in (FilterKind.ROBUST, FilterKind.PAPER)
+    )
+    config = scenario.load("lab").onboard
+    assert robust.acceleration_max_m_s2 == config.robust.acceleration_max_m_s2
+    assert paper.acceleration_max_m_s2 == config.limits.slew_max_m_s2
 
 
 def test_a_log_that_is_played_has_no_parameters_and_obeys_nothing():

@@ -93,7 +93,7 @@ def test_the_lines_of_every_form_hold_all_of_them(airframe, form):
 
 
 def test_the_check_before_a_flight_finds_nothing_unsafe_in_them():
-    found, needs = parameters(load()), Needs((0.5, 0.5, 0.5), 3.0, 0.5)
+    found, needs = parameters(load()), Needs((0.5, 0.5, 0.5), 3.0, 0.5, (2.0, 2.0, 2.5))
     checked = [rule for rule in RULES["px4"] if rule.name in found]
     assert {rule.name for rule in checked} == {"COM_OBL_RC_ACT", "COM_RC_IN_MODE", "SYS_FAILURE_EN"}
     assert all(rule.safe(found[rule.name], needs) for rule in checked)

@@ -1,5 +1,7 @@
 """The vehicle link and the profiles: found by the heartbeat, and what ArduPilot wants otherwise."""
 
+from itertools import pairwise
+
 import pytest
 
 from bridge.autopilots import ARDUPILOT, PX4
@@ -11,6 +13,7 @@ from tests.unit.vehicle_link_fakes import (
     HEIGHT,
     FakeAutopilot,
     Setpoint,
+    attitude,
     heartbeat,
     poll,
     position,
@@ -41,7 +44,7 @@ def auto(vehicle):
         f"udpout:127.0.0.1:{vehicle.endpoint.local_port}",
         takeoff_height_m=HEIGHT,
         profile=None,
-        origin=Origin(47.4, 8.5, 0.0),
+        origin=Origin(47.4, 8.5, 10.0),
     )
     opened.poll(0.0)
     vehicle.take("HEARTBEAT")
@@ -110,6 +113,43 @@ def test_ardupilot_is_prepared_told_its_origin_and_asked_for_everything(vehicle,
     auto.command(Request.NONE, 2.5)
     auto.flush([dialect.MAVLink_ping_message(0, 0, 0, 0)])
     assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in vehicle.take("PING"))
+
+
+def test_a_vehicle_that_restarts_while_it_is_waited_for_is_asked_and_told_anew(vehicle, auto):
+    def tick(now_s, *shown):
+        """One tick of the loop; returns what is asked for."""
+        if shown:
+            vehicle.send(*shown)
+            poll(auto, now_s)
+        else:
+            auto.poll(now_s)
+        auto.command(Request.NONE, now_s)
+        auto.flush([dialect.MAVLink_ping_message(0, 0, 0, 0)])
+        return [m for m in vehicle.take("PING") if m.get_type() != "PING"]
+
+    def asked(messages):
+        return {m.param1 for m in messages if m.get_type() == "COMMAND_LONG" and m.command == 511}
+
+    beat = heartbeat(4, autopilot=3)
+    for second in range(1, 30):
+        tick(float(second), beat)  # the tries of the first seconds are over: no position comes
+    tick(30.0, beat, dialect.MAVLink_gps_global_origin_message(0, 0, 0, 0))
+    tick(30.1, attitude(30_000), position(30_000))
+    assert auto.own.arrival_s == 30.1
+    assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in tick(31.5, beat))
+    auto.take_texts()
+    again = tick(40.0, beat)  # it has been silent: it restarted
+    assert asked(again) == {1.0, 30.0, 32.0, 245.0}
+    assert any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in again)
+    assert [text for _, text in auto.take_texts()] == [
+        "restarted, or heard again after a silence: what does not come is asked for again"
+    ]
+    seen = [second for second in range(41, 140) if 32.0 in asked(tick(float(second), beat))]
+    assert len(seen) > 10  # for as long as it takes, by the group's request in between
+    assert max(b - a for a, b in pairwise(seen)) <= 20
+    tick(140.1, beat, attitude(90_000), position(90_000))
+    assert auto.own.arrival_s == 140.1
+    assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in tick(142.0, beat))
 
 
 def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in_the_air(vehicle, auto):

@@ -86,6 +86,30 @@ def test_a_rebooted_vehicle_is_followed(state):
     assert state.own.position_enu_m[1] == pytest.approx(9.0)
 
 
+@pytest.mark.parametrize("shows", [attitude, position])
+def test_a_boot_clock_that_falls_back_is_a_restart(state, shows):
+    state.update(attitude(60_000), 1.0)
+    state.update(position(60_000), 1.0)
+    state.update(dialect.MAVLink_gps_global_origin_message(0, 0, 0, 0), 1.0)
+    state.update(attitude(60_000 + 100), 1.1)
+    state.update(attitude(60_000 - 100), 1.2)  # a late datagram
+    assert (state.restarted_s, state.origin_known) == (-math.inf, True)
+    state.update(attitude(59_000 - 600), 2.0)
+    if shows is position:
+        state.restarted_s = -math.inf
+        state.update(position(58_500), 2.0)
+    assert (state.restarted_s, state.origin_known) == (2.0, False)
+
+
+def test_a_heartbeat_after_a_silence_may_be_a_restart(state):
+    for second in range(4):
+        state.update(heartbeat(), 10.0 + second)
+    state.update(heartbeat(), 15.4)  # one lost, the next late
+    assert state.restarted_s == -math.inf
+    state.update(heartbeat(), 18.0)
+    assert state.restarted_s == 18.0
+
+
 def test_status_is_put_together_from_three_messages(state):
     state.update(dialect.MAVLink_extended_sys_state_message(0, 2), 0.5)
     assert state.status is None  # without a heartbeat nothing is known
