@@ -8,7 +8,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 from flightstack.processes import Child, Port
-from tests.serial_relay import PtyEnd, Relay
+from tests.serial_relay import PtyEnd, Relay, TcpEnd
 
 ROOT = Path(__file__).parents[2]
 FLIGHT_MAX_S = 120.0
