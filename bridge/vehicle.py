@@ -127,12 +127,8 @@ class VehicleLink:
         self._wants = self._adopt(profile) if profile is not None else None
         self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
         self._assembler = TextAssembler()
-        self.endpoint = endpoint or Endpoint(
-            url,
-            system_id,  # the companion shares the vehicle's
-            COMPONENT_ID,
-            signing_key=signing_key,
-            allow_unsigned=allow_unsigned,
+        self.endpoint = endpoint or Endpoint(  # the companion shares the vehicle's system id
+            url, system_id, COMPONENT_ID, signing_key=signing_key, allow_unsigned=allow_unsigned
         )
         self._texts: list[tuple[int, str]] = []
         self._outgoing: list[Message] = []
@@ -340,18 +336,15 @@ class VehicleLink:
         else:
             self.state.update(message, arrival_s)
 
-    def _on_ack(self, message: Message, arrival_s: float) -> None:
-        del arrival_s
+    def _on_ack(self, message: Message, _arrival_s: float) -> None:
         if self._wants is not None:
             self._wants.sequencer.note_ack(message.command, message.result)
 
-    def _on_text(self, message: Message, arrival_s: float) -> None:
-        del arrival_s
+    def _on_text(self, message: Message, _arrival_s: float) -> None:
         for severity, text in self._assembler.add(message):
             self._said(severity, text)
 
-    def _on_event(self, message: Message, arrival_s: float) -> None:
-        del arrival_s
+    def _on_event(self, message: Message, _arrival_s: float) -> None:
         said = event_text(message)
         if said is not None:
             self._said(*said)
