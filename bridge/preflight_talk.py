@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.autopilot_version import is_recorded, marked, release
 from bridge.autopilots import found, refusal
+from bridge.companion import companion_heartbeat
 from bridge.decoding import Message
 from bridge.endpoint_counters import LinkCounters
 from bridge.mavlink import Endpoint, Peer
@@ -149,7 +150,11 @@ class _Talk:
 
     def turn(self, now_s: float) -> None:
         """Say what is due, wait a little, take what came."""
-        messages = [] if now_s - self._said_s < (_HEARTBEAT_S if self.heard else _HELLO_S) else [_hello()]
+        messages = (
+            []
+            if now_s - self._said_s < (_HEARTBEAT_S if self.heard else _HELLO_S)
+            else [companion_heartbeat()]
+        )
         if messages:
             self._said_s = now_s
         if self.profile is not None:
@@ -202,9 +207,3 @@ class _Talk:
                 self.profile = own
         elif self.reader is not None:
             self.reader.take(message)
-
-
-def _hello() -> Message:
-    return dialect.MAVLink_heartbeat_message(
-        dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
-    )

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.autopilots import PX4, found, refusal
 from bridge.commands import CommandSequencer
+from bridge.companion import companion_heartbeat
 from bridge.decoding import Message
 from bridge.endpoint_counters import LinkCounters
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
@@ -87,8 +88,7 @@ class VehicleLink:
         """Open the link.
 
         Args:
-            url: MAVLink URL, ``udpin:HOST:PORT``, ``udpout:HOST:PORT``, ``serial:DEVICE:BAUD`` or
-                ``tcp:HOST:PORT``.
+            url: MAVLink URL, as ``bridge.address.parse_url`` reads it.
             takeoff_height_m: height above home of ``Request.TAKEOFF``, m.
             rate_hz: rate of the loop, asked of the vehicle for position and attitude.
             profile: what the autopilot wants; None: the one that fits its first heartbeat.
@@ -119,12 +119,8 @@ class VehicleLink:
         self._wants = self._wanted(profile) if profile is not None else None
         self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
         self._assembler = TextAssembler()
-        self.endpoint = endpoint or Endpoint(
-            url,
-            system_id,  # the companion shares the vehicle's
-            COMPONENT_ID,
-            signing_key=signing_key,
-            allow_unsigned=allow_unsigned,
+        self.endpoint = endpoint or Endpoint(  # the companion shares the vehicle's system id
+            url, system_id, COMPONENT_ID, signing_key=signing_key, allow_unsigned=allow_unsigned
         )
         self._texts: list[tuple[int, str]] = []
         self._outgoing: list[Message] = []
@@ -250,7 +246,6 @@ class VehicleLink:
         self._setpoints += 1
         if self._line is not None and self._setpoints % self._line.setpoint_every:
             return True  # the line has no room for each; a newer one follows
-        north, east, down = ned_from_enu(velocity)
         unused = (0.0, 0.0, 0.0)
         self._outgoing.append(
             dialect.MAVLink_set_position_target_local_ned_message(
@@ -259,9 +254,7 @@ class VehicleLink:
                 profile.frame,
                 profile.setpoint_mask,
                 *unused,
-                north,
-                east,
-                down,
+                *ned_from_enu(velocity),
                 *unused,
                 yaw_ned_from_enu(yaw),
                 0.0,
@@ -348,25 +341,24 @@ class VehicleLink:
         else:
             self.state.update(message, arrival_s)
 
-    def _on_ack(self, message: Message, arrival_s: float) -> None:
-        del arrival_s
+    def _on_ack(self, message: Message, _arrival_s: float) -> None:
         if self._wants is not None:
             self._wants.sequencer.note_ack(message.command, message.result)
 
-    def _on_text(self, message: Message, arrival_s: float) -> None:
-        del arrival_s
+    def _on_text(self, message: Message, _arrival_s: float) -> None:
         for severity, text in self._assembler.add(message):
-            self._say(severity, text)
-            if self._wants is not None:
-                self._wants.sequencer.note_text(text)
+            self._said(severity, text)
 
-    def _on_event(self, message: Message, arrival_s: float) -> None:
-        del arrival_s
+    def _on_event(self, message: Message, _arrival_s: float) -> None:
         said = event_text(message)
         if said is not None:
-            self._say(*said)
-            if self._wants is not None:
-                self._wants.sequencer.note_text(said[1])
+            self._said(*said)
+
+    def _said(self, severity: int, text: str) -> None:
+        """Pass on what the vehicle says; it may be the reason why a command fails."""
+        self._say(severity, text)
+        if self._wants is not None:
+            self._wants.sequencer.note_text(text)
 
     def _on_timesync(self, message: Message, arrival_s: float) -> None:
         if message.tc1 != 0:
@@ -385,14 +377,14 @@ class VehicleLink:
             if self._hello:
                 self.endpoint.repeat(self._hello)
                 return
-            heartbeat = _heartbeat()
+            heartbeat = companion_heartbeat()
             self.endpoint.send([heartbeat])
             self._hello = bytes(heartbeat.get_msgbuf() or b"")
 
     def _queue_due(self, now_s: float) -> None:
         if now_s - self._heartbeat_at_s >= _HEARTBEAT_S - 1e-9:
             self._heartbeat_at_s = now_s
-            self._outgoing.append(_heartbeat())
+            self._outgoing.append(companion_heartbeat())
         if self.state.autopilot is not None and self._wants is not None:
             if self.state.restarted_s != self._restarted_s:
                 self._restarted_s = self.state.restarted_s
@@ -414,9 +406,3 @@ class VehicleLink:
 
     def _say(self, severity: int, text: str) -> None:
         self._texts = [*self._texts, (severity, text)][-_TEXTS_MAX:]
-
-
-def _heartbeat() -> Message:
-    return dialect.MAVLink_heartbeat_message(
-        dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
-    )
