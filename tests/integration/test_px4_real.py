@@ -24,7 +24,6 @@ from tests.px4_program import px4_or_skip
 
 pytestmark = pytest.mark.xdist_group("vehicle")
 FLIGHTS = 3
-SPEED = 1.5
 FLIGHT_MAX_S = 60.0
 LOST_S = 2.5  # COM_OF_LOSS_T = 1.0 s, and a heartbeat once a second
 LANDED_MAX_S = 30.0
@@ -41,7 +40,7 @@ STILL_M_S = 0.1
 def scenario_file(folder):
     """Scenario ``large`` with short ways: a flight ends within twenty seconds."""
     large = load("large")
-    start = replace(large.start, offset_m=(-1.5, 0.6, 1.1))
+    start = replace(large.start, offset_m=(-1.0, 0.5, 1.1))
     short = replace(
         large, name="large_short", start=start, target=replace(large.target, speed_m_s=ROBOT_M_S),
         onboard=replace(large.onboard, takeoff=replace(large.onboard.takeoff, height_m=TAKEOFF_M)),
@@ -80,9 +79,7 @@ def flown(tmp_path_factory):
         recorder = Child("record", words, folder)
         stack.callback(recorder.end, RECORDED_MAX_S)
         recorder.wait_ready()
-        with on_px4(
-            folder, place, str(scenario_file(folder)), seed=1, speed=SPEED, mocap=True, recorder=socket
-        ) as room:
+        with on_px4(folder, place, str(scenario_file(folder)), seed=1, mocap=True, recorder=socket) as room:
             for _ in range(FLIGHTS):
                 with companion(room) as flying:
                     ends.append((flying.ended(FLIGHT_MAX_S), flying.said[-1]))
