@@ -35,7 +35,7 @@ KILLED_M = 0.4  # above the ground, in the climb
 ERROR_M = 0.25  # of a pad of 0.5 m
 STANDS_M = 0.12  # reference of the vehicle above the pad on which it stands
 NEAR_M = 0.05
-STILL_M_S = 0.1
+CARRIED_S = 2.0  # after its motors stopped; the robot drives on
 
 
 def scenario_file(folder):
@@ -106,10 +106,9 @@ def test_after_each_of_them_the_vehicle_truly_stands_on_the_pad(flown):
     flights = flown.armed_s()
     assert len(flights) == FLIGHTS + 1
     for _, end_s in flights[:FLIGHTS]:
-        at = np.searchsorted(truth.t_s, end_s)
-        assert truth.d_m[at] < ERROR_M
-        assert truth.e_m[at, 2] == pytest.approx(STANDS_M, abs=NEAR_M)
-        assert np.hypot(*truth.relative_velocity_m_s[at, :2]) < STILL_M_S
+        for at in np.searchsorted(truth.t_s, (end_s, end_s + CARRIED_S)):
+            assert truth.d_m[at] < ERROR_M
+            assert truth.e_m[at, 2] == pytest.approx(STANDS_M, abs=NEAR_M)
     (first_s, _), *_, (last_s, _) = flights
     first, last = np.searchsorted(truth.t_s, (first_s, last_s))
     assert np.hypot(*(truth.pad_position_enu_m[last] - truth.pad_position_enu_m[first])[:2]) > DRIVEN_M
