@@ -6,13 +6,13 @@ import contextlib
 import re
 import select
 import socket
+import struct
 from collections.abc import Iterable, Sequence
 from ipaddress import IPv4Address
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
-
 from bridge.address import resolve
 from bridge.decoding import Message
+from bridge.packing import pack
 from sim.px4.messages import COMPONENT_ID, SYSTEM_ID
 from sim.px4.stream import FrameStream
 
@@ -20,7 +20,7 @@ _ENDPOINT = re.compile(r"^([^:/\s]+):(\d{1,5})$")
 _ENDPOINT_HELP = "allowed is HOST:PORT, PORT up to 65535 (0 takes a free one), for example 127.0.0.1:4560"
 _CHUNK = 65536  # bytes taken at a time
 _SEND_MAX_S = 5.0  # s that PX4 may leave its socket full
-_LOOK_S = 0.1  # s between two looks at who else wants something
+SLICE_S = 0.1  # s between two looks at who else wants something
 
 
 class LinkClosedError(ConnectionError):
@@ -45,14 +45,22 @@ def parse_endpoint(text: str, *, allow_unsigned: bool) -> tuple[str, int]:
     return host, port
 
 
+def _timeval(seconds: float) -> bytes:
+    """As the socket options want it."""
+    return struct.pack("ll", int(seconds), round(seconds % 1.0 * 1e6))
+
+
 class Px4Link:
     """The connection to one PX4."""
 
     def __init__(self, connected: socket.socket) -> None:
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connected.settimeout(_SEND_MAX_S)
+        # The system's own limits instead of Python's, which asks the system twice for every message
+        connected.settimeout(None)
+        connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(_SEND_MAX_S))
+        connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(SLICE_S))
         self._socket = connected
-        self._mav = dialect.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
+        self._sequence = 0
         self.stream = FrameStream()
 
     def send(self, messages: Iterable[Message]) -> None:
@@ -63,23 +71,25 @@ class Px4Link:
         """
         data = b""
         for message in messages:
-            data += bytes(message.pack(self._mav))
-            self._mav.seq = (self._mav.seq + 1) % 256
+            data += pack(message, self._sequence, SYSTEM_ID, COMPONENT_ID)
+            self._sequence = (self._sequence + 1) % 256
         try:
             self._socket.sendall(data)
         except OSError as error:
             raise LinkClosedError(f"sending to PX4 failed: {error}") from error
 
     def receive(self, timeout_s: float) -> Sequence[Message]:
-        """What has come within the time, perhaps nothing.
+        """What has come within the time, or within ``SLICE_S`` if that is shorter; perhaps nothing.
 
         Raises:
             LinkClosedError: it has gone.
         """
-        if not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:
+        if timeout_s < SLICE_S and not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:
             return ()
         try:
             data = self._socket.recv(_CHUNK)
+        except BlockingIOError:  # nothing came
+            return ()
         except OSError as error:
             raise LinkClosedError(f"receiving from PX4 failed: {error}") from error
         if not data:
@@ -119,7 +129,7 @@ class Px4Server:
 
     def accept(self) -> Px4Link | None:
         """Next connection; None when none came for a moment."""
-        if not select.select([self._socket], [], [], _LOOK_S)[0]:
+        if not select.select([self._socket], [], [], SLICE_S)[0]:
             return None
         return Px4Link(self._socket.accept()[0])
 

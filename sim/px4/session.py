@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.decoding import Message
 from sim.pacing import NoAnswerError, StopSignal
-from sim.px4.link import Px4Link
+from sim.px4.link import SLICE_S, Px4Link
 from sim.px4.lockstep import FIRST_US, Lockstep
 from sim.px4.messages import (
     HIL_STATE_QUATERNION,
@@ -34,7 +34,6 @@ HELLO_MAX_S = 10.0  # s of wall time for its first message, which it sends as so
 BOOT_MAX_S = 60.0  # s of wall time until its first motor outputs
 NUDGE_S = 1.0  # s of wall time; then one step goes on without an answer, since PX4 may wait for a sensor, too
 STATE_MAX_US = 1_000_000  # slower than this the truth is not worth asking for
-_SLICE_S = 0.1  # s between two looks at the stop signal
 _BEHIND_MAX_S = 0.1  # s; after a longer pause of the machine time is put back instead of caught up
 
 
@@ -113,7 +112,7 @@ class Px4Session:
                     f"a client said nothing that is MAVLink for {HELLO_MAX_S:g} s "
                     f"({self._link.stream.garbage_bytes} other bytes): PX4 sends a HEARTBEAT at once; dropped"
                 )
-            messages = self._link.receive(min(left_s, _SLICE_S))
+            messages = self._link.receive(min(left_s, SLICE_S))
             if messages:
                 self._note(messages)
                 self._tell(Event.CONNECTED)
@@ -158,7 +157,7 @@ class Px4Session:
         until_s = self._start_s + (self.steps + 1) * STEP_S
         while not self._stop.is_set:
             left_s = until_s - time.monotonic()
-            answer = self._note(self._link.receive(min(left_s, _SLICE_S)))
+            answer = self._note(self._link.receive(min(left_s, SLICE_S)))
             if self.lockstep.started:
                 self._answered_s = time.monotonic()
                 self._start_s = self._answered_s - self.steps * self._step_wall_s
@@ -177,7 +176,7 @@ class Px4Session:
         """Wait for the answer to this step's HIL_SENSOR; None: go on without, for once."""
         began_s = time.monotonic()
         while not self._stop.is_set:
-            answer = self._note(self._link.receive(_SLICE_S))
+            answer = self._note(self._link.receive(SLICE_S))
             now_s = time.monotonic()
             if answer is not None:
                 self._answered_s = now_s

@@ -15,18 +15,19 @@ class Radio:
 
     Args:
         url: ``udpout:HOST:PORT`` of the vehicle.
+        local_port: UDP port of loopback to which the vehicle sends; 0: it answers where it is called from.
 
     Attributes:
         url: where the companion finds it.
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, local_port: int = 0) -> None:
         _, host, port = url.split(":")
         self._vehicle = (host, int(port))
         self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._near.bind(("127.0.0.1", 0))
         self._far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._far.bind(("127.0.0.1", 0))
+        self._far.bind(("127.0.0.1", local_port))
         self.url = f"udpout:127.0.0.1:{self._near.getsockname()[1]}"
         self._companion: tuple[str, int] | None = None
         self._cut, self._end = threading.Event(), threading.Event()
@@ -35,6 +36,10 @@ class Radio:
     def cut(self) -> None:
         """Nothing passes from now on."""
         self._cut.set()
+
+    def mend(self) -> None:
+        """All passes again."""
+        self._cut.clear()
 
     def _forward(self) -> None:
         while not self._end.is_set():

@@ -1,0 +1,157 @@
+"""Whole flights of a real PX4 on the plant of px4-sim, with robot, onboard process and recorder."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from flightstack.processes import Child, Port
+from sim import params
+from sim.px4.airframe import parameters
+from sim.px4.program import InstanceClaim, Px4Model, Px4Program
+from sim.scenario import load
+
+FLIGHT_MAX_S = 240.0  # s of stack time from the start of the onboard process to its end
+DOWN_MAX_S = 60.0  # s of stack time for PX4's own landing without it
+_LOOK_S = 0.02
+
+
+@dataclass(frozen=True)
+class Px4Flight:
+    """What is flown."""
+
+    scenario: str
+    config: Path
+    folder: Path
+    seed: int = 0
+    mocap: bool = False
+    speed: float = 1.0  # against real time
+
+
+class Px4Flying:
+    """The processes of one flight; the onboard process starts with ``take_off``."""
+
+    def __init__(self, flight: Px4Flight, px4: Px4Program, log: Path, words: list[str]) -> None:
+        self.flight, self.px4, self.log = flight, px4, log
+        self._words = words
+        self.onboard: Child | None = None
+        self.simulator: Child
+        self.target: Child
+        self.recorder: Child
+        self.said: list[str] = []  # by the simulator: armed, disarmed, touched the pad ...
+        self.told: list[str] = []  # by the onboard process
+
+    def take_off(self) -> Child:
+        """Start the onboard process."""
+        self.onboard = Child("onboard", ["onboard", *self._words], self.flight.folder)
+        return self.onboard
+
+    def look(self) -> None:
+        """Read what the processes said."""
+        self.said += self.simulator.lines(0.0)
+        if self.onboard is not None:
+            self.told += self.onboard.lines(0.0)
+
+    def until(self, done: Callable[[], bool], within_s: float) -> bool:
+        """Wait, at most so much stack time; whether it came to it."""
+        until_s = time.monotonic() + within_s / self.flight.speed
+        while time.monotonic() < until_s:
+            self.look()
+            if done():
+                return True
+            time.sleep(_LOOK_S)
+        return False
+
+    def in_phase(self, name: str) -> bool:
+        """Whether the onboard process has come to this phase."""
+        return any(f"-> {name}" in line for line in self.told)
+
+    @property
+    def armed(self) -> bool:
+        """Whether its motors run."""
+        return [line for line in self.said if line in ("armed", "disarmed")][-1:] == ["armed"]
+
+    @property
+    def disarmed(self) -> bool:
+        """Whether it has flown, and its motors are off again."""
+        changes = [line for line in self.said if line in ("armed", "disarmed")]
+        return changes[-1:] == ["disarmed"]
+
+    def ended(self) -> bool:
+        """Whether the onboard process has ended."""
+        return self.onboard is not None and not self.onboard.alive()
+
+    def fly(self) -> int:
+        """Fly to the end; exit status of the onboard process, ended by us if the time is over."""
+        onboard = self.onboard or self.take_off()
+        self.until(self.ended, FLIGHT_MAX_S)
+        self.until(lambda: self.disarmed, DOWN_MAX_S if onboard.process.poll() else 2.0)
+        self.look()
+        return onboard.end()
+
+    def interrupt(self) -> None:
+        """Ctrl-C to the onboard process."""
+        assert self.onboard is not None
+        self.onboard.process.send_signal(signal.SIGINT)
+
+
+@contextlib.contextmanager
+def flying(
+    place: Path, flight: Px4Flight, vehicle_url: Callable[[Px4Program], str] | None = None
+) -> Iterator[Px4Flying]:
+    """Simulator, PX4, recorder and robot, ready to fly; all are ended whatever happens.
+
+    Args:
+        place: of PX4, as ``sim.px4.program.find_px4`` takes it.
+        flight: what is flown.
+        vehicle_url: where the onboard process finds the vehicle; default: PX4's own port.
+
+    Raises:
+        LaunchError: a process did not start.
+    """
+    folder = flight.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    scenario = load(flight.scenario)
+    socket, log = folder / "feed", folder / "flight.mcap"
+    common = ["--scenario", flight.scenario, "--seed", str(flight.seed), "--speed", f"{flight.speed:g}"]
+    with contextlib.ExitStack() as stack:
+        claim = stack.enter_context(contextlib.closing(InstanceClaim()))
+        at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
+        number = claim.number
+        px4 = Px4Program(
+            place, folder / "px4", Px4Model.NONE_IRIS, instance=number,
+            parameters=parameters(
+                params.load(scenario.vehicle.airframe), scenario.vehicle.mocap if flight.mocap else None
+            ),
+        )  # fmt: skip
+        stack.callback(px4.end)
+
+        def start(verb: str, *words: str, within_s: float | None = None) -> Child:
+            child = Child(verb, [verb, *words], folder)
+            stack.callback(child.end, *(() if within_s is None else (within_s,)))
+            child.wait_ready()
+            return child
+
+        url = f"udpin:127.0.0.1:{px4.onboard_port}" if vehicle_url is None else vehicle_url(px4)
+        one = Px4Flying(flight, px4, log, [
+            "--vehicle", url, "--system-id", str(number + 1),
+            "--config", str(flight.config), "--connect", at, "--listen", onboard_at,
+            "--recorder", str(socket), "--speed", f"{flight.speed:g}",
+        ])  # fmt: skip
+        one.recorder = start(
+            "record", "--socket", str(socket), "--out", str(log), "--until-clients", "3", within_s=30.0
+        )
+        one.simulator = start(
+            "px4-sim", *common, "--tcp", f"127.0.0.1:{px4.simulator_port}", "--connect", at, "--once",
+            "--recorder", str(socket), *(["--mocap"] if flight.mocap else []),
+        )  # fmt: skip
+        px4.wait_ready()
+        one.target = start(
+            "target", *common, "--listen", at, "--connect", onboard_at, "--recorder", str(socket)
+        )
+        stack.callback(lambda: one.onboard.end() if one.onboard is not None else None)
+        yield one
