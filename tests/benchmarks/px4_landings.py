@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
+from flightstack.config import path_of
 from flightstack.processes import LaunchError
 from logs.flight import load_flight
 from logs.verdict import Verdict, judge
@@ -30,9 +31,9 @@ class SetUp(NamedTuple):
 
 
 SET_UPS = [
-    SetUp(scenario, ROOT / "docs" / config, mocap)
+    SetUp(scenario, path_of(config), mocap)
     for mocap in (True, False)
-    for scenario, config in (("grid", "onboard_px4_crazyflie.toml"), ("large", "onboard_px4_1kg.toml"))
+    for scenario, config in (("grid", "px4-crazyflie"), ("large", "px4-1kg"))
 ]
 
 
