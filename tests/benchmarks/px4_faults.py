@@ -23,7 +23,6 @@ from tests.flight_suite.radio import Radio
 from tests.px4_flight import Px4Flight, Px4Flying, flying
 from tests.px4_program import PX4_PLACE, px4_place
 
-ROOT = Path(__file__).parents[2]
 CONFIG = path_of("px4-1kg")
 PHASE_MAX_S = 90.0  # s of stack time until the phase of the fault
 DOWN_MAX_S = 180.0  # s of stack time from the fault until its motors are off

@@ -19,8 +19,6 @@ from logs.verdict import Verdict, judge
 from tests.px4_flight import Px4Flight, flying
 from tests.px4_program import PX4_PLACE, px4_place
 
-ROOT = Path(__file__).parents[2]
-
 
 class SetUp(NamedTuple):
     """What is flown, and the configuration that goes with it."""
