@@ -73,6 +73,7 @@ def test_when_all_is_well():
     [
         ({"operator": Operator.EMERGENCY_STOP}, {"EMERGENCY"}, set()),
         ({"operator": Operator.ABORT}, {"ABORT_ASKED"}, set()),
+        ({"operator": Operator.LAND}, {"ABORT_ASKED"}, set()),
         ({"failed": True}, {"COMMAND_FAILED"}, set()),
         ({"follows": False}, {"NOT_FOLLOWING"}, set()),
         ({"believed": False}, {"OWN_LOST"}, {"READY"}),
@@ -80,8 +81,9 @@ def test_when_all_is_well():
         ({"without": ("target",)}, {"TARGET_LOST"}, {"READY"}),
         ({"without": ("status",)}, {"LINK_LOST"}, WELL - {"RETRIES_LEFT"}),
         ({"landed": Landed.ON_GROUND}, {"STANDING"}, set()),
-        ({"armed": False}, set(), {"ARMED", "WAS_ARMED"}),
-        ({"armed": False, "ready": False}, set(), {"ARMED", "WAS_ARMED", "READY"}),
+        # disarmed in the external mode is where a landing by set-points leaves PX4: nothing of this flight
+        ({"armed": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL"}),
+        ({"armed": False, "ready": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL", "READY"}),
         ({"ready": False}, set(), set()),  # armed is more than ready to arm
         ({"mode": Mode.HOLD}, set(), {"EXTERNAL", "WAS_EXTERNAL"}),
     ],

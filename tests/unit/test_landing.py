@@ -116,17 +116,17 @@ def test_equal_seeds_are_equal_and_others_are_not():
     assert other.h_min_outside_pad_m != first.h_min_outside_pad_m
 
 
-def test_a_landing_that_is_not_over_in_time_is_a_timeout():
+def test_a_landing_that_is_not_over_in_time_is_aborted():
     landing = land(short("lab", duration_max_s=1.0), 4)
-    assert landing.verdict.outcome is Outcome.TIMEOUT
-    assert landing.simulated_s == pytest.approx(1.0)
+    assert landing.verdict.outcome is Outcome.ABORTED
+    assert 1.0 < landing.simulated_s < 61.0
 
 
 def test_every_step_is_shown():
     ticks = []
     landing = land(short("lab", duration_max_s=1.0), 4, on_step=lambda tick, _: ticks.append(tick.number))
     assert ticks == list(range(len(ticks)))
-    assert len(ticks) == len(landing.seen.steps.t_s) == 101
+    assert len(ticks) == len(landing.seen.steps.t_s) > 101
 
 
 @pytest.mark.parametrize("repeats", [1, 5])
