@@ -135,7 +135,7 @@ class TcpEnd:
         self.pull()
 
 
-# What an autopilot sends whenever its buffer has room; the rest it makes rarer until it fits (PX4: MAV_x_RATE).
+# What an autopilot sends while its buffer has room; the rest it makes rarer until it fits (PX4: MAV_x_RATE)
 _FIRST = frozenset({
     mav.MAVLINK_MSG_ID_HEARTBEAT, mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mav.MAVLINK_MSG_ID_ATTITUDE,
     mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, mav.MAVLINK_MSG_ID_SYS_STATUS, mav.MAVLINK_MSG_ID_COMMAND_ACK,
@@ -155,7 +155,7 @@ class Line:
         self.passed = self.lost = self.thinned = self.queued_max = 0
 
     def put_frames(self, datagram: bytes) -> None:
-        """As an autopilot: whole frames or none, and the less important ones only into a nearly empty buffer."""
+        """As an autopilot: whole frames or none, less important ones only into a nearly empty buffer."""
         while datagram:
             end = 12 + datagram[1]
             frame, datagram = datagram[:end], datagram[end:]
@@ -194,15 +194,24 @@ class Relay:
         baud: of the line, None for one without a limit.
         noise_bytes_s: random bytes a second, put between what the vehicle sends.
         seed: of the noise.
+        local: UDP port to which the vehicle sends by itself, as PX4 does; 0: any.
     """
 
     def __init__(
-        self, near: Near, vehicle: int, baud: int | None, *, noise_bytes_s: float = 0.0, seed: int = 0
+        self,
+        near: Near,
+        vehicle: int,
+        baud: int | None,
+        *,
+        noise_bytes_s: float = 0.0,
+        seed: int = 0,
+        local: int = 0,
     ) -> None:
         self.near, self.in_line, self.out_line = near, Line(baud), Line(baud)
         self.noise_bytes = 0
         self._noise_bytes_s, self._chance = noise_bytes_s, random.Random(seed)
         self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._udp.bind(("127.0.0.1", local))
         self._udp.connect(("127.0.0.1", vehicle))
         self._udp.setblocking(False)
         self._wanted, self._is_in = True, True
