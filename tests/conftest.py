@@ -27,6 +27,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     add("--vehicle", metavar="URL", help="fly this vehicle and no other: only the tests that can are run")
     add("--px4", type=Path, metavar="PLACE", help="fly this PX4 SITL, by px4-sim, and no other vehicle")
     add("--scenario", default="large", metavar="NAME_OR_FILE", help="scenario of --px4")
+    add("--speed", type=float, default=1.0, metavar="X", help="speed of --px4 against real time")
     add("--target", default="cf1/target/odom", metavar="KEY", help="Zenoh key of its target's odometry")
     add(
         "--target-offset", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),

@@ -6,7 +6,7 @@ import contextlib
 import math
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from bridge import zenoh_link
 from flightstack.processes import END_TIME_MAX_S, Child
@@ -37,22 +37,39 @@ class Companion:
         Raises:
             AssertionError: it ended before, took too long, or left the fence; then it has been called off.
         """
-        until_s = time.monotonic() + limit_s
-        while not any(word in line for line in self.said):
+        self._until(lambda: any(word in line for line in self.said), word, limit_s)
+
+    def until_high(self, height_m: float, limit_s: float) -> None:
+        """Follow it until the vehicle is so high above where it was seen first.
+
+        Raises:
+            AssertionError: as of ``until``.
+        """
+        self._until(lambda: self._height_m() > height_m, f"{height_m:g} m", limit_s)
+
+    def _until(self, done: Callable[[], bool], what: str, limit_s: float) -> None:
+        until_s = time.monotonic() + limit_s / self._room.speed
+        while not done():
             alive = self.child.alive()
             self._look(POLL_S)
-            if not alive and not any(word in line for line in self.said):
-                raise AssertionError(f"ended before {word!r}: {self.said[-8:]} {self.child.errors()}")
+            if not alive and not done():
+                raise AssertionError(f"ended before {what!r}: {self.said[-8:]} {self.child.errors()}")
             why = self._trouble()
             if time.monotonic() > until_s:
-                why = f"no {word!r} within {limit_s:g} s"
+                why = f"no {what!r} within {limit_s:g} s"
             if why is not None:
                 self._call_off()
                 raise AssertionError(f"{why}; called off: {self.said[-8:]}")
 
+    def _height_m(self) -> float:
+        step = self.watch.step
+        if step is None or self._start is None or not step.own_valid:
+            return 0.0
+        return step.own_position_enu_m[2] - self._start[2]
+
     def ended(self, limit_s: float) -> int:
         """Follow it to its end; the exit status."""
-        until_s = time.monotonic() + limit_s
+        until_s = time.monotonic() + limit_s / self._room.speed
         while self.child.alive():
             self._look(POLL_S)
             why = self._trouble()
@@ -103,6 +120,7 @@ def onboard_words(room: Room) -> list[str]:
     words = ["onboard", "--vehicle", room.url, "--autopilot", room.autopilot, "--target", room.target_key]
     words += ["--target-offset", *map(str, room.target_offset_m), "--config", str(room.config)]
     words += ["--listen", room.listen, "--system-id", str(room.system_id), "--duration", "120"]
+    words += ["--speed", str(room.speed)] if room.speed != 1.0 else []
     words += [word for endpoint in room.connect for word in ("--connect", endpoint)]
     words += ["--no-record"] if room.target is not None else []  # a real flight is recorded
     return words + (["--signing-key", str(room.signing_key)] if room.signing_key else [])

@@ -12,7 +12,7 @@ from bridge.origin import Origin
 from bridge.signing_key import load_key
 from bridge.vehicle import VehicleLink
 from flightstack.config import load
-from flightstack.pacing import RealTimePacer
+from flightstack.pacing import FastClock, RealTimePacer
 from flightstack.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus
 from tests.flight_suite.limits import LIMITS, Limits
 from tests.flight_suite.room import Room
@@ -25,6 +25,7 @@ CONNECT_MAX_S = 60.0  # from boot, until the estimator knows where it is
 DOWN_MAX_S = 30.0  # from the end of a step until it stands with its motors off
 KILL_AFTER_S = 20.0  # of a landing that does not come to its end, once it is near the ground
 LOW_M = 0.1
+CLIMB_M_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,10 @@ class Pilot:
             signing_key=load_key(room.signing_key) if room.signing_key else None,
             origin=Origin(*place) if place is not None else None,
         )  # fmt: skip
-        self._pacer = RealTimePacer(RATE_HZ)
+        clock = FastClock(room.speed)
+        self._pacer = RealTimePacer(
+            RATE_HZ, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
+        )
         self.now_s = 0.0
         self.texts: list[str] = []
         self.start_enu_m: Vec3 | None = None
@@ -138,10 +142,23 @@ class Pilot:
         """Send nothing at all, as when the companion is gone, until something holds."""
         return self._run(step, lambda: None, done, limit_s, silent=True)
 
+    def rise(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
+        """Work towards the take-off until something holds, by set-points where the autopilot needs them."""
+        yaw_rad = self.own.yaw_rad
+
+        def work() -> None:
+            self.link.command(Request.TAKEOFF, self.now_s)
+            profile = self.link.profile
+            if profile is not None and profile.stream_in_takeoff:
+                up = Setpoint((0.0, 0.0, CLIMB_M_S), yaw_rad)
+                assert self.link.send_setpoint(up, self.now_s), "refused"
+
+        return self._run(step, work, done, limit_s)
+
     def take_off(self) -> None:
         """Climb, then hold still under our set-points."""
         enough_m = 0.8 * self._room.takeoff_height_m
-        self.ask("take off", Request.TAKEOFF, lambda: self.height_m > enough_m, 40.0)
+        self.rise("take off", lambda: self.height_m > enough_m, 40.0)
         self.fly("hand over", ZERO, lambda: self.status.mode is Mode.EXTERNAL, 10.0)
 
     def bring_down(self) -> None:

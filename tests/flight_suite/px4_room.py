@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from bridge.autopilots import AUTO
 from flightstack.processes import Child, Port
+from flightstack.strict_toml import dumps, to_table
 from sim import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
@@ -18,21 +20,38 @@ FENCE = Fence(height_m=4.0, distance_m=25.0)  # the robot of scenario `large` dr
 
 
 @contextlib.contextmanager
-def on_px4(folder: Path, place: Path, scenario_name: str, seed: int) -> Iterator[Room]:
-    """Start simulator, PX4 and robot, in real time; ended whatever happens.
+def on_px4(
+    folder: Path,
+    place: Path,
+    scenario_name: str,
+    seed: int,
+    *,
+    speed: float = 1.0,
+    mocap: bool = False,
+    recorder: Path | None = None,
+) -> Iterator[Room]:
+    """Start simulator, PX4 and robot; ended whatever happens.
 
     Args:
         folder: for output of processes.
         place: of PX4's program, as ``sim.px4.program.find_px4`` takes it.
-        scenario_name: name or file of the scenario.
+        scenario_name: name or file of the scenario; its robot waits for the first approach.
         seed: of wind, noise and the vehicle's spread.
+        speed: of all of it against real time.
+        mocap: the scenario's motion capture instead of satellites.
+        recorder: socket of a recorder for the true states.
 
     Raises:
         FileNotFoundError: no PX4 there.
         LaunchError: a process did not start.
     """
     scenario = load(scenario_name)
-    common = ["--scenario", scenario_name, "--seed", str(seed)]
+    # until the first approach, or it is far away before everything has started
+    scenario = replace(scenario, target=replace(scenario.target, wait_for_landing=True))
+    file = folder / "scenario.toml"
+    file.write_text(dumps(to_table(scenario)))
+    poses = scenario.vehicle.mocap if mocap else None
+    common = ["--scenario", str(file), "--seed", str(seed), "--speed", str(speed)]
     with contextlib.ExitStack() as stack:
         claim = stack.enter_context(contextlib.closing(InstanceClaim()))
         target_at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
@@ -44,17 +63,20 @@ def on_px4(folder: Path, place: Path, scenario_name: str, seed: int) -> Iterator
             return child
 
         # PX4's TCP port follows from its instance
-        simulator = start("px4-sim", "--tcp", f"127.0.0.1:{4560 + claim.number}", "--connect", target_at)
+        plugs = ["--tcp", f"127.0.0.1:{4560 + claim.number}", "--connect", target_at]
+        plugs += ["--mocap"] if mocap else []
+        plugs += ["--recorder", str(recorder)] if recorder is not None else []
+        simulator = start("px4-sim", *plugs)
         px4 = Px4Program(
             place, folder / "px4", Px4Model.NONE_IRIS, instance=claim.number,
-            parameters=parameters(params.load(scenario.vehicle.airframe)),
+            parameters=parameters(params.load(scenario.vehicle.airframe), poses),
         )  # fmt: skip
         stack.callback(px4.end)
         px4.wait_ready()
-        # the last: a robot that drives straight on does not wait
         target = start("target", "--listen", target_at, "--connect", onboard_at)
         yield Room(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
             configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # so does PX4
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
+            speed=speed,
         )  # fmt: skip

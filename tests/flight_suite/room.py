@@ -56,6 +56,7 @@ class Room:
         takeoff_height_m: how high the pilot climbs.
         target_offset_m: landing spot from the tracked frame, in that frame's axes.
         limits: of the steps; None: those of the profile.
+        speed: of a simulator against real time; 1 on hardware.
         target: the simulated robot; None on hardware.
         vehicle: the simulated vehicle; None on hardware.
     """
@@ -73,6 +74,7 @@ class Room:
     takeoff_height_m: float = 0.5
     target_offset_m: Vec3 = ZERO
     limits: Limits | None = None
+    speed: float = 1.0
     target: Child | None = None
     vehicle: Child | None = None
 

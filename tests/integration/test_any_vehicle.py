@@ -41,7 +41,9 @@ def room(request, tmp_path, personality, flight_number):
     if option("--vehicle") is not None:
         where = given(request.config, tmp_path)
     elif option("--px4") is not None:
-        where = on_px4(tmp_path, option("--px4"), option("--scenario"), seed=flight_number)
+        where = on_px4(
+            tmp_path, option("--px4"), option("--scenario"), flight_number, speed=option("--speed")
+        )
     else:
         where = simulated(tmp_path, personality)
     with where as one:
@@ -108,7 +110,7 @@ def test_takes_off_holds_follows_set_points_and_lands(pilot, room):
 
 @pytest.mark.arms
 def test_emergency_stop_just_after_arming(pilot):
-    pilot.ask("arm", Request.TAKEOFF, lambda: pilot.status.armed, 20.0)
+    pilot.rise("arm", lambda: pilot.status.armed, 20.0)
     took_s = pilot.ask("stop", Request.MOTORS_OFF, lambda: not pilot.status.armed, 5.0)
     assert took_s < STOPPED_S
     assert pilot.max_height_m < 0.3

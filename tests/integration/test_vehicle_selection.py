@@ -7,9 +7,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from flightstack.cli_onboard import onboard
+from sim.scenario import load
 from tests.conftest import pytest_addoption
 from tests.flight_suite.companion import onboard_words
-from tests.flight_suite.room import given
+from tests.flight_suite.room import configured, given
 from tests.integration.runs import WALL_MAX_S
 from tests.integration.sim_processes import ROOT
 
@@ -58,11 +59,12 @@ class Options:
 
 
 def test_the_options_reach_the_onboard_process(tmp_path):
-    options = Options(*GIVEN, "--target-offset", "-0.032", "0", "0.2", "--system-id", "7")
+    where = ["--vehicle", "serial:/dev/ttyACM0:921600", "--config", configured(load("grid"), tmp_path)]
+    options = Options(*where, "--target-offset", "-0.032", "0", "0.2", "--system-id", "7")
     with given(options, tmp_path) as room:
         verb, *words = onboard_words(room)
     params = onboard.make_context(verb, words).params
     assert params["target_offset"] == (-0.032, 0.0, 0.2)
     assert params["autopilot"] == "auto"
     assert params["system_id"] == 7
-    assert params["vehicle_url"] == "udpin:127.0.0.1:0"
+    assert params["vehicle_url"] == "serial:/dev/ttyACM0:921600"

@@ -7,6 +7,7 @@ import pytest
 
 from flightstack.certificate import checks
 from flightstack.config import load as load_config
+from flightstack.config import path_of
 from sim.params import load
 from sim.px4.airframe import FORMATS, parameters
 from sim.px4.motors import PX4_OF_M
@@ -30,11 +31,11 @@ def test_the_table_of_parameters_is_what_the_verb_prints():
 
 def test_the_table_of_configurations_has_their_lags_and_pads():
     rows = re.findall(
-        r"^\| \[(\w+\.toml)\].*\| `(\w+)` \| ([0-9.]+) s, ([0-9.]+) s \| ([0-9.]+) m \|$", PAGE, re.M
+        r"^\| `([\w-]+)` \| `(\w+)` \| ([0-9.]+) s, ([0-9.]+) s \| ([0-9.]+) m \|$", PAGE, re.M
     )
     assert [scenario for _, scenario, *_ in rows] == ["grid", "large"]
     for name, _, sideways, vertical, pad in rows:
-        config = load_config(DOCS / name)
+        config = load_config(path_of(name))
         loop = config.velocity_loop
         assert (loop.lag_xy_s, loop.lag_z_s) == (float(sideways), float(vertical))
         assert config.touchdown.pad_radius_m == float(pad)
@@ -42,10 +43,10 @@ def test_the_table_of_configurations_has_their_lags_and_pads():
 
 
 @pytest.mark.parametrize(
-    "name", ["onboard_px4_crazyflie.toml", "onboard_px4_1kg.toml", "onboard_ardupilot_1kg.toml"]
+    "name", ["px4-crazyflie", "px4-1kg", "ardupilot-1kg"]
 )
 def test_the_configurations_for_real_autopilots_are_proven(name):
-    assert [result.name for result in checks(load_config(DOCS / name)) if not result.proven] == []
+    assert [result.name for result in checks(load_config(path_of(name))) if not result.proven] == []
 
 
 def test_the_table_of_motors_is_the_order_of_the_code():
