@@ -30,9 +30,7 @@ def test_the_table_of_parameters_is_what_the_verb_prints():
 
 
 def test_the_table_of_configurations_has_their_lags_and_pads():
-    rows = re.findall(
-        r"^\| `([\w-]+)` \| `(\w+)` \| ([0-9.]+) s, ([0-9.]+) s \| ([0-9.]+) m \|$", PAGE, re.M
-    )
+    rows = re.findall(r"^\| `([\w-]+)` \| `(\w+)` \| ([0-9.]+) s, ([0-9.]+) s \| ([0-9.]+) m \|$", PAGE, re.M)
     assert [scenario for _, scenario, *_ in rows] == ["grid", "large"]
     for name, _, sideways, vertical, pad in rows:
         config = load_config(path_of(name))
@@ -42,9 +40,7 @@ def test_the_table_of_configurations_has_their_lags_and_pads():
         assert config.checks.follow_lag_max_s > loop.lag_xy_s * (1.0 + config.envelope.lag_spread)
 
 
-@pytest.mark.parametrize(
-    "name", ["px4-crazyflie", "px4-1kg", "ardupilot-1kg"]
-)
+@pytest.mark.parametrize("name", ["px4-crazyflie", "px4-1kg", "ardupilot-1kg"])
 def test_the_configurations_for_real_autopilots_are_proven(name):
     assert [result.name for result in checks(load_config(path_of(name))) if not result.proven] == []
 
