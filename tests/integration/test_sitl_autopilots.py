@@ -63,7 +63,7 @@ def test_arducopters_program_is_started_and_flown_over_tcp(tmp_path):
         (("--px4", "{program}", "--ardupilot", "{program}"), "only one of"),
         (("--speed", "2"), "--lockstep is faster"),
         (("--ardupilot", "{program}", "--mocap"), "instead of satellites"),
-        (("--px4", "{program}"), "it is not beside it"),
+        (("--px4", "{program}"), "is not beside it"),
     ],
 )
 def test_what_does_not_go_together_is_refused(tmp_path, words, said):
