@@ -132,16 +132,18 @@ def _within(t_s: Floats, values: Floats, begin_s: float, end_s: float) -> Floats
 
 
 def _at(steps: Steps, begin: int, last: int) -> EstimatedTouchdown:
-    """Position and velocity at the contact, halfway between the last step before it and the next."""
-    t_s = 0.5 * float(steps.t_s[last] + steps.t_s[last + 1])
+    """Position and velocity at the contact, halfway between the last step before it and the next.
+
+    An estimated velocity is late by about half a step or more: its line ends at the next step.
+    """
+    t_s, next_s = 0.5 * float(steps.t_s[last] + steps.t_s[last + 1]), float(steps.t_s[last + 1])
     first = max(begin, int(np.searchsorted(steps.t_s, t_s - FIT_S)))
     before = slice(first, last + 1)
-    since_s = steps.t_s[before] - t_s
     return EstimatedTouchdown(
         t_s,
         last + 1,
-        _at_zero(since_s, steps.e_m[before]),
-        _at_zero(since_s, steps.relative_velocity_m_s[before]),
+        _at_zero(steps.t_s[before] - t_s, steps.e_m[before]),
+        _at_zero(steps.t_s[before] - next_s, steps.relative_velocity_m_s[before]),
     )
 
 

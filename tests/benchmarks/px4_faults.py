@@ -16,14 +16,14 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
+from flightstack.config import path_of
 from flightstack.processes import LaunchError
 from sim.px4.program import Px4Program
 from tests.flight_suite.radio import Radio
 from tests.px4_flight import Px4Flight, Px4Flying, flying
 from tests.px4_program import PX4_PLACE, px4_place
 
-ROOT = Path(__file__).parents[2]
-CONFIG = ROOT / "docs" / "onboard_px4_1kg.toml"
+CONFIG = path_of("px4-1kg")
 PHASE_MAX_S = 90.0  # s of stack time until the phase of the fault
 DOWN_MAX_S = 180.0  # s of stack time from the fault until its motors are off
 REST_M_S = 0.1  # it stands: PX4's own vertical velocity is below it

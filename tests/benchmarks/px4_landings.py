@@ -12,13 +12,12 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
+from flightstack.config import path_of
 from flightstack.processes import LaunchError
 from logs.flight import load_flight
 from logs.verdict import Verdict, judge
 from tests.px4_flight import Px4Flight, flying
 from tests.px4_program import PX4_PLACE, px4_place
-
-ROOT = Path(__file__).parents[2]
 
 
 class SetUp(NamedTuple):
@@ -30,9 +29,9 @@ class SetUp(NamedTuple):
 
 
 SET_UPS = [
-    SetUp(scenario, ROOT / "docs" / config, mocap)
+    SetUp(scenario, path_of(config), mocap)
     for mocap in (True, False)
-    for scenario, config in (("grid", "onboard_px4_crazyflie.toml"), ("large", "onboard_px4_1kg.toml"))
+    for scenario, config in (("grid", "px4-crazyflie"), ("large", "px4-1kg"))
 ]
 
 

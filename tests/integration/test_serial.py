@@ -47,7 +47,7 @@ def fly(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="sitl-1k
         flight = Child(
             "onboard",
             ["onboard", "--vehicle", relay.near.url, "--target", "cf1/target/odom", "--connect", robot,
-             "--listen", onboard, "--config", str(ROOT / config), "--autopilot", "sitl"],
+             "--listen", onboard, "--config", str(config), "--autopilot", "sitl"],
             folder,
         )  # fmt: skip
         stack.callback(flight.end)

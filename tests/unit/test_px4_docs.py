@@ -3,6 +3,11 @@
 import re
 from pathlib import Path
 
+import pytest
+
+from flightstack.certificate import checks
+from flightstack.config import load as load_config
+from flightstack.config import path_of
 from sim.params import load
 from sim.px4.airframe import FORMATS, parameters
 from sim.px4.motors import PX4_OF_M
@@ -10,7 +15,8 @@ from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
 from sim.px4.verb import px4_sim
 from sim.scenario import Airframe
 
-PAGE = (Path(__file__).parents[2] / "docs/px4_sim.md").read_text()
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "px4_sim.md").read_text()
 
 
 def table():
@@ -21,6 +27,22 @@ def table():
 
 def test_the_table_of_parameters_is_what_the_verb_prints():
     assert re.search(r"<!-- table: parameters -->\n(.*?)\n<!-- end -->", PAGE, re.DOTALL)[1] == table()
+
+
+def test_the_table_of_configurations_has_their_lags_and_pads():
+    rows = re.findall(r"^\| `([\w-]+)` \| `(\w+)` \| ([0-9.]+) s, ([0-9.]+) s \| ([0-9.]+) m \|$", PAGE, re.M)
+    assert [scenario for _, scenario, *_ in rows] == ["grid", "large"]
+    for name, _, sideways, vertical, pad in rows:
+        config = load_config(path_of(name))
+        loop = config.velocity_loop
+        assert (loop.lag_xy_s, loop.lag_z_s) == (float(sideways), float(vertical))
+        assert config.touchdown.pad_radius_m == float(pad)
+        assert config.checks.follow_lag_max_s > loop.lag_xy_s * (1.0 + config.envelope.lag_spread)
+
+
+@pytest.mark.parametrize("name", ["px4-crazyflie", "px4-1kg", "ardupilot-1kg"])
+def test_the_configurations_for_real_autopilots_are_proven(name):
+    assert [result.name for result in checks(load_config(path_of(name))) if not result.proven] == []
 
 
 def test_the_table_of_motors_is_the_order_of_the_code():
