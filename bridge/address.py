@@ -48,6 +48,24 @@ def parse_url(url: str) -> tuple[str, str, int]:
     return kind, host, port
 
 
+def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
+    """Split the URL of a part that speaks UDP only, as ``parse_url`` does.
+
+    Args:
+        url: to be split.
+        who: subject of the error's sentence, for example "the simulated vehicle".
+
+    Raises:
+        ValueError: another kind of link, or none of the allowed forms.
+    """
+    kind, host, port = parse_url(url)
+    if kind not in ("udpin", "udpout"):
+        raise ValueError(
+            f"MAVLink URL {url!r}: {who} speaks UDP only; give udpin:HOST:PORT or udpout:HOST:PORT"
+        )
+    return kind, host, port
+
+
 def baud_of(url: str) -> int | None:
     """Bits a second of a serial line; None for everything else, whose speed is not known.
 

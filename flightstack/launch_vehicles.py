@@ -19,13 +19,12 @@ from flightstack.processes import Child, Running
 from flightstack.run_options import Flies, RunOptions
 from flightstack.strict_toml import ConfigError
 from sim import params
-from sim.autopilot.geo import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
+from sim.autopilot.geo import ORIGIN_WGS84
 from sim.autopilot.personality import PERSONALITIES, PX4
 from sim.px4.airframe import SAFE_PARAMETERS, parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.scenario import Airframe, Scenario, StartKind
 
-_HOME_HEIGHT_M = 10.0  # of ArduPilot's home: a height of 0 is "not known" to it
 _EAST_DEG = 90.0  # where the nose points
 SIMULATOR_PORT = 4560  # where PX4 of instance 0 connects to
 _ARDUPILOT_TCP = 5760  # SERIAL0 of instance 0; 10 more for each
@@ -190,7 +189,7 @@ class ArduPilotWithItsOwnPhysics:
         folder.mkdir(exist_ok=True)
         defaults = folder / "defaults.parm"
         defaults.write_text("".join(f"{name} {value:g}\n" for name, value in ARDUPILOT_PARAMETERS.items()))
-        home = (ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, _HOME_HEIGHT_M, _EAST_DEG)
+        home = (*ORIGIN_WGS84, _EAST_DEG)
         child = Child(
             "ardupilot",
             ["--model", "quad", "--speedup", f"{options.speed:g}", "--home", ",".join(map(str, home)),

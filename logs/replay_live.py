@@ -20,6 +20,7 @@ from types import FrameType
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge import zenoh_link
+from bridge.address import parse_udp_url
 from bridge.attachment import GID_BYTES, pack_attachment
 from bridge.autopilot_version import recorded_version
 from bridge.mavlink import Endpoint
@@ -73,6 +74,7 @@ class Wires:
         self._gid = secrets.token_bytes(GID_BYTES)
         self._calls = False
         if options.vehicle_url is not None:
+            parse_udp_url(options.vehicle_url, "a replayed vehicle")
             key = load_key(options.signing_key) if options.signing_key else None
             system_id = int(flight.onboard.get("system_id", "1"))
             self._endpoint = Endpoint(

@@ -10,7 +10,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 from bridge import zenoh_link
-from bridge.mavlink import Endpoint, parse_peer, parse_url
+from bridge.address import parse_udp_url
+from bridge.mavlink import Endpoint, parse_peer
 from bridge.signing_key import load_key
 from flightstack.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.feed import Feed, FeedError
@@ -77,9 +78,7 @@ def vehicle_main(
     stop = StopSignal().install()
     try:
         with ExitStack() as stack:
-            kind, host, port = parse_url(url)
-            if kind not in ("udpin", "udpout"):
-                raise ValueError(f"MAVLink URL {url!r}: the simulated vehicle speaks UDP, udpin or udpout")
+            kind, host, port = parse_udp_url(url, "the simulated vehicle")
             if lockstep and peers:
                 raise ValueError("--peer is for real time: in lockstep the companion calls first")
             endpoint = Endpoint(

@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from flightstack.processes import LaunchError, end_with_parent
-from sim.autopilot.geo import ORIGIN_WGS84
+from sim.autopilot.geo import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 
 INSTANCES = range(10)  # from 10 on PX4 sends the MAVLink of all instances to one port (px4-rc.mavlink)
 BOOT_MAX_S = 90.0  # s of wall time for wait_ready, unless said otherwise
 CONSOLE_MAX_S = 10.0  # s for one command at PX4's console
 END_MAX_S = 5.0  # s until PX4 has ended in order
+# Degrees, degrees, m above sea level: the floor of px4-sim, from which HIL_GPS and the barometer count
+ROOM_WGS84 = (ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, 0.0)
 _BOOTED = "Startup script returned successfully"
 _POSITIONED = "Ready for takeoff!"  # all of its estimators have a position in the room
 _CHECKED = "Preflight check: OK"
@@ -160,7 +162,7 @@ class Px4Program:
         instance: int = 0,
         parameters: Mapping[str, float] | None = None,
         speed: float = 1.0,
-        origin_wgs84: tuple[float, float, float] | None = ORIGIN_WGS84,
+        origin_wgs84: tuple[float, float, float] | None = ROOM_WGS84,
     ) -> None:
         if instance not in INSTANCES:
             raise ValueError(f"PX4 instance {instance}: allowed are 0 to {INSTANCES.stop - 1}")
