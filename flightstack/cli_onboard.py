@@ -33,6 +33,7 @@ def flight_options(verb: Callable[..., Any]) -> Callable[..., Any]:
 @shared.recorder
 @shared.lockstep
 @shared.speed
+@shared.clock
 def onboard(config_file: Path, recorder: Path | None, no_record: bool, **plugged: Any) -> None:
     """Run the onboard process against any vehicle and target; `fly` adds a live view and a report.
 
@@ -67,6 +68,7 @@ def onboard(config_file: Path, recorder: Path | None, no_record: bool, **plugged
             ros_domain=plugged["ros_domain"],
             target_offset_m=plugged["target_offset"],
             speed=plugged["speed"],
+            clock=plugged["clock"],
         )
         try:
             ended = process.run(config.load(config_file), options, say=say)

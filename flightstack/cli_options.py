@@ -140,6 +140,12 @@ speed = click.option(
     metavar="X",
     help="Stack time against real time, for a simulator that runs as fast; never for a real vehicle.",
 )
+clock = click.option(
+    "--clock",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Live by the clock of `px4-sim --clock FILE` instead of the wall's; never for a real vehicle.",
+)
 duration = click.option(
     "--duration",
     "duration_s",

@@ -18,7 +18,6 @@ from flightstack.launch_vehicles import (
     configuration_for,
     longest_s,
     others_s,
-    speed_words,
 )
 from flightstack.launcher import NAMESPACE, Launcher, Shown
 from flightstack.recording import describe, log_in, new_folder
@@ -91,7 +90,6 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     """Start everybody after those he connects to; then watch until the flight ends."""
     folder, duration_s = launcher.folder, scenario.duration_max_s
     lockstep = ["--lockstep"] if options.lockstep else []
-    speed = speed_words(options.speed)
     target_at, onboard_at = launcher.endpoint(), launcher.endpoint()
     recorder = launcher.record(log)
     if options.view is not None:
@@ -102,7 +100,7 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     zenoh = ["--zenoh-config", str(options.zenoh_config)] if options.zenoh_config is not None else []
     vehicle = VEHICLES[options.flies].start(launcher, options, scenario, target_at)
     target = launcher.start(
-        "target", *common_words(launcher, options), *lockstep, *speed, *shown,
+        "target", *common_words(launcher, options), *lockstep, *vehicle.clock, *shown,
         "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),
         "--listen", target_at, "--connect", onboard_at,
     )  # fmt: skip
@@ -110,7 +108,7 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
         "onboard", *vehicle.words, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
         "--listen", onboard_at, "--config", str(folder / "onboard.toml"), "--duration", str(duration_s),
         *(word for endpoint in options.listen for word in ("--listen", endpoint)),
-        "--recorder", str(launcher.socket), *lockstep, *shown, *zenoh,
+        "--recorder", str(launcher.socket), *lockstep, *vehicle.clock, *shown, *zenoh,
     )  # fmt: skip
     target.wait_ready()
     onboard.wait_ready()

@@ -8,7 +8,7 @@ their position from where they start, so the robot is moved instead.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -39,11 +39,13 @@ class Flying:
         words: options of the onboard process.
         children: processes that have to outlive it.
         teller: the one that says when the motors are armed and disarmed.
+        clock: options by which robot and onboard process keep its time.
     """
 
     words: list[str]
     children: list[Running]
     teller: Child | None = None
+    clock: list[str] = field(default_factory=list)
 
 
 class Vehicle(Protocol):
@@ -135,7 +137,7 @@ class _Px4Start:
         launcher.children.append(child)
         program.wait_ready()
         words = ["--vehicle", f"udpin:127.0.0.1:{program.onboard_port}", "--autopilot", PX4_PROFILE.name]
-        return child, [*words, "--system-id", str(1 + self.number), *speed_words(speed)]  # MAV_SYS_ID of rcS
+        return child, [*words, "--system-id", str(1 + self.number)]  # MAV_SYS_ID of rcS
 
 
 class Px4OnPlant:
@@ -148,16 +150,17 @@ class Px4OnPlant:
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start the simulator, then PX4; see ``Vehicle.start``."""
         px4 = _Px4Start(options)
+        clock = ["--clock", str(launcher.socket.with_name("clock"))]
         poses = scenario.vehicle.mocap if options.mocap else None
         simulator = launcher.start(
             "px4-sim", *common_words(launcher, options), "--connect", target_at, "--once",
             "--tcp", f"127.0.0.1:{SIMULATOR_PORT + px4.number}", *(["--mocap"] if options.mocap else []),
-            *speed_words(options.speed),
+            *speed_words(options.speed), *clock,
         )  # fmt: skip
         simulator.wait_ready()
         wanted = parameters(params.load(scenario.vehicle.airframe), poses)
         child, words = px4.run(launcher, Px4Model.NONE_IRIS, wanted)
-        return Flying(words, [simulator, child], simulator)
+        return Flying(words, [simulator, child], simulator, clock)
 
 
 class Px4WithItsOwnPhysics:
@@ -171,7 +174,7 @@ class Px4WithItsOwnPhysics:
         """Start it; see ``Vehicle.start``."""
         del target_at
         child, words = _Px4Start(options).run(launcher, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
-        return Flying([*words, *_on_the_floor(scenario)], [child])
+        return Flying([*words, *_on_the_floor(scenario)], [child], clock=speed_words(options.speed))
 
 
 class ArduPilotWithItsOwnPhysics:
@@ -198,8 +201,8 @@ class ArduPilotWithItsOwnPhysics:
         )  # fmt: skip
         launcher.children.append(child)
         url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
-        words = ["--vehicle", url, "--autopilot", ARDUPILOT.name, *speed_words(options.speed)]
-        return Flying([*words, *_on_the_floor(scenario)], [child])
+        words = ["--vehicle", url, "--autopilot", ARDUPILOT.name, *_on_the_floor(scenario)]
+        return Flying(words, [child], clock=speed_words(options.speed))
 
 
 # What ArduCopter's simulated quadrotor needs besides its defaults: its frame and battery, calibrations that

@@ -34,7 +34,6 @@ from flightstack.live_health import LiveHealth
 from flightstack.lockstep import LockstepWires
 from flightstack.onboard_log import OnboardLog
 from flightstack.pacing import (
-    FastClock,
     LockstepClock,
     RealTimePacer,
     Tick,
@@ -42,6 +41,7 @@ from flightstack.pacing import (
     quiet_garbage_collector,
 )
 from flightstack.recording import OwnRecorder
+from flightstack.simulation_clock import Follower, chosen_clock
 from flightstack.strict_toml import ConfigError, dumps, to_table
 from flightstack.types import ZERO, Operator, Phase, Vec3
 from flightstack.wait_report import WaitReport
@@ -73,6 +73,7 @@ class Options:
     ros2: Ros2Network | None = None  # where the flight is shown to ROS 2, and where a target of ROS 2 is
     ros_domain: int = 0
     target_offset_m: Vec3 = ZERO  # landing spot, in the axes of the frame that the target sends
+    clock: Path | None = None  # of a simulator, to live by instead of the wall's
     speed: float = 1.0  # of stack time against real time; another than 1 only with a simulator as fast
 
 
@@ -255,6 +256,9 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
         LaunchError: its own recorder did not start.
     """
     _check_speed(options)
+    chosen_clock(
+        options.speed, options.clock, Follower.ONBOARD, lockstep=options.lockstep
+    )  # wrong input at once
     found = problems(config)
     if found:
         raise ConfigError("refused before take-off: " + "; ".join(found))
@@ -279,15 +283,13 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
 
 def _check_speed(options: Options) -> None:
     """Only a simulator runs at another speed than the world."""
-    if options.speed == 1.0:
+    if options.speed == 1.0 and options.clock is None:
         return
-    if options.lockstep:
-        raise ValueError("--speed and --lockstep exclude each other: in lockstep the simulator sets the time")
     kind, host, port = parse_url(options.vehicle_url)
     if kind == "serial" or not is_local(resolve(f"MAVLink URL {options.vehicle_url!r}", host, port)):
         raise ValueError(
-            f"--speed is {options.speed:g} and {options.vehicle_url!r} is not on loopback: allowed is 1, "
-            "since only a simulator runs at another speed"
+            f"--speed or --clock is given and {options.vehicle_url!r} is not on loopback: only a simulator "
+            "has a clock of its own; leave them out"
         )
 
 
@@ -345,7 +347,8 @@ def _say_events(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
 
 def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
     ask_for_priority()
-    clock = FastClock(onboard.options.speed)
+    options = onboard.options
+    clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
     pacer = RealTimePacer(
         onboard.config.loop.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
     )

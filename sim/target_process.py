@@ -29,10 +29,10 @@ from flightstack.pacing import (
     NO_GO,
     PAIR,
     RUN_AHEAD_TICKS,
-    FastClock,
     RealTimePacer,
     quiet_garbage_collector,
 )
+from flightstack.simulation_clock import Clock, Follower, chosen_clock
 from flightstack.types import Phase
 from logs.codec import Severity, unpack_controller_step
 from logs.feed import FeedError
@@ -155,6 +155,7 @@ def target_main(
     zenoh_config: Path | None = None,
     ros2: Ros2Network | None = None,
     speed: float = 1.0,
+    clock: Path | None = None,
 ) -> int:
     """Run the robot until SIGTERM, SIGINT or ``duration_s``; prints ``ready`` when it can be reached.
 
@@ -171,15 +172,14 @@ def target_main(
         zenoh_config: Zenoh configuration to begin with.
         ros2: where to be a ROS 2 node as well.
         speed: of its time against real time, unless in lockstep.
+        clock: of a simulator, to live by instead of the wall's.
 
     Returns:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
     stop = StopSignal().install()
-    clock = FastClock(speed)
     try:
-        if lockstep and speed != 1.0:
-            raise ValueError("--speed and --lockstep exclude each other")
+        paced = chosen_clock(speed, clock, Follower.TARGET, lambda: stop.is_set, lockstep=lockstep)
         with ExitStack() as stack:
             session = zenoh_link.open_session(listen, connect, config_file=zenoh_config)
             stack.callback(session.close)
@@ -187,14 +187,14 @@ def target_main(
             if ros2 is not None:
                 robot.shown = _shown(ros2, namespace, stack)
             if not lockstep:
-                robot.epoch_ns = clock.unix_ns()  # once all that takes time is done
+                robot.epoch_ns = paced.unix_ns()  # once all that takes time is done
             log = EventLog.connect(feed_socket, "target", robot.epoch_ns, lossless=lockstep)
             stack.callback(log.close)
             ticks = robot.grid.count(duration_s)
             if lockstep:
                 _Lockstep(robot, session, namespace, log, stop).run(ticks)
             else:
-                _RealTime(robot, session, namespace, log, stop).run(ticks, clock)
+                _RealTime(robot, session, namespace, log, stop).run(ticks, paced)
     except ValueError as error:
         print(f"target: {error}", file=sys.stderr)
         return 2
@@ -292,7 +292,7 @@ class _RealTime:
         self._steps = zenoh_link.ring_subscriber(session, f"{namespace}/controller/step")
         print("ready", flush=True)
 
-    def run(self, ticks: int | None, clock: FastClock) -> None:
+    def run(self, ticks: int | None, clock: Clock) -> None:
         """Drive until the end."""
         robot = self._robot
         quiet_garbage_collector()

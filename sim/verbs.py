@@ -69,11 +69,12 @@ def vehicle(
 @shared.rate
 @shared.lockstep
 @shared.speed
+@shared.clock
 @shared.duration
 def target(
     scenario: str, seed: int, connect: tuple[str, ...], listen: tuple[str, ...], namespace: str,
     recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None, zenoh_config: Path | None,
-    ros2_where: str | None, ros_domain: int, speed: float,
+    ros2_where: str | None, ros_domain: int, speed: float, clock: Path | None,
 ) -> None:  # fmt: skip
     """Run the ground robot: drives the scenario's path and publishes its odometry on Zenoh."""
     from sim.jit import OFF
@@ -88,7 +89,7 @@ def target(
             load(scenario), seed, lockstep=lockstep, rate_hz=rate_hz, listen=list(listen),
             connect=list(connect), namespace=namespace, duration_s=duration_s,
             feed_socket=str(recorder) if recorder else None, zenoh_config=zenoh_config,
-            ros2=ros2_network(ros2_where, ros_domain), speed=speed,
+            ros2=ros2_network(ros2_where, ros_domain), speed=speed, clock=clock,
         )
     )  # fmt: skip
 

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from bridge import zenoh_link
 from flightstack.pacing import FastClock, quiet_garbage_collector
+from flightstack.simulation_clock import SimulationClock
 from logs.feed import Feed, FeedError
-from sim.pacing import NoAnswerError, StopSignal
+from sim.pacing import NS_PER_S, NoAnswerError, StopSignal
 from sim.process_deck import RealTimeDeck
 from sim.process_vehicle_log import VehicleLog
 from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
@@ -32,9 +33,11 @@ _NS_PER_STEP = STEP_MS * 1_000_000
 class Px4Node:
     """What the process does besides PX4: the deck follows the robot, the truth goes into the log."""
 
-    def __init__(self, deck: RealTimeDeck | None, log: VehicleLog, clock: FastClock) -> None:
+    def __init__(
+        self, deck: RealTimeDeck | None, log: VehicleLog, clock: FastClock | SimulationClock, stop: StopSignal
+    ) -> None:
         self.log = log
-        self._clock = clock
+        self._clock, self._stop = clock, stop
         self._deck = deck
         self._deck_s = 0.0  # simulated time of all flights so far: the deck's clock never goes back
         self._touched = self._stale = False
@@ -49,7 +52,10 @@ class Px4Node:
         self._deck_s += flown_s
 
     def before_step(self, flight: Px4Session) -> None:
-        """Do what is due, at 83 Hz."""
+        """Say the time to those who live by it; at 83 Hz do what is due."""
+        if isinstance(self._clock, SimulationClock):
+            passed_ns = round(self._deck_s * NS_PER_S) + flight.steps * _NS_PER_STEP
+            self._clock.advance(passed_ns, lambda: self._stop.is_set)
         if flight.steps % _LOG_EVERY:
             return
         now_ns = flight.steps * _NS_PER_STEP
@@ -98,6 +104,7 @@ def px4_sim_main(
     tcp: str,
     *,
     speed: float = 1.0,
+    clock: Path | None = None,
     silent_max_s: float = 10.0,
     duration_s: float | None = None,
     once: bool = False,
@@ -119,6 +126,7 @@ def px4_sim_main(
         seed: chance.
         tcp: ``HOST:PORT`` to listen on.
         speed: of simulated time against the wall's; 0: as fast as PX4 answers.
+        clock: file through which robot and onboard process live by this time; None: by the wall's.
         silent_max_s: wall time without an answer after which PX4 counts as dead.
         duration_s: end after so much simulated time of one PX4; None: no end.
         once: end when the first PX4 has gone.
@@ -138,7 +146,7 @@ def px4_sim_main(
         with ExitStack() as stack:
             host, port = parse_endpoint(tcp, allow_unsigned=allow_unsigned)
             with_robot = bool(zenoh_connect or zenoh_listen or zenoh_config is not None)
-            _check_speed(speed, with_robot)
+            _check_speed(speed, with_robot and clock is None)
             Px4Plant(scenario, seed).advance(STEP_MS)  # refuses wrong scenarios, and compiles
             session = None
             if with_robot:
@@ -149,8 +157,9 @@ def px4_sim_main(
             feed = Feed.connect(feed_socket, "vehicle", lossless=False)
             stack.callback(feed.close)
             deck = RealTimeDeck(session, namespace) if session is not None else None
-            clock = FastClock(speed or 1.0)  # without a robot and as fast as it can, no other clock counts
-            node = Px4Node(deck, VehicleLog(feed, clock.unix_ns(), namespace), clock)
+            # without a robot and as fast as it can, no other clock counts
+            paced = SimulationClock(clock) if clock is not None else FastClock(speed or 1.0)
+            node = Px4Node(deck, VehicleLog(feed, paced.unix_ns(), namespace), paced, stop)
             _say(f"ready tcp:{host}:{server.port}")
             quiet_garbage_collector()
             while not stop.is_set:
@@ -179,7 +188,7 @@ def _check_speed(speed: float, with_robot: bool) -> None:
     if with_robot and speed == 0.0:
         raise ValueError(
             "speed is 0, as fast as PX4 answers: the deck follows a robot over Zenoh, which drives at a "
-            "speed of its own; give that of `target --speed`, or leave the Zenoh options out"
+            "speed of its own; give --clock to both, or that of `target --speed`, or leave the Zenoh options out"
         )
 
 

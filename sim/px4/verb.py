@@ -23,6 +23,10 @@ from flightstack.cli_zenoh import plugs
     help="Simulated against real time; 0: as fast as PX4 answers.",
 )  # fmt: skip
 @click.option(
+    "--clock", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
+    help="Write the simulated time there, for `target --clock` and `onboard --clock`, and wait for both.",
+)  # fmt: skip
+@click.option(
     "--silent-max", "silent_max_s", type=click.FloatRange(min=1.0), default=10.0, show_default=True,
     metavar="S", help="Give up when PX4 has not answered for so long.",
 )  # fmt: skip
@@ -40,8 +44,8 @@ from flightstack.cli_zenoh import plugs
 @shared.duration
 @shared.allow_unsigned
 def px4_sim(
-    scenario: str, seed: int, tcp: str, speed: float, silent_max_s: float, once: bool, form: str | None,
-    mocap: bool, connect: tuple[str, ...], listen: tuple[str, ...], zenoh_config: Path | None, namespace: str,
+    scenario: str, seed: int, tcp: str, speed: float, clock: Path | None, silent_max_s: float, once: bool,
+    form: str | None,    mocap: bool, connect: tuple[str, ...], listen: tuple[str, ...], zenoh_config: Path | None, namespace: str,
     recorder: Path | None, duration_s: float | None, allow_unsigned: bool,
 ) -> None:  # fmt: skip
     """Be the simulator of a PX4 SITL: vehicle, rotors, wind and moving deck here, the autopilot there.
@@ -61,7 +65,7 @@ def px4_sim(
         return
     sys.exit(
         px4_sim_main(
-            loaded, seed, tcp, speed=speed, silent_max_s=silent_max_s, once=once, mocap=mocap,
+            loaded, seed, tcp, speed=speed, clock=clock, silent_max_s=silent_max_s, once=once, mocap=mocap,
             duration_s=duration_s, feed_socket=str(recorder) if recorder else None,
             zenoh_connect=list(connect), zenoh_listen=list(listen), zenoh_config=zenoh_config,
             namespace=namespace, allow_unsigned=allow_unsigned,
