@@ -188,7 +188,7 @@ def _check_speed(speed: float, with_robot: bool) -> None:
     if with_robot and speed == 0.0:
         raise ValueError(
             "speed is 0, as fast as PX4 answers: the deck follows a robot over Zenoh, which drives at a "
-            "speed of its own; give --clock to both, or that of `target --speed`, or leave the Zenoh options out"
+            "speed of its own; give --clock to both, or the speed of `target --speed`, or no Zenoh options"
         )
 
 
