@@ -46,7 +46,8 @@ from flightstack.cli_zenoh import plugs
 def px4_sim(
     scenario: str, seed: int, tcp: str, speed: float, clock: Path | None, silent_max_s: float, once: bool,
     form: str | None, mocap: bool, connect: tuple[str, ...], listen: tuple[str, ...],
-    zenoh_config: Path | None, namespace: str, recorder: Path | None, duration_s: float | None, allow_unsigned: bool,
+    zenoh_config: Path | None, namespace: str, recorder: Path | None, duration_s: float | None,
+    allow_unsigned: bool,
 ) -> None:  # fmt: skip
     """Be the simulator of a PX4 SITL: vehicle, rotors, wind and moving deck here, the autopilot there.
 

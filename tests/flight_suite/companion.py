@@ -121,6 +121,7 @@ def onboard_words(room: Room) -> list[str]:
     words += ["--target-offset", *map(str, room.target_offset_m), "--config", str(room.config)]
     words += ["--listen", room.listen, "--system-id", str(room.system_id), "--duration", "120"]
     words += ["--speed", str(room.speed)] if room.speed != 1.0 else []
+    words += ["--clock", str(room.clock)] if room.clock is not None else []
     words += [word for endpoint in room.connect for word in ("--connect", endpoint)]
     words += ["--no-record"] if room.target is not None else []  # a real flight is recorded
     return words + (["--signing-key", str(room.signing_key)] if room.signing_key else [])

@@ -27,6 +27,7 @@ def on_px4(
     seed: int,
     *,
     speed: float = 1.0,
+    clocked: bool = False,
     mocap: bool = False,
     recorder: Path | None = None,
 ) -> Iterator[Room]:
@@ -38,6 +39,8 @@ def on_px4(
         scenario_name: name or file of the scenario; its robot waits for the first approach.
         seed: of wind, noise and the vehicle's spread.
         speed: of all of it against real time.
+        clocked: robot and onboard process live by the simulator's clock, which is as fast as all of them can
+            be, at most ``speed``; a pilot in this process still lives by the wall's.
         mocap: the scenario's motion capture instead of satellites.
         recorder: socket of a recorder for the true states.
 
@@ -51,7 +54,9 @@ def on_px4(
     file = folder / "scenario.toml"
     file.write_text(dumps(to_table(scenario)))
     poses = scenario.vehicle.mocap if mocap else None
-    common = ["--scenario", str(file), "--seed", str(seed), "--speed", str(speed)]
+    common = ["--scenario", str(file), "--seed", str(seed)]
+    paced = ["--speed", str(speed)]
+    clock = ["--clock", str(folder / "clock")] if clocked else []
     with contextlib.ExitStack() as stack:
         claim = stack.enter_context(contextlib.closing(InstanceClaim()))
         target_at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
@@ -63,7 +68,7 @@ def on_px4(
             return child
 
         # PX4's TCP port follows from its instance
-        plugs = ["--tcp", f"127.0.0.1:{4560 + claim.number}", "--connect", target_at]
+        plugs = ["--tcp", f"127.0.0.1:{4560 + claim.number}", "--connect", target_at, *paced, *clock]
         plugs += ["--mocap"] if mocap else []
         plugs += ["--recorder", str(recorder)] if recorder is not None else []
         simulator = start("px4-sim", *plugs)
@@ -73,10 +78,10 @@ def on_px4(
         )  # fmt: skip
         stack.callback(px4.end)
         px4.wait_ready()
-        target = start("target", "--listen", target_at, "--connect", onboard_at)
+        target = start("target", "--listen", target_at, "--connect", onboard_at, *(clock or paced))
         yield Room(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
             configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # so does PX4
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
-            speed=speed,
+            speed=1.0 if clocked else speed, clock=folder / "clock" if clocked else None,
         )  # fmt: skip

@@ -57,6 +57,7 @@ class Room:
         target_offset_m: landing spot from the tracked frame, in that frame's axes.
         limits: of the steps; None: those of the profile.
         speed: of a simulator against real time; 1 on hardware.
+        clock: of a simulator by which the onboard process lives; None: the wall's.
         target: the simulated robot; None on hardware.
         vehicle: the simulated vehicle; None on hardware.
     """
@@ -75,6 +76,7 @@ class Room:
     target_offset_m: Vec3 = ZERO
     limits: Limits | None = None
     speed: float = 1.0
+    clock: Path | None = None
     target: Child | None = None
     vehicle: Child | None = None
 
