@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.autopilots import PX4, found, refusal
 from bridge.commands import CommandSequencer
-from bridge.companion import companion_heartbeat
+from bridge.companion import Setpoint, companion_heartbeat, velocity_setpoint
 from bridge.decoding import Message
 from bridge.endpoint_counters import LinkCounters
-from bridge.frames import ned_from_enu, yaw_ned_from_enu
 from bridge.line_budget import LinePlan
 from bridge.mavlink import Endpoint, Peer
 from bridge.origin import Origin, OriginSender
@@ -24,9 +23,9 @@ from bridge.signing_key import SigningKey
 from bridge.streams import StreamRequests
 from bridge.texts import TextAssembler
 from bridge.vehicle_state import VehicleState
-from flightstack.types import Landed, OwnState, Request, Vec3, VehicleStatus
+from flightstack.types import Landed, OwnState, Request, VehicleStatus
 
-__all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "Setpoint", "VehicleLink", "VehicleState"]
+__all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "VehicleLink", "VehicleState"]
 
 COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _HEARTBEAT_S = 1.0  # s; every autopilot judges a link by heartbeats of 1 Hz
@@ -35,18 +34,6 @@ _LANDED_STATE_HZ = 5.0  # Hz; as often as PX4 sends it by itself
 _TEXTS_MAX = 256  # texts kept until somebody takes them
 _HELD_MAX = 4096  # messages kept in lockstep until their tick is known
 _RESTARTED = "restarted, or heard again after a silence: what does not come is asked for again"
-
-
-class Setpoint(Protocol):
-    """What may be sent: made by the safety gate and by nothing else."""
-
-    @property
-    def velocity_enu_m_s(self) -> Vec3:
-        """Velocity, ENU, m/s."""
-
-    @property
-    def yaw_rad(self) -> float:
-        """Heading to hold, counter-clockwise from east."""
 
 
 class _Wants(NamedTuple):
@@ -246,20 +233,7 @@ class VehicleLink:
         self._setpoints += 1
         if self._line is not None and self._setpoints % self._line.setpoint_every:
             return True  # the line has no room for each; a newer one follows
-        unused = (0.0, 0.0, 0.0)
-        self._outgoing.append(
-            dialect.MAVLink_set_position_target_local_ned_message(
-                round(now_s * 1000) & 0xFFFFFFFF,
-                *self._target,
-                profile.frame,
-                profile.setpoint_mask,
-                *unused,
-                *ned_from_enu(velocity),
-                *unused,
-                yaw_ned_from_enu(yaw),
-                0.0,
-            )
-        )
+        self._outgoing.append(velocity_setpoint(setpoint, profile, self._target, now_s))
         return True
 
     def flush(self, extra_messages: Sequence[Message] = ()) -> None:
