@@ -38,6 +38,9 @@ from flightstack.types import (
 
 LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
 ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
+# s of a take-off in which the autopilot alone decides how fast it rises: mode and arming, COM_SPOOLUP_TIME
+# of 1 s and MPC_TKO_RAMP_T of 3 s; PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
+RISE_FREE_S = 7.0
 
 
 class Event(NamedTuple):
@@ -151,7 +154,7 @@ class Controller:
         if inputs.own is not None:
             plausibility.take(inputs.own)
             flown = memory.commanding and plausibility.believes(now_s)
-            wanted = self._flown(inputs.own, inputs.status) if plausibility.believes(now_s) else None
+            wanted = self._flown(inputs.own, inputs.status, now_s) if plausibility.believes(now_s) else None
             plausibility.follow(wanted, inputs.own.velocity_enu_m_s)
             own = law.own(inputs.own)
             inputs = Inputs(own, inputs.status, inputs.target_samples, inputs.operator)
@@ -197,18 +200,21 @@ class Controller:
                 events.append(Event(WARN, f"target sample refused: {verdict.value}"))
         return events
 
-    def _flown(self, own: OwnState, status: VehicleStatus | None) -> Vec3 | None:
+    def _flown(self, own: OwnState, status: VehicleStatus | None, now_s: float) -> Vec3 | None:
         """Velocity that the vehicle is to fly since the last tick; ``None`` while it flies none of ours.
 
         In the climb from the ground the autopilot decides how fast it rises (it spools up and ramps), but not
-        how it moves sideways. While it stands nothing is flown.
+        how it moves sideways; after ``RISE_FREE_S`` it has to rise as fast as wanted, faster is allowed.
+        While it stands nothing is flown.
         """
         memory = self.memory
         if memory.commanding:
             return memory.command
         if not memory.lifting or not _follows_in_the_air(status):
             return None
-        return (memory.command[0], memory.command[1], own.velocity_enu_m_s[2])
+        (x, y, up_m_s), rises_m_s = memory.command, own.velocity_enu_m_s[2]
+        free = now_s - memory.phase_since_s <= RISE_FREE_S
+        return (x, y, rises_m_s if free else max(up_m_s, rises_m_s))
 
     def _abort_otherwise(self, operator: Operator) -> list[Event]:
         """A person may still ask for more than the abort does."""

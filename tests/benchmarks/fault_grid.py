@@ -61,7 +61,7 @@ _TAIL = """
 - Target samples farther than `checks.target_jump_max_m` from where they were expected: refused; in flight
   for good, as nobody knows which of the two places is right.
 - Velocity against the one wanted over 1 s: more than `checks.follow_lag_max_s` times the highest velocity
-  behind is not following: the autopilot lands.
+  behind is not following: the autopilot lands. How slowly it rises in a take-off counts after 7 s only.
 - Disarmed, but in the air: one of the two is not true; the autopilot is told to land.
 
 Without an own state no set-point is sent, and the autopilot lands where it is. What is wrong in position and

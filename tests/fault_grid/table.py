@@ -88,10 +88,6 @@ _STALE_MODE = _need(
     LANDED, why="tells nothing new before the motors stop, and they stop by command", within_s=None,
     undetectable=True,
 )  # fmt: skip
-_MODE_NOT_SHOWN = _need(
-    ABORTED, why="shows when the mode should change: ten tries in 5 s, in the autopilot's own hover",
-    within_s=10.0, undetectable=True,
-)  # fmt: skip
 _CONTRADICTS = _need(
     ABORTED, VEHICLE_LANDS, why="says disarmed or another mode in the air: not ours to fly, or not true"
 )
@@ -113,7 +109,9 @@ _NOT_FLOWN_OVER = _need(
     "takes half a second", short_ends=_CRASHED,
 )  # fmt: skip
 _NOT_FLOWN_YET = _need(
-    ABORTED, why="set-points count from the end of the autopilot's own climb on", within_s=8.0
+    ABORTED,
+    why="how fast it rises is the autopilot's in the first 7 s of a take-off, then it shows",
+    within_s=8.0,
 )
 _STAMPS = _need(LANDED, why="ages count from arrival: stamps only order", within_s=None)
 
@@ -158,7 +156,7 @@ _ROWS: Mapping[Part, Mapping[Way, _Row]] = MappingProxyType(
         },
         Part.HEARTBEAT: {
             Way.OFF: _SILENT,
-            Way.STUCK: (_MODE_NOT_SHOWN, _STALE_MODE, _STALE_MODE, _STALE_MODE),
+            Way.STUCK: (_STALE_MODE, _STALE_MODE, _STALE_MODE, _STALE_MODE),
             Way.GARBAGE: _UNTRUE,
             Way.WRONG: _UNTRUE,
             Way.SLOW: _SILENT,
@@ -166,7 +164,7 @@ _ROWS: Mapping[Part, Mapping[Way, _Row]] = MappingProxyType(
             Way.INTERMITTENT: (_STALE_MODE, _STALE_MODE, _STALE_MODE, _STALE_MODE),
         },
         Part.SETPOINTS: {
-            Way.OFF: (_MODE_NOT_SHOWN, _STREAM_LOST, _STREAM_LOST_OVER, _STREAM_LOST_OVER),
+            Way.OFF: (_STREAM_LOST, _STREAM_LOST, _STREAM_LOST_OVER, _STREAM_LOST_OVER),
             Way.STUCK: _ASTRAY,
             Way.GARBAGE: _ASTRAY,
             Way.WRONG: _ASTRAY,

@@ -3,7 +3,7 @@
 import pytest
 
 from flightstack.config import FlightConfig
-from flightstack.controller import Controller
+from flightstack.controller import RISE_FREE_S, Controller
 from flightstack.memory import AbortWay
 from flightstack.strict_toml import from_table
 from flightstack.types import (
@@ -76,6 +76,33 @@ def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():
         out = bench.step(0.1, (0.4, 0.0, 0.0), xy=(1.5 + 0.004 * tick, 0.0), **FLIES)
     assert out.phase is Phase.ABORT
     assert bench.memory.reason.startswith("the vehicle does not fly what it is told: it lags 0.")
+
+
+def test_a_take_off_that_does_not_rise_is_given_up_once_the_ramp_must_be_over():
+    """Hops near the ground: told to climb, in the air by its own word, and never gets up."""
+    bench = Bench()
+    bench.step(armed=True, mode=Mode.EXTERNAL)
+    for tick in range(round(RISE_FREE_S / TICK_S)):
+        out = bench.step(0.02, (0.0, 0.0, 0.05 * (-1) ** tick), **FLIES)
+    assert out.phase is Phase.TAKEOFF
+    assert bench.controller.plausibility.missed_m == pytest.approx(0.0, abs=1e-6)
+    for _ in range(round(CONFIG.checks.follow_memory_s / TICK_S)):
+        out = bench.step(0.02, **FLIES)
+    assert (out.phase, out.request) == (Phase.ABORT, Request.LAND)
+    assert bench.memory.abort_way is AbortWay.LAND_HERE
+    assert bench.memory.reason.startswith("the vehicle does not fly what it is told: it lags 0.")
+
+
+def test_a_take_off_that_rises_faster_than_wanted_goes_on():
+    bench = Bench()
+    for _ in range(round(RISE_FREE_S / TICK_S) + 1):
+        bench.step(0.0, armed=True, mode=Mode.EXTERNAL)
+    most_m_s = CONFIG.limits.velocity_max_m_s[2]
+    for tick in range(20):
+        out = bench.step(0.01 * tick, (0.0, 0.0, 2.0 * most_m_s), **FLIES)
+        assert out.phase is Phase.TAKEOFF
+    assert bench.memory.lifting
+    assert bench.controller.plausibility.missed_m == pytest.approx(0.0, abs=1e-6)
 
 
 def test_high_enough_it_is_under_control_as_a_whole():
