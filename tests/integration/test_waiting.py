@@ -26,10 +26,10 @@ STAMP_NS = 1_700_000_000_000_000_000
 
 
 def config(folder, wait_s):
-    """Configuration of the pages with another time to wait."""
+    """The package's configuration of a Crazyflie with another time to wait."""
     text, n = re.subn(
         r"^wait_time_max_s = .*$", f"wait_time_max_s = {wait_s:.1f}",
-        (ROOT / "docs" / "onboard.toml").read_text(), flags=re.MULTILINE,
+        (ROOT / "flightstack" / "configurations" / "crazyflie.toml").read_text(), flags=re.MULTILINE,
     )  # fmt: skip
     assert n == 1
     file = folder / "onboard.toml"
@@ -111,7 +111,7 @@ def heartbeat():
 
 
 def onboard(start, port, folder, wait_s, *more):
-    words = ("--target", TARGET, "--config", config(folder, wait_s))
+    words = ("--target", TARGET, "--config", config(folder, wait_s), "--no-record")
     return start("onboard", "--vehicle", f"udpin:127.0.0.1:{port}", *words, *more)
 
 
