@@ -165,9 +165,9 @@ def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(
     waits.until("no heartbeat of system 1, component 1 for", "nothing arrives", "gives up within")
     last, code = waits.end()
     assert code == 1
-    assert last.startswith(
-        "ABORT: inputs did not become ready in time: no heartbeat of system 1, component 1 for"
-    )
+    assert last.startswith("ABORT: inputs did not become ready in time: the own state is ")
+    assert re.search(r"the newest heartbeat is [\d.]+ s old; checks.status_age_max_s is 3", last)
+    assert ": no heartbeat of system 1, component 1 for" in last
     assert f"; the newest sample on {TARGET} is" in last or f"; no sample on {TARGET}" in last
     recorder.terminate()
     assert recorder.end()[1] == 0
