@@ -18,6 +18,7 @@ import termios
 import threading
 import time
 import tty
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -172,13 +173,24 @@ class Line:
         self._buffer += data[:room]
         self.queued_max = max(self.queued_max, len(self._buffer))
 
+    def carry(self, pieces: list[bytes], put: Callable[[bytes], None], elapsed_s: float) -> bytes:
+        """Put what came within a time in, spread over it, as if the thread had never been late."""
+        share_s = elapsed_s / (len(pieces) + 1)
+        out = b""
+        for piece in pieces:
+            out += self.take(share_s)
+            put(piece)
+        return out + self.take(share_s)
+
     def take(self, elapsed_s: float) -> bytes:
         if self._rate is None:
             count = len(self._buffer)
         else:
-            self._credit = min(self._credit + self._rate * elapsed_s, self._rate * 0.02)
+            self._credit += self._rate * elapsed_s
             count = min(int(self._credit), len(self._buffer))
             self._credit -= count
+            if count == len(self._buffer):  # an idle line saves up nothing
+                self._credit = min(self._credit, self._rate * 0.02)
         out = bytes(self._buffer[:count])
         del self._buffer[:count]
         self.passed += count
@@ -245,20 +257,21 @@ class Relay:
             if self._wanted != self._is_in:
                 (self.near.plug if self._wanted else self.near.pull)()
                 self._is_in = self._wanted
+            datagrams: list[bytes] = []
             with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
                 while True:
-                    self.in_line.put_frames(self._udp.recv(65536))
+                    datagrams.append(self._udp.recv(65536))
             noise += self._noise_bytes_s * elapsed_s
             if noise >= 1.0:
                 self.in_line.put(self._chance.randbytes(int(noise)))
                 self.noise_bytes += int(noise)
                 noise -= int(noise)
-            rest += self.in_line.take(elapsed_s)
+            rest += self.in_line.carry(datagrams, self.in_line.put_frames, elapsed_s)
             if rest and self._is_in:
                 rest = rest[self.near.write(rest) :]
-            while data := self.near.read():
-                self.out_line.put(data)
-            for message in parser.parse_buffer(self.out_line.take(elapsed_s)) or ():
+            written = list(iter(self.near.read, b""))
+            carried = self.out_line.carry(written, self.out_line.put, elapsed_s)
+            for message in parser.parse_buffer(carried) or ():
                 with contextlib.suppress(ConnectionRefusedError, BlockingIOError):
                     self._udp.send(bytes(message.get_msgbuf()))  # a datagram holds whole frames
 

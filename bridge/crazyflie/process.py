@@ -127,7 +127,7 @@ class Loop:
             self.turn()
             if told_s is None and (stop.count or (duration_s is not None and self.now_s >= duration_s)):
                 told_s = self.now_s
-                vehicle.land(told_s)
+                vehicle.end(told_s)
             if told_s is not None and (not vehicle.busy or self.now_s - told_s > SHUT_DOWN_MAX_S):
                 return
 

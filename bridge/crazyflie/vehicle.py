@@ -33,6 +33,8 @@ from bridge.crazyflie.types import (
 )
 from flightstack.types import Vec3
 
+_ENDS = "the bridge ends"
+
 
 class Vehicle(Known):
     """Call ``take`` and the commands as things come, then ``step``, then take ``packets`` and ``texts``.
@@ -55,7 +57,7 @@ class Vehicle(Known):
         self._moved = False  # a velocity has gone out since arming
         self._ground = Ground()
         self._stream_s = self._client_s = self._own_s = self._kill_s = -math.inf
-        self._silence_said = self._stream_end_said = False
+        self._silence_said = self._stream_end_said = self._ends = False
         self._connected_s = self._idle_since_s = 0.0
 
     @property
@@ -163,8 +165,8 @@ class Vehicle(Known):
         if self.armed or self.arming:
             return None
         found = self.problems(now_s)
-        if found or self.state is None:
-            return f"Arming refused: {found[0] if found else 'no state'}"
+        if self._ends or found or self.state is None:
+            return f"Arming refused: {_ENDS if self._ends else found[0] if found else 'no state'}"
         if self.mode is Mode.LAND:
             self._enter(Mode.HOLD, now_s)
         self.home_z_m = self.state.position_enu_m[2]
@@ -203,6 +205,8 @@ class Vehicle(Known):
             height_m: z of the Crazyflie's world; None: 0.5 m above home.
             now_s: now.
         """
+        if self._ends:
+            return f"Take-off refused: {_ENDS}"
         home_m = self.home_z_m if self.armed or self.state is None else self.state.position_enu_m[2]
         height_m = home_m + limits.TAKEOFF_M if height_m is None else height_m
         low, high = limits.HEIGHT_RANGE_M
@@ -221,6 +225,11 @@ class Vehicle(Known):
         if self.armed:
             self._enter(Mode.LAND, now_s)
 
+    def end(self, now_s: float) -> None:
+        """Land because the bridge ends: from now on nothing arms it or takes it out of the landing."""
+        self._ends = True
+        self.land(now_s)
+
     def set_mode(self, mode: Mode, now_s: float) -> str | None:
         """Change the mode."""
         if mode is Mode.TAKEOFF:
@@ -228,6 +237,8 @@ class Vehicle(Known):
         if mode is Mode.LAND:
             self.land(now_s)
             return None
+        if self._ends:
+            return f"Mode {mode.value} refused: {_ENDS}"
         if mode is Mode.OFFBOARD and now_s - self._stream_s > limits.STREAM_S:
             return "Mode offboard refused: no set-points"
         if mode is Mode.OFFBOARD and not self.position_known(now_s):
@@ -340,12 +351,8 @@ class Vehicle(Known):
         if silence_s > limits.SILENT_S and not self._silence_said:
             self._silence_said = True
             self.texts.say(CRITICAL, f"Radio silent for {limits.SILENT_S:g} s")
-        if (
-            silence_s > limits.LOST_S
-            and self.armed
-            and self.mode in (Mode.HOLD, Mode.TAKEOFF)
-            and not self.standing
-        ):
+        silent = silence_s > limits.LOST_S and self.mode in (Mode.HOLD, Mode.TAKEOFF)
+        if silent and self.armed and not self.standing:
             self._fall_back("Radio silent", now_s)
         landing_blind = self.armed and self.mode is Mode.LAND and self._pilot.goes_on(now_s)
         if silence_s > limits.RECONNECT_S and not landing_blind:
@@ -368,6 +375,7 @@ class Vehicle(Known):
 
     def _fall_back(self, reason: str, now_s: float) -> None:
         if self.standing:
+            self.texts.say(WARNING, f"{reason}: stays on the ground")
             self._enter(Mode.HOLD, now_s)
             return
         self.texts.say(CRITICAL, f"{reason}: landing")

@@ -95,10 +95,11 @@ class Firmware:
     def step(self, now_s: float) -> list[bytes]:
         """Advance to a time; returns the log packets that are due."""
         dt_s, self._stepped_s = now_s - self._stepped_s, now_s
-        age_s = now_s - self._setpoint_s if self._priority else 0.0  # relaxed: fed by the planner
         while now_s - self._supervised_s >= PERIOD_S:
-            self._supervised_s += PERIOD_S
-            self.supervisor.step(now_s, age_s, self.plant.motors)
+            self._supervised_s += PERIOD_S  # its own period, also when the host runs this late
+            # relaxed, it is fed by the planner
+            age_s = self._supervised_s - self._setpoint_s if self._priority else 0.0
+            self.supervisor.step(self._supervised_s, age_s, self.plant.motors)
         level = self.supervisor.state is State.LEVEL_OUT
         if self._setpoint is None or not self.supervisor.motors_may_run:
             self.plant.motors_off()

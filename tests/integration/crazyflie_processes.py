@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import select
 import signal
 import subprocess
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -14,6 +16,8 @@ from tests.integration.runs import COMMAND
 from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, is_a, setpoint
 
 OFFBOARD, HOLD = 0x00060000, 0x03040000
+HOVERS_M = 0.3  # m above the start, of a take-off to 0.5 m
+ASKS_EVERY_S = 1.5  # s; of a pilot who sees no answer in the heartbeats, which come once a second
 
 
 class Verb:
@@ -75,15 +79,32 @@ def client(started: Verb) -> Iterator[Client]:
 
 
 def fly(one: Client, server: Server) -> None:
-    """Armed, taken off, in OFFBOARD with a stream of zeros."""
+    """Armed, taken off, in OFFBOARD with a stream of zeros.
+
+    A host that stalls makes state and poses stale: arming is refused, or the take-off ends on the ground or
+    in a landing. As a pilot would, this asks again until the vehicle hovers.
+    """
     ready = lambda m: is_a("SYS_STATUS")(m) and m.onboard_control_sensors_health & 0x10000000  # noqa: E731
     one.until(ready, each=one.hello)
-    armed = lambda m: m.get_type() == "HEARTBEAT" and m.base_mode & 0x80  # noqa: E731
-    # a machine that stops for a moment makes poses stale, and arming is refused: as a pilot would, ask again
-    one.until(armed, each=lambda: one.send(one.command(400, 1.0)))
-    one.send(one.command(22))
-    one.until(is_a("COMMAND_ACK", command=22, result=0))
-    one.until(is_a("HEARTBEAT", custom_mode=HOLD), each=one.hello)
+    low = lambda: server.firmware.plant.position[2] < HOVERS_M  # noqa: E731
+    hovers = lambda m: is_a("HEARTBEAT", custom_mode=HOLD)(m) and m.base_mode & 0x80 and not low()  # noqa: E731
+    asked_s = -math.inf
+
+    def ask(*messages) -> None:
+        nonlocal asked_s
+        one.hello()
+        if time.monotonic() - asked_s > ASKS_EVERY_S:
+            asked_s = time.monotonic()
+            one.send(*messages)
+
+    take_off = (one.command(400, 1.0), one.command(22))
+    one.until(hovers, 2 * PATIENCE_S, each=lambda: ask(*take_off) if low() else one.hello())
     one.send(setpoint(), one.command(176, 1.0, 6.0))
-    one.until(is_a("HEARTBEAT", custom_mode=OFFBOARD), each=lambda: one.send(setpoint()))
-    assert server.firmware.plant.position[2] > 0.3
+    asked_s = time.monotonic()
+
+    def stream() -> None:
+        one.send(setpoint())
+        ask(one.command(176, 1.0, 6.0))
+
+    one.until(is_a("HEARTBEAT", custom_mode=OFFBOARD), each=stream)
+    assert not low()

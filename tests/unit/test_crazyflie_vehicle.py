@@ -4,6 +4,7 @@ import random
 
 import pytest
 
+from bridge.crazyflie.modes import Mode
 from bridge.crazyflie.rules import LOST_S, RECONNECT_S, Rules
 from bridge.crazyflie.types import Order
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
@@ -254,6 +255,35 @@ def test_a_take_off_that_something_holds_ends_in_a_landing():
     assert not bench.vehicle.armed
     assert any("Take-off height not reached: landing" in text for text in bench.texts)
     assert "Landed, disarmed" in bench.texts
+
+
+def test_a_take_off_that_ends_on_the_ground_says_why():
+    bench = Bench().armed()
+    bench.firmware.needs_poses = True  # and none come
+    bench.run(0.5)
+    bench.command(22)
+    bench.run(0.5)
+    assert bench.vehicle.mode is Mode.HOLD
+    assert bench.vehicle.standing
+    assert "No position estimate: stays on the ground" in bench.texts
+
+
+def test_nothing_takes_it_out_of_the_landing_of_a_bridge_that_ends():
+    bench = Bench()
+    bench.hover()
+    bench.stream = (0.0, 0.0, 0.0)
+    bench.vehicle.end(bench.now_s)
+    bench.run(0.5)
+    assert bench.result(176, 1.0, 6.0) == 1
+    assert bench.result(22) == 1
+    assert bench.vehicle.mode is Mode.LAND
+    bench.until(lambda: not bench.vehicle.busy)
+    assert bench.firmware.plant.on_surface
+    bench.ready()
+    assert bench.result(400, 1.0) == 1
+    bench.run(0.5)
+    assert "Mode offboard refused: the bridge ends" in bench.texts
+    assert "Arming refused: the bridge ends" in bench.texts
 
 
 def test_armed_and_left_alone_it_disarms():
