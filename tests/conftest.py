@@ -55,9 +55,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One more than there are cores: flights in real time mostly wait; more workers would make them late."""
+    """As many as there are cores: one flies in real time, the others compute, and no flight is late."""
     del config
-    return (os.cpu_count() or 1) + 1
+    return os.cpu_count() or 1
 
 
 @pytest.hookimpl(tryfirst=True)  # before the workers look at the groups
@@ -68,7 +68,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if config.getoption("--flights") == 1:  # they mostly wait: one worker does, while others compute
             for item in items:
                 if _marked(item, "vehicle"):
-                    item.add_marker(pytest.mark.xdist_group("vehicle"))
+                    item.add_marker(pytest.mark.xdist_group("real-time"))
         return
     arm_ok = px4 or config.getoption("--arm-ok")
 

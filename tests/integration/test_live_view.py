@@ -20,6 +20,8 @@ from tests.integration.runs import COMMAND, flightstack
 from tests.integration.sim_processes import ROOT, wait_for
 from tests.synthetic_flight import landing
 
+pytestmark = pytest.mark.xdist_group("real-time")
+
 CONFIG = ROOT / "flightstack" / "configurations" / "sitl-1kg.toml"
 KEYS = ("controller/step", "loop/timing")
 PAD_RADIUS_M = 0.5  # of that configuration

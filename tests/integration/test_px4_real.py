@@ -22,7 +22,7 @@ from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.px4_room import on_px4
 from tests.px4_program import px4_or_skip
 
-pytestmark = pytest.mark.xdist_group("vehicle")
+pytestmark = pytest.mark.xdist_group("real-time")
 FLIGHTS = 3
 SPEED = 4.0  # at most, against real time
 FLIGHT_MAX_S = 120.0  # of wall time, however slow the machine

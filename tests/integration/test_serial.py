@@ -8,8 +8,12 @@ import time
 from contextlib import ExitStack, closing
 from pathlib import Path
 
+import pytest
+
 from flightstack.processes import Child, Port
 from tests.serial_relay import PtyEnd, Relay, TcpEnd
+
+pytestmark = pytest.mark.xdist_group("real-time")
 
 ROOT = Path(__file__).parents[2]
 FLIGHT_MAX_S = 120.0
