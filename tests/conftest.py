@@ -12,6 +12,7 @@ import pytest
 from bridge.autopilots import AUTO, CHOICES
 from flightstack.config import path_of
 from tests.flight_suite.room import PERSONALITIES
+from tests.pauses import pytest_runtest_protocol as pytest_runtest_protocol
 
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,0 +1,29 @@
+"""A test in real time is repeated when the machine paused, and only then."""
+
+import pytest
+
+from tests import pauses
+
+pytest_plugins = ["pytester"]
+
+
+@pytest.mark.parametrize(("pause_s", "passed"), [(0.0, 1), (9.0, 0)])
+def test_a_failure_is_repeated_only_after_a_pause(pytester, monkeypatch, pause_s, passed):
+    monkeypatch.setattr(pauses, "PAUSE_S", pause_s)
+    pytester.makeconftest("from tests.pauses import pytest_runtest_protocol")
+    pytester.makepyfile(
+        """
+        import pytest
+        runs = []
+
+        @pytest.mark.xdist_group("real-time")
+        def test_flight(tmp_path):
+            runs.append(tmp_path)
+            assert len(runs) == 2
+
+        def test_other():
+            runs.append(0)
+            assert len(runs) < 2
+        """
+    )
+    pytester.runpytest_inprocess("-p", "no:cacheprovider").assert_outcomes(passed=passed, failed=2 - passed)
