@@ -1,8 +1,8 @@
 """Flights in real time on a machine that pauses: an attempt in which it did shows nothing, and is repeated.
 
 A virtual machine whose host gives its processors to others stands still for tenths of a second; then states
-are too old, and the stack rightly gives up. A thread measures how late it wakes. A failure without such a pause
-counts at once.
+are too old, and the stack rightly gives up. A thread measures how late it wakes. A failure without such a
+pause counts at once.
 """
 
 from __future__ import annotations
