@@ -93,7 +93,7 @@ def split_frames(
 
 
 def skipped(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
-    """Count what is at ``pos``, where no frame of version 2 begins: a frame of version 1, or one byte."""
+    """Count the frame of version 1 that starts at ``pos``, or else one byte of garbage; its length."""
     version_1 = _version_1_length(data, pos, size)
     if version_1:
         count.version_1 += 1
@@ -135,7 +135,7 @@ def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
 
 
 def unknown_end(data: bytes, pos: int, size: int, *, whole: bool = True) -> int:
-    """End of the frame of an unknown message that starts at ``pos``, judged by what comes behind it.
+    """End of the frame of an unknown message that starts at ``pos``, judged by the bytes that follow it.
 
     Args:
         data: the bytes, from ``pos`` on a header of an unknown message and as much as it claims.

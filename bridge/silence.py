@@ -1,4 +1,4 @@
-"""Why nothing is heard of a vehicle: who speaks instead, and what is thrown away of what arrives. Pure."""
+"""Reasons why no heartbeat of a vehicle arrives: other senders, and frames that are dropped. Pure."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def why_silent(
     *,
     heard_s: float | None = None,
 ) -> str:
-    """Say that the vehicle is not heard, and what is known about it.
+    """Return a sentence: no heartbeat of the vehicle arrives, and the likely reason.
 
     Args:
         system_id: of the vehicle; its autopilot is component 1.
