@@ -1,16 +1,12 @@
 """PX4's events as texts; the frames were recorded from PX4 v1.16.0 in its own simulation."""
 
-import os
-from pathlib import Path
-
 import pytest
 
 from bridge import px4_events
 from bridge.px4_events import EVENT, event_text
 from bridge.wide_messages import MESSAGES
+from tests.px4_program import px4_or_skip
 from tests.tables import px4_events as maker
-
-PX4 = Path(os.environ.get("FLIGHTSTACK_PX4", "/nowhere"))
 
 
 def event(number, log_levels=0x66, arguments=b""):
@@ -62,9 +58,6 @@ def test_arguments_are_written_as_the_template_says():
     assert filled("{2}", [1]) == "{2}"
 
 
-@pytest.mark.skipif(
-    not (PX4 / "etc/extras/all_events.json.xz").is_file(),
-    reason="FLIGHTSTACK_PX4 names no PX4 with its metadata",
-)
 def test_table_is_what_its_command_makes():
-    assert maker.FILE.read_text() == maker.table(PX4 / "etc/extras/all_events.json.xz")
+    metadata = px4_or_skip().parent / "etc/extras/all_events.json.xz"
+    assert maker.FILE.read_text() == maker.table(metadata)
