@@ -142,10 +142,10 @@ class Child:
         return code
 
 
-def end_with_parent() -> None:
-    """Have the kernel ask this process to end when its parent is killed; runs in the new process."""
+def end_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
+    """Have the kernel send this signal to this process when its parent is killed; runs in the new process."""
     if _PRCTL is not None:
-        _PRCTL(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
+        _PRCTL(_PR_SET_PDEATHSIG, int(number))
 
 
 class Port:

@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,6 +36,15 @@ _REFERENCE = re.compile(r"^\s*(ref_lat|ref_lon): (\S+)", re.MULTILINE)
 _ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
 # rcS multiplies these with the speed, for clients that stay in real time; ours are as fast as the simulation
 _SCALED_WITH_SPEED = ("COM_DL_LOSS_T", "COM_RC_LOSS_T", "COM_OF_LOSS_T", "COM_OBC_LOSS_T")
+# Waits for the program. SIGHUP, sent when our process is killed, ends the whole group at once: during its
+# start script PX4 does not react to SIGTERM, and the script's commands would wait for a killed PX4 for ever.
+_END_TOGETHER = """
+trap 'kill -KILL 0' HUP
+trap : TERM INT
+"$@" &
+while wait $!; status=$?; kill -0 $! 2>/dev/null; do :; done
+exit $status
+"""
 
 
 class Px4Model(Enum):
@@ -178,15 +188,24 @@ class Px4Program:
         self.output = self.folder / "px4.txt"
         self._lay_out(files)
         with self.output.open("wb") as output:
+            program: list[str | Path] = [
+                self._bin / "px4",
+                "-d",
+                "-w",
+                self.folder,
+                files.etc,
+                "-i",
+                str(instance),
+            ]
             self.process = subprocess.Popen(
-                [self._bin / "px4", "-d", "-w", self.folder, files.etc, "-i", str(instance)],
+                ("sh", "-c", _END_TOGETHER, "sh", *program),
                 cwd=self.folder,
                 env=self._environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # its start script's children are ended with it
-                preexec_fn=end_with_parent,
+                preexec_fn=partial(end_with_parent, signal.SIGHUP),
             )
 
     def _lay_out(self, files: Px4Files) -> None:

@@ -28,6 +28,11 @@ def processor_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / _TICKS_1_S
 
 
+def _first_child(pid: int) -> int:
+    """PX4 itself: the shell that waits for it is its parent."""
+    return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
+
+
 def main() -> None:
     """Run and print."""
     place = px4_place()
@@ -56,7 +61,7 @@ def main() -> None:
             assert simulator.stdout is not None
             while "lockstep" not in simulator.stdout.readline():
                 assert simulator.poll() is None, "the simulator ended"
-            pids = {"px4-sim": simulator.pid, "PX4": px4.process.pid}
+            pids = {"px4-sim": simulator.pid, "PX4": _first_child(px4.process.pid)}
             before = {name: processor_s(pid) for name, pid in pids.items()}
             began_s = time.monotonic()
             used = dict.fromkeys(pids, 0.0)

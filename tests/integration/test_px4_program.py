@@ -1,5 +1,6 @@
 """A real PX4 as a child process: made ready, asked, ended; skipped where there is none."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -91,7 +92,19 @@ def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, ins
         px4.end()
 
 
-def test_dies_with_its_parent(tmp_path, instance):
+def _members(group: int) -> list[str]:
+    """Command lines of the processes of a process group that are no zombies."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, its_group = stat.read_text().rpartition(") ")[2].split()[:3]
+            if int(its_group) == group and state not in "ZX":
+                found.append(stat.with_name("cmdline").read_text().replace("\0", " "))
+    return found
+
+
+@pytest.mark.parametrize("after", [1, 2, 4])  # processes: the shell, PX4, its start script with a command
+def test_dies_with_its_parent(tmp_path, instance, after):
     code = (
         "import sys, time; from pathlib import Path; from sim.px4.program import Px4Model, Px4Program; "
         "p = Px4Program(Path(sys.argv[1]), Path(sys.argv[2]), Px4Model.NONE_IRIS, instance=int(sys.argv[3]));"
@@ -101,12 +114,14 @@ def test_dies_with_its_parent(tmp_path, instance):
         [sys.executable, "-c", code, px4_or_skip(), tmp_path, str(instance)],
         cwd=ROOT, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    pid = int(parent.stdout.readline())
+    group = int(parent.stdout.readline())
+    until_s = time.monotonic() + PATIENCE_S
+    while len(_members(group)) < after and time.monotonic() < until_s:
+        time.sleep(0.001)
     parent.kill()
     parent.communicate()
-    until_s = time.monotonic() + PATIENCE_S
-    while Path(f"/proc/{pid}/cmdline").exists() and Path(f"/proc/{pid}/cmdline").read_bytes():
-        assert time.monotonic() < until_s, "PX4 outlived its parent"
+    while left := _members(group):
+        assert time.monotonic() < until_s, f"PX4 outlived its parent: {left}"
         time.sleep(0.05)
 
 

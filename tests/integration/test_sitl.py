@@ -130,4 +130,4 @@ def test_a_time_limit_ends_a_run_as_an_abort_that_lands(tmp_path):
     result = fly(tmp_path, "paper_moving_1", 0, "--duration", "6")
     assert result.code == 1
     assert result.json["outcome"] == "aborted"
-    assert not load_flight(result.log).truth.motors_running[-1]
+    assert not load_flight(result.json["log"]).truth.motors_running[-1]

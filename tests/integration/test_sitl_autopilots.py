@@ -27,7 +27,7 @@ def test_one_command_lands_a_real_px4_and_its_log_knows_the_truth(tmp_path):
     assert done.code == 0, done.out + done.err
     found = done.json
     assert set(found) >= KEYS
-    assert (found["outcome"], found["judged_from"]) == ("landed", "true states")
+    assert (found["outcome"], found["judged_from"]) == ("landed", "truth")
     assert found["touchdown_error_m"] < 0.3
     flight = load_flight(found["log"])
     assert flight.metadata["run"]["vehicle"] == "px4"
