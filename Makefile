@@ -16,7 +16,7 @@ test: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	@# the simulator's loops are compiled once, and not by each worker
-	$(BIN)/python -m sim.warm_up & $(BIN)/mypy && wait $$!
+	$(BIN)/python -m sim.runners.warm_up & $(BIN)/mypy && wait $$!
 	$(BIN)/python -m pytest -n auto --dist loadgroup -q
 
 bench: $(VENV)/.test

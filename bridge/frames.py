@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from flightstack.types import Vec3
+from flightstack.core.types import Vec3
 
 Quat = tuple[float, float, float, float]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 from types import FrameType
 
-from flightstack.hangup import on_hangup
+from flightstack.common.hangup import on_hangup
 
 
 class Stop:

@@ -15,13 +15,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from flightstack.strict_toml import dumps, to_table
+from flightstack.common.strict_toml import dumps, to_table
 from sim.autopilot.personality import PERSONALITIES
-from sim.scenario import load
+from sim.scenarios.scenario import load
 
 PORT, PORTS_APART = 5760, 10
 FAR_M = (200.0, 200.0)  # where no robot is in the way
-COMMAND = [sys.executable, "-m", "flightstack.cli", "vehicle"]
+COMMAND = [sys.executable, "-m", "flightstack.cli.main", "vehicle"]
 
 
 def scenario_file(folder: Path) -> Path:

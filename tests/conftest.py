@@ -9,8 +9,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from bridge.autopilots import AUTO, CHOICES
-from flightstack.config import path_of
+from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
+from flightstack.core.parameters.flight import path_of
 from tests.flight_suite.room import PERSONALITIES
 from tests.pauses import pytest_runtest_protocol as pytest_runtest_protocol
 

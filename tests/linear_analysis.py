@@ -25,7 +25,7 @@ from scipy.linalg import expm
 from sim.firmware import attitude as att
 from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, axis_gains
 from sim.firmware.paper_loop import K_V_N_S_M
-from sim.params import CONTROL_STEP_S, load
+from sim.plant.params import CONTROL_STEP_S, load
 
 F64 = npt.NDArray[np.float64]
 C128 = npt.NDArray[np.complex128]

@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass, field, replace
 
-from flightstack.config import FlightConfig
-from flightstack.controller import Controller, Outputs
-from flightstack.types import (
+from flightstack.core.controller import Controller, Outputs
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.types import (
     Inputs,
     Landed,
     Mode,

@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from flightstack.processes import Child, Port
-from sim import params
+from flightstack.common.processes import Child, Port
+from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
-from sim.scenario import load
+from sim.scenarios.scenario import load
 
 FLIGHT_MAX_S = 240.0  # s of stack time from the start of the onboard process to its end
 DOWN_MAX_S = 60.0  # s of stack time for PX4's own landing without it

@@ -9,14 +9,15 @@ import random
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bridge.cdr import encode_odometry
-from flightstack.barrier import Barrier
-from flightstack.pacing import EPOCH_NS
-from flightstack.position_loop import nominal_velocity, slew
-from flightstack.projection import project
-from flightstack.types import Phase
-from logs import schemas
-from logs.codec import (
+from bridge.ros2.cdr import encode_odometry
+from flightstack.common.pacing import EPOCH_NS
+from flightstack.core.safety.barrier import Barrier
+from flightstack.core.safety.position_loop import nominal_velocity, slew
+from flightstack.core.safety.projection import project
+from flightstack.core.types import Phase
+from logs.recorder.mcap_file import McapFile
+from logs.schema import schemas
+from logs.schema.codec import (
     ControllerStepRow,
     LoopTimingRow,
     TrueStateRow,
@@ -25,7 +26,6 @@ from logs.codec import (
     pack_loop_timing,
     pack_true_state,
 )
-from logs.mcap_file import McapFile
 
 DT_S = 0.01
 RATE_HZ = 100

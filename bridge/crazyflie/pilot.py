@@ -10,7 +10,7 @@ from bridge.crazyflie.modes import Mode
 from bridge.crazyflie.rules import BLIND_LANDING_MAX_S, STANDING_S, TAKEOFF_M, TAKEOFF_MAX_S
 from bridge.crazyflie.types import CrazyflieState, Velocity
 from bridge.frames import wrap_angle, yaw_from_quaternion
-from flightstack.types import ZERO, Vec3
+from flightstack.core.types import ZERO, Vec3
 
 GAIN_1_S = 1.5  # 1/s; a third of the firmware's velocity loop (position_controller_pid.c), so no overshoot
 SPEED_XY_M_S = 0.3  # m/s

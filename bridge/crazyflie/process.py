@@ -16,13 +16,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from bridge.crazyflie.mavlink import COMPONENT_ID, SYSTEM_ID, Node
 from bridge.crazyflie.owner import Sender
 from bridge.crazyflie.poses import PoseFeed, PosesLike
 from bridge.crazyflie.rules import Rules
+from bridge.crazyflie.server.server import COMPONENT_ID, SYSTEM_ID, Node
 from bridge.crazyflie.types import Arrived, Packet
-from bridge.mavlink import Endpoint, Peer, parse_peer, parse_url
-from bridge.signing_key import load_key
+from bridge.mavlink.endpoint import Endpoint, Peer, parse_peer, parse_url
+from bridge.mavlink.signing.key import load_key
 from bridge.stop import Stop
 
 _URI = re.compile(

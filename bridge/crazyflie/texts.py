@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.decoding import Message
+from bridge.mavlink.codec.decoding import Message
 
 INFO, WARNING, CRITICAL = (
     dialect.MAV_SEVERITY_INFO, dialect.MAV_SEVERITY_WARNING, dialect.MAV_SEVERITY_CRITICAL,

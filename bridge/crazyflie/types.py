@@ -10,7 +10,7 @@ from enum import Enum, IntFlag
 from typing import NamedTuple
 
 from bridge.frames import Quat
-from flightstack.types import Vec3
+from flightstack.core.types import Vec3
 
 PROTOCOL_MIN = (
     12  # CRTP protocol with arming and emergency stop on the supervisor's port (cflib supervisor.py)

@@ -31,7 +31,7 @@ from bridge.crazyflie.types import (
     SetParam,
     Velocity,
 )
-from flightstack.types import Vec3
+from flightstack.core.types import Vec3
 
 _ENDS = "the bridge ends"
 

@@ -13,8 +13,8 @@ from enum import Enum
 from typing import NamedTuple
 
 from bridge.frames import Quat, world_from_body
-from bridge.pose_cdr import Pose
-from flightstack.types import Vec3
+from bridge.ros2.pose_cdr import Pose
+from flightstack.core.types import Vec3
 
 
 class Refusal(Enum):

@@ -15,7 +15,6 @@ from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.decoding import Message
 from bridge.frames import (
     euler_from_quaternion,
     ned_covariance_from_enu,
@@ -23,6 +22,7 @@ from bridge.frames import (
     ned_from_enu,
     upper_triangle,
 )
+from bridge.mavlink.codec.decoding import Message
 from bridge.mocap.checks import Passed
 
 _UNKNOWN = (math.nan, *([0.0] * 20))  # NaN first: not known (MAVLink)

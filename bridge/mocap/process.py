@@ -11,16 +11,16 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge import zenoh_link
-from bridge.mavlink import Endpoint
+from bridge.mavlink.client.origin import Origin
+from bridge.mavlink.endpoint import Endpoint
+from bridge.mavlink.signing.key import load_key
 from bridge.mocap.checks import Limits, PoseChecks
 from bridge.mocap.source import MocapSource
 from bridge.mocap.vehicle import COMPONENT_ID, MocapVehicle
-from bridge.origin import Origin
-from bridge.ros2_target import TargetSpec
-from bridge.signing_key import load_key
 from bridge.stop import Stop
-from flightstack.types import ZERO, Vec3
+from bridge.target.ros2_target import TargetSpec
+from bridge.zenoh import zenoh_link
+from flightstack.core.types import ZERO, Vec3
 
 TICK_S = 0.002  # s; longest a pose waits for the loop
 _AUTOPILOT = (dialect.MAV_COMP_ID_AUTOPILOT1,)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from bridge import zenoh_link
-from bridge.cdr import OdometryError
 from bridge.mocap.checks import Passed, PoseChecks, Sample, centre
-from bridge.pose_cdr import decode_pose, decode_pose_with_covariance
-from bridge.ros2_names import parse_topic_key
-from bridge.ros2_target import ROS_TYPES, Dialect, TargetSpec, TargetType
-from flightstack.types import ZERO, Vec3
+from bridge.ros2.cdr import OdometryError
+from bridge.ros2.pose_cdr import decode_pose, decode_pose_with_covariance
+from bridge.ros2.ros2_names import parse_topic_key
+from bridge.target.ros2_target import ROS_TYPES, Dialect, TargetSpec, TargetType
+from bridge.zenoh import zenoh_link
+from flightstack.core.types import ZERO, Vec3
 
 CAPACITY = 256  # samples between two polls; the oldest go first
 _DECODERS = {TargetType.POSE: decode_pose, TargetType.POSE_COVARIANCE: decode_pose_with_covariance}

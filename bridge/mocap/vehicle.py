@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.decoding import Message
+from bridge.mavlink.client.origin import Origin, OriginSender
+from bridge.mavlink.codec.decoding import Message
 from bridge.mocap.checks import Limits, PoseChecks, Sample
 from bridge.mocap.messages import WANTS, Wants
-from bridge.origin import Origin, OriginSender
-from flightstack.types import Landed, Mode, VehicleStatus
+from flightstack.core.types import Landed, Mode, VehicleStatus
 
 COMPONENT_ID = dialect.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
 SILENT_S = 3.0  # s without the vehicle's heartbeat: it is gone, and what it wants is asked anew

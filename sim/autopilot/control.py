@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from flightstack.types import ZERO, Vec3
+from flightstack.core.types import ZERO, Vec3
 
 _INTEGRAL_GAIN_1_S2 = 0.25  # takes out wind and a wrong mass within some seconds, slower than the loop
 _INTEGRAL_MAX_M_S = 0.4  # more than the paper's velocity loop sags with 10 % mass error and 2 m/s of wind

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import yaw_from_quaternion
-from flightstack.types import ZERO, Vec3
+from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.battery import Charge
 from sim.autopilot.ground import Standing
 from sim.autopilot.guided import GUIDED, why_no_takeoff

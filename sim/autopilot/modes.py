@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from flightstack.types import Vec3
+from flightstack.core.types import Vec3
 
 
 class EstimateLike(Protocol):
@@ -37,7 +37,7 @@ class EstimateLike(Protocol):
 
 
 class VehicleLike(Protocol):
-    """The vehicle as its autopilot sees it; ``sim.vehicle.VehicleSim`` is one."""
+    """The vehicle as its autopilot sees it; ``sim.vehicle.vehicle.VehicleSim`` is one."""
 
     @property
     def battery_v(self) -> float:

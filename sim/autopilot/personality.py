@@ -76,7 +76,7 @@ class Personality:
     station_id: str | None = None
     data_streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # of REQUEST_DATA_STREAM
     labels: Mapping[FlightMode, str] = field(default_factory=dict)  # of modes it calls otherwise
-    # what a person sets before this stack flies it, since the default is not safe (bridge/preflight_rules.py)
+    # what a person sets before this stack flies it, since the default is not safe (preflight/rules.py)
     set_before_flight: Mapping[str, float] = field(default_factory=dict)
 
     def label(self, mode: FlightMode) -> str:

@@ -12,7 +12,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from bridge.frames import yaw_from_quaternion
-from flightstack.types import ZERO, Vec3
+from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.control import OwnLimits, PositionHold
 from sim.autopilot.modes import EstimateLike, FlightMode, VehicleLike
 from sim.autopilot.parameters import Parameters

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from bridge.frames import enu_from_ned, flu_from_frd, quaternion_from_yaw, world_from_body, yaw_enu_from_ned
-from flightstack.types import Vec3
+from flightstack.core.types import Vec3
 from sim.autopilot.personality import PX4
 
 SPEED_MAX_M_S = 5.0  # m/s; far above what any controller of this stack may ask for

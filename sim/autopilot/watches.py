@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from flightstack.types import Vec3
+from flightstack.core.types import Vec3
 from sim.autopilot.battery import BatteryGauge, Charge
 from sim.autopilot.modes import VehicleLike
 from sim.autopilot.parameters import Parameters

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.report_page import details, header, need_plotly, page, section
-from logs.report_tables import table
-from logs.verdict_types import VIOLATION_LIMIT_M
+from logs.report.page import details, header, need_plotly, page, section
+from logs.report.tables import table
+from logs.verdict.types import VIOLATION_LIMIT_M
 from sim.campaign.rows import CELL_M, D_CELLS, E_Z_CELLS, E_Z_LOW_M, Row, cell_map
 from sim.campaign.summary import lines
 
@@ -101,7 +101,7 @@ def histogram(values: Sequence[float], axis: str, limit: float | None) -> go.Fig
     """Counts of a value, with its limit as a line."""
     import plotly.graph_objects as go
 
-    from logs.report_style import BOUNDARY, TRUE, layout
+    from logs.report.style import BOUNDARY, TRUE, layout
 
     counts, edges = np.histogram(values, bins=_BINS)
     bars = go.Bar(x=0.5 * (edges[:-1] + edges[1:]), y=counts, width=np.diff(edges), marker={"color": TRUE})
@@ -118,7 +118,7 @@ def h_map(wanted: Plan, rows: Sequence[Row]) -> go.Figure:
     """Map of the lowest h with the boundary."""
     import plotly.graph_objects as go
 
-    from logs.report_style import BOUNDARY, layout
+    from logs.report.style import BOUNDARY, layout
 
     lowest_m, visits = cell_map(rows)
     d_m = (np.arange(D_CELLS) + 0.5) * CELL_M

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from flightstack.types import Phase
-from logs.verdict_types import Outcome
-from sim.landing import Landing
+from flightstack.core.types import Phase
+from logs.verdict.types import Outcome
+from sim.runners.landing import Landing
 
 ERROR = "error"  # outcome of a landing that could not be flown to its end
 CELL_M = 0.1  # width and height of a cell of the map of h

@@ -21,15 +21,15 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from flightstack.certificate import problems
-from flightstack.config import FilterKind
-from flightstack.strict_toml import ConfigError, dumps, to_table
+from flightstack.common.strict_toml import ConfigError, dumps, to_table
+from flightstack.core.parameters.flight import FilterKind
+from flightstack.verify.certificate import problems
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_rows
 from sim.campaign.summary import repeat_command, summary
 from sim.campaign.work import code_fingerprint
 from sim.campaign.workers import Workers
-from sim.scenario import Scenario, load
-from sim.vehicle import warm_up
+from sim.scenarios.scenario import Scenario, load
+from sim.vehicle.vehicle import warm_up
 
 ROWS, ABOUT, SUMMARY, LOCK, PAGE = (
     "rows.csv",

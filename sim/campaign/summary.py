@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.verdict_types import Outcome
+from logs.verdict.types import Outcome
 from sim.campaign.rows import ERROR, Row
 
 CONFIDENCE = 0.95

@@ -8,16 +8,17 @@ import threading
 import tomllib
 from functools import lru_cache
 from importlib.resources import files
+from pathlib import Path
 
-from flightstack.pacing import quiet_garbage_collector
-from flightstack.strict_toml import from_table
+from flightstack.common.pacing import quiet_garbage_collector
+from flightstack.common.strict_toml import from_table
 from sim.campaign.rows import Row, error_row, row_of
-from sim.landing import land
-from sim.scenario import Scenario
-from sim.vehicle import warm_up
+from sim.runners.landing import land
+from sim.scenarios.scenario import Scenario
+from sim.vehicle.vehicle import warm_up
 
 _ALONE = threading.Lock()  # a cluster's worker may have threads; more than one would only wait for each other
-_PACKAGES = ("flightstack", "bridge", "sim", "sim.autopilot", "sim.campaign", "sim.firmware", "logs")
+_PACKAGES = ("flightstack", "bridge", "sim", "logs")
 
 
 @lru_cache(maxsize=4)
@@ -58,8 +59,8 @@ def code_fingerprint() -> str:
     """Hash of the code that flies: rows of two versions must not be mixed."""
     digest = hashlib.sha256()
     for package in _PACKAGES:
-        for source in sorted(files(package).iterdir(), key=lambda entry: entry.name):
-            if source.name.endswith(".py") or (package == "sim" and source.name.endswith(".toml")):
-                digest.update(f"{package}/{source.name}\n".encode())
-                digest.update(source.read_bytes())
+        folder = Path(str(files(package)))
+        for source in sorted([*folder.rglob("*.py"), *folder.rglob("*.toml")]):
+            digest.update(f"{package}/{source.relative_to(folder).as_posix()}\n".encode())
+            digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import math
 
-from sim.jit import jitted
-from sim.params import CONTROL_STEP_S
-from sim.records import Record, new
-from sim.rotation import Nine
+from sim.compiled.jit import jitted
+from sim.compiled.records import Record, new
+from sim.compiled.rotation import Nine
+from sim.plant.params import CONTROL_STEP_S
 
 # paper V: K1 = diag(7, 7, 0.5)e4, K2 = diag(2, 2, 0.2)e4; the roll and pitch gains are the firmware's
 # defaults

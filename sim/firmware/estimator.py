@@ -19,10 +19,10 @@ from functools import cache
 
 import numpy as np
 
-from flightstack.types import Vec3
+from flightstack.core.types import Vec3
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Cell, Record, cell, new, reader, scalars
 from sim.firmware.setpoint import SensedState
-from sim.jit import jitted
-from sim.records import F64, Cell, Record, cell, new, reader, scalars
 
 FIRMWARE_STEP_S = 0.001
 ACCEL_XY_M_S2, ACCEL_Z_M_S2 = 0.5, 1.0  # procNoiseAcc_xy, procNoiseAcc_z

@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 from typing import Annotated
 
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Record, cell, scalars
 from sim.firmware.setpoint import Setpoint, SetpointRecord
-from sim.jit import jitted
-from sim.records import F64, Record, cell, scalars
 
 ROOM = 256  # set-points under way: twice as many as 0.1 s of delay and 1 kHz can be
 WIDTH = 8  # numbers of a row: time of arrival, then the fields of a set-point

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-from sim.jit import jitted
-from sim.params import Rotor
-from sim.records import Record, new
-from sim.rotors import Four
+from sim.compiled.jit import jitted
+from sim.compiled.records import Record, new
+from sim.plant.params import Rotor
+from sim.plant.rotors import Four
 
 COUNTS_MAX = 65535.0
 OFF: Four = (0.0, 0.0, 0.0, 0.0)

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 
+from sim.compiled.jit import jitted
+from sim.compiled.records import Record, new
+from sim.compiled.rotation import Nine, nine
 from sim.firmware.attitude import AttitudeRecord, Counts, MellingerAttitude, attitude_moments
 from sim.firmware.mixer import COUNTS_MAX
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
-from sim.jit import jitted
-from sim.params import Params
-from sim.records import Record, new
-from sim.rotation import Nine, nine
+from sim.plant.params import Params
 
 K_V_N_S_M = 0.5  # paper V: K_v = 0.5 I
 UP_SHARE_MIN = 0.2  # of the weight

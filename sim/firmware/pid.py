@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import math
 
-from flightstack.types import Vec3
+from flightstack.core.types import Vec3
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Record, new
 from sim.firmware.attitude import Counts
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
-from sim.jit import jitted
-from sim.params import CONTROL_STEP_S, Params
-from sim.records import F64, Record, new
+from sim.plant.params import CONTROL_STEP_S, Params
 
 POSITION_EVERY = 5  # firmware stabilizer_types.h: POSITION_RATE 100 Hz
 POSITION_STEP_S = POSITION_EVERY * CONTROL_STEP_S

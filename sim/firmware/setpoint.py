@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
-from flightstack.types import Vec3
-from sim.records import Axes, Quaternion, Record, Vector
+from flightstack.core.types import Vec3
+from sim.compiled.records import Axes, Quaternion, Record, Vector
 
 
 class Setpoint(NamedTuple):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Motors, Record, reader
 from sim.firmware.estimator import Estimator, EstimatorRecord
 from sim.firmware.inbox import Inbox, InboxRecord, receive
 from sim.firmware.mixer import OFF, MapRecord, ThrustMap, mix, motor_speed
@@ -11,11 +13,9 @@ from sim.firmware.paper_loop import PaperLoop, PaperRecord, paper_reset, paper_u
 from sim.firmware.pid import CascadeRecord, PidLoop, cascade_reset, cascade_update
 from sim.firmware.setpoint import STOP, Setpoint, SetpointRecord, VelocityController
 from sim.firmware.supervisor import Supervisor, SupervisorRecord, supervise
-from sim.jit import jitted
-from sim.params import CONTROL_STEP_S, Params
-from sim.records import F64, Motors, Record, reader
-from sim.rotors import Four
-from sim.scenario import VehicleSpec, VelocityLoop
+from sim.plant.params import CONTROL_STEP_S, Params
+from sim.plant.rotors import Four
+from sim.scenarios.scenario import VehicleSpec, VelocityLoop
 
 BATTERY_MIN_V = 3.2  # platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE
 TILT_MAX_COS = 0.5  # arming tilted by more than 60 degrees is refused

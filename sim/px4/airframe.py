@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import math
 
-from sim.params import Params
+from sim.plant.params import Params
+from sim.plant.rotors import MIX_YAW, POSITION_X, POSITION_Y
 from sim.px4.motors import PX4_OF_M
-from sim.rotors import MIX_YAW, POSITION_X, POSITION_Y
-from sim.scenario import OdometryLink
+from sim.scenarios.scenario import OdometryLink
 
 # Yaw of a Crazyflie: 20 times 0.00705 m is 0.141; with PX4's 6.5 it is 0.046, below the limit of 0.05
 THRUST_COEFFICIENT = 20.0

@@ -10,9 +10,9 @@ import struct
 from collections.abc import Iterable, Sequence
 from ipaddress import IPv4Address
 
-from bridge.address import resolve
-from bridge.decoding import Message
-from bridge.packing import pack
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.transport.address import resolve
 from sim.px4.messages import COMPONENT_ID, SYSTEM_ID
 from sim.px4.stream import FrameStream
 

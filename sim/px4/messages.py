@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.decoding import Message
 from bridge.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
-from flightstack.types import Vec3
+from bridge.mavlink.codec.decoding import Message
+from flightstack.core.types import Vec3
 from sim.autopilot.geo import degrees_e7
 from sim.px4.plant import Body
 from sim.px4.sensors import Fix, Readings

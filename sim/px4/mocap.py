@@ -11,11 +11,11 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.decoding import Message
 from bridge.frames import ned_covariance_from_enu, ned_frd_from_enu_flu, ned_from_enu, upper_triangle
+from bridge.mavlink.codec.decoding import Message
+from sim.plant.sensors import MeasurementChannel
 from sim.px4.plant import Body
-from sim.scenario import OdometryLink
-from sim.sensors import MeasurementChannel
+from sim.scenarios.scenario import OdometryLink
 
 RATE_MAX_HZ = 50.0  # as of the bridge for motion capture
 _SIGMA_MIN_M, _SIGMA_MIN_RAD = 1e-4, 1e-3  # a variance of zero would be believed for ever

@@ -2,7 +2,7 @@
 
 PX4 numbers the motors of its quad X otherwise than the Crazyflie: 1 front right, 2 rear left (both
 counter-clockwise), 3 front left, 4 rear right (both clockwise), seen from above; airframe 10016_none_iris,
-CA_ROTOR0 to 3. Spin and place agree with M1, M3, M4 and M2 here (``sim/rotors.py``).
+CA_ROTOR0 to 3. Spin and place agree with M1, M3, M4 and M2 here (``sim/plant/rotors.py``).
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from sim.params import Rotor
-from sim.rotors import Four
+from sim.plant.params import Rotor
+from sim.plant.rotors import Four
 
 PX4_OF_M = (0, 3, 1, 2)  # which of PX4's outputs drives M1..M4
 OFF: Four = (0.0, 0.0, 0.0, 0.0)

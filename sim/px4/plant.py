@@ -11,11 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.strict_toml import ConfigError
-from flightstack.types import Vec3
-from sim.battery import drain, speed_limit
-from sim.contact import note_contact
-from sim.flight import (
+from flightstack.common.strict_toml import ConfigError
+from flightstack.core.types import Vec3
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Cell
+from sim.plant.battery import drain, speed_limit
+from sim.plant.params import STEP_S, Params
+from sim.plant.rotors import Four
+from sim.plant.vehicle_types import Truth
+from sim.plant.wind import blow
+from sim.scenarios.scenario import Scenario, StartKind
+from sim.vehicle.loop import (
     BATTERY_EVERY_MS,
     CONTROL_EVERY_MS,
     WIND_EVERY_MS,
@@ -24,15 +30,9 @@ from sim.flight import (
     judge,
     move,
 )
-from sim.jit import jitted
-from sim.params import STEP_S, Params
-from sim.physics import Physics
-from sim.records import F64, Cell
-from sim.rotors import Four
-from sim.scenario import Scenario, StartKind
-from sim.vehicle_types import Truth
-from sim.wind import blow
-from sim.world import contact_count, touched
+from sim.vehicle.physics import Physics
+from sim.world.contact import note_contact
+from sim.world.world import contact_count, touched
 
 SUPPLY_MS = 1000  # the wind takes a number every 5 ms and is given at least 340 of them
 

@@ -8,21 +8,21 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from bridge import zenoh_link
-from flightstack.pacing import FastClock, quiet_garbage_collector
-from flightstack.simulation_clock import SimulationClock
-from logs.feed import Feed, FeedError
-from sim.pacing import NS_PER_S, NoAnswerError, StopSignal
-from sim.process_deck import RealTimeDeck
-from sim.process_vehicle_log import VehicleLog
+from bridge.zenoh import zenoh_link
+from flightstack.common.pacing import FastClock, quiet_garbage_collector
+from flightstack.common.simulation_clock import SimulationClock
+from logs.recorder.feed import Feed, FeedError
+from sim.clock import NS_PER_S, NoAnswerError, StopSignal
+from sim.plant.vehicle_types import Truth
 from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
 from sim.px4.lockstep import NoLockstepError
 from sim.px4.mocap import Px4Mocap
 from sim.px4.plant import Px4Plant
 from sim.px4.sensors import STEP_MS
 from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
-from sim.scenario import Scenario
-from sim.vehicle_types import Truth
+from sim.runners.deck import RealTimeDeck
+from sim.runners.vehicle_log import VehicleLog
+from sim.scenarios.scenario import Scenario
 
 SPEED_MAX = 100.0
 _LOG_EVERY = 3  # steps between two true states in the log: 83 Hz

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from flightstack.processes import LaunchError, end_with_parent
+from flightstack.common.processes import LaunchError, end_with_parent
 from sim.autopilot.geo import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 
 INSTANCES = range(10)  # from 10 on PX4 sends the MAVLink of all instances to one port (px4-rc.mavlink)

@@ -10,13 +10,13 @@ import math
 from dataclasses import dataclass, replace
 
 from bridge.frames import body_from_world, frd_from_flu, ned_from_enu
-from flightstack.types import Vec3
+from flightstack.core.types import Vec3
 from sim.autopilot.geo import degrees_e7
-from sim.imu import Imu
-from sim.params import Params
+from sim.compiled.rotation import rotation_axes
+from sim.plant.imu import Imu
+from sim.plant.params import Params
+from sim.plant.sensors import NoiseRows
 from sim.px4.plant import Body
-from sim.rotation import rotation_axes
-from sim.sensors import NoiseRows
 
 STEP_MS = 4  # ms between two IMU readings
 SLOW_EVERY = 5  # IMU readings between two of magnetometer and barometer: 50 Hz

@@ -11,8 +11,8 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.decoding import Message
-from sim.pacing import NoAnswerError, StopSignal
+from bridge.mavlink.codec.decoding import Message
+from sim.clock import NoAnswerError, StopSignal
 from sim.px4.link import SLICE_S, Px4Link
 from sim.px4.lockstep import FIRST_US, Lockstep
 from sim.px4.messages import (

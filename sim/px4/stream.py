@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.decoding import Message, decode
-from bridge.framing import CRC_EXTRA, checksum
+from bridge.mavlink.codec.decoding import Message, decode
+from bridge.mavlink.codec.framing import CRC_EXTRA, checksum
 
 _V1, _V2 = 0xFE, 0xFD
 _HEADER = {_V1: 6, _V2: 10}  # bytes

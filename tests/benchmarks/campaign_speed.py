@@ -12,18 +12,19 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 from unittest.mock import patch
 
-from bridge.vehicle import VehicleLink
-from flightstack.controller import Controller
-from flightstack.pacing import quiet_garbage_collector
-from flightstack.safety_filter import SafetyFilter
-from sim import landing, vehicle
-from sim.autopilot.server import Autopilot
-from sim.landing import land
-from sim.landing_notes import Notes
-from sim.landing_target import DirectTarget
-from sim.landing_wire import Inlet
-from sim.scenario import load
-from sim.vehicle import VehicleSim, warm_up
+from bridge.mavlink.client.link import VehicleLink
+from flightstack.common.pacing import quiet_garbage_collector
+from flightstack.core.controller import Controller
+from flightstack.core.safety.qp_filter import SafetyFilter
+from sim.autopilot.server.server import Autopilot
+from sim.runners import landing
+from sim.runners.landing import land
+from sim.runners.landing_notes import Notes
+from sim.runners.landing_target import DirectTarget
+from sim.runners.landing_wire import Inlet
+from sim.scenarios.scenario import load
+from sim.vehicle import vehicle
+from sim.vehicle.vehicle import VehicleSim, warm_up
 
 LANDINGS = 8
 ASKED = 100.0

@@ -9,12 +9,22 @@ import statistics
 import time
 
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
-from bridge.mavlink import dialect
-from flightstack.config import FlightConfig
-from flightstack.controller import Controller
-from flightstack.projection import project
-from flightstack.strict_toml import from_table
-from flightstack.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, TargetSample, Vec3, VehicleStatus
+from bridge.mavlink.endpoint import dialect
+from flightstack.common.strict_toml import from_table
+from flightstack.core.controller import Controller
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.projection import project
+from flightstack.core.types import (
+    ZERO,
+    Inputs,
+    Landed,
+    Mode,
+    OwnState,
+    Phase,
+    TargetSample,
+    Vec3,
+    VehicleStatus,
+)
 
 ROUNDS, TICKS = 5, 4000
 APPROACHES, STEPS_MAX, WARM_STEPS = 8, 3000, 50

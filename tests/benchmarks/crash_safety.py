@@ -7,7 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.integration.crash_runs import OWN_TOPIC, Crash, FlightOverError, crash
+from tests.integration.flights.crash_runs import OWN_TOPIC, Crash, FlightOverError, crash
 
 RUNS = 50
 # The recorder's own death is what costs data: half of the runs are its.

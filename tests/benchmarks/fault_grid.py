@@ -6,7 +6,7 @@ import gc
 import math
 from pathlib import Path
 
-from sim.vehicle import warm_up
+from sim.vehicle.vehicle import warm_up
 from tests.fault_grid.run import SEED, Result, fly, scenario
 from tests.fault_grid.table import GRID, H_MIN_M, WITHIN_S, Need
 from tests.fault_grid.words import End, Moment, Part, Way

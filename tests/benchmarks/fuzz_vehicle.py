@@ -8,8 +8,8 @@ import sys
 import time
 from pathlib import Path
 
-from bridge.signing_key import SigningKey
-from tests.unit.fuzz_helpers import Fuzz, intervals_us, state
+from bridge.mavlink.signing.key import SigningKey
+from tests.unit.autopilot.fuzz_helpers import Fuzz, intervals_us, state
 
 DATAGRAMS = 1_000_000
 BATCH = 10_000

@@ -14,7 +14,7 @@ def fly(*arguments: str) -> dict:
             [
                 sys.executable,
                 "-m",
-                "flightstack.cli",
+                "flightstack.cli.main",
                 "sitl",
                 "--json",
                 "--no-report",

@@ -9,9 +9,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from flightstack.pacing import RealTimePacer, ask_for_priority
-from logs.codec import unpack_loop_timing
-from logs.reader import LogFile
+from flightstack.common.pacing import RealTimePacer, ask_for_priority
+from logs.reader.reader import LogFile
+from logs.schema.codec import unpack_loop_timing
 
 
 def bare_loop(ticks: int = 1500) -> tuple[float, int]:
@@ -26,7 +26,7 @@ def main() -> None:
     """Run and print."""
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(
-            [sys.executable, "-m", "flightstack.cli", "sitl", "--scenario", "paper_moving_1", "--json",
+            [sys.executable, "-m", "flightstack.cli.main", "sitl", "--scenario", "paper_moving_1", "--json",
              "--no-report", "--out", folder],
             capture_output=True, timeout=300, check=False,
         )  # fmt: skip

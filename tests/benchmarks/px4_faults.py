@@ -16,8 +16,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
-from flightstack.config import path_of
-from flightstack.processes import LaunchError
+from flightstack.common.processes import LaunchError
+from flightstack.core.parameters.flight import path_of
 from sim.px4.program import Px4Program
 from tests.flight_suite.radio import Radio
 from tests.px4_flight import Px4Flight, Px4Flying, flying

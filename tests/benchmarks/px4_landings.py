@@ -12,10 +12,10 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from flightstack.config import path_of
-from flightstack.processes import LaunchError
-from logs.flight import load_flight
-from logs.verdict import Verdict, judge
+from flightstack.common.processes import LaunchError
+from flightstack.core.parameters.flight import path_of
+from logs.reader.flight import load_flight
+from logs.verdict.verdict import Verdict, judge
 from tests.px4_flight import Px4Flight, flying
 from tests.px4_program import PX4_PLACE, px4_place
 

@@ -10,10 +10,10 @@ import time
 from contextlib import closing
 from pathlib import Path
 
-from sim import params
+from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
-from sim.scenario import load
+from sim.scenarios.scenario import load
 from tests.px4_program import PX4_PLACE, px4_place
 
 SCENARIO = "large"
@@ -53,7 +53,14 @@ def main() -> None:
             "--once",
         ]
         simulator = subprocess.Popen(
-            [sys.executable, "-m", "flightstack.cli", *words, "--tcp", f"127.0.0.1:{px4.simulator_port}"],
+            [
+                sys.executable,
+                "-m",
+                "flightstack.cli.main",
+                *words,
+                "--tcp",
+                f"127.0.0.1:{px4.simulator_port}",
+            ],
             stdout=subprocess.PIPE,
             text=True,
         )

@@ -4,9 +4,9 @@ import random
 import statistics
 import time
 
-from flightstack.projection import project
-from flightstack.safety_filter import SafetyFilter
-from flightstack.types import FilterStatus
+from flightstack.core.safety.projection import project
+from flightstack.core.safety.qp_filter import SafetyFilter
+from flightstack.core.types import FilterStatus
 
 PROGRAMS = 100_000
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from logs.feed import Feed
-from logs.reader import LogFile, Message
+from logs.reader.reader import LogFile, Message
+from logs.recorder.feed import Feed
 from tests.integration.runs import COMMAND, fly
 
 HOURS = 10.0

@@ -11,16 +11,16 @@ import tempfile
 import time
 from pathlib import Path
 
-from logs.codec_input import pack_controller_input
-from logs.replay import ReplayError, replay
-from sim.scenario import names
+from logs.replay.replay import ReplayError, replay
+from logs.schema.codec_input import pack_controller_input
+from sim.scenarios.scenario import names
 from tests.benchmarks.control_step import inputs
 
 
 def fly(scenario: str, seed: int, folder: str) -> Path:
     """One run of ``flightstack sitl``; its log."""
     subprocess.run(
-        [sys.executable, "-m", "flightstack.cli", "sitl", "--scenario", scenario, "--seed", str(seed),
+        [sys.executable, "-m", "flightstack.cli.main", "sitl", "--scenario", scenario, "--seed", str(seed),
          "--lockstep", "--json", "--no-report", "--out", folder],
         capture_output=True, timeout=300, check=False,
     )  # fmt: skip

@@ -65,7 +65,7 @@ COLUMNS = (
 def campaign(tier: str, kind: str, runs: int, folder: Path) -> None:
     """Fly, or go on with, one campaign."""
     command = [
-        sys.executable, "-m", "flightstack.cli", "campaign", tier, "--runs", str(runs), "--filter", kind,
+        sys.executable, "-m", "flightstack.cli.main", "campaign", tier, "--runs", str(runs), "--filter", kind,
         "--out", str(folder), "--json",
     ]  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)

@@ -7,11 +7,11 @@ import time
 
 from numba import njit
 
-from sim.battery import speed_limit
 from sim.firmware.stack import control
-from sim.flight import cushion, move, sense
-from sim.params import CONTROL_STEP_S, STEP_S
-from sim.vehicle import VehicleSim
+from sim.plant.battery import speed_limit
+from sim.plant.params import CONTROL_STEP_S, STEP_S
+from sim.vehicle.loop import cushion, move, sense
+from sim.vehicle.vehicle import VehicleSim
 
 CALLS = 50  # short enough to stay near the state they begin in; the noise drawn ahead is enough
 REPEATS = 201

@@ -8,9 +8,9 @@ import re
 from importlib import resources
 from pathlib import Path
 
+from sim.compiled.records import layout, new
 from sim.firmware.pid import CascadeRecord, PidLoop, PidRecord
-from sim.params import load
-from sim.records import layout, new
+from sim.plant.params import load
 
 UNITS = {  # ends of the parameters' names
     "n_m_rpm": "N m/rpm", "n_m_rpm2": "N m/rpm²", "n_rpm2": "N/rpm²", "n_rpm": "N/rpm",
@@ -20,9 +20,10 @@ UNITS = {  # ends of the parameters' names
     "s": "s", "v": "V", "a": "A",
 }  # fmt: skip
 MODULES = (
-    "sim.params", "sim.ground_effect", "sim.rotors", "sim.firmware.attitude", "sim.firmware.paper_loop",
+    "sim.plant.params", "sim.plant.ground_effect", "sim.plant.rotors",
+    "sim.firmware.attitude", "sim.firmware.paper_loop",
     "sim.firmware.pid", "sim.firmware.mixer", "sim.firmware.estimator", "sim.firmware.supervisor",
-    "sim.firmware.stack", "sim.target",
+    "sim.firmware.stack", "sim.robot.target",
 )  # fmt: skip
 PIDS = {
     "vx": "velocity x to tilt [deg]", "vy": "velocity y to tilt [deg]", "vz": "velocity z to 1000 counts",
@@ -40,7 +41,7 @@ def parameter_table() -> str:
     """All of crazyflie20.toml."""
     lines = ["| group | parameter | value | unit | from |", "|---|---|---|---|---|"]
     group = whole = ""
-    for line in (resources.files("sim") / "crazyflie20.toml").read_text().splitlines():
+    for line in (resources.files("sim.plant") / "crazyflie20.toml").read_text().splitlines():
         if match := re.match(r"\[(\w+)\]\s*(?:# (.*))?$", line):
             group, whole = match[1], match[2] or ""
         elif match := re.match(r"(\w+) = ([^#]+?)\s*(?:# (.*))?$", line):

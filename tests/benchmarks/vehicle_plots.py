@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.signal import welch
 
-from logs.report_style import BOUNDARY, COMMAND, GRID, INK, LIMIT, NOMINAL, TARGET, TRUE
+from logs.report.style import BOUNDARY, COMMAND, GRID, INK, LIMIT, NOMINAL, TARGET, TRUE
 from tests import linear_analysis as analysis
 from tests.benchmarks import vehicle_reference as ref
 from tests.benchmarks import vehicle_runs as runs

@@ -18,8 +18,8 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.decoding import decode
-from bridge.framing import split_frames
+from bridge.mavlink.codec.decoding import decode
+from bridge.mavlink.codec.framing import split_frames
 
 RATE_HZ = 100
 ASKED = 100.0
@@ -99,7 +99,10 @@ def vehicle_process(seed: int) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The command as a user starts it, and its URL."""
     words = f"vehicle --scenario paper_moving_1 --url udpin:127.0.0.1:0 --lockstep --seed {seed}"
     child = subprocess.Popen(
-        [sys.executable, "-m", "flightstack.cli", *words.split()], cwd=ROOT, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "flightstack.cli.main", *words.split()],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         assert child.stdout is not None

@@ -9,12 +9,12 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from sim.ground_effect import GroundEffect
-from sim.scenario import VelocityLoop
+from sim.plant.ground_effect import GroundEffect
+from sim.scenarios.scenario import VelocityLoop
 from tests import linear_analysis as analysis
 from tests.benchmarks import vehicle_linear as pid
 from tests.benchmarks import vehicle_runs as runs
-from tests.unit.vehicle_sim_helpers import QUIET
+from tests.unit.vehicle.vehicle_sim_helpers import QUIET
 
 F64 = npt.NDArray[np.float64]
 C128 = npt.NDArray[np.complex128]

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sim.params import STEP_S, Plant, load
-from sim.rotors import Rotors
-from sim.scenario import (
+from sim.plant.params import STEP_S, Plant, load
+from sim.plant.rotors import Rotors
+from sim.plant.wind import WindModel
+from sim.robot.target import TargetModel
+from sim.scenarios.scenario import (
     OdometryLink,
     PathKind,
     Start,
@@ -21,10 +23,8 @@ from sim.scenario import (
     VelocityLoop,
     Wind,
 )
-from sim.target import TargetModel
-from sim.vehicle import CONTACT_PAD, Truth, VehicleSim
-from sim.wind import WindModel
-from tests.unit.vehicle_sim_helpers import QUIET, scenario
+from sim.vehicle.vehicle import CONTACT_PAD, Truth, VehicleSim
+from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario
 
 F64 = npt.NDArray[np.float64]
 SEED = 1

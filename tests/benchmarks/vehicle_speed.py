@@ -14,11 +14,11 @@ from collections import Counter
 from contextlib import closing
 from dataclasses import replace
 
-from bridge.mavlink import Endpoint
+from bridge.mavlink.endpoint import Endpoint
 from sim.autopilot.modes import FlightMode
-from sim.autopilot.server import COMPONENT_ID, SYSTEM_ID, Autopilot
-from sim.scenario import Scenario, VelocityLoop, load
-from sim.vehicle import VehicleSim, warm_up
+from sim.autopilot.server.server import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.scenarios.scenario import Scenario, VelocityLoop, load
+from sim.vehicle.vehicle import VehicleSim, warm_up
 from tests.benchmarks import vehicle_process_speed
 from tests.benchmarks.vehicle_kernels import kernel_us_per_ms
 from tests.benchmarks.vehicle_process_speed import ASKED, RATE_HZ, heartbeat, plan

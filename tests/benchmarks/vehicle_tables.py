@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sim.battery import BatteryModel
+from sim.plant.battery import BatteryModel
 from tests import linear_analysis as analysis
 from tests.benchmarks import vehicle_reference as ref
 from tests.benchmarks import vehicle_runs as runs

@@ -1,9 +1,9 @@
 """The simulated vehicle under the stand-in's CRTP: MuJoCo, rotors, battery, attitude and velocity loops."""
 
-from bridge import zenoh_link
-from sim.process_deck import RealTimeDeck
-from sim.scenario import load
-from sim.vehicle import VehicleSim, warm_up
+from bridge.zenoh import zenoh_link
+from sim.runners.deck import RealTimeDeck
+from sim.scenarios.scenario import load
+from sim.vehicle.vehicle import VehicleSim, warm_up
 
 MS_MAX = 50  # ms of one step; a longer pause of the machine is one of simulated time
 

@@ -14,16 +14,16 @@ from types import MappingProxyType
 from typing import Any
 from unittest import mock
 
-from flightstack.controller import Outputs
-from flightstack.exchange import Taken
-from flightstack.onboard_log import OnboardLog
-from flightstack.pacing import Tick
-from logs import feed as feed_module
-from logs import recorder_process
-from logs.feed import Feed
-from logs.mcap_file import McapFile, SafeStream
-from logs.reader import LogFile
-from logs.recorder_process import RecorderProcess
+from flightstack.common.pacing import Tick
+from flightstack.core.controller import Outputs
+from flightstack.onboard.exchange import Taken
+from flightstack.onboard.log import OnboardLog
+from logs.reader.reader import LogFile
+from logs.recorder import feed as feed_module
+from logs.recorder import recorder_process
+from logs.recorder.feed import Feed
+from logs.recorder.mcap_file import McapFile, SafeStream
+from logs.recorder.recorder_process import RecorderProcess
 from tests.fault_grid.flight import Flight
 from tests.fault_grid.words import Way
 

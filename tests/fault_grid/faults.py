@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sim.fault_spec import Fault
-from sim.fault_table import Kind, What
+from sim.scenarios.fault_spec import Fault
+from sim.scenarios.fault_table import Kind, What
 from tests.fault_grid.flight import Flight, Mangle
 from tests.fault_grid.words import Part, Way
 

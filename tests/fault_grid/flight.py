@@ -1,8 +1,8 @@
 """One flight in one process that can be disturbed at any moment, and is watched until the vehicle is down.
 
 The vehicle's lockstep loop, its autopilot, the robot, the companion's link, ``exchange`` and ``Controller``
-are those of a real run (as in ``sim.landing``), target samples as CDR bytes. When the companion ends, nothing
-more is sent, as when its process ends: what the vehicle does then belongs to the flight.
+are those of a real run (as in ``sim.runners.landing``), target samples as CDR bytes. When the companion
+ends, nothing more is sent, as when its process ends: what the vehicle does then belongs to the flight.
 """
 
 from __future__ import annotations
@@ -13,30 +13,30 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.autopilots import OWN_SITL
-from bridge.cdr import encode_odometry
 from bridge.frames import quaternion_from_yaw
-from bridge.mavlink import Received
-from bridge.vehicle import COMPONENT_ID as COMPANION_ID
-from bridge.vehicle import VehicleLink
-from flightstack.controller import Controller, Outputs
-from flightstack.exchange import Taken, answer, take
-from flightstack.pacing import EPOCH_NS, NO_GO, RUN_AHEAD_TICKS, LockstepClock, Tick
-from flightstack.types import Operator, Phase
-from logs.flight_data import Truth
-from sim.autopilot.server import COMPONENT_ID, SYSTEM_ID, Autopilot
-from sim.fault_spec import Fault
-from sim.landing_notes import Notes, Seen, VehicleNotes
-from sim.landing_target import DirectTarget, _Ahead
-from sim.landing_wire import wires
-from sim.pacing import StopSignal, TickGrid
-from sim.process_deck import DeckState
-from sim.process_lockstep import LockstepLoop
-from sim.process_vehicle import VehicleNode
-from sim.scenario import Scenario
-from sim.target import TargetMeasurement
-from sim.vehicle import VehicleSim
-from sim.vehicle_types import Truth as TrueState
+from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
+from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.endpoint import Received
+from bridge.mavlink.profiles.autopilots import OWN_SITL
+from bridge.ros2.cdr import encode_odometry
+from flightstack.common.pacing import EPOCH_NS, NO_GO, RUN_AHEAD_TICKS, LockstepClock, Tick
+from flightstack.core.controller import Controller, Outputs
+from flightstack.core.types import Operator, Phase
+from flightstack.onboard.exchange import Taken, answer, take
+from logs.reader.flight_data import Truth
+from sim.autopilot.server.server import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.clock import StopSignal, TickGrid
+from sim.plant.vehicle_types import Truth as TrueState
+from sim.robot.target import TargetMeasurement
+from sim.runners.deck import DeckState
+from sim.runners.landing_notes import Notes, Seen, VehicleNotes
+from sim.runners.landing_target import DirectTarget, _Ahead
+from sim.runners.landing_wire import wires
+from sim.runners.lockstep import LockstepLoop
+from sim.runners.vehicle_runner import VehicleNode
+from sim.scenarios.fault_spec import Fault
+from sim.scenarios.scenario import Scenario
+from sim.vehicle.vehicle import VehicleSim
 
 REST_S = 2.5  # s after the motors stopped; the judge looks at 2 s
 WATCH_MAX_S = 30.0  # s that a flight may last after the disturbance

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from flightstack.types import Phase
-from logs.flight_data import Truth
-from logs.verdict_truth import LAND_AWAY_SPEED_MAX_M_S, Contact
-from sim.scenario import Scenario, load
+from flightstack.core.types import Phase
+from logs.reader.flight_data import Truth
+from logs.verdict.truth import LAND_AWAY_SPEED_MAX_M_S, Contact
+from sim.scenarios.scenario import Scenario, load
 from tests.fault_grid.disk import recording
 from tests.fault_grid.faults import disturb
 from tests.fault_grid.flight import Flight, Flown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import Enum, StrEnum
 
-from flightstack.types import Phase
+from flightstack.core.types import Phase
 
 
 class Part(StrEnum):

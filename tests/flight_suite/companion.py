@@ -8,10 +8,10 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 
-from bridge import zenoh_link
-from flightstack.processes import END_TIME_MAX_S, Child
-from flightstack.types import Phase
-from flightstack.watch import News, Watch
+from bridge.zenoh import zenoh_link
+from flightstack.common.processes import END_TIME_MAX_S, Child
+from flightstack.core.types import Phase
+from flightstack.watch.state import News, Watch
 from tests.flight_suite.room import Room
 
 POLL_S = 0.02

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from types import MappingProxyType
 
-from bridge.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
+from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
 
 
 class Lost(Enum):
@@ -50,7 +50,7 @@ _OWN = Limits(
 )  # fmt: skip
 
 # PX4 holds velocity, not place: a change of force by 1 N on 1 kg moves it 1 / MPC_XY_VEL_I_ACC = 2.5 m in the
-# end, half of that within 3 s. tests/unit/test_suite_limits.py flies that loop 2000 times in wind of 0.5 m/s
+# end, half of that within 3 s. tests/unit/suite/test_suite_limits.py flies it 2000 times in wind of 0.5 m/s
 # with gusts of 0.2 m/s, which push PX4's own quadrotor of 1 kg by 1 N for each m/s (SIH_KDV). Of 1000 flights
 # 999 drift by less than 0.8 m, are slower than 0.23 m/s at zero velocity, and move 0.36 to 0.73 of the step.
 _PX4 = Limits(

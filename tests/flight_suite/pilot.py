@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 
-from bridge.autopilots import profile
-from bridge.origin import Origin
-from bridge.signing_key import load_key
-from bridge.vehicle import VehicleLink
-from flightstack.config import load
-from flightstack.pacing import FastClock, RealTimePacer
-from flightstack.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus
+from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.client.origin import Origin
+from bridge.mavlink.profiles.autopilots import profile
+from bridge.mavlink.signing.key import load_key
+from flightstack.common.pacing import FastClock, RealTimePacer
+from flightstack.core.parameters.flight import load
+from flightstack.core.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus
 from tests.flight_suite.limits import LIMITS, Limits
 from tests.flight_suite.room import Room
 

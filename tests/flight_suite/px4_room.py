@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from bridge.autopilots import AUTO
-from flightstack.processes import Child, Port
-from flightstack.strict_toml import dumps, to_table
-from sim import params
+from bridge.mavlink.profiles.autopilots import AUTO
+from flightstack.common.processes import Child, Port
+from flightstack.common.strict_toml import dumps, to_table
+from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
-from sim.scenario import load
+from sim.scenarios.scenario import load
 from tests.flight_suite.room import Fence, Room, configured
 
 FENCE = Fence(height_m=4.0, distance_m=25.0)  # the robot of scenario `large` drives straight on at 0.4 m/s

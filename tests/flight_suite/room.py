@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from bridge.autopilots import OWN_SITL, PX4
-from flightstack.processes import Child, Port
-from flightstack.strict_toml import dumps, to_table
-from flightstack.types import ZERO, Vec3
-from sim.scenario import Scenario, load
+from bridge.mavlink.profiles.autopilots import OWN_SITL, PX4
+from flightstack.common.processes import Child, Port
+from flightstack.common.strict_toml import dumps, to_table
+from flightstack.core.types import ZERO, Vec3
+from sim.scenarios.scenario import Scenario, load
 from tests.flight_suite.limits import LIMITS, Limits
 
 SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that drives off

@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from logs.replay import ReplayError, Result, replay
+from logs.replay.replay import ReplayError, Result, replay
 from tests.golden.flights import BYTES_MAX, FLIGHTS, fly, path_of
 
 

@@ -7,8 +7,8 @@ import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from flightstack.strict_toml import dumps, to_table
-from sim.scenario import load
+from flightstack.common.strict_toml import dumps, to_table
+from sim.scenarios.scenario import load
 from tests.golden.keep import write_kept
 
 FOLDER = Path(__file__).parent
@@ -65,7 +65,7 @@ def fly(flight: Flight, target: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.toml"
         file.write_text(dumps(table))
-        command = [sys.executable, "-m", "flightstack.cli", "sitl", "--scenario", str(file), "--json"]
+        command = [sys.executable, "-m", "flightstack.cli.main", "sitl", "--scenario", str(file), "--json"]
         command += ["--no-report", "--seed", str(flight.seed), "--out", f"{folder}/run"]
         done = subprocess.run(
             command + ["--lockstep"] * flight.lockstep,

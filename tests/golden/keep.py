@@ -4,9 +4,9 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from logs.reader import LogFile
-from logs.replay_read import ROSOUT, SINK, SOURCE
-from logs.schemas import schema_text
+from logs.reader.reader import LogFile
+from logs.replay.read import ROSOUT, SINK, SOURCE
+from logs.schema.schemas import schema_text
 
 TOPICS = ("controller/input", "controller/step", "controller/state", "target/odom")
 WIRE = (SOURCE, SINK)

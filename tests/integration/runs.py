@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tests.integration.sim_processes import wait_for
 
-COMMAND = [sys.executable, "-m", "flightstack.cli"]
+COMMAND = [sys.executable, "-m", "flightstack.cli.main"]
 WALL_MAX_S = 240.0
 SOME_BYTES = 400_000  # of a log, which grows by 170 kB a second
 
@@ -103,8 +103,8 @@ class Flying:
         found = {}
         for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
             words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
-            if b"flightstack.cli" in words:
-                found[words[words.index(b"flightstack.cli") + 1].decode()] = int(child)
+            if b"flightstack.cli.main" in words:
+                found[words[words.index(b"flightstack.cli.main") + 1].decode()] = int(child)
         return found
 
     def end(self) -> int:

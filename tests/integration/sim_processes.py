@@ -29,7 +29,7 @@ def free_port() -> int:
 def process(module: str, function: str, call: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Run ``function(call)`` of a module with ``scenario`` = paper_moving_1; yields it and its ready line."""
     code = (
-        "import sys; from sim.scenario import load; "
+        "import sys; from sim.scenarios.scenario import load; "
         f"from {module} import {function}; scenario = load('paper_moving_1'); sys.exit({function}({call}))"
     )
     child = subprocess.Popen(

@@ -28,35 +28,57 @@ SAME_VALUE = "at equality both cases have the same value"
 SAME_POINT = "at equality both ways lead to the same point of the box"
 
 EQUIVALENT = (
-    Equivalent("flightstack.gate", "Gate._verdict: arithmetic: vx + vy...", FINITE),
+    Equivalent("flightstack.core.safety.gate", "Gate._verdict: arithmetic: vx + vy...", FINITE),
     Equivalent(
-        "flightstack.gate", "Gate._keeps_promise: return: return False -> return None...", "both are false"
+        "flightstack.core.safety.gate",
+        "Gate._keeps_promise: return: return False -> return None...",
+        "both are false",
     ),
-    Equivalent("flightstack.gate", "Gate._keeps_promise: arithmetic: now + then...", FINITE),
+    Equivalent("flightstack.core.safety.gate", "Gate._keeps_promise: arithmetic: now + then...", FINITE),
     Equivalent(
-        "flightstack.gate",
+        "flightstack.core.safety.gate",
         "Gate._keeps_promise: boundary: missing_m <= 0.0 -> ...",
         "the barrier is asked then, and what it allows is never negative",
     ),
-    Equivalent("flightstack.barrier", "Barrier.missed_m: boundary: moved_m <= gap -> ...", SAME_VALUE),
-    Equivalent("flightstack.barrier", "Barrier.missed_m: boundary: moved_m < r + d -> ...", SAME_VALUE),
-    Equivalent("flightstack.phases", "Condition: arithmetic: 1 << 0 -> 1 >> 0", "shifted by nothing"),
     Equivalent(
-        "flightstack.projection", "project: constant: True -> False #2", "the first zip has refused it"
+        "flightstack.core.safety.barrier", "Barrier.missed_m: boundary: moved_m <= gap -> ...", SAME_VALUE
     ),
-    Equivalent("flightstack.projection", "project: boundary: value >= b -> ...", SAME_POINT),
-    Equivalent("flightstack.projection", "project: boundary: gi > 0.0 -> ...", "zero is left out before"),
-    Equivalent("flightstack.projection", "project: boundary: stop <= 0.0 -> ...", SAME_POINT),
-    Equivalent("flightstack.projection", "project: boundary: start > 0.0 -> ...", SAME_POINT),
-    Equivalent("flightstack.projection", "project: boundary: slope > 0.0 -> slope >= 0.0", SAME_POINT),
     Equivalent(
-        "flightstack.projection", "project: boundary: value + slope * (when - at) >= b -> ...", SAME_POINT
+        "flightstack.core.safety.barrier", "Barrier.missed_m: boundary: moved_m < r + d -> ...", SAME_VALUE
     ),
-    Equivalent("flightstack.safety_filter", "SafetyFilter.__init__: negation: -1.0 -> 1.0", OVERWRITTEN),
-    Equivalent("flightstack.safety_filter", "SafetyFilter.__init__: constant: 1.0 -> ...", OVERWRITTEN),
-    Equivalent("flightstack.safety_filter", "SafetyFilter.solve: arithmetic: bound + gx...", FINITE),
-    Equivalent("flightstack.safety_filter", "SafetyFilter.solve: arithmetic: finite + upper[0]...", FINITE),
-    Equivalent("flightstack.safety_filter", "SafetyFilter._osqp: arithmetic: x + y...", FINITE),
+    Equivalent(
+        "flightstack.core.mission.phases", "Condition: arithmetic: 1 << 0 -> 1 >> 0", "shifted by nothing"
+    ),
+    Equivalent(
+        "flightstack.core.safety.projection",
+        "project: constant: True -> False #2",
+        "the first zip has refused it",
+    ),
+    Equivalent("flightstack.core.safety.projection", "project: boundary: value >= b -> ...", SAME_POINT),
+    Equivalent(
+        "flightstack.core.safety.projection", "project: boundary: gi > 0.0 -> ...", "zero is left out before"
+    ),
+    Equivalent("flightstack.core.safety.projection", "project: boundary: stop <= 0.0 -> ...", SAME_POINT),
+    Equivalent("flightstack.core.safety.projection", "project: boundary: start > 0.0 -> ...", SAME_POINT),
+    Equivalent(
+        "flightstack.core.safety.projection", "project: boundary: slope > 0.0 -> slope >= 0.0", SAME_POINT
+    ),
+    Equivalent(
+        "flightstack.core.safety.projection",
+        "project: boundary: value + slope * (when - at) >= b -> ...",
+        SAME_POINT,
+    ),
+    Equivalent(
+        "flightstack.core.safety.qp_filter", "SafetyFilter.__init__: negation: -1.0 -> 1.0", OVERWRITTEN
+    ),
+    Equivalent(
+        "flightstack.core.safety.qp_filter", "SafetyFilter.__init__: constant: 1.0 -> ...", OVERWRITTEN
+    ),
+    Equivalent("flightstack.core.safety.qp_filter", "SafetyFilter.solve: arithmetic: bound + gx...", FINITE),
+    Equivalent(
+        "flightstack.core.safety.qp_filter", "SafetyFilter.solve: arithmetic: finite + upper[0]...", FINITE
+    ),
+    Equivalent("flightstack.core.safety.qp_filter", "SafetyFilter._osqp: arithmetic: x + y...", FINITE),
 )
 
 

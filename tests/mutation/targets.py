@@ -8,12 +8,15 @@ ROOT = Path(__file__).parents[2]
 UNIT = "tests/unit"
 
 TARGETS: dict[str, tuple[str, ...]] = {
-    "flightstack.barrier": (f"{UNIT}/test_barrier.py",),
-    "flightstack.robust_barrier": (f"{UNIT}/test_robust_barrier.py",),
-    "flightstack.safety_filter": (f"{UNIT}/test_safety_filter.py",),
-    "flightstack.projection": (f"{UNIT}/test_safety_filter.py",),
-    "flightstack.gate": (f"{UNIT}/test_gate.py", f"{UNIT}/test_gate_maker.py"),
-    "flightstack.phases": (f"{UNIT}/test_phases_exhaustive.py", f"{UNIT}/test_phases.py"),
+    "flightstack.core.safety.barrier": (f"{UNIT}/core/test_barrier.py",),
+    "flightstack.core.safety.robust_barrier": (f"{UNIT}/core/test_robust_barrier.py",),
+    "flightstack.core.safety.qp_filter": (f"{UNIT}/core/test_safety_filter.py",),
+    "flightstack.core.safety.projection": (f"{UNIT}/core/test_safety_filter.py",),
+    "flightstack.core.safety.gate": (f"{UNIT}/core/test_gate.py", f"{UNIT}/core/test_gate_maker.py"),
+    "flightstack.core.mission.phases": (
+        f"{UNIT}/core/mission/test_phases_exhaustive.py",
+        f"{UNIT}/core/mission/test_phases.py",
+    ),
 }
 
 

@@ -114,7 +114,7 @@ from tests.mutation import run
 from tests.mutation.mutants import mutants
 from tests.mutation.targets import source_file
 
-module = "flightstack.gate"
+module = "flightstack.core.safety.gate"
 keys = ("Gate._keeps_promise: return: return False -> return None", "Gate.stop: constant: 0.0 -> 1.0")
 chosen = [m for m in mutants(source_file(module).read_text()) if m.key in keys]
 usual_s = run.baseline(module)
@@ -143,4 +143,4 @@ def test_an_unknown_module_is_refused_with_those_there_are():
     done = python("-m", "tests.mutation", "show", "gates")
     assert done.returncode != 0
     assert "found ['flightstack.gates']" in done.stderr
-    assert "flightstack.gate" in done.stderr
+    assert "flightstack.core.safety.gate" in done.stderr

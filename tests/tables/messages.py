@@ -1,4 +1,4 @@
-"""Renews ``bridge/wide_messages.csv`` from the installed pymavlink."""
+"""Renews ``bridge/mavlink/codec/wide_messages.csv`` from the installed pymavlink."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 from pymavlink.dialects.v20 import all as everything
 from pymavlink.dialects.v20 import ardupilotmega
 
-from bridge.wide_messages import Definition, WideField, definitions
+from bridge.mavlink.codec.wide_messages import Definition, WideField, definitions
 
-FILE = Path(__file__).parents[2] / "bridge" / "wide_messages.csv"
+FILE = Path(__file__).parents[2] / "bridge" / "mavlink" / "codec" / "wide_messages.csv"
 _HEAD = """\
 # MAVLink messages that pymavlink's dialect ardupilotmega does not have: id;name;CRC_EXTRA;type name;...
 # [n] is an array, + an extension. Sources: pymavlink's dialect all; and MAVLink's common.xml (mavlink.io,

@@ -1,4 +1,4 @@
-"""Makes ``bridge/px4_events.json`` from the event metadata of a PX4 build (all_events.json.xz)."""
+"""Makes ``bridge/mavlink/client/px4_events.json`` from the events of a PX4 build (all_events.json.xz)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import lzma
 from pathlib import Path
 from typing import Any
 
-FILE = Path(__file__).parents[2] / "bridge" / "px4_events.json"
+FILE = Path(__file__).parents[2] / "bridge" / "mavlink" / "client" / "px4_events.json"
 _SOURCE = "PX4 Autopilot v1.16.0, all_events.json; BSD 3-Clause, see px4_events.LICENSE.txt"
 
 

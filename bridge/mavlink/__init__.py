@@ -1,0 +1,1 @@
+"""MAVLink: endpoint, codec, transports, signing, client of a vehicle."""

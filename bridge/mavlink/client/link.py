@@ -1,0 +1,382 @@
+"""Companion side of the vehicle link: one vehicle, velocity set-points out, state and status in."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.client.commands import CommandSequencer
+from bridge.mavlink.client.companion import Setpoint, companion_heartbeat, velocity_setpoint
+from bridge.mavlink.client.origin import Origin, OriginSender
+from bridge.mavlink.client.px4_events import EVENT, event_text
+from bridge.mavlink.client.streams import StreamRequests
+from bridge.mavlink.client.texts import TextAssembler
+from bridge.mavlink.client.vehicle_state import VehicleState
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.endpoint import Endpoint, Peer
+from bridge.mavlink.endpoint_counters import LinkCounters
+from bridge.mavlink.line_budget import LinePlan
+from bridge.mavlink.profiles.autopilots import PX4, found, refusal
+from bridge.mavlink.profiles.profile import Profile
+from bridge.mavlink.signing.key import SigningKey
+from flightstack.core.types import Landed, OwnState, Request, VehicleStatus
+
+__all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "VehicleLink", "VehicleState"]
+
+COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+_HEARTBEAT_S = 1.0  # s; every autopilot judges a link by heartbeats of 1 Hz
+_HELLO_S = 0.2  # s of wall time between heartbeats until the vehicle has been heard
+_LANDED_STATE_HZ = 5.0  # Hz; as often as PX4 sends it by itself
+_TEXTS_MAX = 256  # texts kept until somebody takes them
+_HELD_MAX = 4096  # messages kept in lockstep until their tick is known
+_RESTARTED = "restarted, or heard again after a silence: what does not come is asked for again"
+
+
+class _Wants(NamedTuple):
+    """What depends on the autopilot."""
+
+    sequencer: CommandSequencer
+    streams: StreamRequests
+    origin: OriginSender
+
+
+class VehicleLink:
+    """One vehicle over one endpoint. Call ``poll``, then ``command`` and ``send_setpoint``, then ``flush``.
+
+    Attributes:
+        endpoint: the socket, whose ``tap`` sees every frame.
+        state: decoder with its counters of refused telemetry.
+        defer_timesync: lockstep: TIMESYNC requests are not answered here but handed to ``take_timesync``, and
+            what arrived is stamped with the simulated time of the request that follows it.
+        counters: what was not let through.
+        refused: why this vehicle is not flown at all, None while nothing speaks against it.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        takeoff_height_m: float,
+        rate_hz: float = 100.0,
+        profile: Profile | None = PX4,
+        system_id: int = 1,
+        component_id: int = 1,
+        defer_timesync: bool = False,
+        signing_key: SigningKey | None = None,
+        allow_unsigned: bool = False,
+        origin: Origin | None = None,
+        endpoint: Endpoint | None = None,
+        line: LinePlan | None = None,
+    ) -> None:
+        """Open the link.
+
+        Args:
+            url: MAVLink URL, as ``bridge.mavlink.transport.address.parse_url`` reads it.
+            takeoff_height_m: height above home of ``Request.TAKEOFF``, m.
+            rate_hz: rate of the loop, asked of the vehicle for position and attitude.
+            profile: what the autopilot wants; None: the one that fits its first heartbeat.
+            system_id: the one vehicle that is listened to.
+            component_id: its autopilot.
+            defer_timesync: lockstep, see above.
+            signing_key: sign everything, and hear nothing unsigned.
+            allow_unsigned: listen to a network without a key.
+            origin: where its local coordinates begin, told to a vehicle that needs it and does not know.
+            endpoint: takes the place of one opened here, and of the URL and key.
+            line: lower rates of position, attitude and set-points, for a slow serial line.
+
+        Raises:
+            ValueError: bad URL or id, a rate or height that is not positive, or a network without a key.
+            OSError: the address cannot be opened.
+        """
+        if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
+            raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
+        if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
+            raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
+        self.state = VehicleState(profile)
+        self.counters = LinkCounters()
+        self.defer_timesync = defer_timesync
+        self.refused: str | None = None
+        self._target = (system_id, component_id)
+        self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
+        self._line, self._setpoints = line, 0
+        self._wants = self._wanted(profile) if profile is not None else None
+        self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
+        self._assembler = TextAssembler()
+        self.endpoint = endpoint or Endpoint(  # the companion shares the vehicle's system id
+            url, system_id, COMPONENT_ID, signing_key=signing_key, allow_unsigned=allow_unsigned
+        )
+        self._texts: list[tuple[int, str]] = []
+        self._outgoing: list[Message] = []
+        self._held: list[Message] = []
+        self._timesync_ns: int | None = None
+        self._vehicle: Peer | None = None
+        self._heartbeat_at_s = -math.inf
+        self._hello_at_s = -math.inf
+        self._hello = b""  # heartbeat sent first, repeated until the vehicle has been heard
+        self._restarted_s = -math.inf  # the newest restart that was acted on
+        self._warned: str | None = None
+        self._handlers: dict[int, Callable[[Message, float], None]] = {
+            dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
+            dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
+            EVENT: self._on_event,
+            dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
+        }
+
+    @property
+    def own(self) -> OwnState | None:
+        """Newest state of the vehicle; its age is for the reader to judge."""
+        return self.state.own
+
+    @property
+    def status(self) -> VehicleStatus | None:
+        """Newest status of the vehicle; ``arrival_s`` is that of its heartbeat, which comes once a second."""
+        return self.state.status
+
+    @property
+    def failed(self) -> str | None:
+        """Why the present request was given up, or None."""
+        return self._wants.sequencer.failed if self._wants is not None else None
+
+    @property
+    def profile(self) -> Profile | None:
+        """What is flown: as given, or as the heartbeat said; None before."""
+        return self.state.profile
+
+    def adopt(self, profile: Profile) -> None:
+        """Fly by this profile from now on: the check before the flight knows it better than a heartbeat.
+
+        Raises:
+            RuntimeError: a profile was given, or a heartbeat has been taken; it stays.
+        """
+        if self.state.profile is not None:
+            raise RuntimeError(f"the link flies by {self.state.profile.name} already, not by {profile.name}")
+        self.state.profile = profile
+        self.state.follow(profile.stream_in_takeoff)
+        self._wants = self._wanted(profile)
+
+    @property
+    def heard(self) -> bool:
+        """Whether the vehicle has ever been heard."""
+        return self._vehicle is not None
+
+    def poll(self, now_s: float) -> None:
+        """Take everything that has arrived and queue what is due: heartbeat, requests for telemetry.
+
+        Args:
+            now_s: the stack's clock, stamped on what arrived. With ``defer_timesync`` the stamp is the
+                simulated time of the TIMESYNC request that follows a message, ``ts1 / 1e9``; what no request
+                has followed yet waits for the next call.
+        """
+        tick_s: float | None = None if self.defer_timesync else now_s
+        for received in self.endpoint.receive():
+            message = received.message
+            header = message.get_header()
+            sender = (header.srcSystem, header.srcComponent)
+            if sender != self._target:
+                self.counters.add_foreign(sender)
+                continue
+            self._vehicle = received.peer
+            if not self.defer_timesync:
+                self._handle(message, now_s)
+                continue
+            self._held.append(message)
+            if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
+                tick_s = message.ts1 / 1e9
+                self._release(tick_s)
+        self._shorten_held()
+        if self._vehicle is None:
+            self._say_hello()
+        elif tick_s is not None:
+            self._queue_due(tick_s)
+
+    def command(self, request: Request, now_s: float) -> None:
+        """Work towards a request; call it every tick with the level that is wanted."""
+        if self._wants is None:
+            if request is Request.MOTORS_OFF:  # the same for all: sent also to one that is not known
+                self._outgoing += self._kill.step(request, None, now_s)
+            return
+        sequencer, _, origin = self._wants
+        if self.state.home_amsl_m is not None:
+            sequencer.home_amsl_m = self.state.home_amsl_m
+        commands = sequencer.step(request, self.status, now_s)
+        self._outgoing += commands
+        if commands and any(command.command == dialect.MAV_CMD_NAV_TAKEOFF for command in commands):
+            self.state.follow(self.state.profile is None or self.state.profile.stream_in_takeoff)
+        if request is Request.NONE:
+            own, restarted_s = self.own, self.state.restarted_s
+            known = self.state.origin_known or (own is not None and own.arrival_s >= restarted_s)
+            self._outgoing += origin.step(self.status, known, now_s)
+
+    def send_setpoint(self, setpoint: Setpoint, now_s: float) -> bool:
+        """Queue a velocity set-point; the only way to send a velocity.
+
+        Args:
+            setpoint: what the safety gate approved.
+            now_s: the stack's clock.
+
+        Returns:
+            False when it was refused: a number is not finite, or the autopilot would take it as the end of
+            its own take-off.
+        """
+        velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
+        profile = self.state.profile
+        if profile is None or not self._may_stream(profile) or not math.isfinite(sum(velocity) + yaw):
+            self.counters.setpoints_refused += 1
+            return False
+        if self._wants is not None:
+            self._wants.sequencer.note_setpoint(now_s)
+        self.state.follow(True)
+        self._setpoints += 1
+        if self._line is not None and self._setpoints % self._line.setpoint_every:
+            return True  # the line has no room for each; a newer one follows
+        self._outgoing.append(velocity_setpoint(setpoint, profile, self._target, now_s))
+        return True
+
+    def flush(self, extra_messages: Sequence[Message] = ()) -> None:
+        """Send everything queued, then ``extra_messages``, in one datagram to the vehicle."""
+        messages = [*self._outgoing, *extra_messages]
+        self._outgoing.clear()
+        self.endpoint.send(messages, self._vehicle)
+
+    def take_timesync(self) -> int | None:
+        """Time ``ts1`` in nanoseconds of the newest TIMESYNC request not yet taken; lockstep only."""
+        ts1_ns, self._timesync_ns = self._timesync_ns, None
+        return ts1_ns
+
+    @staticmethod
+    def timesync_reply(ts1_ns: int) -> Message:
+        """Answer to the request of lockstep tick ``ts1_ns``; tc1 is 1 ns later, for 0 would be a request."""
+        return dialect.MAVLink_timesync_message(ts1_ns + 1, ts1_ns)
+
+    def take_texts(self) -> list[tuple[int, str]]:
+        """Texts the vehicle has sent since the last call: (MAV_SEVERITY, text)."""
+        texts, self._texts = self._texts, []
+        return texts
+
+    def close(self) -> None:
+        """Close the endpoint."""
+        self.endpoint.close()
+
+    def _wanted(self, profile: Profile) -> _Wants:
+        """Make what depends on the autopilot."""
+        state_hz = self._rate_hz if self._line is None else self._line.state_hz
+        rates_hz = {
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: state_hz,
+            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_STATE_HZ,
+            **profile.asked_hz,
+        }
+        return _Wants(
+            CommandSequencer(profile, *self._target, self._takeoff_height_m),
+            StreamRequests(rates_hz, *self._target, profile.unset, profile.data_streams),
+            OriginSender(self._origin if profile.needs_origin else None, self._target[0]),
+        )
+
+    def _recognise(self, heartbeat: Message) -> None:
+        """Take the profile that fits the first heartbeat."""
+        profile = found(heartbeat.autopilot)
+        if profile is None or refusal(heartbeat.autopilot, heartbeat.type, None) is not None:
+            return
+        self.adopt(profile)
+        self._say(dialect.MAV_SEVERITY_INFO, f"its heartbeat says: {profile.title}")
+
+    def _may_stream(self, profile: Profile) -> bool:
+        """Whether a set-point would not end, or keep from beginning, a take-off of the vehicle's own."""
+        if profile.stream_in_takeoff or self._wants is None:
+            return True
+        status = self.status
+        standing = status is not None and status.landed is Landed.ON_GROUND
+        return self._wants.sequencer.request is not Request.TAKEOFF and (self.state.following or not standing)
+
+    def _release(self, arrival_s: float) -> None:
+        held, self._held = self._held, []
+        for message in held:
+            self._handle(message, arrival_s)
+
+    def _shorten_held(self) -> None:
+        surplus = len(self._held) - _HELD_MAX
+        if surplus > 0:  # a vehicle that never asks for the time is not in lockstep
+            self.counters.held_lost += surplus
+            del self._held[:surplus]
+
+    def _handle(self, message: Message, arrival_s: float) -> None:
+        message_id: int = message.get_msgId()  # not .id: in STATUSTEXT that is a field
+        if self._wants is not None:
+            self._wants.streams.seen(message_id)
+        elif message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            self._recognise(message)
+        handler = self._handlers.get(message_id)
+        if handler is not None:
+            handler(message, arrival_s)
+        else:
+            self.state.update(message, arrival_s)
+
+    def _on_ack(self, message: Message, _arrival_s: float) -> None:
+        if self._wants is not None:
+            self._wants.sequencer.note_ack(message.command, message.result)
+
+    def _on_text(self, message: Message, _arrival_s: float) -> None:
+        for severity, text in self._assembler.add(message):
+            self._said(severity, text)
+
+    def _on_event(self, message: Message, _arrival_s: float) -> None:
+        said = event_text(message)
+        if said is not None:
+            self._said(*said)
+
+    def _said(self, severity: int, text: str) -> None:
+        """Pass on what the vehicle says; it may be the reason why a command fails."""
+        self._say(severity, text)
+        if self._wants is not None:
+            self._wants.sequencer.note_text(text)
+
+    def _on_timesync(self, message: Message, arrival_s: float) -> None:
+        if message.tc1 != 0:
+            return  # somebody's answer, not a request
+        if self.defer_timesync:
+            self._timesync_ns = message.ts1
+        else:
+            reply = dialect.MAVLink_timesync_message(max(1, round(arrival_s * 1e9)), message.ts1)
+            self.endpoint.send([reply], self._vehicle)
+
+    def _say_hello(self) -> None:
+        # The vehicle may be waiting to learn where we are; before that, no clock but the wall's counts.
+        wall_s = time.monotonic()
+        if wall_s - self._hello_at_s >= _HELLO_S:
+            self._hello_at_s = wall_s
+            if self._hello:
+                self.endpoint.repeat(self._hello)
+                return
+            heartbeat = companion_heartbeat()
+            self.endpoint.send([heartbeat])
+            self._hello = bytes(heartbeat.get_msgbuf() or b"")
+
+    def _queue_due(self, now_s: float) -> None:
+        if now_s - self._heartbeat_at_s >= _HEARTBEAT_S - 1e-9:
+            self._heartbeat_at_s = now_s
+            self._outgoing.append(companion_heartbeat())
+        if self.state.autopilot is not None and self._wants is not None:
+            if self.state.restarted_s != self._restarted_s:
+                self._restarted_s = self.state.restarted_s
+                self._wants.streams.restart()
+                self._wants.origin.restart()
+                self._say(dialect.MAV_SEVERITY_INFO, _RESTARTED)
+            self._outgoing += self._wants.streams.step(now_s)
+        self._warn()
+
+    def _warn(self) -> None:
+        """Say once why this vehicle is not flown."""
+        autopilot, type_ = self.state.autopilot, self.state.type
+        if autopilot is None or type_ is None:
+            return
+        self.refused = refusal(autopilot, type_, self.state.profile)
+        if self.refused is not None and self.refused != self._warned:
+            self._warned = self.refused
+            self._say(dialect.MAV_SEVERITY_ERROR, self.refused)
+
+    def _say(self, severity: int, text: str) -> None:
+        self._texts = [*self._texts, (severity, text)][-_TEXTS_MAX:]

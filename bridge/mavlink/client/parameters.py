@@ -1,0 +1,114 @@
+"""Reads parameters by name (mavlink.io, services/parameter): bounded tries, answers matched by name; pure.
+
+A parameter that does not come is missing, with the reason; nothing is ever guessed for it.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Mapping
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.profiles.profile import Encoding
+
+_AT_ONCE = 5  # questions without an answer yet; a radio's buffer is small
+_PERIOD_S = 0.4  # s between two tries; PX4 and ArduPilot answer within 0.05 s on a wire
+_TRIES = 5
+_FLOAT = struct.Struct("<f")
+# How the bytes of the float field are read where integers travel as they are.
+_BYTES: Mapping[int, struct.Struct] = {
+    dialect.MAV_PARAM_TYPE_UINT8: struct.Struct("<Bxxx"),
+    dialect.MAV_PARAM_TYPE_INT8: struct.Struct("<bxxx"),
+    dialect.MAV_PARAM_TYPE_UINT16: struct.Struct("<Hxx"),
+    dialect.MAV_PARAM_TYPE_INT16: struct.Struct("<hxx"),
+    dialect.MAV_PARAM_TYPE_UINT32: struct.Struct("<I"),
+    dialect.MAV_PARAM_TYPE_INT32: struct.Struct("<i"),
+    dialect.MAV_PARAM_TYPE_REAL32: _FLOAT,
+}
+_ERRORS = {number: entry.name.removeprefix("MAV_PARAM_ERROR_") for number, entry in
+           dialect.enums["MAV_PARAM_ERROR"].items()}  # fmt: skip
+
+
+class ParameterReader:
+    """Names in, requests out, values in.
+
+    Attributes:
+        values: what has come.
+        missing: what will not come, and why.
+    """
+
+    def __init__(
+        self, names: Iterable[str], target_system: int, target_component: int, encoding: Encoding
+    ) -> None:
+        """Set up.
+
+        Args:
+            names: parameters to read.
+            target_system: the vehicle's system id.
+            target_component: its autopilot's component id.
+            encoding: how it sends integers.
+        """
+        self.values: dict[str, float] = {}
+        self.missing: dict[str, str] = {}
+        self._open = list(dict.fromkeys(names))
+        self._target = (target_system, target_component)
+        self._encoding = encoding
+        self._tries = dict.fromkeys(self._open, 0)
+        self._asked_s = dict.fromkeys(self._open, -math.inf)
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing left to ask."""
+        return not self._open
+
+    def take(self, message: Message) -> None:
+        """Take a message of the vehicle; those that are no answer to a question of ours are ignored."""
+        kind = message.get_msgId()
+        if kind == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
+            self._value(message)
+        elif kind == dialect.MAVLINK_MSG_ID_PARAM_ERROR:
+            name = _name(message.param_id)
+            if name in self._open:
+                self._close(name, f"refused: {_ERRORS.get(message.error, f'error {message.error}')}")
+
+    def step(self, now_s: float) -> list[Message]:
+        """Return the requests to send now; those without an answer for too long become missing."""
+        for name in [n for n in self._open if self._tries[n] >= _TRIES and self._waited(n, now_s)]:
+            self._close(name, f"no answer to {_TRIES} requests in {_TRIES * _PERIOD_S:g} s")
+        due = [name for name in self._open[:_AT_ONCE] if self._waited(name, now_s)]
+        for name in due:
+            self._tries[name] += 1
+            self._asked_s[name] = now_s
+        return [dialect.MAVLink_param_request_read_message(*self._target, name.encode(), -1) for name in due]
+
+    def _waited(self, name: str, now_s: float) -> bool:
+        return now_s - self._asked_s[name] >= _PERIOD_S
+
+    def _value(self, message: Message) -> None:
+        name = _name(message.param_id)
+        if name not in self._open:
+            return
+        value = self._decoded(message.param_value, message.param_type)
+        if value is None or not math.isfinite(value):
+            self._close(name, f"not a number: {message.param_value} of type {message.param_type}")
+            return
+        self.values[name] = value
+        self._open.remove(name)
+
+    def _decoded(self, wire: float, type_: int) -> float | None:
+        if self._encoding is Encoding.C_CAST:
+            return wire
+        struct_ = _BYTES.get(type_)
+        return float(struct_.unpack(_FLOAT.pack(wire))[0]) if struct_ is not None else None
+
+    def _close(self, name: str, why: str) -> None:
+        self.missing[name] = why
+        self._open.remove(name)
+
+
+def _name(field: str | bytes) -> str:
+    raw = field.encode("latin-1", "replace") if isinstance(field, str) else bytes(field)
+    return raw.partition(b"\x00")[0].decode("ascii", "replace")

@@ -1,0 +1,88 @@
+"""Reasons why no heartbeat of a vehicle arrives: other senders, and frames that are dropped. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import NamedTuple
+
+from bridge.mavlink.endpoint_counters import EndpointCounters
+
+_SENDERS_SHOWN = 4
+
+
+class _Cause(NamedTuple):
+    """One reason to throw frames away, with the counters that show it."""
+
+    counters: tuple[str, ...]
+    text: str  # with the count as {n}
+
+
+# The first that applies is named. Frames of unknown messages come with those of any vehicle, so who speaks
+# instead of this one comes before them.
+_SIGNING = (
+    _Cause(("bad_signature",), "{n} frames are signed with another key than --signing-key"),
+    _Cause(("unsigned",), "{n} frames have no signature: with --signing-key only signed ones are heard"),
+    _Cause(
+        ("stale", "replayed", "ahead"),
+        "{n} signed frames are refused by their time stamps: its clock and ours differ",
+    ),
+    _Cause(("reflected",), "{n} frames have our own ids: the link sends back what we send"),
+)
+_DAMAGE = (
+    _Cause(("version_1",), "{n} frames are MAVLink 1: set that link of the vehicle to MAVLink 2"),
+    _Cause(("bad_crc", "unknown_id", "undecodable"), "{n} frames are damaged or of unknown messages"),
+    _Cause(("garbage_bytes",), "{n} bytes are no MAVLink 2 frames"),
+)
+
+
+class Arrivals:
+    """What an endpoint has counted since the last look."""
+
+    def __init__(self) -> None:
+        self._before: dict[str, int] = {}
+
+    def grown(self, counters: EndpointCounters) -> dict[str, int]:
+        """Return by how much each counter has grown since the last call; those that have not are left out."""
+        now = asdict(counters)
+        grown = {name: n - self._before.get(name, 0) for name, n in now.items()}
+        self._before = now
+        return {name: n for name, n in grown.items() if n > 0}
+
+
+def why_silent(
+    system_id: int,
+    grown: Mapping[str, int],
+    senders: Mapping[tuple[int, int], int],
+    *,
+    heard_s: float | None = None,
+) -> str:
+    """Return a sentence: no heartbeat of the vehicle arrives, and the likely reason.
+
+    Args:
+        system_id: of the vehicle; its autopilot is component 1.
+        grown: what the endpoint has counted since the last look, by name of the counter.
+        senders: (system, component) of the frames that came from others, with their number.
+        heard_s: seconds since its last heartbeat; None: there was none.
+    """
+    since = "" if heard_s is None else f" for {heard_s:.0f} s"
+    text = f"no heartbeat of system {system_id}, component 1{since}: "
+    cause = _first(_SIGNING, grown)
+    if cause:
+        return text + cause
+    if grown.get("received") and senders:
+        shown = ", ".join(f"{system}/{component}" for system, component in sorted(senders)[:_SENDERS_SHOWN])
+        more = ", ..." if len(senders) > _SENDERS_SHOWN else ""
+        return text + f"frames come from system/component {shown}{more}; --system-id names the vehicle's"
+    if grown.get("received"):
+        return text + "other frames of it come"
+    return text + (_first(_DAMAGE, grown) or "nothing arrives")
+
+
+def _first(causes: Sequence[_Cause], grown: Mapping[str, int]) -> str:
+    """Sentence of the first cause that applies; empty if none does."""
+    for cause in causes:
+        n = sum(grown.get(name, 0) for name in cause.counters)
+        if n:
+            return cause.text.format(n=n)
+    return ""

@@ -1,0 +1,199 @@
+"""Pure decoder: MAVLink telemetry in, the newest own state and status out, in the stack's frames."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.frames import enu_from_ned, yaw_enu_from_ned
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.profiles.autopilots import refusal
+from bridge.mavlink.profiles.profile import Profile
+from flightstack.core.types import Landed, Mode, OwnState, VehicleStatus
+
+_ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
+_PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
+_RESTART_S = 1.0  # s; a boot clock that falls back further than this is a reboot, less is a late datagram
+_SILENT_S = 2.5  # s without a heartbeat, which comes at 1 Hz: it may have restarted meanwhile
+_YAW_AGE_MAX_S = 0.5  # s between a position and the attitude its heading is taken from
+_LARGEST = 1e6  # m, m/s: a number beyond this is damage
+_VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
+_LANDED = {state.value: state for state in Landed}
+
+
+class Battery(NamedTuple):
+    """What SYS_STATUS says of the battery; ``None`` for what it does not know."""
+
+    arrival_s: float
+    voltage_v: float | None
+    share: float | None  # 0 to 1, charge that is left
+
+
+@dataclass(slots=True)
+class StateCounters:
+    """Telemetry that was refused, and why."""
+
+    not_finite: int = 0  # NaN, infinite or absurd numbers
+    out_of_order: int = 0  # not newer than what is already there
+    without_yaw: int = 0  # position without an attitude, or with one too old to go with it
+    other_autopilot: int = 0  # heartbeat of another autopilot than the configured one, or of no multirotor
+
+
+class VehicleState:
+    """Keeps the newest of what the vehicle says. Who said it has been checked before.
+
+    Attributes:
+        own: newest own state, None until a position and an attitude have come.
+        status: newest status, None until a heartbeat has come; ``arrival_s`` is the heartbeat's.
+        home_amsl_m: altitude of home above sea level, None until HOME_POSITION has come.
+        battery: newest battery state, None until SYS_STATUS has come.
+        autopilot: MAV_AUTOPILOT of the newest heartbeat, None before.
+        type: MAV_TYPE of the newest heartbeat, None before.
+        profile: what the modes are read by; None while it is not known, and then there is no status.
+        origin_known: the vehicle has said where its local coordinates begin, since it restarted last.
+        restarted_s: when it seemed to have restarted, on the stack's clock: its boot clock fell back, or its
+            heartbeat came back after a silence. -inf before that.
+    """
+
+    def __init__(self, profile: Profile | None) -> None:
+        self.profile = profile
+        self.counters = StateCounters()
+        self.own: OwnState | None = None
+        self.status: VehicleStatus | None = None
+        self.home_amsl_m: float | None = None
+        self.autopilot: int | None = None
+        self.type: int | None = None
+        self.origin_known = False
+        self.restarted_s = -math.inf
+        self._beat_s = math.inf  # arrival of the newest heartbeat, whatever it says
+        self._following = profile is None or profile.stream_in_takeoff
+        self._custom_mode = 0
+        self.battery: Battery | None = None
+        self._yaw_enu_rad: float | None = None
+        self._yaw_time_s = 0.0
+        self._landed = Landed.UNKNOWN
+        self._ready = False
+        self._handlers = {
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._on_position,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: self._on_attitude,
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
+            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._on_extended_state,
+            dialect.MAVLINK_MSG_ID_SYS_STATUS: self._on_sys_status,
+            dialect.MAVLINK_MSG_ID_HOME_POSITION: self._on_home,
+            dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._on_origin,
+        }
+
+    @property
+    def following(self) -> bool:
+        """Whether in the external mode the vehicle flies our set-points, and not its own take-off."""
+        return self._following
+
+    def follow(self, following: bool) -> None:
+        """Take note that a set-point goes out, or a take-off."""
+        if following != self._following:
+            self._following = following
+            self._refresh()
+
+    def update(self, message: Message, arrival_s: float) -> None:
+        """Take one message of the vehicle; messages of no interest are ignored.
+
+        Args:
+            message: decoded MAVLink message.
+            arrival_s: when it arrived, on the stack's clock.
+        """
+        handler = self._handlers.get(message.get_msgId())  # not .id: in STATUSTEXT that is a field
+        if handler is not None:
+            handler(message, arrival_s)
+
+    def _on_position(self, m: Message, arrival_s: float) -> None:
+        time_s: float = m.time_boot_ms * 1e-3
+        if not _usable(m.x, m.y, m.z, m.vx, m.vy, m.vz):
+            self.counters.not_finite += 1
+        elif self.own is not None and _late(time_s, self.own.source_time_s):
+            self.counters.out_of_order += 1
+        elif self._yaw_enu_rad is None or abs(time_s - self._yaw_time_s) > _YAW_AGE_MAX_S:
+            self.counters.without_yaw += 1
+        else:
+            if self.own is not None and time_s < self.own.source_time_s:
+                self._restart(arrival_s)
+            position, velocity = enu_from_ned((m.x, m.y, m.z)), enu_from_ned((m.vx, m.vy, m.vz))
+            self.own = OwnState(arrival_s, time_s, position, velocity, self._yaw_enu_rad)
+
+    def _on_attitude(self, m: Message, arrival_s: float) -> None:
+        time_s: float = m.time_boot_ms * 1e-3
+        if not _usable(m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed):
+            self.counters.not_finite += 1
+        elif self._yaw_enu_rad is not None and _late(time_s, self._yaw_time_s):
+            self.counters.out_of_order += 1
+        else:
+            if self._yaw_enu_rad is not None and time_s < self._yaw_time_s:
+                self._restart(arrival_s)
+            # the age of a heading is judged against the position's own time stamp
+            self._yaw_enu_rad = yaw_enu_from_ned(m.yaw)
+            self._yaw_time_s = time_s
+
+    def _on_heartbeat(self, m: Message, arrival_s: float) -> None:
+        if arrival_s - self._beat_s > _SILENT_S:
+            self._restart(arrival_s)
+        self._beat_s = arrival_s
+        self.autopilot, self.type, profile = m.autopilot, m.type, self.profile
+        if profile is None or refusal(m.autopilot, m.type, profile) is not None:
+            self.counters.other_autopilot += 1  # its mode numbers would mean something else
+            return
+        armed = bool(m.base_mode & _ARMED)
+        if not armed and not profile.stream_in_takeoff:
+            self._following = False
+        self._custom_mode = m.custom_mode
+        self.status = VehicleStatus(arrival_s, armed, self._mode(), self._landed, self._ready)
+
+    def _restart(self, arrival_s: float) -> None:
+        """Take note of a restart, or of a silence long enough for one."""
+        self.restarted_s, self.origin_known = arrival_s, False
+
+    def _mode(self) -> Mode:
+        """Mode of the newest heartbeat; an external mode that does not follow us is a take-off of its own."""
+        assert self.profile is not None
+        mode = self.profile.mode(self._custom_mode)
+        return Mode.TAKEOFF if mode is Mode.EXTERNAL and not self._following else mode
+
+    def _on_extended_state(self, m: Message, arrival_s: float) -> None:
+        del arrival_s
+        self._landed = _LANDED.get(m.landed_state, Landed.UNKNOWN)
+        self._refresh()
+
+    def _on_sys_status(self, m: Message, arrival_s: float) -> None:
+        voltage_v = m.voltage_battery * 1e-3 if m.voltage_battery != _VOLTAGE_UNKNOWN else None
+        share = m.battery_remaining / 100.0 if m.battery_remaining >= 0 else None
+        self.battery = Battery(arrival_s, voltage_v, share)
+        self._ready = bool(m.onboard_control_sensors_health & _PREARM)
+        self._refresh()
+
+    def _on_home(self, m: Message, arrival_s: float) -> None:
+        del arrival_s
+        self.home_amsl_m = m.altitude * 1e-3  # mm
+
+    def _on_origin(self, m: Message, arrival_s: float) -> None:
+        del m, arrival_s
+        self.origin_known = True
+
+    def _refresh(self) -> None:
+        old = self.status
+        if old is not None:
+            self.status = VehicleStatus(old.arrival_s, old.armed, self._mode(), self._landed, self._ready)
+
+
+def _usable(a: float, b: float, c: float, d: float, e: float, f: float) -> bool:
+    """Whether all are numbers of sensible size; a NaN is none."""
+    most = _LARGEST
+    return (
+        -most < a < most and -most < b < most and -most < c < most
+        and -most < d < most and -most < e < most and -most < f < most
+    )  # fmt: skip
+
+
+def _late(time_s: float, newest_s: float) -> bool:
+    """Whether a boot clock is not newer than the newest, short of a reboot."""
+    return newest_s - _RESTART_S < time_s <= newest_s

@@ -1,0 +1,1 @@
+"""Frames and messages of MAVLink, to and from bytes."""

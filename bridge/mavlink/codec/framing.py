@@ -1,0 +1,220 @@
+"""Finds the MAVLink 2 frames in a datagram: pure bytes in, bytes out.
+
+A stream parser believes the length byte of whatever looks like a start; one stray 0xFD then costs several
+good frames, and a cut datagram spoils the next. So each datagram stands alone here, a frame counts only when
+its checksum is right, and after anything else the search goes on at the very next byte.
+
+The checksum also covers the message's definition. So a frame of a message that is not known cannot be
+checked; it is kept raw where the frames around it show its length, and never decoded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.wide_messages import MESSAGES
+
+_MARKER_V1 = 0xFE
+_MARKER_V2 = 0xFD
+_HEADER_V1 = 6  # bytes: marker, length, sequence, system, component, id
+_HEADER_V2 = 10  # bytes: as above with two flag bytes and an id of three bytes
+_CHECKSUM = 2  # bytes
+_SIGNATURE = 13  # bytes: link id, timestamp, signature
+FLAG_SIGNED = 0x01  # the only incompatibility flag MAVLink 2 defines
+
+_UNKNOWN_RUN_MAX = 4  # frames of unknown messages in a row that are kept
+_MARKER = bytes((_MARKER_V2,))
+
+# CRC_EXTRA of every known message: the checksum also covers the message's definition.
+CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in MESSAGES.items()}
+# CRC-16/MCRF4XX by fastcrc; pymavlink's slow class only where that has no build.
+checksum = dialect.mcrf4xx or (lambda data: dialect.x25crc(data).crc)
+
+
+@dataclass(slots=True)
+class FrameCounters:
+    """What was thrown away, for the log and for the person who wonders why nothing arrives."""
+
+    garbage_bytes: int = 0  # bytes that belong to no accepted frame
+    bad_crc: int = 0  # looked like a frame of a known message, but the checksum was wrong
+    unknown_id: int = 0  # looked like a frame of an unknown message, and nothing shows that it is one
+    unknown_frames: int = 0  # frames of unknown messages: recorded raw, not checked, not decoded
+    version_1: int = 0  # valid MAVLink 1 frames, refused: they can never be signed
+    undecodable: int = 0  # good checksum, yet the payload could not be decoded
+
+
+class NoFrame(IntEnum):
+    """Why no checked frame begins at a byte; all values are below the end of any frame."""
+
+    INVALID = 0
+    CUT_SHORT = -1  # the bytes end before the frame would
+    UNKNOWN = -2  # the message is not known
+
+
+def split_frames(
+    datagram: bytes,
+    counters: FrameCounters | None = None,
+    unknown: Callable[[bytes], None] | None = None,
+) -> Iterator[bytes]:
+    """Yield every MAVLink 2 frame of a known message with a correct checksum, in order.
+
+    Args:
+        datagram: the bytes of one datagram, anything at all.
+        counters: counts what was skipped, if given.
+        unknown: called with each frame of an unknown message: its header is plausible, behind it the datagram
+            ends or more frames come up to a checked one or the end, and no checked frame is inside it.
+
+    Yields:
+        Frames from marker to checksum, or to the end of the signature of a signed frame.
+    """
+    count = counters if counters is not None else FrameCounters()
+    size = len(datagram)
+    pos = 0
+    while pos < size:
+        end = frame_end(datagram, pos, size, count)
+        if end > 0:
+            yield datagram[pos:end]
+            pos = end
+            continue
+        if end == NoFrame.UNKNOWN:
+            end = unknown_end(datagram, pos, size)
+            if end > 0:
+                count.unknown_frames += 1
+                if unknown is not None:
+                    unknown(datagram[pos:end])
+                pos = end
+                continue
+            count.unknown_id += 1
+        pos += skipped(datagram, pos, size, count)
+
+
+def skipped(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
+    """Count the frame of version 1 that starts at ``pos``, or else one byte of garbage; its length."""
+    version_1 = _version_1_length(data, pos, size)
+    if version_1:
+        count.version_1 += 1
+        return version_1
+    count.garbage_bytes += 1
+    return 1
+
+
+def with_signed_flag(frame: bytes) -> bytes:
+    """Set the flag of an unsigned frame and correct its checksum; 13 bytes of signature come behind it."""
+    return _with_flags(frame, len(frame), FLAG_SIGNED)
+
+
+def without_signature(frame: bytes) -> bytes:
+    """Turn a signed frame into the same frame as it would have been sent without signing."""
+    return _with_flags(frame, len(frame) - _SIGNATURE, 0)
+
+
+def intact(frame: bytes) -> bool:
+    """Whether a whole unsigned frame of a known message still has the checksum it was made with."""
+    return frame_end(frame, 0, len(frame), FrameCounters()) == len(frame)
+
+
+def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
+    """End of the checked frame that starts at ``pos``, or a :class:`NoFrame`; a wrong checksum is counted."""
+    if data[pos] != _MARKER_V2:
+        return NoFrame.INVALID
+    end = _claimed_end(data, pos, size)
+    if end <= 0:
+        return end
+    extra = CRC_EXTRA.get(data[pos + 7] | data[pos + 8] << 8 | data[pos + 9] << 16)
+    if extra is None:
+        return NoFrame.UNKNOWN
+    crc_at = pos + _HEADER_V2 + data[pos + 1]
+    if checksum(data[pos + 1 : crc_at] + extra) != data[crc_at] | data[crc_at + 1] << 8:
+        count.bad_crc += 1
+        return NoFrame.INVALID
+    return end
+
+
+def unknown_end(data: bytes, pos: int, size: int, *, whole: bool = True) -> int:
+    """End of the frame of an unknown message that starts at ``pos``, judged by the bytes that follow it.
+
+    Args:
+        data: the bytes, from ``pos`` on a header of an unknown message and as much as it claims.
+        pos: where its marker is.
+        size: end of the bytes.
+        whole: no more bytes come, as in a datagram; else the frame behind it may still be on its way.
+
+    Returns:
+        The end; INVALID when nothing shows that this is a frame; CUT_SHORT when that is not clear yet.
+    """
+    first = at = _claimed_end(data, pos, size)
+    for _ in range(_UNKNOWN_RUN_MAX):
+        if at == size:
+            break
+        end = frame_end(data, at, size, FrameCounters())
+        if end > 0:
+            break
+        if end == NoFrame.CUT_SHORT and not whole:
+            return NoFrame.CUT_SHORT
+        if end != NoFrame.UNKNOWN or not _has_sender(data, at):
+            return NoFrame.INVALID
+        at = _claimed_end(data, at, size)
+    else:
+        return NoFrame.INVALID
+    if not _has_sender(data, pos) or _holds_frame(data, pos + 1, first, size):
+        return NoFrame.INVALID
+    return NoFrame.CUT_SHORT if at == size and not whole else first
+
+
+def _claimed_end(data: bytes, pos: int, size: int) -> int:
+    """Where the frame whose marker is at ``pos`` ends by its own length and flags, or a :class:`NoFrame`."""
+    if pos + _HEADER_V2 + _CHECKSUM > size:
+        return NoFrame.CUT_SHORT
+    flags = data[pos + 2]
+    if flags & ~FLAG_SIGNED:
+        return NoFrame.INVALID  # an unknown flag: not to be interpreted (MAVLink 2 packet format)
+    end = pos + _HEADER_V2 + data[pos + 1] + _CHECKSUM + (_SIGNATURE if flags else 0)
+    return end if end <= size else NoFrame.CUT_SHORT
+
+
+def _has_sender(data: bytes, pos: int) -> bool:
+    """Whether system and component of a header can be a sender's: 0 is the address of all."""
+    return data[pos + 5] != 0 and data[pos + 6] != 0
+
+
+def _holds_frame(data: bytes, start: int, stop: int, size: int) -> bool:
+    """Whether a checked frame begins within these bytes: stray bytes must never hide a good frame."""
+    pos = data.find(_MARKER, start, stop)
+    while pos >= 0:
+        if frame_end(data, pos, size, FrameCounters()) > 0:
+            return True
+        pos = data.find(_MARKER, pos + 1, stop)
+    return False
+
+
+def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
+    """Set the flags and correct the checksum; the message need not be known.
+
+    The checksum is linear: of two messages of the same length the difference depends on the bytes that differ
+    alone, and CRC_EXTRA is the same in both.
+    """
+    crc_at = end - _CHECKSUM
+    changed = bytearray(frame[:end])
+    changed[2] = flags
+    any_extra = b"\x00"
+    difference = checksum(frame[1:crc_at] + any_extra) ^ checksum(bytes(changed[1:crc_at]) + any_extra)
+    crc = (frame[crc_at] | frame[crc_at + 1] << 8) ^ difference
+    changed[crc_at], changed[crc_at + 1] = crc & 0xFF, crc >> 8
+    return bytes(changed)
+
+
+def _version_1_length(data: bytes, pos: int, size: int) -> int:
+    """Length of the valid MAVLink 1 frame that starts at ``pos``, or 0."""
+    if data[pos] != _MARKER_V1 or pos + _HEADER_V1 + _CHECKSUM > size:
+        return 0
+    crc_at = pos + _HEADER_V1 + data[pos + 1]
+    extra = CRC_EXTRA.get(data[pos + 5])
+    if extra is None or crc_at + _CHECKSUM > size:
+        return 0
+    if checksum(data[pos + 1 : crc_at] + extra) != data[crc_at] | data[crc_at + 1] << 8:
+        return 0
+    return crc_at + _CHECKSUM - pos

@@ -1,0 +1,166 @@
+"""MAVLink messages that pymavlink's dialect ``ardupilotmega`` does not have, as classes of the same make.
+
+They come from ``wide_messages.csv``: what pymavlink's dialect ``all`` has besides (loading that one would
+cost 0.6 s at every start), and messages of MAVLink's ``common`` that pymavlink has in no dialect although PX4
+sends them. ``python -m tests.tables messages`` renews the first and keeps the second.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+_CODES = {
+    "char": ("c", 1),
+    "uint8_t": ("B", 1),
+    "int8_t": ("b", 1),
+    "uint16_t": ("H", 2),
+    "int16_t": ("h", 2),
+    "uint32_t": ("I", 4),
+    "int32_t": ("i", 4),
+    "float": ("f", 4),
+    "uint64_t": ("Q", 8),
+    "int64_t": ("q", 8),
+    "double": ("d", 8),
+}  # type to code of ``struct`` and bytes
+
+
+class WideField(NamedTuple):
+    """One field of a message."""
+
+    kind: str  # type of MAVLink, without the array
+    name: str
+    array: int  # elements; 0: no array
+    extension: bool  # behind the sorted fields, and not in CRC_EXTRA
+
+    @property
+    def size(self) -> int:
+        """Bytes of one element."""
+        return _CODES[self.kind][1]
+
+    @property
+    def code(self) -> str:
+        """Format of the whole field for ``struct``."""
+        code = _CODES[self.kind][0]
+        if not self.array:
+            return code
+        return f"{self.array}s" if self.kind == "char" else f"{self.array}{code}"
+
+
+class Definition(NamedTuple):
+    """One line of the table: fields in the order of the definition."""
+
+    id: int
+    name: str
+    crc_extra: int
+    fields: tuple[WideField, ...]
+
+    @classmethod
+    def parse(cls, line: str) -> Definition:
+        """Read ``id;name;crc_extra;type name;...``: ``type[n]`` is an array, ``+type`` an extension.
+
+        Raises:
+            ValueError: the line has another form, or a type is not known.
+        """
+        id_, name, crc_extra, *fields = line.split(";")
+        return cls(int(id_), name, int(crc_extra), tuple(_field(text) for text in fields))
+
+    @property
+    def line(self) -> str:
+        """As in the table."""
+        return ";".join([str(self.id), self.name, str(self.crc_extra), *map(_text, self.fields)])
+
+    @property
+    def on_the_wire(self) -> list[WideField]:
+        """Fields in the order of the wire: by size, extensions behind (MAVLink serialization guide)."""
+        extensions = [field for field in self.fields if field.extension]
+        rest = [field for field in self.fields if not field.extension]
+        return [*sorted(rest, key=lambda field: -field.size), *extensions]
+
+    def computed_crc_extra(self) -> int:
+        """Checksum of names and types (MAVLink serialization guide, CRC_EXTRA)."""
+        text = f"{self.name} ".encode()
+        for field in self.on_the_wire:
+            if not field.extension:
+                text += f"{field.kind} {field.name} ".encode() + field.array.to_bytes(
+                    bool(field.array), "big"
+                )
+        crc: int = dialect.x25crc(text).crc
+        return (crc & 0xFF) ^ (crc >> 8)
+
+
+def definitions() -> Iterator[Definition]:
+    """Read the table.
+
+    Yields:
+        One definition for each message, by rising id.
+    """
+    text = files("bridge.mavlink.codec").joinpath("wide_messages.csv").read_text(encoding="ascii")
+    for line in text.splitlines():
+        if line and not line.startswith("#"):
+            yield Definition.parse(line)
+
+
+def make_class(definition: Definition) -> Any:
+    """Make a message class with the attributes that pymavlink's generated classes have."""
+    wire = definition.on_the_wire
+    names = [field.name for field in definition.fields]
+
+    def init(self: Any, *values: Any, **named: Any) -> None:
+        dialect.MAVLink_message.__init__(self, definition.id, definition.name)
+        self._fieldnames, self._instance_field, self._instance_offset = names, None, -1
+        given = {**dict(zip(names, values, strict=False)), **named}
+        if len(values) > len(names) or len(given) < len(values) + len(named) or set(given) != set(names):
+            raise TypeError(f"{definition.name} has the fields {', '.join(names)}")
+        for field in definition.fields:
+            value = given[field.name]
+            if field.kind == "char":
+                setattr(self, f"_{field.name}_raw", value)
+                value = value.split(b"\x00", 1)[0].decode("ascii", errors="replace")
+            setattr(self, field.name, value)
+
+    unpacker = struct.Struct("<" + "".join(field.code for field in wire))
+    return type(
+        f"MAVLink_{definition.name.lower()}_message",
+        (dialect.MAVLink_message,),
+        {
+            "__init__": init,
+            "id": definition.id,
+            "msgname": definition.name,
+            "fieldnames": names,
+            "ordered_fieldnames": [field.name for field in wire],
+            "fieldtypes": [field.kind for field in definition.fields],
+            "fielddisplays_by_name": {},
+            "fieldenums_by_name": {},
+            "fieldunits_by_name": {},
+            "native_format": bytearray(b"<" + "".join(_CODES[field.kind][0] for field in wire).encode()),
+            "orders": [wire.index(field) for field in definition.fields],
+            "lengths": [1 if field.kind == "char" else max(1, field.array) for field in wire],
+            "array_lengths": [field.array for field in wire],
+            "crc_extra": definition.crc_extra,
+            "unpacker": unpacker,
+            "instance_field": None,
+            "instance_offset": -1,
+        },
+    )
+
+
+def _field(text: str) -> WideField:
+    kind, _, name = text.removeprefix("+").partition(" ")
+    kind, _, array = kind.removesuffix("]").partition("[")
+    if kind not in _CODES or not name:
+        raise ValueError(f"field {text!r} of a MAVLink message: allowed are the types {', '.join(_CODES)}")
+    return WideField(kind, name, int(array or 0), text.startswith("+"))
+
+
+def _text(field: WideField) -> str:
+    array = f"[{field.array}]" if field.array else ""
+    return f"{'+' if field.extension else ''}{field.kind}{array} {field.name}"
+
+
+# Every message known, by id: pymavlink's and, behind them, the wide ones.
+MESSAGES: dict[int, Any] = {**dialect.mavlink_map, **{d.id: make_class(d) for d in definitions()}}

@@ -1,0 +1,315 @@
+"""One MAVLink 2 endpoint: a socket or serial line, its peers, and the frames that pass through it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from enum import Enum
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.decoding import Message, decode
+from bridge.mavlink.codec.framing import FLAG_SIGNED, intact, split_frames, without_signature
+from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.codec.stream_framing import StreamFramer
+from bridge.mavlink.endpoint_counters import EndpointCounters
+from bridge.mavlink.signing.answer import ANSWERED, StaleAnswers
+from bridge.mavlink.signing.key import SigningKey
+from bridge.mavlink.signing.signing import Refusal, Signer
+from bridge.mavlink.transport.address import check_policy, parse_peer, parse_url, resolve
+from bridge.mavlink.transport.open import open_transport
+from bridge.mavlink.transport.peers import Peer, PeerTable
+
+__all__ = ["Direction", "Endpoint", "Peer", "Received", "dialect", "parse_peer", "parse_url"]
+
+_CHUNKS_PER_CALL = 512  # a flood must not keep the loop in receive() for ever,
+_RECEIVE_MAX_S = 0.004  # s of processor time: nor may datagrams that are full of small frames
+_UNTIMED_BYTES = 4096  # in one call, before the clock is looked at, which costs as much as a small datagram
+_HEARTBEAT = bytes(3)  # message id 0, on the wire
+_SETUP_SIGNING: int = dialect.MAVLINK_MSG_ID_SETUP_SIGNING
+
+
+class Direction(Enum):
+    """Which way a frame went, seen from this process."""
+
+    IN = "in"
+    OUT = "out"
+
+
+class Received(NamedTuple):
+    """One frame that arrived."""
+
+    message: Message
+    raw: bytes
+    peer: Peer
+
+
+Tap = Callable[[Direction, bytes, Peer], None]
+
+
+class Endpoint:
+    """A UDP socket, serial line or TCP connection that speaks MAVLink 2; not thread-safe, owned by one loop.
+
+    With a key every frame is signed, and what is not signed with it is dropped before it is decoded.
+
+    Attributes:
+        tap: called with every valid frame both ways, for the recorder; an outgoing frame is shown once.
+            It sees frames without their signatures: nothing to learn from, and the same whatever the clock.
+            Frames of unknown messages, whose checksum cannot be checked, are shown to it and to nobody else.
+        counters: what passed and what was thrown away.
+        local_port: the UDP port the socket is bound to, 0 of others.
+        baud: bits a second of a serial line, None of others.
+        warnings: what a person should know before flying.
+    """
+
+    dialect = dialect
+
+    def __init__(
+        self,
+        url: str,
+        system_id: int,
+        component_id: int,
+        *,
+        max_peers: int = 8,
+        signing_key: SigningKey | None = None,
+        always: Sequence[Peer] = (),
+        allow_unsigned: bool = False,
+        link_id: int = 0,
+    ) -> None:
+        """Open the socket or line.
+
+        Args:
+            url: ``udpin:HOST:PORT`` listens; ``udpout:HOST:PORT`` sends there first, ``tcp:HOST:PORT``
+                connects there, ``serial:DEVICE:BAUD`` is a line: they hear nobody else.
+            system_id: our MAVLink system id, 1 to 255.
+            component_id: our MAVLink component id, 1 to 255.
+            max_peers: how many senders of heartbeats are remembered and served at a time.
+            signing_key: sign everything, and hear nothing unsigned.
+            always: ``udpin`` only: peers that get telemetry before they speak, and never expire.
+            allow_unsigned: listen to a network without a key.
+            link_id: of signing, for endpoints that share key and ids, 0 to 255.
+
+        Raises:
+            ValueError: bad URL or id, the host has no IPv4 address, it would listen to a network without a
+                key, or the state of signing cannot be understood.
+            OSError: the address cannot be bound, for example because another process has the port, the
+                device cannot be opened, or the state of signing cannot be read or written. A TCP connection
+                that is refused is no error: it is tried again, and ``take_notices`` says so.
+        """
+        for name, value in (("system", system_id), ("component", component_id)):
+            if not 1 <= value <= 255:
+                raise ValueError(f"MAVLink {name} id is {value}: allowed is 1 to 255")
+        kind, host, port = parse_url(url)
+        address = (host, port) if kind == "serial" else resolve(f"MAVLink URL {url!r}", host, port)
+        configured = tuple(dict.fromkeys(always))
+        warning = check_policy(
+            url, address, configured, signed=signing_key is not None, allow_unsigned=allow_unsigned
+        )
+        self.tap: Tap | None = None
+        self.counters = EndpointCounters()
+        self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        self._peers = PeerTable(configured if kind == "udpin" else (address,), max_peers)
+        self._transport = open_transport(url, address, self.counters)
+        try:
+            self._signer = Signer(signing_key, system_id, component_id, link_id) if signing_key else None
+        except BaseException:
+            self._transport.close()
+            raise
+        self._framer = StreamFramer(self.counters) if self._transport.is_stream else None
+        self._answers = StaleAnswers()
+        self._unknown: list[bytes] = []  # frames of unknown messages in the chunk at hand
+        self.local_port = self._transport.local_port
+        self.baud = self._transport.baud
+        signer_warning = self._signer.warning if self._signer else None
+        self.warnings = tuple(text for text in (warning, signer_warning) if text is not None)
+
+    @property
+    def peers(self) -> tuple[Peer, ...]:
+        """Whom ``send`` reaches: configured peers, and everyone with a heartbeat heard in the last 10 s."""
+        return self._peers.reached
+
+    @property
+    def signed(self) -> bool:
+        """Whether frames are signed."""
+        return self._signer is not None
+
+    def receive(self) -> list[Received]:
+        """Take what is in the socket now, in order of arrival; never blocks, never raises.
+
+        It stops after 4 ms of work with all but the first 4 kB; what a flood left in the socket then waits
+        for the next call.
+        """
+        received: list[Received] = []
+        size, until_s = 0, math.inf
+        for _ in range(_CHUNKS_PER_CALL):
+            chunk = self._transport.receive()
+            if chunk is None:
+                break
+            data, peer = chunk
+            for frame in self._split(data):
+                self._take(frame, peer, received)
+            for frame in self._unknown:
+                self._take_unknown(frame, peer)
+            self._unknown.clear()
+            size += len(data)
+            if size > _UNTIMED_BYTES:
+                now_s = time.thread_time()
+                if now_s > until_s:
+                    break
+                until_s = min(until_s, now_s + _RECEIVE_MAX_S)
+        if self._signer is not None:
+            self._signer.save_if_due()
+        return received
+
+    def _split(self, data: bytes) -> Iterator[bytes]:
+        if self._framer is not None:
+            return self._framer.push(data, self._unknown.append)
+        return split_frames(data, self.counters, self._unknown.append)
+
+    def _take_unknown(self, frame: bytes, peer: Peer) -> None:
+        """Show a frame of an unknown message to the recorder; it may neither make a peer nor earn credit."""
+        refused = self._refused(frame)
+        if refused is not None:
+            self.counters.add(refused.value)
+        elif self.tap is not None:
+            self.tap(Direction.IN, without_signature(frame) if frame[2] & FLAG_SIGNED else frame, peer)
+
+    def _take(self, frame: bytes, peer: Peer, received: list[Received]) -> None:
+        """Check a frame, decode it, note its sender; what is refused is counted."""
+        counters, size = self.counters, len(frame)
+        refused = self._refused(frame)
+        if refused is not None:
+            counters.add(refused.value)
+            if refused in ANSWERED:
+                self._answer_stale(peer)
+            return
+        if frame[2] & FLAG_SIGNED:
+            frame = without_signature(frame)
+        try:
+            message = decode(frame)
+        except Exception:  # a frame from the network must never stop the loop
+            counters.undecodable += 1
+            return
+        if message.get_msgId() == _SETUP_SIGNING:  # keys come from files; and no key may get into the log
+            counters.setup_signing += 1
+            return
+        counters.received += 1
+        if not self._peers.heard(peer, size, heartbeat=frame[7:10] == _HEARTBEAT):
+            counters.peers_refused += 1
+        if self.tap is not None:
+            self.tap(Direction.IN, frame, peer)
+        received.append(Received(message, frame, peer))
+
+    def _refused(self, frame: bytes) -> Refusal | None:
+        """Why signing keeps a frame out, None to let it in."""
+        signed = frame[2] & FLAG_SIGNED
+        if self._signer is None:
+            self.counters.unchecked += signed  # cannot be checked: no better than an unsigned one
+            return None
+        return self._signer.refusal(frame) if signed else Refusal.UNSIGNED
+
+    def _answer_stale(self, peer: Peer) -> None:
+        """Send our heartbeat to a peer whose clock is behind: a signed frame moves an autopilot's forward."""
+        heartbeat = self._answers.due(peer)
+        if heartbeat is not None and self._signer is not None:
+            mav = self._mav  # no new number, and not shown to the tap: it depends on wall time
+            frame = pack(heartbeat, mav.seq, mav.srcSystem, mav.srcComponent)
+            self._transport.send((self._signer.sign(frame),), peer)
+            self.counters.stale_answered += 1
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until something is there; False when nothing came in ``timeout_s`` of wall time."""
+        return self._transport.wait(max(0.0, timeout_s))
+
+    def fileno(self) -> int:
+        """Descriptor for a ``select`` over several links; ask anew each time, since a line may be lost."""
+        return self._transport.fileno()
+
+    def take_notices(self) -> list[str]:
+        """Texts for a person since the last call: the line was lost, or is back."""
+        return self._transport.take_notices()
+
+    def pack(self, message: Message) -> bytes:
+        """Serialise a message, unsigned, with our ids and the next sequence number.
+
+        Raises:
+            struct.error: a field does not fit its type on the wire.
+            IndexError: an array is too short.
+        """
+        mav = self._mav
+        frame = pack(message, mav.seq, mav.srcSystem, mav.srcComponent)
+        mav.seq = (mav.seq + 1) % 256
+        return frame
+
+    def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
+        """Send messages, in order; by UDP in one datagram (more only when they exceed 1400 bytes).
+
+        Args:
+            messages: instances of the dialect's message classes.
+            peer: whom to; None means every peer known. Without any peer nothing is sent or numbered. Somebody
+                without a heartbeat gets no more bytes than came from there: what is over that is dropped.
+
+        Raises:
+            struct.error: a field does not fit its type on the wire.
+        """
+        if self._signer is not None:
+            self._answers.note(messages)
+        peers = (peer,) if peer is not None else self.peers
+        if not messages or not peers:
+            return
+        allowance_bytes = self._peers.allowance_bytes(peer) if peer is not None else None
+        frames, wire = self._pack(messages, allowance_bytes)
+        if not frames:
+            return
+        for to in peers:
+            self._transport.send(wire, to)
+        if allowance_bytes is not None:
+            self._peers.spend(peers[0], sum(map(len, wire)))
+        self.counters.sent += len(frames) * len(peers)
+        if self.tap is not None:
+            for frame in frames:
+                self.tap(Direction.OUT, frame, peers[0])
+
+    def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
+        """Send a frame again, byte for byte: no new sequence number, not shown to the tap.
+
+        How often that happens is a matter of wall time; so it stays out of log and numbering. With a key it
+        is signed anew, since the receiver takes no timestamp twice; a frame damaged on purpose stays damaged.
+        """
+        wire = self._signer.sign(frame) if self._signer is not None and intact(frame) else frame
+        for to in (peer,) if peer is not None else self.peers:
+            allowance_bytes = self._peers.allowance_bytes(to)
+            if allowance_bytes is not None and allowance_bytes < len(wire):
+                self.counters.withheld += 1
+                continue
+            self._peers.spend(to, len(wire))
+            self._transport.send((wire,), to)
+
+    def close(self) -> None:
+        """Close the socket or line and write down the state of signing; may be called twice."""
+        self._transport.close()
+        if self._signer is not None:
+            self._signer.close()
+
+    def _pack(
+        self, messages: Sequence[Message], allowance_bytes: int | None
+    ) -> tuple[list[bytes], list[bytes]]:
+        """Frames as they are logged and as they are sent; only as many as an allowance covers."""
+        if self._signer is None and allowance_bytes is None:
+            frames = [self.pack(message) for message in messages]
+            return frames, frames
+        frames, wire, size = [], [], 0
+        for message in messages:
+            number = self._mav.seq
+            frame = self.pack(message)
+            signed = self._signer.sign(frame) if self._signer is not None else frame
+            size += len(signed)
+            if allowance_bytes is not None and size > allowance_bytes:
+                self._mav.seq = number  # never sent, so the next one has it
+                self.counters.withheld += len(messages) - len(frames)
+                break
+            frames.append(frame)
+            wire.append(signed)
+        return frames, wire

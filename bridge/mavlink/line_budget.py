@@ -1,0 +1,112 @@
+"""What a flight needs of a serial line, and the rates at which it fits into it. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.wide_messages import MESSAGES
+
+_BITS_PER_BYTE = 10  # of a serial line, 8N1
+_USABLE = 0.9  # of the line; the rest is for answers, texts and what the autopilot sends unasked
+_FRAME = 12  # bytes around a payload: header and checksum of MAVLink 2
+_SIGNATURE = 13  # bytes
+_IN_A_ROW = 3  # periods in the oldest state that is believed: two may be lost one after the other
+_BAUDS = (9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600, 1_500_000, 3_000_000)
+# Besides position and attitude, Hz
+_ASKED_HZ = {dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0, dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0}
+_UNASKED_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}  # PX4 v1.16
+_OUT_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}
+_STATE = (dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, dialect.MAVLINK_MSG_ID_ATTITUDE)
+_SETPOINT: int = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+
+
+class LineTooSlowError(ValueError):
+    """The line cannot carry the flight; the text holds the numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinePlan:
+    """Rates of a flight over one line.
+
+    Attributes:
+        state_hz: position and attitude, each.
+        setpoint_every: a set-point goes out every so many ticks.
+        setpoint_hz: that as a rate.
+        in_bytes_s: what the asked telemetry needs, from the vehicle to us.
+        out_bytes_s: set-points, heartbeats and answers, from us to the vehicle.
+        capacity_bytes_s: of the line, in each direction; None: not limited.
+    """
+
+    state_hz: float
+    setpoint_every: int
+    setpoint_hz: float
+    in_bytes_s: float
+    out_bytes_s: float
+    capacity_bytes_s: float | None
+
+    @property
+    def text(self) -> str:
+        """For a person."""
+        carries = "no limit known"
+        if self.capacity_bytes_s is not None:
+            carries = f"the line carries {self.capacity_bytes_s:.0f} B/s each way"
+        return (
+            f"position and attitude at {self.state_hz:.3g} Hz need {self.in_bytes_s:.0f} B/s in, set-points "
+            f"at {self.setpoint_hz:.3g} Hz {self.out_bytes_s:.0f} B/s out; {carries}"
+        )
+
+
+def bytes_per_s(rates_hz: Mapping[int, float], *, signed: bool = False) -> float:
+    """Bytes a second of messages, frames and all.
+
+    Args:
+        rates_hz: message id to Hz.
+        signed: each carries a signature.
+    """
+    around = _FRAME + (_SIGNATURE if signed else 0)
+    return sum(rate_hz * float(MESSAGES[id_].unpacker.size + around) for id_, rate_hz in rates_hz.items())
+
+
+def plan(baud: int | None, rate_hz: float, own_age_max_s: float, *, signed: bool = False) -> LinePlan:
+    """Choose the highest rates that fit, whole parts of the loop's.
+
+    Args:
+        baud: bits a second of the serial line, None where there is none: then nothing is made rarer.
+        rate_hz: of the loop.
+        own_age_max_s: oldest own state that the configuration believes, s. The lowest rate is three times
+            its inverse, for state and set-points alike.
+        signed: frames carry signatures.
+
+    Raises:
+        LineTooSlowError: not even the lowest rates fit.
+    """
+    capacity = None if baud is None else baud / _BITS_PER_BYTE
+    usable = math.inf if capacity is None else capacity * _USABLE
+    lowest_hz = min(rate_hz, _IN_A_ROW / own_age_max_s)
+
+    def needs_in(hz: float) -> float:
+        return bytes_per_s({**_ASKED_HZ, **_UNASKED_HZ, **dict.fromkeys(_STATE, hz)}, signed=signed)
+
+    def needs_out(hz: float) -> float:
+        return bytes_per_s({**_OUT_HZ, _SETPOINT: hz}, signed=signed)
+
+    every_max = max(1, int(rate_hz / lowest_hz + 1e-9))
+    rates = [(every, rate_hz / every) for every in range(1, every_max + 1)]
+    state = next((hz for _, hz in rates if needs_in(hz) <= usable), None)
+    setpoint = next(((every, hz) for every, hz in rates if needs_out(hz) <= usable), None)
+    if state is None or setpoint is None:
+        slowest_hz = rates[-1][1]
+        need = max(needs_in(slowest_hz), needs_out(slowest_hz))
+        enough = next((b for b in _BAUDS if b / _BITS_PER_BYTE * _USABLE >= need), None)
+        use = f"set the line to {enough} baud or more" if enough else "use another link"
+        raise LineTooSlowError(
+            f"the serial line of {baud} baud is too slow: at {slowest_hz:.3g} Hz, the lowest rate that keeps "
+            f"the own state younger than checks.own_age_max_s = {own_age_max_s:g} s, the flight needs "
+            f"{needs_in(slowest_hz):.0f} B/s in and {needs_out(slowest_hz):.0f} B/s out, and the line "
+            f"carries {capacity:.0f} B/s each way, of which {_USABLE:.0%} are planned with; {use}"
+        )
+    return LinePlan(state, *setpoint, needs_in(state), needs_out(setpoint[1]), capacity)

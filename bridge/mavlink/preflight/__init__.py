@@ -1,0 +1,1 @@
+"""What a vehicle is asked before a flight, and the rules for its answers."""

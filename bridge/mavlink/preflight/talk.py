@@ -1,0 +1,209 @@
+"""The talk before a flight: who is there, and what are its parameters? Bounded in time, never changes one."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.client.companion import companion_heartbeat
+from bridge.mavlink.client.parameters import ParameterReader
+from bridge.mavlink.client.silence import Arrivals, why_silent
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.endpoint import Endpoint, Peer
+from bridge.mavlink.endpoint_counters import LinkCounters
+from bridge.mavlink.preflight.report import Finding, Level, Needs, Rule, judge
+from bridge.mavlink.preflight.rules import RULES
+from bridge.mavlink.profiles.autopilot_version import is_recorded, marked, release
+from bridge.mavlink.profiles.autopilots import found, refusal
+from bridge.mavlink.profiles.profile import Profile
+
+_HELLO_S = 0.2  # s between heartbeats until the vehicle is heard
+_HEARTBEAT_S = 1.0
+_VERSION_S = 0.5  # s between two tries
+_VERSION_TRIES = 4
+_SAY_S = 2.0  # s between two sentences about what is waited for
+_SLICE_S = 0.02  # s between two looks
+_READ_MAX_S = 30.0  # s for everything, once the vehicle is heard
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What the talk came to.
+
+    Attributes:
+        profile: what flies the vehicle, None when it was not recognised.
+        version: its release, None when it did not say.
+        findings: one for each rule; none when it did not come so far.
+        problem: why it is not flown whatever its parameters, None when nothing speaks against it.
+        line: what the flight needs of a serial line, and what was measured on it; None of other links.
+    """
+
+    profile: Profile | None
+    version: str | None
+    findings: tuple[Finding, ...]
+    problem: str | None
+    line: str | None = None
+
+    @property
+    def blocking(self) -> tuple[Finding, ...]:
+        """Findings that keep it from arming."""
+        return tuple(finding for finding in self.findings if finding.level is Level.UNSAFE)
+
+    @property
+    def safe(self) -> bool:
+        """Whether it may arm."""
+        return self.problem is None and not self.blocking
+
+
+def examine(
+    endpoint: Endpoint,
+    system_id: int,
+    chosen: Profile | None,
+    needs: Needs,
+    accepted: Collection[str],
+    *,
+    wait_s: float,
+    stopped: Callable[[], bool] = lambda: False,
+    say: Callable[[str], None] = lambda _text: None,
+) -> Report:
+    """Ask the vehicle and judge its answers.
+
+    Args:
+        endpoint: to it; its messages of that time are taken.
+        system_id: of the vehicle.
+        chosen: the profile that was given; None: by the heartbeat.
+        needs: of the flight.
+        accepted: names of parameters that a person has accepted.
+        wait_s: for its first heartbeat.
+        stopped: the talk is broken off when it says so.
+        say: takes a sentence every two seconds about what it waits for, and how long yet.
+    """
+    talk = _Talk(endpoint, system_id, chosen)
+    began_s = time.monotonic()
+    until_s = began_s + wait_s
+    said_s = began_s
+    heard = False
+    while not talk.over and not stopped():
+        now_s = time.monotonic()
+        if talk.heard and not heard:
+            heard, until_s = True, now_s + _READ_MAX_S
+        if now_s >= until_s:
+            break
+        if now_s - said_s >= _SAY_S:
+            said_s = now_s
+            say(f"waiting: {talk.waits_for()}; for {until_s - now_s:.0f} s more")
+        talk.turn(now_s)
+    reader, profile = talk.reader, talk.profile
+    if stopped():
+        return Report(profile, talk.version, (), "broken off by the operator")
+    if talk.refused is not None:
+        return Report(profile, talk.version, (), talk.refused)
+    if profile is None or reader is None:
+        return Report(None, None, (), f"{talk.waits_for()}; within {wait_s:g} s, is the vehicle's link up?")
+    findings = judge(talk.rules, reader.values, reader.missing, needs, accepted)
+    return Report(profile, talk.version, tuple(findings), None)
+
+
+class _Talk:
+    """One turn after the other; what has been found so far."""
+
+    def __init__(self, endpoint: Endpoint, system_id: int, chosen: Profile | None) -> None:
+        self._endpoint, self._target, self._chosen = endpoint, (system_id, 1), chosen
+        self.profile: Profile | None = None
+        self.version: str | None = None
+        self.refused: str | None = None
+        self.reader: ParameterReader | None = None
+        self.rules: tuple[Rule, ...] = ()
+        self.heard = False
+        self._peer: Peer | None = None
+        self._said_s = -math.inf
+        self._version_s = -math.inf
+        self._version_tries = 0
+        self._version_over = False
+        self._recorded = False
+        self._foreign = LinkCounters()
+        self._arrivals = Arrivals()
+        self._why = ""  # nothing is heard, as of the last look that found anything
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is left to find out."""
+        return self.refused is not None or (self.reader is not None and self.reader.done)
+
+    def waits_for(self) -> str:
+        """Say what has not come yet."""
+        if not self.heard:
+            grown = self._arrivals.grown(self._endpoint.counters)
+            if grown.keys() - {"sent"} or not self._why:
+                self._why = why_silent(self._target[0], grown, self._foreign.senders)
+            return self._why
+        if self.reader is None:
+            return "the vehicle does not say its version (AUTOPILOT_VERSION)"
+        names = [rule.name for rule in self.rules]
+        known = self.reader.values.keys() | self.reader.missing.keys()
+        left = [name for name in names if name not in known]
+        return f"{len(known)} of {len(names)} parameters have come; missing are {', '.join(left[:4])}"
+
+    def turn(self, now_s: float) -> None:
+        """Say what is due, wait a little, take what came."""
+        messages = (
+            []
+            if now_s - self._said_s < (_HEARTBEAT_S if self.heard else _HELLO_S)
+            else [companion_heartbeat()]
+        )
+        if messages:
+            self._said_s = now_s
+        if self.profile is not None:
+            messages += self._ask(self.profile, now_s)
+        self._endpoint.send(messages, self._peer)
+        self._endpoint.wait(_SLICE_S)
+        for received in self._endpoint.receive():
+            header = received.message.get_header()
+            sender = (header.srcSystem, header.srcComponent)
+            if sender == self._target:
+                self._peer = received.peer
+                self._take(received.message)
+            else:
+                self._foreign.add_foreign(sender)
+
+    def _ask(self, profile: Profile, now_s: float) -> list[Message]:
+        if self._version_over and self.reader is None:
+            self.rules = () if self._recorded else RULES[profile.name]
+            names = (rule.name for rule in self.rules)
+            self.reader = ParameterReader(names, *self._target, profile.encoding)
+        if self.reader is not None:
+            return self.reader.step(now_s)
+        if now_s - self._version_s < _VERSION_S:
+            return []
+        if self._version_tries >= _VERSION_TRIES:
+            self._version_over = True
+            return []
+        self._version_s = now_s
+        self._version_tries += 1
+        rest = (profile.unset,) * 5
+        return [
+            dialect.MAVLink_command_long_message(
+                *self._target, dialect.MAV_CMD_REQUEST_MESSAGE, 0,
+                float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION), *rest, 0.0,
+            )
+        ]  # fmt: skip
+
+    def _take(self, message: Message) -> None:
+        kind = message.get_msgId()
+        if kind == dialect.MAVLINK_MSG_ID_HEARTBEAT and not self.heard:
+            self.heard = True
+            self.refused = refusal(message.autopilot, message.type, self._chosen)
+            if self.refused is None:
+                self.profile = self._chosen or found(message.autopilot)
+        elif kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION and not self._version_over:
+            self.version, self._version_over = release(message), True
+            self._recorded = is_recorded(message)
+            own = marked(message)
+            if own is not None and self.profile is not None and own.autopilot == self.profile.autopilot:
+                self.profile = own
+        elif self.reader is not None:
+            self.reader.take(message)

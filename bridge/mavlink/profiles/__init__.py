@@ -1,0 +1,1 @@
+"""How the autopilots differ, as tables."""

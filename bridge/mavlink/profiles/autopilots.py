@@ -1,0 +1,323 @@
+"""What differs between autopilots, as one table; nothing else in the stack asks which one it talks to.
+
+Sources: PX4 ``px4_custom_mode.h``, ``mavlink_receiver.cpp`` and ``offboardCheck.cpp`` (v1.16); ArduPilot
+``ArduCopter/mode.h``, ``mode_guided.cpp`` and ``GCS_Mavlink.cpp`` (4.6); both measured in their own SITL.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.profiles.profile import (
+    VELOCITY_AND_YAW,
+    Encoding,
+    Params,
+    Profile,
+    Reading,
+    Step,
+    TakeoffAltitude,
+)
+from flightstack.core.types import Landed, Mode, Request, VehicleStatus
+
+__all__ = [
+    "ARDUPILOT",
+    "AUTO",
+    "CRAZYFLIE",
+    "OWN_SITL",
+    "PROFILES",
+    "PX4",
+    "VELOCITY_AND_YAW",
+    "Profile",
+    "Step",
+    "TakeoffAltitude",
+    "found",
+    "profile",
+    "refusal",
+]
+
+AUTO = "auto"  # by the heartbeat
+FORCE = 21196.0  # magic of a forced disarm, param2 of MAV_CMD_COMPONENT_ARM_DISARM
+
+_DO_SET_MODE = 176
+_NAV_LAND = 21
+_NAV_TAKEOFF = 22
+_ARM_DISARM = 400
+_CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_AIRBORNE = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
+# MAV_TYPE of what hovers and takes velocities in all axes; a plane or rover has other modes and limits.
+_MULTIROTORS = frozenset(
+    {
+        dialect.MAV_TYPE_QUADROTOR,
+        dialect.MAV_TYPE_COAXIAL,
+        dialect.MAV_TYPE_HEXAROTOR,
+        dialect.MAV_TYPE_OCTOROTOR,
+        dialect.MAV_TYPE_TRICOPTER,
+        dialect.MAV_TYPE_DODECAROTOR,
+        dialect.MAV_TYPE_DECAROTOR,
+    }
+)
+
+
+def _armed(status: VehicleStatus) -> bool:
+    return status.armed
+
+
+def _disarmed(status: VehicleStatus) -> bool:
+    return not status.armed
+
+
+def _external(status: VehicleStatus) -> bool:
+    return status.mode is Mode.EXTERNAL
+
+
+def _airborne(status: VehicleStatus) -> bool:
+    return status.armed and status.landed in _AIRBORNE
+
+
+def _flying(status: VehicleStatus) -> bool:
+    # A vehicle in the air is never sent a take-off, whatever its mode: somebody else may be flying it.
+    return status.armed and (status.mode is Mode.TAKEOFF or status.landed in _AIRBORNE)
+
+
+def _guided_or_airborne(status: VehicleStatus) -> bool:
+    return status.mode in (Mode.EXTERNAL, Mode.TAKEOFF) or _airborne(status)
+
+
+def _guided_or_armed(status: VehicleStatus) -> bool:
+    return status.armed or _guided_or_airborne(status)
+
+
+def _landing(status: VehicleStatus) -> bool:
+    # Disarmed in the air: one of the two is not true, and a vehicle that stands does not mind the command.
+    return status.mode is Mode.LAND or not (status.armed or status.landed in _AIRBORNE)
+
+
+def _offboard_or_airborne(status: VehicleStatus) -> bool:
+    # A vehicle in the air is never switched for a take-off: somebody else may be flying it.
+    return _external(status) or _airborne(status)
+
+
+def _may_arm_in_its_mode(status: VehicleStatus) -> bool:
+    # Without set-points PX4's checks fail in OFFBOARD, where a landing by set-points leaves it, and in LAND.
+    standing = status.landed is Landed.ON_GROUND and not status.armed
+    return not (standing and status.mode in (Mode.EXTERNAL, Mode.LAND))
+
+
+def _fixed(*params: float | None) -> Callable[[float], Params]:
+    return lambda _altitude_m: params
+
+
+def _takeoff(altitude_m: float) -> Params:
+    return (None, None, None, None, None, None, altitude_m)
+
+
+def _px4_mode(main: int, sub: int = 0) -> int:
+    return main << 16 | sub << 24
+
+
+_ARM = Step(_ARM_DISARM, "arm", _fixed(1.0, 0.0, None, None, None, None, None), _armed)
+_LAND = Step(_NAV_LAND, "land", _fixed(None, None, None, None, None, None, None), _landing)
+_OFFBOARD = Step(
+    _DO_SET_MODE,
+    "switch to OFFBOARD",
+    _fixed(_CUSTOM_MODE_ENABLED, 6.0, 0.0, None, None, None, None),
+    _external,
+    prestream=True,
+)
+_OWN_TAKEOFF = (_ARM, Step(_NAV_TAKEOFF, "take off", _takeoff, _flying))
+# The kill is tried for a minute: while it is wanted, giving up early helps nobody.
+_KILL = Step(
+    _ARM_DISARM,
+    "force disarm",
+    _fixed(0.0, FORCE, None, None, None, None, None),
+    _disarmed,
+    blind=True,
+    tries=120,
+)
+# PX4 answers a mode change twice, the first time always with ACCEPTED; so no ACCEPTED is believed.
+_ANSWERS: Mapping[int, Reading] = MappingProxyType(
+    {
+        dialect.MAV_RESULT_ACCEPTED: Reading.NOTED,
+        dialect.MAV_RESULT_IN_PROGRESS: Reading.WORKING,
+        dialect.MAV_RESULT_TEMPORARILY_REJECTED: Reading.AGAIN,
+        dialect.MAV_RESULT_FAILED: Reading.AGAIN,
+        dialect.MAV_RESULT_DENIED: Reading.FINAL,
+        dialect.MAV_RESULT_UNSUPPORTED: Reading.FINAL,
+        dialect.MAV_RESULT_COMMAND_INT_ONLY: Reading.FINAL,
+    }
+)
+
+PX4 = Profile(
+    name="px4",
+    title="PX4, OFFBOARD",
+    autopilot=dialect.MAV_AUTOPILOT_PX4,
+    modes=MappingProxyType(
+        {
+            _px4_mode(6): Mode.EXTERNAL,  # OFFBOARD
+            _px4_mode(4, 2): Mode.TAKEOFF,
+            _px4_mode(4, 3): Mode.HOLD,  # LOITER
+            _px4_mode(4, 6): Mode.LAND,
+            _px4_mode(4, 9): Mode.LAND,  # PRECLAND
+        }
+    ),
+    sequences=MappingProxyType(
+        {
+            Request.NONE: (),
+            # By set-points: COM_OBL_RC_ACT acts in OFFBOARD alone, so a companion that dies in the climb of
+            # AUTO.TAKEOFF would leave it hovering.
+            Request.TAKEOFF: (replace(_OFFBOARD, done=_offboard_or_airborne), _ARM),
+            Request.EXTERNAL: (_OFFBOARD,),
+            Request.LAND: (_LAND,),
+            Request.MOTORS_OFF: (_KILL,),
+        }
+    ),
+    answers=_ANSWERS,
+    takeoff_altitude=TakeoffAltitude.AMSL,
+    stream_in_takeoff=True,
+    # s; PX4 wants one set-point younger than COM_OF_LOSS_T = 1.0 s at its next health check
+    prestream_s=0.3,
+    unset=math.nan,
+    encoding=Encoding.BYTEWISE,
+    needs_origin=False,
+    stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; goes on by itself when the stream comes back",
+    time_sync="asked at 10 Hz, answered",
+    prepare=(
+        Step(
+            _DO_SET_MODE,
+            "switch to HOLD",
+            _fixed(_CUSTOM_MODE_ENABLED, 4.0, 3.0, None, None, None, None),
+            _may_arm_in_its_mode,
+            period_s=1.0,
+            tries=3600,
+        ),
+    ),
+)
+
+OWN_SITL = replace(  # our simulated vehicle takes PX4's personality unless told otherwise
+    PX4,
+    name="sitl",
+    title="own simulator, OFFBOARD",
+    # s; it judges each set-point as it comes, and a deck may be rising until it is flown
+    prestream_s=0.05,
+    stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; stays in that mode when the stream comes back",
+    time_sync="asked in lockstep: it is the tick",
+)
+
+CRAZYFLIE = replace(
+    PX4,
+    name="crazyflie",
+    title="Crazyflie behind the bridge, OFFBOARD",
+    # In its own take-off the bridge lands it when the companion dies; in OFFBOARD the motors stop after 2 s.
+    sequences=MappingProxyType({**PX4.sequences, Request.TAKEOFF: _OWN_TAKEOFF}),
+    prepare=(),  # nothing of it depends on the mode
+    stream_lost="the firmware stops the motors after 2 s, or the bridge lands it (--land-on-silence)",
+    time_sync="nobody asks",
+)
+
+_GUIDED = _fixed(_CUSTOM_MODE_ENABLED, 4.0, 0.0, None, None, None, None)
+ARDUPILOT = Profile(
+    name="ardupilot",
+    title="ArduCopter, GUIDED",
+    autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
+    modes=MappingProxyType(
+        {
+            4: Mode.EXTERNAL,  # GUIDED; whether it follows us or takes off by itself it does not show
+            5: Mode.HOLD,  # LOITER
+            9: Mode.LAND,
+            16: Mode.HOLD,  # POSHOLD
+            17: Mode.HOLD,  # BRAKE
+        }
+    ),
+    sequences=MappingProxyType(
+        {
+            Request.NONE: (),
+            Request.TAKEOFF: (
+                Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_airborne),
+                _ARM,
+                # A repeated take-off starts its spool-up again, so more time between tries.
+                Step(_NAV_TAKEOFF, "take off", _takeoff, _airborne, period_s=4.0, tries=4),
+            ),
+            Request.EXTERNAL: (Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _external),),
+            Request.LAND: (_LAND,),
+            Request.MOTORS_OFF: (_KILL,),
+        }
+    ),
+    answers=_ANSWERS,
+    takeoff_altitude=TakeoffAltitude.ABOVE_HOME,
+    stream_in_takeoff=False,  # a velocity set-point silently ends the take-off (mode_guided.cpp)
+    prestream_s=0.0,
+    unset=0.0,
+    encoding=Encoding.C_CAST,
+    needs_origin=True,
+    stream_lost="stops after GUID_TIMEOUT, stays in GUIDED and armed; goes on when the stream comes back",
+    time_sync="answered when asked; needed by nobody",
+    # Its pre-arm bit depends on the mode, so the mode comes first; one set in the first seconds after boot is
+    # acknowledged, then lost: tried for as long as the stack waits.
+    prepare=(Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_armed, period_s=1.0, tries=3600),),
+    asked_hz=MappingProxyType({dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0}),  # all SRx_ rates may be 0
+    data_streams=MappingProxyType(
+        {
+            dialect.MAVLINK_MSG_ID_SYS_STATUS: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: dialect.MAV_DATA_STREAM_POSITION,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: dialect.MAV_DATA_STREAM_EXTRA1,
+        }
+    ),
+)
+
+PROFILES: Mapping[str, Profile] = MappingProxyType({p.name: p for p in (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)})
+CHOICES = (AUTO, *PROFILES)
+# Of those that show the same MAV_AUTOPILOT the real one counts: the others fly by the same commands.
+_BY_AUTOPILOT: Mapping[int, Profile] = MappingProxyType({p.autopilot: p for p in (PX4, ARDUPILOT)})
+
+
+def profile(name: str) -> Profile | None:
+    """Profile by name, None for ``auto``.
+
+    Raises:
+        ValueError: there is none of that name; the text lists those there are.
+    """
+    if name == AUTO:
+        return None
+    try:
+        return PROFILES[name]
+    except KeyError:
+        raise ValueError(f"autopilot {name!r} is not known: allowed is {', '.join(CHOICES)}") from None
+
+
+def found(autopilot: int) -> Profile | None:
+    """Profile of a heartbeat's MAV_AUTOPILOT, None when there is none."""
+    return _BY_AUTOPILOT.get(autopilot)
+
+
+def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
+    """Why a vehicle with this heartbeat is not flown, None when it is.
+
+    Args:
+        autopilot: MAV_AUTOPILOT of its heartbeat.
+        type_: MAV_TYPE of its heartbeat.
+        chosen: the profile that was given, None for ``auto``.
+    """
+    if chosen is None and found(autopilot) is None:
+        known = ", ".join(f"{p.title} ({number})" for number, p in _BY_AUTOPILOT.items())
+        name = _name("MAV_AUTOPILOT", autopilot)
+        return f"the vehicle's heartbeat says autopilot {name}: it is not flown; known are {known}"
+    if chosen is not None and autopilot != chosen.autopilot:
+        return (
+            f"the vehicle's heartbeat says autopilot {autopilot}, but profile '{chosen.name}' is for "
+            f"autopilot {chosen.autopilot}: it is not flown; choose the profile that fits, or auto"
+        )
+    if type_ not in _MULTIROTORS:
+        types = ", ".join(_name("MAV_TYPE", number) for number in sorted(_MULTIROTORS))
+        name = _name("MAV_TYPE", type_)
+        return f"the vehicle's heartbeat says type {name}: it is not flown; known are {types}"
+    return None
+
+
+def _name(enum: str, number: int) -> str:
+    entry = dialect.enums[enum].get(number)
+    return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)

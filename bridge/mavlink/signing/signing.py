@@ -1,0 +1,185 @@
+"""MAVLink 2 message signing (mavlink.io, guide/message_signing): verify, judge the time, then remember.
+
+A frame without the right signature leaves no trace: it can neither make an entry nor move a time. Streams
+are told apart by link, system and component, not by address, so a frame repeated from elsewhere is old too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import time
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
+
+from bridge.mavlink.codec.framing import with_signed_flag
+from bridge.mavlink.signing.key import SigningKey
+from bridge.mavlink.signing.state import STREAMS_MAX, SigningState, load_state, save_state
+
+EPOCH_NS = 1_420_070_400_000_000_000  # 2015-01-01T00:00:00Z, time zero of signing
+TICK_NS = 10_000  # unit of a signing timestamp
+_S = 1_000_000_000 // TICK_NS  # ticks in a second
+STALE_TICKS = 60 * _S  # a new stream may be so far behind our clock (mavlink.io: one minute)
+AHEAD_TICKS = 3600 * _S  # any frame may be so far ahead: ArduPilot adds a minute at every start
+_SAVE_S = 10.0  # s between two writes of the state: what a crash may forget
+_TAG = 6  # bytes of SHA-256 that travel
+_STAMP = 12  # bytes from the timestamp to the end
+
+
+class Refusal(Enum):
+    """Why a frame was not let in; the value is the name of its counter."""
+
+    UNSIGNED = "unsigned"
+    REFLECTED = "reflected"
+    BAD_SIGNATURE = "bad_signature"
+    REPLAYED = "replayed"
+    STALE = "stale"
+    AHEAD = "ahead"
+    NO_ROOM = "streams_refused"
+
+
+class Signer:
+    """Signs what one endpoint sends and checks what it receives.
+
+    Attributes:
+        warning: what a person should know about the clock, or None.
+        state_errors: writes of the state that failed; tried again 10 s later.
+    """
+
+    def __init__(
+        self,
+        key: SigningKey,
+        system_id: int,
+        component_id: int,
+        link_id: int = 0,
+        *,
+        unix_ns: Callable[[], int] = time.time_ns,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """Take up where the last run ended.
+
+        Args:
+            key: the secret, and beside which file to remember.
+            system_id: our own.
+            component_id: our own.
+            link_id: tells endpoints with the same ids and key apart, 0 to 255.
+            unix_ns: system clock; it may jump.
+            monotonic_ns: clock that never goes back.
+
+        Raises:
+            ValueError: bad link id, or the state file holds something else.
+            OSError: the state cannot be read or written.
+        """
+        if not 0 <= link_id <= 255:
+            raise ValueError(f"signing link id is {link_id}: allowed is 0 to 255")
+        self.warning: str | None = None
+        self.state_errors = 0
+        self._own = bytes((system_id, component_id))
+        self._link = bytes((link_id,))
+        self._keyed = hashlib.sha256(key.secret)
+        self._unix_ns, self._monotonic_ns = unix_ns, monotonic_ns
+        self._path = _state_path(key, system_id, component_id, link_id)
+        self._state = load_state(self._path) if self._path is not None else SigningState()
+        self._start_ns = monotonic_ns()
+        self._start = self._first_time()
+        self._saved_s = self._start_ns / 1e9
+        if self._path is not None:
+            save_state(self._path, self._snapshot())  # now, so that a folder without rights is an error now
+
+    @property
+    def streams(self) -> int:
+        """How many streams are remembered."""
+        return len(self._state.streams)
+
+    def now(self) -> int:
+        """Our clock in signing ticks; it never goes back, not even over a restart."""
+        elapsed = (self._monotonic_ns() - self._start_ns) // TICK_NS
+        return max(self._system(), self._start + elapsed)
+
+    def sign(self, frame: bytes) -> bytes:
+        """Sign an unsigned frame of ours; timestamps are the clock's, and each is later than the last."""
+        state = self._state
+        state.sent = max(state.sent + 1, self.now())
+        body = with_signed_flag(frame) + self._link + state.sent.to_bytes(6, "little")
+        return body + self._tag(body)
+
+    def refusal(self, frame: bytes) -> Refusal | None:
+        """Judge a signed frame from ``split_frames``; None lets it in, and remembers its timestamp."""
+        if frame[5:7] == self._own:
+            return Refusal.REFLECTED  # our own signature is right, wherever it comes back from
+        if not hmac.compare_digest(self._tag(frame[:-_TAG]), frame[-_TAG:]):
+            return Refusal.BAD_SIGNATURE
+        stamp = int.from_bytes(frame[-_STAMP:-_TAG], "little")
+        stream = (frame[-_STAMP - 1], frame[5], frame[6])
+        streams, now = self._state.streams, self.now()
+        if stamp > now + AHEAD_TICKS:
+            return Refusal.AHEAD
+        last = streams.get(stream)
+        if last is None:
+            if stamp < now - STALE_TICKS:
+                return Refusal.STALE
+            if len(streams) >= STREAMS_MAX and not self._make_room(now):
+                return Refusal.NO_ROOM
+        elif stamp <= last:
+            return Refusal.REPLAYED
+        else:
+            del streams[stream]  # the longest silent stays first
+        streams[stream] = stamp
+        return None
+
+    def save_if_due(self) -> None:
+        """Write the state every ten seconds; failing is counted, for it must not end a flight."""
+        now_s = self._monotonic_ns() / 1e9
+        if self._path is not None and now_s - self._saved_s >= _SAVE_S:
+            self._saved_s = now_s
+            self._save(self._path)
+
+    def close(self) -> None:
+        """Write the state for the last time; may be called twice."""
+        if self._path is not None:
+            self._save(self._path)
+
+    def _save(self, path: Path) -> None:
+        try:
+            save_state(path, self._snapshot())
+        except OSError:
+            self.state_errors += 1
+
+    def _snapshot(self) -> SigningState:
+        self._state.clock = self.now()
+        return self._state
+
+    def _tag(self, data: bytes) -> bytes:
+        keyed = self._keyed.copy()
+        keyed.update(data)
+        return keyed.digest()[:_TAG]
+
+    def _system(self) -> int:
+        return max(0, (self._unix_ns() - EPOCH_NS) // TICK_NS)
+
+    def _first_time(self) -> int:
+        system, stored = self._system(), self._state.clock
+        if system >= stored:
+            return system
+        behind_s = (stored - system) / _S
+        self.warning = (
+            f"the system clock is {behind_s:.0f} s behind the last run with this signing key: signing goes "
+            f"on from that run's time; set the clock, and if that time was wrong delete {self._path}"
+        )
+        # As ArduPilot does at start: later than anything that may have been sent after the last write.
+        return stored + STALE_TICKS
+
+    def _make_room(self, now: int) -> bool:
+        """Forget the longest silent stream that its age alone keeps out; False when there is none."""
+        for stream, stamp in self._state.streams.items():
+            if stamp < now - STALE_TICKS:
+                del self._state.streams[stream]
+                return True
+        return False
+
+
+def _state_path(key: SigningKey, system_id: int, component_id: int, link_id: int) -> Path | None:
+    if key.path is None:
+        return None
+    return key.path.with_name(f"{key.path.name}.{system_id}-{component_id}-{link_id}.state")

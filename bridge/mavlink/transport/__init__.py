@@ -1,0 +1,1 @@
+"""UDP, TCP and serial lines."""

@@ -1,0 +1,237 @@
+"""MAVLink over a byte stream that may break: a serial line or a TCP connection.
+
+A lost connection is opened again every half second. Outgoing frames wait in a bounded buffer; where there is
+no room the new frame is dropped whole, so that the other side never sees half of one. Nothing blocks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from bridge.mavlink.transport.peers import Peer
+from bridge.mavlink.transport.transport import Chunk, LineCounters
+
+RETRY_S = 0.5  # s between two tries to open a lost connection
+_READ_BYTES = 4096  # taken at a time
+_NOTICES_MAX = 32  # kept until somebody takes them
+OUTGOING_MAX = 4096  # bytes waiting; at 57,600 baud a serial line takes less, see SerialLine
+
+
+class Channel(Protocol):
+    """An open connection. All methods raise OSError when it is lost."""
+
+    def fileno(self) -> int:
+        """Descriptor, not blocking."""
+
+    def established(self) -> bool:
+        """Whether it is open for reading and writing; False while it is being opened."""
+
+    def read(self, size: int) -> bytes | None:
+        """Bytes that are there, None when there are none now."""
+
+    def write(self, data: bytes) -> int:
+        """Hand over as many bytes as there is room for now; their number."""
+
+    def close(self) -> None:
+        """Close it at once; never raises."""
+
+
+class ByteStream:
+    """A connection that is opened again when it is lost; see :class:`.transport.Transport`.
+
+    Args:
+        name: for notices.
+        peer: name of the other side, for log and counters.
+        connect: opens a channel, or begins to; raises OSError when it cannot.
+        counters: of the endpoint.
+        baud: of a serial line.
+        outgoing_max: bytes of frames that may wait to be sent.
+    """
+
+    is_stream = True
+    local_port = 0
+
+    def __init__(
+        self,
+        name: str,
+        peer: Peer,
+        connect: Callable[[], Channel],
+        counters: LineCounters,
+        *,
+        baud: int | None = None,
+        outgoing_max: int = OUTGOING_MAX,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.baud = baud
+        self._name, self._peer, self._connect, self._counters = name, peer, connect, counters
+        self._outgoing_max, self._clock_s = outgoing_max, clock_s
+        self._channel: Channel | None = None
+        self._was_up = self._closed = self._told = False
+        self._lost_s = self._retry_s = clock_s()
+        self._outgoing: deque[bytes] = deque()
+        self._waiting_bytes = 0
+        self._rest = b""  # of the frame that has gone out in part
+        self._notices: list[str] = []
+        self._nothing, self._never = socket.socketpair()  # its descriptor is never readable
+
+    def open_now(self) -> None:
+        """Open it for the first time.
+
+        Raises:
+            OSError: it cannot be opened.
+        """
+        self._channel = self._connect()
+        self._look()
+
+    def receive(self) -> Chunk | None:
+        """Take the next bytes; None when there are none now."""
+        channel = self._ready()
+        if channel is None:
+            return None
+        try:
+            data = channel.read(_READ_BYTES)
+        except OSError as error:
+            self._lose(error)
+            return None
+        if data is None:
+            return None
+        self._counters.bytes_in += len(data)
+        return Chunk(data, self._peer)
+
+    def send(self, frames: Sequence[bytes], peer: Peer) -> None:
+        """Send frames, or keep them for the next call; without a connection or room they are dropped."""
+        del peer
+        if self._ready() is None:
+            self._counters.send_errors += len(frames)
+            return
+        for frame in frames:
+            if self._waiting_bytes + len(frame) > self._outgoing_max:
+                self._write()
+            if self._channel is None or self._waiting_bytes + len(frame) > self._outgoing_max:
+                self._counters.outgoing_full += 1
+                continue
+            self._outgoing.append(frame)
+            self._waiting_bytes += len(frame)
+        self._write()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until there is something to receive, writing what waits meanwhile."""
+        until_s = self._clock_s() + timeout_s
+        while True:
+            channel = self._ready()
+            now_s = self._clock_s()
+            left_s = max(0.0, until_s - now_s)
+            if channel is None:
+                left_s = min(left_s, max(0.0, self._retry_s - now_s) if self._channel is None else RETRY_S)
+            pending = self._channel if channel is None or self._waiting_bytes else None
+            readable, writable, _ = select.select(
+                (channel.fileno(),) if channel is not None else (),
+                (pending.fileno(),) if pending is not None else (),
+                (),
+                min(left_s, RETRY_S),
+            )
+            if readable:
+                return True
+            if writable:
+                self._write()
+                if self._waiting_bytes:  # the line is slow, though it takes bytes: do not turn for nothing
+                    time.sleep(min(left_s, 0.001))
+            if self._clock_s() >= until_s:
+                return False
+
+    def fileno(self) -> int:
+        """Descriptor of the connection; of one that never becomes readable while there is none."""
+        channel = self._ready()
+        return self._nothing.fileno() if channel is None else channel.fileno()
+
+    def take_notices(self) -> list[str]:
+        """Texts about the connection since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def close(self) -> None:
+        """Close it; may be called twice."""
+        self._closed = True
+        if self._channel is not None:
+            self._write()
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+        self._nothing.close()
+        self._never.close()
+
+    def _ready(self) -> Channel | None:
+        """The connection, opened again if it is time; None while there is none."""
+        if self._channel is None:
+            now_s = self._clock_s()
+            if self._closed or now_s < self._retry_s:
+                return None
+            self._retry_s = now_s + RETRY_S
+            try:
+                self._channel = self._connect()
+            except OSError as error:
+                self._fail(error)
+                return None
+        return self._look()
+
+    def _look(self) -> Channel | None:
+        """Whether the connection stands; says so when that is new."""
+        channel = self._channel
+        assert channel is not None
+        try:
+            if not channel.established():
+                return None
+        except OSError as error:
+            self._lose(error)
+            return None
+        if self._told:
+            self._say(f"{self._name} is connected again after {self._clock_s() - self._lost_s:.1f} s")
+        self._was_up, self._told = True, False
+        return channel
+
+    def _lose(self, error: OSError) -> None:
+        """Close the connection; what waited is old by the time there is another."""
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+        self._outgoing.clear()
+        self._waiting_bytes, self._rest = 0, b""
+        self._retry_s = self._clock_s() + RETRY_S
+        if self._was_up and not self._told:
+            self._counters.connections_lost += 1
+        self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        if self._told:
+            return
+        self._told, self._lost_s = True, self._clock_s()
+        what = "is lost" if self._was_up else "cannot be opened"
+        self._say(f"{self._name} {what} ({error.strerror or error}): tried again every {RETRY_S:g} s")
+
+    def _write(self) -> None:
+        """Hand over what waits, as far as there is room; the rest of a frame always goes first."""
+        channel = self._channel
+        if channel is None:
+            return
+        try:
+            while self._rest or self._outgoing:
+                data = self._rest or self._outgoing.popleft()
+                self._rest = data
+                with contextlib.suppress(BlockingIOError):
+                    written = channel.write(data)
+                    self._rest = data[written:]
+                    self._waiting_bytes -= written
+                    self._counters.bytes_out += written
+                if self._rest:
+                    return
+        except OSError as error:
+            self._lose(error)
+
+    def _say(self, text: str) -> None:
+        self._notices = [*self._notices, text][-_NOTICES_MAX:]

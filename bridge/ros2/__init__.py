@@ -1,0 +1,1 @@
+"""ROS 2 on Zenoh: names, nodes, CDR of its messages."""

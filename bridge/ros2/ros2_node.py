@@ -1,0 +1,94 @@
+"""This process as a ROS 2 node: seen by ``ros2 node list``, its topics readable by any ROS 2 node.
+
+For rmw_zenoh a node is a liveliness token, a publisher another, and a sample is CDR with an attachment.
+"""
+
+from __future__ import annotations
+
+from bridge.ros2.ros2_names import (
+    QOS_KEEP_10,
+    Node,
+    check_topic,
+    node_token,
+    publisher_id,
+    publisher_token,
+    topic_key,
+)
+from bridge.zenoh import zenoh_link
+from bridge.zenoh.attachment import pack_attachment
+
+
+class Ros2Node:
+    """A node on a Zenoh session that ROS 2 can reach; the session stays the caller's."""
+
+    def __init__(
+        self, session: zenoh_link.Session, name: str, *, domain: int = 0, namespace: str = "/"
+    ) -> None:
+        """Announce the node.
+
+        Args:
+            session: open, connected to where the ROS 2 nodes are or will be.
+            name: of the node.
+            domain: ROS_DOMAIN_ID of the others.
+            namespace: of the node, ``/`` or a full name; its topics are named in full all the same.
+
+        Raises:
+            ValueError: a name or the domain is not allowed.
+        """
+        self._session = session
+        self._node = Node(domain, str(session.zid()), name, namespace)
+        self._tokens = [zenoh_link.liveliness_token(session, node_token(self._node))]
+        self._publishers: list[Ros2Publisher] = []
+
+    def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
+        """Announce a topic and declare its publisher.
+
+        Args:
+            topic: full name, for example ``/cf1/h``.
+            type_name: ``package/msg/Name``.
+            type_hash: ``RIHS01_...``; with another one the ROS 2 side hears nothing.
+
+        Raises:
+            ValueError: a part is malformed.
+        """
+        number = 1 + len(self._publishers)  # the node itself is 0
+        token = publisher_token(self._node, number, check_topic(topic), type_name, type_hash, QOS_KEEP_10)
+        key = topic_key(self._node.domain, topic, type_name, type_hash)
+        publisher = Ros2Publisher(zenoh_link.dropping_publisher(self._session, key), publisher_id(token))
+        self._tokens.append(zenoh_link.liveliness_token(self._session, token))
+        self._publishers.append(publisher)
+        return publisher
+
+    def close(self) -> None:
+        """Take everything back; the graph forgets us at once."""
+        for token in reversed(self._tokens):
+            token.undeclare()
+        for publisher in self._publishers:
+            publisher.close()
+
+
+class Ros2Publisher:
+    """Puts serialised messages as rmw_zenoh does."""
+
+    def __init__(self, publisher: zenoh_link.Publisher, identity: bytes) -> None:
+        self._publisher, self._identity = publisher, identity
+        self.sequence = 0  # of the message put last; the first is 1, as in rmw_zenoh
+
+    @property
+    def matched(self) -> bool:
+        """Whether somebody listens."""
+        return zenoh_link.is_matched(self._publisher)
+
+    def put(self, payload: bytes, time_ns: int) -> None:
+        """Send a message.
+
+        Args:
+            payload: CDR with its 4-byte header.
+            time_ns: time of sending, Unix time.
+        """
+        self.sequence += 1
+        self._publisher.put(payload, attachment=pack_attachment(self.sequence, time_ns, self._identity))
+
+    def close(self) -> None:
+        """Undeclare it."""
+        self._publisher.undeclare()

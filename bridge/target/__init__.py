@@ -1,0 +1,1 @@
+"""Target samples from odometry, poses and transforms on the wire."""

@@ -1,0 +1,206 @@
+"""Target odometry on Zenoh: ``nav_msgs/msg/Odometry`` in CDR, with rmw_zenoh's attachment."""
+
+from __future__ import annotations
+
+import math
+import secrets
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from bridge.frames import Quat, world_from_body, world_from_body_velocity, yaw_from_quaternion
+from bridge.ros2.cdr import (
+    NO_COVARIANCE,
+    Odometry,
+    OdometryError,
+    decode_odometry,
+    decode_pose_and_twist,
+    encode_odometry,
+)
+from bridge.target.pose_noise import sigma_of
+from bridge.zenoh import zenoh_link
+from bridge.zenoh.attachment import GID_BYTES, pack_attachment, parse_attachment
+from flightstack.core.types import TargetSample, Vec3
+
+__all__ = [
+    "ENCODING",
+    "Odometry",
+    "OdometryError",
+    "OdometryPublisher",
+    "OdometrySubscriber",
+    "RawSample",
+    "SampleSource",
+    "decode_odometry",
+    "encode_odometry",
+    "sample_from_cdr",
+]
+
+ENCODING = "application/cdr;nav_msgs/msg/Odometry"
+_UNIT_TOLERANCE = 0.01  # of the squared norm, as tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
+_LARGEST = 1e9  # m, m/s, rad/s: beyond this a number is damage, not a measurement
+
+
+class RawSample(NamedTuple):
+    """One sample as it came, for the controller and, verbatim, for the log."""
+
+    payload: bytes
+    attachment: bytes | None
+    sequence: int | None  # from the attachment, None without one
+    source_time_ns: int | None  # from the attachment, Unix time
+
+
+class SampleSource(Protocol):
+    """Whatever odometry comes from."""
+
+    def poll(self) -> list[RawSample]:
+        """Take all samples that have arrived, oldest first; never blocks."""
+
+
+def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
+    """Turn a serialised odometry message into a sample with velocities in the world frame.
+
+    Args:
+        payload: CDR with its 4-byte header.
+        arrival_s: when it arrived, on the stack's clock.
+
+    Raises:
+        OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
+    """
+    stamp_ns, frame_id, child_frame_id, n = decode_pose_and_twist(payload)
+    px, py, pz, x, y, z, w, pose_xx, pose_yy, vx, vy, vz, rx, ry, rz, twist_xx, twist_yy = n
+    n = (px, py, pz, x, y, z, w, vx, vy, vz, rx, ry, rz)
+    if not (math.isfinite(sum(n)) and max(n) < _LARGEST and min(n) > -_LARGEST):
+        raise OdometryError(f"odometry holds a number that is not finite or beyond 1e9: {n}")
+    squared = w * w + x * x + y * y + z * z
+    if abs(squared - 1.0) > _UNIT_TOLERANCE:
+        raise OdometryError(
+            f"odometry orientation (w, x, y, z) = ({w}, {x}, {y}, {z}) has norm {math.sqrt(squared):.4f}: "
+            "a unit quaternion is needed; was it never set?"
+        )
+    scale = 1.0 / math.sqrt(squared)
+    q: Quat = (w * scale, x * scale, y * scale, z * scale)
+    return TargetSample(
+        arrival_s=arrival_s,
+        source_time_s=stamp_ns / 1e9,
+        frame_id=frame_id,
+        child_frame_id=child_frame_id,
+        position_enu_m=(px, py, pz),
+        velocity_enu_m_s=world_from_body_velocity(q, (vx, vy, vz)),
+        yaw_rad=yaw_from_quaternion(q),
+        yaw_rate_rad_s=world_from_body(q, (rx, ry, rz))[2],
+        position_sigma_m=sigma_of(pose_xx, pose_yy) or 0.0,
+        velocity_sigma_m_s=sigma_of(twist_xx, twist_yy) or 0.0,
+    )
+
+
+class OdometryPublisher:
+    """Publishes odometry under one key."""
+
+    def __init__(
+        self,
+        session: zenoh_link.Session,
+        key: str,
+        frame_id: str = "map",
+        child_frame_id: str = "target",
+        *,
+        lossless: bool = False,
+    ) -> None:
+        """Declare the publisher.
+
+        Args:
+            session: an open Zenoh session; it stays the caller's.
+            key: key expression, for example ``cf1/target/odom``.
+            frame_id: frame of the pose.
+            child_frame_id: frame of the twist.
+            lossless: wait for room instead of dropping (lockstep).
+
+        Raises:
+            ValueError: the key is not allowed.
+        """
+        declare = zenoh_link.blocking_publisher if lossless else zenoh_link.dropping_publisher
+        self._publisher = declare(session, key, ENCODING)
+        self._gid = secrets.token_bytes(GID_BYTES)
+        self.frame_id = frame_id
+        self.child_frame_id = child_frame_id
+        self.sequence = 0  # number of the sample put last, 0 before the first
+
+    @property
+    def matched(self) -> bool:
+        """Whether a subscriber is known; samples put before that are lost."""
+        return zenoh_link.is_matched(self._publisher)
+
+    def encode(
+        self,
+        stamp_ns: int,
+        position_m: Vec3,
+        orientation_wxyz: Quat,
+        linear_m_s: Vec3,
+        angular_rad_s: Vec3,
+        pose_covariance: Sequence[float] = NO_COVARIANCE,
+        twist_covariance: Sequence[float] = NO_COVARIANCE,
+    ) -> bytes:
+        """Serialise a message with this publisher's frames; the twist is in the child frame."""
+        return encode_odometry(
+            stamp_ns,
+            self.frame_id,
+            self.child_frame_id,
+            position_m,
+            orientation_wxyz,
+            linear_m_s,
+            angular_rad_s,
+            pose_covariance,
+            twist_covariance,
+        )
+
+    def put(self, payload: bytes, source_time_ns: int, attachment: bytes | None = None) -> None:
+        """Send a serialised message.
+
+        Args:
+            payload: from ``encode``, perhaps made earlier.
+            source_time_ns: time of sending, Unix time or the simulated clock's.
+            attachment: replaces rmw_zenoh's attachment, for keys that are not for ROS 2.
+        """
+        self.sequence += 1
+        if attachment is None:
+            attachment = pack_attachment(self.sequence, source_time_ns, self._gid)
+        self._publisher.put(payload, attachment=attachment)
+
+    def close(self) -> None:
+        """Undeclare the publisher."""
+        self._publisher.undeclare()
+
+
+class OdometrySubscriber:
+    """Receives odometry under one key; polled, never called back."""
+
+    def __init__(
+        self, session: zenoh_link.Session, key: str, *, lossless: bool = False, capacity: int = 256
+    ) -> None:
+        """Declare the subscriber.
+
+        Args:
+            session: an open Zenoh session; it stays the caller's.
+            key: key expression.
+            lossless: hold up the sender when full (lockstep) instead of dropping the oldest.
+            capacity: samples kept between two polls.
+
+        Raises:
+            ValueError: the key is not allowed.
+        """
+        declare = zenoh_link.fifo_subscriber if lossless else zenoh_link.ring_subscriber
+        self._subscriber = declare(session, key, capacity)
+
+    def poll(self) -> list[RawSample]:
+        """Take all samples that have arrived, oldest first; never blocks."""
+        return [raw_sample(sample) for sample in zenoh_link.drain(self._subscriber)]
+
+    def close(self) -> None:
+        """Undeclare the subscriber."""
+        self._subscriber.undeclare()
+
+
+def raw_sample(sample: zenoh_link.Sample) -> RawSample:
+    """Take payload and attachment out of a Zenoh sample."""
+    attachment: bytes | None = sample.attachment.to_bytes() if sample.attachment is not None else None
+    parsed = parse_attachment(attachment)
+    sequence, source_time_ns = parsed if parsed is not None else (None, None)
+    return RawSample(sample.payload.to_bytes(), attachment, sequence, source_time_ns)

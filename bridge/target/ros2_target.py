@@ -1,0 +1,300 @@
+"""Where the target's motion comes from: a Zenoh key, or a ROS 2 topic of one of four message types.
+
+``KEY`` is a key as it stands, ``ros2:/TOPIC`` a topic of rmw_zenoh, ``ros2dds:/TOPIC`` one behind
+zenoh-bridge-ros2dds. Whatever comes leaves as serialised ``nav_msgs/msg/Odometry``, the one form that is
+logged, replayed and flown by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import NamedTuple
+
+from bridge.ros2.cdr import NO_COVARIANCE, OdometryError, decode_odometry
+from bridge.ros2.pose_cdr import Pose, decode_pose, decode_pose_with_covariance, decode_transforms
+from bridge.ros2.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topic_key
+from bridge.target.odometry import RawSample, raw_sample
+from bridge.target.pose_noise import noise_of, worse_than_told
+from bridge.target.pose_offset import shift_odometry, shift_pose
+from bridge.target.pose_track import PoseTrack
+from bridge.target.tf_chain import TransformChain
+from bridge.zenoh import zenoh_link
+from flightstack.core.parameters.robust import TargetLink
+from flightstack.core.types import ZERO, Vec3
+
+TEXTS_MAX = 32  # different problems told of one flight; the counts go on
+OFFSET_MAX_M = 5.0  # of the landing spot from the tracked frame, each axis; more is a wrong unit
+LOOK_EVERY = 100  # samples between two looks at frames and covariances
+CAPACITY = 1024  # samples between two polls
+
+
+class Dialect(Enum):
+    """How ROS 2 names things on Zenoh."""
+
+    PLAIN = ""
+    RMW_ZENOH = "ros2:"
+    ROS2DDS = "ros2dds:"
+
+
+class TargetType(Enum):
+    """Message types that tell where a target is."""
+
+    ODOMETRY = "odometry"
+    POSE = "pose"
+    POSE_COVARIANCE = "pose-covariance"
+    TF = "tf"
+
+
+class RosType(NamedTuple):
+    """Name and hash of a ROS 2 message type."""
+
+    name: str
+    type_hash: str  # REP 2016; the same from Iron on for these
+
+
+ROS_TYPES = {
+    TargetType.ODOMETRY: RosType(
+        "nav_msgs/msg/Odometry", "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
+    ),
+    TargetType.POSE: RosType(
+        "geometry_msgs/msg/PoseStamped",
+        "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
+    ),
+    TargetType.POSE_COVARIANCE: RosType(
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "RIHS01_26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e",
+    ),
+    TargetType.TF: RosType(
+        "tf2_msgs/msg/TFMessage", "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TargetSpec:
+    """What ``--target`` and its options say."""
+
+    text: str  # as given
+    dialect: Dialect
+    name: str  # key, or topic with its leading slash
+    type: TargetType = TargetType.ODOMETRY
+    domain: int = 0
+    offset_m: Vec3 = ZERO  # of the landing spot, in the axes of the tracked frame
+
+    @classmethod
+    def parse(
+        cls,
+        text: str,
+        target_type: TargetType = TargetType.ODOMETRY,
+        domain: int = 0,
+        offset_m: Vec3 = ZERO,
+    ) -> TargetSpec:
+        """Understand ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``.
+
+        Raises:
+            ValueError: a topic or domain that ROS 2 does not allow, or an offset out of range.
+        """
+        if not all(abs(one) <= OFFSET_MAX_M for one in offset_m):  # False for NaN
+            raise ValueError(f"--target-offset {offset_m}: up to {OFFSET_MAX_M:g} m on each axis are allowed")
+        dialect = next(
+            (d for d in (Dialect.ROS2DDS, Dialect.RMW_ZENOH) if text.startswith(d.value)), Dialect.PLAIN
+        )
+        spec = cls(text, dialect, text.removeprefix(dialect.value), target_type, domain, offset_m)
+        _ = spec.key  # checks
+        return spec
+
+    @property
+    def key(self) -> str:
+        """Key expression to subscribe to."""
+        if self.dialect is Dialect.RMW_ZENOH:
+            return any_type_key(self.domain, self.name)
+        return bridge_key(self.name) if self.dialect is Dialect.ROS2DDS else self.name
+
+    @property
+    def fixed_key(self) -> str:
+        """Key expression of the transforms that are said once for good: ``/tf_static`` beside ``/tf``."""
+        return replace(self, name=f"{self.name}_static").key
+
+    def described(self) -> dict[str, str]:
+        """For the log: where its odometry came from, and what was done to it."""
+        x, y, z = self.offset_m
+        return {"target": self.text, "target_type": self.type.value, "target_offset_m": f"{x:g} {y:g} {z:g}"}
+
+    @property
+    def is_direct(self) -> bool:
+        """Whether it is odometry on a key of its own: what a simulated target sends, also in lockstep."""
+        plain = self.dialect is Dialect.PLAIN and self.type is TargetType.ODOMETRY
+        return plain and self.offset_m == ZERO
+
+
+class TargetSource:
+    """Receives the target's motion; polled, never called back.
+
+    Args:
+        session: an open Zenoh session that reaches the target; it stays the caller's.
+        spec: what to receive.
+        frame_id: in which the pose is wanted.
+        child_frame_id: which frame of ``/tf`` it is, or what to call a target that sends poses alone.
+        link: noise of poses, for the velocity of a target that sends none.
+        lossless: hold up the sender when full instead of dropping the oldest (lockstep).
+
+    Raises:
+        ValueError: the key is not allowed.
+    """
+
+    def __init__(
+        self,
+        session: zenoh_link.Session,
+        spec: TargetSpec,
+        frame_id: str,
+        child_frame_id: str,
+        link: TargetLink,
+        *,
+        lossless: bool = False,
+    ) -> None:
+        declare = zenoh_link.fifo_subscriber if lossless else zenoh_link.ring_subscriber
+        self._subscriber = declare(session, spec.key, CAPACITY)
+        self._fixed = (
+            zenoh_link.kept_subscriber(session, spec.fixed_key) if spec.type is TargetType.TF else None
+        )
+        self._spec, self._frame, self._child = spec, frame_id, child_frame_id
+        self._link, self._until_look = link, 0
+        self._track = PoseTrack(link, child_frame_id)
+        self._chain = TransformChain(frame_id, child_frame_id)
+        self._texts: list[str] = []
+        self._told: dict[str, None] = {}
+        self.refused = 0  # samples that made no odometry, but for poses the velocity is not yet known of
+        self._convert: Callable[[bytes], list[bytes]] = {
+            TargetType.ODOMETRY: self._odometry,
+            TargetType.POSE: lambda payload: self._pose(decode_pose(payload)),
+            TargetType.POSE_COVARIANCE: lambda payload: self._pose(decode_pose_with_covariance(payload)),
+            TargetType.TF: self._transforms,
+        }[spec.type]
+
+    def poll(self) -> list[RawSample]:
+        """Take all that has come, oldest first, as odometry; never blocks."""
+        if self._fixed is not None:
+            self._take(self._fixed, self._fixed_transforms)
+        return self._take(self._subscriber, self._convert)
+
+    def _take(
+        self, subscriber: zenoh_link.Subscriber, convert: Callable[[bytes], list[bytes]]
+    ) -> list[RawSample]:
+        taken: list[RawSample] = []
+        for sample in zenoh_link.drain(subscriber):
+            raw = raw_sample(sample)
+            if self._spec.dialect is Dialect.RMW_ZENOH and not self._is_wanted(str(sample.key_expr)):
+                continue
+            try:
+                payloads = convert(raw.payload)
+            except OdometryError as error:
+                self._refuse(f"{self._spec.text}: {error}")
+                continue
+            taken += [raw._replace(payload=payload) for payload in payloads]
+        return taken
+
+    def take_problems(self) -> list[str]:
+        """Texts since the last call, each of them once a flight."""
+        texts, self._texts = self._texts, []
+        return texts
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """All texts of the flight so far, oldest first."""
+        return tuple(self._told)
+
+    def close(self) -> None:
+        """Undeclare the subscribers."""
+        self._subscriber.undeclare()
+        if self._fixed is not None:
+            self._fixed.undeclare()
+
+    def _is_wanted(self, key: str) -> bool:
+        """Whether a key of the topic is of the type that we read."""
+        found, wanted = parse_topic_key(key), ROS_TYPES[self._spec.type]
+        if found is None:
+            self._refuse(f"{self._spec.text}: the key {key} is not one of rmw_zenoh")
+            return False
+        if found.type_name != wanted.name:
+            self._refuse(
+                f"{self._spec.text}: the topic carries {found.type_name}, {wanted.name} is needed; give "
+                "--target-type if it is another one on purpose"
+            )
+            return False
+        if found.type_hash not in (wanted.type_hash, NO_HASH):
+            self._refuse(
+                f"{self._spec.text}: {found.type_name} has the hash {found.type_hash}, {wanted.type_hash} is "
+                "needed: the sender was built with another definition of it"
+            )
+            return False
+        return True
+
+    def _odometry(self, payload: bytes) -> list[bytes]:
+        # Refused samples go on too: the controller counts them, and the log holds them as they came.
+        if self._until_look == 0:
+            self._until_look = LOOK_EVERY
+            self._look_at(payload)
+        self._until_look -= 1
+        return [payload if self._spec.offset_m == ZERO else shift_odometry(payload, self._spec.offset_m)]
+
+    def _look_at(self, payload: bytes) -> None:
+        """Say what of a sample does not fit the configuration; whoever is wrong here stays so."""
+        try:
+            odometry = decode_odometry(payload)
+        except OdometryError:
+            return  # the controller's decoder says what is wrong with each
+        self._is_framed(odometry.frame_id)
+        if odometry.child_frame_id != self._child:
+            self._tell(
+                f"{self._spec.text}: child_frame_id is {odometry.child_frame_id!r}, "
+                f"checks.target_child_frame is {self._child!r}: refused; set it if this is the robot"
+            )
+        self._compare(odometry.pose_covariance, odometry.twist_covariance)
+
+    def _compare(self, pose_covariance: tuple[float, ...], twist_covariance: tuple[float, ...]) -> None:
+        text = worse_than_told(noise_of(pose_covariance, twist_covariance), self._link)
+        if text:
+            self._tell(f"{self._spec.text}: {text}")
+
+    def _pose(self, pose: Pose) -> list[bytes]:
+        if not self._is_framed(pose.frame_id):
+            self.refused += 1
+            return []
+        self._compare(pose.covariance, NO_COVARIANCE)
+        return self._followed([pose])
+
+    def _transforms(self, payload: bytes) -> list[bytes]:
+        poses = self._chain.take(decode_transforms(payload))
+        if self._chain.problem:
+            self._tell(f"{self._spec.text}: {self._chain.problem}")
+        return self._followed(poses)
+
+    def _fixed_transforms(self, payload: bytes) -> list[bytes]:
+        self._chain.take_fixed(decode_transforms(payload))
+        return []
+
+    def _followed(self, poses: list[Pose]) -> list[bytes]:
+        payloads = [self._track.take(shift_pose(pose, self._spec.offset_m)) for pose in poses]
+        if self._track.problem:
+            self._tell(f"{self._spec.text}: {self._track.problem}")
+        return [payload for payload in payloads if payload is not None]
+
+    def _is_framed(self, frame_id: str) -> bool:
+        if frame_id == self._frame:
+            return True
+        self._tell(
+            f"{self._spec.text}: frame_id is {frame_id!r}, checks.target_frame is {self._frame!r}: refused; "
+            "set it only if that frame is the vehicle's own east-north-up"
+        )
+        return False
+
+    def _refuse(self, text: str) -> None:
+        self.refused += 1
+        self._tell(text)
+
+    def _tell(self, text: str) -> None:
+        if text not in self._told and len(self._told) < TEXTS_MAX:
+            self._told[text] = None
+            self._texts.append(text)

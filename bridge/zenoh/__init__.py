@@ -1,0 +1,1 @@
+"""Zenoh sessions, alarms, attachments."""

@@ -1,0 +1,1 @@
+"""Verbs that fly, and those of the processes of a flight."""

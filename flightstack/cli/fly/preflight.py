@@ -1,0 +1,102 @@
+"""The verb ``preflight``: is this vehicle set up for this flight? It reads, and never changes anything."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from bridge.mavlink.endpoint import Endpoint
+from bridge.mavlink.preflight.report import Level
+from bridge.mavlink.preflight.talk import Report
+from bridge.mavlink.signing.key import load_key
+from flightstack.cli import options as shared
+from flightstack.core.parameters.flight import BarrierShape, FlightConfig, load
+from flightstack.onboard import preflight as checks
+
+_STYLE = {Level.OK: "green", Level.NOTE: "yellow", Level.UNSAFE: "bold red", Level.ACCEPTED: "magenta"}
+_COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+_PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # its command box, without a file
+
+
+@click.command()
+@shared.vehicle_url
+@shared.autopilot
+@shared.config(
+    required=False, help="Configuration to be flown; default: the paper's limits, nothing accepted"
+)
+@shared.system_id
+@click.option(
+    "--wait", "wait_s", type=click.FloatRange(0.1, 600.0), default=10.0, show_default=True, metavar="S",
+    help="How long to wait for its heartbeat.",
+)  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@shared.signing_key
+@shared.allow_unsigned
+def preflight(
+    vehicle_url: str, autopilot: str, config_file: Path | None, system_id: int, wait_s: float, as_json: bool,
+    signing_key: Path | None, allow_unsigned: bool,
+) -> None:  # fmt: skip
+    """Read the vehicle's parameters that matter for safety and say what is unsafe, why, and what to set.
+
+    Nothing is changed on the vehicle. Exit status: 0 it may arm, 1 it must not, 2 wrong input.
+    """
+    config = load(config_file) if config_file is not None else _PAPER
+    endpoint = Endpoint(
+        vehicle_url, system_id, _COMPONENT_ID,
+        signing_key=load_key(signing_key) if signing_key else None, allow_unsigned=allow_unsigned,
+    )  # fmt: skip
+    try:
+        for warning in endpoint.warnings:
+            print(f"preflight: WARNING: {warning}", file=sys.stderr)
+        report = checks.check(
+            endpoint, config, autopilot, system_id, wait_s=wait_s,
+            say=lambda text: print(f"preflight: {text}", file=sys.stderr),
+        )  # fmt: skip
+        for notice in endpoint.take_notices():
+            print(f"preflight: WARNING: {notice}", file=sys.stderr)
+    finally:
+        endpoint.close()
+    if as_json:
+        click.echo(json.dumps(to_json(report)))
+    else:
+        _print(report)
+    sys.exit(0 if report.safe else 1)
+
+
+def to_json(report: Report) -> dict[str, Any]:
+    """The one object that ``--json`` prints."""
+    return {
+        "safe": report.safe,
+        "autopilot": report.profile.name if report.profile is not None else None,
+        "version": report.version,
+        "problem": report.problem,
+        "line": report.line,
+        "parameters": [{**asdict(f), "level": f.level.value.lower()} for f in report.findings],
+    }
+
+
+def _print(report: Report) -> None:
+    console = Console(highlight=False)
+    if report.profile is not None:
+        table = Table(
+            title=f"{report.profile.title}, release {report.version or 'not told'}", title_justify="left"
+        )
+        for name in ("parameter", "value", "is", "wanted", "why"):
+            table.add_column(name, overflow="fold")
+        for finding in report.findings:
+            value = "missing" if finding.value is None else f"{finding.value:g}"
+            style = _STYLE[finding.level]
+            table.add_row(
+                finding.name, value, f"[{style}]{finding.level.value}[/]", finding.wanted, finding.why
+            )
+        console.print(table)
+    if report.line is not None:
+        console.print(report.line, soft_wrap=True, markup=False)
+    console.print(checks.verdict(report) or "may arm", soft_wrap=True, markup=False)

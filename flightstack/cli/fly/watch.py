@@ -1,0 +1,188 @@
+"""The verb ``watch``: a flight on another machine, in the terminal or as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, NamedTuple
+
+import click
+
+from flightstack.cli import options as shared
+from flightstack.cli.zenoh import zenoh_config
+
+if TYPE_CHECKING:
+    from bridge.zenoh.zenoh_link import Role, Session
+    from flightstack.watch.state import Watch
+
+FRESH, NOTHING = 0, 1
+LOOK_S = 0.05  # between two looks
+DRAW_S = 0.1  # between two pieces of the view in 3-D
+NICER = 10  # steps of priority that a view in 3-D gives way to the flight
+DEFAULT = "tcp/127.0.0.1:7448"  # where docs and README let the onboard process listen
+
+
+@click.command()
+@click.option(
+    "--connect", multiple=True, metavar="ENDPOINT",
+    help=f"Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: {DEFAULT}, or "
+    "what the configuration says.",
+)  # fmt: skip
+@zenoh_config
+@click.option(
+    "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."
+)
+@click.option("--once", is_flag=True, help="Show one fresh picture and end; exit status 1 if none comes.")
+@click.option(
+    "--json", "as_json", is_flag=True, help="One JSON object a line: one with --once, else two a second."
+)
+@click.option(
+    "--timeout", "timeout_s", type=click.FloatRange(min=0.1, max=3600.0), default=5.0, show_default=True,
+    metavar="S", help="How long --once waits.",
+)  # fmt: skip
+@shared.view
+@shared.config(required=False, help="Configuration of the flight: --view draws barrier and pad by it")
+def watch(
+    connect: tuple[str, ...], zenoh_config: Path | None, namespace: str, once: bool, as_json: bool,
+    timeout_s: float, view: str | None, config_file: Path | None,
+) -> None:  # fmt: skip
+    """Watch a flight: phase, h, set-points, ages, battery, loop timing; Ctrl-C ends it.
+
+    Only listens. Exit status: 0 in order, 1 with --once when nothing fresh came, 2 for wrong input.
+    """
+    from bridge.zenoh import zenoh_link
+
+    if view is not None and (once or as_json):
+        raise click.UsageError("--view draws until it is ended; --once and --json print: give one of them")
+    draws = _drawing(view, config_file, namespace) if view is not None else None
+    ended = Ended()
+    previous = {number: signal.signal(number, ended.end) for number in (signal.SIGINT, signal.SIGTERM)}
+    if zenoh_config is None:
+        connect = connect or (DEFAULT,)
+    session = zenoh_link.open_session([], connect, config_file=zenoh_config)
+    role, whom = zenoh_link.dialled(connect, config_file=zenoh_config)
+    source = Source(session, role, ", ".join(whom), namespace, ended)
+    try:
+        if once:
+            sys.exit(_once(source, as_json, timeout_s))
+        draws(source) if draws else _stream(source) if as_json else _live(source)
+    except BrokenPipeError:
+        pass  # who read it has gone
+    finally:
+        session.close()
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+class Ended:
+    """Whether SIGINT or SIGTERM came, SIGINT also to a shell's background job, which else ignores it."""
+
+    def __init__(self) -> None:
+        self.yes = False
+
+    def end(self, number: int, frame: FrameType | None) -> None:
+        """Handle the signal."""
+        del number, frame
+        self.yes = True
+
+
+class Source(NamedTuple):
+    """Where the flight is."""
+
+    session: Session
+    role: Role
+    whom: str
+    namespace: str
+    ended: Ended
+
+    def watch(self) -> Watch:
+        """Begin to listen."""
+        from flightstack.watch.state import Watch
+
+        return Watch(self.session, self.namespace, role=self.role)
+
+
+def _once(source: Source, as_json: bool, timeout_s: float) -> int:
+    from rich.console import Console
+
+    from flightstack.watch.json_lines import snapshot
+    from flightstack.watch.live import draw
+    from flightstack.watch.state import News
+
+    seen = source.watch()
+    until_s = time.monotonic() + timeout_s
+    while not (seen.news is News.FRESH and seen.health is not None) and time.monotonic() < until_s:
+        if source.ended.yes:
+            break
+        time.sleep(LOOK_S)
+        seen.poll()
+    if as_json:
+        click.echo(json.dumps(snapshot(seen)))
+    else:
+        Console().print(draw(seen, source.namespace, source.whom))
+    return FRESH if seen.news is News.FRESH else NOTHING
+
+
+def _stream(source: Source) -> None:
+    from flightstack.watch.json_lines import snapshot
+
+    seen = source.watch()
+    while not source.ended.yes:
+        time.sleep(0.5)
+        seen.poll()
+        click.echo(json.dumps(snapshot(seen)))
+
+
+def _drawing(view: str, config_file: Path | None, namespace: str) -> Callable[[Source], None]:
+    """Open the view before anything else, and return what draws in it until it is ended.
+
+    Raises:
+        ConfigError: the configuration is wrong.
+        ValueError: Rerun is not installed, or the file to write is not allowed.
+    """
+    from flightstack.core.parameters.flight import load
+    from logs.reader.flight_config import shape
+
+    try:
+        from logs.view.live import LiveRecording
+    except ModuleNotFoundError as error:
+        raise shared.without_rerun(error, "--view") from error
+    run = {"namespace": namespace}
+    if config_file is not None:
+        run |= shape(load(config_file))
+    else:
+        click.echo("flightstack: the pad is drawn as a Crazyflie's, the barrier not; give --config", err=True)
+    os.nice(NICER)  # of the viewer, too, which it starts
+    recording = LiveRecording(view, run, namespace)
+    click.echo(f"ready {recording.address}")
+
+    def draw(source: Source) -> None:
+        seen = source.watch()
+        try:
+            while not source.ended.yes and not recording.closed:
+                time.sleep(DRAW_S)
+                seen.poll()
+                recording.add(seen.new_steps, seen.new_timings, seen.health.reason if seen.health else "")
+        finally:
+            recording.close()
+
+    return draw
+
+
+def _live(source: Source) -> None:
+    from rich.console import Console
+
+    from flightstack.watch.live import REFRESH_HZ, LiveView
+
+    title = f"{source.namespace} at {source.whom}"
+    view = LiveView(source.session, source.namespace, title, Console(), source.whom, source.role)
+    with view.live:
+        while not source.ended.yes:
+            time.sleep(1.0 / REFRESH_HZ)
+            view.poll()

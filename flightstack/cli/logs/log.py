@@ -1,0 +1,186 @@
+"""The verbs ``log ...``: look into flight logs, compare, cut, repair and export them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from logs.reader.reader import LogFile
+
+DONE, BROKEN = 0, 1
+LANDED, NOT_LANDED = 0, 1
+SHOWN = 20  # differences printed; the first ones tell the story
+
+_log = click.argument("log_file", metavar="LOG", type=click.Path(dir_okay=False, path_type=Path))
+_force = click.option("--force", is_flag=True, help="Replace OUT if it exists.")
+
+
+def _out(command: Callable[..., None]) -> Callable[..., None]:
+    option = click.option(
+        "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="File to write."
+    )
+    return option(_force(command))
+
+
+@click.group()
+def log() -> None:
+    """Look into flight logs, judge, compare, cut, repair, export them; a broken LOG is read up to its break.
+
+    Exit status: 0 done, 1 the LOG is broken (what is before the break was used) or differs, 2 wrong input.
+    """
+
+
+@log.command()
+@_log
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def info(log_file: Path, as_json: bool) -> None:
+    """Show duration, topics, metadata and attachments of a LOG, and whether it is whole."""
+    from logs.tools import info as tools_info
+
+    found = tools_info.gather(_open(log_file))
+    click.echo(json.dumps(found.as_json()) if as_json else "\n".join(tools_info.lines(found)))
+    sys.exit(DONE if found.complete else BROKEN)
+
+
+@log.command()
+@_log
+@click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object, with the keys of `sitl --json`."
+)
+def verdict(log_file: Path, as_json: bool) -> None:
+    """Judge the flight in a LOG: by true states, or, of a real flight, by the vehicle's own estimate.
+
+    Exit status: 0 landed, 1 anything else that flew, 2 the LOG cannot be read.
+    """
+    from logs.reader.flight import load_flight
+    from logs.verdict.result import verdict_result
+    from logs.verdict.verdict import judge
+
+    flight = load_flight(log_file)
+    values = verdict_result(flight, judge(flight))
+    show_verdict(values, as_json=as_json)
+    sys.exit(LANDED if values["outcome"] == "landed" else NOT_LANDED)
+
+
+def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
+    """Print a verdict as a table, or as one line of JSON."""
+    if as_json:
+        click.echo(json.dumps(values))
+        return
+    from rich.console import Console
+
+    from flightstack.launch.verdict_table import verdict_table
+
+    Console(highlight=False).print(verdict_table(values, values["reason"]))
+
+
+@log.command()
+@click.argument("log_a", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("log_b", type=click.Path(dir_okay=False, path_type=Path))
+def diff(log_a: Path, log_b: Path) -> None:
+    """Compare two logs message by message; exit status 0 equal, 1 different.
+
+    Wall-clock measurements (loop timing) are left out.
+    """
+    from logs.tools.compare import compare
+
+    differences = compare(log_a, log_b)
+    for difference in differences[:SHOWN]:
+        click.echo(str(difference))
+    if len(differences) > SHOWN:
+        click.echo(f"... and {len(differences) - SHOWN} more")
+    click.echo("equal" if not differences else f"{len(differences)} differences")
+    sys.exit(1 if differences else 0)
+
+
+@log.command()
+@_log
+@click.option(
+    "--from", "begin_s", type=click.FloatRange(min=0.0), default=0.0, metavar="S",
+    help="Begin so many seconds after the first message.",
+)  # fmt: skip
+@click.option(
+    "--to", "end_s", type=click.FloatRange(min=0.0), metavar="S",
+    help="End so many seconds after the first message; default: at the end.",
+)  # fmt: skip
+@_out
+def cut(log_file: Path, begin_s: float, end_s: float | None, out: Path, force: bool) -> None:
+    """Write a span of a LOG; slow and latched topics are given again at its start."""
+    from logs.tools import edit as tools_edit
+
+    edited = tools_edit.cut(_open(log_file), begin_s, end_s, out, force=force)
+    again = f", {edited.repeated} of them from before the start"
+    _end(out, f"{edited.messages} messages{again}", edited.problem)
+
+
+@log.command("filter")
+@_log
+@click.option(
+    "--topic", "patterns", multiple=True, required=True, metavar="PATTERN",
+    help="Topics to keep, e.g. '/cf1/*'; repeatable.",
+)  # fmt: skip
+@_out
+def filter_(log_file: Path, patterns: tuple[str, ...], out: Path, force: bool) -> None:
+    """Write only some topics of a LOG; metadata and attachments stay."""
+    from logs.tools import edit as tools_edit
+
+    edited = tools_edit.select(_open(log_file), patterns, out, force=force)
+    _end(out, f"{edited.messages} messages", edited.problem)
+
+
+@log.command()
+@_log
+@_out
+def recover(log_file: Path, out: Path, force: bool) -> None:
+    """Make a whole file of a broken LOG: all messages before the break, a new index; exit status 0."""
+    from logs.tools import edit as tools_edit
+
+    edited = tools_edit.recover(_open(log_file), out, force=force)
+    click.echo(f"{out}: {edited.messages} messages; {edited.problem or 'the log was whole'}")
+
+
+@log.command()
+@_log
+@click.option("--topic", metavar="TOPIC", help="Topic to export; tlog: default both directions.")
+@click.option(
+    "--format", "kind", type=click.Choice(["csv", "parquet", "tlog"]), required=True,
+    help="csv and parquet: one topic as a table; tlog: MAVLink frames for ground stations.",
+)  # fmt: skip
+@_out
+def export(log_file: Path, topic: str | None, kind: str, out: Path, force: bool) -> None:
+    """Write a topic of a LOG for other programs."""
+    from logs.tools import export as tools_export
+    from logs.tools.tlog import export_tlog
+
+    opened = _open(log_file)
+    if kind == "tlog":
+        text = f"{export_tlog(opened, out, topic=topic, force=force)} frames"
+    else:
+        if topic is None:
+            raise click.UsageError(f"--format {kind} needs --topic; `flightstack log info` lists them")
+        write: dict[str, Callable[..., int]] = {
+            "csv": tools_export.export_csv,
+            "parquet": tools_export.export_parquet,
+        }
+        text = f"{write[kind](opened, topic, out, force=force)} rows"
+    _end(out, text, opened.why_broken)
+
+
+def _open(path: Path) -> LogFile:
+    from logs.reader.reader import LogFile
+
+    return LogFile(path)
+
+
+def _end(out: Path, text: str, problem: str) -> Any:
+    """Say what was written; with a broken log also that it was broken."""
+    click.echo(f"{out}: {text}")
+    if problem:
+        click.echo(f"flightstack: the log is broken, this is what lies before the break: {problem}", err=True)
+    sys.exit(BROKEN if problem else DONE)

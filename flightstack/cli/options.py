@@ -1,0 +1,174 @@
+"""Options that several verbs share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
+
+PERSONALITIES = ("px4", "ardupilot")
+
+
+def scenario(required: bool = True) -> Callable[[Any], Any]:
+    """``--scenario``."""
+    return click.option(
+        "--scenario",
+        required=required,
+        metavar="NAME_OR_FILE",
+        help="Scenario: a name (see `scenarios`) or a file.",
+    )
+
+
+def _numbers(context: click.Context, option: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
+    """Turn NAME=VALUE into a table."""
+    del context, option
+    found = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise click.BadParameter(f"found {text!r}; NAME=VALUE is needed, for example COM_OF_LOSS_T=0.5")
+    return found
+
+
+def _configuration(context: click.Context, option: click.Parameter, given: str | None) -> Path | None:
+    """File of a configuration by name or path."""
+    del context, option
+    from flightstack.core.parameters.flight import path_of
+
+    return path_of(given) if given is not None else None
+
+
+def config(required: bool = True, help: str = "Configuration (TOML)") -> Callable[[Any], Any]:
+    """``--config``."""
+    return click.option(
+        "--config",
+        "config_file",
+        required=required,
+        metavar="NAME_OR_FILE",
+        callback=_configuration,
+        help=f"{help}: a name (see `config`) or a file.",
+    )
+
+
+seed = click.option(
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all chance."
+)
+lockstep = click.option(
+    "--lockstep", is_flag=True, help="Simulated time, as fast as possible, deterministic."
+)
+rate = click.option(
+    "--rate", "rate_hz", type=click.IntRange(10, 500), default=100, show_default=True, help="Ticks a second."
+)
+recorder = click.option(
+    "--recorder",
+    type=click.Path(path_type=Path),
+    metavar="SOCKET",
+    help="Socket of a running `record`.",
+)
+no_record = click.option("--no-record", is_flag=True, help="Record nothing.")
+out = click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for log and report; default: a new one in runs/.",
+)
+as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object as the last line.")
+with_report = click.option(
+    "--report/--no-report", "with_report", default=True, show_default=True, help="Write the HTML report."
+)
+namespace = click.option(
+    "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."
+)
+vehicle_url = click.option(
+    "--vehicle",
+    "vehicle_url",
+    required=True,
+    metavar="URL",
+    help="MAVLink URL: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD], by default "
+    "at 921600 baud.",
+)
+system_id = click.option(
+    "--system-id",
+    type=click.IntRange(1, 255),
+    default=1,
+    show_default=True,
+    help="MAVLink system id of the vehicle.",
+)
+signing_key = click.option(
+    "--signing-key",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Sign MAVLink with this key and hear nothing unsigned (see `key`).",
+)
+allow_unsigned = click.option(
+    "--allow-unsigned", is_flag=True, help="Listen to a network without a key: anybody there can fly it."
+)
+autopilot = click.option(
+    "--autopilot",
+    type=click.Choice(CHOICES),
+    default=AUTO,
+    show_default=True,
+    help="What flies the vehicle; auto: by its heartbeat (docs/autopilots.md).",
+)
+personality = click.option(
+    "--personality",
+    type=click.Choice(PERSONALITIES),
+    default=PERSONALITIES[0],
+    show_default=True,
+    help="Which autopilot the simulated vehicle plays.",
+)
+parameters = click.option(
+    "--parameter",
+    "parameters",
+    multiple=True,
+    metavar="NAME=VALUE",
+    callback=_numbers,
+    help="Parameter of the autopilot, set before it starts; repeatable.",
+)
+speed = click.option(
+    "--speed",
+    type=click.FloatRange(0.1, 20.0),
+    default=1.0,
+    show_default=True,
+    metavar="X",
+    help="Stack time against real time, for a simulator that runs as fast; never for a real vehicle.",
+)
+clock = click.option(
+    "--clock",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Live by the clock of `px4-sim --clock FILE` instead of the wall's; never for a real vehicle.",
+)
+duration = click.option(
+    "--duration",
+    "duration_s",
+    type=click.FloatRange(min=0.1),
+    metavar="S",
+    help="End after so many seconds of stack time.",
+)
+view = click.option(
+    "--view", is_flag=False, flag_value="native", metavar="[native|web|FILE.rrd]",
+    help="The scene in 3-D while it flies: in a window of Rerun, in a browser, or in a file (docs/live.md).",
+)  # fmt: skip
+
+
+def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
+    """Return what to raise when a viewer cannot be imported: Rerun is missing, or the error as it is.
+
+    Args:
+        error: of the import.
+        what: verb or option that needs it.
+    """
+    if error.name is None or error.name.partition(".")[0] != "rerun":
+        return error
+    return ValueError(
+        f"`{what}` needs Rerun: pip install 'crazyflie-flightstack[view]'; "
+        "or open the log itself in another viewer (docs/viewing.md)"
+    )

@@ -1,0 +1,1 @@
+"""Verbs that prove: certificate, identification, replay, campaigns."""

@@ -1,0 +1,188 @@
+"""The verb ``campaign``: many seeded landings, their summary and its page."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections import Counter
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from flightstack.core.parameters.flight import FilterKind
+
+if TYPE_CHECKING:
+    from sim.campaign.run import Flown, Plan
+
+COMPLETE, INCOMPLETE = 0, 1
+_TIERS = ("lab", "field", "storm", "deck")
+
+
+@click.command()
+@click.argument("scenario", metavar="SCENARIO")
+@click.option("--runs", type=click.IntRange(1, 10_000_000), default=1000, show_default=True, help="Landings.")
+@click.option(
+    "--seed", "first_seed", type=click.IntRange(0, 2**62), default=0, show_default=True, help="First seed."
+)
+@click.option(
+    "--filter", "filter_name", type=click.Choice([k.value for k in FilterKind]),
+    help="Safety filter; default: the scenario's.",
+)  # fmt: skip
+@click.option(
+    "--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one for each processor."
+)
+@click.option("--cluster", metavar="ADDRESS", help="Fly on a Dask cluster, e.g. tcp://10.0.0.2:8786.")
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path),
+    help="Folder; one that holds a part of this campaign is gone on with. Default: a new one in runs/.",
+)  # fmt: skip
+@click.option("--require", type=click.Choice(_TIERS), help="Check the limits of a tier; status 1 on a miss.")
+@click.option(
+    "--against", type=click.Path(exists=True, file_okay=False, path_type=Path), metavar="DIR",
+    help="Campaign with the paper's filter, for --require's limit on the time.",
+)  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object as the last line.")
+@click.option(
+    "--report/--no-report", "with_report", default=True, show_default=True, help="Write the HTML page."
+)
+def campaign(
+    scenario: str, runs: int, first_seed: int, filter_name: str | None, workers: int | None,
+    cluster: str | None, out: Path | None, require: str | None, against: Path | None, as_json: bool,
+    with_report: bool,
+) -> None:  # fmt: skip
+    """Fly a SCENARIO with many seeds in simulation alone, as `sitl --lockstep` would fly each, and sum up.
+
+    Ctrl-C keeps what was flown; the same call with the same --out goes on.
+
+    Exit status: 0 complete, whatever the result, 1 landings are missing or a --require is not met, 2 wrong
+    input.
+    """
+    from sim.campaign import run as core
+    from sim.campaign.cluster import ClusterError
+    from sim.campaign.workers import WorkersError
+
+    wanted = core.plan(scenario, runs, first_seed, FilterKind(filter_name) if filter_name else None)
+    folder = out or _new_folder(wanted)
+    console = Console(stderr=as_json, highlight=False)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    try:
+        with _Bar(console, wanted) as bar:
+            flown = core.fly(
+                wanted, folder, workers=workers or os.cpu_count() or 1, cluster=cluster, on_row=bar.row
+            )
+    except (WorkersError, ClusterError) as error:
+        click.echo(f"flightstack: {error}", err=True)
+        sys.exit(INCOMPLETE)
+    status = _tell(console, wanted, folder, flown, as_json=as_json, with_report=with_report)
+    if require is not None:
+        status = max(status, _check(flown, require, against))
+    sys.exit(status)
+
+
+class _Bar:
+    """Progress with outcomes so far."""
+
+    def __init__(self, console: Console, wanted: Plan) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+            TextColumn("{task.fields[told]}"), console=console, disable=not console.is_terminal,
+        )  # fmt: skip
+        title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter.value}"
+        self._task = self._progress.add_task(title, total=wanted.runs, told="")
+        self._counts: Counter[str] = Counter()
+
+    def __enter__(self) -> _Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def row(self, row: Any) -> None:
+        """Count a row."""
+        self._counts[row.outcome] += 1
+        if row.violation:
+            self._counts["violations"] += 1
+        told = "  ".join(f"{number} {name}" for name, number in sorted(self._counts.items()))
+        self._progress.update(self._task, advance=1, told=told)
+
+
+def _new_folder(wanted: Plan) -> Path:
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
+    name = f"{stamp}-campaign-{wanted.scenario.name}-{wanted.scenario.onboard.filter.value}"
+    folder = Path("runs") / name
+    folder.mkdir(parents=True)
+    return folder
+
+
+def _tell(
+    console: Console, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
+) -> int:
+    """Page, table or JSON; the exit status."""
+    from sim.campaign.run import PAGE, ROWS
+
+    if flown.missing:
+        click.echo(
+            f"flightstack: {flown.missing} of {wanted.runs} landings are missing; the same call with "
+            f"--out {folder} goes on",
+            err=True,
+        )
+    if flown.summary is None:
+        return INCOMPLETE
+    if with_report:
+        from logs.report.page import ReportError
+
+        try:
+            from sim.campaign.page import write_page
+
+            write_page(folder / PAGE, wanted, flown)
+        except ReportError as error:  # the numbers count all the same
+            click.echo(f"flightstack: {error}", err=True)
+            with_report = False
+    if as_json:
+        click.echo(json.dumps(flown.summary))
+    else:
+        console.print(_table(wanted, flown.summary))
+        for one in flown.summary["worst"]:
+            console.print(f"{one['why']}\n  {one['command']}", soft_wrap=True, markup=False)
+        console.print(f"rows    {folder / ROWS}", soft_wrap=True)
+        if with_report:
+            console.print(f"report  {folder / PAGE}", soft_wrap=True)
+    return INCOMPLETE if flown.missing else COMPLETE
+
+
+def _table(wanted: Plan, told: dict[str, Any]) -> Table:
+    from sim.campaign.summary import lines
+
+    table = Table(
+        title=f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter.value}", title_justify="left"
+    )
+    table.add_column("result")
+    table.add_column("value", justify="right")
+    for name, value in lines(told):
+        table.add_row(name, value)
+    return table
+
+
+def _check(flown: Flown, require: str, against: Path | None) -> int:
+    """Check a tier's limits; print what is missed."""
+    from sim.campaign.rows import read_rows
+    from sim.campaign.run import ROWS
+    from sim.campaign.tiers import Tier, misses
+
+    if not flown.rows:
+        return INCOMPLETE
+    paper = read_rows(against / ROWS) if against is not None else None
+    found = misses(Tier(require), flown.rows, paper)
+    for text in found:
+        click.echo(f"not met, {require}: {text}", err=True)
+    if not found:
+        click.echo(f"all limits of {require} are met in {len(flown.rows)} landings", err=True)
+    return INCOMPLETE if found else COMPLETE

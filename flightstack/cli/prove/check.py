@@ -1,0 +1,116 @@
+"""The verb ``check``: proves a configuration before flight."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flightstack.common.strict_toml import ConfigError, from_table, read_toml
+from flightstack.core.parameters.flight import FilterKind, FlightConfig, load, names, path_of
+
+if TYPE_CHECKING:
+    from flightstack.verify.types import Check
+
+PROVEN, NOT_PROVEN = 0, 1
+
+
+@click.command()
+@click.argument("config", metavar="CONFIG")
+@click.option(
+    "--filter",
+    "filter_name",
+    type=click.Choice([k.value for k in FilterKind]),
+    help="Check it for this safety filter; default: the configuration's.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def check(config: str, filter_name: str | None, as_json: bool) -> None:
+    """Prove before flight that CONFIG keeps its promises over all it declares.
+
+    CONFIG is a configuration of `onboard` or a scenario, by name or as a file. Each line shows the worst
+    point and how much room is left there (docs/robust_filter.md).
+
+    Exit status: 0 all proven, 1 something is not, 2 wrong input.
+    """
+    from flightstack.verify.certificate import checks
+
+    found = _load(config)
+    if filter_name is not None:
+        found = replace(found, filter=FilterKind(filter_name))
+    results = checks(found)
+    if as_json:
+        click.echo(json.dumps(_as_json(config, found, results)))
+    else:
+        _show(config, found, results)
+    sys.exit(PROVEN if all(result.proven for result in results) else NOT_PROVEN)
+
+
+def _load(name_or_file: str) -> FlightConfig:
+    """Configuration of a name, file or scenario."""
+    path = path_of(name_or_file) if name_or_file in names() else Path(name_or_file)
+    if path.is_file():
+        table = read_toml(path)
+        if "onboard" not in table:
+            return load(path)
+        try:
+            return from_table(FlightConfig, table["onboard"], "onboard")
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from None
+    from flightstack.launch.sitl import onboard_of
+
+    return onboard_of(name_or_file)
+
+
+def _as_json(name: str, config: FlightConfig, results: list[Check]) -> dict[str, object]:
+    return {
+        "config": name,
+        "filter": config.filter.value,
+        "proven": all(result.proven for result in results),
+        "flies": all(result.proven for result in results if result.need.value == "flight"),
+        "checks": [
+            {
+                "name": result.name,
+                "claim": result.claim,
+                "proven": result.proven,
+                "need": result.need.value,
+                "room": result.room if math.isfinite(result.room) else None,
+                "unit": result.unit,
+                "worst": result.worst,
+                "remedy": None if result.proven else result.remedy,
+            }
+            for result in results
+        ],
+    }
+
+
+def _show(name: str, config: FlightConfig, results: list[Check]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=f"{name}, filter {config.filter.value}", title_justify="left")
+    for heading in ("", "claim", "room", "worst point"):
+        table.add_column(heading, justify="right" if heading == "room" else "left", overflow="fold")
+    for result in results:
+        word, colour = _WORDS[result.proven, result.need.value]
+        room = "no bound" if math.isinf(result.room) else f"{result.room:.3g} {result.unit}".strip()
+        claim = f"{result.name}: {result.claim}"
+        table.add_row(Text(word, style=colour), Text(claim), Text(room), Text(result.worst))
+    console = Console()
+    console.print(table)
+    for result in results:
+        if not result.proven:
+            console.print(Text(f"{result.name}: {result.remedy}"), soft_wrap=True)
+
+
+_WORDS = {
+    (True, "flight"): ("proven", "green"),
+    (True, "proof"): ("proven", "green"),
+    (False, "flight"): ("must not fly", "red"),
+    (False, "proof"): ("not proven", "yellow"),
+}

@@ -1,0 +1,1 @@
+"""Verbs for real vehicles and other autopilots."""

@@ -1,0 +1,23 @@
+"""The verb ``config``: the configurations that come with the package."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command()
+@click.argument("name", required=False)
+def config(name: str | None) -> None:
+    """List the configurations of the onboard process that come with the package, or print the one NAMEd."""
+    from flightstack.core.parameters import flight as known
+
+    if name is not None:
+        click.echo(known.path_of(name).read_text(), nl=False)
+        return
+    for each in known.names():
+        click.echo(f"{each:18} {_first_line(known.path_of(each).read_text())}")
+
+
+def _first_line(text: str) -> str:
+    """What its first comment says it is for."""
+    return text.partition("\n")[0].removeprefix("#").strip()

@@ -1,0 +1,183 @@
+"""Child processes of one run: started, watched, ended in order, each wait bounded."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import random
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+START_TIME_MAX_S = 120.0  # s until a child says ready: the first time the simulator compiles its loops
+_WRONG_INPUT = 2  # exit status of every verb
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_PRCTL = ctypes.CDLL(None).prctl if sys.platform == "linux" else None  # looked up before any fork
+END_TIME_MAX_S = 5.0  # s until a child that was asked to end has ended
+CLOSE_TIME_MAX_S = 60.0  # s for the recorder: what it was sent must reach a slow disk
+
+
+class LaunchError(RuntimeError):
+    """A child that did not start; the text holds what it said.
+
+    Attributes:
+        code: exit status for who started it: 2 if the child found its input wrong, else 1.
+    """
+
+    def __init__(self, text: str, code: int = 1) -> None:
+        super().__init__(text)
+        self.code = 2 if code == _WRONG_INPUT else 1
+
+
+class Running(Protocol):
+    """A process of a run, as far as its launcher looks after it."""
+
+    @property
+    def name(self) -> str:
+        """What it is."""
+
+    def alive(self) -> bool:
+        """Whether it still runs."""
+
+    def errors(self) -> str:
+        """The last that it said of what went wrong."""
+
+    def end(self, within_s: float) -> int:
+        """Ask it to end, after so many seconds make it; its exit status."""
+
+
+class Child:
+    """One process of the run, its output kept in a file.
+
+    Args:
+        name: of the process and its file.
+        arguments: of the program.
+        folder: for what it writes to standard error.
+        program: words before the arguments; None: ``flightstack``.
+        works_in: its working folder; None: ours.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        folder: Path,
+        *,
+        program: Sequence[str] | None = None,
+        works_in: Path | None = None,
+    ) -> None:
+        self.name = name
+        self.output = folder / f"{name}.txt"
+        with self.output.open("wb") as errors:
+            self.process = subprocess.Popen(
+                [*(program or (sys.executable, "-m", "flightstack.cli.main")), *arguments],
+                cwd=works_in,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,  # Ctrl-C reaches the launcher alone, which ends the children in order
+                preexec_fn=end_with_parent,
+            )
+        assert self.process.stdout is not None
+        os.set_blocking(self.process.stdout.fileno(), False)
+        self._text = b""
+
+    def yield_to_others(self, steps: int) -> None:
+        """Lower its priority, so that it does not delay the flight."""
+        with contextlib.suppress(OSError):  # a help, not a need
+            os.setpriority(os.PRIO_PROCESS, self.process.pid, steps)
+
+    def wait_ready(self) -> str:
+        """Wait for the line ``ready ...`` and return what follows the word.
+
+        Raises:
+            LaunchError: the process ended or said nothing in time.
+        """
+        until = time.monotonic() + START_TIME_MAX_S
+        while time.monotonic() < until:
+            for line in self.lines(0.1):
+                if line.startswith("ready"):
+                    return line.removeprefix("ready").strip()
+            if self.process.poll() is not None:
+                break
+        code = self.end()
+        raise LaunchError(f"{self.name} did not start: {self.errors() or 'no reason given'}", code)
+
+    def lines(self, timeout_s: float) -> list[str]:
+        """Whole lines of output that came within the time."""
+        assert self.process.stdout is not None
+        with selectors.DefaultSelector() as selector:
+            selector.register(self.process.stdout, selectors.EVENT_READ)
+            if selector.select(timeout_s):
+                self._text += self.process.stdout.read() or b""
+        *whole, self._text = self._text.split(b"\n")
+        return [line.decode(errors="replace") for line in whole]
+
+    def errors(self) -> str:
+        """Last lines that it wrote to standard error."""
+        return "\n".join(self.output.read_text(errors="replace").strip().splitlines()[-5:])
+
+    def alive(self) -> bool:
+        """Whether it still runs."""
+        return self.process.poll() is None
+
+    def end(self, within_s: float = END_TIME_MAX_S) -> int:
+        """Ask it to end, after so many seconds make it; its exit status."""
+        if self.alive():
+            self.process.send_signal(signal.SIGTERM)
+        try:
+            code = self.process.wait(within_s)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            code = self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+        return code
+
+
+def end_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
+    """Have the kernel send this signal to this process when its parent is killed; runs in the new process."""
+    if _PRCTL is not None:
+        _PRCTL(_PR_SET_PDEATHSIG, int(number))
+
+
+class Port:
+    """A TCP port of loopback for a server to come, kept from other runs as long as this object is open.
+
+    A port found free by binding to port 0 is from the range that outgoing connections draw from, and may be
+    gone a moment later. These lie below that range, and the same number under UDP serves as the reservation.
+    """
+
+    _RANGE = range(20_000, 32_000)  # Linux draws outgoing ports from 32768 on (ip_local_port_range)
+    _TRIES = 200
+
+    def __init__(self) -> None:
+        chance = random.SystemRandom()
+        for _ in range(self._TRIES):
+            self.number = chance.choice(self._RANGE)
+            self._reservation = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            try:
+                self._reservation.bind(("127.0.0.1", self.number))
+                with socket.socket() as probe:
+                    probe.bind(("127.0.0.1", self.number))
+            except OSError:
+                self._reservation.close()
+                continue
+            return
+        raise LaunchError(f"no free TCP port of loopback found in {self._TRIES} tries from {self._RANGE}")
+
+    @property
+    def endpoint(self) -> str:
+        """As a Zenoh endpoint."""
+        return f"tcp/127.0.0.1:{self.number}"
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._reservation.close()

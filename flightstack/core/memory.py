@@ -1,0 +1,117 @@
+"""What the controller remembers from tick to tick; everything else is computed anew.
+
+Plain values only, of the types ``state_text`` can write: that is how the state gets into the log and back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from math import inf, nan
+
+from flightstack.core.types import ZERO, OwnState, Phase, TargetSample, Vec3
+
+
+class AbortWay(IntEnum):
+    """How an abort ends the flight."""
+
+    NONE = 0
+    MOTORS_OFF = 1  # emergency stop
+    HANDS_OFF = 2  # somebody else has the vehicle, or it never flew
+    LAND_HERE = 3  # we don't know where we are or where the target is: the vehicle lands by itself
+    FLY_CLEAR = 4  # climb, fly clear of the target, then land
+
+
+@dataclass(slots=True)
+class Memory:
+    """Of the phase machine and the commands."""
+
+    phase: Phase = Phase.WAIT
+    phase_since_s: float = 0.0
+    started_s: float = inf  # when the landing began
+    bad_since_s: float = inf  # start of the present input loss
+    good_since_s: float = inf  # since when all inputs have been good
+    contact_since_s: float = inf
+    stopped_since_s: float = inf  # told to sink and not sinking
+    contact: bool = False  # stands on the pad
+    own_ok_s: float = -inf  # when the own state could be flown by, last
+    was_armed: bool = False
+    was_external: bool = False
+    climbed: bool = False  # the take-off climb is over
+    clear: bool = False  # flown clear after an abort
+    retries: int = 0
+    ground_z_m: float = inf  # height at which it stood
+    yaw_rad: float | None = None  # heading held in the whole flight
+    command: Vec3 = (
+        ZERO  # last velocity wanted, before corrections for the vehicle's lag; base of the slew limit
+    )
+    commanding: bool = False  # a command went out in the last tick, and is flown
+    lifting: bool = False  # the same of the climb of a take-off, flown once the vehicle has lifted off
+    target_position_enu_m: Vec3 | None = None  # last known
+    target_velocity_enu_m_s: Vec3 | None = None  # at that time
+    abort_way: AbortWay = AbortWay.NONE
+    reason: str = ""
+
+
+@dataclass(slots=True)
+class TrackMemory:
+    """Of the target track."""
+
+    last: TargetSample | None = None  # newest believed sample
+    offset_s: float = inf  # smallest arrival - stamp seen: clock offset plus the shortest delay
+    elsewhere: TargetSample | None = None  # newest of samples that jumped but agree with each other
+    elsewhere_since_s: float = 0.0
+    settled: bool = False  # the flight has begun: the target does not turn up elsewhere any more
+    accepted: int = 0
+    rejected: int = 0
+    refusal: str = ""  # why the newest sample was refused; empty: it was not
+
+
+Covariance = tuple[float, float, float, float, float, float]  # pp, pv, pa, vv, va, aa
+
+
+@dataclass(slots=True)
+class MotionMemory:
+    """Of the target's estimator."""
+
+    time_s: float = nan  # stamp of the newest sample, on the sender's clock; NaN before the first
+    position_enu_m: Vec3 = ZERO  # at that time, like the rest
+    velocity_enu_m_s: Vec3 = ZERO
+    acceleration_enu_m_s2: Vec3 = ZERO
+    yaw_rad: float | None = None  # measured last, None if it is not known
+    turn_rate_rad_s: float = 0.0  # at which velocity and acceleration turn
+    surprise: float = 1.0  # squares of what x and y missed by, over what was expected; 1 on average
+    covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of x and of y: they have the same
+    covariance_z: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(slots=True)
+class TrackingMemory:
+    """Of the corrections for the vehicle's velocity loop."""
+
+    slope_m_s2: Vec3 = ZERO  # smoothed derivative of the velocity wanted
+    setpoint_m_s: Vec3 = ZERO  # sent last
+    model_m_s: Vec3 = ZERO  # velocity that the model of the loop predicts
+    model_m_s2: Vec3 = ZERO  # its derivative
+    disturbance_m_s: Vec3 = ZERO  # what the model does not explain: wind, drag, weight
+
+
+@dataclass(slots=True)
+class PlausibilityMemory:
+    """Of the checks on own state and set-points."""
+
+    last: OwnState | None = None  # newest that was measured anew
+    drift_m: Vec3 = ZERO  # where no velocity took it
+    distrusted: bool = False
+    missed_m: Vec3 = ZERO  # what was wanted and not flown
+
+
+@dataclass(slots=True)
+class State:
+    """All of it: with a configuration and the inputs to come it determines every further output."""
+
+    memory: Memory
+    track: TrackMemory
+    motion: MotionMemory
+    tracking: TrackingMemory
+    plausibility: PlausibilityMemory

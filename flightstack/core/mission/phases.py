@@ -1,0 +1,142 @@
+"""The phase machine as a table: in each phase the first rule whose conditions hold names the next phase.
+
+``Condition`` is a word of flags that the controller fills in each tick; a rule fires when all of ``when`` and
+none of ``unless`` are set. Nothing else decides about phases. No rule leaves LANDED or ABORT: starting
+again takes a new process, which is an operator's decision.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from flightstack.core.types import Phase
+
+
+class Condition(IntEnum):
+    """What the table may ask about the world: one bit each; a word is a plain int, for speed."""
+
+    EMERGENCY = 1 << 0  # operator's emergency stop
+    ABORT_ASKED = 1 << 1  # operator's abort
+    OWN_LOST = 1 << 2  # own state missing or too old
+    LINK_LOST = 1 << 3  # heartbeat missing or too old
+    TARGET_LOST = 1 << 4  # target missing or too old
+    READY = 1 << 5  # all inputs fresh; vehicle ready to arm or already flying
+    ARMED = 1 << 6
+    WAS_ARMED = 1 << 7  # seen armed earlier in this flight
+    EXTERNAL = 1 << 8  # follows our set-points
+    WAS_EXTERNAL = 1 << 9  # did so earlier in this flight
+    STANDING = 1 << 10  # the vehicle says that it stands
+    AT_START = 1 << 11  # where the landing begins
+    STARTED = 1 << 12  # the landing had begun
+    OVER_PAD = 1 << 13  # inside the descending cone
+    TOUCH = 1 << 14  # the touchdown rule is met
+    RECOVERED = 1 << 15  # inputs were good again for long enough
+    RETRIES_LEFT = 1 << 16
+    HIGH_ENOUGH = 1 << 17  # above everything of the target
+    PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase
+    LANDING_TIME_OVER = 1 << 19
+    COMMAND_FAILED = 1 << 20  # the vehicle refused a command for good
+    DRIFTED = 1 << 21  # about to leave the corridor above the pad while still above the cone
+    NOT_FOLLOWING = 1 << 22  # the vehicle does not fly what it is told
+
+
+C = Condition
+NONE = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One row: go ``to`` when all of ``when`` and none of ``unless`` hold, because of ``reason``.
+
+    ``about``: conditions besides ``when`` whose numbers a person wants to read with the reason.
+    """
+
+    when: int
+    to: Phase
+    reason: str
+    unless: int = NONE
+    about: int = NONE
+
+
+_LOSSES = C.OWN_LOST | C.LINK_LOST | C.TARGET_LOST
+_OPERATOR = (
+    Rule(C.EMERGENCY, Phase.ABORT, "emergency stop"),
+    Rule(C.ABORT_ASKED, Phase.ABORT, "abort asked by the operator"),
+)
+_IN_FLIGHT = (
+    *_OPERATOR,
+    Rule(C.WAS_ARMED, Phase.ABORT, "disarmed by someone else", unless=C.ARMED | C.LINK_LOST),
+    Rule(C.WAS_EXTERNAL, Phase.ABORT, "mode changed by someone else", unless=C.EXTERNAL | C.LINK_LOST),
+    Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
+    Rule(C.NOT_FOLLOWING, Phase.ABORT, "the vehicle does not fly what it is told"),
+)
+_INPUTS = (
+    Rule(C.OWN_LOST, Phase.HOLD, "own state lost"),
+    Rule(C.LINK_LOST, Phase.HOLD, "heartbeat lost"),
+    Rule(C.TARGET_LOST, Phase.HOLD, "target lost"),
+)
+
+TABLE: dict[Phase, tuple[Rule, ...]] = {
+    Phase.WAIT: (
+        *_OPERATOR,
+        Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "inputs did not become ready in time", about=_LOSSES | C.READY),
+        Rule(C.READY | C.EXTERNAL, Phase.APPROACH, "flying and all inputs fresh", unless=C.STANDING),
+        Rule(C.READY | C.STANDING, Phase.TAKEOFF, "all inputs fresh"),
+    ),
+    Phase.TAKEOFF: (
+        *_IN_FLIGHT,
+        *_INPUTS,
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time"),
+        Rule(C.AT_START | C.EXTERNAL, Phase.APPROACH, "start reached"),
+    ),
+    Phase.APPROACH: (
+        *_IN_FLIGHT,
+        *_INPUTS,
+        Rule(C.LANDING_TIME_OVER, Phase.ABORT, "landing took too long"),
+        Rule(C.OVER_PAD, Phase.LAND, "inside the descending cone"),
+    ),
+    Phase.LAND: (
+        *_IN_FLIGHT,
+        *_INPUTS,
+        Rule(C.LANDING_TIME_OVER, Phase.ABORT, "landing took too long"),
+        Rule(C.TOUCH, Phase.TOUCHDOWN, "touchdown rule met"),
+        Rule(NONE, Phase.APPROACH, "left the descending cone", unless=C.OVER_PAD),
+    ),
+    Phase.TOUCHDOWN: (
+        *_OPERATOR,
+        Rule(C.WAS_ARMED, Phase.LANDED, "motors off", unless=C.ARMED | C.LINK_LOST),
+        Rule(C.OWN_LOST, Phase.ABORT, "own state lost at touchdown"),
+        Rule(C.NOT_FOLLOWING, Phase.ABORT, "the vehicle does not fly what it is told"),
+        Rule(C.DRIFTED | C.RETRIES_LEFT, Phase.APPROACH, "going to miss the pad: go around"),
+        Rule(C.DRIFTED, Phase.ABORT, "going to miss the pad, and no retry left"),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "no contact, or motors did not stop"),
+    ),
+    Phase.LANDED: (),
+    Phase.HOLD: (
+        *_IN_FLIGHT,
+        Rule(C.RECOVERED | C.STARTED | C.RETRIES_LEFT, Phase.APPROACH, "inputs good again"),
+        Rule(C.RECOVERED | C.RETRIES_LEFT, Phase.TAKEOFF, "inputs good again"),
+        Rule(C.PHASE_TIME_OVER | C.OWN_LOST, Phase.ABORT, "own state stayed lost"),
+        Rule(C.PHASE_TIME_OVER | C.LINK_LOST, Phase.ABORT, "heartbeat stayed lost"),
+        Rule(C.PHASE_TIME_OVER, Phase.CLIMB, "target stayed lost", about=C.TARGET_LOST),
+    ),
+    Phase.CLIMB: (
+        *_IN_FLIGHT,
+        Rule(C.OWN_LOST, Phase.ABORT, "own state lost in the climb"),
+        Rule(C.LINK_LOST, Phase.ABORT, "heartbeat lost in the climb"),
+        Rule(C.RECOVERED | C.STARTED | C.RETRIES_LEFT | C.HIGH_ENOUGH, Phase.APPROACH, "target back"),
+        Rule(C.RECOVERED | C.RETRIES_LEFT | C.HIGH_ENOUGH, Phase.TAKEOFF, "target back", unless=C.STARTED),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "target did not come back", about=C.TARGET_LOST),
+    ),
+    Phase.ABORT: (),
+}  # fmt: skip
+
+
+def next_phase(phase: Phase, conditions: int) -> Rule | None:
+    """First matching rule of the phase; ``None`` if the phase stays."""
+    for rule in TABLE[phase]:
+        if conditions & rule.when == rule.when and not conditions & rule.unless:
+            return rule
+    return None

@@ -1,0 +1,1 @@
+"""What may be configured: dataclasses with unit and allowed range of each number."""

@@ -1,0 +1,212 @@
+"""Typed configuration of the onboard process; TOML, checked before anything flies.
+
+Sections are tables of the file, keys carry their unit. ``load`` refuses unknown keys, wrong units, values
+out of range and combinations that cannot work, each with the reason.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+from flightstack.common.strict_toml import ConfigError, Range, from_table, read_toml
+from flightstack.core.parameters.ends import Contact, Retreat, Takeoff, Touchdown
+from flightstack.core.parameters.robust import (
+    Envelope,
+    OwnStateLink,
+    Robust,
+    TargetLink,
+    VelocityFeedback,
+    VelocityLoop,
+)
+from flightstack.core.parameters.vehicle import VehicleSide
+from flightstack.core.safety.barrier import Barrier
+from flightstack.core.types import Vec3
+
+
+class FilterKind(Enum):
+    """Which safety filter flies."""
+
+    PAPER = "paper"  # eq. 11 as printed
+    ROBUST = "robust"
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """Rate of the onboard process."""
+
+    rate_hz: Annotated[int, Range(10, 500)] = 100
+
+
+@dataclass(frozen=True, slots=True)
+class BarrierShape:
+    """Shape of the barrier: alpha and beta, or the peak's height with its distance or cone angle (eq. 7)."""
+
+    alpha_1_m: Annotated[float | None, Range(0.05, 20.0)] = None
+    beta_m: Annotated[float | None, Range(0.05, 20.0)] = None
+    peak_height_m: Annotated[float | None, Range(0.05, 10.0)] = None
+    peak_distance_m: Annotated[float | None, Range(0.05, 20.0)] = None
+    cone_half_angle_rad: Annotated[float | None, Range(0.05, 1.5)] = None
+    omega_1_s: Annotated[float, Range(0.01, 20.0)] = 0.7
+    apex_smoothing_m: Annotated[float, Range(0.001, 0.02)] = 0.005
+
+    def __post_init__(self) -> None:
+        given = {
+            name
+            for name in ("alpha_1_m", "beta_m", "peak_height_m", "peak_distance_m", "cone_half_angle_rad")
+            if getattr(self, name) is not None
+        }
+        if given not in (
+            {"alpha_1_m", "beta_m"},
+            {"peak_height_m", "peak_distance_m"},
+            {"peak_height_m", "cone_half_angle_rad"},
+        ):
+            raise ConfigError(
+                f"found {sorted(given) or 'no shape'}; give alpha_1_m and beta_m, or peak_height_m with "
+                "peak_distance_m or cone_half_angle_rad"
+            )
+
+    def build(self) -> Barrier:
+        """Make the barrier these numbers describe."""
+        if self.alpha_1_m is not None and self.beta_m is not None:
+            return Barrier(self.alpha_1_m, self.beta_m, self.apex_smoothing_m)
+        assert self.peak_height_m is not None
+        if self.peak_distance_m is not None:
+            return Barrier.from_peak(self.peak_height_m, self.peak_distance_m, self.apex_smoothing_m)
+        assert self.cone_half_angle_rad is not None
+        return Barrier.from_cone(self.peak_height_m, self.cone_half_angle_rad, self.apex_smoothing_m)
+
+
+@dataclass(frozen=True, slots=True)
+class PositionLoop:
+    """Gain K_p of the position loop, per axis."""
+
+    gain_1_s: Annotated[Vec3, Range(0.05, 10.0)] = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Admissible velocities (paper: v_m) and how fast a command may change."""
+
+    velocity_max_m_s: Annotated[Vec3, Range(0.05, 5.0)] = (0.2, 0.2, 0.5)
+    slew_max_m_s2: Annotated[Vec3, Range(0.2, 50.0)] = (4.0, 4.0, 4.0)
+    altitude_max_m: Annotated[float, Range(0.5, 100.0)] = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Checks:
+    """Limits on what the links deliver, and how long to bear with it."""
+
+    own_age_max_s: Annotated[float, Range(0.02, 0.4)] = 0.2
+    target_age_max_s: Annotated[float, Range(0.02, 1.0)] = 0.25
+    own_drift_max_m: Annotated[float, Range(0.05, 2.0)] = 0.15  # position against velocity
+    own_drift_memory_s: Annotated[float, Range(0.2, 20.0)] = 2.0  # s in which it is forgotten
+    follow_lag_max_s: Annotated[float, Range(0.1, 5.0)] = 0.45  # at the highest velocity; behind set-points
+    follow_memory_s: Annotated[float, Range(0.1, 20.0)] = 1.0  # in which it is forgotten; above the lag
+    status_age_max_s: Annotated[float, Range(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
+    target_speed_max_m_s: Annotated[float, Range(0.1, 10.0)] = 1.5
+    target_jump_max_m: Annotated[float, Range(0.02, 5.0)] = 0.2
+    target_frame: str = "map"
+    target_child_frame: str = "target"
+    hold_time_s: Annotated[float, Range(0.1, 10.0)] = 1.0
+    climb_time_max_s: Annotated[float, Range(0.5, 60.0)] = 10.0
+    recovery_time_s: Annotated[float, Range(0.05, 5.0)] = 0.3
+    retries_max: Annotated[int, Range(0, 20)] = 3
+    landing_time_max_s: Annotated[float, Range(5.0, 600.0)] = 120.0
+    wait_time_max_s: Annotated[float, Range(1.0, 3600.0)] = 60.0
+    clearance_m: Annotated[float, Range(0.3, 20.0)] = 1.0  # horizontal distance from the target that is clear
+
+
+@dataclass(frozen=True, slots=True)
+class FlightConfig:
+    """Everything the onboard process is told."""
+
+    barrier: BarrierShape
+    filter: FilterKind = FilterKind.ROBUST
+    loop: Loop = field(default_factory=Loop)
+    position_loop: PositionLoop = field(default_factory=PositionLoop)
+    limits: Limits = field(default_factory=Limits)
+    touchdown: Touchdown = field(default_factory=Touchdown)
+    takeoff: Takeoff = field(default_factory=Takeoff)
+    contact: Contact = field(default_factory=Contact)
+    retreat: Retreat = field(default_factory=Retreat)
+    checks: Checks = field(default_factory=Checks)
+    # what the robust filter assumes; the paper's does not look at it
+    robust: Robust = field(default_factory=Robust)
+    velocity_loop: VelocityLoop = field(default_factory=VelocityLoop)
+    velocity_feedback: VelocityFeedback = field(default_factory=VelocityFeedback)
+    own: OwnStateLink = field(default_factory=OwnStateLink)
+    target: TargetLink = field(default_factory=TargetLink)
+    envelope: Envelope = field(default_factory=Envelope)  # what `check` proves it for
+    vehicle: VehicleSide = field(default_factory=VehicleSide)
+
+    def __post_init__(self) -> None:
+        peak = self.barrier.build().peak_height_m
+        least_m = peak + self.retreat.climb_margin_m
+        if self.limits.altitude_max_m < least_m:
+            raise ConfigError(
+                f"limits.altitude_max_m: found {self.limits.altitude_max_m:g}, the barrier's peak is "
+                f"{peak:.3g} m above the pad; allow at least {least_m:.3g}"
+            )
+        offset = self.takeoff.start_offset_m
+        if offset is not None and not all(map(math.isfinite, offset)):
+            raise ConfigError(f"takeoff.start_offset_m: found {offset}, finite numbers are needed")
+        if self.filter is FilterKind.ROBUST:
+            self._check_robust()
+
+    def _check_robust(self) -> None:
+        loop, rate_hz = self.velocity_loop, self.loop.rate_hz
+        most_1_s = loop.rate_max_1_s(1.0 / rate_hz)
+        for key, found_1_s in (("rate_xy_1_s", loop.rate_xy_1_s), ("rate_z_1_s", loop.rate_z_1_s)):
+            if not found_1_s < most_1_s:
+                raise ConfigError(
+                    f"velocity_loop.{key}: found {found_1_s:g}; with velocity_loop.damping {loop.damping:g} "
+                    f"and loop.rate_hz {rate_hz} the model of the loop is stable below {most_1_s:.4g} 1/s: "
+                    "lower it, or raise loop.rate_hz"
+                )
+        fade_m, pad_m = self.robust.fade_radius_m, self.touchdown.pad_radius_m
+        if fade_m > pad_m:
+            raise ConfigError(
+                f"robust.fade_radius_m: found {fade_m:g}, allowed is at most the pad's radius, {pad_m:g} m, "
+                "where the margin has to be there: lower it"
+            )
+
+
+def names() -> list[str]:
+    """Names of the configurations that come with the package."""
+    folder = resources.files("flightstack.config")
+    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+
+
+def path_of(name_or_file: str) -> Path:
+    """File of a configuration given by name or path.
+
+    Raises:
+        ConfigError: neither a known name nor a file.
+    """
+    if name_or_file in names():
+        return Path(str(resources.files("flightstack.config") / f"{name_or_file}.toml"))
+    path = Path(name_or_file)
+    if path.is_file():
+        return path
+    raise ConfigError(
+        f"configuration {name_or_file!r}: neither a file nor one of: {', '.join(names())} "
+        "(`flightstack config NAME` prints one)"
+    )
+
+
+def load(path: Path) -> FlightConfig:
+    """Read and check a configuration file; ``path_of`` finds one by name.
+
+    Raises:
+        ConfigError: with file, key, what was found and what is allowed.
+    """
+    try:
+        return from_table(FlightConfig, read_toml(path))
+    except ConfigError as error:
+        text = str(error)
+        raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None

@@ -1,0 +1,1 @@
+"""Barrier, filter program, exact projection, position loop, and the gate that every set-point passes."""

@@ -1,0 +1,171 @@
+"""The last check before the wire, and the only maker of an ``ApprovedSetpoint``.
+
+Default deny. What the bridge sends as a velocity is of this type, and only ``Gate`` can build one, each tick
+anew: there is no stored set-point that could be sent twice.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple, Protocol
+
+from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S
+from flightstack.core.types import FilterStatus, Vec3
+
+_KEY = object()
+BOX_TOLERANCE_M_S = 1e-9
+_RESULTS = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE)
+SOLVER_TOLERANCE_M_S = 2.0 * RESIDUAL_MAX_M_S  # what a result of the filter may miss the barrier by; rounding
+
+
+class GateVerdict(IntEnum):
+    """Why a set-point may or may not go out."""
+
+    APPROVED = 0
+    NOT_IN_CONTROL = 1  # this phase sends none
+    OWN_STALE = 2
+    TARGET_STALE = 3
+    NOT_FINITE = 4
+    OUTSIDE_BOX = 5
+    BARRIER = 6  # the next sample would lie lower than the filter promised
+    TOO_HIGH = 7
+
+
+class ApprovedSetpoint:
+    """A velocity that passed the gate in this tick; nobody writes into it afterwards."""
+
+    __slots__ = ("velocity_enu_m_s", "yaw_rad")
+    velocity_enu_m_s: Vec3
+    yaw_rad: float
+
+    def __init__(self, key: object, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
+        if key is not _KEY:
+            raise TypeError("an ApprovedSetpoint is made by the gate only")
+        _fill(self, "velocity_enu_m_s", velocity_enu_m_s)
+        _fill(self, "yaw_rad", yaw_rad)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"an ApprovedSetpoint is not changed: {name} = {value!r} is not approved")
+
+    def __delattr__(self, name: str) -> None:
+        raise AttributeError(f"an ApprovedSetpoint is not changed: {name} stays")
+
+
+_fill = object.__setattr__
+
+
+class HeldBarrier(Protocol):
+    """What the gate asks of a barrier."""
+
+    def h(self, e_m: Vec3) -> float:
+        """Value at a relative position."""
+
+    def missed_m(self, e_m: Vec3, moved_m: float) -> float:
+        """How far h may lie below what the gradient says, after a horizontal motion of this length."""
+
+
+class BarrierCheck(NamedTuple):
+    """What the gate needs to re-check the barrier held, besides what the filter says of its result."""
+
+    barrier: HeldBarrier
+    e_m: Vec3
+    target_velocity_enu_m_s: Vec3
+    status: FilterStatus
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """Limits of everything that goes out."""
+
+    omega_1_s: float
+    velocity_max_m_s: Vec3
+    altitude_max_m: float
+    period_s: float
+
+    def check(
+        self,
+        velocity: Vec3,
+        setpoint: Vec3,
+        yaw_rad: float,
+        *,
+        own_fresh: bool,
+        target_fresh: bool,
+        altitude_m: float,
+        barrier_check: BarrierCheck | None,
+    ) -> tuple[GateVerdict, ApprovedSetpoint | None]:
+        """Approve a velocity, or say why not.
+
+        Args:
+            velocity: the vehicle is to fly, m/s, ENU; what the barrier is checked for.
+            setpoint: that is to make it fly so; the same where its lag is not corrected for.
+            yaw_rad: heading to hold.
+            own_fresh: the own state is young enough.
+            target_fresh: the target is young enough, or the phase does not need it.
+            altitude_m: the vehicle's height above the origin.
+            barrier_check: ``None`` in phases that do not land.
+        """
+        verdict = self._verdict(velocity, yaw_rad, own_fresh, target_fresh, altitude_m, barrier_check)
+        if verdict is GateVerdict.APPROVED and setpoint != velocity:
+            verdict = self._verdict(setpoint, yaw_rad, own_fresh, target_fresh, altitude_m, None)
+        if verdict is GateVerdict.APPROVED:
+            return verdict, ApprovedSetpoint(_KEY, setpoint, yaw_rad)
+        return verdict, None
+
+    def stop(self, yaw_rad: float, *, own_fresh: bool) -> ApprovedSetpoint | None:
+        """Zero velocity, for when a command was refused; nothing at all without a fresh own state."""
+        if not own_fresh or not math.isfinite(yaw_rad):
+            return None
+        return ApprovedSetpoint(_KEY, (0.0, 0.0, 0.0), yaw_rad)
+
+    def _verdict(
+        self,
+        velocity: Vec3,
+        yaw_rad: float,
+        own_fresh: bool,
+        target_fresh: bool,
+        altitude_m: float,
+        barrier_check: BarrierCheck | None,
+    ) -> GateVerdict:
+        if not own_fresh:
+            return GateVerdict.OWN_STALE
+        if not target_fresh:
+            return GateVerdict.TARGET_STALE
+        vx, vy, vz = velocity
+        if not math.isfinite(vx + vy + vz + yaw_rad + altitude_m):
+            return GateVerdict.NOT_FINITE
+        mx, my, mz = self.velocity_max_m_s
+        if (
+            abs(vx) > mx + BOX_TOLERANCE_M_S
+            or abs(vy) > my + BOX_TOLERANCE_M_S
+            or abs(vz) > mz + BOX_TOLERANCE_M_S
+        ):
+            return GateVerdict.OUTSIDE_BOX
+        if altitude_m > self.altitude_max_m and vz > 0.0:
+            return GateVerdict.TOO_HIGH
+        if barrier_check is not None and not self._keeps_promise(velocity, barrier_check):
+            return GateVerdict.BARRIER
+        return GateVerdict.APPROVED
+
+    def _keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
+        """The next h by the kinematic model is what eq. 1 promised, evaluated without derivatives.
+
+        The promise is linear; a result of the filter that keeps it may miss by the boundary's bend and by the
+        slope that the gradient leaves out at the apex, and by no more (docs/robust_filter.md).
+        """
+        if check.status not in _RESULTS:
+            return False
+        t = self.period_s
+        (ex, ey, ez), (tx, ty, tz), (vx, vy, vz) = check.e_m, check.target_velocity_enu_m_s, velocity
+        now = check.barrier.h(check.e_m)
+        then = check.barrier.h((ex + (vx - tx) * t, ey + (vy - ty) * t, ez + (vz - tz) * t))
+        if not math.isfinite(now + then):
+            return False
+        if check.status is FilterStatus.INFEASIBLE:
+            return True  # nothing better is in the box
+        missing_m = now * (1.0 - self.omega_1_s * t) - then - SOLVER_TOLERANCE_M_S * t
+        # mostly there is nothing to allow for
+        return missing_m <= 0.0 or missing_m <= check.barrier.missed_m(
+            check.e_m, math.hypot(vx - tx, vy - ty) * t
+        )

@@ -1,0 +1,36 @@
+"""Nominal velocity: proportional position control with the target's velocity fed forward (paper IV-A)."""
+
+from __future__ import annotations
+
+from flightstack.core.types import Vec3
+
+
+def nominal_velocity(e_m: Vec3, gain_1_s: Vec3, target_velocity_enu_m_s: Vec3) -> Vec3:
+    """u' = -K_p e + dp_d/dt, metres per second, ENU."""
+    return (
+        target_velocity_enu_m_s[0] - gain_1_s[0] * e_m[0],
+        target_velocity_enu_m_s[1] - gain_1_s[1] * e_m[1],
+        target_velocity_enu_m_s[2] - gain_1_s[2] * e_m[2],
+    )
+
+
+def clip(value: float, low: float, high: float) -> float:
+    """``max(low, min(high, value))``, in a third of its time."""
+    value = value if value < high else high
+    return value if value > low else low
+
+
+def limit(velocity: Vec3, velocity_max_m_s: Vec3) -> Vec3:
+    """Clip each axis to the symmetric box (the admissible set U of paper eq. 11)."""
+    vx, vy, vz = velocity
+    mx, my, mz = velocity_max_m_s
+    return (clip(vx, -mx, mx), clip(vy, -my, my), clip(vz, -mz, mz))
+
+
+def slew(previous: Vec3, wanted: Vec3, step_max_m_s: Vec3) -> Vec3:
+    """Move from the previous command towards the wanted one by at most ``step_max_m_s`` on each axis."""
+    return (
+        previous[0] + clip(wanted[0] - previous[0], -step_max_m_s[0], step_max_m_s[0]),
+        previous[1] + clip(wanted[1] - previous[1], -step_max_m_s[1], step_max_m_s[1]),
+        previous[2] + clip(wanted[2] - previous[2], -step_max_m_s[2], step_max_m_s[2]),
+    )

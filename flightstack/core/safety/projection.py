@@ -1,0 +1,64 @@
+"""Exact projection onto a box cut by one half-space: the closed form of the landing quadratic program.
+
+    min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= b
+
+The minimiser is ``clip(u' + lambda g)`` with the smallest multiplier lambda >= 0 that satisfies the
+half-space: g . clip(u' + lambda g) never falls with lambda and is linear between the values at which an axis
+meets its bound, so that walking these values finds lambda exactly. It shares no code with the solver, which
+makes it the independent check and the fall-back.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.types import Vec3
+
+
+def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
+    """Point of the box with the largest ``g . u``; an axis with no gradient stays where zero is nearest."""
+    return (
+        upper[0] if g[0] > 0.0 else lower[0] if g[0] < 0.0 else min(max(0.0, lower[0]), upper[0]),
+        upper[1] if g[1] > 0.0 else lower[1] if g[1] < 0.0 else min(max(0.0, lower[1]), upper[1]),
+        upper[2] if g[2] > 0.0 else lower[2] if g[2] < 0.0 else min(max(0.0, lower[2]), upper[2]),
+    )
+
+
+def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 | None:
+    """Project ``nominal`` onto ``{lower <= u <= upper, g . u >= b}``; ``None`` if that set is empty."""
+    axes = tuple(zip(nominal, g, lower, upper, strict=True))
+    clipped = [min(max(n, lo), hi) for n, _, lo, hi in axes]
+    value = sum(gi * ui for gi, ui in zip(g, clipped, strict=True))
+    if value >= b:
+        return (clipped[0], clipped[1], clipped[2])
+    corner = best_corner(g, lower, upper)
+    if g[0] * corner[0] + g[1] * corner[1] + g[2] * corner[2] < b:
+        return None
+    # lambdas at which an axis starts to move (leaves its near bound) and stops (meets its far bound)
+    events: list[tuple[float, float]] = []
+    slope = 0.0
+    for n, gi, lo, hi in axes:
+        if gi == 0.0:
+            continue
+        near, far = (lo, hi) if gi > 0.0 else (hi, lo)
+        start, stop = (near - n) / gi, (far - n) / gi
+        if stop <= 0.0:
+            continue
+        if start > 0.0:
+            events.append((start, gi * gi))
+        else:
+            slope += gi * gi
+        events.append((stop, -gi * gi))
+    events.sort()
+    at = 0.0
+    for when, change in events:
+        if slope > 0.0 and value + slope * (when - at) >= b:
+            break
+        value += slope * (when - at)
+        at = when
+        slope += change
+    multiplier = at + (b - value) / slope if slope > 0.0 else at
+    if not math.isfinite(multiplier):
+        return corner
+    x, y, z = (min(max(n + multiplier * gi, lo), hi) for n, gi, lo, hi in axes)
+    return (x, y, z)

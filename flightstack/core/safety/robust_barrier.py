@@ -1,0 +1,58 @@
+"""The landing barrier with a margin: what the robust filter holds so that the barrier itself is held.
+
+    h_r(e) = h(e) - m (1 - exp(-(d / w)^2))
+
+The margin m fades within the radius w around the landing spot, or the vehicle would hover over the pad for
+ever. The law chooses m such that at the pad's edge what is needed there is left of it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.safety.barrier import Barrier
+from flightstack.core.types import Vec3
+
+
+class RobustBarrier:
+    """Barrier with a margin; has what the gate and the filter need of a barrier.
+
+    Args:
+        barrier: the one to hold.
+        margin_m: m above.
+        fade_radius_m: w above.
+    """
+
+    __slots__ = ("barrier", "fade_radius_m", "margin_m")
+
+    def __init__(self, barrier: Barrier, margin_m: float, fade_radius_m: float) -> None:
+        self.barrier, self.margin_m, self.fade_radius_m = barrier, margin_m, fade_radius_m
+
+    @property
+    def slope_max(self) -> float:
+        """Bound of the boundary's slope: the barrier's and the margin's steepest, that at w / sqrt(2)."""
+        return self.barrier.slope_max + self.margin_m / self.fade_radius_m * math.sqrt(2.0 / math.e)
+
+    def missed_m(self, e_m: Vec3, moved_m: float) -> float:
+        """Most that h may lie below its linear prediction; as ``Barrier.missed_m``.
+
+        The margin bends by 2 m / w^2 exp(-(d/w)^2) at most, most of all where the motion comes nearest.
+        """
+        near = max(0.0, math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]) - moved_m) / self.fade_radius_m
+        share = moved_m / self.fade_radius_m
+        return self.barrier.missed_m(e_m, moved_m) + self.margin_m * share * share * math.exp(-near * near)
+
+    def h(self, e_m: Vec3) -> float:
+        """Value in metres at the relative position ``e_m``."""
+        x = (e_m[0] * e_m[0] + e_m[1] * e_m[1]) / (self.fade_radius_m * self.fade_radius_m)
+        return self.barrier.h(e_m) - self.margin_m * (1.0 - math.exp(-x))
+
+    def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
+        """Value, gradient by the vehicle's position, time derivative; as ``Barrier.evaluate``."""
+        h, (gx, gy, _), _ = self.barrier.evaluate(e_m, target_velocity_enu_m_s)
+        w2 = self.fade_radius_m * self.fade_radius_m
+        decay = math.exp(-(e_m[0] * e_m[0] + e_m[1] * e_m[1]) / w2)
+        slope = 2.0 * self.margin_m / w2 * decay
+        gx, gy = gx - slope * e_m[0], gy - slope * e_m[1]
+        vx, vy, vz = target_velocity_enu_m_s
+        return h - self.margin_m * (1.0 - decay), (gx, gy, 1.0), -(gx * vx + gy * vy + vz)

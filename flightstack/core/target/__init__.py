@@ -1,0 +1,1 @@
+"""Target samples: plausibility, tracking, Kalman filter."""

@@ -1,0 +1,304 @@
+"""Where the target is now, how fast and with what acceleration: a Kalman filter over its late samples.
+
+Each axis is a triple integrator driven by white jerk; samples measure position and velocity at their own
+stamp, and the state is carried from there to now. x and y have the same noise. Lost samples make the
+uncertainty grow, late ones are taken at the time they were measured.
+
+A wheeled robot's velocity turns with it, and nothing else turns it: so the horizontal velocity turns at the
+rate at which the measured yaw does (coordinated turn). What acceleration there is besides comes from setting
+off and braking, and does not last: it fades (R. A. Singer, Estimating Optimal Tracking Filter Performance for
+Manned Maneuvering Targets, IEEE Transactions on Aerospace and Electronic Systems 6(4), 1970). Carried on over
+a gap, an acceleration that lasted would make the target faster than any robot. The vertical one lasts: a deck
+heaves for seconds. The covariances of x and y are equal, so turning leaves them as they are.
+
+While the samples miss by more than expected, the jerk on x and y is raised, up to a factor: a robot that
+brakes is followed at once, and one that drives on is known better than by any one jerk.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from flightstack.core.memory import Covariance, MotionMemory
+from flightstack.core.parameters.robust import TargetLink
+from flightstack.core.types import ZERO, Vec3
+
+RESTART_S = 1.0  # s between two samples; checks.target_age_max_s is no longer, so the target was lost before
+
+TURN_TIME_S = 0.3  # low-pass of the yaw rate: differences of two measured yaws are noisy
+TURN_RATE_MAX_RAD_S = 3.0  # a TurtleBot3 turns at up to 2.84 (ROBOTIS, specifications)
+SURPRISE_TIME_S = 0.15  # low-pass of the squared misses; three samples at 20 Hz
+TURN_MAX_RAD = 0.5  # in one step; so far the series of _turned are exact to 1e-5
+
+
+class TargetMotion(NamedTuple):
+    """Estimate at one time."""
+
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    acceleration_enu_m_s2: Vec3
+    position_sigma_m: float  # standard deviation of x and of y
+    position_sigma_z_m: float
+    velocity_sigma_m_s: float
+
+
+class _Time(NamedTuple):
+    """A time, and what an acceleration adds to position and velocity over it, and what is left of it."""
+
+    s: float
+    to_position_s2: float
+    to_velocity_s: float
+    left: float
+
+
+class _Noise(NamedTuple):
+    """Squares of what the filter assumes of one axis."""
+
+    position2: float
+    velocity2: float
+    jerk2: float
+    acceleration2: float
+
+    def at_least(self, position_sigma: float, velocity_sigma: float) -> _Noise:
+        """With measurements no better than these."""
+        return self._replace(
+            position2=max(self.position2, position_sigma**2), velocity2=max(self.velocity2, velocity_sigma**2)
+        )
+
+
+class TargetEstimator:
+    """The filter; ``memory`` is all of its state.
+
+    Args:
+        link: noise of samples and target.
+    """
+
+    def __init__(self, link: TargetLink) -> None:
+        self.memory = MotionMemory()
+        self._growth2_max = link.jerk_growth_max**2
+        self._fade_s, self._turns = link.acceleration_time_s, link.turns_with_yaw
+        position2, velocity2 = link.position_noise_m**2, link.velocity_noise_m_s**2
+        self._xy = _Noise(position2, velocity2, link.jerk_xy_m_s3_sqrthz**2, link.acceleration_xy_m_s2**2)
+        self._z = _Noise(position2, velocity2, link.jerk_z_m_s3_sqrthz**2, link.acceleration_z_m_s2**2)
+
+    def update(
+        self,
+        time_s: float,
+        position_enu_m: Vec3,
+        velocity_enu_m_s: Vec3,
+        yaw_rad: float = math.nan,
+        position_sigma_m: float = 0.0,
+        velocity_sigma_m_s: float = 0.0,
+    ) -> None:
+        """Take a sample; one that is older than the last, or follows a long gap, starts anew.
+
+        Args:
+            time_s: stamp of the measurement, on the sender's clock.
+            position_enu_m: measured.
+            velocity_enu_m_s: measured.
+            yaw_rad: measured; not finite if unknown, then it is taken not to turn.
+            position_sigma_m: standard deviation of x and of y, where the sender says that it is larger than
+                configured; a sender that says less is not believed.
+            velocity_sigma_m_s: likewise.
+        """
+        memory = self.memory
+        dt_s = time_s - memory.time_s
+        before_rad, memory.yaw_rad = memory.yaw_rad, yaw_rad if math.isfinite(yaw_rad) else None
+        memory.time_s = time_s
+        xy = self._xy
+        if position_sigma_m > 0.0 or velocity_sigma_m_s > 0.0:
+            xy = xy.at_least(position_sigma_m, velocity_sigma_m_s)
+        if not 0.0 < dt_s <= RESTART_S:  # also the very first, where it is NaN
+            memory.position_enu_m, memory.velocity_enu_m_s = position_enu_m, velocity_enu_m_s
+            memory.acceleration_enu_m_s2, memory.turn_rate_rad_s, memory.surprise = ZERO, 0.0, 1.0
+            memory.covariance_xy, memory.covariance_z = _start(xy), _start(self._z)
+            return
+        if self._turns:
+            turned_rad_s = _turn_rate(before_rad, memory.yaw_rad, dt_s)
+            memory.turn_rate_rad_s += dt_s / (dt_s + TURN_TIME_S) * (turned_rad_s - memory.turn_rate_rad_s)
+        fading, lasting = self._fading(dt_s), _lasting(dt_s)
+        position, velocity, acceleration = _carried(memory, fading, lasting)
+        memory.covariance_xy, gains_xy, weights = _correct(
+            _propagate(memory.covariance_xy, fading, self._jerk2_xy()), xy
+        )
+        memory.covariance_z, gains_z, _ = _correct(
+            _propagate(memory.covariance_z, lasting, self._z.jerk2), self._z
+        )
+        (p, q, r), (u, v, w), (a, b, c) = position, velocity, acceleration
+        x = _corrected(gains_xy, p, u, a, position_enu_m[0], velocity_enu_m_s[0])
+        y = _corrected(gains_xy, q, v, b, position_enu_m[1], velocity_enu_m_s[1])
+        z = _corrected(gains_z, r, w, c, position_enu_m[2], velocity_enu_m_s[2])
+        memory.position_enu_m, memory.velocity_enu_m_s = (x[0], y[0], z[0]), (x[1], y[1], z[1])
+        memory.acceleration_enu_m_s2 = (x[2], y[2], z[2])
+        # the mean of four: position and velocity on x and on y, each 1 on average
+        missed = 0.25 * (weights[0] * (x[3] + y[3]) + weights[1] * (x[4] + y[4]))
+        memory.surprise += dt_s / (dt_s + SURPRISE_TIME_S) * (missed - memory.surprise)
+
+    def _jerk2_xy(self) -> float:
+        """Square of the jerk on x and y, now: the jerk goes with the square of the surprise.
+
+        A surprise of 2, which chance seldom makes, is four times the jerk already.
+        """
+        surprise = self.memory.surprise
+        return self._xy.jerk2 * max(1.0, min(self._growth2_max, surprise * surprise * surprise * surprise))
+
+    def at(self, time_s: float) -> TargetMotion:
+        """Carry the newest estimate to another time, on the sender's clock.
+
+        Raises:
+            ValueError: there has been no sample.
+        """
+        memory = self.memory
+        dt_s = time_s - memory.time_s
+        if math.isnan(dt_s):
+            raise ValueError("no target sample yet: there is no motion to carry on")
+        fading, lasting = self._fading(dt_s), _lasting(dt_s)
+        carried = _carried(memory, fading, lasting)
+        if dt_s < 0.0:  # it was no less certain then
+            fading = lasting = _lasting(0.0)
+        jerk2_xy = self._jerk2_xy()
+        return TargetMotion(
+            *carried,
+            math.sqrt(_position_variance(memory.covariance_xy, fading, jerk2_xy)),
+            math.sqrt(_position_variance(memory.covariance_z, lasting, self._z.jerk2)),
+            math.sqrt(_velocity_variance(memory.covariance_xy, fading, jerk2_xy)),
+        )
+
+    def _fading(self, dt_s: float) -> _Time:
+        """Of an acceleration that fades."""
+        fade_s, share = self._fade_s, dt_s / self._fade_s
+        gone = -math.expm1(-share)
+        to_velocity_s = fade_s * gone
+        if abs(share) < 0.01:  # the difference below loses digits: its series, to 1e-10
+            bent = 0.5 - share / 6.0 * (1.0 - share / 4.0 * (1.0 - share / 5.0))
+            return _Time(dt_s, dt_s * dt_s * bent, to_velocity_s, 1.0 - gone)
+        return _Time(dt_s, fade_s * (dt_s - to_velocity_s), to_velocity_s, 1.0 - gone)
+
+
+def _turn_rate(before_rad: float | None, after_rad: float | None, dt_s: float) -> float:
+    """Between two measured yaws, 0 if one is not known."""
+    if before_rad is None or after_rad is None:
+        return 0.0
+    rate_rad_s = math.remainder(after_rad - before_rad, math.tau) / dt_s
+    return max(-TURN_RATE_MAX_RAD_S, min(TURN_RATE_MAX_RAD_S, rate_rad_s))
+
+
+def _lasting(dt_s: float) -> _Time:
+    return _Time(dt_s, 0.5 * dt_s * dt_s, dt_s, 1.0)
+
+
+def _carried(memory: MotionMemory, fading: _Time, lasting: _Time) -> tuple[Vec3, Vec3, Vec3]:
+    """Position, velocity and acceleration later: x and y turn and fade.
+
+    With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); that is the acceleration turning, too.
+    Its part of the position turns by two thirds of the angle, the mean weighted with what it adds.
+    """
+    (x, y, z), (vx, vy, vz), (ax, ay, az) = (
+        memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2,
+    )  # fmt: skip
+    t, p, v, left = fading
+    _, p_z, v_z, left_z = lasting
+    turned = max(-TURN_MAX_RAD, min(TURN_MAX_RAD, memory.turn_rate_rad_s * t))
+    cos, sin, along, across, p_cos, p_sin = _turned(turned)
+    ux, uy = vx + v * ax, vy + v * ay
+    return (
+        (
+            x + t * (along * vx - across * vy) + p * (p_cos * ax - p_sin * ay),
+            y + t * (along * vy + across * vx) + p * (p_cos * ay + p_sin * ax),
+            z + t * vz + p_z * az,
+        ),
+        (cos * ux - sin * uy, cos * uy + sin * ux, vz + v_z * az),
+        (left * (cos * ax - sin * ay), left * (cos * ay + sin * ax), left_z * az),
+    )
+
+
+def _turned(angle_rad: float) -> tuple[float, float, float, float, float, float]:
+    """Cosine and sine of an angle, of the mean on the way there, and of two thirds of it.
+
+    Series, since the mean is needed at zero: sin x / x and (1 - cos x) / x.
+    """
+    x2 = angle_rad * angle_rad
+    along = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0)
+    across = angle_rad * (0.5 - x2 / 24.0 * (1.0 - x2 / 30.0))
+    two_thirds = angle_rad * (2.0 / 3.0)
+    y2 = two_thirds * two_thirds
+    return (
+        1.0 - angle_rad * across,
+        angle_rad * along,
+        along,
+        across,
+        1.0 - 0.5 * y2 * (1.0 - y2 / 12.0),
+        two_thirds * (1.0 - y2 / 6.0),
+    )
+
+
+def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
+    """Covariance later, driven by white jerk of density ``jerk2``, of which nothing fades: the safe side."""
+    pp, pv, pa, vv, va, aa = covariance
+    t, p, v, left = time
+    t2 = t * t
+    q = jerk2 * t
+    return (
+        pp + 2.0 * (t * pv + p * pa + t * p * va) + t2 * vv + p * p * aa + q * t2 * t2 / 20.0,
+        pv + v * pa + t * vv + (t * v + p) * va + p * v * aa + q * t * t2 / 8.0,
+        left * (pa + t * va + p * aa) + q * t2 / 6.0,
+        vv + 2.0 * v * va + v * v * aa + q * t2 / 3.0,
+        left * (va + v * aa) + q * t / 2.0,
+        left * left * aa + q,
+    )
+
+
+def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
+    """First number of ``_propagate``."""
+    pp, pv, pa, vv, va, aa = covariance
+    t, p, _, _ = time
+    t2 = t * t
+    return (
+        pp + 2.0 * (t * pv + p * pa + t * p * va) + t2 * vv + p * p * aa + jerk2 * t * t2 * t2 / 20.0
+    )  # fmt: skip
+
+
+def _velocity_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
+    """Fourth number of ``_propagate``."""
+    _, _, _, vv, va, aa = covariance
+    t, _, v, _ = time
+    return vv + 2.0 * v * va + v * v * aa + jerk2 * t * t * t / 3.0
+
+
+def _start(noise: _Noise) -> Covariance:
+    return (noise.position2, 0.0, 0.0, noise.velocity2, 0.0, noise.acceleration2)
+
+
+_Gains = tuple[float, float, float, float, float, float]  # of position, then of velocity: p, v, a each
+
+
+def _correct(covariance: Covariance, noise: _Noise) -> tuple[Covariance, _Gains, tuple[float, float]]:
+    """Position and velocity are measured with independent noise: one scalar update after the other.
+
+    Returns:
+        Covariance, gains, and one over the variance by which position and velocity are expected to miss.
+    """
+    pp, pv, pa, vv, va, aa = covariance
+    s = 1.0 / (pp + noise.position2)
+    kp, kv, ka = pp * s, pv * s, pa * s
+    pp, pv, pa, vv, va, aa = (
+        pp - kp * pp, pv - kp * pv, pa - kp * pa, vv - kv * pv, va - kv * pa, aa - ka * pa,
+    )  # fmt: skip
+    t = 1.0 / (vv + noise.velocity2)
+    lp, lv, la = pv * t, vv * t, va * t
+    corrected = (
+        pp - lp * pv, pv - lp * vv, pa - lp * va, vv - lv * vv, va - lv * va, aa - la * va,
+    )  # fmt: skip
+    return corrected, (kp, kv, ka, lp, lv, la), (s, t)
+
+
+def _corrected(
+    gains: _Gains, p: float, v: float, a: float, measured_p: float, measured_v: float
+) -> tuple[float, float, float, float, float]:
+    """Position, velocity and acceleration of one axis by what was measured, and the squares of the misses."""
+    kp, kv, ka, lp, lv, la = gains
+    missed_p = measured_p - p
+    p, v, a = p + kp * missed_p, v + kv * missed_p, a + ka * missed_p
+    missed_v = measured_v - v
+    return p + lp * missed_v, v + lv * missed_v, a + la * missed_v, missed_p * missed_p, missed_v * missed_v

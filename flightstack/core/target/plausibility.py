@@ -1,0 +1,114 @@
+"""Whether the vehicle's own state can be true, and whether the vehicle flies what it is told.
+
+A link that delivers fresh time stamps can still deliver nonsense. Three things are known without a second
+sensor:
+
+* numbers that repeat to the last bit while they speak of motion are not measured anew: such a state ages;
+* a position goes where its velocity takes it: the difference, with a memory, is noise of both;
+* the vehicle follows its set-points within its lag: velocity minus the velocity wanted, summed with a memory,
+  is a distance it lags behind, at most its lag at full speed (``checks`` holds memories and bounds).
+
+What is wrong in the same way in both position and velocity, such as an offset that was there from the start,
+shows in none of them.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.memory import PlausibilityMemory
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.types import ZERO, OwnState, Vec3
+
+TRUSTED_AGAIN = 0.5  # share of the bound; an offset of 0.3 m stays distrusted for some seconds
+STANDING_M_S = 1e-3  # slower, equal numbers may be a perfect sensor that stands, or the wire's rounding
+
+
+def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3) -> bool:
+    """Whether a position is the last one to the bit, though it is said to move."""
+    return before == after and math.hypot(*velocity_m_s) > STANDING_M_S
+
+
+class Plausibility:
+    """Watches own state and set-points; ``memory`` is all of its state.
+
+    Args:
+        config: of the flight; ``checks`` holds the bounds.
+
+    Attributes:
+        missed_max_m: bound of ``missed_m``, ``checks.follow_lag_max_s`` at the highest horizontal velocity.
+    """
+
+    def __init__(self, config: FlightConfig) -> None:
+        self.memory = PlausibilityMemory()
+        self._checks = config.checks
+        vx, vy, _ = config.limits.velocity_max_m_s
+        self.missed_max_m = config.checks.follow_lag_max_s * max(vx, vy)
+        period_s = 1.0 / config.loop.rate_hz
+        self._period_s, self._kept = period_s, math.exp(-period_s / config.checks.follow_memory_s)
+
+    @property
+    def drift_m(self) -> float:
+        """How far the position has gone where no velocity took it."""
+        return math.hypot(*self.memory.drift_m)
+
+    @property
+    def missed_m(self) -> float:
+        """How far the vehicle lags behind what it was told."""
+        return math.hypot(*self.memory.missed_m)
+
+    def take(self, own: OwnState) -> None:
+        """Look at the newest own state; the same one again is no news."""
+        memory, last = self.memory, self.memory.last
+        if last is not None and own.arrival_s == last.arrival_s:
+            return
+        if last is not None and repeats(last.position_enu_m, own.position_enu_m, own.velocity_enu_m_s):
+            return
+        if last is not None:
+            self._drift(last, own)
+        memory.last = own
+        drift_m = self.drift_m
+        most_m = self._checks.own_drift_max_m
+        memory.distrusted = drift_m > (TRUSTED_AGAIN * most_m if memory.distrusted else most_m)
+
+    def believes(self, now_s: float) -> bool:
+        """Whether the own state may be flown by now."""
+        last = self.memory.last
+        if last is None or self.memory.distrusted:
+            return False
+        return now_s - last.arrival_s <= self._checks.own_age_max_s
+
+    def follow(self, wanted_m_s: Vec3 | None, velocity_m_s: Vec3) -> None:
+        """Compare the velocity with what was wanted of the vehicle in the last tick; call it once a tick.
+
+        Args:
+            wanted_m_s: ``None`` when it was not flown by our set-points; the sum starts anew.
+            velocity_m_s: measured now.
+        """
+        if wanted_m_s is None:
+            self.memory.missed_m = ZERO
+            return
+        t, kept = self._period_s, self._kept
+        (mx, my, mz), (wx, wy, wz), (vx, vy, vz) = self.memory.missed_m, wanted_m_s, velocity_m_s
+        self.memory.missed_m = (
+            kept * (mx + t * (wx - vx)), kept * (my + t * (wy - vy)), kept * (mz + t * (wz - vz)),
+        )  # fmt: skip
+
+    @property
+    def follows(self) -> bool:
+        """Whether the vehicle flies what it is told."""
+        return self.missed_m <= self.missed_max_m
+
+    def _drift(self, last: OwnState, own: OwnState) -> None:
+        dt_s = own.arrival_s - last.arrival_s
+        if not 0.0 < dt_s <= self._checks.own_age_max_s:
+            return  # lost in between: nothing so old binds where it is now
+        kept, half, d = math.exp(-dt_s / self._checks.own_drift_memory_s), 0.5 * dt_s, self.memory.drift_m
+        p, p0, v, v0 = (
+            own.position_enu_m, last.position_enu_m, own.velocity_enu_m_s, last.velocity_enu_m_s
+        )  # fmt: skip
+        self.memory.drift_m = (
+            kept * (d[0] + (p[0] - p0[0]) - half * (v[0] + v0[0])),
+            kept * (d[1] + (p[1] - p0[1]) - half * (v[1] + v0[1])),
+            kept * (d[2] + (p[2] - p0[2]) - half * (v[2] + v0[2])),
+        )

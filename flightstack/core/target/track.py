@@ -1,0 +1,145 @@
+"""Which target samples to believe, and where the target is now.
+
+Default deny: a sample counts only if it is finite, of the right robot, newer than the last, in time and where
+the last one could have gone. What was refused is counted by reason.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+from typing import NamedTuple
+
+from flightstack.core.memory import TrackMemory
+from flightstack.core.parameters.flight import Checks
+from flightstack.core.target.plausibility import repeats
+from flightstack.core.types import TargetSample, Vec3
+
+RESTART_S = 10.0  # stamps this far apart after a silence: the sender's clock started anew
+
+
+class Verdict(Enum):
+    """What became of a sample."""
+
+    ACCEPTED = "accepted"
+    NOT_FINITE = "not finite"
+    WRONG_ROBOT = "from another robot or frame"
+    REPEATED = "repeated"
+    OUT_OF_ORDER = "out of order"
+    LATE = "too late"
+    TOO_FAST = "faster than allowed"
+    JUMP = "jumped"
+    FROZEN = "not measured anew"
+
+
+class TargetState(NamedTuple):
+    """The target at the time asked for."""
+
+    age_s: float
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    yaw_rad: float
+    position_sigma_m: float = 0.0  # standard deviation of x and of y; 0 where it is not estimated
+    position_sigma_z_m: float = 0.0
+
+
+class TargetTrack:
+    """Newest believed sample, and the counts of the others; ``memory`` is all of its state."""
+
+    def __init__(self, checks: Checks) -> None:
+        self._checks = checks
+        self.memory = TrackMemory()
+
+    @property
+    def accepted(self) -> int:
+        """Samples accepted so far."""
+        return self.memory.accepted
+
+    @property
+    def rejected(self) -> int:
+        """Samples refused so far."""
+        return self.memory.rejected
+
+    def accept(self, sample: TargetSample) -> Verdict:
+        """Take or refuse one sample."""
+        verdict, memory = self._judge(sample), self.memory
+        if verdict is Verdict.ACCEPTED:
+            memory.last = sample
+            memory.offset_s = min(memory.offset_s, sample.arrival_s - sample.source_time_s)
+            memory.accepted += 1
+            memory.refusal = ""
+        else:
+            memory.rejected += 1
+            memory.refusal = verdict.value
+        return verdict
+
+    def _judge(self, sample: TargetSample) -> Verdict:
+        checks, memory = self._checks, self.memory
+        last = memory.last
+        x, y, z = sample.position_enu_m
+        vx, vy, vz = sample.velocity_enu_m_s
+        if not math.isfinite(x + y + z + vx + vy + vz + sample.yaw_rad + sample.source_time_s):
+            return Verdict.NOT_FINITE
+        if sample.frame_id != checks.target_frame or sample.child_frame_id != checks.target_child_frame:
+            return Verdict.WRONG_ROBOT
+        if vx * vx + vy * vy + vz * vz > checks.target_speed_max_m_s**2:
+            return Verdict.TOO_FAST
+        if last is None:
+            return Verdict.ACCEPTED
+        step_s = sample.source_time_s - last.source_time_s
+        lost = sample.arrival_s - last.arrival_s > checks.target_age_max_s
+        if lost and abs(step_s - (sample.arrival_s - last.arrival_s)) > RESTART_S:
+            memory.offset_s = math.inf
+            return Verdict.ACCEPTED
+        if step_s == 0.0:
+            return Verdict.REPEATED
+        if step_s < 0.0:
+            return Verdict.OUT_OF_ORDER
+        if sample.arrival_s - sample.source_time_s - memory.offset_s > checks.target_age_max_s:
+            return Verdict.LATE
+        if repeats(last.position_enu_m, sample.position_enu_m, sample.velocity_enu_m_s):
+            return Verdict.FROZEN
+        if lost and memory.elsewhere is None:
+            return Verdict.ACCEPTED  # nothing so old binds where it is now
+        if self._near(last, sample) or self._proved(sample, lost):
+            memory.elsewhere = None
+            return Verdict.ACCEPTED
+        return Verdict.JUMP
+
+    def _near(self, before: TargetSample, after: TargetSample) -> bool:
+        """Whether the target could have gone from one sample to the other."""
+        step_s = after.source_time_s - before.source_time_s
+        (x0, y0, z0), (vx, vy, vz), (x, y, z) = (
+            before.position_enu_m,
+            before.velocity_enu_m_s,
+            after.position_enu_m,
+        )
+        dx, dy, dz = x - x0 - vx * step_s, y - y0 - vy * step_s, z - z0 - vz * step_s
+        return dx * dx + dy * dy + dz * dz <= self._checks.target_jump_max_m**2
+
+    def _proved(self, sample: TargetSample, lost: bool) -> bool:
+        """Whether samples elsewhere have agreed with each other for long enough, the old track being lost."""
+        memory = self.memory
+        if memory.elsewhere is None or not self._near(memory.elsewhere, sample):
+            memory.elsewhere, memory.elsewhere_since_s = sample, sample.arrival_s
+            return False
+        memory.elsewhere = sample
+        # longer than the age limit, so that the vehicle holds in between
+        proof_s = self._checks.target_age_max_s + self._checks.recovery_time_s
+        return lost and not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
+
+    def age_s(self, sample: TargetSample, now_s: float) -> float:
+        """Age from the measurement, less the shortest delay seen (clocks of two machines differ)."""
+        return max(0.0, now_s - sample.source_time_s - self.memory.offset_s)
+
+    def at(self, now_s: float) -> TargetState | None:
+        """Target moved on to now with its last velocity; ``None`` before the first sample."""
+        last = self.memory.last
+        if last is None:
+            return None
+        age_s = self.age_s(last, now_s)
+        ahead_s = min(age_s, self._checks.target_age_max_s)
+        x, y, z = last.position_enu_m
+        vx, vy, vz = last.velocity_enu_m_s
+        position = (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s)
+        return TargetState(age_s, position, last.velocity_enu_m_s, last.yaw_rad)

@@ -1,0 +1,1 @@
+"""Lags and gains of the velocity loop, from logs."""

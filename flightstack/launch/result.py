@@ -1,0 +1,105 @@
+"""The result of a flight: judged from its log, reported, and said in a table or as one JSON object."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from rich.console import Console
+
+from flightstack.launch.verdict_table import verdict_table
+from logs.reader.flight import load_flight
+from logs.reader.reader import LogError
+from logs.report.report import ReportError, write_report
+from logs.verdict.verdict import Verdict, judge
+
+_VERDICT = tuple(field.name for field in fields(Verdict))
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What a flight left behind.
+
+    Attributes:
+        about: what was flown, the first keys of ``--json``.
+        folder: where everything is.
+        log: the flight log; None: nothing was recorded.
+        wall_s: wall time from the first tick to the end.
+        code: exit status of the onboard process; None if it was ended.
+        last_line: the last that the onboard process said.
+        problem: a process that failed.
+        interrupted: whether the operator ended it.
+    """
+
+    about: Mapping[str, object]
+    folder: Path
+    log: Path | None
+    wall_s: float
+    code: int | None
+    last_line: str
+    problem: str | None
+    interrupted: bool = False
+
+
+def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
+    """Judge a flight, write its report, print what was reached.
+
+    Returns:
+        Exit status: 0 landed, 1 anything else.
+    """
+    values = conclude_values(flown, with_report=with_report)
+    if as_json:
+        print(json.dumps(values))
+    else:
+        problem = f"; {flown.problem}" if flown.problem else ""
+        console.print(verdict_table(values, f"{values['reason']}{problem}"))
+        _paths(console, values, with_report=with_report)
+    if flown.problem:
+        print(f"flightstack: {flown.problem}", file=sys.stderr)
+    return 0 if landed(values, flown) else 1
+
+
+def conclude_values(flown: Flown, *, with_report: bool) -> dict[str, object]:
+    """Judge a flight and write its report; the keys of ``--json``."""
+    values = values_of(flown)
+    report = flown.folder / "report.html" if flown.log is not None else None
+    if flown.log is not None and with_report and values["judged_from"] is not None:
+        try:
+            write_report(flown.log, report)
+        except ReportError as error:  # the flight counts all the same
+            print(f"flightstack: {error}", file=sys.stderr)
+    log = str(flown.log) if flown.log is not None else None
+    return {**values, "log": log, "report": str(report) if report is not None else None}
+
+
+def landed(values: Mapping[str, object], flown: Flown) -> bool:
+    """Whether it landed, and no process failed."""
+    return values["outcome"] == "landed" and flown.problem is None
+
+
+def values_of(flown: Flown) -> dict[str, object]:
+    """The keys of ``--json`` up to the files; of what nothing is known, None.
+
+    Without a log the outcome is what the onboard process says, and nothing is measured.
+    """
+    try:
+        flight = load_flight(flown.log) if flown.log is not None else None
+    except LogError as error:
+        print(f"flightstack: no result: {flown.problem or flown.last_line} {error}", file=sys.stderr)
+        flight = None
+    if flight is None:
+        told = "landed" if flown.log is None and flown.code == 0 else None
+        nothing = dict.fromkeys((*_VERDICT, "realtime_factor"))
+        return {**flown.about, **nothing, "outcome": told, "reason": flown.last_line}
+    flown_s = float(flight.steps.t_s[-1] - flight.steps.t_s[0]) if flight.steps is not None else 0.0
+    factor = flown_s / flown.wall_s if flown.wall_s > 0.0 else None
+    return {**flown.about, **judge(flight).to_json_dict(), "realtime_factor": factor}
+
+
+def _paths(console: Console, values: Mapping[str, object], *, with_report: bool) -> None:
+    console.print(f"log     {values['log'] or 'none, as asked for'}", soft_wrap=True)
+    if with_report and values["report"] is not None:
+        console.print(f"report  {values['report']}", soft_wrap=True)

@@ -1,0 +1,95 @@
+"""What ``flightstack sitl`` was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from bridge.mavlink.profiles.autopilots import AUTO
+from bridge.ros2.ros2_network import Ros2Network
+from flightstack.common.strict_toml import ConfigError
+from flightstack.core.parameters.flight import FilterKind
+
+PX4_PERSONALITY = "px4"  # default of the simulated vehicle
+
+
+class Flies(Enum):
+    """What flies; the value is the option of ``sitl`` that names its program."""
+
+    OWN = ""  # the simulated vehicle with its own autopilot
+    PX4 = "--px4"  # PX4 on the simulated vehicle
+    PX4_SIH = "--px4-sih"  # PX4 with its own physics
+    ARDUPILOT = "--ardupilot"  # ArduCopter with its own physics
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """One run.
+
+    Attributes:
+        scenario: by name or file.
+        seed: of all chance.
+        filter: safety filter; None: the configuration's.
+        lockstep: simulated time instead of real time.
+        duration_s: after which it ends; None: the scenario's.
+        out: folder; None: a new one in ``runs``.
+        live: whether the terminal shows the flight.
+        signing_key: of MAVLink.
+        listen: where others may watch, besides a free port of loopback.
+        zenoh_config: of the onboard process.
+        ros2: where target and flight are shown to ROS 2.
+        view: where the scene is shown in 3-D; None: nowhere.
+        personality: of the simulated vehicle.
+        autopilot: of the onboard process.
+        config: of the onboard process, by name or file; None: the vehicle's, or the scenario's.
+        flies: whose autopilot and physics.
+        program: of that autopilot.
+        instance: number that moves its ports; None: a free one.
+        mocap: motion capture instead of satellites.
+        speed: of simulated time against real time.
+    """
+
+    scenario: str
+    seed: int = 0
+    filter: FilterKind | None = None
+    lockstep: bool = False
+    duration_s: float | None = None
+    out: Path | None = None
+    live: bool = True
+    signing_key: Path | None = None
+    listen: tuple[str, ...] = ()
+    zenoh_config: Path | None = None
+    ros2: Ros2Network | None = None
+    view: str | None = None
+    personality: str = PX4_PERSONALITY
+    autopilot: str = AUTO
+    config: str | None = None
+    flies: Flies = Flies.OWN
+    program: Path | None = None
+    instance: int | None = None
+    mocap: bool = False
+    speed: float = 1.0
+
+    def check(self) -> None:
+        """Refuse what does not go together.
+
+        Raises:
+            ConfigError: which options, and why.
+        """
+        own = self.flies is Flies.OWN
+        for name, given, allowed, why in (
+            ("--lockstep", self.lockstep, own, "needs the simulated vehicle; --speed makes PX4 faster"),
+            (
+                "--signing-key",
+                self.signing_key is not None,
+                own,
+                "is not known to a PX4 or ArduPilot in software",
+            ),
+            ("--personality", self.personality != PX4_PERSONALITY, own, "is of the simulated vehicle"),
+            ("--speed", self.speed != 1.0, not own, "is of PX4 and ArduPilot; --lockstep is faster"),
+            ("--instance", self.instance is not None, not own, "is of PX4 and ArduPilot"),
+            ("--mocap", self.mocap, self.flies is Flies.PX4, "is what --px4 can have instead of satellites"),
+        ):
+            if given and not allowed:
+                raise ConfigError(f"{name} with {self.flies.value or 'the simulated vehicle'}: {name} {why}")

@@ -1,0 +1,160 @@
+"""One run: starts vehicle, target, onboard process and recorder, watches them, judges what they recorded."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+
+from flightstack.common.strict_toml import ConfigError, dumps, to_table
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.parameters.flight import load as load_config
+from flightstack.core.parameters.flight import path_of as path_of_config
+from flightstack.launch.launcher import NAMESPACE, Launcher, Shown
+from flightstack.launch.result import Flown
+from flightstack.launch.run_options import RunOptions
+from flightstack.launch.vehicles import (
+    VEHICLES,
+    common_words,
+    configuration_for,
+    longest_s,
+    others_s,
+)
+from flightstack.onboard.recording import describe, log_in, new_folder
+from flightstack.verify.certificate import problems
+from sim.autopilot.geo import ORIGIN_WGS84
+from sim.autopilot.personality import PERSONALITIES
+from sim.scenarios.scenario import Scenario, path_of
+from sim.scenarios.scenario import load as load_scenario
+
+GRACE_S = 60.0  # s of wall time beyond the scenario's duration before a run is given up
+LOCKSTEP_SLOWEST = 0.2  # share of real time below which a lockstep run is given up
+
+
+def onboard_of(scenario: str) -> FlightConfig:
+    """The onboard process's part of a scenario, by name or file.
+
+    Raises:
+        ConfigError: there is none, or it is wrong.
+    """
+    return load_scenario(scenario).onboard
+
+
+def prepare(options: RunOptions) -> Scenario:
+    """Load and check the scenario, with the configuration that fits what flies.
+
+    Raises:
+        ConfigError: it must not fly.
+    """
+    scenario = load_scenario(options.scenario)
+    name = options.config or configuration_for(options.flies, scenario)
+    if name is not None:
+        scenario = replace(scenario, onboard=load_config(path_of_config(name)))
+    if options.filter is not None:
+        scenario = scenario.with_filter(options.filter)
+    if PERSONALITIES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
+        there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
+        scenario = replace(scenario, onboard=replace(scenario.onboard, vehicle=there))
+    if options.duration_s is not None:
+        if options.duration_s <= 0.0:
+            raise ConfigError(
+                f"--duration: found {options.duration_s:g}, a positive number of seconds is needed"
+            )
+        scenario = replace(scenario, duration_max_s=options.duration_s)
+    found = problems(scenario.onboard)
+    if found:
+        raise ConfigError(f"{name or options.scenario}: refused before take-off: " + "; ".join(found))
+    return VEHICLES[options.flies].adapt(scenario)
+
+
+def run(options: RunOptions, console: Console) -> Flown:
+    """Fly one scenario with processes of its own.
+
+    Raises:
+        ConfigError: wrong input.
+        LaunchError: a process did not start.
+    """
+    scenario = prepare(options)
+    folder = options.out or new_folder(f"{scenario.name}-seed{options.seed}-{scenario.onboard.filter.value}")
+    log = log_in(folder)
+    scenario_file, config_file = folder / "scenario.toml", folder / "onboard.toml"
+    scenario_file.write_text(dumps(to_table(scenario)))
+    config_file.write_text(dumps(to_table(scenario.onboard)))
+    with Launcher(folder, console, tells=options.live) as launcher:
+        return _fly(launcher, options, scenario, log)
+
+
+def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Flown:
+    """Start everybody after those he connects to; then watch until the flight ends."""
+    folder, duration_s = launcher.folder, scenario.duration_max_s
+    lockstep = ["--lockstep"] if options.lockstep else []
+    target_at, onboard_at = launcher.endpoint(), launcher.endpoint()
+    recorder = launcher.record(log)
+    if options.view is not None:
+        launcher.view(options.view, onboard_at, folder / "onboard.toml")
+    _describe(launcher.socket, options, scenario, folder / "scenario.toml")
+    ros2 = options.ros2
+    shown = ["--ros2", ros2.where, "--ros-domain", str(ros2.domain)] if ros2 is not None else []
+    zenoh = ["--zenoh-config", str(options.zenoh_config)] if options.zenoh_config is not None else []
+    vehicle = VEHICLES[options.flies].start(launcher, options, scenario, target_at)
+    target = launcher.start(
+        "target", *common_words(launcher, options), *lockstep, *vehicle.clock, *shown,
+        "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),
+        "--listen", target_at, "--connect", onboard_at,
+    )  # fmt: skip
+    onboard = launcher.start(
+        "onboard", *vehicle.words, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
+        "--listen", onboard_at, "--config", str(folder / "onboard.toml"), "--duration", str(duration_s),
+        *(word for endpoint in options.listen for word in ("--listen", endpoint)),
+        "--recorder", str(launcher.socket), *lockstep, *vehicle.clock, *shown, *zenoh,
+    )  # fmt: skip
+    target.wait_ready()
+    onboard.wait_ready()
+    if not options.lockstep:
+        recorder.yield_to_others(10)
+        target.yield_to_others(5)
+    for endpoint in (onboard_at, *options.listen):
+        launcher.console.print(
+            f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True
+        )
+    limit_s = (
+        longest_s(scenario) / (LOCKSTEP_SLOWEST if options.lockstep else min(1.0, options.speed)) + GRACE_S
+    )
+    title = f"{scenario.name}  seed {options.seed}  filter {scenario.onboard.filter.value}"
+    live = options.live and launcher.console.is_terminal and not options.lockstep
+    started = time.monotonic()
+    problem = launcher.watch(
+        onboard, [*vehicle.children, target, recorder], limit_s,
+        Shown(onboard_at, title) if live else None, vehicle.teller,
+    )  # fmt: skip
+    wall_s = time.monotonic() - started
+    launcher.end_all()
+    if problem is None and recorder.process.returncode != 0:  # it may be behind the flight
+        problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
+    about = {"scenario": scenario.name, "seed": options.seed, "filter": scenario.onboard.filter.value}
+    code, said = onboard.process.returncode, launcher.last_line
+    return Flown(about, folder, log, wall_s, code, said, problem, launcher.interrupted)
+
+
+def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_file: Path) -> None:
+    describe(
+        recorder,
+        scenario.onboard,
+        {
+            "scenario": scenario.name,
+            "description": scenario.description,
+            "seed": str(options.seed),
+            "mode": "lockstep" if options.lockstep else "real-time",
+            **({"vehicle": options.flies.value.removeprefix("--")} if options.flies.value else {}),
+            **({"speed": f"{options.speed:g}"} if options.speed != 1.0 else {}),
+            "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
+            "judge_beta_m": repr(scenario.judge.beta_m),
+            "pad_radius_m": repr(scenario.target.pad_radius_m),
+        },
+        {
+            "scenario.toml": scenario_file.read_bytes(),
+            "scenario_source.toml": path_of(options.scenario).read_bytes(),
+        },
+    )

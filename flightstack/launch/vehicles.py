@@ -1,0 +1,290 @@
+"""What ``sitl`` can let fly: our simulated vehicle, PX4 on it, PX4 and ArduPilot with physics of their own.
+
+Every vehicle starts its processes and names the options by which the onboard process finds it. Vehicles with
+physics of their own know no pad: they land on the floor, on the spot below which the robot drives, and count
+their position from where they start, so the robot is moved instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+from bridge.mavlink.profiles.autopilots import ARDUPILOT, AUTO, OWN_SITL
+from bridge.mavlink.profiles.autopilots import PX4 as PX4_PROFILE
+from flightstack.common.processes import Child, Running
+from flightstack.common.strict_toml import ConfigError
+from flightstack.launch.launcher import Launcher
+from flightstack.launch.run_options import Flies, RunOptions
+from sim.autopilot.geo import ORIGIN_WGS84
+from sim.autopilot.personality import PERSONALITIES, PX4
+from sim.plant import params
+from sim.px4.airframe import SAFE_PARAMETERS, parameters
+from sim.px4.program import InstanceClaim, Px4Model, Px4Program
+from sim.scenarios.scenario import Airframe, Scenario, StartKind
+
+_EAST_DEG = 90.0  # where the nose points
+SIMULATOR_PORT = 4560  # where PX4 of instance 0 connects to
+_ARDUPILOT_TCP = 5760  # SERIAL0 of instance 0; 10 more for each
+_PX4_CONFIG = {Airframe.CRAZYFLIE20: "px4-crazyflie", Airframe.QUAD_1000G: "px4-1kg"}
+
+
+@dataclass
+class Flying:
+    """A vehicle that has been started.
+
+    Attributes:
+        words: options of the onboard process.
+        children: processes that have to outlive it.
+        teller: the one that says when the motors are armed and disarmed.
+        clock: options by which robot and onboard process keep its time.
+    """
+
+    words: list[str]
+    children: list[Running]
+    teller: Child | None = None
+    clock: list[str] = field(default_factory=list)
+
+
+class Vehicle(Protocol):
+    """Something that ``sitl`` can let fly."""
+
+    def adapt(self, scenario: Scenario) -> Scenario:
+        """The scenario with what this vehicle needs of it."""
+
+    def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
+        """Start it and wait until it can be flown.
+
+        Args:
+            launcher: holds the processes; its folder holds ``scenario.toml``.
+            options: of the run.
+            scenario: adapted.
+            target_at: Zenoh endpoint at which the robot will be.
+
+        Raises:
+            LaunchError: it did not start, or does not become ready.
+        """
+
+
+class OwnVehicle:
+    """Our simulated vehicle with the autopilot it plays."""
+
+    def adapt(self, scenario: Scenario) -> Scenario:
+        """Nothing: the scenario is made for it."""
+        return scenario
+
+    def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
+        """Start it; see ``Vehicle.start``."""
+        lockstep = ["--lockstep"] if options.lockstep else []
+        key = ["--signing-key", str(options.signing_key)] if options.signing_key is not None else []
+        values = PERSONALITIES[options.personality].set_before_flight
+        child = launcher.start(
+            "vehicle", *common_words(launcher, options), *lockstep, *key,
+            "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),
+            "--connect", target_at, "--url", "udpin:127.0.0.1:0", "--personality", options.personality,
+            *(word for name, value in values.items() for word in ("--parameter", f"{name}={value:g}")),
+        )  # fmt: skip
+        url = child.wait_ready().replace("udpin", "udpout")
+        # a heartbeat does not tell our own vehicle from what it plays
+        own = options.autopilot == AUTO and options.personality == PX4.name
+        autopilot = OWN_SITL.name if own else options.autopilot
+        return Flying(["--vehicle", url, *key, "--autopilot", autopilot], [child], child)
+
+
+@dataclass
+class _Px4Child:
+    """PX4 among the children of a launcher, with the number that moves its ports."""
+
+    program: Px4Program
+    claim: InstanceClaim | None  # to be given back; None: the number was given
+    name: str = "px4"
+
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self.program.alive()
+
+    def errors(self) -> str:
+        """Its last lines."""
+        return self.program.last_lines()
+
+    def end(self, within_s: float) -> int:
+        """End it and give its number back."""
+        code = self.program.end(within_s)
+        if self.claim is not None:
+            self.claim.close()
+        return code
+
+
+class _Px4Start:
+    """PX4 about to be started: its number is known before, since the simulator listens where it connects."""
+
+    def __init__(self, options: RunOptions) -> None:
+        self._options, self._binary = options, _program_of(options)
+        self._claim = InstanceClaim() if options.instance is None else None
+        self.number = self._claim.number if self._claim is not None else options.instance or 0
+
+    def run(
+        self, launcher: Launcher, model: Px4Model, wanted: Mapping[str, float]
+    ) -> tuple[_Px4Child, list[str]]:
+        """Start it and wait until it would arm; the child, and the options of the onboard process."""
+        speed = self._options.speed
+        program = Px4Program(
+            self._binary, launcher.folder / "px4", model, instance=self.number, parameters=wanted, speed=speed
+        )
+        child = _Px4Child(program, self._claim)
+        launcher.children.append(child)
+        program.wait_ready()
+        words = ["--vehicle", f"udpin:127.0.0.1:{program.onboard_port}", "--autopilot", PX4_PROFILE.name]
+        return child, [*words, "--system-id", str(1 + self.number)]  # MAV_SYS_ID of rcS
+
+
+class Px4OnPlant:
+    """PX4 on our simulated vehicle."""
+
+    def adapt(self, scenario: Scenario) -> Scenario:
+        """Nothing: it stands below a hover start."""
+        return scenario
+
+    def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
+        """Start the simulator, then PX4; see ``Vehicle.start``."""
+        px4 = _Px4Start(options)
+        clock = ["--clock", str(launcher.socket.with_name("clock"))]
+        poses = scenario.vehicle.mocap if options.mocap else None
+        simulator = launcher.start(
+            "px4-sim", *common_words(launcher, options), "--connect", target_at, "--once",
+            "--tcp", f"127.0.0.1:{SIMULATOR_PORT + px4.number}", *(["--mocap"] if options.mocap else []),
+            *speed_words(options.speed), *clock,
+        )  # fmt: skip
+        simulator.wait_ready()
+        wanted = parameters(params.load(scenario.vehicle.airframe), poses)
+        child, words = px4.run(launcher, Px4Model.NONE_IRIS, wanted)
+        return Flying(words, [simulator, child], simulator, clock)
+
+
+class Px4WithItsOwnPhysics:
+    """PX4 and its simulation-in-hardware of a 1 kg quadrotor."""
+
+    def adapt(self, scenario: Scenario) -> Scenario:
+        """Move the robot: PX4 starts at its origin."""
+        return around_the_start(scenario)
+
+    def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
+        """Start it; see ``Vehicle.start``."""
+        del target_at
+        child, words = _Px4Start(options).run(launcher, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
+        return Flying([*words, *_on_the_floor(scenario)], [child], clock=speed_words(options.speed))
+
+
+class ArduPilotWithItsOwnPhysics:
+    """ArduCopter's software in the loop."""
+
+    def adapt(self, scenario: Scenario) -> Scenario:
+        """Move the robot: ArduPilot starts at its origin."""
+        return around_the_start(scenario)
+
+    def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
+        """Start it; it is ready when it is heard, for which the onboard process waits."""
+        del target_at
+        number = options.instance or 0
+        folder = launcher.folder / "ardupilot"
+        folder.mkdir(exist_ok=True)
+        defaults = folder / "defaults.parm"
+        defaults.write_text("".join(f"{name} {value:g}\n" for name, value in ARDUPILOT_PARAMETERS.items()))
+        home = (*ORIGIN_WGS84, _EAST_DEG)
+        child = Child(
+            "ardupilot",
+            ["--model", "quad", "--speedup", f"{options.speed:g}", "--home", ",".join(map(str, home)),
+             "--defaults", str(defaults), "-I", str(number)],
+            launcher.folder, program=[str(_program_of(options))], works_in=folder,
+        )  # fmt: skip
+        launcher.children.append(child)
+        url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
+        words = ["--vehicle", url, "--autopilot", ARDUPILOT.name, *_on_the_floor(scenario)]
+        return Flying(words, [child], clock=speed_words(options.speed))
+
+
+# What ArduCopter's simulated quadrotor needs besides its defaults: its frame and battery, calibrations that
+# match its sensors (Tools/autotest/default_params/copter.parm), no radio, what is checked before a flight
+ARDUPILOT_PARAMETERS: Mapping[str, float] = {
+    "FRAME_CLASS": 1,
+    "FRAME_TYPE": 0,
+    "BATT_MONITOR": 4,
+    "MOT_BAT_VOLT_MIN": 9.6,
+    "MOT_BAT_VOLT_MAX": 12.8,
+    "MOT_THST_EXPO": 0.65,
+    "MOT_THST_HOVER": 0.39,
+    **{f"COMPASS_OFS{n}_{axis}": v for n in ("", 2, 3) for axis, v in (("X", 5), ("Y", 13), ("Z", -18))},
+    **{f"INS_ACC{n}OFFS_{axis}": 0.001 for n in ("", 2) for axis in "XYZ"},
+    **{f"INS_ACC{n}SCAL_{axis}": 1.001 for n in ("", 2) for axis in "XYZ"},
+    "FS_THR_ENABLE": 0,
+    "FS_GCS_ENABLE": 5,
+    "SYSID_MYGCS": 1,  # heartbeats of the onboard process count as the station's
+    "GUID_TIMEOUT": 0.5,
+    "WPNAV_ACCEL_Z": 150,
+}
+
+
+VEHICLES: Mapping[Flies, Vehicle] = {
+    Flies.OWN: OwnVehicle(),
+    Flies.PX4: Px4OnPlant(),
+    Flies.PX4_SIH: Px4WithItsOwnPhysics(),
+    Flies.ARDUPILOT: ArduPilotWithItsOwnPhysics(),
+}
+
+
+def configuration_for(flies: Flies, scenario: Scenario) -> str | None:
+    """Name of the configuration that fits a vehicle best; None: the scenario's own."""
+    if flies is Flies.ARDUPILOT:
+        return "ardupilot-1kg"
+    if flies is Flies.PX4_SIH:
+        return _PX4_CONFIG[Airframe.QUAD_1000G]
+    return _PX4_CONFIG[scenario.vehicle.airframe] if flies is Flies.PX4 else None
+
+
+def common_words(launcher: Launcher, options: RunOptions) -> list[str]:
+    """Options of every process of the simulator."""
+    file = launcher.folder / "scenario.toml"
+    return ["--scenario", str(file), "--seed", str(options.seed), "--recorder", str(launcher.socket)]
+
+
+def longest_s(scenario: Scenario) -> float:
+    """Longest that a flight may take, s: until the time is over, and then to abort."""
+    return scenario.duration_max_s + scenario.onboard.retreat.abort_time_max_s
+
+
+def others_s(scenario: Scenario) -> float:
+    """How long the simulator's processes run, s: past the end of the onboard process."""
+    return longest_s(scenario) + 10.0
+
+
+def speed_words(speed: float) -> list[str]:
+    """The option ``--speed``, where it is not real time."""
+    return ["--speed", f"{speed:g}"] if speed != 1.0 else []
+
+
+def around_the_start(scenario: Scenario) -> Scenario:
+    """The scenario in coordinates that begin where the vehicle stands."""
+    start, target = scenario.start, scenario.target
+    x_m, y_m = target.position_m
+    if start.kind is StartKind.GROUND:
+        east_m, north_m = start.ground_position_m
+        start = replace(start, ground_position_m=(0.0, 0.0))
+    elif start.offset_m is not None:
+        east_m, north_m = x_m + start.offset_m[0], y_m + start.offset_m[1]
+    else:
+        raise ConfigError(f"{scenario.name}: start.offset_m: missing; this vehicle starts at a given place")
+    return replace(scenario, start=start, target=replace(target, position_m=(x_m - east_m, y_m - north_m)))
+
+
+def _on_the_floor(scenario: Scenario) -> list[str]:
+    """On the floor its own height is zero, not its feet's: the landing spot is put below by them."""
+    down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
+    return ["--target-offset", "0", "0", f"{-down_m:g}"]
+
+
+def _program_of(options: RunOptions) -> Path:
+    if options.program is None or not options.program.exists():
+        raise ConfigError(f"{options.flies.value}: no program at {options.program}")
+    return options.program

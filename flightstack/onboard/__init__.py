@@ -1,0 +1,1 @@
+"""The onboard process: links, clocks, waiting, recording, publishing."""

@@ -1,0 +1,151 @@
+"""What the onboard process writes into the log and shows to the world: its inputs, steps, timing, events."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from bridge.mavlink.endpoint import Direction, Peer
+from bridge.target.odometry import RawSample
+from bridge.zenoh import zenoh_link
+from flightstack.common.pacing import Tick
+from flightstack.core.controller import Outputs
+from flightstack.core.memory import State
+from flightstack.onboard.exchange import Taken
+from flightstack.onboard.state_text import StateText
+from logs.schema.codec import LoopTimingRow, pack_controller_step, pack_log, pack_loop_timing, pack_mavlink
+from logs.schema.codec_input import pack_controller_input, pack_controller_state
+from logs.schema.codec_log import CONTROLLER, ONBOARD
+from logs.schema.mavlink_peers import PeerNames
+from logs.schema.schemas import (
+    CONTROLLER_INPUT,
+    CONTROLLER_STATE,
+    CONTROLLER_STEP,
+    LOG,
+    LOOP_TIMING,
+    MAVLINK,
+    ODOMETRY,
+)
+from logs.schema.step_row import step_row
+
+STATUS_HZ = 20.0  # of the live topics
+STATE_HZ = 1.0  # of the snapshots a replay can begin at
+TIMESYNC_ID = 111  # low byte of the message id, which is at offset 7 of a MAVLink 2 frame
+
+
+class FeedLike(Protocol):
+    """The recorder's feed, or one that goes nowhere."""
+
+    def channel(self, topic: str, schema: str) -> int:
+        """Declare a channel."""
+
+    def write(
+        self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
+    ) -> None:
+        """Queue a message."""
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Queue a metadata record."""
+
+    def flush(self) -> None:
+        """Send what is queued."""
+
+
+class OnboardLog:
+    """Turns one tick into log messages, and every so often into live ones."""
+
+    def __init__(
+        self, feed: FeedLike, session: zenoh_link.Session, namespace: str, rate_hz: int, lockstep: bool
+    ) -> None:
+        self._feed = feed
+        self._odom = feed.channel(f"/{namespace}/target/odom", ODOMETRY)
+        self._mavlink = {
+            Direction.IN: feed.channel("/uas1/mavlink_source", MAVLINK),
+            Direction.OUT: feed.channel("/uas1/mavlink_sink", MAVLINK),
+        }
+        self._input = feed.channel(f"/{namespace}/controller/input", CONTROLLER_INPUT)
+        self._step = feed.channel(f"/{namespace}/controller/step", CONTROLLER_STEP)
+        self._state = feed.channel(f"/{namespace}/controller/state", CONTROLLER_STATE)
+        self._timing = feed.channel(f"/{namespace}/loop/timing", LOOP_TIMING)
+        self._rosout = feed.channel("/rosout", LOG)
+        self._frames: list[tuple[Direction, bytes, bytes]] = []  # last: name of the peer
+        self._peer_names = PeerNames(feed)
+        self._asked = b""  # last TIMESYNC that came
+        self._sequence = 0
+        self._flush_every = 10 if lockstep else 1  # ticks; fewer wake-ups of the recorder, 0.1 s of flight
+        self._lockstep = lockstep
+        self._every = max(1, round(rate_hz / STATUS_HZ))
+        self._state_every = max(1, round(rate_hz / STATE_HZ))
+        self._state_text = StateText(State)
+        encoding = "application/cdr;flightstack_msgs/msg/"
+        self._live_step = zenoh_link.dropping_publisher(
+            session, f"{namespace}/controller/step", encoding + "ControllerStep"
+        )
+        self._live_timing = zenoh_link.dropping_publisher(
+            session, f"{namespace}/loop/timing", encoding + "LoopTiming"
+        )
+
+    def tap(self, direction: Direction, frame: bytes, peer: Peer) -> None:
+        """Keep a MAVLink frame until its tick is known; the endpoint's tap."""
+        if self._lockstep and direction is Direction.IN and frame[7] == TIMESYNC_ID:
+            if frame == self._asked:
+                return  # a repeated question, the same to the byte: a matter of wall time
+            self._asked = frame
+        self._frames.append((direction, frame, self._peer_names(peer)))
+
+    def samples(self, samples: list[RawSample], unix_ns: int) -> None:
+        """Write target samples verbatim, accepted or not."""
+        for sample in samples:
+            source_ns = sample.source_time_ns if sample.source_time_ns is not None else unix_ns
+            self._feed.write(
+                self._odom, unix_ns, source_ns, (sample.sequence or 0) & 0xFFFFFFFF, sample.payload
+            )
+
+    def event(self, unix_ns: int, level: int, text: str, name: str = ONBOARD) -> None:
+        """Write an event of /rosout."""
+        self._feed.write(self._rosout, unix_ns, unix_ns, 0, pack_log(unix_ns, level, name, text))
+
+    def step(self, tick: Tick, taken: Taken, out: Outputs, state: State) -> bytes:
+        """Write the frames, inputs, events and decisions of a tick; the step's message is returned.
+
+        Args:
+            tick: the tick.
+            taken: what the controller was given; what it made of that is in ``out``.
+            out: what it decided.
+            state: the controller's, after the tick; written once a second.
+        """
+        unix_ns = tick.unix_ns
+        frames, self._frames = self._frames, []
+        for direction, frame, peer in frames:
+            self._sequence += 1
+            self._feed.write(
+                self._mavlink[direction], unix_ns, unix_ns, self._sequence, pack_mavlink(unix_ns, frame, peer)
+            )
+        given = pack_controller_input(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)
+        self._feed.write(self._input, unix_ns, unix_ns, tick.number, given)
+        for event in out.events:
+            self.event(unix_ns, event.level, event.text, CONTROLLER)
+        payload = pack_controller_step(step_row(tick, out))
+        self._feed.write(self._step, unix_ns, unix_ns, tick.number, payload)
+        if tick.number % self._state_every == 0:
+            snapshot = pack_controller_state(
+                unix_ns, tick.number, self._state_text.layout, self._state_text.dumps(state)
+            )
+            self._feed.write(self._state, unix_ns, unix_ns, tick.number, snapshot)
+        return payload
+
+    def timing(
+        self, tick: Tick, out: Outputs, exec_s: float, overruns: int, dropped: int, step: bytes
+    ) -> None:
+        """Write how the wall clock kept the tick; show both to live subscribers now and then."""
+        solve_s = out.barrier.result.solve_s if out.barrier is not None else 0.0
+        row = LoopTimingRow(
+            tick.unix_ns, tick.number, tick.period_s, tick.lateness_s, exec_s, solve_s, overruns, dropped
+        )
+        payload = pack_loop_timing(row)
+        self._feed.write(self._timing, tick.unix_ns, tick.unix_ns, tick.number, payload)
+        if tick.number % self._every == 0 or out.finished:
+            self._live_step.put(step)
+            self._live_timing.put(payload)
+        if tick.number % self._flush_every == 0:
+            self._feed.flush()

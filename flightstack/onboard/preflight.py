@@ -1,0 +1,132 @@
+"""The pre-flight check of the onboard process: what the flight needs, and what is said and logged of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from bridge.mavlink.endpoint import Endpoint
+from bridge.mavlink.line_budget import LinePlan, LineTooSlowError, plan
+from bridge.mavlink.preflight.report import Level, Needs
+from bridge.mavlink.preflight.talk import Report, examine
+from bridge.mavlink.profiles.autopilots import profile
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.law import LAWS
+
+_SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE)
+
+
+def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
+    """What a flight of this configuration needs of its autopilot.
+
+    Args:
+        config: what is to be flown.
+        system_id: of the vehicle.
+    """
+    limits = config.limits
+    acceleration_m_s2 = LAWS[config.filter](config, config.barrier.build()).acceleration_max_m_s2
+    return Needs(
+        limits.velocity_max_m_s, limits.altitude_max_m, config.takeoff.height_m, acceleration_m_s2, system_id
+    )
+
+
+def line_plan(baud: int | None, config: FlightConfig, *, signed: bool) -> LinePlan:
+    """Rates at which the flight of this configuration fits into a line.
+
+    Args:
+        baud: of a serial line, None of other links.
+        config: what is to be flown.
+        signed: MAVLink is signed.
+
+    Raises:
+        LineTooSlowError: it does not fit.
+    """
+    return plan(baud, config.loop.rate_hz, config.checks.own_age_max_s, signed=signed)
+
+
+def check(
+    endpoint: Endpoint,
+    config: FlightConfig,
+    autopilot: str,
+    system_id: int,
+    *,
+    wait_s: float,
+    stopped: Callable[[], bool] = lambda: False,
+    say: Callable[[str], None] = lambda _text: None,
+) -> Report:
+    """Ask the vehicle for its parameters and judge them.
+
+    Args:
+        endpoint: to the vehicle.
+        config: what is to be flown.
+        autopilot: name of a profile, or ``auto``.
+        system_id: of the vehicle.
+        wait_s: for its first heartbeat.
+        stopped: the check is broken off when it says so.
+        say: takes a sentence every two seconds about what the check waits for.
+
+    Raises:
+        ValueError: there is no such autopilot.
+    """
+    accepted = config.vehicle.accepted_parameters
+    try:
+        line = line_plan(endpoint.baud, config, signed=endpoint.signed)
+    except LineTooSlowError as error:
+        return Report(None, None, (), str(error))
+    counters, began_s = endpoint.counters, time.monotonic()
+    before = (counters.bytes_in, counters.bytes_out)
+    report = examine(
+        endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
+        stopped=stopped, say=say,
+    )  # fmt: skip
+    if endpoint.baud is None:
+        return report
+    took_s = time.monotonic() - began_s
+    came, went = (counters.bytes_in - before[0]) / took_s, (counters.bytes_out - before[1]) / took_s
+    measured = f"measured in {took_s:.1f} s: {came:.0f} B/s in, {went:.0f} B/s out"
+    return replace(report, line=f"serial line, {endpoint.baud} baud: {line.text}; {measured}")
+
+
+def lines(report: Report) -> Iterator[str]:
+    """What a person should read."""
+    if report.profile is not None:
+        version = f", release {report.version}" if report.version is not None else ", release not told"
+        yield f"preflight: {report.profile.title}{version}"
+    if report.line is not None:
+        yield f"preflight: {report.line}"
+    if report.problem is not None:
+        yield f"preflight: {report.problem}"
+    for level in _SHOWN:
+        for finding in report.findings:
+            if finding.level is level:
+                yield f"preflight: {level.value}: {finding.text}"
+
+
+def verdict(report: Report) -> str | None:
+    """Why it must not arm, None when it may."""
+    if report.problem is not None:
+        return report.problem
+    names = [finding.name for finding in report.blocking]
+    if not names:
+        return None
+    return (
+        f"unsafe parameters of the autopilot: {', '.join(names)}; set them, or accept them by name in "
+        "vehicle.accepted_parameters"
+    )
+
+
+def record(report: Report) -> dict[str, str]:
+    """For the log's metadata."""
+    found = {
+        f.name: f"{'missing' if f.value is None else repr(f.value)} {f.level.value}" for f in report.findings
+    }
+    name = report.profile.name if report.profile is not None else "none"
+    line = {"line": report.line} if report.line is not None else {}
+    return {
+        "profile": name,
+        "version": report.version or "",
+        "problem": report.problem or "",
+        **line,
+        **found,
+    }

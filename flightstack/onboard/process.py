@@ -1,0 +1,389 @@
+"""The onboard process: links in, step, links out, at a fixed rate.
+
+Real time: wait for the deadline, drain every link, step, send. Lockstep: wait for the vehicle's tick and the
+target's, step, answer. The order of work in a tick is the same.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+
+from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.client.origin import Origin
+from bridge.mavlink.profiles.autopilots import AUTO, profile
+from bridge.mavlink.signing.key import load_key
+from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
+from bridge.ros2.ros2_network import Ros2Network
+from bridge.target.odometry import RawSample
+from bridge.target.ros2_target import TargetSpec, TargetType
+from flightstack.common.hangup import on_hangup
+from flightstack.common.pacing import (
+    LockstepClock,
+    RealTimePacer,
+    Tick,
+    ask_for_priority,
+    quiet_garbage_collector,
+)
+from flightstack.common.simulation_clock import Follower, chosen_clock
+from flightstack.common.strict_toml import ConfigError, dumps, to_table
+from flightstack.core.controller import ERROR, WARN, Controller, Outputs
+from flightstack.core.leaving import Ended, Leaving, Patience
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.types import ZERO, Operator, Phase, Vec3
+from flightstack.onboard import preflight
+from flightstack.onboard.exchange import answer, take
+from flightstack.onboard.lockstep import LockstepWires
+from flightstack.onboard.log import OnboardLog
+from flightstack.onboard.publish_health import LiveHealth
+from flightstack.onboard.recording import OwnRecorder
+from flightstack.onboard.wait_report import WaitReport
+from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
+from flightstack.verify.certificate import problems
+from logs.recorder.feed import Feed
+
+_SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
+
+
+@dataclass(frozen=True)
+class Options:
+    """Where the onboard process is plugged in."""
+
+    vehicle_url: str
+    target_key: str
+    connect: list[str] = field(default_factory=list)
+    listen: list[str] = field(default_factory=list)
+    namespace: str = "cf1"
+    recorder: Path | None = None  # socket of a running one
+    own_recorder: OwnRecorder | None = None  # started if there is no other
+    lockstep: bool = False
+    duration_s: float | None = None
+    system_id: int = 1
+    signing_key: Path | None = None
+    allow_unsigned: bool = False
+    autopilot: str = AUTO
+    target_type: TargetType = TargetType.ODOMETRY
+    zenoh_config: Path | None = None
+    ros2: Ros2Network | None = None  # where the flight is shown to ROS 2, and where a target of ROS 2 is
+    ros_domain: int = 0
+    target_offset_m: Vec3 = ZERO  # landing spot, in the axes of the frame that the target sends
+    clock: Path | None = None  # of a simulator, to live by instead of the wall's
+    speed: float = 1.0  # of stack time against real time; another than 1 only with a simulator as fast
+
+
+class Signals:
+    r"""Ctrl-C, or a terminal that closes, asks for an abort; Ctrl-\ for the motors to stop at once.
+
+    A second Ctrl-C or SIGTERM ends the process once the vehicle has been told to land itself.
+    """
+
+    def __init__(self) -> None:
+        self.operator = Operator.NONE
+        self.stop = False
+        signal.signal(signal.SIGINT, self._interrupt)
+        signal.signal(signal.SIGTERM, self._terminate)
+        signal.signal(signal.SIGQUIT, self._emergency)
+        on_hangup(self._abort)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        self.stop = self.operator is not Operator.NONE
+        self._abort(number, frame)
+
+    def _abort(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.operator = max(self.operator, Operator.ABORT)
+
+    def _emergency(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.operator = Operator.EMERGENCY_STOP
+
+    def _terminate(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.stop = True
+
+
+class Onboard:
+    """Owns the links and the controller; ``tick`` is the body of the loop."""
+
+    def __init__(self, config: FlightConfig, options: Options) -> None:
+        self.options, self.config = options, config
+        rate_hz = config.loop.rate_hz
+        self.controller = Controller(config)
+        chosen = profile(options.autopilot)
+        origin = config.vehicle.origin_wgs84
+        self.wires = ZenohWires(config, _zenoh_plan(options))
+        self.session, self.odometry = self.wires.session, self.wires.odometry
+        line = preflight.line_plan(
+            baud_of(options.vehicle_url), config, signed=options.signing_key is not None
+        )
+        self.link = VehicleLink(
+            options.vehicle_url,
+            takeoff_height_m=config.takeoff.height_m,
+            rate_hz=rate_hz,
+            system_id=options.system_id,
+            defer_timesync=options.lockstep,
+            signing_key=load_key(options.signing_key) if options.signing_key else None,
+            allow_unsigned=options.allow_unsigned,
+            profile=chosen,
+            origin=Origin(*origin) if origin is not None else None,
+            line=line,
+        )
+        self.log_file: Path | None = None
+        recorder = options.recorder
+        if recorder is None and options.own_recorder is not None:
+            plugged = {"vehicle": options.vehicle_url, "target": options.target_key}
+            recorder, self.log_file = options.own_recorder.start(config, plugged)
+        socket = str(recorder) if recorder is not None else None
+        self.feed = Feed.connect(socket, "onboard", lossless=options.lockstep)
+        self._describe()
+        self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz, options.lockstep)
+        self.health = LiveHealth(self.session, options.namespace, rate_hz)
+        self.link.endpoint.tap = self.log.tap
+        self.leaving = Leaving(options.duration_s)
+        lockstep = options.lockstep  # there wall time has no part in what is said
+        self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
+        self.foreign_said = 1
+        self._opened_s = time.monotonic()
+        self.reply = b""  # lockstep: frame of the last answer
+        self.report: str | None = None  # what is to be said of this tick's wait
+
+    def tick(
+        self, tick: Tick, raw: list[RawSample], signals: Signals, overruns: int
+    ) -> tuple[Outputs, float]:
+        """One pass: decode, step, send; the datagram goes out before anything is logged."""
+        started_s = time.perf_counter()
+        link = self.link
+        operator = self.leaving.operator(signals.operator, link.status, tick.now_s, stop=signals.stop)
+        taken = take(link, [one.payload for one in raw], operator, tick.now_s)
+        out = self.controller.step(taken.inputs, tick.now_s, command_failed=taken.command_failed)
+        self.reply = answer(link, out, tick.now_s, lockstep=self.options.lockstep)
+        exec_s = (time.perf_counter() - started_s) * self.options.speed
+        self.log.samples(raw, tick.unix_ns)
+        for text in taken.problems:
+            self.log.event(tick.unix_ns, WARN, text)
+        for severity, text in link.take_texts():
+            self.waiting.note_text(tick.now_s, severity, text)
+            self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
+        if link.counters.foreign >= self.foreign_said:  # a ground station sends many: said on doublings
+            self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
+            self.foreign_said = 2 * link.counters.foreign
+        for text in (*link.endpoint.take_notices(), *self.wires.texts(tick.now_s)):
+            _warn(text)
+            self.log.event(tick.unix_ns, WARN, text)
+        self.report = self.waiting.step(out, self.controller.memory, len(raw), taken.problems, tick.now_s)
+        if self.report is not None and not self.options.lockstep:
+            self.log.event(tick.unix_ns, WARN, self.report)
+        payload = self.log.step(tick, taken, out, self.controller.state)
+        self.log.timing(tick, out, exec_s, overruns, self.feed.dropped, payload)
+        reason, battery = self.controller.memory.reason, link.state.battery
+        health = self.health.show(tick, out, reason, battery, overruns, self.feed.dropped)
+        self.wires.show(tick, out, payload, health)
+        return out, exec_s
+
+    def _describe(self) -> None:
+        """Write into the log what else a replay needs: the configuration, and how we were plugged in."""
+        options, spec = self.options, self.wires.target
+        own_key = f"{options.namespace}/target/odom"
+        text = dumps(to_table(self.config))
+        self.feed.attachment("onboard.toml", "application/toml", text.encode())
+        self.feed.metadata(
+            "onboard",
+            {
+                "namespace": options.namespace,
+                "target_key": spec.key if spec.is_direct else own_key,  # as what it is recorded
+                **({} if spec.is_direct else spec.described()),
+                "system_id": str(options.system_id),
+                "lockstep": str(options.lockstep).lower(),
+                "autopilot": options.autopilot,
+            },
+        )
+
+    def _line_use(self) -> str:
+        """What went over the serial line."""
+        counters, took_s = self.link.endpoint.counters, time.monotonic() - self._opened_s
+        return (
+            f"serial line in {took_s:.1f} s: {counters.bytes_in / took_s:.0f} B/s in, "
+            f"{counters.bytes_out / took_s:.0f} B/s out, {counters.garbage_bytes} bytes in no frame, "
+            f"lost {counters.connections_lost} times"
+        )
+
+    def close(self) -> None:
+        """Close all links; the feed says goodbye to the recorder."""
+        dropped = self.link.endpoint.counters.dropped()
+        if dropped:
+            print(f"onboard: MAVLink not let through: {dropped}", file=sys.stderr)
+        if self.link.endpoint.baud is not None:
+            print(f"onboard: {self._line_use()}", file=sys.stderr)
+        self.feed.close()
+        self.link.close()
+        self.wires.close()
+
+
+def _warn(text: str) -> None:
+    """Say it on standard error, if that is still there: a closed terminal must not end a flight."""
+    with contextlib.suppress(OSError):
+        print(f"onboard: WARNING: {text}", file=sys.stderr)
+
+
+def _zenoh_plan(options: Options) -> ZenohPlan:
+    return ZenohPlan(
+        TargetSpec.parse(
+            options.target_key, options.target_type, options.ros_domain, options.target_offset_m
+        ),
+        options.connect,
+        options.listen,
+        options.namespace,
+        options.zenoh_config,
+        options.ros2,
+        options.lockstep,
+    )
+
+
+def run(config: FlightConfig, options: Options, say: Callable[[str], None] = print) -> Ended:
+    """Fly until landed, aborted, told to end, or out of time.
+
+    Raises:
+        ConfigError: the configuration must not fly.
+        ValueError: a URL, endpoint or key that is not understood, a network without a key, or a speed that a
+            real vehicle or lockstep does not have.
+        OSError: an address or file that cannot be opened.
+        LaunchError: its own recorder did not start.
+    """
+    _check_speed(options)
+    chosen_clock(
+        options.speed, options.clock, Follower.ONBOARD, lockstep=options.lockstep
+    )  # wrong input at once
+    found = problems(config)
+    if found:
+        raise ConfigError("refused before take-off: " + "; ".join(found))
+    signals = Signals()
+    onboard = Onboard(config, options)
+    try:
+        for warning in onboard.link.endpoint.warnings:
+            _warn(warning)
+        if onboard.log_file is not None:
+            say(f"log {onboard.log_file}")
+        say("ready")
+        sys.stdout.flush()
+        if not options.lockstep:  # only the simulator runs in lockstep, and its parameters are known
+            ended = _preflight(onboard, signals, say)
+            if ended is not None:
+                return ended
+        quiet_garbage_collector()
+        return (_lockstep if options.lockstep else _real_time)(onboard, signals, say)
+    finally:
+        onboard.close()
+
+
+def _check_speed(options: Options) -> None:
+    """Only a simulator runs at another speed than the world."""
+    if options.speed == 1.0 and options.clock is None:
+        return
+    kind, host, port = parse_url(options.vehicle_url)
+    if kind == "serial" or not is_local(resolve(f"MAVLink URL {options.vehicle_url!r}", host, port)):
+        raise ValueError(
+            f"--speed or --clock is given and {options.vehicle_url!r} is not on loopback: only a simulator "
+            "has a clock of its own; leave them out"
+        )
+
+
+def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended | None:
+    """Look at the autopilot's parameters; its frames are no part of the flight, and not in the log."""
+    options, endpoint = onboard.options, onboard.link.endpoint
+    wait_s = onboard.config.checks.wait_time_max_s
+    if options.duration_s is not None:
+        wait_s = min(wait_s, options.duration_s)
+    tap, endpoint.tap = endpoint.tap, None
+
+    def tell(text: str) -> None:
+        say(f"preflight: {text}")
+        onboard.log.event(time.time_ns(), WARN, f"preflight: {text}")
+
+    report = preflight.check(
+        endpoint,
+        onboard.config,
+        options.autopilot,
+        options.system_id,
+        wait_s=wait_s,
+        stopped=lambda: signals.stop or signals.operator is not Operator.NONE,
+        say=tell,
+    )
+    endpoint.tap = tap
+    for notice in endpoint.take_notices():
+        _warn(notice)
+    onboard.feed.metadata("preflight", preflight.record(report))
+    if report.profile is not None and onboard.link.profile is None:
+        onboard.link.adopt(report.profile)
+    for line in preflight.lines(report):
+        say(line)
+    if signals.operator is Operator.EMERGENCY_STOP:
+        return None  # the loop gives it, whatever the check would have said
+    problem = preflight.verdict(report)
+    return Ended(Phase.WAIT, problem, 1) if problem is not None else None
+
+
+def _done(onboard: Onboard, out: Outputs, now_s: float, signals: Signals) -> Ended | None:
+    memory, status = onboard.controller.memory, onboard.link.status
+    if onboard.link.refused is not None and not out.finished:
+        return Ended(out.phase, onboard.link.refused, 1)
+    ended = onboard.leaving.ended(out, memory, status, now_s, stop=signals.stop)
+    lacking = onboard.waiting.lacking
+    if ended is None or not lacking or signals.stop or signals.operator is not Operator.NONE:
+        return ended
+    return ended._replace(reason=f"{ended.reason}: {'; '.join(lacking)}")
+
+
+def _say_events(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
+    for event in out.events:
+        if "->" in event.text:
+            say(f"{tick.now_s:8.2f} s  {event.text}")
+
+
+def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
+    ask_for_priority()
+    options = onboard.options
+    clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
+    pacer = RealTimePacer(
+        onboard.config.loop.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
+    )
+    while True:
+        tick = pacer.wait()
+        onboard.link.poll(tick.now_s)
+        out, _ = onboard.tick(tick, onboard.odometry.poll(), signals, pacer.overruns)
+        _say_events(out, tick, say)
+        if onboard.report is not None:
+            say(f"{tick.now_s:8.2f} s  {onboard.report}")
+        ended = _done(onboard, out, tick.now_s, signals)
+        if ended is not None:
+            return ended
+
+
+def _wires(onboard: Onboard, signals: Signals) -> LockstepWires:
+    namespace = onboard.options.namespace
+    patience = Patience(lambda: signals.stop)
+    return LockstepWires(onboard.link, onboard.odometry, onboard.session, namespace, patience.over)
+
+
+def _lockstep(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
+    clock, wires = LockstepClock(onboard.config.loop.rate_hz), _wires(onboard, signals)
+    out: Outputs | None = None
+    while True:
+        sim_ns = wires.vehicle()
+        if sim_ns is None:
+            phase = out.phase if out is not None else Phase.WAIT
+            return Ended(phase, "ended by the operator" if signals.stop else "the vehicle fell silent", 1)
+        tick = clock.tick(sim_ns)
+        out, _ = onboard.tick(tick, wires.target(tick.number), signals, 0)
+        wires.reply = onboard.reply
+        _say_events(out, tick, say)
+        if wires.go_tick < 0 and onboard.controller.memory.started_s <= tick.now_s:
+            wires.announce_start(tick.number)
+        ended = _done(onboard, out, tick.now_s, signals)
+        if ended is not None:
+            return ended

@@ -1,0 +1,97 @@
+"""The flight as ROS 2 sees it: a node of rmw_zenoh with the topics of the log, while it flies.
+
+It has a Zenoh session of its own, so nothing on the ROS 2 side touches the wires that are flown by.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from bridge.ros2.ros2_node import Ros2Node, Ros2Publisher
+from bridge.zenoh import zenoh_link
+from flightstack.common.pacing import Tick
+from flightstack.core.controller import Outputs
+from logs.derive.derive import STEP_SUFFIX, Deriver
+from logs.schema.codec_log import pack_string
+from logs.schema.schemas import (
+    CONTROLLER_STEP,
+    HEALTH,
+    MARKER_ARRAY,
+    ODOMETRY,
+    POSE_STAMPED,
+    STRING,
+    TF_MESSAGE,
+    TWIST_STAMPED,
+    type_hash,
+)
+
+FLOAT64 = "std_msgs/msg/Float64"
+PLAIN_HZ = 20.0  # of h, phase and step; the topics made for viewers have their own rates
+NODE = "flightstack_onboard"
+_FLOAT64 = struct.Struct("<4sd")
+_CDR = b"\x00\x01\x00\x00"
+_DERIVED = {
+    "/pose": POSE_STAMPED,
+    "/odom": ODOMETRY,
+    "/target/pose": POSE_STAMPED,
+    "/cmd/velocity_nominal": TWIST_STAMPED,
+    "/cmd/velocity_filtered": TWIST_STAMPED,
+    "/cmd/velocity": TWIST_STAMPED,
+    "/cbf/markers": MARKER_ARRAY,
+}
+
+
+class LiveRos2:
+    """Publishes one flight to ROS 2; nothing depends on it.
+
+    Args:
+        session: reaches the ROS 2 nodes; it stays the caller's.
+        domain: their ROS_DOMAIN_ID.
+        namespace: first part of the topics.
+        rate_hz: of the ticks.
+
+    Raises:
+        ValueError: a namespace or domain that ROS 2 does not allow.
+    """
+
+    def __init__(self, session: zenoh_link.Session, domain: int, namespace: str, rate_hz: int) -> None:
+        space = f"/{namespace}"
+        self._node = Ros2Node(session, NODE, domain=domain, namespace=space)
+        self._derive = Deriver(space + STEP_SUFFIX)
+        self._derived = {space + name: self._publisher(space + name, kind) for name, kind in _DERIVED.items()}
+        self._derived["/tf"] = self._publisher("/tf", TF_MESSAGE)
+        self._h = self._publisher(space + "/h", FLOAT64)
+        self._phase = self._publisher(space + "/phase", STRING)
+        self._step = self._publisher(space + STEP_SUFFIX, CONTROLLER_STEP)
+        self._health = self._publisher(space + "/health", HEALTH)
+        self._every = max(1, round(rate_hz / PLAIN_HZ))
+
+    def show(self, tick: Tick, out: Outputs, step: bytes, health: bytes | None) -> None:
+        """Publish what is due.
+
+        Args:
+            tick: the tick.
+            out: what was decided in it.
+            step: its serialised controller step.
+            health: serialised, when it is due.
+        """
+        now_ns = tick.unix_ns
+        for topic, _, payload in self._derive.step(now_ns, step):
+            publisher = self._derived.get(topic)
+            if publisher is not None:
+                publisher.put(payload, now_ns)
+        if health is not None:
+            self._health.put(health, now_ns)
+        if tick.number % self._every == 0 or out.finished:
+            h_m = out.barrier.h_m if out.barrier is not None else math.nan
+            self._h.put(_FLOAT64.pack(_CDR, h_m), now_ns)
+            self._phase.put(pack_string(out.phase.name), now_ns)
+            self._step.put(step, now_ns)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.close()
+
+    def _publisher(self, topic: str, kind: str) -> Ros2Publisher:
+        return self._node.publisher(topic, kind, type_hash(kind))

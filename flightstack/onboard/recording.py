@@ -1,0 +1,173 @@
+"""A flight's folder, its recorder, and what the log says of the run: what was flown, by which code, where."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from types import TracebackType
+
+from flightstack.common.processes import CLOSE_TIME_MAX_S, Child
+from flightstack.common.strict_toml import ConfigError
+from flightstack.core.parameters.flight import FlightConfig
+from logs.recorder.feed import Feed
+
+LOG = "flight.mcap"
+_PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
+
+
+def new_folder(name: str) -> Path:
+    """Make a folder in ``runs`` for what a flight leaves behind.
+
+    Raises:
+        ConfigError: too many of this name and second.
+    """
+    base = f"{datetime.now().strftime('%Y%m%d-%H%M%S')}-{name}"
+    for number in range(1000):
+        folder = Path("runs") / (f"{base}-{number}" if number else base)
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return folder
+    raise ConfigError(f"runs/{base}: a thousand runs of this second exist already; give --out")
+
+
+def log_in(folder: Path) -> Path:
+    """The log to be written in a folder, which is made where it is missing.
+
+    Raises:
+        ConfigError: there is a log already.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    log = folder / LOG
+    if log.exists():
+        raise ConfigError(f"--out: {log} exists and is not written over; give another folder")
+    return log
+
+
+def start_recorder(socket: Path, log: Path) -> Child:
+    """Start a recorder and wait until it listens; it says what goes wrong in a file beside the log.
+
+    Raises:
+        LaunchError: it did not start.
+    """
+    recorder = Child("record", ["record", "--socket", str(socket), "--out", str(log)], log.parent)
+    recorder.wait_ready()
+    return recorder
+
+
+def end_recorder(recorder: Child) -> str | None:
+    """End a recorder behind its clients, bounded; the problem, if the log is not whole."""
+    if recorder.end(CLOSE_TIME_MAX_S) == 0:
+        return None
+    return f"record did not end in order: {recorder.errors() or 'no reason given'}"
+
+
+class OwnRecorder:
+    """The recorder of an onboard process that was given none: a child process; a context manager.
+
+    Attributes:
+        problem: why the log is not whole; known when the context has ended.
+    """
+
+    def __init__(self) -> None:
+        self.problem: str | None = None
+        self._child: Child | None = None
+        self._sockets: Path | None = None
+
+    def start(self, config: FlightConfig, run: Mapping[str, str]) -> tuple[Path, Path]:
+        """Start it, with a log in a new folder of ``runs``; its socket and the log.
+
+        Args:
+            config: of the onboard process.
+            run: what is known of the run, for the log.
+
+        Raises:
+            LaunchError: it did not start.
+        """
+        # a short path: socket names are limited to 107 bytes
+        self._sockets = Path(tempfile.mkdtemp(prefix="flightstack-"))
+        socket, log = self._sockets / "recorder", log_in(new_folder("onboard"))
+        self._child = start_recorder(socket, log)
+        self._child.yield_to_others(10)
+        describe(socket, config, run, {})
+        return socket, log
+
+    def __enter__(self) -> OwnRecorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        del kind, error, trace
+        if self._child is not None:
+            self.problem = end_recorder(self._child)
+        if self._sockets is not None:
+            shutil.rmtree(self._sockets, ignore_errors=True)
+
+
+def describe(
+    recorder: Path, config: FlightConfig, run: Mapping[str, str], attachments: Mapping[str, bytes]
+) -> None:
+    """Write into the log what is needed to read it and to fly it again; onboard writes its own part.
+
+    Args:
+        recorder: socket of the recorder.
+        config: of the onboard process.
+        run: what else is known of the run; its entries take the place of those made here.
+        attachments: files (TOML) by name.
+
+    Raises:
+        FeedError: there is no recorder.
+    """
+    shape, limits = config.barrier.build(), config.limits.velocity_max_m_s
+    feed = Feed.connect(str(recorder), "launcher", lossless=True)
+    told = {
+        "filter": config.filter.value,
+        "mode": "real-time",
+        "rate_hz": str(config.loop.rate_hz),
+        "barrier_alpha_1_m": repr(shape.alpha_1_m),
+        "barrier_beta_m": repr(shape.beta_m),
+        "velocity_max_x_m_s": repr(limits[0]),
+        "velocity_max_y_m_s": repr(limits[1]),
+        "velocity_max_z_m_s": repr(limits[2]),
+        "pad_radius_m": repr(config.touchdown.pad_radius_m),
+    }
+    feed.metadata("run", {**told, **run})
+    feed.metadata(
+        "made",
+        {
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "host_system": platform.platform(),
+            "python": platform.python_version(),
+            "version": metadata.version("crazyflie-flightstack"),
+            "git_revision": _revision(),
+            **{f"package_{p}": metadata.version(p) for p in _PACKAGES},
+        },
+    )
+    for name, data in attachments.items():
+        feed.attachment(name, "application/toml", data)
+    feed.flush()
+    feed.close()
+
+
+def _revision() -> str:
+    """Git revision of the code, "-dirty" with changes; empty where it is not a checkout."""
+    try:
+        result = subprocess.run(
+            ["git", "describe", "--always", "--dirty"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            timeout=5.0,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return result.stdout.strip()

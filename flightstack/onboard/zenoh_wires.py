@@ -1,0 +1,106 @@
+"""The Zenoh side of the onboard process: its session, the target's motion, and the flight shown to ROS 2."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bridge.ros2.ros2_network import Ros2Network
+from bridge.target.ros2_target import Dialect, TargetSource, TargetSpec
+from bridge.target.target_keys import KeySearch
+from bridge.zenoh import zenoh_link
+from bridge.zenoh.zenoh_alarm import ConnectionAlarm
+from flightstack.common.pacing import Tick
+from flightstack.core.controller import Outputs
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.onboard.publish_ros2 import LiveRos2
+
+
+@dataclass(frozen=True)
+class ZenohPlan:
+    """Where the process is plugged in.
+
+    Attributes:
+        target: whose motion to follow.
+        connect: endpoints to dial.
+        listen: endpoints to listen on.
+        namespace: first part of our keys and topics.
+        config_file: Zenoh configuration of the session that is flown by.
+        ros2: where ROS 2 is, with a target that is a ROS 2 topic; without it such a target is looked for on
+            the session that is flown by.
+        lockstep: with a simulated target.
+    """
+
+    target: TargetSpec
+    connect: Sequence[str] = ()
+    listen: Sequence[str] = ()
+    namespace: str = "cf1"
+    config_file: Path | None = None
+    ros2: Ros2Network | None = None
+    lockstep: bool = False
+
+
+class ZenohWires:
+    """Owns the sessions.
+
+    Attributes:
+        session: that is flown by.
+        odometry: the target's motion.
+        search: for other keys a target might be under; idle until it is asked.
+        target: whose motion it is.
+
+    Raises:
+        ValueError: an endpoint, key, topic, domain or configuration that is not understood.
+        ZenohLinkError: a session that could not be opened.
+    """
+
+    def __init__(self, config: FlightConfig, plan: ZenohPlan) -> None:
+        if plan.lockstep and not plan.target.is_direct:
+            raise ValueError(
+                f"--target {plan.target.text}: in lockstep it is a Zenoh key of the simulated target"
+            )
+        self.session = zenoh_link.open_session(plan.listen, plan.connect, config_file=plan.config_file)
+        role, whom = zenoh_link.dialled(plan.connect, config_file=plan.config_file)
+        self._alarms = [ConnectionAlarm(self.session, whom, role)]
+        self._sessions = [self.session]
+        self._shown: LiveRos2 | None = None
+        rate_hz, checks = config.loop.rate_hz, config.checks
+        if plan.ros2 is not None:
+            self._sessions.append(plan.ros2.open())
+            self._alarms.append(
+                ConnectionAlarm(self._sessions[-1], [plan.ros2.where], zenoh_link.Role.CLIENT)
+            )
+            self._shown = LiveRos2(self._sessions[-1], plan.ros2.domain, plan.namespace, rate_hz)
+        where = self.session if plan.target.dialect is Dialect.PLAIN else self._sessions[-1]
+        self.odometry = TargetSource(
+            where, plan.target, checks.target_frame, checks.target_child_frame, config.target,
+            lossless=plan.lockstep,
+        )  # fmt: skip
+        self.search = KeySearch(where)
+        self._texts = [
+            f"Zenoh listens on {endpoint} without rules: whoever reaches it can send a target (docs/zenoh.md)"
+            for endpoint in zenoh_link.open_to_all(plan.listen, config_file=plan.config_file)
+        ]
+        self._lockstep, self.target = plan.lockstep, plan.target
+
+    def texts(self, now_s: float) -> list[str]:
+        """What a person should know since the last call; in lockstep nothing that wall time has a part in."""
+        texts, self._texts = self._texts + self.odometry.take_problems(), []
+        if not self._lockstep:
+            for alarm in self._alarms:
+                texts += alarm.poll(now_s)
+        return texts
+
+    def show(self, tick: Tick, out: Outputs, step: bytes, health: bytes | None) -> None:
+        """Show a tick to ROS 2, if that is wanted; arguments as of ``LiveRos2.show``."""
+        if self._shown is not None:
+            self._shown.show(tick, out, step, health)
+
+    def close(self) -> None:
+        """Close everything."""
+        self.search.stop()
+        if self._shown is not None:
+            self._shown.close()
+        for session in reversed(self._sessions):
+            session.close()

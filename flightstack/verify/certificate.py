@@ -1,0 +1,71 @@
+"""Is this configuration good for everything it declares? Proved before take-off, over the whole envelope.
+
+``checks`` proves or refutes each claim of docs/robust_filter.md at its worst point; ``problems`` are those
+without which the set cannot work, and the onboard process refuses. The paper's filter has the paper's
+checks alone: it promises nothing of a vehicle that lags.
+"""
+
+from __future__ import annotations
+
+from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.verify import ends, feedback, paper, robust, touchdown
+from flightstack.verify.bound import Span
+from flightstack.verify.envelope import extremes
+from flightstack.verify.shape import Shape
+from flightstack.verify.types import Check, Need
+
+
+def problems(config: FlightConfig) -> list[str]:
+    """Reasons for which this configuration must not fly; empty if it may."""
+    return [check.text for check in checks(config) if check.need is Need.FLIGHT and not check.proven]
+
+
+def checks(config: FlightConfig) -> list[Check]:
+    """Every check of the configuration's filter.
+
+    Raises:
+        ValueError: a parameter makes a bound that is not a number.
+    """
+    return _CHECKS[config.filter](config)
+
+
+def _paper(config: FlightConfig) -> list[Check]:
+    shape = Shape(config.barrier.build(), Span(0.0, 0.0), 1.0)
+    return [
+        paper.feasible(config, shape, config.envelope.target_climb_max_m_s),
+        paper.sampling(config, "barrier.omega_1_s", config.barrier.omega_1_s),
+        paper.peak_clears_pad(config),
+        paper.gains(config, config.position_loop.gain_1_s, "position_loop.gain_1_s"),
+        paper.slews(config, config.limits.slew_max_m_s2, "limits.slew_max_m_s2"),
+        ends.reaches_touchdown(config),
+        ends.contact(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
+        ends.notices(config),
+    ]
+
+
+def _robust(config: FlightConfig) -> list[Check]:
+    x, fed_back = extremes(config), config.velocity_feedback.horizontal
+    return [
+        paper.feasible(config, x.shape, x.target_climb_m_s),
+        robust.recovers(config, x),
+        robust.rate(config, x),
+        paper.sampling(config, "robust.rate_1_s", config.robust.rate_1_s),
+        paper.peak_clears_pad(config),
+        paper.gains(config, config.position_loop.gain_1_s, "position_loop.gain_1_s"),
+        paper.slews(config, config.robust.acceleration_max_m_s2, "robust.acceleration_max_m_s2"),
+        *touchdown.follows(config, x),
+        *touchdown.reach(config, x),
+        touchdown.in_time(config, x),
+        ends.contact(config, config.robust.descent_m_s, "robust.descent_m_s"),
+        ends.notices(config),
+        touchdown.altitude(config, x),
+        robust.climb(config, x),
+        robust.slew(config, x),
+        robust.holds(config, x),
+        robust.estimator(config, x),
+        *(feedback.comes_to_rest(config) if fed_back else [touchdown.damping(config, x)]),
+        touchdown.drift(config, x),
+    ]
+
+
+_CHECKS = {FilterKind.PAPER: _paper, FilterKind.ROBUST: _robust}

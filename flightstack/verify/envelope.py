@@ -1,0 +1,134 @@
+"""Everything the certificate has to hold for: how target, vehicle and estimates may be at their worst."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from flightstack.core.mission.conditions import View
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.parameters.robust import TargetLink
+from flightstack.core.safety.barrier import Barrier
+from flightstack.core.safety.robust_barrier import RobustBarrier
+from flightstack.core.strategies.law import RobustLaw
+from flightstack.core.target.estimator import TargetEstimator, TargetMotion
+from flightstack.core.target.track import TargetState
+from flightstack.core.types import ZERO, Inputs
+from flightstack.verify.bound import Span
+from flightstack.verify.shape import Shape
+
+SETTLE_SAMPLES = 2000  # after which the estimator's covariance no longer changes
+
+
+@dataclass(frozen=True, slots=True)
+class Extremes:
+    """Worst values of the declared envelope, for the robust filter.
+
+    Attributes:
+        barrier: the paper's.
+        shape: boundary held, with margins from the usual one to that of a target almost lost.
+        usual: the same while samples come as they should.
+        pad_radius_m: outside of it the barrier must hold.
+        box_speed_m_s: fastest closing on the target that velocity box and target allow together.
+        target_speed_m_s: of the target, horizontally; also of a vehicle that stands over a moving target.
+        target_climb_m_s: heave of the pad.
+        target_acceleration_m_s2: horizontal.
+        heave_acceleration_m_s2: vertical; 0 for a target that does not heave.
+        slip_m_s: horizontal speed against the target while it is followed.
+        position_error_m: of vehicle minus target, horizontally, with the factor that is covered.
+        height_error_m: the same upwards.
+        growth_m: of the margin from one sample of the target to the next.
+        velocity_error_m_s: of the target's estimated velocity on an axis, likewise.
+        lag_xy_s, lag_z_s: slowest vehicle of the spread.
+    """
+
+    barrier: Barrier
+    shape: Shape
+    usual: Shape
+    pad_radius_m: float
+    box_speed_m_s: float
+    target_speed_m_s: float
+    target_climb_m_s: float
+    target_acceleration_m_s2: float
+    heave_acceleration_m_s2: float
+    slip_m_s: float
+    position_error_m: float
+    height_error_m: float
+    growth_m: float
+    velocity_error_m_s: float
+    lag_xy_s: float
+    lag_z_s: float
+
+
+def extremes(config: FlightConfig) -> Extremes:
+    """Work out the worst values from what is declared."""
+    barrier, robust, loop = config.barrier.build(), config.robust, config.velocity_loop
+    law = RobustLaw(config, barrier)
+    envelope, pad_radius_m = config.envelope, config.touchdown.pad_radius_m
+    errors = estimate_errors(config.target, envelope.target_rate_hz, config.checks.target_age_max_s)
+    fresh, near, far = (_margin_m(law, motion) for motion in errors)
+    usual, own_m = errors.usual, config.own.position_noise_m
+    vx, vy, _ = config.limits.velocity_max_m_s
+    acceleration = envelope.target_acceleration_max_m_s2
+    velocity_error = robust.sigma_factor * usual.velocity_sigma_m_s
+    slower = 1.0 + envelope.lag_spread
+    return Extremes(
+        barrier=barrier,
+        shape=Shape(barrier, Span(near, max(near, far)), robust.fade_radius_m),
+        usual=Shape(barrier, Span(near, near), robust.fade_radius_m),
+        pad_radius_m=pad_radius_m,
+        box_speed_m_s=math.hypot(vx, vy) + config.touchdown.target_speed_max_m_s,
+        target_speed_m_s=config.touchdown.target_speed_max_m_s,
+        target_climb_m_s=envelope.target_climb_max_m_s,
+        target_acceleration_m_s2=acceleration,
+        heave_acceleration_m_s2=acceleration if envelope.target_climb_max_m_s > 0.0 else 0.0,
+        # the set-point's lead takes out the lag that is told; where the vehicle differs remains
+        slip_m_s=envelope.lag_spread * loop.lag_xy_s * acceleration + velocity_error,
+        position_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_m, own_m),
+        height_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_z_m, own_m),
+        growth_m=near - fresh,
+        velocity_error_m_s=velocity_error,
+        lag_xy_s=slower * loop.lag_xy_s,
+        lag_z_s=slower * loop.lag_z_s,
+    )
+
+
+def _margin_m(law: RobustLaw, motion: TargetMotion) -> float:
+    """Margin the filter takes at this uncertainty; asked of the filter itself."""
+    target = TargetState(0.0, ZERO, ZERO, 0.0, motion.position_sigma_m, motion.position_sigma_z_m)
+    held = law.held(View(Inputs(), target, True, True, True, None))
+    assert isinstance(held, RobustBarrier)
+    return held.margin_m
+
+
+class Errors(NamedTuple):
+    """Standard deviations of the target's estimate, at three ages of its newest sample."""
+
+    fresh: TargetMotion  # its delay: just arrived
+    usual: TargetMotion  # its delay and a period: the next one arrives
+    lost: TargetMotion  # the age limit: just not lost
+
+
+def estimate_errors(link: TargetLink, rate_hz: float, age_max_s: float) -> Errors:
+    """Standard deviations of the target's estimate: usually at worst, and when it is almost lost.
+
+    The estimator's covariance does not depend on what is measured, so running it on zeros gives it exactly.
+    Almost lost is the worse of the very first sample (when least is known) and a later one, on each axis.
+    """
+    estimator, period_s = TargetEstimator(link), 1.0 / rate_hz
+    first: TargetMotion | None = None
+    for number in range(SETTLE_SAMPLES):
+        estimator.update(number * period_s, ZERO, ZERO)
+        if first is None:
+            first = estimator.at(age_max_s)
+    assert first is not None
+    newest_s = estimator.memory.time_s
+    fresh = estimator.at(newest_s + min(age_max_s, link.delay_s))
+    usual = estimator.at(newest_s + min(age_max_s, link.delay_s + period_s))
+    later = estimator.at(newest_s + age_max_s)
+    lost = later._replace(
+        position_sigma_m=max(first.position_sigma_m, later.position_sigma_m),
+        position_sigma_z_m=max(first.position_sigma_z_m, later.position_sigma_z_m),
+    )
+    return Errors(fresh, usual, lost)

@@ -1,0 +1,133 @@
+"""Does the loop with fed-back velocity and disturbance come to rest, for every vehicle declared?
+
+``linear`` writes it down as x' = A x, with the vehicle's own loop as in ``velocity_axis.py``, the position
+loop over the pad around it, and the delay as a first-order Padé element. A depends on the vehicle linearly
+through W = w^2 and D = 2 z w. So over a small piece of the spread, with (W, D) in a rectangle, a quadratic
+Lyapunov function that decays at the rectangle's four corners decays in all of it (a convex hull of matrices):
+nothing can hide between. Pieces for which that fails are halved.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.verify.types import Check, Need
+
+F64 = npt.NDArray[np.float64]
+TICKS_LATE = 1.5  # a set-point holds for a tick, and comes a tick after what it was computed from
+SHARE = 0.5  # of the decay at a piece's middle that all of it is asked for
+PIECE_MIN = 1e-6  # of the spread's factor; a piece so small that still fails is a loop that swings
+PIECES_MAX = 10_000
+MIN_DECAY_1_S = 0.1  # of what is proven: half of an error is gone in seven seconds
+
+
+def linear(config: FlightConfig, faster: float, damped: float | None = None) -> F64:
+    """The loop's matrix, for a vehicle whose velocity loop is ``faster`` than the one declared.
+
+    Its D is ``damped`` times the declared one's, by default as its w.
+
+    States: position against the target, velocity, acceleration; what the delay holds; velocity, acceleration
+    and disturbance of the observer; smoothed derivative of the velocity wanted.
+    """
+    damped = faster if damped is None else damped
+    loop, feedback, period_s = config.velocity_loop, config.velocity_feedback, 1.0 / config.loop.rate_hz
+    gain, told_s = config.robust.gain_over_pad_1_s, config.own.delay_s
+    w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
+    late_s = told_s + TICKS_LATE * period_s
+    p, v, a, held, m, dm, f, s = np.eye(8)
+    measured = held - v
+    observed = measured + told_s * (dm + f)
+    missed = measured - m
+    wanted, wanted_slope = -gain * p, -gain * v
+    now = m + told_s * (dm + f)
+    aim = s + feedback.error_rate_1_s * (wanted - now) - f
+    u = now + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)
+    observer = feedback.observer_rate_1_s
+    return np.array(
+        [
+            v,
+            a,
+            (faster * w) ** 2 * (u - v) - damped * drag * a,
+            (2.0 * v - held) * 2.0 / late_s,
+            dm + f + 2.0 * observer * missed,
+            w * w * (u - observed) - drag * dm,
+            observer * observer * missed,
+            (wanted_slope - s) / max(loop.slope_time_s, period_s),
+        ]
+    )
+
+
+def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float, float]:
+    """Rate at which every loop between these factors is proven to come to rest, and where it is least.
+
+    Returns:
+        The rate in 1/s, not positive if some vehicle's loop cannot be proven to; and the factor.
+    """
+    least, where = math.inf, 1.0
+    pieces = [(slower, faster)]
+    for _ in range(PIECES_MAX):
+        if not pieces:
+            return least, where
+        low, high = pieces.pop()
+        middle = 0.5 * (low + high)
+        centre = linear(config, middle)
+        fastest = -float(np.linalg.eigvals(centre).real.max())
+        if fastest <= 0.0:
+            return fastest, middle
+        if _decays(config, centre, SHARE * fastest, low, high):
+            if SHARE * fastest < least:
+                least, where = SHARE * fastest, middle
+        elif high - low < PIECE_MIN:
+            return 0.0, middle
+        else:
+            pieces += [(low, middle), (middle, high)]
+    return 0.0, where
+
+
+def _decays(config: FlightConfig, centre: F64, rate_1_s: float, low: float, high: float) -> bool:
+    """Whether one quadratic function decays at this rate in the whole rectangle of (W, D)."""
+    # the sum of squares of the modes at the middle
+    modes = np.linalg.inv(np.linalg.eig(centre).eigenvectors)
+    shape: F64 = (modes.conj().T @ modes).real
+    if not float(np.linalg.eigvalsh(shape)[0]) > 0.0:
+        return False
+    for stiff, damped in itertools.product((low, high), repeat=2):
+        corner = linear(config, stiff, damped) + rate_1_s * np.eye(len(centre))
+        if not float(np.linalg.eigvalsh(corner.T @ shape + shape @ corner)[-1]) < 0.0:
+            return False
+    return True
+
+
+def comes_to_rest(config: FlightConfig) -> list[Check]:
+    """The declared vehicle's loop comes to rest, and that of each vehicle of the spread."""
+    spread = config.envelope.lag_spread
+    remedy = (
+        "lower velocity_feedback.error_rate_1_s, velocity_feedback.observer_rate_1_s or "
+        "robust.gain_over_pad_1_s, or raise loop.rate_hz"
+    )
+    told, _ = decay_1_s(config, 1.0, 1.0)
+    least, where = decay_1_s(config, 1.0 / (1.0 + spread), 1.0 / (1.0 - spread))
+    return [
+        Check(
+            "velocity feedback",
+            "what is fed back brings the declared vehicle to rest",
+            told - MIN_DECAY_1_S,
+            "1/s",
+            f"decays at {told:.3g} 1/s at least, {MIN_DECAY_1_S:g} are needed",
+            remedy,
+        ),
+        Check(
+            "velocity feedback, spread",
+            "and so it does each vehicle of the spread",
+            least - MIN_DECAY_1_S,
+            "1/s",
+            f"decays at {least:.3g} 1/s at least, with a velocity loop {where:.3g} times as fast as declared",
+            f"lower envelope.lag_spread, or {remedy}",
+            Need.PROOF,
+        ),
+    ]

@@ -1,0 +1,141 @@
+"""How far from the middle can a vehicle with fed-back velocity be, that has followed its target for long?
+
+The loop x' = A x + B i of ``certificate_feedback.linear``, seen from the target, has two inputs that may turn
+against it at any moment: the target's acceleration, and the error q of the velocity wanted, which errs with
+the estimated velocity and, times the gain, with the position. An output differs from 0 by at most the inputs'
+bounds times the integrals over the absolute impulse responses. What is wanted is taken to keep within the
+feedback's own limits.
+
+Of vehicles between two factors one is the middle. What the others fly differently is a third input of the
+middle's loop, (W - W0) (u - v) - (D - D0) a, bounded by what those two gains let u - v and a be, itself
+included (small gain theorem). Pieces of the spread for which that is much, or no bound, are halved.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.verify.envelope import Extremes
+from flightstack.verify.feedback import linear
+
+F64 = npt.NDArray[np.float64]
+STEP_S = 3e-3  # of the impulse responses; what they do between two steps is bounded
+DOUBLINGS = (11, 14)  # responses of 6 s, or up to 49 s; what is left after is bounded
+SLACK = 0.03  # share of its reach that a piece may owe to vehicles beside its middle
+PIECE_MIN = 1e-4  # of the spread's factor
+_POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # states of ``linear``
+_TARGET, _ERROR, _OTHER = range(3)  # inputs
+
+
+def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
+    """Largest distance from the middle while the target is followed, and for which vehicle.
+
+    Returns:
+        The distance in m, infinite if none is proven; and how many times as fast as declared that vehicle's
+        velocity loop is.
+    """
+    spread = config.envelope.lag_spread
+    low, high = 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)
+    pieces = [(*_reach_m(config, x, low, high), low, high)]
+    while True:  # the piece that may reach farthest comes first
+        least, own_m, low, high = heapq.heappop(pieces)
+        if -least <= (1.0 + SLACK) * own_m or high - low < PIECE_MIN:
+            return -least, 0.5 * (low + high)
+        middle = 0.5 * (low + high)
+        for half in ((low, middle), (middle, high)):
+            heapq.heappush(pieces, (*_reach_m(config, x, *half), *half))
+
+
+def _reach_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
+    """The farthest any vehicle of a piece may get, negative; and how far the middle one may."""
+    own_m, beside_m = _piece_m(config, x, low, high)
+    return -(own_m + beside_m), own_m
+
+
+def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
+    """What the vehicle in the middle of a piece does, and what others in it may do beyond."""
+    middle, loop = 0.5 * (low + high), config.velocity_loop
+    inputs, outputs, through = _ports(config, middle)
+    gains = _gains(linear(config, middle), inputs, outputs)
+    if gains is None:
+        return math.inf, 0.0
+    bounds = np.array(
+        [
+            x.target_acceleration_m_s2,
+            x.velocity_error_m_s + config.robust.gain_over_pad_1_s * x.position_error_m,
+        ]
+    )
+    own = (gains + through)[:, :_OTHER] @ bounds  # of position, u - v, a
+    w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
+    stiff = max(high**2 - middle**2, middle**2 - low**2) * w * w
+    differs = np.array([0.0, stiff, (high - middle) * drag])
+    room = 1.0 - float(differs @ gains[:, _OTHER])
+    if room <= 0.0:
+        return float(own[0]), math.inf
+    return float(own[0]), float(gains[0, _OTHER] * (differs @ own) / room)
+
+
+def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
+    """Columns of the inputs, rows of the outputs, and what of an input is in an output at once.
+
+    The smoothed derivative s' = (r' - s) / T holds q', which has no bound: the state is s - q / T.
+    """
+    loop, feedback = config.velocity_loop, config.velocity_feedback
+    w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
+    smoothing_s = max(loop.slope_time_s, 1.0 / config.loop.rate_hz)
+    inputs, outputs, through = np.zeros((8, 3)), np.zeros((3, 8)), np.zeros((3, 3))
+    # seen from the target all velocities turn the other way, twice in the delay's state; r' knows of it
+    inputs[[_VELOCITY, _HELD, _MODEL, _SLOPE], _TARGET] = -1.0, -2.0, -1.0, 1.0 / smoothing_s
+    push = feedback.tilt_rate_1_s * (feedback.error_rate_1_s + 1.0 / smoothing_s)
+    inputs[[_PULL, _MODEL_PULL, _SLOPE], _ERROR] = factor * factor * push, push, -1.0 / smoothing_s**2
+    inputs[_PULL, _OTHER] = 1.0
+    outputs[0, _POSITION] = outputs[2, _PULL] = 1.0
+    flown = linear(config, factor)[_PULL]
+    flown[_PULL] += factor * drag
+    outputs[1] = flown / (factor * w) ** 2
+    through[1, _ERROR] = push / (w * w)
+    return inputs, outputs, through
+
+
+def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
+    """Integrals over the absolute impulse responses, outputs x inputs; None for a loop that does not rest.
+
+    Between two steps a response differs from the straight line by at most h^3 / 12 of its second derivative,
+    in the integral. After the last step it begins anew, with what is left.
+    """
+    step, grown = _exp(loop * STEP_S), _exp(np.abs(loop) * STEP_S)
+    bend = np.abs(outputs @ loop @ loop) @ grown
+    powers = np.eye(len(loop))[np.newaxis]
+    factor = step
+    for doubling in range(1, DOUBLINGS[1] + 1):
+        powers = np.concatenate([powers, powers @ factor])
+        factor = factor @ factor
+        left = np.abs(factor)
+        if doubling < DOUBLINGS[0] or not float(np.abs(np.linalg.eigvals(left)).max()) < 0.5:
+            continue
+
+        def integral(columns: F64, last: F64, powers: F64 = powers) -> F64:
+            states = powers @ columns
+            found = np.abs(outputs @ states)
+            ends = 0.5 * (np.abs(outputs @ last) - found[0])
+            curved = STEP_S**3 / 12.0 * (bend @ np.abs(states).sum(axis=0))
+            total: F64 = STEP_S * (found.sum(axis=0) + ends) + curved
+            return total
+
+        rest = np.linalg.inv(np.eye(len(loop)) - left) @ np.abs(factor @ inputs)
+        return integral(inputs, factor @ inputs) + integral(np.eye(len(loop)), factor) @ rest
+    return None
+
+
+def _exp(matrix: F64) -> F64:
+    """Exponential of a small matrix: its series, the rest beyond double precision."""
+    total = term = np.eye(len(matrix))
+    for order in range(1, 30):
+        term = term @ matrix / order
+        total = total + term
+    return total

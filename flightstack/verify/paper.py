@@ -1,0 +1,118 @@
+"""Checks of eq. 11 that any filter needs: some velocity in the box is always enough.
+
+At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box gives
+``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target takes ``|s| w + w_z``. What is left must not be
+negative, for every distance and direction. By the apex the filter's gradient is shortened, from s towards 0;
+what is left is linear in |s|, and s = 0 is met at the peak besides, so that the bound covers it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.types import Vec3
+from flightstack.verify.bound import Cell, Most, Span, most
+from flightstack.verify.shape import Shape
+from flightstack.verify.types import Check
+
+QUARTER = Span(0.0, math.pi / 2.0)  # of directions: box and target are symmetric
+ANYWHERE = Span(0.0, math.inf)  # distances
+
+
+def shortfall(
+    shape: Shape, box_m_s: Vec3, target_speed_m_s: float, target_climb_m_s: float, d: Span = ANYWHERE
+) -> Most:
+    """Largest rate at which h is lost with the best velocity of the box, m/s; over (distance, angle)."""
+    vx, vy, vz = box_m_s
+
+    def lost(slope: Span, angle: Span) -> float:
+        # sine rises and cosine falls over the quarter
+        lateral = math.cos(angle.high) * vx + math.sin(angle.low) * vy
+        steep = max(abs(slope.low), abs(slope.high))
+        flat = 0.0 if slope.low <= 0.0 <= slope.high else min(abs(slope.low), abs(slope.high))
+        excess = target_speed_m_s - lateral
+        return (steep if excess > 0.0 else flat) * excess + target_climb_m_s - vz
+
+    def upper(cell: Cell) -> float:
+        return lost(shape.slope(cell[0]), cell[1])
+
+    def value(at: tuple[float, ...]) -> float:
+        slope = shape.slope(Span(at[0], at[0]))
+        return max(lost(Span(s, s), Span(at[1], at[1])) for s in slope)
+
+    peak = shape.barrier.peak_distance_m
+    return most(upper, value, (d, QUARTER), ((peak, 0.0),) if d.low <= peak <= d.high else ())
+
+
+def feasible(config: FlightConfig, shape: Shape, target_climb_m_s: float) -> Check:
+    """Eq. 11 has a solution in the box wherever h >= 0."""
+    speed = config.touchdown.target_speed_max_m_s
+    worst = shortfall(shape, config.limits.velocity_max_m_s, speed, target_climb_m_s)
+    d, angle = worst.at
+    slope = round(shape.slope(Span(d, d)).high, 6)
+    heave = f" that climbs with {target_climb_m_s:g} m/s" if target_climb_m_s > 0.0 else ""
+    end = "outruns the box" if worst.bound > 0.0 else "does not outrun the box"
+    return Check(
+        "barrier",
+        "some velocity in the box meets the barrier wherever h >= 0",
+        -worst.bound,
+        "m/s",
+        f"at {d:.3g} m, direction {math.degrees(angle):.0f} deg, slope {slope:.3g}, a target of {speed:g} m/s"
+        f"{heave} {end}",
+        "lower touchdown.target_speed_max_m_s or the slope alpha * beta, or raise limits.velocity_max_m_s",
+    )
+
+
+def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
+    """One tick uses up at most half of h."""
+    most_1_s = 0.5 * config.loop.rate_hz
+    return Check(
+        f"sampling, {key}",
+        "a tick is short against the rate at which h is used up",
+        most_1_s - rate_1_s,
+        "1/s",
+        f"found {rate_1_s:g}, at {config.loop.rate_hz} Hz at most {most_1_s:g}",
+        f"lower {key} or raise loop.rate_hz",
+    )
+
+
+def peak_clears_pad(config: FlightConfig) -> Check:
+    """The boundary still rises over the pad."""
+    barrier, pad = config.barrier.build(), config.touchdown.pad_radius_m
+    return Check(
+        "barrier's peak",
+        "the boundary rises all over the pad",
+        barrier.peak_distance_m - 0.5 * pad,
+        "m",
+        f"its peak at {barrier.peak_distance_m:.3g} m, the pad's radius {pad:g} m",
+        "make the barrier wider: lower alpha_1_m or raise peak_distance_m",
+    )
+
+
+def gains(config: FlightConfig, gain_1_s: Vec3, key: str) -> Check:
+    """The position loop is slow against a tick, on every axis."""
+    most_1_s = 0.5 * config.loop.rate_hz
+    axis = max(range(3), key=lambda i: gain_1_s[i])
+    return Check(
+        f"{key}[{axis}]",
+        "a tick is short against the position loop",
+        most_1_s - gain_1_s[axis],
+        "1/s",
+        f"found {gain_1_s[axis]:g}, at {config.loop.rate_hz} Hz at most {most_1_s:g}",
+        f"lower {key} or raise loop.rate_hz",
+    )
+
+
+def slews(config: FlightConfig, slew_m_s2: Vec3, key: str) -> Check:
+    """The limit of a command's change is one: below what the box allows from tick to tick anyway."""
+    most_m_s2 = [2.0 * limit * config.loop.rate_hz for limit in config.limits.velocity_max_m_s]
+    axis = min(range(3), key=lambda i: most_m_s2[i] - slew_m_s2[i])
+    return Check(
+        f"{key}[{axis}]",
+        "the limit of acceleration limits",
+        most_m_s2[axis] - slew_m_s2[axis],
+        "m/s^2",
+        f"found {slew_m_s2[axis]:g}, no limit at {config.loop.rate_hz} Hz; at most {most_m_s2[axis]:g}",
+        f"lower {key}",
+    )

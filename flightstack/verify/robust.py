@@ -1,0 +1,190 @@
+"""Checks of the robust filter outside the pad: is the barrier held by a vehicle that lags and errs?
+
+docs/robust_filter.md derives every line. Speeds that lower h, by the side of the boundary's peak:
+
+- outside, where the boundary rises inwards: closing on the target as fast as box and target allow;
+- inside, where it rises outwards: leaving the middle, no faster than the target can drive away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.verify.bound import Cell, Most, Span, most
+from flightstack.verify.envelope import Extremes
+from flightstack.verify.paper import shortfall
+from flightstack.verify.shape import Shape
+from flightstack.verify.types import Check, Need
+
+HELD_M = 0.005  # m below the boundary outside the pad that no verdict calls a violation, whatever the vehicle
+
+
+def rate(config: FlightConfig, x: Extremes) -> Check:
+    """h is used up slower than the vehicle's vertical velocity settles."""
+    most_1_s = 1.0 / x.lag_z_s if x.lag_z_s > 0.0 else math.inf
+    return Check(
+        "robust.rate_1_s",
+        "h is used up slower than the vertical velocity settles, spread included",
+        most_1_s - config.robust.rate_1_s,
+        "1/s",
+        f"found {config.robust.rate_1_s:g}, the slowest vehicle lags {x.lag_z_s:.3g} s: below {most_1_s:.3g}",
+        "lower robust.rate_1_s",
+    )
+
+
+def recovers(config: FlightConfig, x: Extremes) -> Check:
+    """From h < 0 the best velocity raises h although it is flown with an error."""
+    worst = shortfall(x.shape, config.limits.velocity_max_m_s, x.target_speed_m_s, x.target_climb_m_s)
+    room = -worst.bound - config.robust.tracking_error_m_s
+    deep_m = x.barrier.peak_height_m + x.shape.margin_m.high
+    time = f"at most {deep_m / room:.3g} s from the deepest point" if room > 0.0 else "never from some points"
+    return Check(
+        "recovery",
+        "from h < 0 the vehicle comes back to h >= 0",
+        room,
+        "m/s",
+        f"at {worst.at[0]:.3g} m h rises with {room:.3g} m/s: {time}",
+        "lower touchdown.target_speed_max_m_s or robust.tracking_error_m_s, or raise limits.velocity_max_m_s",
+    )
+
+
+def demand(x: Extremes, slope: Span) -> float:
+    """Vertical velocity needed at most to keep h at a slope, whatever the horizontal loop does, m/s."""
+    return max(0.0, -slope.low) * x.box_speed_m_s + max(0.0, slope.high) * x.target_speed_m_s
+
+
+def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign: float = 1.0) -> float:
+    """How fast that velocity may grow (sign 1) or fall (sign -1) by motion over the boundary, m/s^2."""
+    slope, bend = shape.slope(d), shape.curvature_1_m(d)
+    ax, ay, _ = config.robust.acceleration_max_m_s2
+    inside = x.slip_m_s if sign > 0.0 else x.box_speed_m_s  # it may come in fast, which lets the demand fall
+    speed = x.box_speed_m_s if slope.low < 0.0 else inside
+    pushed = math.hypot(ax, ay) + x.target_acceleration_m_s2
+    return (
+        max(0.0, max(sign * bend.low, sign * bend.high)) * speed**2
+        + (shape.turn_1_m(d) * x.slip_m_s**2 if sign > 0.0 else -min(0.0, slope.low) / d.low * speed**2)
+        + max(0.0, -slope.low) * pushed
+        + max(0.0, slope.high) * (x.target_acceleration_m_s2 if sign > 0.0 else pushed)
+        + x.heave_acceleration_m_s2
+    )
+
+
+def outside(x: Extremes, function: Callable[[Span], float]) -> Most:
+    """Largest value of a function of the distance anywhere outside the pad."""
+
+    def upper(cell: Cell) -> float:
+        return function(cell[0])
+
+    return most(upper, lambda at: function(Span(at[0], at[0])), (Span(x.pad_radius_m, math.inf),))
+
+
+def climb(config: FlightConfig, x: Extremes) -> Check:
+    """The vertical axis alone can hold the barrier against the horizontal speed there is."""
+    vz = config.limits.velocity_max_m_s[2]
+    worst = outside(x, lambda d: demand(x, x.shape.slope(d)))
+    needed = worst.bound + x.target_climb_m_s + config.robust.tracking_error_m_s
+    return Check(
+        "climb",
+        "the vertical axis holds the barrier alone, while the horizontal speed still is what it was",
+        vz - needed,
+        "m/s",
+        f"at {worst.at[0]:.3g} m it may need {needed:.3g} m/s, the box has {vz:g}",
+        "raise limits.velocity_max_m_s[2], or lower its horizontal part or touchdown.target_speed_max_m_s",
+        Need.PROOF,
+    )
+
+
+def slew(config: FlightConfig, x: Extremes) -> Check:
+    """What the vertical axis needs does not grow faster than it may change."""
+    rate_1_s, az = config.robust.rate_1_s, config.robust.acceleration_max_m_s2[2]
+
+    def growth(d: Span) -> float:
+        slope = x.shape.slope(d)
+        used = max(0.0, -slope.low) * x.box_speed_m_s + max(0.0, slope.high) * x.slip_m_s
+        return demand_change(config, x, x.shape, d) + rate_1_s * used
+
+    worst = outside(x, growth)
+    return Check(
+        "acceleration",
+        "the vertical velocity needed grows no faster than it may change, while the target is followed",
+        az - worst.bound,
+        "m/s^2",
+        f"at {worst.at[0]:.3g} m it may grow with {worst.bound:.3g} m/s^2, allowed are {az:g}",
+        "raise robust.acceleration_max_m_s2[2], or lower its horizontal part or limits.velocity_max_m_s",
+        Need.PROOF,
+    )
+
+
+def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
+    """What h loses at most by its condition being met at ticks only.
+
+    A demand that grows with g costs g T^2 / 2 a tick, and the rate r brings it back: g T / (2 r) if it grew
+    for ever. It cannot: it is bounded, so that it grows and falls in turn, at the worst as a saw-tooth with
+    these slopes; then the loss is g T / (2 r) (1 - exp(-r t_up)) / (1 - exp(-r (t_up + t_down))).
+    """
+    rate_1_s, period_s = config.robust.rate_1_s, 1.0 / config.loop.rate_hz
+    growth = outside(x, lambda d: demand_change(config, x, x.usual, d)).bound
+    fall = outside(x, lambda d: demand_change(config, x, x.usual, d, -1.0)).bound
+    swing = outside(x, lambda d: demand(x, x.usual.slope(d))).bound + 2.0 * x.target_climb_m_s
+    if growth <= 0.0 or fall <= 0.0:
+        return 0.0
+    up, down = (math.exp(-rate_1_s * swing / change) for change in (growth, fall))
+    share = (1.0 - up) / (1.0 - up * down) if up * down < 1.0 else 1.0
+    return 0.5 * growth * period_s / rate_1_s * share
+
+
+def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
+    """How far below zero h may fall outside the pad, and where.
+
+    What the margin lacks there (it fades towards the pad, and is sized for the slope at the pad's edge), plus
+    what is lost between two ticks and between two samples of the target.
+    """
+    robust, held_m = config.robust, x.usual.margin_m.low
+    kept_m = robust.tracking_error_m_s / robust.rate_1_s
+
+    def lacking(d: Span) -> float:
+        slope = Shape(x.barrier, Span(0.0, 0.0), x.usual.fade_radius_m).slope(d)
+        steep = max(abs(slope.low), abs(slope.high))
+        fade = math.exp(-((d.low / robust.fade_radius_m) ** 2))
+        error_m = math.hypot(steep * x.position_error_m, x.height_error_m)
+        return 1000.0 * (kept_m + error_m - held_m * (1.0 - fade))
+
+    lack = outside(x, lacking)  # mm
+    return 1e-3 * max(0.0, lack.bound) + between_ticks_m(config, x) + x.growth_m, lack.at[0]
+
+
+def holds(config: FlightConfig, x: Extremes) -> Check:
+    """With all errors at their declared worst the barrier is still held outside the pad."""
+    depth, where = depth_m(config, x)
+    return Check(
+        "h outside the pad",
+        f"h stays above {-1000.0 * HELD_M:g} mm wherever d exceeds the pad's radius",
+        HELD_M - depth,
+        "m",
+        f"margin {1000.0 * x.usual.margin_m.low:.3g} mm, at {where:.3g} m; h > {-1000.0 * depth:.3g} mm",
+        "lower robust.fade_radius_m, robust.acceleration_max_m_s2 or limits.velocity_max_m_s, or raise "
+        "loop.rate_hz",
+        Need.PROOF,
+    )
+
+
+def estimator(config: FlightConfig, x: Extremes) -> Check:
+    """The target's estimator believes that the target can do what is declared."""
+    link, factor = config.target, config.robust.sigma_factor
+    # white jerk of density j makes a standard deviation j sqrt(t) of acceleration; within a second
+    rooms = (
+        factor * link.jerk_growth_max * link.jerk_xy_m_s3_sqrthz - x.target_acceleration_m_s2,
+        factor * link.jerk_z_m_s3_sqrthz - x.heave_acceleration_m_s2,
+    )
+    key = ("jerk_xy_m_s3_sqrthz", "jerk_z_m_s3_sqrthz")[rooms[1] < rooms[0]]
+    return Check(
+        "estimator",
+        "within a second the estimator believes in any acceleration that is declared, if samples tell of it",
+        min(rooms),
+        "m/s^2",
+        f"target.{key} {getattr(link, key):g}, {factor:g} standard deviations of it are covered",
+        f"raise target.{key} or lower envelope.target_acceleration_max_m_s2",
+        Need.PROOF,
+    )

@@ -1,0 +1,232 @@
+"""Checks of the robust landing's end: can it get down, in time, and on the pad?
+
+Horizontal motion over the pad, by a comparison system (docs/robust_filter.md): with y the distance from the
+middle and z how far the velocity is off the velocity wanted,
+
+    y' <= -K y + z + q,      z' <= -z / tau + rho (a + K (K y + z + q)),
+
+K the descent's gain, tau the vehicle's lag, rho the share of it by which the set-point's lead is wrong, a the
+target's acceleration, q the error of its estimated velocity and K times that of its position.
+Off-diagonal terms are positive, so that the system with equality lies above everything that can happen.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+
+from flightstack.core.mission.guidance import CLIMB_OVER
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.verify.envelope import Extremes
+from flightstack.verify.follow import follow_m
+from flightstack.verify.types import Check, Need
+
+STEP_S = 2e-3  # of the comparison system
+PIECES = 20  # of the range of lags
+DAMPING_MIN = 0.5  # of the position loop around the lagging velocity loop
+
+
+def follows(config: FlightConfig, x: Extremes) -> list[Check]:
+    """The box is faster than the target, sideways and up."""
+    vx, vy, vz = config.limits.velocity_max_m_s
+    down = config.robust.descent_m_s + x.target_climb_m_s
+    noise = config.robust.sigma_factor * config.target.velocity_noise_m_s
+    seen = math.hypot(x.target_speed_m_s, x.target_climb_m_s) + noise
+    return [
+        Check(
+            "follow",
+            "the vehicle is faster than the target",
+            min(vx, vy) - x.target_speed_m_s,
+            "m/s",
+            f"horizontally the box has {min(vx, vy):g} m/s, the target {x.target_speed_m_s:g}",
+            "raise limits.velocity_max_m_s or lower touchdown.target_speed_max_m_s",
+            Need.PROOF,  # it may still catch a slower one
+        ),
+        Check(
+            "descent on a heaving pad",
+            "the box holds the descent and the pad's own motion",
+            vz - down,
+            "m/s",
+            f"the box has {vz:g} m/s vertically, {down:.3g} are needed",
+            "raise limits.velocity_max_m_s[2] or lower robust.descent_m_s",
+        ),
+        Check(
+            "checks.target_speed_max_m_s",
+            "samples of the target at its fastest are believed",
+            config.checks.target_speed_max_m_s - seen,
+            "m/s",
+            f"found {config.checks.target_speed_max_m_s:g}, the target shows up to {seen:.3g}",
+            "raise checks.target_speed_max_m_s",
+        ),
+    ]
+
+
+def reach(config: FlightConfig, x: Extremes) -> list[Check]:
+    """The boundary with its margin lets the vehicle down to where the touchdown begins."""
+    robust = config.robust
+    d = robust.commit_radius_m
+    fade = 1.0 - math.exp(-((d / robust.fade_radius_m) ** 2))
+    # the boundary rises out to its peak, the margin everywhere
+    ring = min(d, x.barrier.peak_distance_m)
+    floor = x.barrier.height(ring) + x.usual.margin_m.high * fade
+    hover = floor + config.velocity_loop.lag_z_s * robust.tracking_error_m_s + x.height_error_m
+    return [
+        Check(
+            "commit height",
+            "the boundary with its margin lets the vehicle down to where it may go on in one go",
+            robust.commit_height_m - hover,
+            "m",
+            f"at commit_radius {d:g} m it may hover at {hover:.3g} m, below {robust.commit_height_m:g} m",
+            "raise robust.commit_height_m, or lower robust.commit_radius_m or robust.tracking_error_m_s",
+        ),
+        Check(
+            "wait height",
+            "it waits below the height from which it may go down",
+            robust.commit_height_m - robust.wait_height_m - x.height_error_m,
+            "m",
+            f"waits at {robust.wait_height_m:g} m, may go down from {robust.commit_height_m:g} m",
+            "raise robust.commit_height_m or lower robust.wait_height_m",
+        ),
+        Check(
+            "touch height",
+            "a vehicle standing on the pad is below the height at which a stopped descent is contact",
+            robust.touch_height_m - config.touchdown.feet_below_reference_m - x.height_error_m,
+            "m",
+            f"found {robust.touch_height_m:g}, it stands at {config.touchdown.feet_below_reference_m:g} m",
+            "raise robust.touch_height_m",
+        ),
+        Check(
+            "corridor",
+            "the corridor lies over the pad",
+            x.pad_radius_m - robust.corridor_m,
+            "m",
+            f"robust.corridor_m {robust.corridor_m:g} m, the pad's radius {x.pad_radius_m:g} m",
+            "lower robust.corridor_m",
+        ),
+    ]
+
+
+def descent_time_s(config: FlightConfig, x: Extremes) -> float:
+    """Longest time from the decision to contact."""
+    robust = config.robust
+    way = robust.commit_height_m - config.touchdown.feet_below_reference_m + x.height_error_m
+    speed = robust.descent_m_s - robust.tracking_error_m_s
+    return way / speed + x.lag_z_s if speed > 0.0 else math.inf
+
+
+def in_time(config: FlightConfig, x: Extremes) -> Check:
+    """The descent is over before its time limit."""
+    time_s, most_s = descent_time_s(config, x), config.touchdown.timeout_s
+    return Check(
+        "descent time",
+        "the last descent ends before its time limit",
+        most_s - time_s,
+        "s",
+        f"it may take {time_s:.3g} s, allowed are {most_s:g}",
+        "raise robust.descent_m_s or touchdown.timeout_s, or lower robust.commit_height_m",
+    )
+
+
+def damping(config: FlightConfig, x: Extremes) -> Check:
+    """The position loop does not swing with the slowest vehicle, even without the set-point's lead."""
+    gain = config.robust.gain_over_pad_1_s
+    found = 0.5 / math.sqrt(gain * x.lag_xy_s) if x.lag_xy_s > 0.0 else math.inf
+    return Check(
+        "position loop",
+        f"the descent's position loop is damped by {DAMPING_MIN:g} at least with the slowest vehicle",
+        found - DAMPING_MIN,
+        "",
+        f"gain {gain:.3g} 1/s at a lag of {x.lag_xy_s:.3g} s: damping {found:.3g}",
+        "lower robust.gain_over_pad_1_s",
+        Need.PROOF,
+    )
+
+
+def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
+    """Largest distance from the middle during the last descent, and when, m and s; over all lags there are.
+
+    The spread is cut into pieces; a piece takes the slowest decay and the largest rho in it.
+    """
+    told_s, spread = config.velocity_loop.lag_xy_s, config.envelope.lag_spread
+    if told_s <= 0.0 or spread <= 0.0:
+        return _drift_of_m(config, x, told_s, 0.0)
+    cuts = [told_s * (1.0 + spread * (2.0 * i / PIECES - 1.0)) for i in range(PIECES + 1)]
+    pieces = (
+        (slow, max(abs(fast - told_s) / fast, abs(slow - told_s) / slow)) for fast, slow in pairwise(cuts)
+    )
+    return max(_drift_of_m(config, x, lag_s, rho) for lag_s, rho in pieces)
+
+
+def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> tuple[float, float]:
+    """The same for one tau and rho.
+
+    The comparison system is linear: it is solved exactly from step to step, and what its slope allows between
+    two steps is added.
+    """
+    gain, decay_1_s = config.robust.gain_over_pad_1_s, 1.0 / max(lag_s, STEP_S)
+    error = x.velocity_error_m_s + gain * x.position_error_m
+    # states: y, z, 1
+    rates = np.array(
+        [
+            [-gain, 1.0, error],
+            [rho * gain * gain, rho * gain - decay_1_s, rho * (x.target_acceleration_m_s2 + gain * error)],
+            [0.0, 0.0, 0.0],
+        ]
+    )
+    step, term = np.eye(3), np.eye(3)
+    for order in range(1, 20):
+        term = term @ rates * (STEP_S / order)
+        step = step + term
+    y = config.robust.commit_radius_m + x.position_error_m
+    state = np.array([y, config.robust.commit_speed_m_s + error + gain * y, 1.0])
+    steps = math.ceil(min(descent_time_s(config, x), config.touchdown.timeout_s) / STEP_S)
+    path = np.empty((steps + 1, 3))
+    for number in range(steps + 1):
+        path[number] = state
+        state = step @ state
+    speed, bend = np.abs(path @ rates[0]).max(), np.abs(path @ (rates @ rates)[0]).max()
+    between_m = 0.5 * STEP_S * (speed + STEP_S * bend)
+    last = int(path[:, 0].argmax())
+    return float(path[last, 0] + between_m), last * STEP_S
+
+
+def drift(config: FlightConfig, x: Extremes) -> Check:
+    """From the decision to go down the vehicle stays over the pad until contact."""
+    if config.velocity_feedback.horizontal:
+        farthest, vehicle = follow_m(config, x)
+        claim = "a target that it has followed cannot get away from under it, whatever it does"
+        worst = (
+            f"{1000.0 * farthest:.3g} mm from the middle, a velocity loop {vehicle:.3g} times as fast as told"
+        )
+        remedy = "lower envelope.lag_spread or envelope.target_acceleration_max_m_s2"
+    else:
+        farthest, when_s = drift_m(config, x)
+        claim = "once it goes down it touches the pad, whatever the target does"
+        worst = f"{1000.0 * farthest:.3g} mm from the middle after {when_s:.2f} s"
+        remedy = "lower robust.commit_speed_m_s or robust.commit_radius_m"
+    return Check(
+        "drift",
+        claim,
+        x.pad_radius_m - farthest,
+        "m",
+        f"{worst}; the pad has {1000.0 * x.pad_radius_m:g} mm",
+        f"{remedy}; it will go around more often instead",
+        Need.PROOF,
+    )
+
+
+def altitude(config: FlightConfig, x: Extremes) -> Check:
+    """Above the target there is air to climb into."""
+    margin_m = config.retreat.climb_margin_m
+    top = x.barrier.peak_height_m + margin_m + CLIMB_OVER * margin_m
+    room = config.limits.altitude_max_m - max(top, x.barrier.peak_height_m + x.shape.margin_m.high)
+    return Check(
+        "altitude",
+        "the climb clear of the target ends below the highest altitude",
+        room,
+        "m",
+        f"it ends {top:.3g} m above the pad; that leaves {max(0.0, room):.3g} m for the pad's own height",
+        "raise limits.altitude_max_m",
+    )

@@ -1,0 +1,214 @@
+"""Once a second: how loop, inputs, safety filter and link did, as ``diagnostic_msgs/DiagnosticArray``.
+
+Made from the controller steps, loop timings and raw MAVLink frames of one onboard process. Loop timings are
+wall-clock measurements, so two runs of one seed differ here.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+from logs.schema.codec import CDR_HEADER, ControllerStepRow, LoopTimingRow
+from logs.schema.codec_build import align, string
+from logs.schema.codec_mavlink import PEER_CHARACTERS
+from logs.schema.schemas import DIAGNOSTIC_ARRAY
+
+TOPIC = "/diagnostics"
+PERIOD_NS = 1_000_000_000
+FILTER_BAD = 3  # ControllerStep: FILTER_INFEASIBLE and what is worse
+LATE_S = 0.002  # a tick later than this after its deadline, a fifth of 10 ms, is worth a look
+LOST_MAX = 0.02  # share of frames the vehicle numbered and nobody heard
+SENDERS_MAX = 256  # of which sequence numbers are followed
+_NS = 1_000_000_000
+
+
+class Level(IntEnum):
+    """Levels of ``diagnostic_msgs/msg/DiagnosticStatus``."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Status(NamedTuple):
+    """One status of the array."""
+
+    name: str
+    level: Level
+    message: str
+    values: dict[str, str]
+
+
+class FrameCounter:
+    """Frames of one direction, and the gaps in their sequence numbers."""
+
+    def __init__(self) -> None:
+        self._last: dict[int, int] = {}
+        self.frames = 0
+        self.lost = 0
+
+    def add(self, payload: bytes) -> None:
+        """Count one record of :func:`logs.schema.codec_mavlink.pack_mavlink`."""
+        at = 25 if payload[12] == PEER_CHARACTERS + 1 else 22  # sequence, system, component
+        sequence, sender = payload[at], payload[at + 1] << 8 | payload[at + 2]
+        last = self._last.get(sender)
+        if last is not None:
+            gap = (sequence - last - 1) & 0xFF
+            self.lost += gap if gap < 128 else 0  # a frame out of order is not 255 lost ones
+        if last is not None or len(self._last) < SENDERS_MAX:
+            self._last[sender] = sequence
+        self.frames += 1
+
+    def take(self) -> tuple[int, int]:
+        """Return (frames, lost) since the last call."""
+        taken = self.frames, self.lost
+        self.frames = self.lost = 0
+        return taken
+
+
+class Health:
+    """Gathers a second of one onboard process."""
+
+    def __init__(self, namespace: str) -> None:
+        self._name = namespace.strip("/")
+        self._steps: list[ControllerStepRow] = []
+        self._timings: list[LoopTimingRow] = []
+        self._slot: int | None = None
+        self._accepted = self._rejected = self._overruns = self._dropped = 0
+        self.incoming, self.outgoing = FrameCounter(), FrameCounter()
+
+    def step(self, row: ControllerStepRow) -> None:
+        """Take one controller step."""
+        self._steps.append(row)
+        del self._steps[:-1000]  # without timings nobody asks for them
+
+    def timing(self, log_time_ns: int, row: LoopTimingRow) -> list[tuple[str, str, bytes]]:
+        """Take the timing of a tick; when a second is over, return its diagnostics.
+
+        Returns:
+            (topic, schema, CDR), at most one.
+        """
+        slot = log_time_ns // PERIOD_NS
+        if self._slot is None:
+            self._slot = slot
+        self._timings.append(row)
+        if slot == self._slot:
+            return []
+        self._slot = slot
+        statuses = self._statuses()
+        self._steps.clear()
+        self._timings.clear()
+        return [(TOPIC, DIAGNOSTIC_ARRAY, pack_diagnostics(log_time_ns, self._name, statuses))]
+
+    def _statuses(self) -> list[Status]:
+        steps, name = self._steps, self._name
+        found = [_loop(name, self._timings, self._overruns, self._dropped), self._link()]
+        self._overruns, self._dropped = self._timings[-1].overruns, self._timings[-1].feed_dropped
+        if steps:
+            found += [_inputs(name, steps, self._accepted, self._rejected), _safety(name, steps)]
+            self._accepted, self._rejected = steps[-1].target_accepted, steps[-1].target_rejected
+        return found
+
+    def _link(self) -> Status:
+        frames, lost = self.incoming.take()
+        sent, _ = self.outgoing.take()
+        share = lost / (frames + lost) if frames + lost else math.nan
+        heard = bool(self._steps) and self._steps[-1].link_valid
+        level = Level.WARN if share > LOST_MAX else Level.OK
+        message = f"{frames} frames in, {sent} out"
+        if not heard:
+            level, message = Level.ERROR, "no fresh heartbeat"
+        values = {
+            "frames_in": str(frames),
+            "frames_out": str(sent),
+            "lost": str(lost),
+            "lost_share": _n(share),
+        }
+        return Status(f"{self._name}: vehicle link", level, message, values)
+
+
+def _loop(name: str, rows: Sequence[LoopTimingRow], overruns: int, dropped: int) -> Status:
+    late_s = max(r.lateness_s for r in rows)
+    missed, lost = rows[-1].overruns - overruns, rows[-1].feed_dropped - dropped
+    level, message = Level.OK, "on time"
+    if late_s > LATE_S or missed > 0:
+        level, message = Level.WARN, f"{missed} deadlines missed, at most {1e3 * late_s:.1f} ms late"
+    if lost > 0:
+        level, message = Level.ERROR, f"{lost} log records dropped"
+    values = {
+        "period_mean_s": _n(sum(r.period_s for r in rows) / len(rows)),
+        "lateness_max_s": _n(late_s),
+        "exec_max_s": _n(max(r.exec_s for r in rows)),
+        "solve_max_s": _n(max(r.solve_s for r in rows)),
+        "overruns": str(rows[-1].overruns),
+        "feed_dropped": str(rows[-1].feed_dropped),
+    }
+    return Status(f"{name}: loop", level, message, values)
+
+
+def _inputs(name: str, rows: Sequence[ControllerStepRow], accepted: int, rejected: int) -> Status:
+    own = sum(not r.own_valid for r in rows)
+    target = sum(not r.target_valid for r in rows)
+    level, message = Level.OK, "both states fresh"
+    if own or target:
+        level = Level.WARN
+        message = f"own state missing in {own}, target in {target} of {len(rows)} ticks"
+    if not (rows[-1].own_valid and rows[-1].target_valid):
+        level = Level.STALE
+    values = {
+        "own_age_max_s": _n(_worst(r.own_age_s for r in rows)),
+        "target_age_max_s": _n(_worst(r.target_age_s for r in rows)),
+        "target_accepted": str(rows[-1].target_accepted - accepted),
+        "target_rejected": str(rows[-1].target_rejected - rejected),
+    }
+    return Status(f"{name}: inputs", level, message, values)
+
+
+def _safety(name: str, rows: Sequence[ControllerStepRow]) -> Status:
+    h_m = min((r.h_m for r in rows if not math.isnan(r.h_m)), default=math.nan)
+    slack = min((r.slack_m_s for r in rows if not math.isnan(r.slack_m_s)), default=math.nan)
+    bad = sum(r.filter_status >= FILTER_BAD for r in rows)
+    refused = sum(r.gate != 0 for r in rows)
+    level, message = Level.OK, f"smallest h {h_m:.3f} m"
+    if bad or refused:
+        level, message = Level.WARN, f"filter without a solution {bad} times, gate refused {refused}"
+    if h_m < 0.0:
+        level, message = Level.ERROR, f"h fell to {h_m:.4f} m"
+    values = {
+        "h_min_m": _n(h_m), "slack_min_m_s": _n(slack), "filter_bad": str(bad), "gate_refused": str(refused),
+        "phase": str(rows[-1].phase),
+    }  # fmt: skip
+    return Status(f"{name}: safety", level, message, values)
+
+
+def _worst(values: Any) -> float:
+    """The largest age; one that is not a number, never seen, is the worst."""
+    ages = list(values)
+    return math.nan if any(math.isnan(a) for a in ages) else max(ages)
+
+
+def _n(value: float) -> str:
+    return f"{value:.6g}"
+
+
+def pack_diagnostics(stamp_ns: int, hardware: str, statuses: Sequence[Status]) -> bytes:
+    """Return a ``diagnostic_msgs/msg/DiagnosticArray`` in CDR."""
+    out = bytearray(struct.pack("<iI", *divmod(stamp_ns, _NS)))
+    string(out, "")  # frame_id
+    align(out, 4)
+    out += struct.pack("<I", len(statuses))
+    for status in statuses:
+        out.append(status.level)
+        for text in (status.name, status.message, hardware):
+            string(out, text)
+        align(out, 4)
+        out += struct.pack("<I", len(status.values))
+        for pair in status.values.items():
+            for text in pair:
+                string(out, text)
+    return CDR_HEADER + bytes(out)

@@ -1,0 +1,208 @@
+"""Pictures for 3-D viewers: barrier surface, pad, both paths, nominal and filtered velocity."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from flightstack.core.safety.barrier import Barrier
+from logs.schema.codec import CDR_HEADER, ControllerStepRow, Vec3
+from logs.schema.codec_build import align, string
+
+ARROW, CUBE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 3, 4, 11  # visualization_msgs/msg/Marker
+LIFETIME_S = 0.5  # two and a half periods of 5 Hz: a picture that is not repeated disappears
+PATH_POINTS = 200  # of one path; when full, every second point goes and the spacing doubles
+PATH_PERIOD_NS = 100_000_000  # 10 Hz to begin with
+PAD_RADIUS_M = 0.10  # m, landing pad, unless the run says otherwise
+REACH = 2.5  # of the barrier surface, in distances of its peak
+SECTORS, RINGS = 24, 8  # of the barrier surface: 24 x 8 x 2 triangles
+_GRID_1_M = 1024.0  # surface points on whole 1/1024 m: sub-millimetre, and they compress well
+_ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft and head diameter, head length
+BODY_SIZE_M = (0.092, 0.092, 0.029)  # m, Bitcraze, Crazyflie 2.1 data sheet: 92 x 92 x 29 mm
+_ARROW_S = 1.0  # s: arrow lengths are velocity times this
+
+Color = tuple[float, float, float, float]  # red, green, blue, opacity
+BARRIER_COLOR: Color = (0.84, 0.15, 0.16, 0.35)
+PAD_COLOR: Color = (0.25, 0.25, 0.25, 0.9)
+OWN_COLOR: Color = (0.12, 0.47, 0.71, 1.0)
+TARGET_COLOR: Color = (0.55, 0.34, 0.29, 1.0)
+NOMINAL_COLOR: Color = (1.0, 0.5, 0.05, 1.0)
+FILTERED_COLOR: Color = (0.17, 0.63, 0.17, 1.0)
+COMMAND_COLOR: Color = (0.58, 0.40, 0.74, 1.0)
+
+
+_NO_VELOCITY: Vec3 = (math.nan, math.nan, math.nan)
+
+
+class Marker(NamedTuple):
+    """What differs between our markers."""
+
+    frame_id: str
+    ns: str
+    number: int
+    kind: int
+    scale: Vec3
+    color: Color
+    points: bytes = b""  # three doubles each
+    position: Vec3 = (0.0, 0.0, 0.0)
+
+
+class Path:
+    """A bounded picture of a whole path: finer while short, coarser as it grows."""
+
+    def __init__(self) -> None:
+        self._points: list[bytes] = []
+        self._period_ns = PATH_PERIOD_NS
+        self._slot: int | None = None
+
+    def add(self, log_time_ns: int, point_m: Vec3) -> None:
+        """Add a point if the spacing in time asks for one."""
+        slot = log_time_ns // self._period_ns
+        if slot == self._slot:
+            return
+        self._slot = slot
+        self._points.append(struct.pack("<3d", *point_m))
+        if len(self._points) >= PATH_POINTS:
+            del self._points[1::2]
+            self._period_ns *= 2
+            self._slot = log_time_ns // self._period_ns
+
+    def marker(self, number: int, color: Color) -> Marker | None:
+        """Return the path as a line; None with fewer than two points."""
+        if len(self._points) < 2:
+            return None
+        points = b"".join(self._points)
+        return Marker("map", "path", number, LINE_STRIP, (0.008, 0.0, 0.0), color, points)
+
+
+class Scene:
+    """The pictures of one flight."""
+
+    def __init__(self, own_frame: str) -> None:
+        """Draw the vehicle in its own frame, for example ``cf1/base_link``."""
+        self._body = Marker(own_frame, "vehicle", 0, CUBE, BODY_SIZE_M, OWN_COLOR)
+        self._own_path = Path()
+        self._target_path = Path()
+        self._surface: Marker | None = None
+        self._pad = _pad(PAD_RADIUS_M)
+
+    def configure(self, run: Mapping[str, str]) -> None:
+        """Take barrier and pad from the metadata of the run; without them there is no surface.
+
+        Raises:
+            ValueError: A value that is not a number.
+        """
+        self._pad = _pad(float(run.get("pad_radius_m", PAD_RADIUS_M)))
+        if "barrier_alpha_1_m" in run and "barrier_beta_m" in run:
+            barrier = Barrier(float(run["barrier_alpha_1_m"]), float(run["barrier_beta_m"]))
+            if barrier.alpha_1_m > 0.0:
+                mesh = surface(barrier)
+                scale = (1.0, 1.0, 1.0)
+                self._surface = Marker("target_pad", "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh)
+
+    def add(self, log_time_ns: int, row: ControllerStepRow) -> None:
+        """Remember where vehicle and target were."""
+        if row.own_valid:
+            self._own_path.add(log_time_ns, row.own_position_enu_m)
+        if row.target_valid:
+            self._target_path.add(log_time_ns, row.target_position_enu_m)
+
+    def pack(self, row: ControllerStepRow) -> bytes:
+        """Return the pictures at one step as a MarkerArray in CDR."""
+        markers = [self._own_path.marker(0, OWN_COLOR), self._target_path.marker(1, TARGET_COLOR)]
+        if row.target_valid:
+            markers += (self._surface, self._pad)
+        if row.own_valid:
+            markers.append(self._body)
+            arrows = (
+                (row.nominal_enu_m_s, NOMINAL_COLOR),
+                (row.filtered_enu_m_s, FILTERED_COLOR),
+                (row.command_enu_m_s if row.setpoint_sent else _NO_VELOCITY, COMMAND_COLOR),
+            )
+            for number, (velocity_m_s, color) in enumerate(arrows):
+                if math.isfinite(sum(velocity_m_s)):  # else the filter did not run, or nothing was sent
+                    markers.append(_arrow(number, row.own_position_enu_m, velocity_m_s, color))
+        return pack_markers(row.stamp_ns, [marker for marker in markers if marker is not None])
+
+
+def surface(barrier: Barrier) -> bytes:
+    """Return the boundary h = 0 around the landing spot as triangles, three doubles a point.
+
+    It reaches to two and a half times the distance of its peak, where it has fallen to about half of it;
+    further out it would only hide the flight.
+    """
+    reach_m = REACH * barrier.peak_distance_m
+
+    def point(ring: int, sector: int) -> Vec3:
+        d_m = reach_m * (ring / RINGS) ** 2  # finer at the apex, where the vehicle goes
+        angle = 2.0 * math.pi * sector / SECTORS
+        height_m = barrier.height(d_m)
+        x, y, z = (
+            round(v * _GRID_1_M) / _GRID_1_M for v in (d_m * math.cos(angle), d_m * math.sin(angle), height_m)
+        )
+        return (x, y, z)
+
+    corners: list[float] = []
+    for ring in range(RINGS):
+        for sector in range(SECTORS):
+            a, b = point(ring, sector), point(ring + 1, sector)
+            c, d = point(ring + 1, sector + 1), point(ring, sector + 1)
+            corners += (*a, *b, *c)
+            if ring:  # at the apex the two inner corners are one
+                corners += (*a, *c, *d)
+    return struct.pack(f"<{len(corners)}d", *corners)
+
+
+_MARKER_FIXED = struct.Struct("<3i")  # id, type, action (0 = add)
+_MARKER_BODY = struct.Struct("<10d4fiI?3x")  # pose, scale, color, lifetime, frame_locked, padding
+_LIFETIME = divmod(round(LIFETIME_S * 1e9), 1_000_000_000)
+
+
+def pack_markers(stamp_ns: int, markers: Sequence[Marker]) -> bytes:
+    """Return a visualization_msgs/MarkerArray in CDR."""
+    stamp = struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000))
+    out = bytearray(struct.pack("<I", len(markers)))
+    for marker in markers:
+        align(out, 4)
+        out += stamp
+        string(out, marker.frame_id)
+        string(out, marker.ns)
+        align(out, 4)
+        out += _MARKER_FIXED.pack(marker.number, marker.kind, 0)
+        align(out, 8)
+        # frame_locked: the viewer moves the picture with its frame between two of ours
+        out += _MARKER_BODY.pack(
+            *marker.position, 0.0, 0.0, 0.0, 1.0, *marker.scale, *marker.color, *_LIFETIME, True
+        )
+        out += struct.pack("<I", len(marker.points) // 24)
+        if marker.points:
+            align(out, 8)
+            out += marker.points
+        out += _NO_COLORS_TO_STAMP
+        string(out, "")  # texture.header.frame_id
+        string(out, "")  # texture.format
+        align(out, 4)
+        out += bytes(8)  # texture.data, uv_coordinates: none
+        for _ in range(3):  # text, mesh_resource, mesh_file.filename
+            string(out, "")
+        align(out, 4)
+        out += bytes(5)  # mesh_file.data: none; mesh_use_embedded_materials: false
+    return CDR_HEADER + bytes(out)
+
+
+# colors: none; texture_resource: empty text, padded; texture.header.stamp: zero
+_NO_COLORS_TO_STAMP = struct.pack("<IIB3xiI", 0, 1, 0, 0, 0)
+
+
+def _pad(radius_m: float) -> Marker:
+    thickness_m = 0.01  # only for the eye: the top is where it belongs, at the target frame's origin
+    scale = (2.0 * radius_m, 2.0 * radius_m, thickness_m)
+    return Marker("target", "pad", 0, CYLINDER, scale, PAD_COLOR, position=(0.0, 0.0, -0.5 * thickness_m))
+
+
+def _arrow(number: int, start_m: Vec3, velocity_m_s: Vec3, color: Color) -> Marker:
+    end_m = [p + v * _ARROW_S for p, v in zip(start_m, velocity_m_s, strict=True)]
+    points = struct.pack("<6d", *start_m, *end_m)
+    return Marker("map", "velocity", number, ARROW, _ARROW_SIZE_M, color, points)

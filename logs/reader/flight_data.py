@@ -1,0 +1,240 @@
+"""A flight as numpy arrays: what the controller did, what was true, what was received, what was said.
+
+Time is seconds since the first recorded step or true state (``t_s``), taken from the log time, which all
+processes of a run share. Frames are ENU, metres, radians. What the log does not hold is ``None``, and a
+number that was not known at a tick is NaN; nothing is ever filled with zeros.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.barrier import Barrier
+from flightstack.core.types import Phase, Vec3
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Controller steps, n of them; vectors are (n, 3). Fields as in ``ControllerStep.msg``."""
+
+    t_s: Floats
+    tick: Ints
+    phase: Ints
+    filter_status: Ints
+    gate: Ints
+    setpoint_sent: Bools
+    barrier_active: Bools
+    own_valid: Bools
+    target_valid: Bools
+    own_age_s: Floats
+    target_age_s: Floats
+    own_position_enu_m: Floats
+    own_velocity_enu_m_s: Floats
+    target_position_enu_m: Floats
+    target_velocity_enu_m_s: Floats
+    h_m: Floats
+    gradient: Floats
+    dh_dt_m_s: Floats
+    nominal_enu_m_s: Floats
+    filtered_enu_m_s: Floats
+    command_enu_m_s: Floats
+    slack_m_s: Floats
+    iterations: Ints
+    target_accepted: Ints
+    target_rejected: Ints
+    link_valid: Bools
+    wanted_enu_m_s: Floats
+
+    @cached_property
+    def both_valid(self) -> Bools:
+        """(n,) whether own and target state were present, fresh and finite."""
+        finite = np.isfinite(self.own_position_enu_m).all(1) & np.isfinite(self.target_position_enu_m).all(1)
+        return self.own_valid & self.target_valid & finite
+
+    @cached_property
+    def e_m(self) -> Floats:
+        """(n, 3) estimated position relative to the landing spot, m; NaN where not both were valid."""
+        return np.where(
+            self.both_valid[:, None], self.own_position_enu_m - self.target_position_enu_m, np.nan
+        )
+
+    @cached_property
+    def d_m(self) -> Floats:
+        """(n,) estimated horizontal distance to the landing spot, m; NaN where not both were valid."""
+        return np.hypot(self.e_m[:, 0], self.e_m[:, 1])
+
+    @cached_property
+    def relative_velocity_m_s(self) -> Floats:
+        """(n, 3) estimated velocity relative to the landing spot, m/s; NaN where not both were valid."""
+        velocity_m_s = self.own_velocity_enu_m_s - self.target_velocity_enu_m_s
+        return np.where(self.both_valid[:, None], velocity_m_s, np.nan)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The simulator's true states, n of them; vectors are (n, 3). Fields as in ``TrueState.msg``."""
+
+    t_s: Floats
+    tick: Ints
+    position_enu_m: Floats
+    velocity_enu_m_s: Floats
+    orientation: Floats  # (n, 4) x, y, z, w; body FLU to world ENU
+    pad_position_enu_m: Floats
+    pad_velocity_enu_m_s: Floats
+    pad_yaw_rad: Floats
+    h_m: Floats
+    h_min_m: Floats
+    h_min_outside_pad_m: Floats
+    contacts: Ints
+    first_touch_relative_position_enu_m: Floats
+    first_touch_relative_velocity_enu_m_s: Floats
+    first_touch_time_s: Floats
+    motors_running: Bools
+    battery_v: Floats
+
+    @cached_property
+    def e_m(self) -> Floats:
+        """(n, 3) true position relative to the landing spot, m."""
+        return self.position_enu_m - self.pad_position_enu_m
+
+    @cached_property
+    def d_m(self) -> Floats:
+        """(n,) true horizontal distance to the landing spot, m."""
+        return np.hypot(self.e_m[:, 0], self.e_m[:, 1])
+
+    @cached_property
+    def relative_velocity_m_s(self) -> Floats:
+        """(n, 3) velocity relative to the pad's surface below the vehicle, its turning included, m/s."""
+        turn_rad_s = _rate(np.unwrap(self.pad_yaw_rad), self.t_s)
+        carried = np.column_stack(
+            (-turn_rad_s * self.e_m[:, 1], turn_rad_s * self.e_m[:, 0], np.zeros(len(self.t_s)))
+        )
+        return self.velocity_enu_m_s - self.pad_velocity_enu_m_s - carried
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Wall-clock behaviour of the loop, n ticks. Fields as in ``LoopTiming.msg``, seconds."""
+
+    t_s: Floats
+    tick: Ints
+    period_s: Floats
+    lateness_s: Floats
+    exec_s: Floats
+    solve_s: Floats
+    overruns: Ints
+    feed_dropped: Ints
+
+
+@dataclass(frozen=True)
+class TargetOdometry:
+    """Target odometry as it was received, n samples, accepted by the controller or not.
+
+    Attributes:
+        t_s: (n,) arrival.
+        stamp_ns: (n,) measurement time, sender's clock.
+        position_enu_m: (n, 3) centre of the pad's top.
+        velocity_child_m_s: (n, 3) in the frame of the robot, as sent.
+        frame_id: n names, usually "map".
+    """
+
+    t_s: Floats
+    stamp_ns: Ints
+    position_enu_m: Floats
+    velocity_child_m_s: Floats
+    frame_id: list[str]
+
+
+@dataclass(frozen=True)
+class Event:
+    """One line of /rosout."""
+
+    t_s: float
+    level: int
+    source: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Everything one log holds about one flight.
+
+    Attributes:
+        path: the log.
+        complete: whether the recorder closed the file and every byte could be read.
+        problems: what was wrong with the log, in words; empty for a good one.
+        origin_ns: log time of ``t_s = 0``.
+        duration_s: from the first to the last step or true state.
+        steps, timing, truth, target: ``None`` where the log has no such messages.
+        events: /rosout in order.
+        metadata: metadata records by name.
+        attachments: files kept in the log by name.
+        config: configuration the onboard process flew with, ``None`` if the log does not hold it.
+        barrier: the one to judge by, ``None`` if the log does not say.
+        velocity_max_m_s: box of the filter, m/s, ``None`` if the log does not say.
+        pad_radius_m: of the landing pad.
+    """
+
+    path: Path
+    complete: bool
+    problems: tuple[str, ...]
+    origin_ns: int
+    duration_s: float
+    steps: Steps | None
+    timing: Timing | None
+    truth: Truth | None
+    target: TargetOdometry | None
+    events: tuple[Event, ...]
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, bytes]
+    config: FlightConfig | None
+    barrier: Barrier | None
+    velocity_max_m_s: Vec3 | None
+    pad_radius_m: float
+
+    @cached_property
+    def landing_start_s(self) -> float | None:
+        """Time of the first controller step in phase APPROACH: the landing and its judging begin."""
+        if self.steps is None:
+            return None
+        begun = np.flatnonzero(self.steps.phase == Phase.APPROACH)
+        return float(self.steps.t_s[begun[0]]) if len(begun) else None
+
+    def phase_spans(self) -> list[tuple[Phase | int, float, float]]:
+        """Phases in order, each with its first time and the time the next one began, seconds."""
+        if self.steps is None:
+            return []
+        phase, t_s = self.steps.phase, self.steps.t_s
+        starts = np.concatenate(([0], np.flatnonzero(np.diff(phase)) + 1))
+        ends = np.append(t_s[starts[1:]], t_s[-1])
+        return [
+            (_phase(int(phase[i])), float(t_s[i]), float(end)) for i, end in zip(starts, ends, strict=True)
+        ]
+
+
+def phase_name(phase: Phase | int) -> str:
+    """Name for a reader; a phase that this version does not know keeps its number."""
+    return phase.name if isinstance(phase, Phase) else f"phase {phase}"
+
+
+def _phase(number: int) -> Phase | int:
+    """The phase, or its bare number if a newer stack wrote one we do not know."""
+    return Phase(number) if number in Phase._value2member_map_ else number
+
+
+def _rate(values: Floats, t_s: Floats) -> Floats:
+    """Time derivative; NaN where there are too few or repeated times."""
+    if len(t_s) < 2:
+        return np.full(len(t_s), np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.gradient(values, t_s)

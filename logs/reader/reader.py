@@ -1,0 +1,204 @@
+"""Read a flight log, whole or broken.
+
+A recorder that was killed leaves a file without its index, cut at any byte. Everything before the cut is
+read; only the last, unfinished chunk is lost. Readers that want the index refuse such a file.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mcap.exceptions import McapError
+from mcap.records import Attachment as AttachmentRecord
+from mcap.records import Channel, Chunk, Footer, Metadata, Schema
+from mcap.records import Message as MessageRecord
+from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
+
+from logs.schema.schemas import store_for
+
+_MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # MCAP specification, "Magic"
+_BROKEN = (McapError, struct.error, ValueError, OverflowError, EOFError, RuntimeError, KeyError, MemoryError)
+
+
+class LogError(ValueError):
+    """A file that cannot be used as a flight log; says what was found and what is needed."""
+
+
+class Message(NamedTuple):
+    """One recorded message."""
+
+    topic: str
+    schema: str
+    log_time_ns: int  # Unix time; simulated time from 2020-01-01 on in lockstep
+    publish_time_ns: int
+    sequence: int
+    data: bytes  # CDR with its four-byte header
+
+    def decode(self) -> Any:
+        """Return the message as an object with the fields of its definition (slow path, by ``rosbags``)."""
+        return store_for(self.schema).deserialize_cdr(self.data, self.schema)
+
+
+class Attachment(NamedTuple):
+    """One file kept inside the log."""
+
+    name: str
+    media_type: str
+    log_time_ns: int
+    data: bytes
+
+
+@dataclass
+class _Outline:
+    """What one pass over the records outside the chunks gives."""
+
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: list[Attachment] = field(default_factory=list)
+    complete: bool = False
+    problem: str = ""
+
+
+class LogFile:
+    """A flight log on disk.
+
+    Attributes:
+        path: Where it is.
+        problem: Why the last pass ended early; empty when it did not.
+        broken_at: Bytes from the start up to which the last pass could read; the size of a whole file.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Look at the head of the file.
+
+        Raises:
+            LogError: Missing, empty, or not an MCAP file.
+        """
+        self.path = Path(path)
+        self.problem = ""
+        self.broken_at = 0
+        try:
+            with self.path.open("rb") as stream:
+                head = stream.read(len(_MAGIC))
+        except OSError as error:
+            raise LogError(f"cannot open the log {self.path}: {error.strerror}") from error
+        if not head:
+            raise LogError(f"{self.path} is empty; expected an MCAP file")
+        if head != _MAGIC:
+            raise LogError(f"{self.path} is not an MCAP file: it begins with {head.hex(' ')}")
+
+    @property
+    def complete(self) -> bool:
+        """Whether the recorder closed the file properly and every byte before the end could be read."""
+        return self._outline.complete
+
+    @property
+    def why_broken(self) -> str:
+        """Where and why a log that is not complete ends; empty for one that is."""
+        if self.complete:
+            return ""
+        return self._outline.problem or "the recorder did not close it"
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """Yield the messages in the order they were written, up to the end or the break.
+
+        Args:
+            topics: Only these; None for all.
+        """
+        channels: dict[int, Channel] = {}
+        schemas: dict[int, str] = {}
+        for record in self.records():
+            if isinstance(record, MessageRecord):
+                channel = channels[record.channel_id]
+                if topics is None or channel.topic in topics:
+                    yield Message(
+                        channel.topic, schemas.get(channel.schema_id, ""),
+                        record.log_time, record.publish_time, record.sequence, record.data,
+                    )  # fmt: skip
+            elif isinstance(record, Schema):
+                schemas[record.id] = record.name
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+
+    def records(self) -> Iterator[Any]:
+        """Yield the MCAP records, those in chunks included, in the order they were written, up to a break.
+
+        A message never comes before its channel. Schemas and channels come again from the summary.
+        """
+        known: set[int] = set()
+        for record in self._records(inside_chunks=True):
+            if isinstance(record, Channel):
+                known.add(record.id)
+            elif isinstance(record, MessageRecord) and record.channel_id not in known:
+                self.problem = f"a message on channel {record.channel_id}, which was never declared"
+                return
+            yield record
+
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Return the metadata records by name; of several with one name the last value of each key."""
+        return self._outline.metadata
+
+    def attachments(self) -> list[Attachment]:
+        """Return the files kept inside the log, in the order they were written."""
+        return self._outline.attachments
+
+    @cached_property
+    def _outline(self) -> _Outline:
+        outline = _Outline()
+        for record in self._records(inside_chunks=False):
+            if isinstance(record, Metadata):
+                outline.metadata.setdefault(record.name, {}).update(record.metadata)
+            elif isinstance(record, AttachmentRecord):
+                outline.attachments.append(
+                    Attachment(record.name, record.media_type, record.log_time, record.data)
+                )
+            elif isinstance(record, Footer):
+                outline.complete = True
+        outline.problem = self.problem
+        outline.complete = outline.complete and not self.problem
+        return outline
+
+    def _records(self, inside_chunks: bool) -> Iterator[Any]:
+        """Yield MCAP records; stop without an exception where the file breaks, and remember where and why."""
+        self.problem = ""
+        with self.path.open("rb") as stream:
+            # A length field that was never filled in must not make us ask for that much memory.
+            size = max(os.fstat(stream.fileno()).st_size, 1)
+            records = StreamReader(stream, emit_chunks=True, record_size_limit=size).records
+            while True:
+                self.broken_at = stream.tell()
+                try:
+                    record = next(records, None)
+                    if record is None:
+                        self.broken_at = size  # behind the last record there is the closing magic
+                        return
+                    inner = _opened(record, inside_chunks)
+                except _BROKEN as error:
+                    reason = f"{type(error).__name__}: {error}".rstrip(": ")
+                    self.problem = f"nothing after byte {self.broken_at} of {size} can be read ({reason})"
+                    return
+                yield from inner
+
+
+def _opened(record: Any, inside_chunks: bool) -> Sequence[Any]:
+    """Return the records in a chunk, or the record itself; checks the chunk's CRC either way."""
+    if not isinstance(record, Chunk):
+        return (record,)
+    if inside_chunks:
+        return list(breakup_chunk(record, validate_crc=True))
+    get_chunk_data_stream(record, validate_crc=True)
+    return ()
+
+
+def open_log(path: Path | str) -> Iterator[Message]:
+    """Yield every message of a log, whole or broken, in the order it was written.
+
+    Raises:
+        LogError: Missing, empty, or not an MCAP file.
+    """
+    return LogFile(path).messages()

@@ -1,0 +1,211 @@
+"""A process' side of the flight recorder: cheap writes during a tick, one send at its end.
+
+The recorder is another process, so a full disk or a slow compressor never stops the loop. In real time
+nothing here ever blocks: what does not fit in the bounded buffer is dropped whole, counted, and the count is
+written into the log. In lockstep the simulation waits instead, so that a log is never short of a message.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import socket
+import time
+from collections.abc import Mapping
+
+from logs.recorder.feed_wire import HEADER, MAX_PAYLOAD, Kind, encode, encode_json
+
+BUFFER_LIMIT = 4 * 2**20  # bytes kept for a slow recorder, several seconds of a flight
+PATIENCE_S = 5.0  # wall time a lossless sender, or a closing one, waits for the recorder
+_MESSAGE = int(Kind.MESSAGE)
+_SOCKET_BUFFER = 2**20  # bytes asked of the kernel, which may give less
+
+
+class FeedError(ConnectionError):
+    """The recorder cannot be reached at the start of a process."""
+
+
+class Feed:
+    """Connection of one process to the recorder.
+
+    Attributes:
+        alive: Whether the recorder still takes records. Writing to a dead feed does nothing.
+        dropped: Records dropped so far because the recorder did not keep up, or was gone.
+    """
+
+    def __init__(self, sock: socket.socket | None, client: str, *, lossless: bool) -> None:
+        """Take over a connected socket; None for a feed that goes nowhere. Use :meth:`connect`."""
+        self._sock = sock
+        self._client = client
+        self._lossless = lossless
+        self._buffer = bytearray()
+        self._channels: dict[tuple[str, str], int] = {}
+        self._log_time_ns = 0
+        self._reported = 0
+        self.alive = sock is not None
+        self.dropped = 0
+        if sock is not None:
+            sock.setblocking(False)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BUFFER)
+            self._report_losses()
+
+    @staticmethod
+    def connect(path: str | None, client: str, *, lossless: bool) -> Feed:
+        """Return a feed to the recorder listening at ``path``.
+
+        Args:
+            path: Unix socket of the recorder; None gives a feed that goes nowhere.
+            client: Name of this process in the log, for example "onboard".
+            lossless: True waits for the recorder (lockstep), False never blocks (real time).
+
+        Raises:
+            FeedError: Nobody listens there.
+        """
+        if path is None:
+            return NullFeed()
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            sock.connect(path)
+        except OSError as error:
+            sock.close()
+            raise FeedError(
+                f"no flight recorder at {path}: {error.strerror or error}; start `flightstack record` first"
+            ) from error
+        return Feed(sock, client, lossless=lossless)
+
+    def channel(self, topic: str, schema: str) -> int:
+        """Return the number of a channel, declaring it the first time.
+
+        Args:
+            topic: For example ``/cf1/controller/step``.
+            schema: For example ``nav_msgs/msg/Odometry``.
+        """
+        number = self._channels.get((topic, schema))
+        if number is None:
+            number = self._channels[topic, schema] = len(self._channels) + 1
+            declared = {"topic": topic, "schema": schema}
+            self._append_always(encode_json(Kind.DECLARE, number, self._log_time_ns, declared))
+        return number
+
+    def write(
+        self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
+    ) -> None:
+        """Put one message into the buffer; it leaves at the next :meth:`flush`.
+
+        Args:
+            channel: Number from :meth:`channel`.
+            log_time_ns: When it happened here, Unix ns (simulated in lockstep).
+            publish_time_ns: When the source sent it, same clock.
+            sequence: Number given by the source, modulo 2**32.
+            payload: CDR with its four-byte header.
+        """
+        self._log_time_ns = log_time_ns
+        sequence &= 0xFFFFFFFF
+        record = (
+            HEADER.pack(len(payload), _MESSAGE, channel, log_time_ns, publish_time_ns, sequence) + payload
+        )
+        if self.alive and len(self._buffer) + len(record) <= BUFFER_LIMIT:
+            self._buffer += record
+        else:
+            self._make_room_or_drop(record)
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record of text values."""
+        content = {"name": name, "values": {str(k): str(v) for k, v in values.items()}}
+        self._append_always(encode_json(Kind.METADATA, 0, self._log_time_ns, content))
+
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Put a whole file into the log.
+
+        Raises:
+            ValueError: Larger than 16 MiB.
+        """
+        head = json.dumps({"name": name, "media_type": media_type}).encode() + b"\n"
+        if len(head) + len(data) > MAX_PAYLOAD:
+            raise ValueError(f"attachment {name} has {len(data)} bytes; at most {MAX_PAYLOAD} are allowed")
+        now = self._log_time_ns
+        self._append_always(encode(Kind.ATTACHMENT, 0, now, now, 0, head + data))
+
+    def flush(self) -> None:
+        """Send what is buffered: once a tick. Never raises; a dead recorder clears :attr:`alive`."""
+        if not self.alive:
+            return
+        if self.dropped != self._reported and len(self._buffer) < BUFFER_LIMIT // 2:
+            self._report_losses()
+        self._send()
+        if self._lossless and self._buffer:
+            self._drain(PATIENCE_S)
+
+    def close(self) -> None:
+        """Send the rest within a bounded time, say goodbye, and let go of the socket."""
+        if self._sock is None:
+            return
+        if self.alive:
+            if self.dropped != self._reported:
+                self._report_losses()
+            self._buffer += encode(Kind.GOODBYE, 0, self._log_time_ns, self._log_time_ns, 0, b"")
+            self._send()
+            self._drain(PATIENCE_S)
+        self.alive = False
+        self._sock.close()
+        self._sock = None
+
+    def _append_always(self, record: bytes) -> None:
+        """Add a record that the rest of the log needs; there are few of them, so no bound applies."""
+        if self.alive:
+            self._buffer += record
+
+    def _make_room_or_drop(self, record: bytes) -> None:
+        if self._lossless and self.alive:
+            self._drain(PATIENCE_S)
+        if self.alive and len(self._buffer) + len(record) <= BUFFER_LIMIT:
+            self._buffer += record
+        elif self._sock is not None:
+            self.dropped += 1
+
+    def _report_losses(self) -> None:
+        content = {"client": self._client, "dropped": self.dropped}
+        self._buffer += encode_json(Kind.LOSSES, 0, self._log_time_ns, content)
+        self._reported = self.dropped
+
+    def _send(self) -> None:
+        """One non-blocking send of as much as the socket takes."""
+        if self._sock is None or not self._buffer:
+            return
+        try:
+            sent = self._sock.send(self._buffer)
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError:
+            self._die()
+            return
+        del self._buffer[:sent]
+
+    def _drain(self, patience_s: float) -> None:
+        """Send everything, waiting for the recorder up to a bound; a recorder slower than that is dead."""
+        deadline_s = time.monotonic() + patience_s
+        while self._buffer and self.alive and self._sock is not None:
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0.0:
+                self._die()
+                return
+            poll = select.poll()
+            poll.register(self._sock, select.POLLOUT)
+            poll.poll(left_s * 1e3)
+            self._send()
+
+    def _die(self) -> None:
+        self.alive = False
+        self._buffer.clear()
+
+
+class NullFeed(Feed):
+    """A feed that goes nowhere: the same calls, no recorder, nothing counted."""
+
+    def __init__(self) -> None:
+        super().__init__(None, "", lossless=False)
+
+    def write(
+        self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
+    ) -> None:
+        """Do nothing."""

@@ -1,0 +1,196 @@
+"""The MCAP file of one flight: ROS 2 profile, one channel per topic, readable after any end.
+
+Every channel is CDR with a ros2msg schema and the file has the profile "ros2", which is what rosbag2,
+Foxglove, Rerun and PlotJuggler open without being told anything (MCAP format registry, profile "ros2").
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import BinaryIO
+
+from logs.recorder.mcap_writer import ChunkedWriter
+from logs.schema.schemas import schema_text, type_hash
+
+CHUNK_BYTES = 256 * 1024  # a killed recorder loses at most the open chunk
+# Kept free for the end of the file: the pending chunk, schemas and the index, and more as the index grows.
+RESERVE_BYTES = 2 * 2**20
+_RESERVE_STEP = 2**20  # by which it grows, so that it does so every ten minutes and not every flush
+_QOS = "[]"  # as rosbags writes it: nothing is known about the sender's quality of service
+
+
+class SafeStream:
+    """Unbuffered output that ends at a whole record, whatever the disk does.
+
+    The MCAP writer hands over whole records. One that does not fit is cut off again, so the file stays
+    readable up to the last whole one. ``tell`` goes on counting, since the writer needs it.
+
+    Attributes:
+        failure: Why writing stopped; empty as long as it works.
+    """
+
+    def __init__(self, raw: BinaryIO, reserve: BinaryIO | None = None) -> None:
+        self._raw = raw
+        self._reserve = reserve
+        self._position = 0
+        self._reserved = RESERVE_BYTES
+        self._stopped = False
+        self.failure = ""
+
+    def tell(self) -> int:
+        """Return the position after everything handed over."""
+        return self._position
+
+    def write(self, data: bytes) -> int:
+        """Write everything or nothing; after a failure that lasts, nothing."""
+        if not self._stopped and not self._try(data):
+            if self._reserve is not None:
+                self._reserve.close()  # the record that failed, and the end of the file, go where this was
+                self._reserve = None
+                self._stopped = not self._try(data)
+            else:
+                self._stopped = True
+        self._position += len(data)
+        return len(data)
+
+    def flush(self) -> None:
+        """Do nothing: every write has left the process already."""
+
+    def descriptor(self) -> int:
+        """Return the number of the open file."""
+        return self._raw.fileno()
+
+    def reserve(self, size: int) -> None:
+        """Keep so many bytes free; in steps, and less where the disk has no more."""
+        if self._reserve is None or size <= self._reserved:
+            return
+        self._reserved = size + _RESERVE_STEP
+        with contextlib.suppress(OSError):
+            os.posix_fallocate(self._reserve.fileno(), 0, self._reserved)
+
+    def close(self) -> None:
+        """Close the file and give the reserve back."""
+        if self._reserve is not None:
+            self._reserve.close()
+        with contextlib.suppress(OSError):
+            self._raw.close()
+
+    def _try(self, data: bytes) -> bool:
+        view, written = memoryview(data), 0
+        try:
+            while written < len(view):
+                written += self._raw.write(view[written:])
+        except OSError as error:
+            self.failure = self.failure or (error.strerror or str(error))
+            with contextlib.suppress(OSError):
+                self._raw.seek(self._position)
+                self._raw.truncate(self._position)
+            return False
+        return True
+
+
+class McapFile:
+    """One open flight log.
+
+    Attributes:
+        path: Where it is.
+        messages: Messages written so far.
+    """
+
+    def __init__(self, path: Path, *, stream: SafeStream | None = None) -> None:
+        """Create the file; ``stream`` replaces the disk in tests.
+
+        Raises:
+            OSError: The file exists, or cannot be created.
+        """
+        self.path = path
+        self.messages = 0
+        self._stream = stream or SafeStream(path.open("xb", buffering=0), _reserved_space(path.parent))
+        self._writer = ChunkedWriter(self._stream, CHUNK_BYTES)
+        self._writer.start("ros2", _library())
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, str], int] = {}
+
+    @property
+    def failure(self) -> str:
+        """Why the disk stopped taking data; empty as long as it does."""
+        return self._stream.failure
+
+    def fail(self, why: str) -> None:
+        """Take nothing more: the disk has not kept what it took."""
+        self._stream.failure = self._stream.failure or why
+
+    def descriptor(self) -> int:
+        """Return the descriptor of the open file, for :class:`logs.recorder.recorder_sync.Syncer`."""
+        return self._stream.descriptor()
+
+    def channel(self, topic: str, schema: str) -> int:
+        """Return the channel of a topic; senders of the same topic and type share it.
+
+        Raises:
+            logs.schema.schemas.UnknownSchemaError: No such type.
+        """
+        number = self._channels.get((topic, schema))
+        if number is None:
+            if schema not in self._schemas:
+                self._schemas[schema] = self._writer.register_schema(
+                    schema, "ros2msg", schema_text(schema).encode()
+                )
+            properties = {"offered_qos_profiles": _QOS, "topic_type_hash": type_hash(schema)}
+            number = self._writer.register_channel(topic, "cdr", self._schemas[schema], properties)
+            self._channels[topic, schema] = number
+        return number
+
+    def write(
+        self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
+    ) -> None:
+        """Add one message; ignored once the disk is full."""
+        if not self._stream.failure:
+            self._writer.add_message(channel, log_time_ns, publish_time_ns, sequence, payload)
+            self.messages += 1
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record."""
+        self._writer.add_metadata(name, values)
+
+    def attachment(self, name: str, media_type: str, log_time_ns: int, data: bytes) -> None:
+        """Add a file; ignored once the disk is full."""
+        if not self._stream.failure:
+            self._writer.add_attachment(log_time_ns, name, media_type, data)
+
+    def flush(self) -> None:
+        """Close the open chunk, so that a crash loses nothing written so far."""
+        if not self._stream.failure:
+            self._writer.flush()
+            self._stream.reserve(RESERVE_BYTES + self._writer.index_bytes)
+
+    def close(self) -> None:
+        """Write index and statistics and close the file."""
+        self._writer.finish()
+        self._stream.close()
+
+
+def _reserved_space(directory: Path) -> BinaryIO | None:
+    """Return an open nameless file that holds space on the same disk; it vanishes with the process."""
+    try:
+        reserve = tempfile.TemporaryFile(dir=directory)  # noqa: SIM115
+    except OSError:
+        return None
+    try:
+        os.posix_fallocate(reserve.fileno(), 0, RESERVE_BYTES)
+    except OSError:  # a disk nearly full, or one that cannot reserve: recording is still worth a try
+        reserve.close()
+        return None
+    return reserve
+
+
+def _library() -> str:
+    try:
+        return f"crazyflie-flightstack {version('crazyflie-flightstack')}; mcap {version('mcap')}"
+    except PackageNotFoundError:
+        return "crazyflie-flightstack"

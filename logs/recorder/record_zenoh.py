@@ -1,0 +1,85 @@
+"""Recording straight from Zenoh, for a log without the rest of the stack.
+
+A sample is recorded if its type is known: from the encoding ``application/cdr;TYPE``, or from a key in the
+form of rmw_zenoh, ``DOMAIN/TOPIC/PACKAGE::msg::dds_::NAME_/HASH``. Others are counted.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from bridge.zenoh.attachment import parse_attachment
+from bridge.zenoh.zenoh_link import ZenohLinkError, drain, open_session, ring_subscriber
+from logs.recorder.recorder_process import RecorderError
+from logs.recorder.recording import Recorder
+
+CDR_ENCODING = "application/cdr;"  # as Zenoh writes an encoding that carries a schema
+_RMW_KEY = re.compile(r"\d+/(?P<topic>.+)/(?P<package>\w+)::msg::dds_::(?P<name>\w+)_/[^/]+")
+_CAPACITY = 4096  # samples between two looks a few milliseconds apart; a recorder never holds up a sender
+
+
+class ZenohSource:
+    """Every sample on some keys, handed to a recorder."""
+
+    def __init__(self, connect: Sequence[str], keys: Sequence[str], config_file: Path | None = None) -> None:
+        """Open a session and subscribe.
+
+        Args:
+            connect: Endpoints, for example ``tcp/127.0.0.1:7447``.
+            keys: Key expressions, for example ``cf1/**``.
+            config_file: Zenoh configuration to begin with.
+
+        Raises:
+            RecorderError: A malformed endpoint or key, or no session.
+        """
+        try:
+            self._session = open_session(connect=connect, config_file=config_file)
+        except (ValueError, ZenohLinkError) as error:
+            raise RecorderError(str(error)) from error
+        try:
+            self._subscribers = [ring_subscriber(self._session, key, _CAPACITY) for key in keys]
+        except ValueError as error:
+            self._session.close()
+            raise RecorderError(str(error)) from error
+
+    def poll(self, recorder: Recorder) -> None:
+        """Record what has come; the log time is now, the publish time what the sender says."""
+        for subscriber in self._subscribers:
+            for sample in drain(subscriber):
+                attachment = sample.attachment
+                _record(
+                    recorder,
+                    str(sample.key_expr),
+                    str(sample.encoding),
+                    sample.payload.to_bytes(),
+                    attachment.to_bytes() if attachment is not None else None,
+                )
+
+    def close(self) -> None:
+        """Close the session."""
+        self._session.close()
+
+
+def topic_and_schema(key: str, encoding: str) -> tuple[str, str] | None:
+    """Return ROS topic and type of a sample; None when nothing says what it is."""
+    if match := _RMW_KEY.fullmatch(key):
+        return f"/{match['topic']}", f"{match['package']}/msg/{match['name']}"
+    if encoding.startswith(CDR_ENCODING):
+        return f"/{key}", encoding.removeprefix(CDR_ENCODING)
+    return None
+
+
+def _record(recorder: Recorder, key: str, encoding: str, payload: bytes, attachment: bytes | None) -> None:
+    log_time_ns = time.time_ns()
+    sequence, publish_time_ns = parse_attachment(attachment) or (0, log_time_ns)
+    known = topic_and_schema(key, encoding)
+    if known is None or payload[:2] not in (b"\x00\x01", b"\x00\x00"):  # CDR, either byte order
+        recorder.statistics.skipped += 1
+        return
+    try:
+        recorder.message(*known, log_time_ns, publish_time_ns, sequence & 0xFFFFFFFF, payload)
+    except ValueError:  # an unknown type, or a time nobody can mean
+        recorder.statistics.skipped += 1

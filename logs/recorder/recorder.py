@@ -1,0 +1,99 @@
+"""The flight recorder: one process, many clients, one MCAP file.
+
+It is a process of its own, so it outlives a crash of the others, closes the file then, and its disk and
+compressor never stand in the way of the control loop.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+
+from flightstack.common.hangup import on_hangup
+from logs.recorder.recorder_process import RecorderError, RecorderProcess, Source
+from logs.recorder.recording import Recorder, Statistics
+from logs.schema.schemas import typestore
+
+__all__ = ["Recorder", "RecorderError", "RecorderProcess", "Statistics", "problems", "record_main", "run"]
+
+
+def run(socket_path: Path, out_path: Path, until_clients: int | None = None) -> Statistics:
+    """Listen, record, and return what was recorded; ends when this many clients have come and gone.
+
+    Raises:
+        RecorderError: The socket or the file cannot be made.
+    """
+    return RecorderProcess(socket_path, out_path).run(until_clients)
+
+
+def record_main(
+    socket_path: Path | None,
+    out: Path,
+    until_clients: int | None = None,
+    *,
+    connect: Sequence[str] = (),
+    keys: Sequence[str] = (),
+    config_file: Path | None = None,
+) -> int:
+    """Run the recorder as the main program of a process; prints "ready" once it listens.
+
+    Args:
+        socket_path: Where the processes of a run connect; None with Zenoh keys alone.
+        out: The MCAP file to create.
+        until_clients: End by itself when this many clients have come and gone.
+        connect: Zenoh endpoints to connect to, for example ``tcp/127.0.0.1:7447``.
+        keys: Zenoh key expressions to record, for example ``cf1/**``.
+        config_file: Zenoh configuration to begin with.
+
+    Returns:
+        Exit status: 0 everything is in the file, 1 something is not, 2 it could not start.
+    """
+    if socket_path is None and not keys:
+        print("record: nothing to record; give a socket or Zenoh keys", file=sys.stderr)
+        return 2
+    source: Source | None = None
+    try:
+        if keys:
+            from logs.recorder.record_zenoh import ZenohSource
+
+            source = ZenohSource(connect, keys, config_file)
+        process = RecorderProcess(socket_path, out, source)
+    except RecorderError as error:
+        if source:
+            source.close()
+        print(f"record: {error}", file=sys.stderr)
+        return 2
+
+    def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+        process.stop()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, stop)
+    on_hangup(stop)
+    typestore()  # half a second of work the first time: not in the middle of a flight
+    print("ready", flush=True)
+    counts = process.run(until_clients)
+    for problem in problems(counts):
+        print(f"record: {out}: {problem}", file=sys.stderr)
+    return 1 if problems(counts) else 0
+
+
+def problems(counts: Statistics) -> list[str]:
+    """Return one line for each way in which the file is not the whole flight."""
+    found: list[str] = []
+    if counts.failure:
+        found.append(f"writing failed ({counts.failure}); at least {counts.refused} messages are missing")
+    for client, dropped in sorted(counts.dropped.items()):
+        if dropped:
+            found.append(f"{client} dropped {dropped} records, the recorder did not keep up")
+    if counts.invalid:
+        found.append(f"{counts.invalid} invalid records")
+    if counts.crashed:
+        found.append(
+            f"{counts.crashed} clients ended without a goodbye, "
+            f"{counts.unfinished_bytes} bytes of unfinished records lost"
+        )
+    return found

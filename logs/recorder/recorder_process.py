@@ -1,0 +1,235 @@
+"""The flight recorder's loop: clients come and go on a local socket, their records go into one file."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import socket
+import stat
+import time
+from pathlib import Path
+from typing import Protocol
+
+from logs.recorder.feed_wire import Splitter, WireError
+from logs.recorder.mcap_file import McapFile
+from logs.recorder.recorder_sync import Syncer
+from logs.recorder.recording import Recorder, Statistics
+
+# Wall time; `recording` sees to log time. A killed recorder loses this, what waits in sockets and what
+# the clients gather (0.1 s in lockstep); a power cut also the time the disk takes: half a second in all.
+FLUSH_PERIOD_S = 0.25
+READ_PERIOD_S = 0.004  # wall time; clients flush every tick, reading them in batches saves the processor
+GRACE_S = 3.0  # wall time the clients have to finish after the recorder was told to stop
+_RECEIVE_BYTES = 2**18
+
+
+class RecorderError(Exception):
+    """The recorder cannot start; says what was found and what to do."""
+
+
+class Source(Protocol):
+    """Something other than a client that brings messages, polled from the loop."""
+
+    def poll(self, recorder: Recorder) -> None:
+        """Hand everything that has come to the recorder."""
+
+    def close(self) -> None:
+        """Let go of the connection."""
+
+
+class RecorderProcess:
+    """Listening socket, its clients, and the file."""
+
+    def __init__(self, socket_path: Path | None, out: Path, source: Source | None = None) -> None:
+        """Listen and create the file.
+
+        Args:
+            socket_path: Where the processes of a run connect; None with a source alone.
+            out: The MCAP file to create; its directory must exist.
+            source: Polled besides the clients.
+
+        Raises:
+            RecorderError: The path is taken or too long, or the file exists or cannot be created.
+        """
+        self._selector = selectors.DefaultSelector()
+        self._wake_in, self._wake_out = socket.socketpair()
+        self._wake_in.setblocking(False)
+        self._wake_out.setblocking(False)
+        self._socket_path = socket_path
+        self._listener = _listen(socket_path) if socket_path else None
+        try:
+            file = McapFile(out)
+            self._syncer = Syncer(file.descriptor(), out)
+            if file.failure:  # not even the head of the file fits
+                out.unlink()
+                raise OSError(0, file.failure)
+        except OSError as error:
+            self._stop_listening()
+            what = (
+                "exists already; choose another name"
+                if isinstance(error, FileExistsError)
+                else error.strerror
+            )
+            raise RecorderError(f"cannot write the log {out}: {what}") from error
+        self._recorder = Recorder(file)
+        if self._listener:
+            self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(self._wake_in, selectors.EVENT_READ)
+        self._source = source
+        self._splitters: dict[socket.socket, Splitter] = {}
+        self._stops = 0
+        self._gone = 0
+
+    def stop(self) -> None:
+        """Ask the loop to end once the clients are done; the second time, at once. For signal handlers."""
+        with contextlib.suppress(OSError):
+            self._wake_out.send(b"\x00")
+
+    def run(self, until_clients: int | None = None) -> Statistics:
+        """Record until told to stop, the disk is full, or this many clients have come and gone.
+
+        Returns:
+            What was recorded. The file is closed.
+        """
+        flushed_s = time.monotonic()
+        deadline_s = float("inf")
+        while True:
+            self._pass(max(0.0, flushed_s + FLUSH_PERIOD_S - time.monotonic()))
+            now_s = time.monotonic()
+            if now_s - flushed_s >= FLUSH_PERIOD_S:
+                self._recorder.flush()
+                self._syncer.ask()
+                flushed_s = now_s
+            if self._syncer.failure:
+                self._recorder.fail(self._syncer.failure)
+            if self._recorder.failure:
+                break  # the clients notice at once and fly on; whoever watches this process does, too
+            if self._stops and deadline_s == float("inf"):
+                deadline_s = now_s + GRACE_S
+            enough = until_clients is not None and self._gone >= until_clients
+            if not self._splitters and (self._stops or enough):
+                break
+            if self._stops > 1 or now_s >= deadline_s:
+                break
+        return self._finish()
+
+    def _pass(self, patience_s: float) -> None:
+        """Wait for something, then take everything there is."""
+        if self._source:  # it has no descriptor to wait for
+            patience_s = min(patience_s, READ_PERIOD_S)
+        ready = [key.fileobj for key, _ in self._selector.select(patience_s)]
+        for fileobj in ready:
+            if fileobj is self._wake_in:
+                self._stops += len(self._wake_in.recv(16))
+            elif fileobj is self._listener:
+                self._accept()
+            elif isinstance(fileobj, socket.socket):
+                self._receive(fileobj)
+        if self._source:
+            self._source.poll(self._recorder)
+        if ready and not self._stops and not self._source:
+            self._pause()
+
+    def _pause(self) -> None:
+        """Let records gather for a moment; a stop ends it."""
+        with selectors.SelectSelector() as selector:
+            selector.register(self._wake_in, selectors.EVENT_READ)
+            selector.select(READ_PERIOD_S)
+
+    def _accept(self) -> None:
+        assert self._listener is not None
+        while True:
+            try:
+                client, _ = self._listener.accept()
+            except OSError:
+                return
+            client.setblocking(False)
+            self._splitters[client] = Splitter()
+            self._selector.register(client, selectors.EVENT_READ)
+
+    def _receive(self, client: socket.socket) -> bool:
+        """Take what one client has sent; False when there was nothing."""
+        splitter = self._splitters[client]
+        try:
+            data = client.recv(_RECEIVE_BYTES)
+        except (BlockingIOError, InterruptedError):
+            return False
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(client)
+            return False
+        number = client.fileno()
+        try:
+            for record in splitter.feed(data):
+                self._recorder.handle(number, record)
+        except WireError:
+            self._recorder.statistics.invalid += 1
+            self._drop(client)
+            return False
+        return True
+
+    def _drop(self, client: socket.socket) -> None:
+        self._recorder.gone(client.fileno(), self._splitters.pop(client).pending)
+        self._gone += 1
+        self._selector.unregister(client)
+        client.close()
+
+    def _finish(self) -> Statistics:
+        """Take what is in the sockets, bounded in time, and close everything."""
+        if self._listener:
+            self._accept()
+        deadline_s = time.monotonic() + GRACE_S
+        for client in list(self._splitters):
+            while time.monotonic() < deadline_s and self._receive(client):
+                pass
+        for client in list(self._splitters):
+            self._drop(client)
+        if self._source:
+            self._source.poll(self._recorder)
+            self._source.close()
+        self._stop_listening()
+        self._selector.close()
+        self._wake_in.close()
+        self._wake_out.close()
+        counts = self._recorder.statistics
+        counts.syncs, counts.sync_worst_s = self._syncer.count, self._syncer.worst_s
+        self._recorder.finish()
+        self._syncer.close()
+        counts.failure = counts.failure or self._syncer.failure
+        return counts
+
+    def _stop_listening(self) -> None:
+        if self._listener and self._socket_path:
+            self._listener.close()
+            self._socket_path.unlink(missing_ok=True)
+
+
+def _listen(path: Path) -> socket.socket:
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        _remove_stale(path)
+        before = os.umask(0o177)  # only this user may write into the log
+        try:
+            listener.bind(str(path))
+        finally:
+            os.umask(before)
+        listener.listen(64)
+    except OSError as error:
+        listener.close()
+        hint = "" if len(str(path)) < 100 else "; socket paths must be shorter than 108 bytes"
+        raise RecorderError(f"cannot listen at {path}: {error}{hint}") from error
+    listener.setblocking(False)
+    return listener
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove a socket that a killed recorder left; one that answers stays and makes the bind fail."""
+    if not path.exists() or not stat.S_ISSOCK(path.stat().st_mode):
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink(missing_ok=True)

@@ -1,0 +1,239 @@
+"""What the flight recorder does with each record, apart from sockets and signals."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from logs.derive.derive_recorder import Derive, Derivers
+from logs.recorder.feed_wire import Kind, Record
+from logs.recorder.mcap_file import McapFile
+from logs.schema.codec_log import Severity, pack_log
+from logs.schema.schemas import LOG, UnknownSchemaError
+
+# A chunk holds no more log time than this: in lockstep that runs faster than the wall clock.
+FLUSH_LOG_TIME_NS = 250_000_000
+RECORDER_NAME = "flight_recorder"  # its own events on /rosout; they depend on wall-clock time
+LOSSES = "losses"  # metadata: records dropped by each client
+RECORDER = "recorder"  # metadata: what the recorder went through
+# What records with wrong content raise; a recorder that dies of one would take the others' log with it.
+_NONSENSE = (ValueError, KeyError, TypeError, AttributeError, RecursionError, struct.error)
+
+
+@dataclass
+class Statistics:
+    """What was recorded, and what was not."""
+
+    messages: int = 0  # in the file, derived ones included
+    derived: int = 0
+    clients: int = 0
+    invalid: int = 0  # records nobody could make sense of
+    refused: int = 0  # messages after the disk was full
+    skipped: int = 0  # samples of unknown encoding
+    unfinished_bytes: int = 0  # of records cut by a crash of their sender
+    crashed: int = 0  # clients that ended without a goodbye
+    dropped: dict[str, int] = field(default_factory=dict)  # by client, as the client reports it
+    syncs: int = 0  # times the file was brought to the disk itself
+    sync_worst_s: float = 0.0  # wall time of the longest one
+    failure: str = ""  # why the disk stopped taking data
+
+
+@dataclass
+class _Client:
+    name: str
+    channels: dict[int, int] = field(default_factory=dict)  # its channel number -> channel in the file
+    derivers: dict[int, Derive] = field(default_factory=dict)
+    goodbye: bool = False
+
+
+class Recorder:
+    """Turns records of any number of clients into one file.
+
+    Attributes:
+        statistics: Counts so far.
+    """
+
+    def __init__(self, file: McapFile) -> None:
+        self._file = file
+        self._clients: dict[int, _Client] = {}
+        self._derivers = Derivers()
+        self._log_time_ns = 0
+        self._flushed_log_time_ns = 0
+        self._events = 0
+        self.statistics = Statistics()
+        self._handlers: Mapping[int, Callable[[_Client, Record], None]] = {
+            Kind.DECLARE: self._declare,
+            Kind.METADATA: self._metadata,
+            Kind.ATTACHMENT: self._attachment,
+            Kind.LOSSES: self._losses,
+            Kind.GOODBYE: self._goodbye,
+        }
+
+    def handle(self, client: int, record: Record) -> None:
+        """Write one record.
+
+        Args:
+            client: Any number that stands for the connection.
+            record: As it came off the wire. Nonsense is counted, never raised.
+        """
+        state = self._clients.get(client)
+        if state is None:
+            state = self._clients[client] = _Client(f"client {client}")
+            self.statistics.clients += 1
+        if record.kind == Kind.MESSAGE:
+            self._message(state, record)
+            return
+        handler = self._handlers.get(record.kind)
+        try:
+            if handler is None:
+                raise ValueError(f"kind {record.kind}")
+            handler(state, record)
+        except _NONSENSE as error:
+            self._invalid(state, f"record of kind {record.kind}: {error}")
+
+    def gone(self, client: int, unfinished_bytes: int) -> None:
+        """Note the end of a connection; ``unfinished_bytes`` of its last record never became whole."""
+        state = self._clients.pop(client, None)
+        self.statistics.unfinished_bytes += unfinished_bytes
+        if state is not None and not state.goodbye and not self._file.failure:
+            self.statistics.crashed += 1
+            cut = f"; {unfinished_bytes} bytes of an unfinished record lost" if unfinished_bytes else ""
+            self.event(Severity.ERROR, f"{state.name} ended without a goodbye{cut}")
+
+    def message(
+        self, topic: str, schema: str, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
+    ) -> None:
+        """Write one message that did not come through a feed.
+
+        Raises:
+            logs.schema.schemas.UnknownSchemaError: No such type.
+            ValueError: A time before 1970.
+        """
+        if log_time_ns < 0 or publish_time_ns < 0:
+            raise ValueError(f"times {log_time_ns} and {publish_time_ns}; they begin at 0 (1970)")
+        self._log_time_ns = max(self._log_time_ns, log_time_ns)
+        channel = self._file.channel(topic, schema)
+        self._file.write(channel, log_time_ns, publish_time_ns, sequence, payload)
+
+    def event(self, level: Severity, text: str) -> None:
+        """Write an event of the recorder itself to ``/rosout``."""
+        now = self._log_time_ns
+        self._events += 1
+        self.message("/rosout", LOG, now, now, self._events, pack_log(now, level, RECORDER_NAME, text))
+
+    @property
+    def failure(self) -> str:
+        """Why the disk stopped taking data; empty as long as it does."""
+        return self._file.failure
+
+    def fail(self, why: str) -> None:
+        """Stop recording: the disk has not kept what it took."""
+        self._file.fail(why)
+
+    def flush(self) -> None:
+        """Bring everything written so far to the disk's cache, safe from a crash of this process."""
+        self._file.flush()
+        self._flushed_log_time_ns = self._log_time_ns
+
+    def finish(self) -> Statistics:
+        """Write the counts and the index, close the file, and return what was recorded."""
+        counts = self.statistics
+        counts.failure = self._file.failure
+        self._file.metadata(LOSSES, {name: str(n) for name, n in sorted(counts.dropped.items())})
+        self._file.metadata(
+            RECORDER,
+            {
+                name: str(getattr(counts, name))
+                for name in (
+                    "clients",
+                    "invalid",
+                    "refused",
+                    "skipped",
+                    "unfinished_bytes",
+                    "crashed",
+                    "syncs",
+                    "sync_worst_s",
+                    "failure",
+                )
+            },
+        )
+        self._file.close()
+        counts.messages = self._file.messages
+        counts.failure = self._file.failure
+        return counts
+
+    def _message(self, client: _Client, record: Record) -> None:
+        _, number, log_time_ns, publish_time_ns, sequence, payload = record
+        channel = client.channels.get(number)
+        if channel is None:
+            self._invalid(client, f"message on channel {number}, which was never declared")
+            return
+        if log_time_ns < 0 or publish_time_ns < 0:
+            self._invalid(client, f"times {log_time_ns} and {publish_time_ns}; they begin at 0 (1970)")
+            return
+        if self._file.failure:
+            self.statistics.refused += 1
+            return
+        if log_time_ns > self._log_time_ns:
+            self._log_time_ns = log_time_ns
+            if log_time_ns - self._flushed_log_time_ns >= FLUSH_LOG_TIME_NS:
+                self.flush()
+        file = self._file
+        file.write(channel, log_time_ns, publish_time_ns, sequence, payload)
+        deriver = client.derivers.get(number)
+        if deriver is None:
+            return
+        try:
+            derived = deriver(log_time_ns, payload)
+        except _NONSENSE as error:
+            self._invalid(client, str(error))
+            return
+        for topic, schema, data in derived:
+            file.write(file.channel(topic, schema), log_time_ns, publish_time_ns, sequence, data)
+        self.statistics.derived += len(derived)
+
+    def _declare(self, client: _Client, record: Record) -> None:
+        content = json.loads(record.payload)
+        topic, schema = str(content["topic"]), str(content["schema"])
+        try:
+            client.channels[record.channel] = self._file.channel(topic, schema)
+        except UnknownSchemaError as error:
+            self._invalid(client, f"channel {topic}: {error}")
+            return
+        deriver = self._derivers.declare(topic, schema)
+        if deriver is not None:
+            client.derivers[record.channel] = deriver
+
+    def _metadata(self, client: _Client, record: Record) -> None:  # noqa: ARG002
+        content = json.loads(record.payload)
+        values = {str(k): str(v) for k, v in content["values"].items()}
+        self._file.metadata(str(content["name"]), values)
+        self._derivers.metadata(str(content["name"]), values)
+
+    def _attachment(self, client: _Client, record: Record) -> None:  # noqa: ARG002
+        head, separator, data = record.payload.partition(b"\n")
+        if not separator:
+            raise ValueError("attachment without a head line")
+        content = json.loads(head)
+        name = str(content["name"])
+        self._file.attachment(name, str(content["media_type"]), record.log_time_ns, data)
+        self._derivers.attachment(name, data)
+
+    def _losses(self, client: _Client, record: Record) -> None:
+        content = json.loads(record.payload)
+        client.name, dropped = str(content["client"]), int(content["dropped"])
+        before = self.statistics.dropped.get(client.name, 0)
+        self.statistics.dropped[client.name] = max(before, dropped)
+        if dropped > before:
+            text = f"{client.name} dropped {dropped} records so far: the recorder did not keep up"
+            self.event(Severity.WARN, text)
+
+    def _goodbye(self, client: _Client, record: Record) -> None:  # noqa: ARG002
+        client.goodbye = True
+
+    def _invalid(self, client: _Client, text: str) -> None:
+        self.statistics.invalid += 1
+        if self.statistics.invalid <= 20:  # enough to understand it; the rest is counted
+            self.event(Severity.ERROR, f"{client.name}: {text}")

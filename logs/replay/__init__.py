@@ -1,0 +1,1 @@
+"""Replays a log through the code that flew, and compares."""

@@ -1,0 +1,120 @@
+"""Recorded against replayed, bit by bit: NaN equals a NaN of the same bits, 0.0 does not equal -0.0."""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from logs.reader.flight_decode import layout
+
+SHOWN_MAX = 10  # differences kept; the others are counted
+_F64 = struct.Struct("<d")
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One value that came out otherwise.
+
+    Attributes:
+        topic: where it was recorded.
+        tick: at which tick.
+        field: dotted name as in the message definition.
+        recorded: value in the log.
+        replayed: value now.
+    """
+
+    topic: str
+    tick: int
+    field: str
+    recorded: str
+    replayed: str
+
+    def __str__(self) -> str:
+        return (
+            f"{self.topic} tick {self.tick} {self.field}: recorded {self.recorded}, replayed {self.replayed}"
+        )
+
+
+@dataclass
+class Tally:
+    """Differences of one kind: how many, and the first."""
+
+    count: int = 0
+    ticks: int = 0  # that hold one
+    first: list[Difference] = field(default_factory=list)
+
+    def add(self, found: Iterable[Difference]) -> None:
+        """Count the differences of one tick."""
+        before = self.count
+        for each in found:
+            self.count += 1
+            if len(self.first) < SHOWN_MAX:
+                self.first.append(each)
+        self.ticks += self.count > before
+
+
+def fields_of(schema: str, recorded: bytes, replayed: bytes) -> Iterator[tuple[str, str, str]]:
+    """Yield (field, recorded, replayed) of every field whose bytes differ.
+
+    Args:
+        schema: type of both; its variable parts are strings at most.
+        recorded: CDR from the log.
+        replayed: CDR made now, known to be well formed.
+    """
+    if recorded == replayed:
+        return
+    if len(recorded) != len(replayed):
+        yield "size", f"{len(recorded)} bytes", f"{len(replayed)} bytes"
+        return
+    known = layout(schema, replayed)
+    seen = np.zeros(len(replayed), dtype=bool)
+    for name, kind, at in zip(known.names, known.formats, known.offsets, strict=True):
+        end = at + np.dtype(kind).itemsize
+        seen[at:end] = True
+        if recorded[at:end] != replayed[at:end]:
+            yield name, *_texts(recorded[at:end], replayed[at:end], kind)
+    for name, at, length in known.strings:
+        end = at + 4 + length
+        seen[at:end] = True
+        if recorded[at:end] != replayed[at:end]:
+            yield name, repr(recorded[at + 4 : end]), repr(replayed[at + 4 : end])
+    for at in np.flatnonzero(~seen).tolist():
+        if recorded[at] != replayed[at]:
+            yield f"byte {at}", f"{recorded[at]:#04x}", f"{replayed[at]:#04x}"
+
+
+def _texts(recorded: bytes, replayed: bytes, kind: str) -> tuple[str, str]:
+    """Both as numbers; as bytes where the numbers look alike."""
+    a, b = (str(np.frombuffer(raw, dtype=kind)[0].item()) for raw in (recorded, replayed))
+    return (a, b) if a != b else (f"{a} (bytes {recorded.hex()})", f"{b} (bytes {replayed.hex()})")
+
+
+def values_of(recorded: Any, replayed: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
+    """Yield (field, recorded, replayed) of what differs in two dataclasses, tuples or plain values."""
+    if type(recorded) is not type(replayed):
+        yield name, repr(recorded), repr(replayed)
+    elif dataclasses.is_dataclass(recorded) and not isinstance(recorded, type):
+        for each in dataclasses.fields(recorded):
+            inner = f"{name}.{each.name}" if name else each.name
+            yield from values_of(getattr(recorded, each.name), getattr(replayed, each.name), inner)
+    elif isinstance(recorded, tuple | list):
+        if len(recorded) != len(replayed):
+            yield f"{name}.length", str(len(recorded)), str(len(replayed))
+        names = getattr(recorded, "_fields", None)
+        for n, (a, b) in enumerate(zip(recorded, replayed, strict=False)):
+            yield from values_of(a, b, f"{name}.{names[n]}" if names else f"{name}[{n}]")
+    elif isinstance(recorded, float):
+        a, b = _F64.pack(recorded), _F64.pack(replayed)
+        if a != b:
+            yield name, *_texts(a, b, "<f8")
+    elif isinstance(recorded, Enum):
+        if recorded is not replayed:
+            yield name, recorded.name, replayed.name
+    elif recorded != replayed:
+        yield name, repr(recorded), repr(replayed)

@@ -1,0 +1,164 @@
+"""The ticks of a flight log, one after the other, each with everything the onboard process wrote at it.
+
+One process writes them in the order it worked, and stamps all of a tick with the tick's time; so the file is
+read once, from its start to its end or its break, and only one tick is held in memory.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from flightstack.common.strict_toml import ConfigError, from_table
+from flightstack.core.parameters.flight import FlightConfig
+from logs.reader.reader import LogError, LogFile
+from logs.schema.codec_input import ControllerInputRow, ControllerStateRow
+from logs.schema.codec_input import unpack_controller_input as unpack_input
+from logs.schema.codec_input import unpack_controller_state as unpack_state
+from logs.schema.codec_log import CONTROLLER, ONBOARD, LogRow, unpack_log
+from logs.schema.codec_mavlink import unpack_mavlink
+from logs.schema.schemas import CONTROLLER_INPUT
+
+CONFIG = "onboard.toml"  # attachment
+SOURCE, SINK, ROSOUT = "/uas1/mavlink_source", "/uas1/mavlink_sink", "/rosout"
+_INPUT_END = "/controller/input"
+
+
+class ReplayError(ValueError):
+    """A log that proves nothing: says what was found and what is needed."""
+
+
+@dataclass(slots=True)
+class TickRecord:
+    """What the log holds of one tick.
+
+    Attributes:
+        unix_ns: time of the tick in the log.
+        given: inputs, None if the log breaks before them.
+        step: decisions as recorded, None if the log breaks before them.
+        state: snapshot after the tick, None in most ticks.
+        events: what the controller said, as recorded.
+        said: what else the onboard process said.
+        frames_in, frames_out: MAVLink frames.
+        odometry: target samples as they came.
+    """
+
+    unix_ns: int
+    given: ControllerInputRow | None = None
+    step: bytes | None = None
+    state: ControllerStateRow | None = None
+    events: list[LogRow] = field(default_factory=list)
+    said: list[LogRow] = field(default_factory=list)
+    frames_in: list[bytes] = field(default_factory=list)
+    frames_out: list[bytes] = field(default_factory=list)
+    odometry: list[bytes] = field(default_factory=list)
+
+
+class FlightInputs:
+    """A log opened for replay.
+
+    Attributes:
+        log: the file.
+        space: first part of the topics, for example ``/cf1``.
+        table: the configuration as plain TOML data.
+        onboard: metadata of the onboard process; empty in a log that has none.
+        preflight: of its check before the flight, the same.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Find inputs and configuration.
+
+        Raises:
+            ReplayError: not a log, or it holds no inputs or no configuration.
+        """
+        try:
+            self.log = LogFile(path)
+        except LogError as error:
+            raise ReplayError(str(error)) from error
+        self.onboard = self.log.metadata().get("onboard", {})
+        self.preflight = self.log.metadata().get("preflight", {})
+        self.space = self._space()
+        found = [each.data for each in self.log.attachments() if each.name == CONFIG]
+        if not found:
+            raise ReplayError(
+                f"{path}: no attachment {CONFIG}: without its configuration nothing can be replayed"
+            )
+        try:
+            self.table = tomllib.loads(found[-1].decode())
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ReplayError(f"{path}: the attachment {CONFIG} is not TOML: {error}") from error
+
+    def _space(self) -> str:
+        """Where the inputs are; a log that is one flight has them in one place."""
+        named = self.onboard.get("namespace")
+        if named is not None:
+            return f"/{named}"
+        for message in self.log.messages():
+            if message.schema == CONTROLLER_INPUT and message.topic.endswith(_INPUT_END):
+                return message.topic.removesuffix(_INPUT_END)
+        raise ReplayError(
+            f"{self.log.path}: no controller inputs ({CONTROLLER_INPUT}); they are recorded by "
+            "`flightstack onboard --recorder SOCKET`"
+        )
+
+    def config(self) -> FlightConfig:
+        """Return the configuration that flew.
+
+        Raises:
+            ReplayError: this version does not understand it.
+        """
+        try:
+            return from_table(FlightConfig, self.table)
+        except ConfigError as error:
+            raise ReplayError(f"{self.log.path}: the attachment {CONFIG}: {error}") from error
+
+    def topic(self, name: str) -> str:
+        """Full name of a topic of this vehicle."""
+        return f"{self.space}/{name}"
+
+    def ticks(self) -> Iterator[TickRecord]:
+        """Yield the ticks in order, the last one perhaps not whole.
+
+        Raises:
+            ReplayError: a message that cannot be decoded, or ticks out of order.
+        """
+        given, step = self.topic("controller/input"), self.topic("controller/step")
+        state, odometry = self.topic("controller/state"), self.topic("target/odom")
+        tick: TickRecord | None = None
+        for message in self.log.messages({given, step, state, odometry, SOURCE, SINK, ROSOUT}):
+            topic, data = message.topic, message.data
+            try:
+                said = unpack_log(data) if topic == ROSOUT else None
+                if said is not None and said.name not in (ONBOARD, CONTROLLER):
+                    continue
+                if tick is None or message.log_time_ns != tick.unix_ns:
+                    if tick is not None:
+                        if message.log_time_ns < tick.unix_ns:
+                            raise ValueError("it is older than the one before; was the log put together?")
+                        yield tick
+                    tick = TickRecord(message.log_time_ns)
+                if said is not None:
+                    (tick.events if said.name == CONTROLLER else tick.said).append(said)
+                elif topic == given:
+                    tick.given = unpack_input(data)
+                elif topic == step:
+                    tick.step = data
+                elif topic == state:
+                    snapshot = unpack_state(data)
+                    if (
+                        snapshot.stamp_ns == tick.unix_ns
+                    ):  # else an older one, given again where a log was cut
+                        tick.state = snapshot
+                elif topic == odometry:
+                    tick.odometry.append(data)
+                else:
+                    frames = tick.frames_in if topic == SOURCE else tick.frames_out
+                    frames.append(unpack_mavlink(data)[1])
+            except ValueError as error:
+                raise ReplayError(
+                    f"{self.log.path}: {topic} at log time {message.log_time_ns}: {error}"
+                ) from error
+        if tick is not None:
+            yield tick

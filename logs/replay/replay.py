@@ -1,0 +1,292 @@
+"""A flight log as a regression test: its inputs through today's controller must give its outputs, bit by bit.
+
+From tick 0 with a fresh controller; in a log that lacks it, from the first snapshot of the controller's
+state. With another configuration the same run shows what would have been commanded, the world going on as it
+did.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from bridge.mavlink.profiles.autopilots import AUTO, PROFILES, PX4
+from flightstack.common.pacing import Tick
+from flightstack.core.controller import Controller, Outputs
+from flightstack.core.memory import State
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.types import Phase
+from flightstack.onboard.state_text import StateText, StateTextError
+from logs.replay.compare import Difference, Tally, fields_of, values_of
+from logs.replay.read import ROSOUT, FlightInputs, ReplayError, TickRecord
+from logs.replay.wire import WireReplay
+from logs.schema.codec import pack_controller_step, unpack_controller_step
+from logs.schema.codec_input import ControllerInputRow, ControllerStateRow
+from logs.schema.codec_log import CONTROLLER, LogRow
+from logs.schema.schemas import CONTROLLER_STEP
+from logs.schema.step_row import step_row
+
+__all__ = ["Difference", "FlightInputs", "PhaseChange", "ReplayError", "Result", "replay"]
+
+_ACTING = (Phase.APPROACH, Phase.LAND)
+_CHANGES_MAX = 200  # phase changes kept of either side
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseChange:
+    """A phase and the first tick of it."""
+
+    tick: int
+    phase: str
+
+
+@dataclass
+class Result:
+    """What a replay found.
+
+    Attributes:
+        path: the log.
+        start: where the replay began, in words.
+        first_tick, last_tick: compared, both included.
+        compared: how many ticks.
+        outputs: decisions and events against the recorded ones.
+        states: snapshots against the recorded ones.
+        wire: inputs and frames made from the recorded wire against the recorded ones; None if not replayed.
+        notes: what was left out, and why.
+        command_ticks: ticks in which the set-point differs.
+        command_first: the first of them, None without.
+        command_most_m_s: largest difference of the set-points of one tick, m/s.
+        phases_recorded, phases_replayed: each change.
+        wall_s: time it took.
+    """
+
+    path: Path
+    start: str = ""
+    first_tick: int = -1
+    last_tick: int = -1
+    compared: int = 0
+    outputs: Tally = field(default_factory=Tally)
+    states: Tally = field(default_factory=Tally)
+    wire: Tally | None = None
+    notes: list[str] = field(default_factory=list)
+    command_ticks: int = 0
+    command_first: int | None = None
+    command_most_m_s: float = 0.0
+    phases_recorded: list[PhaseChange] = field(default_factory=list)
+    phases_replayed: list[PhaseChange] = field(default_factory=list)
+    wall_s: float = 0.0
+
+    @property
+    def equal(self) -> bool:
+        """Whether nothing at all came out otherwise."""
+        return not (self.outputs.count or self.states.count or (self.wire is not None and self.wire.count))
+
+
+def replay(path: Path | str, config: FlightConfig | None = None) -> Result:
+    """Run the recorded inputs through the controller and compare.
+
+    Args:
+        path: the log, whole or broken.
+        config: flown with instead of the recorded one; the wire is not replayed then.
+
+    Raises:
+        ReplayError: the log proves nothing: no inputs, a gap, or a controller that never acted.
+    """
+    began_s = time.perf_counter()
+    flight = FlightInputs(path)
+    run = _Run(flight, config)
+    for record in run.whole(flight.ticks()):
+        run.tick(record)
+    if flight.log.problem:
+        run.result.notes.append(f"the log breaks off ({flight.log.problem}); compared up to there")
+    run.finish()
+    run.result.wall_s = time.perf_counter() - began_s
+    return run.result
+
+
+class _Run:
+    def __init__(self, flight: FlightInputs, config: FlightConfig | None) -> None:
+        self.flight, self.changed = flight, config is not None
+        self.config = config if config is not None else flight.config()
+        self.controller = Controller(self.config)
+        self.result = Result(flight.log.path)
+        self.text = StateText(State)
+        self.wire: WireReplay | None = None
+        self.running = False
+        self.acted = False
+        self.state_refused = ""
+
+    def whole(self, ticks: Iterator[TickRecord]) -> Iterator[TickRecord]:
+        """Yield the ticks that are whole; between them all have to be.
+
+        Raises:
+            ReplayError: a tick is missing.
+        """
+        last: int | None = None
+        cut: TickRecord | None = None
+        for record in ticks:
+            if cut is not None and last is not None:
+                raise self._gap(cut, last)
+            if record.given is None or record.step is None:
+                cut = record
+                continue
+            tick = record.given.tick
+            if last is not None and tick != last + 1:
+                raise self._missing(last, tick)
+            last, cut = tick, None
+            yield record
+        if last is None:
+            raise ReplayError(f"{self.flight.log.path}: no tick with both inputs and decisions")
+        if cut is not None and cut.given is not None and cut.given.tick == last + 1:
+            self.result.notes.append(f"tick {cut.given.tick}, the last one, is not whole and was left out")
+
+    def _gap(self, cut: TickRecord, last: int) -> ReplayError:
+        what = "inputs" if cut.given is None else "decisions"
+        return ReplayError(
+            f"{self.flight.log.path}: the {what} of a tick after tick {last} are missing; a replay over a "
+            "gap proves nothing"
+        )
+
+    def _missing(self, last: int, tick: int) -> ReplayError:
+        path = self.flight.log.path
+        if tick <= last:
+            return ReplayError(
+                f"{path}: tick {tick} comes after tick {last}; these are two flights in one log"
+            )
+        gap = f"tick {last + 1} is" if tick == last + 2 else f"ticks {last + 1} to {tick - 1} are"
+        return ReplayError(
+            f"{path}: {gap} missing; a replay over a gap proves nothing. Cut the log behind it: the replay "
+            "then begins at the next snapshot"
+        )
+
+    def tick(self, record: TickRecord) -> None:
+        """Replay one tick and compare it."""
+        given = record.given
+        assert given is not None
+        if not self.running and not self._begin(record, given):
+            return
+        wired = self.wire.take(record, given) if self.wire is not None else []
+        out = self.controller.step(given.inputs, given.now_s, command_failed=given.command_failed)
+        if self.wire is not None:
+            wired += self.wire.answer(record, given, out)
+            assert self.result.wire is not None
+            self.result.wire.add(wired)
+        self._compare(record, given, out)
+
+    def _begin(self, record: TickRecord, given: ControllerInputRow) -> bool:
+        """Whether this tick can be replayed; a snapshot makes the next one."""
+        if given.tick == 0:
+            self.result.start = "tick 0"
+            self.running = True
+            if not self.changed:
+                self._begin_wire()
+            return True
+        if record.state is not None:
+            self._restore(record.state)
+        return False
+
+    def _begin_wire(self) -> None:
+        onboard = self.flight.onboard
+        if "system_id" not in onboard or "lockstep" not in onboard:
+            self.result.notes.append("the log does not say how the vehicle was connected: wire not replayed")
+            return
+        autopilot = onboard.get("autopilot", PX4.name)  # older logs: there was no choice
+        recognised = self.flight.preflight.get("profile", AUTO)
+        if autopilot == AUTO and recognised in PROFILES:
+            autopilot = recognised
+        lockstep = onboard["lockstep"] == "true"
+        self.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot)
+        self.result.wire = Tally()
+
+    def _restore(self, snapshot: ControllerStateRow) -> None:
+        try:
+            self.controller.restore(self.text.loads(snapshot.layout, snapshot.state))
+        except StateTextError as error:
+            self.state_refused = f"; the snapshot after tick {snapshot.tick} is of no use: {error}"
+            return
+        self.running = True
+        self.result.start = f"the state after tick {snapshot.tick}"
+        self.result.notes.append("the log lacks its beginning: wire not replayed")
+
+    def _compare(self, record: TickRecord, given: ControllerInputRow, out: Outputs) -> None:
+        result, tick = self.result, given.tick
+        assert record.step is not None
+        row = step_row(Tick(tick, given.now_s, given.stamp_ns, 0.0, 0.0), out)
+        replayed = pack_controller_step(row)
+        topic = self.flight.topic("controller/step")
+        found = [Difference(topic, tick, *each) for each in fields_of(CONTROLLER_STEP, record.step, replayed)]
+        events = [LogRow(given.stamp_ns, e.level, CONTROLLER, e.text, "", "", 0) for e in out.events]
+        if record.events != events:
+            found += [Difference(ROSOUT, tick, *each) for each in values_of(record.events, events, "events")]
+        result.outputs.add(found)
+        if record.state is not None and not self.changed:
+            self._compare_state(record.state)
+        if result.first_tick < 0:
+            result.first_tick = tick
+        result.last_tick = tick
+        result.compared += 1
+        if record.step == replayed:
+            recorded = row
+        else:
+            try:
+                recorded = unpack_controller_step(record.step)
+            except ValueError:  # named above; it cannot be looked into
+                return
+            self._command_change(tick, recorded.command_enu_m_s, row.command_enu_m_s)
+        self.acted = self.acted or (recorded.setpoint_sent and recorded.phase in _ACTING)
+        _note_phase(result.phases_recorded, tick, recorded.phase)
+        _note_phase(result.phases_replayed, tick, row.phase)
+
+    def _compare_state(self, recorded: ControllerStateRow) -> None:
+        if recorded.layout != self.text.layout:
+            note = "the snapshots are of another layout and were not compared"
+            if note not in self.result.notes:
+                self.result.notes.append(note)
+            return
+        topic, state = self.flight.topic("controller/state"), self.controller.state
+        if recorded.state == self.text.dumps(state):
+            return
+        try:
+            before = self.text.loads(recorded.layout, recorded.state)
+        except StateTextError as error:
+            self.result.states.add([Difference(topic, recorded.tick, "state", str(error), "a state")])
+            return
+        found = [Difference(topic, recorded.tick, *each) for each in values_of(before, state)]
+        text = Difference(topic, recorded.tick, "state", recorded.state, self.text.dumps(state))
+        self.result.states.add(found or [text])
+
+    def _command_change(self, tick: int, recorded: Sequence[float], replayed: Sequence[float]) -> None:
+        if tuple(recorded) == tuple(replayed):
+            return
+        result = self.result
+        result.command_ticks += 1
+        if result.command_first is None:
+            result.command_first = tick
+        change = math.dist(recorded, replayed)
+        if not change <= result.command_most_m_s:  # a NaN counts as largest
+            result.command_most_m_s = change
+
+    def finish(self) -> None:
+        """Refuse a result that proves nothing."""
+        path = self.flight.log.path
+        if not self.running:
+            raise ReplayError(
+                f"{path}: neither tick 0 nor a usable snapshot of the controller's state: nothing to begin "
+                f"with{self.state_refused}"
+            )
+        if not self.result.compared:
+            raise ReplayError(f"{path}: no tick after {self.result.start}: nothing to compare")
+        if not self.acted:
+            raise ReplayError(
+                f"{path}: the controller never sent a set-point in APPROACH or LAND in ticks "
+                f"{self.result.first_tick} to {self.result.last_tick}: equal outputs would prove nothing"
+            )
+
+
+def _note_phase(changes: list[PhaseChange], tick: int, number: int) -> None:
+    name = Phase(number).name if number in Phase._value2member_map_ else str(number)
+    if len(changes) < _CHANGES_MAX and (not changes or changes[-1].phase != name):
+        changes.append(PhaseChange(tick, name))

@@ -1,0 +1,121 @@
+"""The wire of a recorded flight through today's bridge: do the same frames still mean the same?
+
+The recorded MAVLink frames and target samples go through the code that flies, only without a socket
+(``flightstack.onboard.exchange``, ``bridge.mavlink.client.link``). What comes out must be the recorded
+inputs; and the frames that answer the replayed decisions must be the recorded ones, but for their sequence
+numbers.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
+from bridge.mavlink.client.origin import Origin
+from bridge.mavlink.codec.decoding import Message, decode, message_id
+from bridge.mavlink.codec.wide_messages import MESSAGES
+from bridge.mavlink.endpoint import Endpoint, Peer, Received
+from bridge.mavlink.endpoint_counters import EndpointCounters
+from bridge.mavlink.profiles.autopilots import PX4, profile
+from flightstack.core.controller import Outputs
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.onboard.exchange import answer, take
+from logs.replay.compare import Difference, values_of
+from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
+from logs.schema.codec_input import ControllerInputRow
+
+_VEHICLE: Peer = ("recorded", 0)
+_SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # the other lines are about the socket
+_ID_AND_PAYLOAD = slice(7, -2)  # of an unsigned frame: what is left of head, sequence number and checksum
+
+
+class RecordedEndpoint(Endpoint):
+    """An endpoint without a socket: hands out recorded frames and keeps what is sent."""
+
+    def __init__(self, system_id: int) -> None:
+        """Speak as the companion of this system."""
+        self.tap = None
+        self.counters = EndpointCounters()
+        self.warnings = ()
+        self.local_port, self.baud = 0, None
+        self.incoming: deque[bytes] = deque()
+        self.sent: list[bytes] = []
+        self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=COMPONENT_ID)
+
+    def receive(self) -> list[Received]:
+        """Take all frames, oldest first."""
+        known = [frame for frame in self.incoming if message_id(frame) in MESSAGES]  # others were kept raw
+        received = [Received(decode(frame), frame, _VEHICLE) for frame in known]
+        self.incoming.clear()
+        return received
+
+    def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
+        """Keep the frames."""
+        del peer
+        self.sent += [self.pack(message) for message in messages]
+
+    def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
+        """Do nothing: repeats are not in a log either."""
+
+    def take_notices(self) -> list[str]:
+        """Nothing: a recorded line is never lost."""
+        return []
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+class WireReplay:
+    """One flight's wire; for each tick ``take``, then ``answer``."""
+
+    def __init__(
+        self, config: FlightConfig, system_id: int, lockstep: bool, autopilot: str = PX4.name
+    ) -> None:
+        """Begin at tick 0."""
+        origin = config.vehicle.origin_wgs84
+        self._endpoint = RecordedEndpoint(system_id)
+        self._lockstep = lockstep
+        self._heard = False
+        self._link = VehicleLink(
+            "",
+            takeoff_height_m=config.takeoff.height_m,
+            rate_hz=config.loop.rate_hz,
+            system_id=system_id,
+            defer_timesync=lockstep,
+            profile=profile(autopilot),
+            origin=Origin(*origin) if origin is not None else None,
+            endpoint=self._endpoint,
+        )
+
+    def take(self, record: TickRecord, given: ControllerInputRow) -> list[Difference]:
+        """Decode what came and compare it with the recorded inputs."""
+        self._heard = self._link.heard
+        self._endpoint.sent.clear()
+        self._endpoint.incoming += record.frames_in
+        try:
+            self._link.poll(given.now_s)
+        except Exception as error:  # a frame that today's dialect cannot decode is a finding, not a crash
+            self._endpoint.incoming.clear()
+            return [Difference(SOURCE, given.tick, "frame", "a decodable frame", repr(error))]
+        taken = take(self._link, record.odometry, given.inputs.operator, given.now_s)
+        found = list(values_of(given.inputs, taken.inputs))
+        found += values_of(given.command_failed, taken.command_failed, "command_failed")
+        differences = [Difference("wire, inputs", given.tick, *each) for each in found]
+        said = taken.problems + [f"vehicle: {text}" for _, text in self._link.take_texts()]
+        recorded = [row.message for row in record.said if row.message.startswith(_SAID_BY_THE_WIRE)]
+        differences += [Difference(ROSOUT, given.tick, *each) for each in values_of(recorded, said, "wire")]
+        return differences
+
+    def answer(self, record: TickRecord, given: ControllerInputRow, out: Outputs) -> list[Difference]:
+        """Send what was decided and compare it with the recorded frames."""
+        answer(self._link, out, given.now_s, lockstep=self._lockstep)
+        if not self._heard:
+            return []  # until the vehicle is heard, greetings go out by wall time
+        recorded = [frame[_ID_AND_PAYLOAD].hex() for frame in record.frames_out]
+        replayed = [frame[_ID_AND_PAYLOAD].hex() for frame in self._endpoint.sent]
+        if recorded == replayed:
+            return []
+        return [Difference(SINK, given.tick, *each) for each in values_of(recorded, replayed, "frames")]

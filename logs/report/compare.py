@@ -1,0 +1,204 @@
+"""Two flights on one page: key numbers with their differences, what was set differently, figures overlaid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from flightstack.common.strict_toml import to_table
+from logs.reader.flight import load_flight
+from logs.reader.flight_data import Flight, Floats
+from logs.report.derived import estimate_errors
+from logs.report.faults import fault_spans
+from logs.report.page import header, need_plotly, page, section
+from logs.report.tables import definitions, events_table, headline, table
+from logs.verdict.types import Verdict
+from logs.verdict.verdict import judge
+
+if TYPE_CHECKING:
+    from logs.report.links import Stream
+
+_BAR = (
+    '<div class="bar"><span>All times:</span><button data-range="landing">Landing</button>'
+    '<button data-range="whole">Whole flight</button></div>'
+)
+
+
+class Side(NamedTuple):
+    """One of the two."""
+
+    name: str
+    flight: Flight
+    verdict: Verdict
+    streams: list[Stream]
+
+
+def write_comparison(log_a: Path, log_b: Path, out: Path | None = None) -> Path:
+    """Write the page that compares two logs.
+
+    Args:
+        log_a: the first flight log, whole or cut short.
+        log_b: the second.
+        out: where to write; ``None`` puts it beside the second log as ``comparison.html``.
+
+    Raises:
+        LogError: a log cannot be used.
+        ReportError: the plotting library is not installed.
+    """
+    need_plotly()
+    sides = (_side("A", log_a), _side("B", log_b))
+    target = log_b.with_name("comparison.html") if out is None else out
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(render(*sides), encoding="utf-8")
+    return target
+
+
+def _side(name: str, log: Path) -> Side:
+    from logs.report.links import load_streams
+
+    flight = load_flight(log)
+    return Side(name, flight, judge(flight), load_streams(flight.path, flight.origin_ns))
+
+
+def render(a: Side, b: Side) -> str:
+    """Return the page as text."""
+    from logs.report.overlay import overlays
+
+    worse = max((headline(s.verdict)[1] for s in (a, b)), key=("good", "fair", "bad").index)
+    title = f"{_scenario(a)} and {_scenario(b)}, compared"
+    outcomes = " · ".join(f"{s.name} {headline(s.verdict)[0]}" for s in (a, b))
+    names = " · ".join(_told(s) for s in (a, b))
+    figures = [section(p.key, p.title, p.paper, p.note, p.figure) for p in overlays(a, b)]
+    body = (
+        header(title, outcomes, worse, names),
+        _problems(a, b),
+        f'<section id="numbers"><h2>Key numbers</h2><div class="wide">{_numbers(a, b)}</div>',
+        f"{definitions()}</section>",
+        '<section id="settings"><h2>What was set differently</h2><p class="note">Run, versions and '
+        f'configuration.</p><div class="wide">{_settings(a.flight, b.flight)}</div></section>',
+        _BAR,
+        *figures,
+        '<div class="columns">',
+        *(f"<section><h2>Events of {s.name}</h2>{_events(s.flight)}</section>" for s in (a, b)),
+        "</div>",
+    )
+    return page(title, "".join(body))
+
+
+def _scenario(side: Side) -> str:
+    return side.flight.metadata.get("run", {}).get("scenario", side.flight.path.stem)
+
+
+def _told(side: Side) -> str:
+    run = side.flight.metadata.get("run", {})
+    told = [f"{key} {run[key]}" for key in ("seed", "filter", "mode") if key in run]
+    return ", ".join([f"{side.name}: {side.flight.path}", *told])
+
+
+def _problems(*sides: Side) -> str:
+    from logs.report.report import warnings
+
+    texts = [f"{s.name}: {text}" for s in sides for text in warnings(s.flight, s.verdict)]
+    if not texts:
+        return ""
+    items = "".join(f"<li>{escape(text)}</li>" for text in texts)
+    return f'<section class="warning"><h2>Mind when reading</h2><ul>{items}</ul></section>'
+
+
+def _p99(values: Floats, scale: float) -> float | None:
+    known = values[np.isfinite(values)]
+    return scale * float(np.percentile(known, 99)) if len(known) else None
+
+
+def _error_mm(side: Side) -> float | None:
+    errors = estimate_errors(side.flight)
+    if errors is None:
+        return None
+    known = errors.h_m[np.isfinite(errors.h_m)]
+    return 1e3 * float(np.sqrt(np.mean(known * known))) if len(known) else None
+
+
+def _lost(side: Side) -> float | None:
+    lost = [stream.lost for stream in side.streams if stream.lost is not None]
+    return float(sum(lost)) if lost else None
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    return None if value is None else scale * value
+
+
+# name, unit, digits, value
+_NUMBERS: tuple[tuple[str, str, int, Callable[[Side], float | None]], ...] = (
+    ("lowest h", "mm", 1, lambda s: _scaled(s.verdict.h_min_m, 1e3)),
+    ("lowest h outside the pad", "mm", 1, lambda s: _scaled(s.verdict.h_min_outside_pad_m, 1e3)),
+    ("touchdown error", "mm", 1, lambda s: _scaled(s.verdict.touchdown_error_m, 1e3)),
+    ("touchdown speed, vertical", "m/s", 3, lambda s: s.verdict.touchdown_speed_vertical_m_s),
+    ("touchdown speed, horizontal", "m/s", 3, lambda s: s.verdict.touchdown_speed_horizontal_m_s),
+    ("time to land", "s", 2, lambda s: s.verdict.time_to_land_s),
+    ("length of the log", "s", 2, lambda s: s.flight.duration_s),
+    ("error of h, root mean square", "mm", 1, _error_mm),
+    ("age of the target state, 99 %", "ms", 1,
+     lambda s: None if s.flight.steps is None else _p99(s.flight.steps.target_age_s, 1e3)),
+    ("whole tick, 99 %", "µs", 0,
+     lambda s: None if s.flight.timing is None else _p99(s.flight.timing.exec_s, 1e6)),
+    ("overruns", "", 0, lambda s: None if s.flight.timing is None else float(s.flight.timing.overruns[-1])),
+    ("messages lost", "", 0, _lost),
+    ("faults injected", "", 0, lambda s: float(len(fault_spans(s.flight)))),
+    ("phases", "", 0, lambda s: float(len(s.flight.phase_spans()))),
+)  # fmt: skip
+
+
+def _numbers(a: Side, b: Side) -> str:
+    rows: list[tuple[str, ...]] = [
+        ("outcome", a.verdict.outcome.value, b.verdict.outcome.value, "", ""),
+        ("barrier violation", _yes_no(a.verdict.violation), _yes_no(b.verdict.violation), "", ""),
+    ]
+    for name, unit, digits, value in _NUMBERS:
+        of_a, of_b = value(a), value(b)
+        change = None if of_a is None or of_b is None else of_b - of_a
+        sign = "+" if change is not None and round(change, digits) > 0.0 else ""
+        shown = [_number(v, digits) for v in (of_a, of_b, change)]
+        rows.append((name, shown[0], shown[1], sign + shown[2], unit))
+    return table(("result", "A", "B", "B − A", "unit"), rows, numbers=(1, 2, 3))
+
+
+def _yes_no(value: bool | None) -> str:
+    return {True: "yes", False: "no", None: "not known"}[value]
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
+
+
+def _settings(a: Flight, b: Flight) -> str:
+    rows: list[tuple[str, str, str]] = []
+    of_a, of_b = _all_settings(a), _all_settings(b)
+    for key in sorted(of_a.keys() | of_b.keys()):
+        left, right = of_a.get(key, "–"), of_b.get(key, "–")
+        if left != right:
+            rows.append((key, left, right))
+    return table(("setting", "A", "B"), rows) if rows else "<p>Nothing that the logs tell of.</p>"
+
+
+def _all_settings(flight: Flight) -> dict[str, str]:
+    """Metadata and configuration as one flat table."""
+    found = {f"{n}.{key}": v for n in ("run", "made") for key, v in flight.metadata.get(n, {}).items()}
+    if flight.config is not None:
+        _flatten("onboard", to_table(flight.config), found)
+    return found
+
+
+def _flatten(prefix: str, values: object, found: dict[str, str]) -> None:
+    if isinstance(values, dict):
+        for key, value in values.items():
+            _flatten(f"{prefix}.{key}", value, found)
+    else:
+        found[prefix] = str(values)
+
+
+def _events(flight: Flight) -> str:
+    return f'<div class="wide events">{events_table(flight)}</div>'

@@ -1,0 +1,80 @@
+"""What follows from the recorded numbers: the margin of the filter, errors of the estimates, tilt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flightstack.core.strategies.law import LAWS
+from flightstack.core.types import FilterStatus
+from logs.reader.flight_data import Flight, Floats
+
+_RAN = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE)
+_NEAR_S = 0.02  # a true state farther in time than two ticks is not that of the step
+
+
+def held_margin_m(flight: Flight) -> Floats | None:
+    """(n,) margin on h that the filter held at each step, m; NaN where it did not run.
+
+    The step holds the slack s of the constraint at u*: s = g u* + rate * h_held + dh/dt. So h_held follows,
+    and the margin is h - h_held. ``None`` without steps or configuration.
+    """
+    steps, config = flight.steps, flight.config
+    if steps is None or config is None:
+        return None
+    rate_1_s = LAWS[config.filter](config, config.barrier.build()).rate_1_s
+    flow = np.einsum("ij,ij->i", steps.gradient, steps.filtered_enu_m_s)
+    held_m = (steps.slack_m_s - flow - steps.dh_dt_m_s) / rate_1_s
+    margin_m = np.where(np.isin(steps.filter_status, _RAN), steps.h_m - held_m, np.nan)
+    return margin_m if np.isfinite(margin_m).any() else None
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What the controller used minus what was true, at its n steps; vectors (n, 3), NaN where not known."""
+
+    t_s: Floats
+    own_m: Floats
+    target_m: Floats
+    target_m_s: Floats
+    h_m: Floats
+
+
+def estimate_errors(flight: Flight) -> Errors | None:
+    """Errors against the true states, which are put between their ticks linearly; ``None`` without them."""
+    steps, truth = flight.steps, flight.truth
+    if steps is None or truth is None or len(truth.t_s) < 2:
+        return None
+    gap_s = np.abs(truth.t_s[_nearest(truth.t_s, steps.t_s)] - steps.t_s)
+    known = (gap_s <= _NEAR_S)[:, None]
+
+    def at_steps(values: Floats) -> Floats:
+        columns = [np.interp(steps.t_s, truth.t_s, column) for column in values.T]
+        return np.where(known, np.column_stack(columns), np.nan)
+
+    own = np.where(steps.own_valid[:, None], steps.own_position_enu_m, np.nan)
+    target = np.where(steps.target_valid[:, None], steps.target_position_enu_m, np.nan)
+    target_v = np.where(steps.target_valid[:, None], steps.target_velocity_enu_m_s, np.nan)
+    h_m = np.where(steps.both_valid, steps.h_m, np.nan)
+    return Errors(
+        steps.t_s,
+        own - at_steps(truth.position_enu_m),
+        target - at_steps(truth.pad_position_enu_m),
+        target_v - at_steps(truth.pad_velocity_enu_m_s),
+        h_m - at_steps(truth.h_m[:, None])[:, 0],
+    )
+
+
+def tilt_deg(flight: Flight) -> Floats | None:
+    """(n,) angle between the true body's up and the vertical, degrees; ``None`` without true states."""
+    if flight.truth is None:
+        return None
+    x, y = flight.truth.orientation[:, 0], flight.truth.orientation[:, 1]
+    return np.asarray(np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))))
+
+
+def _nearest(times: Floats, wanted: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    left = right - 1
+    return np.where(wanted - times[left] <= times[right] - wanted, left, right)

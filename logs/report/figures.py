@@ -1,0 +1,170 @@
+"""All figures of the report, in order, each with what it shows and where its numbers come from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import plotly.graph_objects as go
+
+from logs.reader.flight_data import Flight, Floats
+from logs.report.derived import Errors, estimate_errors
+from logs.report.filter import estimate_error, filter_activity, share_active, tracking, vehicle_state
+from logs.report.links import Stream
+from logs.report.loop import data_age, histograms, loop_timing
+from logs.report.series import barrier_over_time, velocities
+from logs.report.space import altitude_over_distance, plan_view, trajectory_3d
+from logs.report.timeline import timeline
+from logs.verdict.types import Verdict
+
+_PAD = 1  # contact bit of TrueState: vehicle on the top of the pad
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One figure with its words; ``figure`` is ``None`` if the log has nothing to draw."""
+
+    key: str
+    title: str
+    paper: str
+    note: str
+    figure: go.Figure | None
+
+
+def panels(flight: Flight, verdict: Verdict, streams: Sequence[Stream]) -> list[Panel]:
+    """Draw everything this log holds; the first panel is the timeline."""
+    touch = touch_index(flight)
+    both = "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
+    source = both if flight.truth is not None else "The vehicle's own estimate; the log holds no true states."
+    edge = (
+        "" if flight.barrier is not None else " The log does not say which barrier was flown; none is drawn."
+    )
+    return [
+        Panel("timeline", "The flight at a glance", "", _TIMELINE, timeline(flight)),
+        Panel(
+            "relative", "Landing relative to the pad, over the barrier", "Fig. 7, 10",
+            f"{source} Surface: h = 0; unsafe below it.{edge}", trajectory_3d(flight, touch),
+        ),
+        Panel(
+            "altitude", "Relative altitude over horizontal distance", "Fig. 8, 11",
+            f"{source} Shaded: unsafe, h < 0.{edge}", altitude_over_distance(flight, touch),
+        ),
+        Panel(
+            "barrier", "Barrier value over time", "Fig. 9a, 13a",
+            f"{_barrier_source(flight)} Dotted: −5 mm, the limit of a violation outside the pad. {_MARGIN}",
+            barrier_over_time(flight, verdict),
+        ),
+        Panel(
+            "velocity", "Velocity: nominal, filtered, sent", "Fig. 9b–d, 13b–d",
+            _VELOCITY + (_SWITCH if flight.truth is not None else ""),
+            velocities(flight),
+        ),
+        Panel("filter", "What the filter does", "", _filter_note(flight), filter_activity(flight)),
+        Panel("tracking", "Velocity: wanted, set-point, flown", "", _TRACKING, tracking(flight)),
+        Panel("error", "Error of the estimates", "", _error_note(flight), estimate_error(flight)),
+        Panel("plan", "Paths from above", "Fig. 12", f"{source} {_PLAN}", plan_view(flight, touch)),
+        Panel("vehicle", "The vehicle", "", _VEHICLE, vehicle_state(flight)),
+        Panel("timing", "Loop timing", "", _timing_note(flight), loop_timing(flight)),
+        Panel("periods", "Periods and intervals", "", _PERIODS, histograms(flight, streams)),
+        Panel("age", "Age of the data at each tick", "", _age_note(flight), data_age(flight)),
+    ]  # fmt: skip
+
+
+_TIMELINE = (
+    "The whole log. Touch or point at a bar or an event to read it; bands in the figures below have the same "
+    "colours."
+)
+_MARGIN = "Where the robust filter holds a margin, h may not go below that line; over the pad it fades."
+_TRACKING = (
+    "Wanted: after filter and slew limit. Set-point: corrected for the vehicle's lag and disturbances "
+    "(filter robust). Flown: what the vehicle made of it."
+)
+_VEHICLE = "True tilt of the body and voltage of the battery; a bar at the bottom while the motors are off."
+_PERIODS = (
+    "Counts on a logarithmic axis; intervals are between arrivals, those of 100 ms and more in the last bar."
+)
+_VELOCITY = (
+    "Computed by the controller from its estimates. The bar at the bottom shows when the barrier changed the "
+    "command."
+)
+_SWITCH = " The vehicle's true velocity can be switched on in the legend."
+_PLAN = "Circles: where the landing began. Triangle: first contact with the pad. Squares: end of the log."
+
+
+def touch_index(flight: Flight) -> int | None:
+    """Index of the first true state with contact to the pad since the landing began."""
+    truth, start_s = flight.truth, flight.landing_start_s
+    if truth is None or start_s is None:
+        return None
+    found = np.flatnonzero((truth.contacts & _PAD > 0) & (truth.t_s > start_s))
+    return int(found[0]) if len(found) else None
+
+
+def _barrier_source(flight: Flight) -> str:
+    if flight.truth is None:
+        return "h as the controller computed it from its estimates; the log holds no true states."
+    return (
+        "Solid: h from the true states, the lowest of the physics steps between two ticks. "
+        "Dashed: h as the controller computed it."
+    )
+
+
+def _timing_note(flight: Flight) -> str:
+    timing = flight.timing
+    if timing is None or len(timing.period_s) < 3:
+        return "No loop timing."
+    period_s = timing.period_s[2:]  # the first period is none, the second one may carry the start
+    period_s = period_s[np.isfinite(period_s)]
+    exec_us = timing.exec_s[np.isfinite(timing.exec_s)] * 1e6
+    p50, p99 = (float(v) for v in np.percentile(exec_us, (50, 99)))
+    text = (
+        f"Wall clock. Period mean {period_s.mean() * 1e3:.3f} ms, standard deviation "
+        f"{period_s.std() / period_s.mean() * 100:.2f} %; whole tick median {p50:.0f} µs, 99th percentile "
+        f"{p99:.0f} µs; overruns {int(timing.overruns[-1])}; log records dropped "
+        f"{int(timing.feed_dropped[-1])}."
+    )
+    if flight.metadata.get("run", {}).get("mode") == "lockstep":
+        text += " The run was in lockstep, as fast as the machine can: its period is not that of a flight."
+    return text
+
+
+def _age_note(flight: Flight) -> str:
+    steps = flight.steps
+    if steps is None:
+        return "No controller steps."
+    received = 0 if flight.target is None else len(flight.target.t_s)
+    return (
+        f"As the controller saw it. Target samples received {received}, accepted "
+        f"{int(steps.target_accepted[-1])}, "
+        f"refused {int(steps.target_rejected[-1])}."
+    )
+
+
+def _filter_note(flight: Flight) -> str:
+    text = (
+        "Above: how far u* is from u', by barrier and admissible box. Below: what is left of the barrier's "
+        "constraint at u*; 0 is just held, less is not. The bar shows when the barrier changes the velocity."
+    )
+    share = share_active(flight.steps) if flight.steps is not None else None
+    return text if share is None else f"{text} It did in {100.0 * share:.0f} % of the ticks with a filter."
+
+
+def _error_note(flight: Flight) -> str:
+    errors, start_s = estimate_errors(flight), flight.landing_start_s or 0.0
+    if errors is None:
+        return "Needs controller steps and true states."
+    since = errors.t_s >= start_s
+    told = [f"{name} {_rms_mm(values[since])}" for name, values in _named(errors)]
+    said = ", ".join(told)
+    return f"What the controller used minus what was true. Root mean square since the landing began: {said}."
+
+
+def _named(errors: Errors) -> tuple[tuple[str, Floats], ...]:
+    own, target = np.linalg.norm(errors.own_m, axis=1), np.linalg.norm(errors.target_m, axis=1)
+    return (("vehicle", own), ("target", target), ("h", errors.h_m))
+
+
+def _rms_mm(values: Floats) -> str:
+    known = values[np.isfinite(values)]
+    return f"{1e3 * float(np.sqrt(np.mean(known * known))):.1f} mm" if len(known) else "not known"

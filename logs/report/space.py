@@ -1,0 +1,244 @@
+"""Figures in space: the landing relative to the pad (paper Fig. 7, 8, 10, 11) and from above (Fig. 12)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import plotly.graph_objects as go
+
+from logs.reader.flight_data import Flight, Floats
+from logs.report.style import (
+    BOUNDARY,
+    ESTIMATED,
+    GRID,
+    INK,
+    LIMIT,
+    TARGET,
+    TRUE,
+    UNSAFE,
+    boundary_height_m,
+    layout,
+    light,
+    line,
+    thin,
+)
+
+_SURFACE_RINGS, _SURFACE_SPOKES = 48, 73
+_SURFACE_COLORS = [
+    [0.0, "#fff3c4"],
+    [0.5, "#f7b267"],
+    [1.0, "#d55e00"],
+]  # low to high, red and yellow as printed
+_DISTANCE_MIN_M = 0.6  # m, shown at least, so that the cone can be seen
+_BEFORE = "#9aa5b1"
+
+
+@dataclass(frozen=True)
+class Track:
+    """A path to draw: name, colour, dash, positions since the landing began (n, 3) in m."""
+
+    name: str
+    color: str
+    dash: str
+    points_m: Floats
+
+
+def relative_tracks(flight: Flight) -> list[Track]:
+    """Vehicle relative to the landing spot since the landing began: estimated and, if known, true."""
+    start_s = flight.landing_start_s or 0.0
+    tracks = []
+    if flight.steps is not None:
+        seen = flight.steps.e_m[flight.steps.t_s >= start_s]
+        tracks.append(Track("estimate", ESTIMATED, "solid" if flight.truth is None else "dash", seen))
+    if flight.truth is not None:
+        tracks.append(Track("true", TRUE, "solid", flight.truth.e_m[flight.truth.t_s >= start_s]))
+    return [t for t in tracks if np.isfinite(t.points_m).all(1).any()]
+
+
+def _distance_max_m(tracks: list[Track]) -> float:
+    far = [float(np.nanmax(np.hypot(t.points_m[:, 0], t.points_m[:, 1]))) for t in tracks]
+    return 1.1 * max([_DISTANCE_MIN_M, *far])
+
+
+def trajectory_3d(flight: Flight, touch: int | None) -> go.Figure | None:
+    """Relative trajectory over the barrier's surface; ``touch`` is the true state at first contact."""
+    tracks = relative_tracks(flight)
+    if not tracks:
+        return None
+    figure = go.Figure()
+    if flight.barrier is not None:
+        figure.add_trace(_surface(flight, _distance_max_m(tracks)))
+    angle = np.linspace(0.0, 2.0 * np.pi, 61)
+    x, y = light(flight.pad_radius_m * np.cos(angle)), light(flight.pad_radius_m * np.sin(angle))
+    rim = {"color": TARGET, "width": 6}
+    figure.add_trace(
+        go.Scatter3d(x=x, y=y, z=np.zeros(61, np.float32), mode="lines", line=rim, name="rim of the pad")
+    )
+    for track in tracks:
+        x, y, z = light(track.points_m[thin(len(track.points_m))]).T
+        style = {"color": track.color, "width": 7 if track.dash == "solid" else 4, "dash": track.dash}
+        figure.add_trace(
+            go.Scatter3d(x=x, y=y, z=z, mode="lines", line=style, name=f"vehicle ({track.name})")
+        )
+    path = tracks[-1].points_m
+    known = path[np.isfinite(path).all(1)]
+    _marker_3d(figure, known[0], "start", "circle")
+    if touch is not None and flight.truth is not None:
+        _marker_3d(figure, flight.truth.e_m[touch], "touchdown", "diamond")
+    _marker_3d(figure, known[-1], "end", "square")
+    layout(figure, 640)
+    axis = {"gridcolor": GRID, "backgroundcolor": "white", "zerolinecolor": GRID}
+    figure.update_layout(
+        margin={"l": 0, "r": 0, "t": 10, "b": 40},
+        legend={"y": -0.02},
+        scene={
+            "xaxis": {"title": {"text": "e<sub>x</sub>, east [m]"}, **axis},
+            "yaxis": {"title": {"text": "e<sub>y</sub>, north [m]"}, **axis},
+            "zaxis": {"title": {"text": "e<sub>z</sub>, up [m]"}, **axis},
+            "aspectmode": "manual",  # heights drawn larger than distances, as in the paper's figures
+            "aspectratio": {"x": 1.3, "y": 1.3, "z": 0.75},
+            "camera": {"eye": _camera(known[0]), "center": {"x": 0.0, "y": 0.0, "z": -0.2}},
+        },
+    )
+    return figure
+
+
+def _camera(start_m: Floats) -> dict[str, float]:
+    """Look from beside the approach, so that the path stands before the surface and not behind it."""
+    bearing = float(np.arctan2(start_m[1], start_m[0])) - 0.9
+    return {"x": 1.8 * float(np.cos(bearing)), "y": 1.8 * float(np.sin(bearing)), "z": 0.9}
+
+
+def _surface(flight: Flight, distance_max_m: float) -> go.Surface:
+    # rings stand closer near the apex, where the boundary bends
+    d = distance_max_m * np.linspace(0.0, 1.0, _SURFACE_RINGS) ** 1.4
+    angle = np.linspace(0.0, 2.0 * np.pi, _SURFACE_SPOKES)
+    height = np.repeat(boundary_height_m(flight, d)[:, None], len(angle), axis=1)
+    rings = float(height.max()) / 6.0
+    contour = {
+        "show": True,
+        "color": "rgba(110, 50, 0, 0.45)",
+        "start": rings,
+        "end": 6 * rings,
+        "size": rings,
+    }
+    return go.Surface(
+        x=light(np.outer(d, np.cos(angle))), y=light(np.outer(d, np.sin(angle))), z=light(height),
+        colorscale=_SURFACE_COLORS, showscale=False, opacity=0.55, name="h = 0", showlegend=True,
+        contours={"z": contour}, hoverinfo="skip",
+    )  # fmt: skip
+
+
+def _marker_3d(figure: go.Figure, at_m: Floats, name: str, symbol: str) -> None:
+    figure.add_trace(
+        go.Scatter3d(
+            x=[float(at_m[0])], y=[float(at_m[1])], z=[float(at_m[2])], mode="markers", name=name,
+            marker={"symbol": symbol, "size": 6, "color": INK, "line": {"color": "white", "width": 1}},
+        )
+    )  # fmt: skip
+
+
+def altitude_over_distance(flight: Flight, touch: int | None) -> go.Figure | None:
+    """e_z over d with the boundary; below it is unsafe."""
+    tracks = relative_tracks(flight)
+    if not tracks:
+        return None
+    figure = go.Figure()
+    far = _distance_max_m(tracks)
+    heights = np.concatenate([t.points_m[:, 2] for t in tracks])
+    bottom = min(-0.05, float(np.nanmin(heights)) - 0.03)
+    top = float(np.nanmax(heights))
+    if flight.barrier is not None:
+        d = np.linspace(0.0, far, 300)
+        b = boundary_height_m(flight, d)
+        top = max(top, float(b.max()))
+        floor = np.full_like(d, bottom - 1.0)
+        figure.add_trace(line(d, floor, "", "rgba(0,0,0,0)", showlegend=False, hoverinfo="skip"))
+        figure.add_trace(
+            line(d, b, "boundary h = 0, unsafe below", BOUNDARY, width=2.2, fill="tonexty", fillcolor=UNSAFE)
+        )
+    for track in tracks:
+        distance = np.hypot(track.points_m[:, 0], track.points_m[:, 1])
+        name, width = f"vehicle ({track.name})", 2.4 if track.dash == "solid" else 1.6
+        figure.add_trace(
+            line(distance, track.points_m[:, 2], name, track.color, dash=track.dash, width=width)
+        )
+    path = tracks[-1].points_m
+    known = path[np.isfinite(path).all(1)]
+    points = [("start", known[0], "circle"), ("end", known[-1], "square-open")]
+    if touch is not None and flight.truth is not None:
+        points.append(("touchdown", flight.truth.e_m[touch], "triangle-up"))
+    for name, e_m, symbol in points:
+        _marker(figure, float(np.hypot(e_m[0], e_m[1])), float(e_m[2]), name, symbol, INK)
+    figure.add_vline(
+        flight.pad_radius_m, line={"color": LIMIT, "width": 1, "dash": "dot"},
+        annotation={"text": "pad radius", "font": {"size": 12, "color": LIMIT}, "yanchor": "top"},
+    )  # fmt: skip
+    layout(figure, 460)
+    figure.update_xaxes(title_text="horizontal distance d [m]", range=[0.0, far])
+    figure.update_yaxes(title_text="relative altitude e<sub>z</sub> [m]", range=[bottom, top * 1.08])
+    return figure
+
+
+def plan_view(flight: Flight, touch: int | None) -> go.Figure | None:
+    """Both paths from above: circles at the start, triangles at touchdown, squares at the end."""
+    paths = _ground_paths(flight)
+    if not paths:
+        return None
+    figure = go.Figure()
+    start_s = flight.landing_start_s or 0.0
+    for name, color, dash, t_s, position in paths:
+        since = t_s >= start_s
+        before = position[~since]
+        if len(before) and name.startswith("vehicle") and dash == "solid":
+            figure.add_trace(
+                line(before[:, 0], before[:, 1], "before the landing", _BEFORE, dash="dot", width=1.2)
+            )
+        now = position[since]
+        figure.add_trace(
+            line(now[:, 0], now[:, 1], name, color, dash=dash, width=2.2 if dash == "solid" else 1.5)
+        )
+        known = now[np.isfinite(now).all(1)]
+        if dash != "solid" or not len(known):
+            continue
+        _marker(figure, known[0, 0], known[0, 1], f"{name}: start", "circle", color)
+        _marker(figure, known[-1, 0], known[-1, 1], f"{name}: end", "square", color)
+    if touch is not None and flight.truth is not None:
+        x, y = flight.truth.position_enu_m[touch, :2]
+        px, py = flight.truth.pad_position_enu_m[touch, :2]
+        _marker(figure, x, y, "touchdown", "triangle-up", INK)
+        r = flight.pad_radius_m
+        figure.add_shape(
+            type="circle", x0=px - r, x1=px + r, y0=py - r, y1=py + r, line={"color": TARGET, "width": 1.2}
+        )
+    layout(figure, 520)
+    figure.update_xaxes(title_text="east x [m]", constrain="domain")
+    figure.update_yaxes(title_text="north y [m]", scaleanchor="x", scaleratio=1)
+    return figure
+
+
+def _ground_paths(flight: Flight) -> list[tuple[str, str, str, Floats, Floats]]:
+    """Name, colour, dash, times and positions of what moved; the best known of each is solid."""
+    steps, truth = flight.steps, flight.truth
+    paths = []
+    if truth is not None:
+        paths.append(("vehicle (true)", TRUE, "solid", truth.t_s, truth.position_enu_m))
+        paths.append(("target (true)", TARGET, "solid", truth.t_s, truth.pad_position_enu_m))
+    if steps is not None:
+        dash = "dash" if truth is not None else "solid"
+        own = np.where(steps.own_valid[:, None], steps.own_position_enu_m, np.nan)
+        target = np.where(steps.target_valid[:, None], steps.target_position_enu_m, np.nan)
+        paths.append(("vehicle (estimate)", ESTIMATED, dash, steps.t_s, own))
+        paths.append(("target (estimate)", TARGET, "dash" if dash == "dash" else "solid", steps.t_s, target))
+    return [p for p in paths if np.isfinite(p[4]).all(1).any()]
+
+
+def _marker(figure: go.Figure, x: float, y: float, name: str, symbol: str, color: str) -> None:
+    edge = color if symbol.endswith("open") else "white"
+    figure.add_trace(
+        go.Scatter(
+            x=[float(x)], y=[float(y)], mode="markers", name=name,
+            marker={"symbol": symbol, "size": 12, "color": color, "line": {"color": edge, "width": 1.5}},
+        )
+    )  # fmt: skip

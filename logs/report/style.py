@@ -1,0 +1,190 @@
+"""How every figure of the report looks: colours, layout, phase bands, thinning.
+
+Colours are those of Okabe and Ito (2008), which stay apart for colour-blind readers and in grey print; a
+colour means the same in every figure, and true and estimated values also differ by dash.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from flightstack.core.types import Phase
+from logs.reader.flight_data import Flight, Floats, phase_name
+from logs.report.faults import fault_spans
+
+TRUE = "#0072B2"  # blue
+ESTIMATED = "#56B4E9"  # sky blue
+TARGET = "#CC79A7"  # reddish purple
+BOUNDARY = "#D55E00"  # vermillion
+UNSAFE = "rgba(213, 94, 0, 0.13)"
+NOMINAL = "#E69F00"  # orange
+FILTERED = "#0072B2"
+COMMAND = "#009E73"  # bluish green
+LIMIT = "#666666"
+GRID = "#e4e7eb"
+INK = "#1f2933"
+FAULT = "#b00020"
+FLOWN = "#882255"  # wine: what the vehicle really does
+MARGIN = "#E69F00"
+
+PHASE_BANDS = {
+    Phase.WAIT: "rgba(150, 150, 150, 0.10)",
+    Phase.TAKEOFF: "rgba(150, 150, 150, 0.20)",
+    Phase.APPROACH: "rgba(86, 180, 233, 0.12)",
+    Phase.LAND: "rgba(0, 158, 115, 0.14)",
+    Phase.TOUCHDOWN: "rgba(240, 228, 66, 0.40)",
+    Phase.LANDED: "rgba(0, 158, 115, 0.05)",
+    Phase.HOLD: "rgba(230, 159, 0, 0.22)",
+    Phase.CLIMB: "rgba(204, 121, 167, 0.20)",
+    Phase.ABORT: "rgba(213, 94, 0, 0.22)",
+}
+PHASE_SOLID: dict[Phase | int, str] = {
+    Phase.WAIT: "#d5d9de",
+    Phase.TAKEOFF: "#bcc3cc",
+    Phase.APPROACH: "#b5dcf3",
+    Phase.LAND: "#9ad6c3",
+    Phase.TOUCHDOWN: "#f3e98a",
+    Phase.LANDED: "#cfe9e1",
+    Phase.HOLD: "#f5d088",
+    Phase.CLIMB: "#e5bcd2",
+    Phase.ABORT: "#efb08a",
+}
+_TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and the legend's distance below the axis
+POINTS_MAX = 4000  # of one line; more cannot be seen, and the page has to stay light
+_EVEN_S = 1e-3  # s; times this close to evenly spaced are written as start and step
+_FAULT_STRIP = 0.965  # of a row's height: from here to the top a fault is marked
+LABEL_SHARE = 0.05  # a band narrower than this share of the axis carries no name
+BEFORE_S, AFTER_S = 1.0, 3.0  # shown around the landing; zooming out shows all
+
+
+def layout(figure: go.Figure, height_px: int) -> go.Figure:
+    """Give a figure the common look; the legend stands below the title of the time axis."""
+    plot_px = height_px - _TOP_PX - _BOTTOM_PX
+    figure.update_layout(
+        template="plotly_white",
+        height=height_px,
+        margin={"l": 64, "r": 20, "t": _TOP_PX, "b": _BOTTOM_PX},
+        font={"family": "Inter, Segoe UI, Helvetica, Arial, sans-serif", "size": 13, "color": INK},
+        legend={
+            "orientation": "h",
+            "x": 0.0,
+            "y": -_LEGEND_PX / plot_px,
+            "yanchor": "top",
+            "traceorder": "normal",
+        },
+        hovermode="closest",
+        paper_bgcolor="white",
+        plot_bgcolor="white",
+    )
+    figure.update_xaxes(gridcolor=GRID, zeroline=False, linecolor="#9aa5b1", showline=True, ticks="outside")
+    figure.update_yaxes(gridcolor=GRID, zeroline=False, linecolor="#9aa5b1", showline=True, ticks="outside")
+    return figure
+
+
+def zero_s(flight: Flight) -> float:
+    """Time that the figures call zero: the begin of the landing, else of the log."""
+    return flight.landing_start_s or 0.0
+
+
+def shown_range(flight: Flight) -> list[float]:
+    """Range of the time axis at first: the landing with some seconds around it."""
+    start = flight.landing_start_s
+    spans = flight.phase_spans()
+    last = flight.duration_s
+    ends = [begin for phase, begin, _ in spans if phase in (Phase.LANDED, Phase.ABORT)]
+    if start is None:
+        return [0.0, last]
+    end = min(ends[0] + AFTER_S, last) if ends else last
+    return [max(-BEFORE_S, -start), end - start]
+
+
+def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
+    """Shade the phases over the whole height of each row, name them on top, mark faults by a strip."""
+    low, high = shown_range(flight)
+    zero = zero_s(flight)
+    shapes: list[dict[str, Any]] = []  # added at once: plotly looks at all that are there each time
+    names: list[dict[str, Any]] = []
+    for phase, begin_s, end_s in flight.phase_spans():
+        begin, end = begin_s - zero, end_s - zero
+        color = PHASE_BANDS.get(Phase(phase), "rgba(0,0,0,0.05)") if isinstance(phase, Phase) else GRID
+        shapes += _bands(rows, begin, end, 0.0, color)
+        left, right = max(begin, low), min(end, high)
+        if right - left >= LABEL_SHARE * (high - low):
+            names.append({
+                "x": (left + right) / 2, "y": 1.0, "xref": "x", "yref": "y domain", "yanchor": "bottom",
+                "showarrow": False, "text": phase_name(phase), "font": {"size": 10, "color": "#616e7c"},
+            })  # fmt: skip
+    for fault in fault_spans(flight):
+        shapes += _bands(rows, fault.begin_s - zero, fault.end_s - zero, _FAULT_STRIP, FAULT)
+    figure.layout.shapes += tuple(map(go.layout.Shape, shapes))
+    figure.layout.annotations += tuple(map(go.layout.Annotation, names))
+
+
+def _bands(rows: int, begin_s: float, end_s: float, bottom: float, color: str) -> list[dict[str, Any]]:
+    """A band in each row, from a share of its height to the top."""
+    axes = ["" if row == 1 else str(row) for row in range(1, rows + 1)]
+    return [
+        {
+            "type": "rect", "xref": f"x{axis}", "yref": f"y{axis} domain", "x0": begin_s, "x1": end_s,
+            "y0": bottom, "y1": 1, "fillcolor": color, "line": {"width": 0}, "layer": "below",
+        }
+        for axis in axes
+    ]  # fmt: skip
+
+
+def time_axis(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
+    """Label and limit the common time axis; the page moves all figures with this mark together."""
+    what = "since the landing began" if flight.landing_start_s is not None else "since the log began"
+    zero = zero_s(flight)
+    whole = [-zero, flight.duration_s - zero]
+    figure.update_layout(
+        hovermode="x unified",
+        meta={"time": True, "rows": rows, "landing": shown_range(flight), "whole": whole},
+    )
+    figure.update_xaxes(range=shown_range(flight))
+    figure.update_xaxes(
+        title_text=f"time {what} [s]", row=rows if rows > 1 else None, col=1 if rows > 1 else None
+    )
+
+
+def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter:
+    """One line, thinned; keyword arguments go to the line (``dash``, ``width``) or the trace."""
+    keep = thin(len(x))
+    style = {"color": color, "width": more.pop("width", 1.8), "dash": more.pop("dash", "solid")}
+    return go.Scatter(**_places(x[keep]), y=light(y[keep]), name=name, mode="lines", line=style, **more)
+
+
+def _places(x: Floats) -> dict[str, Any]:
+    """Evenly spaced places as start and step, which halves the page; else all of them."""
+    if len(x) > 2 and np.isfinite(x).all():
+        step = float(x[-1] - x[0]) / (len(x) - 1)
+        if step > 0.0 and np.abs(x - (x[0] + step * np.arange(len(x)))).max() < _EVEN_S:
+            return {"x0": float(x[0]), "dx": step}
+    return {"x": light(x)}
+
+
+def thin(n: int) -> slice:
+    """Every k-th of n points, so that few enough are left."""
+    return slice(None, None, max(1, -(-n // POINTS_MAX)))
+
+
+def low_envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Thin by keeping the smallest of each block, so that no dip is lost."""
+    step = max(1, -(-len(x) // POINTS_MAX))
+    starts = np.arange(0, len(x), step)
+    return x[starts], np.fmin.reduceat(y, starts) if len(x) else y
+
+
+def light(values: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """Four-byte numbers: seven digits are plenty on a screen and halve the page."""
+    return np.asarray(values, dtype=np.float32)
+
+
+def boundary_height_m(flight: Flight, d_m: Floats) -> Floats:
+    """Boundary b(d) in metres (paper eq. 5) for an array of horizontal distances; needs a barrier."""
+    assert flight.barrier is not None
+    ad = flight.barrier.alpha_1_m * d_m
+    return np.asarray(flight.barrier.beta_m * ad * np.exp(-ad))

@@ -1,0 +1,222 @@
+"""Tables of the report as HTML: result, phases, faults, links, run, versions, events."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from logs.reader.flight_data import Bools, Flight, Floats, phase_name
+from logs.report.faults import fault_spans
+from logs.report.links import Stream
+from logs.schema.codec_log import Severity
+from logs.verdict.types import ESTIMATE, SOURCES, Outcome, Verdict
+
+_SAME_TICK_S = 0.011  # an event of the tick in which a phase began
+_EVENTS_MAX = 500  # a page with more is not read
+_HEADLINES = {
+    Outcome.LANDED: ("Landed", "good"),
+    Outcome.ABORTED: ("Aborted, declared", "fair"),
+    Outcome.CRASHED: ("Crashed", "bad"),
+    Outcome.TIMEOUT: ("Not landed", "bad"),
+}
+_YES_NO = {True: "yes", False: "no", None: "not known"}
+_RUN_NAMES = {
+    "scenario": "scenario", "description": "description", "seed": "seed", "filter": "safety filter",
+    "mode": "mode", "rate_hz": "controller rate [Hz]", "judge_alpha_1_m": "judged by α [1/m]",
+    "judge_beta_m": "judged by β [m]", "barrier_alpha_1_m": "controller's α [1/m]",
+    "barrier_beta_m": "controller's β [m]", "velocity_max_x_m_s": "velocity box x [m/s]",
+    "velocity_max_y_m_s": "velocity box y [m/s]", "velocity_max_z_m_s": "velocity box z [m/s]",
+    "pad_radius_m": "pad radius [m]",
+}  # fmt: skip
+
+
+_DEFINITIONS = (
+    ("landed", "first contact is with the pad within its radius, and 2 s after the motors stop the vehicle "
+     "rests on the pad"),
+    ("crashed", "contact before touchdown with ground, robot body or pad edge, a tumble, or a fall off the "
+     "pad"),
+    ("aborted", "the phase machine gave up by itself and said so; a gentle landing on the ground after it is "
+     "no crash"),
+    ("timeout", "everything else, also a miss that nobody declared and a log that ends too early"),
+    ("violation", "h < −5 mm while d exceeds the pad's radius, in a run that began with h ≥ 0; missing data "
+     "is never taken for safe: then it is “not known”"),
+    ("h", "e_z − β α d exp(−α d), in metres: height of the vehicle above the boundary; safe is h ≥ 0"),
+    ("d, e_z", "horizontal distance and height of the vehicle relative to the centre of the pad's top"),
+    ("begin of the landing", "the first tick in phase APPROACH; judging begins there"),
+    ("overrun", "a tick whose deadline had passed by a whole period before it began"),
+)  # fmt: skip
+
+
+class Html(str):
+    """Text of a cell that is HTML already."""
+
+
+def headline(verdict: Verdict) -> tuple[str, str]:
+    """Outcome in words, and the style class of its badge."""
+    text, style = _HEADLINES[verdict.outcome]
+    if verdict.judged_from == ESTIMATE:
+        text = f"{text}, by its own estimate"
+    if verdict.violation:
+        return f"{text}, with a barrier violation", "fair" if style == "good" else style
+    return text, style
+
+
+def result_table(flight: Flight, verdict: Verdict) -> str:
+    """The verdict with units, and what each line was judged from."""
+    source, v = SOURCES[verdict.judged_from], verdict
+    relative = f"relative to the pad; {source}"
+    rows = [
+        ("outcome", v.outcome.value, "", v.reason),
+        ("barrier violation", _YES_NO[v.violation], "", "h < −5 mm outside the pad, begun with h ≥ 0"),
+        ("began safe", _YES_NO[v.started_safe], "", "h ≥ 0 when the landing began"),
+        ("lowest h", _number(v.h_min_m, 4), "m", f"since the landing began; {source}"),
+        ("lowest h outside the pad", _number(v.h_min_outside_pad_m, 4), "m", source),
+        ("touchdown error", _scaled(v.touchdown_error_m, 100.0, 2), "cm", f"d at first contact; {source}"),
+        ("touchdown speed, vertical", _number(v.touchdown_speed_vertical_m_s, 3), "m/s", relative),
+        ("touchdown speed, horizontal", _number(v.touchdown_speed_horizontal_m_s, 3), "m/s", relative),
+        ("time to land", _number(v.time_to_land_s, 2), "s", "begin of the landing to first contact"),
+        ("length of the log", _number(flight.duration_s, 2), "s", ""),
+    ]
+    return table(("result", "value", "unit", "meaning"), rows, numbers=(1,))
+
+
+def run_table(flight: Flight) -> str:
+    """What was flown, as the launcher wrote it into the log."""
+    run = flight.metadata.get("run", {})
+    rows = [(name, run[key]) for key, name in _RUN_NAMES.items() if key in run]
+    rows += [(key.replace("_", " "), value) for key, value in run.items() if key not in _RUN_NAMES]
+    return table(("run", "value"), rows) if rows else "<p>The log does not say what was flown.</p>"
+
+
+def versions_table(flight: Flight) -> str:
+    """What it was flown with."""
+    rows = [(key.replace("_", " "), value or "–") for key, value in flight.metadata.get("made", {}).items()]
+    rows += [(f"records lost by {who}", n) for who, n in flight.metadata.get("losses", {}).items()]
+    return table(("made with", "value"), rows) if rows else "<p>The log does not name versions.</p>"
+
+
+def events_table(flight: Flight) -> str:
+    """Events in order, times since the landing began; each time links to it in the figures."""
+    if not flight.events:
+        return "<p>No events in this log.</p>"
+    zero = flight.landing_start_s or 0.0
+    rows = [
+        (at_link(e.t_s - zero), _severity(e.level), e.source, e.text) for e in flight.events[:_EVENTS_MAX]
+    ]
+    more = len(flight.events) - len(rows)
+    rest = f"<p>{more} later events are in the log only.</p>" if more > 0 else ""
+    return table(("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1) + rest
+
+
+def at_link(t_s: float) -> Html:
+    """A time that links to itself in the figures."""
+    return Html(f'<a href="#t={t_s:.2f}">{_number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}"}</a>')
+
+
+def phases_table(flight: Flight) -> str:
+    """Phases in order with their length and the reason that the controller gave."""
+    spans = flight.phase_spans()
+    if not spans:
+        return "<p>No controller steps in this log.</p>"
+    zero = flight.landing_start_s or 0.0
+    rows = []
+    for phase, begin_s, end_s in spans:
+        name = phase_name(phase)
+        why = [e.text.partition(": ")[2] for e in flight.events if _began(e.text, e.t_s, name, begin_s)]
+        rows.append((at_link(begin_s - zero), name, f"{end_s - begin_s:.2f}", why[0] if why else ""))
+    return table(("from [s]", "phase", "for [s]", "because"), rows, numbers=(0, 2))
+
+
+def _began(text: str, at_s: float, name: str, begin_s: float) -> bool:
+    return f"-> {name}: " in text and abs(at_s - begin_s) < _SAME_TICK_S
+
+
+def faults_table(flight: Flight) -> str:
+    """Injected faults."""
+    zero, spans = flight.landing_start_s or 0.0, fault_spans(flight)
+    rows = [
+        (at_link(f.begin_s - zero), at_link(f.end_s - zero) if f.over else "to the end", f.text)
+        for f in spans
+    ]
+    return (
+        table(("from [s]", "to [s]", "fault"), rows, numbers=(0, 1)) if rows else "<p>None was told of.</p>"
+    )
+
+
+def links_table(streams: Sequence[Stream]) -> str:
+    """Messages, rates, losses and gaps of each stream."""
+    rows = [
+        (s.name, str(len(s.t_s)), _number(s.rate_hz, 1), "not numbered" if s.lost is None else str(s.lost),
+         _scaled(s.gap_max_s, 1e3, 0))
+        for s in streams
+    ]  # fmt: skip
+    head = ("stream", "messages", "rate [Hz]", "lost", "longest gap [ms]")
+    return table(head, rows, numbers=(1, 2, 3, 4)) if rows else "<p>No traffic in this log.</p>"
+
+
+def ages_table(flight: Flight) -> str:
+    """Age of what the controller used, since the landing began."""
+    steps, start_s = flight.steps, flight.landing_start_s or 0.0
+    if steps is None:
+        return ""
+    since = steps.t_s >= start_s
+    limits = (None, None) if flight.config is None else (
+        flight.config.checks.target_age_max_s, flight.config.checks.own_age_max_s
+    )  # fmt: skip
+    rows = [
+        _age_row("target state", steps.target_age_s[since], limits[0], ~steps.target_valid[since]),
+        _age_row("own state", steps.own_age_s[since], limits[1], ~steps.own_valid[since]),
+    ]
+    head = ("age at the tick", "median [ms]", "99 % [ms]", "highest [ms]", "limit [ms]", "ticks not usable")
+    return table(head, rows, numbers=(1, 2, 3, 4, 5))
+
+
+def _age_row(name: str, age_s: Floats, limit_s: float | None, bad: Bools) -> tuple[str, ...]:
+    known = age_s[np.isfinite(age_s)] * 1e3
+    told = [f"{v:.1f}" for v in (*np.percentile(known, (50, 99)), known.max())] if len(known) else ["–"] * 3
+    return (name, *told, _scaled(limit_s, 1e3, 0), str(int(bad.sum())))
+
+
+def definitions() -> str:
+    """What the words of the verdict mean, to open on demand."""
+    return f"<details><summary>Definitions</summary>{table(('word', 'meaning'), _DEFINITIONS)}</details>"
+
+
+def _severity(level: int) -> str:
+    return Severity(level).name.lower() if level in Severity._value2member_map_ else str(level)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
+
+
+def _scaled(value: float | None, factor: float, digits: int) -> str:
+    return _number(None if value is None else value * factor, digits)
+
+
+def table(
+    head: tuple[str, ...],
+    rows: Sequence[tuple[str, ...]],
+    numbers: tuple[int, ...] = (),
+    row_class: int | None = None,
+) -> str:
+    """Rows of text as HTML, escaped; columns in ``numbers`` are set to the right."""
+    lines = ["<table><thead><tr>"]
+    lines += [f"<th{_right(i, numbers)}>{escape(text)}</th>" for i, text in enumerate(head)]
+    lines.append("</tr></thead><tbody>")
+    for row in rows:
+        style = f' class="{escape(row[row_class], quote=True)}"' if row_class is not None else ""
+        cells = "".join(f"<td{_right(i, numbers)}>{_cell(text)}</td>" for i, text in enumerate(row))
+        lines.append(f"<tr{style}>{cells}</tr>")
+    lines.append("</tbody></table>")
+    return "".join(lines)
+
+
+def _cell(text: str) -> str:
+    return text if isinstance(text, Html) else escape(text)
+
+
+def _right(column: int, numbers: tuple[int, ...]) -> str:
+    return ' class="number"' if column in numbers else ""

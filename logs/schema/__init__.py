@@ -1,0 +1,1 @@
+"""Schemas of the log, and the coding of its messages."""

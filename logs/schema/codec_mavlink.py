@@ -1,0 +1,128 @@
+"""Raw MAVLink frames as ``mavros_msgs/msg/Mavlink``, and back without losing a bit.
+
+Frame layouts: MAVLink serialization guide. Version 2: 0xFD, length, incompatibility flags, compatibility
+flags, sequence, system, component, message id (3 bytes), payload, checksum (2), signature (13) if flag 1 is
+set. Version 1: 0xFE, length, sequence, system, component, message id, payload, checksum.
+"""
+
+from __future__ import annotations
+
+import struct
+
+_NS = 1_000_000_000  # nanoseconds in a second
+_V1, _V2 = 0xFE, 0xFD
+_V1_OVERHEAD, _V2_OVERHEAD, _SIGNATURE = 8, 12, 13  # bytes around the payload; signature
+_SIGNED = 1  # MAVLINK_IFLAG_SIGNED
+_FRAMING_OK = 1  # every recorded frame has passed its checksum
+
+# Encapsulation, stamp, frame_id, framing_status .. compid, message id, checksum, number of words, and four
+# bytes of padding before the first word. A frame_id is empty or three characters: the fields up to compid
+# move into its padding then, and everything behind stays where it is.
+_HEAD = struct.Struct("<4siII4s8BIH2xI4x")
+_HEAD_EMPTY = struct.Struct("<4siII4s8BIH2xI")  # no words: no padding for them
+_HEAD_NOBODY = struct.Struct("<4siIIB8B3xIH2xI4x")
+_HEAD_NOBODY_EMPTY = struct.Struct("<4siIIB8B3xIH2xI")
+PEER_CHARACTERS = 3
+_U32 = struct.Struct("<I")
+_CDR = b"\x00\x01\x00\x00"
+_NAMED = bytes((PEER_CHARACTERS + 1,))  # first byte of the length of a frame_id that is there
+_WORDS_AT = _HEAD.size
+_UNSIGNED = _U32.pack(0)
+_SIGNED_LENGTH = _U32.pack(_SIGNATURE)
+
+
+class FrameError(ValueError):
+    """Bytes that are not one whole MAVLink frame, or a record that does not hold one."""
+
+
+def pack_mavlink(stamp_ns: int, frame: bytes, peer: bytes = b"") -> bytes:
+    """Return one raw frame as CDR.
+
+    Args:
+        stamp_ns: When the frame was received or sent.
+        frame: The whole frame as on the wire, with a valid checksum.
+        peer: Whom it came from or went to, three characters (:class:`logs.schema.mavlink_peers.PeerNames`);
+            empty: not known.
+
+    Raises:
+        FrameError: Not exactly one frame, or a peer of another length.
+    """
+    size = len(frame)
+    if size >= _V2_OVERHEAD and frame[0] == _V2:
+        length, end = frame[1], 10 + frame[1]
+        signature = frame[end + 2 :]
+        if len(signature) != (_SIGNATURE if frame[2] & _SIGNED else 0) or size < end + 2:
+            raise _not_a_frame(frame)
+        payload = frame[10:end]
+        flags_to_component = (frame[2], frame[3], frame[4], frame[5], frame[6])
+        message_id = frame[7] | frame[8] << 8 | frame[9] << 16
+    elif size >= _V1_OVERHEAD and frame[0] == _V1 and size == _V1_OVERHEAD + frame[1]:
+        length, end = frame[1], 6 + frame[1]
+        signature, payload = b"", frame[6:end]
+        flags_to_component = (0, 0, frame[2], frame[3], frame[4])
+        message_id = frame[5]
+    else:
+        raise _not_a_frame(frame)
+    if peer:
+        if len(peer) != PEER_CHARACTERS:
+            raise FrameError(f"peer {peer!r}; it must have {PEER_CHARACTERS} characters")
+        layout = _HEAD if length else _HEAD_EMPTY
+        name: tuple[int, bytes | int] = (PEER_CHARACTERS + 1, peer + b"\x00")
+    else:
+        layout, name = (_HEAD_NOBODY if length else _HEAD_NOBODY_EMPTY), (1, 0)
+    head = layout.pack(
+        _CDR, stamp_ns // _NS, stamp_ns % _NS, *name, _FRAMING_OK, frame[0], length, *flags_to_component,
+        message_id, frame[end] | frame[end + 1] << 8, (length + 7) >> 3,
+    )  # fmt: skip
+    padding = bytes(-length & 7)
+    if signature:
+        return b"".join((head, payload, padding, _SIGNED_LENGTH, signature))
+    return head + payload + padding + _UNSIGNED
+
+
+def unpack_mavlink(data: bytes) -> tuple[int, bytes]:
+    """Return (stamp in ns, raw frame) of a CDR payload of :func:`pack_mavlink`.
+
+    Raises:
+        FrameError: The record is cut short or contradicts itself.
+    """
+    named = data[12:13] == _NAMED
+    try:
+        (header, seconds, nanoseconds, name_length, _, _, magic, length, incompat, compat, sequence, system,
+         component, message_id, checksum, words) = (
+            (_HEAD_EMPTY if named else _HEAD_NOBODY_EMPTY).unpack_from(data, 0)
+        )  # fmt: skip
+        payload_at = _WORDS_AT if words else _HEAD_EMPTY.size
+        (signature_length,) = _U32.unpack_from(data, payload_at + 8 * words)
+    except struct.error as error:
+        raise FrameError(f"frame record of {len(data)} bytes is cut short: {error}") from error
+    signature_at = payload_at + 8 * words + 4
+    signature = data[signature_at : signature_at + signature_length]
+    payload = data[payload_at : payload_at + length]
+    if (
+        header != _CDR
+        or name_length != (PEER_CHARACTERS + 1 if named else 1)
+        or words != (length + 7) >> 3
+        or len(signature) != signature_length
+    ):
+        raise FrameError(f"frame record contradicts itself: {bytes(data[:48]).hex()}")
+    tail = struct.pack("<H", checksum)
+    if magic == _V2:
+        start = bytes((_V2, length, incompat, compat, sequence, system, component))
+        frame = start + message_id.to_bytes(3, "little") + payload + tail + signature
+    elif magic == _V1:
+        frame = bytes((_V1, length, sequence, system, component, message_id)) + payload + tail
+    else:
+        raise FrameError(f"frame record with magic {magic:#x}; allowed are {_V2:#x} and {_V1:#x}")
+    return seconds * _NS + nanoseconds, frame
+
+
+def peer_of(data: bytes) -> str:
+    """Return the peer in a CDR payload of :func:`pack_mavlink`; empty: not known."""
+    return bytes(data[16:19]).decode("ascii", "replace") if data[12:13] == _NAMED else ""
+
+
+def _not_a_frame(frame: bytes) -> FrameError:
+    return FrameError(
+        f"not one whole MAVLink frame: {len(frame)} bytes beginning with {bytes(frame[:12]).hex()}"
+    )

@@ -1,0 +1,119 @@
+"""Message definitions of everything the flight log holds: texts, hashes, and a generic codec.
+
+Standard types come from the ROS 2 Jazzy store of ``rosbags``; ours and MAVROS' raw frame are the ``.msg``
+files next to this module, and decoded MAVLink messages are made from the dialect when they are first asked
+for. One store serves writer, reader and comparison.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from logs.schema import mavlink_types
+
+CONTROLLER_STEP = "flightstack_msgs/msg/ControllerStep"
+CONTROLLER_INPUT = "flightstack_msgs/msg/ControllerInput"
+CONTROLLER_STATE = "flightstack_msgs/msg/ControllerState"
+TARGET_SAMPLE = "flightstack_msgs/msg/TargetSample"
+LOOP_TIMING = "flightstack_msgs/msg/LoopTiming"
+TRUE_STATE = "flightstack_msgs/msg/TrueState"
+HEALTH = "flightstack_msgs/msg/Health"
+MAVLINK = "mavros_msgs/msg/Mavlink"
+LOG = "rcl_interfaces/msg/Log"
+ODOMETRY = "nav_msgs/msg/Odometry"
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
+DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
+STRING = "std_msgs/msg/String"
+
+_OURS = {
+    CONTROLLER_STEP: "ControllerStep.msg",
+    TARGET_SAMPLE: "TargetSample.msg",
+    CONTROLLER_INPUT: "ControllerInput.msg",
+    CONTROLLER_STATE: "ControllerState.msg",
+    LOOP_TIMING: "LoopTiming.msg",
+    TRUE_STATE: "TrueState.msg",
+    HEALTH: "Health.msg",
+    MAVLINK: "Mavlink.msg",
+}
+_SEPARATOR = "=" * 80
+
+
+class UnknownSchemaError(ValueError):
+    """A message type that is neither a ROS 2 standard type nor one of ours."""
+
+
+@cache
+def typestore() -> Typestore:
+    """Return the one store that knows every type but those :func:`store_for` adds."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name in _OURS:
+        store.register(get_types_from_msg(_own_text(name), name))
+    return store
+
+
+def store_for(name: str) -> Typestore:
+    """Return the store, which knows this type if anybody does.
+
+    Raises:
+        UnknownSchemaError: A decoded MAVLink message that the dialect does not have.
+    """
+    store = typestore()
+    if name not in store.fielddefs and name.startswith(mavlink_types.PACKAGE):
+        try:
+            store.register(get_types_from_msg(mavlink_types.definition(name), name))
+        except KeyError as error:
+            raise UnknownSchemaError(f"unknown message type {name!r}: not in the MAVLink dialect") from error
+    return store
+
+
+@cache
+def schema_text(name: str) -> str:
+    """Return the full ros2msg definition of a type: its text, then every type it uses.
+
+    Our own types keep their comments, since viewers show them.
+
+    Args:
+        name: Full name, for example ``nav_msgs/msg/Odometry``.
+
+    Raises:
+        UnknownSchemaError: No such type.
+    """
+    generated: str = _known(name).generate_msgdef(name, ros_version=2)[0]
+    if name not in _OURS and not name.startswith(mavlink_types.PACKAGE):
+        return generated
+    _, separator, used = generated.partition(_SEPARATOR)
+    return _own_text(name).rstrip("\n") + "\n" + separator + used
+
+
+@cache
+def type_hash(name: str) -> str:
+    """Return the ROS 2 type hash (``RIHS01_...``) of a type.
+
+    Raises:
+        UnknownSchemaError: No such type.
+    """
+    return str(_known(name).hash_rihs01(name))
+
+
+def _known(name: str) -> Typestore:
+    store = store_for(name)
+    if name not in store.fielddefs:
+        raise UnknownSchemaError(
+            f"unknown message type {name!r}; allowed are ROS 2 Jazzy standard types, "
+            f"{mavlink_types.PACKAGE}* and {', '.join(_OURS)}"
+        )
+    return store
+
+
+def _own_text(name: str) -> str:
+    if name.startswith(mavlink_types.PACKAGE):
+        return mavlink_types.definition(name)
+    text: str = (files("logs.schema") / "msg" / _OURS[name]).read_text(encoding="ascii")
+    return text

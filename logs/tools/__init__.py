@@ -1,0 +1,1 @@
+"""Information, cuts, exports and comparison of logs."""

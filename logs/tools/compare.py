@@ -1,0 +1,176 @@
+"""Are two flight logs the same? Message by message, with declared exceptions.
+
+Two runs of one seed in lockstep must give equal logs. What depends on the wall clock by nature is named in
+the tables below and nowhere else. Messages of different processes reach the recorder in any order, so each
+topic is compared on its own, ordered by log time and sequence number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from logs.reader.reader import LogError, LogFile, Message
+from logs.recorder.recording import LOSSES, RECORDER, RECORDER_NAME
+from logs.schema.codec_log import unpack_log
+from logs.schema.mavlink_peers import MAVLINK_PEERS
+from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING
+from logs.tools.edit import LOG_TOOL
+
+WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING, DIAGNOSTIC_ARRAY})
+WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # names on /rosout
+WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # whole records; ports are free ones
+PROVENANCE_METADATA = frozenset({LOG_TOOL})  # how the file came about, not what is in it
+WALL_CLOCK_METADATA_KEYS = frozenset(
+    {"started", "started_unix_s", "ended", "wall_time_s", "realtime_factor", "host", "out", "log", "pid"}
+)
+MAX_DIFFERENCES = 100  # more are not reported; the first ones tell the story
+
+ABSENT = "absent"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One thing that differs.
+
+    Attributes:
+        topic: Topic, or ``metadata NAME`` / ``attachment NAME``.
+        index: Number of the message in its topic, by log time and sequence; -1 where there is none.
+        field: Dotted name of the field, for example ``own_position_enu_m.x``.
+        a: Value in the first log.
+        b: Value in the second log.
+    """
+
+    topic: str
+    index: int
+    field: str
+    a: str
+    b: str
+
+    def __str__(self) -> str:
+        where = f"{self.topic}[{self.index}]" if self.index >= 0 else self.topic
+        return f"{where} {self.field}: {self.a} != {self.b}"
+
+
+def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> list[Difference]:
+    """Return the differences between two logs, at most ``limit``; empty means equal.
+
+    Raises:
+        LogError: A file that is no log, was not closed, or holds no controller step: two empty logs being
+            equal says nothing.
+    """
+    first, second = LogFile(a), LogFile(b)
+    topics_a, topics_b = _by_topic(first), _by_topic(second)
+    found: list[Difference] = []
+    for difference in _all(first, second, topics_a, topics_b):
+        found.append(difference)
+        if len(found) >= limit:
+            break
+    return found
+
+
+def _all(
+    first: LogFile, second: LogFile, a: dict[str, list[Message]], b: dict[str, list[Message]]
+) -> Iterator[Difference]:
+    yield from _metadata(first.metadata(), second.metadata())
+    yield from _attachments(first, second)
+    for topic in sorted(a.keys() | b.keys()):
+        yield from _topic(topic, a.get(topic, []), b.get(topic, []))
+
+
+def _by_topic(log: LogFile) -> dict[str, list[Message]]:
+    topics: dict[str, list[Message]] = {}
+    steps = 0
+    for message in log.messages():
+        steps += message.schema == CONTROLLER_STEP
+        if not _wall_clock(message):
+            topics.setdefault(message.topic, []).append(message)
+    if not log.complete:
+        reason = log.problem or "it has no end"
+        raise LogError(f"{log.path} is not a whole log ({reason}); only logs closed by the recorder compare")
+    if not steps:
+        raise LogError(f"{log.path} holds no controller step, so there is nothing to compare")
+    for messages in topics.values():
+        messages.sort(key=lambda m: (m.log_time_ns, m.sequence, m.publish_time_ns, m.data))
+    return topics
+
+
+def _wall_clock(message: Message) -> bool:
+    if message.schema in WALL_CLOCK_SCHEMAS:
+        return True
+    return message.schema == LOG and unpack_log(message.data).name in WALL_CLOCK_EVENTS
+
+
+def _topic(topic: str, a: list[Message], b: list[Message]) -> Iterator[Difference]:
+    if len(a) != len(b):
+        yield Difference(topic, -1, "count", str(len(a)), str(len(b)))
+    for index, (x, y) in enumerate(zip(a, b, strict=False)):
+        if x == y:
+            continue
+        for field in ("schema", "log_time_ns", "publish_time_ns", "sequence"):
+            if getattr(x, field) != getattr(y, field):
+                yield Difference(topic, index, field, str(getattr(x, field)), str(getattr(y, field)))
+        if x.data != y.data:
+            yield from _data(topic, index, x, y)
+
+
+def _data(topic: str, index: int, x: Message, y: Message) -> Iterator[Difference]:
+    """Name the fields that differ; if none does by value, the bytes differ in their padding."""
+    named = 0
+    if x.schema == y.schema:
+        values_a, values_b = dict(_leaves(x.decode())), dict(_leaves(y.decode()))
+        for field in values_a | values_b:
+            value_a, value_b = values_a.get(field, ABSENT), values_b.get(field, ABSENT)
+            if not _same(value_a, value_b):
+                named += 1
+                yield Difference(topic, index, field, str(value_a), str(value_b))
+    if not named:
+        yield Difference(topic, index, "data", x.data.hex(), y.data.hex())
+
+
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (dotted name, plain value) of everything in a decoded message."""
+    fields = getattr(value, "__dataclass_fields__", None)
+    if fields is not None:
+        for field, declared in fields.items():
+            if "ClassVar" not in str(declared.type):
+                yield from _leaves(getattr(value, field), f"{name}.{field}" if name else field)
+    elif isinstance(value, list | np.ndarray):
+        yield f"{name}.length", len(value)
+        for i, item in enumerate(value):
+            yield from _leaves(item, f"{name}[{i}]")
+    else:
+        yield name, value
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, float) and isinstance(b, float):
+        both_nan = math.isnan(a) and math.isnan(b)
+        return both_nan or (a == b and math.copysign(1.0, a) == math.copysign(1.0, b))
+    return bool(a == b)
+
+
+def _metadata(a: dict[str, dict[str, str]], b: dict[str, dict[str, str]]) -> Iterator[Difference]:
+    for name in sorted((a.keys() | b.keys()) - WALL_CLOCK_METADATA - PROVENANCE_METADATA):
+        values_a, values_b = a.get(name, {}), b.get(name, {})
+        for key in sorted((values_a.keys() | values_b.keys()) - WALL_CLOCK_METADATA_KEYS):
+            x, y = values_a.get(key, ABSENT), values_b.get(key, ABSENT)
+            if x != y:
+                yield Difference(f"metadata {name}", -1, key, x, y)
+
+
+def _attachments(first: LogFile, second: LogFile) -> Iterator[Difference]:
+    a, b = ({x.name: x for x in log.attachments()} for log in (first, second))
+    for name in sorted(a.keys() | b.keys()):
+        x, y = a.get(name), b.get(name)
+        if x is None or y is None:
+            present = (ABSENT if x is None else "present", ABSENT if y is None else "present")
+            yield Difference(f"attachment {name}", -1, "presence", *present)
+        elif (x.media_type, x.data) != (y.media_type, y.data):
+            sizes = (f"{x.media_type} {len(x.data)} bytes", f"{y.media_type} {len(y.data)} bytes")
+            yield Difference(f"attachment {name}", -1, "content", *sizes)

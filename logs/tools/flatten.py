@@ -1,0 +1,131 @@
+"""Messages as rows of plain values: one column a number, named as in the message definition.
+
+``own_position_enu_m.x`` is a nested field, ``rotor_rpm[2]`` an element of an array of fixed length. A list
+whose length varies stays one column of JSON text, so that the columns never depend on the data. The columns
+come from the definitions inside the log, so logs of other programs and of older versions are read as they
+were written.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mcap.records import Channel, Schema
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from logs.reader.reader import LogFile
+
+JSON_TEXT = "json"  # kind of a column that holds a list
+HEAD = (("log_time_ns", "uint64"), ("publish_time_ns", "uint64"), ("sequence", "uint32"))
+
+_Description = Any  # rosbags: (Nodetype, arguments)
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column.
+
+    Attributes:
+        name: Dotted name of the field.
+        kind: ROS primitive type, for example ``float64``; or ``JSON_TEXT``.
+        path: Attribute names and indices from the message to the value.
+    """
+
+    name: str
+    kind: str
+    path: tuple[str | int, ...]
+
+    def value(self, message: Any) -> Any:
+        """Return the value as a plain Python object."""
+        for step in self.path:
+            message = message[step] if isinstance(step, int) else getattr(message, step)
+        if self.kind == JSON_TEXT:
+            return json.dumps(_plain(message))
+        return message.item() if isinstance(message, np.generic) else message
+
+
+class Table:
+    """One topic of a log as rows.
+
+    Attributes:
+        columns: Behind the three of ``HEAD``.
+    """
+
+    def __init__(self, log: LogFile, topic: str) -> None:
+        """Find the topic and its type.
+
+        Raises:
+            ValueError: No such topic, more than one type on it, or an encoding other than CDR with ros2msg.
+        """
+        self._log, self._topic = log, topic
+        schema = _schema_of(log, topic)
+        self._type = schema.name
+        self._store = get_typestore(Stores.EMPTY)
+        self._store.register(get_types_from_msg(schema.data.decode(), schema.name))
+        self.columns = list(_columns(self._store, (Nodetype.NAME, schema.name), "", ()))
+
+    def rows(self) -> Iterator[list[Any]]:
+        """Yield one row a message, in the order of the file."""
+        for message in self._log.messages([self._topic]):
+            decoded = self._store.deserialize_cdr(message.data, self._type)
+            head = [message.log_time_ns, message.publish_time_ns, message.sequence]
+            yield head + [column.value(decoded) for column in self.columns]
+
+
+def _schema_of(log: LogFile, topic: str) -> Schema:
+    schemas: dict[int, Schema] = {}
+    channels: dict[str, dict[int, Channel]] = {}
+    for record in log.records():
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels.setdefault(record.topic, {})[record.id] = record
+    found = channels.get(topic, {})
+    if not found:
+        known = ", ".join(sorted(channels)) or "none"
+        raise ValueError(f"no topic {topic!r} in {log.path}; it holds {known}")
+    types = {schemas[c.schema_id].name for c in found.values() if c.schema_id in schemas}
+    ways = {(c.message_encoding, getattr(schemas.get(c.schema_id), "encoding", "")) for c in found.values()}
+    if len(types) != 1 or ways != {("cdr", "ros2msg")}:
+        raise ValueError(
+            f"{topic} holds {', '.join(sorted(types)) or 'no known type'}, encoded as "
+            f"{', '.join(sorted('/'.join(w) for w in ways))}; one type in cdr/ros2msg can be exported"
+        )
+    return schemas[next(iter(found.values())).schema_id]
+
+
+def _columns(
+    store: Typestore, description: _Description, name: str, path: tuple[str | int, ...]
+) -> Iterator[Column]:
+    kind, arguments = description
+    if kind == Nodetype.BASE:
+        yield Column(name, str(arguments[0]), path)
+    elif kind == Nodetype.NAME:
+        for field, inner in store.fielddefs[arguments][1]:
+            yield from _columns(store, inner, f"{name}.{field}" if name else field, (*path, field))
+    elif kind == Nodetype.ARRAY:
+        inner, length = arguments
+        for i in range(length):
+            yield from _columns(store, inner, f"{name}[{i}]", (*path, i))
+    else:
+        yield Column(name, JSON_TEXT, path)
+
+
+def _plain(value: Any) -> Any:
+    """Return a decoded value as what JSON knows; numbers that it does not know become text."""
+    if isinstance(value, np.ndarray | list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    fields = getattr(value, "__dataclass_fields__", None)
+    if fields is not None:
+        return {f: _plain(getattr(value, f)) for f in fields if f != "__msgtype__"}
+    return value

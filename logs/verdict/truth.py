@@ -1,0 +1,229 @@
+"""Judging by the simulator's true states. Definitions: ``verdict.py``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+
+from logs.reader.flight_data import Truth
+from logs.verdict.types import (
+    GAP_MAX_S,
+    REST_TIME_S,
+    TRUTH,
+    Judged,
+    Outcome,
+    Verdict,
+    abort_declared,
+    finite,
+    judged_until,
+    lowest,
+    violated,
+)
+
+REST_SPEED_MAX_M_S = 0.05  # relative to the pad's surface; a vehicle that slides or rolls is faster
+LAND_AWAY_SPEED_MAX_M_S = 1.0  # m/s downwards; a declared abort may end in a landing, not in a fall
+_SAME_S = 1e-6  # below the resolution of a tick
+
+
+class Contact(IntFlag):
+    """Bits of ``TrueState.contacts``."""
+
+    PAD = 1
+    GROUND = 2
+    ROBOT = 4
+    PAD_EDGE = 8
+    TUMBLED = 16
+
+
+_NAMES = {
+    Contact.GROUND: "ground",
+    Contact.ROBOT: "robot body",
+    Contact.PAD_EDGE: "pad edge",
+    Contact.TUMBLED: "tumble",
+}
+_HITS = ~int(Contact.PAD)  # everything that must not be touched
+_FALLS = int(Contact.GROUND | Contact.ROBOT | Contact.TUMBLED)  # after touchdown: no longer on the pad
+
+
+@dataclass(frozen=True, slots=True)
+class _Touch:
+    """First contact since the landing began: index, time, distance and relative velocity just before it."""
+
+    index: int
+    t_s: float
+    d_m: float
+    velocity_m_s: tuple[float, float, float]
+
+
+def judge_truth(flight: Judged, truth: Truth) -> Verdict:
+    """Judge a flight by its true states."""
+    start_s = flight.landing_start_s
+    if start_s is None:
+        return _never_began(flight, truth)
+    begin = int(np.searchsorted(truth.t_s, start_s + _SAME_S))  # what happened since the start
+    if begin >= len(truth.t_s):
+        return _nothing(Outcome.TIMEOUT, "the true states end before the landing began")
+    touch = _first_contact(truth, begin)
+    outcome, reason = _outcome(flight, truth, begin, touch)
+    until = judged_until(flight, truth.t_s, truth.d_m)
+    missing = _missing(flight, truth, start_s, begin, until, outcome)
+    if outcome is Outcome.LANDED and not _covered(truth, start_s, begin):
+        outcome, reason = Outcome.TIMEOUT, f"not shown to have landed: {missing}"
+    started_safe = _started_safe(truth, start_s)
+    h_min_m = lowest(truth.h_min_m[begin:until])
+    outside_m = lowest(truth.h_min_outside_pad_m[begin:until])
+    if not missing and started_safe is None:
+        missing = "true h is missing where the landing began"
+    on_pad = touch if touch is not None and truth.contacts[touch.index] == Contact.PAD else None
+    vx, vy, vz = on_pad.velocity_m_s if on_pad else (math.nan,) * 3
+    return Verdict(
+        outcome=outcome,
+        violation=violated(outside_m, started_safe, complete=not missing),
+        h_min_m=h_min_m,
+        h_min_outside_pad_m=outside_m,
+        touchdown_error_m=finite(on_pad.d_m) if on_pad else None,
+        touchdown_speed_vertical_m_s=finite(-vz),
+        touchdown_speed_horizontal_m_s=finite(math.hypot(vx, vy)),
+        time_to_land_s=on_pad.t_s - start_s if on_pad and outcome is Outcome.LANDED else None,
+        reason=f"{reason}; {missing}" if missing and missing not in reason else reason,
+        started_safe=started_safe,
+        judged_from=TRUTH,
+    )
+
+
+def _outcome(flight: Judged, truth: Truth, begin: int, touch: _Touch | None) -> tuple[Outcome, str]:
+    abort = abort_declared(flight)
+    if abort and (touch is None or abort.t_s <= touch.t_s):
+        if touch is None or _gentle_landing_away(truth, touch):
+            return Outcome.ABORTED, abort.text
+    elif touch is None:
+        return Outcome.TIMEOUT, "no contact and no declared abort until the log ends"
+    assert touch is not None
+    bits = int(truth.contacts[touch.index])
+    if bits & _HITS:
+        return Outcome.CRASHED, f"contact before touchdown: {_names(bits)}"
+    if touch.d_m > flight.pad_radius_m:
+        text = f"touched the pad {touch.d_m:.3f} m from its centre, outside its {flight.pad_radius_m:.2f} m"
+        return Outcome.CRASHED, text
+    if not math.isfinite(touch.d_m):
+        return Outcome.TIMEOUT, "touched the pad, but the log does not say where"
+    outcome, reason = _after_touchdown(flight, truth, begin, touch)
+    if abort and outcome is not Outcome.CRASHED and (outcome is not Outcome.LANDED or abort.t_s <= touch.t_s):
+        return Outcome.ABORTED, abort.text
+    return outcome, reason
+
+
+def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) -> tuple[Outcome, str]:
+    """Whether it rested on the pad 2 s after the motors stopped."""
+    running = np.flatnonzero(truth.motors_running[begin:]) + begin
+    off = int(running[-1]) + 1 if len(running) else begin
+    rest_s = float(truth.t_s[off]) + REST_TIME_S if off < len(truth.t_s) else math.inf
+    at = int(np.searchsorted(truth.t_s, rest_s - _SAME_S))
+    fallen = np.flatnonzero(truth.contacts[touch.index : at + 1] & _FALLS)
+    if len(fallen):
+        where = touch.index + int(fallen[0])
+        abort = abort_declared(flight)
+        if abort and abort.t_s <= truth.t_s[where] and _gentle_landing_away(truth, _contact_at(truth, where)):
+            return Outcome.ABORTED, abort.text
+        return Outcome.CRASHED, f"left the pad after touchdown: {_names(int(truth.contacts[where]))}"
+    if off >= len(truth.t_s):
+        return Outcome.TIMEOUT, "touched the pad, but the motors never stopped"
+    if at >= len(truth.t_s):
+        seen_s = float(truth.t_s[-1] - truth.t_s[off])
+        return Outcome.TIMEOUT, f"true states end {seen_s:.2f} s after the motors stopped; 2 s are needed"
+    speed_m_s = float(np.linalg.norm(truth.relative_velocity_m_s[at]))
+    resting = bool(truth.contacts[at] & Contact.PAD) and truth.d_m[at] <= flight.pad_radius_m
+    if not (resting and speed_m_s <= REST_SPEED_MAX_M_S):
+        text = f"did not rest on the pad: d {truth.d_m[at]:.3f} m, relative speed {speed_m_s:.3f} m/s"
+        return Outcome.TIMEOUT, text
+    text = f"touched {touch.d_m * 100:.1f} cm from the centre, rests on the pad 2 s after the motors stopped"
+    return Outcome.LANDED, text
+
+
+def _first_contact(truth: Truth, begin: int) -> _Touch | None:
+    touched = np.flatnonzero(truth.contacts[begin:])
+    return _contact_at(truth, begin + int(touched[0])) if len(touched) else None
+
+
+def _contact_at(truth: Truth, index: int) -> _Touch:
+    """A contact with what the simulator noted just before it, else with the true state just before it."""
+    before = max(index - 1, 0)
+    first_s = float(truth.first_touch_time_s[index])
+    noted = math.isfinite(first_s) and first_s != truth.first_touch_time_s[before]
+    if noted:
+        e_m, v_m_s = (
+            truth.first_touch_relative_position_enu_m[index],
+            truth.first_touch_relative_velocity_enu_m_s[index],
+        )
+    else:
+        e_m, v_m_s = truth.e_m[before], truth.relative_velocity_m_s[before]
+    t_s = _log_time(truth, index, first_s) if noted else float(truth.t_s[index])
+    velocity = (float(v_m_s[0]), float(v_m_s[1]), float(v_m_s[2]))
+    return _Touch(index, t_s, float(np.hypot(e_m[0], e_m[1])), velocity)
+
+
+def _log_time(truth: Truth, index: int, simulated_s: float) -> float:
+    """Log time of a simulated time between two ticks; simulated time is tick number times period."""
+    late_s, before_s = float(truth.t_s[index]), float(truth.t_s[max(index - 1, 0)])
+    ticks = truth.tick[-1] - truth.tick[0]
+    if ticks <= 0:
+        return late_s
+    period_s = float(np.median(np.diff(truth.t_s) / np.maximum(np.diff(truth.tick), 1)))
+    return min(max(late_s + simulated_s - float(truth.tick[index]) * period_s, before_s), late_s)
+
+
+def _gentle_landing_away(truth: Truth, touch: _Touch) -> bool:
+    """Whether a contact is with the ground only, upright and slow: the end of a declared abort."""
+    falling_m_s = -float(truth.velocity_enu_m_s[max(touch.index - 1, 0), 2])
+    return truth.contacts[touch.index] == Contact.GROUND and falling_m_s <= LAND_AWAY_SPEED_MAX_M_S
+
+
+def _started_safe(truth: Truth, start_s: float) -> bool | None:
+    nearest = int(np.argmin(np.abs(truth.t_s - start_s)))
+    h_m = float(truth.h_m[nearest])
+    near = abs(float(truth.t_s[nearest]) - start_s) <= GAP_MAX_S
+    return h_m >= 0.0 if near and math.isfinite(h_m) else None
+
+
+def _covered(truth: Truth, start_s: float, begin: int) -> bool:
+    """Whether the true states have no gap since the landing began."""
+    t_s = np.concatenate(([start_s], truth.t_s[begin:]))
+    return bool(np.max(np.diff(t_s)) <= GAP_MAX_S)
+
+
+def _missing(flight: Judged, truth: Truth, start_s: float, begin: int, until: int, outcome: Outcome) -> str:
+    """What keeps us from knowing that nothing else happened; empty if all is there."""
+    if not _covered(truth, start_s, begin):
+        return f"true states have a gap of more than {GAP_MAX_S:g} s"
+    lost = int(flight.metadata.get("losses", {}).get("vehicle", "0"))
+    if lost:
+        return f"{lost} records of the vehicle were lost"
+    if np.isnan(truth.h_min_m[begin:until]).any() or np.isnan(truth.h_min_outside_pad_m[begin:until]).any():
+        return "true h is missing at some ticks"
+    last_s = float(flight.steps.t_s[-1]) if flight.steps is not None else start_s
+    if outcome is not Outcome.LANDED and last_s - truth.t_s[-1] > GAP_MAX_S:
+        return f"the true states end {last_s - truth.t_s[-1]:.2f} s before the controller's steps"
+    if outcome is not Outcome.LANDED and not flight.complete:
+        return "the log is cut short"
+    return ""
+
+
+def _never_began(flight: Judged, truth: Truth) -> Verdict:
+    hits = int(np.bitwise_or.reduce(truth.contacts)) & int(_FALLS | Contact.PAD_EDGE) & ~int(Contact.GROUND)
+    abort = abort_declared(flight)
+    if hits:
+        return _nothing(Outcome.CRASHED, f"before the landing began: {_names(hits)}")
+    if abort:
+        return _nothing(Outcome.ABORTED, f"before the landing began: {abort.text}")
+    return _nothing(Outcome.TIMEOUT, "the landing never began: no controller step in phase APPROACH")
+
+
+def _nothing(outcome: Outcome, reason: str) -> Verdict:
+    return Verdict(outcome, None, None, None, None, None, None, None, reason, None, TRUTH)
+
+
+def _names(bits: int) -> str:
+    return ", ".join(name for bit, name in _NAMES.items() if bits & bit)

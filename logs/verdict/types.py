@@ -1,0 +1,171 @@
+"""The words of a verdict: outcomes, limits, and the verdict itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any, Protocol
+
+import numpy as np
+
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.types import Phase
+from logs.reader.flight_data import Event, Floats, Ints
+
+VIOLATION_LIMIT_M = -0.005  # m, h below this outside the pad is a violation
+REST_TIME_S = 2.0  # s after the motors stop
+GAP_MAX_S = 0.2  # s without data beyond which nothing is known about what happened in between
+TRUTH = "truth"
+ESTIMATE = "estimate"
+SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # in words, by ``judged_from``
+_SAID_WITHIN_S = 0.1  # an event of the tick itself, with margin for another clock
+
+
+class JudgedSteps(Protocol):
+    """Controller steps as far as a verdict by true states looks at them."""
+
+    @property
+    def t_s(self) -> Floats:
+        """(n,) time."""
+
+    @property
+    def phase(self) -> Ints:
+        """(n,) ``Phase``."""
+
+
+class Judged(Protocol):
+    """A flight as far as a verdict by true states looks at it: from a log, or of a landing in a campaign."""
+
+    @property
+    def landing_start_s(self) -> float | None:
+        """When the judging begins."""
+
+    @property
+    def steps(self) -> JudgedSteps | None:
+        """Controller steps."""
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What was said."""
+
+    @property
+    def config(self) -> FlightConfig | None:
+        """Configuration the onboard process flew with."""
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Metadata records by name; "losses" counts lost records."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is cut off."""
+
+    @property
+    def pad_radius_m(self) -> float:
+        """Of the landing pad."""
+
+
+class Outcome(StrEnum):
+    """How a flight ended."""
+
+    LANDED = "landed"
+    ABORTED = "aborted"
+    CRASHED = "crashed"
+    TIMEOUT = "timeout"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What became of a flight; ``None`` where a value does not apply or is not known.
+
+    Attributes:
+        outcome: how it ended.
+        violation: h < -5 mm outside the pad in a run that began with h >= 0; ``None`` if data is missing.
+        h_min_m: lowest h anywhere since the landing began.
+        h_min_outside_pad_m: the same where d > pad radius.
+        touchdown_error_m: d at first contact, if that was with the pad.
+        touchdown_speed_vertical_m_s: relative to the pad's surface at first contact, positive downwards.
+        touchdown_speed_horizontal_m_s: the same, horizontal.
+        time_to_land_s: from the begin of the landing to first contact, if landed.
+        reason: why this outcome, in words.
+        started_safe: h >= 0 when the landing began; ``None`` if not known.
+        judged_from: ``TRUTH`` or ``ESTIMATE``.
+    """
+
+    outcome: Outcome
+    violation: bool | None
+    h_min_m: float | None
+    h_min_outside_pad_m: float | None
+    touchdown_error_m: float | None
+    touchdown_speed_vertical_m_s: float | None
+    touchdown_speed_horizontal_m_s: float | None
+    time_to_land_s: float | None
+    reason: str
+    started_safe: bool | None
+    judged_from: str
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return plain values; what is not a finite number becomes ``None``."""
+        values = asdict(self)
+        values["outcome"] = self.outcome.value
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+
+
+def finite(value: float) -> float | None:
+    """Return the number, or ``None`` if there is none."""
+    return float(value) if math.isfinite(value) else None
+
+
+def lowest(values: Floats) -> float | None:
+    """Return the smallest number; ``None`` if there is none (+inf stands for "no step outside the pad")."""
+    known = values[np.isfinite(values)]
+    return float(known.min()) if len(known) else None
+
+
+def violated(h_min_outside_pad_m: float | None, started_safe: bool | None, *, complete: bool) -> bool | None:
+    """Return whether the barrier was violated; ``None`` if missing data could hide a violation."""
+    if started_safe is False:
+        return False
+    if h_min_outside_pad_m is not None and h_min_outside_pad_m < VIOLATION_LIMIT_M:
+        return True
+    return False if complete else None
+
+
+@dataclass(frozen=True, slots=True)
+class Abort:
+    """A declared abort: when, and why in the phase machine's words."""
+
+    t_s: float
+    text: str
+
+
+def abort_declared(flight: Judged) -> Abort | None:
+    """Return the first step in phase ABORT with the event that said why, or ``None``."""
+    if flight.steps is None:
+        return None
+    steps = np.flatnonzero(flight.steps.phase == Phase.ABORT)
+    if not len(steps):
+        return None
+    t_s = float(flight.steps.t_s[steps[0]])
+    near = [e.text for e in flight.events if abs(e.t_s - t_s) <= _SAID_WITHIN_S and "abort" in e.text.lower()]
+    return Abort(t_s, f"declared abort: {near[0] if near else 'no reason in the log'}")
+
+
+def judged_until(flight: Judged, t_s: Floats, d_m: Floats) -> int:
+    """Index of the first state whose h no longer counts: after a declared abort that has flown clear.
+
+    Who lands beside the robot ends below its pad, where h < 0 by geometry. The state that first shows the
+    vehicle outside the clearance distance still counts, with the physics steps before it. Without the
+    configuration nothing is known of a clearance distance, and all counts.
+
+    Args:
+        flight: with its configuration.
+        t_s: (n,) times of the states.
+        d_m: (n,) horizontal distance to the landing spot; NaN where it is not known.
+    """
+    abort = abort_declared(flight)
+    if abort is None or flight.config is None:
+        return len(t_s)
+    found = np.flatnonzero((t_s > abort.t_s) & (d_m > flight.config.checks.clearance_m))
+    return int(found[0]) + 1 if len(found) else len(t_s)

@@ -1,0 +1,35 @@
+"""The verdict on a flight.
+
+Judging begins with the first controller step in phase APPROACH and looks at the simulator's true states,
+whatever the controller believed:
+
+* landed: first contact is with the pad within its radius, and 2 s after the motors stop the vehicle rests on
+  the pad while the target goes on driving;
+* crashed: contact before touchdown with ground, robot body or pad edge, or a tumble;
+* aborted: the phase machine gave up by itself and said so (phase ABORT);
+* timeout: everything else, also a miss that nobody declared and a log that ends too early;
+* violation: h < -5 mm while d exceeds the pad's radius, in a run that began with h >= 0.
+
+A declared abort that has flown clear ends the judging of h: after the first true state behind it that is
+farther from the target than the configured clearance distance (``checks.clearance_m``), h no longer counts,
+since landing beside the robot has h < 0 by geometry; until then it counts in full. After a declared abort a
+gentle landing on the ground is no crash.
+
+Data that is missing is never taken for safe: without it a flight has not landed, and an absent violation is
+"not known" (``None``) instead of False. A log without true states, as of real hardware, is judged by the
+vehicle's own estimate; ``judged_from`` says which.
+"""
+
+from __future__ import annotations
+
+from logs.reader.flight_data import Flight
+from logs.verdict.estimate import judge_estimate
+from logs.verdict.truth import judge_truth
+from logs.verdict.types import Outcome, Verdict
+
+__all__ = ["Outcome", "Verdict", "judge"]
+
+
+def judge(flight: Flight) -> Verdict:
+    """Judge a flight by its true states, or by the estimate if the log has none."""
+    return judge_estimate(flight) if flight.truth is None else judge_truth(flight, flight.truth)

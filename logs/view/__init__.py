@@ -1,0 +1,1 @@
+"""3-D views: Rerun, and layouts for Foxglove and PlotJuggler."""

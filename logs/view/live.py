@@ -1,0 +1,154 @@
+"""A flight in Rerun while it flies: what ``view`` draws of a log, from the rows that come over the wire."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+import rerun as rr
+
+from flightstack.common.processes import END_TIME_MAX_S, Port
+from flightstack.core.types import Phase
+from logs.schema.codec import ControllerStepRow, LoopTimingRow
+from logs.schema.codec_log import CONTROLLER, LogRow, Severity
+from logs.view.blueprint import blueprint
+from logs.view.canvas import Canvas
+from logs.view.read import Seen
+from logs.view.view import draw, viewer_program
+
+NATIVE, WEB = "native", "web"
+ENDING = ".rrd"
+SIZE_M = 3.0  # m: extent of the scene at which the camera looks, before any path is known
+FLUSH_TIME_MAX_S = 2.0  # s for a viewer to take the last rows; a stuck one does not get them
+MEMORY_LIMIT = "512MB"  # of viewer and server each: the oldest data go first
+
+
+class LiveRecording:
+    """One Rerun recording that grows.
+
+    Attributes:
+        address: what to open: of the page, or the file.
+
+    Args:
+        where: ``NATIVE``, ``WEB`` or a file that ends with ``.rrd``.
+        run: what is known of the run, with barrier and pad (``flight_config.shape``) if they are.
+        name: of the recording.
+
+    Raises:
+        ValueError: the file exists, or the name has another ending.
+        OSError: Rerun's program is not there, or the file cannot be written.
+    """
+
+    def __init__(self, where: str, run: Mapping[str, str], name: str) -> None:
+        self._run = dict(run)
+        self._stream = rr.RecordingStream("flightstack")
+        self._stream.send_recording_name(name)
+        self._canvas: Canvas | None = None
+        self._phase: int | None = None
+        self._viewer: subprocess.Popen[bytes] | None = None
+        self._stays = where == NATIVE  # a window is closed by who looks at it
+        self.address = where
+        if where == NATIVE:
+            self._start("--hide-welcome-screen")
+        elif where == WEB:
+            pages = Port()
+            at = self._start("--serve-web", "--web-viewer-port", str(pages.number))
+            pages.close()
+            self.address = f"http://127.0.0.1:{pages.number}/?url={quote(at, safe='')}"
+        else:
+            self._stream.save(_new(Path(where)))
+
+    @property
+    def closed(self) -> bool:
+        """Whether the viewer has ended."""
+        return self._viewer is not None and self._viewer.poll() is not None
+
+    def add(
+        self, steps: Sequence[ControllerStepRow], timings: Sequence[LoopTimingRow], reason: str = ""
+    ) -> None:
+        """Draw the next rows.
+
+        Args:
+            steps: in order.
+            timings: in order.
+            reason: of the phase, as the onboard process gives it.
+        """
+        if not steps:
+            return
+        if self._canvas is None:
+            self._canvas = Canvas(self._stream, steps[0].stamp_ns)
+            self._stream.send_blueprint(blueprint(_center(steps[0]), SIZE_M))
+        rows = [(row.stamp_ns, row) for row in steps]
+        seen = Seen(self._run, steps=rows, timings=[(row.stamp_ns, row) for row in timings])
+        seen.events = self._entered(steps, reason)
+        draw(self._canvas, seen)
+
+    def close(self) -> None:
+        """End the recording, and the server of the web viewer; bounded."""
+        with contextlib.suppress(RuntimeError):  # the viewer does not take them
+            self._stream.flush(timeout_sec=FLUSH_TIME_MAX_S)
+        self._stream.disconnect()
+        if self._viewer is not None and not self._stays and self._viewer.poll() is None:
+            self._viewer.terminate()
+            try:
+                self._viewer.wait(END_TIME_MAX_S)
+            except subprocess.TimeoutExpired:
+                self._viewer.kill()
+                self._viewer.wait()
+
+    def _start(self, *words: str) -> str:
+        """Start Rerun and send it the recording; where it listens, on this machine alone."""
+        port = Port()  # Rerun itself would listen to every network, at a port that another may have
+        self._viewer = subprocess.Popen(
+            [
+                viewer_program(), "--bind", "127.0.0.1", "--port", str(port.number), *words,
+                "--memory-limit", MEMORY_LIMIT, "--server-memory-limit", MEMORY_LIMIT, "--expect-data-soon",
+            ],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            start_new_session=self._stays,
+        )  # fmt: skip
+        port.close()
+        at = f"rerun+http://127.0.0.1:{port.number}/proxy"
+        self._stream.connect_grpc(at)
+        return at
+
+    def _entered(self, steps: Sequence[ControllerStepRow], reason: str) -> list[tuple[int, LogRow]]:
+        """Phases that began; the reason is that of the last."""
+        events = []
+        for row in steps:
+            if row.phase != self._phase:
+                self._phase = row.phase
+                name = Phase(row.phase).name if row.phase in Phase._value2member_map_ else str(row.phase)
+                level = Severity.ERROR if row.phase == Phase.ABORT else Severity.INFO
+                events.append((row.stamp_ns, LogRow(row.stamp_ns, level, CONTROLLER, name, "", "", 0)))
+        if events and reason:
+            at_ns, last = events[-1]
+            events[-1] = (at_ns, last._replace(message=f"{last.message}: {reason}"))
+        return events
+
+
+def _new(path: Path) -> Path:
+    if path.suffix != ENDING:
+        raise ValueError(f"--view {path}: {NATIVE}, {WEB} or a file that ends with {ENDING} is allowed")
+    if path.exists():
+        raise ValueError(f"--view: {path} exists and is not written over; choose another name")
+    return path
+
+
+def _center(step: ControllerStepRow) -> tuple[float, float, float]:
+    """Between vehicle and target, as far as they are known."""
+    known = [
+        point
+        for point, valid in (
+            (step.own_position_enu_m, step.own_valid),
+            (step.target_position_enu_m, step.target_valid),
+        )
+        if valid
+    ]
+    x, y, z = np.mean(known, axis=0) if known else (0.0, 0.0, 0.0)
+    return (float(x), float(y), float(z))

@@ -1,0 +1,169 @@
+"""A flight log as a Rerun recording: scene, curves and events, with a layout made for landings.
+
+Rerun opens the MCAP file itself, too, but draws neither markers nor odometry and lays nothing out.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from flightstack.core.types import Phase
+from logs.derive.markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
+from logs.schema.codec_log import Severity
+from logs.view.blueprint import AXES, EVENTS, PHASE, RUN, blueprint
+from logs.view.canvas import Canvas
+from logs.view.read import Floats, Ints, Seen, column, read, times
+from logs.view.scene import TRUE_COLOR, VELOCITIES, rgba, scene, truth, velocities
+
+ZERO_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
+_LEVELS: dict[int, str] = {
+    Severity.DEBUG: "DEBUG",
+    Severity.INFO: "INFO",
+    Severity.WARN: "WARN",
+    Severity.ERROR: "ERROR",
+    Severity.FATAL: "CRITICAL",
+}
+
+
+class Recording:
+    """One Rerun recording of one flight."""
+
+    def __init__(self, log: Path) -> None:
+        """Read the log.
+
+        Raises:
+            LogError: Not a log, or one without a flight.
+        """
+        self._seen = read(log)
+        self.problem = self._seen.problem
+        self._stream = rr.RecordingStream("flightstack")
+        self._stream.send_recording_name(f"{self._seen.run.get('scenario', 'flight')}: {log.name}")
+
+    def save(self, out: Path) -> None:
+        """Write an ``.rrd`` file."""
+        self._stream.save(out, default_blueprint=self._blueprint())
+        self._send()
+
+    def _send(self) -> None:
+        draw(Canvas(self._stream, self._seen.origin_ns), self._seen)
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def _blueprint(self) -> Any:
+        """Look at the middle of what the vehicle and the target did."""
+        points = np.concatenate(
+            [
+                column(self._seen.steps, "own_position_enu_m").reshape(-1, 3),
+                column(self._seen.steps, "target_position_enu_m").reshape(-1, 3),
+                column(self._seen.truths, "position_enu_m").reshape(-1, 3),
+            ]
+        )
+        points = points[np.isfinite(points).all(axis=1)]
+        if not len(points):
+            return blueprint((0.0, 0.0, 0.0), 1.0)
+        low, high = points.min(axis=0), points.max(axis=0)
+        x, y, z = (float(v) for v in 0.5 * (low + high))
+        return blueprint((x, y, z), float(np.linalg.norm(high - low)))
+
+
+def open_viewer(recording: Path, *, web: bool) -> int:
+    """Show an ``.rrd`` file in Rerun until it is closed; its exit status.
+
+    Args:
+        recording: the file.
+        web: serve the viewer to browsers on this machine instead of opening a window.
+
+    Raises:
+        OSError: Rerun's program is not there.
+    """
+    program = viewer_program()
+    # Rerun itself would listen to every network; what flew is for this machine.
+    serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # free ports
+    return subprocess.run([program, str(recording), "--bind", "127.0.0.1", *serving], check=False).returncode
+
+
+def viewer_program() -> str:
+    """Rerun's program.
+
+    Raises:
+        FileNotFoundError: it is not there.
+    """
+    beside = Path(sys.executable).with_name("rerun")  # of this environment, active or not
+    program = str(beside) if beside.exists() else shutil.which("rerun")
+    if program is None:
+        raise FileNotFoundError(f"no program `rerun` at {beside} or in PATH; pip install rerun-sdk again")
+    return program
+
+
+def draw(canvas: Canvas, seen: Seen) -> None:
+    """Send all of a flight, or the next piece of it."""
+    for part in (scene, velocities, truth, _curves, _events):
+        part(canvas, seen)
+
+
+def _curves(canvas: Canvas, seen: Seen) -> None:
+    if seen.truths:
+        _curve(canvas, "/safety/h/true", times(seen.truths), column(seen.truths, "h_m"), TRUE_COLOR)
+    steps = seen.steps
+    if steps:
+        at_ns = times(steps)
+        apart_m = column(steps, "own_position_enu_m") - column(steps, "target_position_enu_m")
+        apart_m[(column(steps, "own_valid") * column(steps, "target_valid")) == 0.0] = np.nan
+        _curve(canvas, "/safety/h/controller", at_ns, column(steps, "h_m"), OWN_COLOR)
+        _curve(canvas, "/safety/h/zero", at_ns[[0, -1]], np.zeros(2), ZERO_COLOR)
+        _curve(canvas, "/safety/slack", at_ns, column(steps, "slack_m_s"), OWN_COLOR)
+        _curve(canvas, "/safety/dh_dt", at_ns, column(steps, "dh_dt_m_s"), OWN_COLOR)
+        _curve(canvas, "/safety/active", at_ns, column(steps, "barrier_active"), OWN_COLOR)
+        _curve(canvas, "/distance/horizontal", at_ns, np.hypot(apart_m[:, 0], apart_m[:, 1]), OWN_COLOR)
+        _curve(canvas, "/distance/height", at_ns, apart_m[:, 2], TARGET_COLOR)
+        for name, field, color in VELOCITIES:
+            vector = column(steps, field)
+            if name == "command":
+                vector[column(steps, "setpoint_sent") == 0.0] = np.nan
+            for axis, values in zip(AXES, vector.T, strict=True):
+                _curve(canvas, f"/velocity/{axis}/{name}", at_ns, values, color)
+        for name, color in (("own", OWN_COLOR), ("target", TARGET_COLOR)):
+            _curve(canvas, f"/age/{name}", at_ns, 1e3 * column(steps, f"{name}_age_s"), color)
+        for name, color in (("accepted", FILTERED_COLOR), ("rejected", ZERO_COLOR)):
+            _curve(canvas, f"/samples/{name}", at_ns, column(steps, f"target_{name}"), color)
+        _phases(canvas, seen)
+    for name, color in (("lateness", NOMINAL_COLOR), ("exec", OWN_COLOR), ("solve", FILTERED_COLOR)):
+        if seen.timings:
+            at_ns, values = times(seen.timings), 1e3 * column(seen.timings, f"{name}_s")
+            _curve(canvas, f"/loop/{name}", at_ns, values, color)
+
+
+def _phases(canvas: Canvas, seen: Seen) -> None:
+    phase = column(seen.steps, "phase").astype(int)
+    before = np.concatenate(([-1 if canvas.phase is None else canvas.phase], phase[:-1]))
+    begins = np.flatnonzero(phase != before)
+    canvas.phase = int(phase[-1])
+    names = [Phase(p).name if p in Phase._value2member_map_ else str(p) for p in phase[begins]]
+    canvas.columns(PHASE, times(seen.steps)[begins], rr.StateChange.columns(state=names))
+
+
+def _events(canvas: Canvas, seen: Seen) -> None:
+    canvas.style(RUN, rr.TextDocument(_run_text(seen), media_type="text/markdown"))
+    if seen.events:
+        texts = [f"{row.name}: {row.message}" for _, row in seen.events]
+        levels = [_LEVELS.get(row.level, "INFO") for _, row in seen.events]
+        canvas.columns(EVENTS, times(seen.events), rr.TextLog.columns(text=texts, level=levels))
+
+
+def _curve(canvas: Canvas, entity: str, at_ns: Ints, values: Floats, color: Color) -> None:
+    """Send one curve; a gap where there is no number."""
+    canvas.style(entity, rr.SeriesLines(colors=[rgba(color)], names=[entity.rpartition("/")[2]]))
+    canvas.columns(entity, at_ns, rr.Scalars.columns(scalars=values))
+
+
+def _run_text(seen: Seen) -> str:
+    rows = [f"| {key} | {value} |" for key, value in seen.run.items()] or ["| no metadata | |"]
+    broken = f"\n\n**The log is broken:** {seen.problem}" if seen.problem else ""
+    return "\n".join(["| run | |", "|---|---|", *rows]) + broken

@@ -1,0 +1,92 @@
+"""Time in the simulator's processes: integer ticks, bounded waiting, and a clean end on a signal."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from types import FrameType
+
+from flightstack.common.hangup import on_hangup
+
+NS_PER_S = 1_000_000_000
+STARTUP_S = 60.0  # s of wall time the processes of a run give each other to come up, compiling included
+SILENCE_S = 3.0  # s of wall time without an answer after which a process counts as dead
+_PAUSE_S = 50e-6  # s; with the system's timer slack about 0.1 ms
+
+
+class NoAnswerError(RuntimeError):
+    """Another process of the run did not show up or fell silent; the text says which and for how long."""
+
+
+class StopSignal:
+    """Turns SIGTERM, SIGINT and SIGHUP into a flag the loops look at, so that they end in order."""
+
+    def __init__(self) -> None:
+        self.is_set = False
+
+    def install(self) -> StopSignal:
+        """Take over the signals; main thread only."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._set)
+        on_hangup(self._set)
+        return self
+
+    def _set(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.is_set = True
+
+
+class TickGrid:
+    """Tick k is at k / rate; in nanoseconds and, for the physics, in whole milliseconds."""
+
+    def __init__(self, rate_hz: int) -> None:
+        self.rate_hz = rate_hz
+        self.period_s = 1.0 / rate_hz
+
+    def ns(self, tick: int) -> int:
+        """Time of a tick, ns, cut to a whole number."""
+        return tick * NS_PER_S // self.rate_hz
+
+    def ms(self, tick: int) -> int:
+        """Time of a tick, ms, to the nearest: for rates that do not divide 1000 ticks are 1 ms uneven."""
+        return (2000 * tick + self.rate_hz) // (2 * self.rate_hz)
+
+    def count(self, duration_s: float | None) -> int | None:
+        """Number of ticks in a duration; None for no end."""
+        return None if duration_s is None else max(1, round(duration_s * self.rate_hz))
+
+
+def wait_until(
+    done: Callable[[], bool],
+    stop: StopSignal,
+    timeout_s: float,
+    *,
+    pause_s: float = _PAUSE_S,
+    yields: int = 0,
+) -> bool:
+    """Look again and again until it is so, a signal came, or the time is over.
+
+    Zenoh's handlers cannot be waited on with a time limit, so this polls: first without sleeping, for what
+    is due any moment, then with short sleeps.
+
+    Args:
+        done: what is waited for.
+        stop: ends the wait.
+        timeout_s: wall time.
+        pause_s: sleep between two looks.
+        yields: looks that only give up the processor, before the first sleep.
+
+    Returns:
+        False only when the time is over; look at ``stop`` after True.
+    """
+    if done() or stop.is_set:
+        return True
+    deadline_s = time.monotonic() + timeout_s
+    looks = 0
+    while time.monotonic() < deadline_s:
+        looks += 1
+        time.sleep(0.0 if looks <= yields else pause_s)
+        if done() or stop.is_set:
+            return True
+    return False

@@ -1,0 +1,72 @@
+"""Compiles the functions that run every millisecond (numba), and says where the machine code is kept.
+
+With ``NUMBA_DISABLE_JIT=1`` the same functions run as plain Python, and numba is not even loaded. No
+fast-math: operations keep the order in which they are written, so that a run is the same bits every time.
+
+numba looks only at the file of a compiled function to see whether its cached machine code is good, not at
+what that function calls. The cache directory therefore carries a hash of all the sources.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TypeVar, cast
+
+from bridge import frames
+from flightstack.core.safety import barrier
+
+F = TypeVar("F", bound=Callable[..., object])
+
+HERE = Path(__file__).parent
+# rooms of the simulator whose functions are compiled
+ROOMS = ("compiled", "plant", "world", "firmware", "vehicle", "robot")
+OFF = "NUMBA_DISABLE_JIT"  # numba's own switch
+
+
+def is_off() -> bool:
+    """Whether this process runs everything as plain Python."""
+    return os.environ.get(OFF, "0") not in ("", "0")
+
+
+def _fingerprint() -> str:
+    """Hash of every source that compiled code can come from."""
+    digest = hashlib.sha256()
+    shared = [Path(barrier.__file__), Path(frames.__file__)]
+    rooms = [path for room in ROOMS for path in sorted((HERE.parent / room).glob("*.py"))]
+    for path in [*shared, *rooms]:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _usable(directory: Path) -> bool:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(directory, os.W_OK | os.X_OK)
+
+
+@cache
+def cache_directory() -> Path | None:
+    """Directory for machine code: next to the sources, else the user's cache; None if none is writable."""
+    name = f"jit-{_fingerprint()}"
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    roots = [Path(chosen)] if chosen else [HERE / "__pycache__", Path("~/.cache/flightstack").expanduser()]
+    return next((root / name for root in roots if _usable(root / name)), None)
+
+
+def jitted(function: F) -> F:
+    """Compile ``function`` when it is first called; the machine code is cached on disk if possible."""
+    if is_off():
+        return function
+    from numba import config, njit  # half a second, and as much again when the first machine code is loaded
+
+    directory = cache_directory()
+    if directory is None:
+        return cast(F, njit(function))
+    config.CACHE_DIR = str(directory)
+    return cast(F, njit(cache=True)(function))

@@ -1,0 +1,1 @@
+"""Injected faults and who carries them out."""

@@ -1,0 +1,114 @@
+"""MAV_CMD_INJECT_FAILURE: MAVLink's failure units and types in terms of our faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from sim.scenarios.fault_spec import Fault
+from sim.scenarios.fault_table import Kind, What
+
+MOTORS = (1, 2, 3, 4)
+OK: int = dialect.FAILURE_TYPE_OK
+
+Make = Callable[[tuple[int, ...]], list[Fault]]  # from motor numbers
+
+_OFFSET_M = (0.3, 0.0, 0.0)  # of a wrong position
+
+
+def _motors(kind: Kind) -> Make:
+    return lambda motors: [Fault(What.MOTOR, kind, motor=motor) for motor in motors]
+
+
+def _mocap(kind: Kind) -> Make:
+    offset_m = _OFFSET_M if kind is Kind.WRONG else None
+    return lambda _: [Fault(What.MOCAP, kind, offset_m=offset_m)]
+
+
+def _link(*kinds: Kind) -> Make:
+    return lambda _: [Fault(what, kind) for kind in kinds for what in (What.LINK_OUT, What.LINK_IN)]
+
+
+_D = dialect
+_POSITION: dict[int, Make] = {
+    _D.FAILURE_TYPE_OFF: _mocap(Kind.OFF),
+    _D.FAILURE_TYPE_STUCK: _mocap(Kind.STUCK),
+    _D.FAILURE_TYPE_GARBAGE: _mocap(Kind.GARBAGE),
+    _D.FAILURE_TYPE_WRONG: _mocap(Kind.WRONG),
+    _D.FAILURE_TYPE_SLOW: _mocap(Kind.SLOW),
+    _D.FAILURE_TYPE_DELAYED: _mocap(Kind.DELAYED),
+    _D.FAILURE_TYPE_INTERMITTENT: _mocap(Kind.INTERMITTENT),
+}
+# unit and type (but OK) to faults, with the defaults of the table
+FAILURES: dict[int, dict[int, Make]] = {
+    _D.FAILURE_UNIT_SENSOR_GPS: _POSITION,
+    _D.FAILURE_UNIT_SENSOR_VIO: _POSITION,
+    _D.FAILURE_UNIT_SYSTEM_MOTOR: {
+        _D.FAILURE_TYPE_OFF: _motors(Kind.DEAD),
+        _D.FAILURE_TYPE_STUCK: _motors(Kind.STUCK),
+        _D.FAILURE_TYPE_WRONG: _motors(Kind.WEAK),
+    },
+    _D.FAILURE_UNIT_SYSTEM_BATTERY: {
+        _D.FAILURE_TYPE_OFF: lambda _: [Fault(What.BATTERY, Kind.OFF)],
+        _D.FAILURE_TYPE_WRONG: lambda _: [Fault(What.BATTERY, Kind.DROP)],
+    },
+    _D.FAILURE_UNIT_SYSTEM_MAVLINK_SIGNAL: {
+        _D.FAILURE_TYPE_OFF: _link(Kind.OFF),
+        _D.FAILURE_TYPE_STUCK: _link(Kind.STUCK),
+        _D.FAILURE_TYPE_GARBAGE: _link(Kind.GARBAGE),
+        _D.FAILURE_TYPE_WRONG: _link(Kind.REORDER, Kind.DUPLICATE),
+        _D.FAILURE_TYPE_SLOW: _link(Kind.SLOW),
+        _D.FAILURE_TYPE_DELAYED: _link(Kind.DELAYED),
+        _D.FAILURE_TYPE_INTERMITTENT: _link(Kind.INTERMITTENT),
+    },
+}
+# what FAILURE_TYPE_OK heals
+PARTS: dict[int, frozenset[What]] = {
+    _D.FAILURE_UNIT_SENSOR_GPS: frozenset({What.MOCAP}),
+    _D.FAILURE_UNIT_SENSOR_VIO: frozenset({What.MOCAP}),
+    _D.FAILURE_UNIT_SYSTEM_MOTOR: frozenset({What.MOTOR}),
+    _D.FAILURE_UNIT_SYSTEM_BATTERY: frozenset({What.BATTERY}),
+    _D.FAILURE_UNIT_SYSTEM_MAVLINK_SIGNAL: frozenset({What.LINK_OUT, What.LINK_IN}),
+}
+
+
+def _names(prefix: str) -> dict[int, str]:
+    found = {k: v for k, v in vars(dialect).items() if k.startswith(prefix) and not k.endswith("_ENUM_END")}
+    return {number: name.removeprefix(prefix) for name, number in found.items()}
+
+
+UNITS = _names("FAILURE_UNIT_")
+TYPES = _names("FAILURE_TYPE_")
+
+
+def motors_of(unit: int, instance: int) -> tuple[int, ...] | str:
+    """Motors that are meant (none for other units), or why there is no such instance."""
+    if unit != dialect.FAILURE_UNIT_SYSTEM_MOTOR:
+        if instance in (0, 1):
+            return ()
+        return f"{UNITS[unit]}: found instance {instance}, allowed: 0 or 1"
+    if instance == 0:
+        return MOTORS
+    return (instance,) if instance in MOTORS else f"{UNITS[unit]}: found instance {instance}, allowed: 0 to 4"
+
+
+def faults_of(unit: int, kind: int, instance: int) -> list[Fault] | str:
+    """Faults that a failure means (none for OK), or why it is not simulated.
+
+    Args:
+        unit: FAILURE_UNIT.
+        kind: FAILURE_TYPE.
+        instance: 0 all, else which one, from 1.
+    """
+    if unit not in FAILURES:
+        names = ", ".join(UNITS[u] for u in FAILURES)
+        return f"failure unit {UNITS.get(unit, unit)} is not simulated; these are: {names}"
+    kinds = FAILURES[unit]
+    if kind != OK and kind not in kinds:
+        names = ", ".join(["OK", *(TYPES[k] for k in kinds)])
+        return f"{UNITS[unit]}: failure type {TYPES.get(kind, kind)} is not simulated; these are: {names}"
+    motors = motors_of(unit, instance)
+    if isinstance(motors, str) or kind == OK:
+        return motors if isinstance(motors, str) else []
+    return kinds[kind](motors)

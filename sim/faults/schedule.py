@@ -1,0 +1,123 @@
+"""When faults begin and end; the same for the vehicle and for the robot."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from sim.plant.sensors import NEVER_NS, NS, stream
+from sim.scenarios.fault_spec import After, Fault
+
+RUNNING_MAX = 64  # faults at a time; more by command are refused
+
+
+@dataclass(slots=True, eq=False)
+class Running:
+    """A fault and what belongs to it; each has a random stream of its own."""
+
+    fault: Fault
+    rng: np.random.Generator
+    start_ns: int = NEVER_NS
+    end_ns: int = NEVER_NS
+    active: bool = False
+    over: bool = False
+
+
+class Change(NamedTuple):
+    """A fault begins (``running.active``) or ends."""
+
+    running: Running
+    begins: bool
+
+
+class FaultText(NamedTuple):
+    """A fault has begun or ended."""
+
+    begins: bool
+    text: str
+
+    def __str__(self) -> str:
+        return f"Fault: {self.text}" if self.begins else f"Fault over: {self.text}"
+
+
+@dataclass(slots=True)
+class Schedule:
+    """Begin and end of all faults; times are simulated, integer ns.
+
+    Attributes:
+        next_ns: when something is due.
+    """
+
+    seed: int
+    next_ns: int = NEVER_NS
+    _waiting: list[Running] = field(default_factory=list)  # for their reference
+    _due: list[tuple[int, int, bool, Running]] = field(default_factory=list)
+    _active: list[Running] = field(default_factory=list)
+    _added: int = 0  # names the random streams
+    _planned: int = 0  # orders what is due at the same time
+
+    def add(self, faults: Iterable[Fault], now_ns: int = 0) -> None:
+        """Take faults; those after ``time`` count from zero, others wait for ``refer``."""
+        for fault in faults:
+            rng = stream(self.seed, f"fault.{self._added}.{fault.what.value}.{fault.kind.value}")
+            self._added += 1
+            running = Running(fault, rng)
+            if fault.after is After.TIME:
+                self._plan(running, max(now_ns, round(fault.start_s * NS)))
+            else:
+                self._waiting.append(running)
+
+    @property
+    def active(self) -> tuple[Running, ...]:
+        """Faults that are on, in the order of their beginning."""
+        return tuple(self._active)
+
+    def waits_for(self, after: After) -> bool:
+        """Whether a fault waits for this."""
+        return any(running.fault.after is after for running in self._waiting)
+
+    def refer(self, after: After, now_ns: int) -> None:
+        """It has happened: faults that waited for it are planned from now on."""
+        ready = [r for r in self._waiting if r.fault.after is after]
+        self._waiting = [r for r in self._waiting if r.fault.after is not after]
+        for running in ready:
+            self._plan(running, now_ns + round(running.fault.start_s * NS))
+
+    def due(self, now_ns: int) -> list[Change]:
+        """Take what begins and ends by now, in order of time."""
+        changes = []
+        while self._due and self._due[0][0] <= now_ns:
+            _, _, begins, running = heapq.heappop(self._due)
+            if not running.over:  # healed before
+                changes.append(self._begin(running) if begins else self._end(running))
+        self.next_ns = self._due[0][0] if self._due else NEVER_NS
+        return changes
+
+    def heal(self, running: Running) -> Change:
+        """End a fault that is on, now."""
+        return self._end(running)
+
+    def _plan(self, running: Running, start_ns: int) -> None:
+        running.start_ns = start_ns
+        duration_s = running.fault.duration_s
+        self._planned += 1
+        order = self._planned
+        heapq.heappush(self._due, (start_ns, order, True, running))
+        if duration_s is not None:
+            running.end_ns = start_ns + round(duration_s * NS)
+            heapq.heappush(self._due, (running.end_ns, order, False, running))
+        self.next_ns = self._due[0][0]
+
+    def _begin(self, running: Running) -> Change:
+        running.active = True
+        self._active.append(running)
+        return Change(running, begins=True)
+
+    def _end(self, running: Running) -> Change:
+        running.active, running.over = False, True
+        self._active.remove(running)
+        return Change(running, begins=False)

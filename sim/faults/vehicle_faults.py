@@ -1,0 +1,150 @@
+"""All faults of one vehicle: carried out on time, injected and healed on demand, and told.
+
+Nothing here runs unless a fault begins, ends or is on: the compiled loop knows of two numbers a motor only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from typing import Protocol
+
+from flightstack.core.types import Vec3
+from sim.faults.battery import BatteryFaults
+from sim.faults.link import CONCERNS, LinkFaults
+from sim.faults.mavlink import OK, PARTS, faults_of, motors_of
+from sim.faults.motors import MotorFaults
+from sim.faults.own_state import OwnStateFaults
+from sim.faults.samples import SampleFaults, Shape
+from sim.faults.schedule import RUNNING_MAX, Change, FaultText, Running, Schedule
+from sim.scenarios.fault_spec import After, Fault
+from sim.scenarios.fault_table import What
+
+TEXTS_MAX = 256  # that nobody has asked for yet; the oldest are forgotten
+
+MocapSample = tuple[float, ...]  # x, y, z (ENU, m), yaw (rad)
+
+
+class Effect(Protocol):
+    """Carries out the faults of some part."""
+
+    def begin(self, running: Running) -> None:
+        """A fault is on."""
+
+    def end(self, running: Running, now_ns: int) -> None:
+        """It is over."""
+
+
+def _move_mocap(sample: MocapSample, offset: Vec3, turn: float) -> MocapSample:
+    x, y, z, yaw = sample
+    return (x + offset[0], y + offset[1], z + offset[2], math.remainder(yaw + turn, math.tau))
+
+
+MOCAP: Shape[MocapSample] = Shape(_move_mocap, lambda first, _: first)
+
+
+class Faults:
+    """Schedule and effects.
+
+    Attributes:
+        mocap: motion capture on its way into the estimator.
+        own_state: the estimate on its way to the autopilot.
+        link: MAVLink wire; for the process that owns it.
+        quiet: there never was a fault, nor is one planned; then nobody has to ask.
+
+    Args:
+        faults: of the scenario; those of the robot are not for us.
+        seed: of the run.
+        motors: carries out faults of motors.
+        battery: carries out faults of the battery.
+    """
+
+    def __init__(
+        self, faults: Iterable[Fault], seed: int, motors: MotorFaults, battery: BatteryFaults
+    ) -> None:
+        self._schedule = Schedule(seed)
+        ours = [fault for fault in faults if not fault.of_the_robot]
+        self._schedule.add(ours)
+        self.quiet = not ours
+        self.mocap = SampleFaults(MOCAP)
+        self.own_state = OwnStateFaults()
+        self.link = LinkFaults()
+        self._effects: dict[What, Effect] = {
+            What.MOTOR: motors,
+            What.BATTERY: battery,
+            What.MOCAP: self.mocap,
+            What.OWN_STATE: self.own_state,
+            **dict.fromkeys(CONCERNS, self.link),
+        }
+        self._texts: deque[FaultText] = deque(maxlen=TEXTS_MAX)
+
+    @property
+    def next_ns(self) -> int:
+        """When anything is due: a beginning, an end, a sample that was held back or is to be taken."""
+        return min(self._schedule.next_ns, self.mocap.release_ns, self.own_state.due_ns)
+
+    @property
+    def waits_for_takeoff(self) -> bool:
+        """Whether somebody has to tell when the vehicle takes off."""
+        return self._schedule.waits_for(After.TAKEOFF)
+
+    def took_off(self, now_ns: int) -> None:
+        """The vehicle flies for the first time."""
+        self._schedule.refer(After.TAKEOFF, now_ns)
+
+    def run(self, now_ns: int) -> None:
+        """Begin and end what is due."""
+        for change in self._schedule.due(now_ns):
+            self._apply(change, now_ns)
+
+    def inject(self, unit: int, kind: int, instance: int, now_ns: int) -> str | None:
+        """Carry out MAV_CMD_INJECT_FAILURE; None when done, else why not.
+
+        Args:
+            unit: FAILURE_UNIT.
+            kind: FAILURE_TYPE; OK heals what is on, scenario's faults too.
+            instance: 0 all, else which one, from 1.
+            now_ns: simulated time.
+        """
+        found = faults_of(unit, kind, instance)
+        if isinstance(found, str):
+            return found
+        if kind == OK:
+            self._heal(unit, instance, now_ns)
+            return None
+        active = {running.fault for running in self._schedule.active}
+        fresh = [fault for fault in found if fault not in active]  # asked again: done already
+        if len(active) + len(fresh) > RUNNING_MAX:
+            return f"{len(active)} faults are on, at most {RUNNING_MAX} are possible; heal some"
+        self.fail(fresh, now_ns)
+        return None
+
+    def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
+        """Begin faults now, those after ``time`` at least."""
+        self.quiet = False
+        self._schedule.add(faults, now_ns)
+        self.run(now_ns)
+
+    def take_texts(self) -> list[FaultText]:
+        """What has begun and ended since the last call."""
+        texts = list(self._texts)
+        self._texts.clear()
+        return texts
+
+    def _heal(self, unit: int, instance: int, now_ns: int) -> None:
+        motors = motors_of(unit, instance)
+        for running in self._schedule.active:
+            fault = running.fault
+            meant = fault.what in PARTS[unit] and (fault.motor is None or fault.motor in motors)
+            if meant and fault.cell.healable:
+                self._apply(self._schedule.heal(running), now_ns)
+
+    def _apply(self, change: Change, now_ns: int) -> None:
+        running, begins = change
+        effect = self._effects[running.fault.what]
+        if begins:
+            effect.begin(running)
+        else:
+            effect.end(running, now_ns)
+        self._texts.append(FaultText(begins, running.fault.text))

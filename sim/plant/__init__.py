@@ -1,0 +1,1 @@
+"""The vehicle's physics: parameters, battery, rotors, wind, ground effect, sensors."""

@@ -1,0 +1,110 @@
+"""Thrust gain close to a surface: Cheeseman and Bennett 1955, T/T0 = 1 / (1 - (R/4h)^2), per rotor.
+
+``gain`` multiplies the increase: measurements on small quadrotors lie 1 to 4 times above the formula
+(Sanchez-Cuevas 2017). Heights below 20 mm count as 20 mm; the effect fades out between 3 R and 4 R. A rotor
+over the edge of the pad gets the share of its disc that is over the pad, linear across its diameter.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Record, new
+from sim.compiled.rotation import Nine
+from sim.plant.params import Rotor
+from sim.plant.rotors import POSITION_X, POSITION_Y, Four
+
+HEIGHT_MIN_M = 0.020
+UPRIGHT_COS = 0.5  # tilted by more than 60 degrees: no cushion
+
+
+class GroundRecord(Record):
+    """Sizes in m."""
+
+    radius: float
+    arm: float
+    above: float  # rotor plane above the centre of mass
+    gain: float
+    pad_radius: float
+    reach: float  # of the effect from the centre of mass, whatever the tilt
+
+
+@jitted
+def thrust_increase(g: GroundRecord, height_m: float) -> float:
+    """Return T/T0 - 1 of one rotor whose disc is ``height_m`` above a wide surface."""
+    if height_m >= 4.0 * g.radius or height_m < -HEIGHT_MIN_M:
+        return 0.0
+    ratio = g.radius / (4.0 * max(height_m, HEIGHT_MIN_M))
+    square = ratio * ratio
+    fade = min(1.0, 4.0 - height_m / g.radius)
+    return g.gain * square / (1.0 - square) * fade * fade * (3.0 - 2.0 * fade)
+
+
+@jitted
+def ground_effect(
+    g: GroundRecord, ex: float, ey: float, ez: float, pad_height_m: float, axes: Nine, factors: F64
+) -> None:
+    """Compute the factors on the four thrusts, 1 when nothing is near.
+
+    Args:
+        g: sizes.
+        ex: vehicle minus pad centre, east, m.
+        ey: the same, north.
+        ez: the same, up.
+        pad_height_m: height of the pad above the floor.
+        axes: body x, y and z axis in the world, nine numbers.
+        factors: the result.
+    """
+    factors[:] = 1.0
+    height = ez + pad_height_m
+    outer = g.pad_radius + g.reach
+    over_pad = ez < g.reach and ex * ex + ey * ey < outer * outer
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = axes
+    if (not over_pad and height >= g.reach) or zz < UPRIGHT_COS:
+        return
+    for i in range(4):
+        a, b = POSITION_X[i] * g.arm, POSITION_Y[i] * g.arm
+        rz = ez + a * xz + b * yz + g.above * zz
+        increase = thrust_increase(g, rz + pad_height_m)
+        if over_pad and rz > 0.0:
+            rx = ex + a * xx + b * yx + g.above * zx
+            ry = ey + a * xy + b * yy + g.above * zy
+            inside = 0.5 + (g.pad_radius - math.sqrt(rx * rx + ry * ry)) / (2.0 * g.radius)
+            share = min(1.0, max(0.0, inside))
+            increase = share * thrust_increase(g, rz) + (1.0 - share) * increase
+        factors[i] = 1.0 + increase
+
+
+class GroundEffect:
+    """The effect for one vehicle and pad.
+
+    Args:
+        rotor: geometry.
+        gain: on the formula's increase.
+        pad_radius_m: of the round pad.
+        record: where to keep everything; None for a place of its own.
+    """
+
+    __slots__ = ("record",)
+
+    def __init__(
+        self, rotor: Rotor, gain: float, pad_radius_m: float, record: GroundRecord | None = None
+    ) -> None:
+        self.record = g = new(GroundRecord) if record is None else record
+        g.radius, g.arm, g.above = rotor.radius_m, rotor.arm_m, rotor.above_com_m
+        g.gain, g.pad_radius = gain, pad_radius_m
+        g.reach = 4.0 * rotor.radius_m + rotor.arm_m + rotor.above_com_m
+
+    def increase(self, height_m: float) -> float:
+        """Return T/T0 - 1 of one rotor whose disc is ``height_m`` above a wide surface."""
+        return thrust_increase(self.record, height_m)
+
+    def factors(self, ex: float, ey: float, ez: float, pad_height_m: float, axes: Nine) -> Four:
+        """Factors on the four thrusts; see ``ground_effect``."""
+        out = np.empty(4)
+        ground_effect(self.record, ex, ey, ez, pad_height_m, axes, out)
+        m1, m2, m3, m4 = out.tolist()
+        return (m1, m2, m3, m4)

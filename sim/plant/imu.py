@@ -1,0 +1,126 @@
+"""Gyro and accelerometer: bias drawn from the seed, white noise, first-order filter, at the control rate.
+
+The filters have the group delay of the firmware's second-order Butterworth filters, sqrt(2) / (2 pi f).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from flightstack.core.types import Vec3
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Record, Vector, new
+from sim.compiled.rotation import Nine
+from sim.plant.params import Imu as ImuParams
+from sim.plant.sensors import Tape, TapeRecord, stream, take
+
+
+class ImuRecord(Record):
+    """Readings and what they are made of; body FLU, SI."""
+
+    gyro: Vector  # rad/s
+    accel: Vector  # specific force, m/s^2
+    velocity: Vector  # true, at the last measurement; world
+    gyro_bias: Vector
+    accel_bias: Vector
+    gyro_sigma: float  # white noise per measurement
+    accel_sigma: float
+    gyro_gain: float  # of the filters
+    accel_gain: float
+    per_step: float  # 1 / (time between measurements)
+    gravity: float
+    noise: TapeRecord
+
+
+@jitted
+def measure(imu: ImuRecord, velocity: F64, rates: F64, axes: Nine) -> None:
+    """Measure: mean acceleration since the last call, and the rates now.
+
+    Args:
+        imu: changed in place; takes six numbers from its tape.
+        velocity: true velocity, world, m/s.
+        rates: true body rates, rad/s.
+        axes: true body axes.
+    """
+    old, per_step = imu.velocity, imu.per_step
+    ax, ay = (velocity[0] - old[0]) * per_step, (velocity[1] - old[1]) * per_step
+    az = (velocity[2] - old[2]) * per_step + imu.gravity
+    old[0], old[1], old[2] = velocity[0], velocity[1], velocity[2]
+    for i in range(3):
+        x, y, z = axes[3 * i], axes[3 * i + 1], axes[3 * i + 2]
+        felt = x * ax + y * ay + z * az + imu.accel_bias[i] + imu.accel_sigma * take(imu.noise)
+        imu.accel[i] += imu.accel_gain * (felt - imu.accel[i])
+    for i in range(3):
+        felt = rates[i] + imu.gyro_bias[i] + imu.gyro_sigma * take(imu.noise)
+        imu.gyro[i] += imu.gyro_gain * (felt - imu.gyro[i])
+
+
+class Imu:
+    """One IMU.
+
+    Attributes:
+        accel_bias: the bias drawn, m/s^2.
+
+    Args:
+        imu: noise, biases, filters.
+        gravity_m_s2: of the place.
+        step_s: time between calls of ``measure``.
+        seed: of the run.
+        record: where to keep everything; None for a place of its own.
+    """
+
+    __slots__ = ("_accel", "_gyro", "_tape", "accel_bias", "record")
+
+    def __init__(
+        self,
+        imu: ImuParams,
+        gravity_m_s2: float,
+        step_s: float,
+        seed: int,
+        record: ImuRecord | None = None,
+    ) -> None:
+        self.record = r = new(ImuRecord) if record is None else record
+        self._gyro, self._accel = r.gyro, r.accel
+        rng = stream(seed, "imu.bias")
+        r.gyro_bias[:] = imu.gyro_bias_rad_s * rng.standard_normal(3)
+        r.accel_bias[:] = imu.accel_bias_m_s2 * rng.standard_normal(3)
+        self.accel_bias: list[float] = r.accel_bias.tolist()
+        band = math.sqrt(0.5 / step_s)  # white noise of density n has n * sqrt(rate / 2) per sample
+        r.gyro_sigma = imu.gyro_noise_rad_s_sqrthz * band
+        r.accel_sigma = imu.accel_noise_m_s2_sqrthz * band
+        r.gyro_gain = -math.expm1(-step_s * math.sqrt(2.0) * math.pi * imu.gyro_filter_hz)
+        r.accel_gain = -math.expm1(-step_s * math.sqrt(2.0) * math.pi * imu.accel_filter_hz)
+        r.per_step = 1.0 / step_s
+        r.gravity = gravity_m_s2
+        r.accel[2] = gravity_m_s2
+        self._tape = Tape(seed, "imu.noise", r.noise)
+
+    def settle(self, velocity: Vec3, specific_force: Vec3) -> None:
+        """Start as if it had measured this for long (specific force in the body frame)."""
+        r = self.record
+        r.velocity[:] = velocity
+        r.accel[:] = np.array(specific_force) + r.accel_bias
+        r.gyro[:] = r.gyro_bias
+
+    def top_up(self) -> None:
+        """Draw noise for at least 170 measurements."""
+        self._tape.top_up()
+
+    def measure(self, velocity: Vec3, rates: Vec3, axes: Nine) -> None:
+        """Do one ``measure``."""
+        self.top_up()
+        measure(self.record, np.array(velocity), np.array(rates), axes)
+
+    @property
+    def gyro(self) -> Vec3:
+        """Rates read, rad/s, body FLU."""
+        x, y, z = self._gyro.tolist()
+        return (x, y, z)
+
+    @property
+    def accel(self) -> Vec3:
+        """Specific force read, m/s^2, body FLU."""
+        x, y, z = self._accel.tolist()
+        return (x, y, z)

@@ -1,0 +1,183 @@
+"""Numbers of a simulated vehicle, from its TOML file, and what the seed spreads of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+from flightstack.common.strict_toml import from_table, read_toml
+from flightstack.core.types import Vec3
+from sim.plant.sensors import stream
+from sim.scenarios.scenario import Airframe, VehicleSpec
+
+STEP_S = 0.001  # physics step
+CONTROL_STEP_S = 0.002  # firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Rigid body."""
+
+    mass_kg: float
+    inertia_kg_m2: Vec3
+    drag_n_s_m: Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class Rotor:
+    """One motor with its propeller."""
+
+    arm_m: float
+    above_com_m: float
+    radius_m: float
+    thrust_linear_n_rpm: float
+    thrust_square_n_rpm2: float
+    torque_linear_n_m_rpm: float
+    torque_square_n_m_rpm2: float
+    inertia_kg_m2: float
+    thrust_max_n: float
+    thrust_min_n: float
+    lag_s: float
+    slow_rise_1_s: float
+    slow_fall_1_rpm_s: float
+
+    def thrust_n(self, rpm: float) -> float:
+        """Static thrust of one rotor."""
+        return max(0.0, (self.thrust_linear_n_rpm + self.thrust_square_n_rpm2 * rpm) * rpm)
+
+    def rpm(self, thrust_n: float) -> float:
+        """Rotor speed that gives this static thrust (inverse of ``thrust_n``); 0 for no thrust."""
+        if thrust_n <= 0.0:
+            return 0.0
+        a, b = self.thrust_square_n_rpm2, self.thrust_linear_n_rpm
+        return float((-b + (b * b + 4.0 * a * thrust_n) ** 0.5) / (2.0 * a))
+
+
+@dataclass(frozen=True, slots=True)
+class Battery:
+    """LiPo cell: straight discharge curve and a resistance."""
+
+    charge_a_s: float
+    full_v: float
+    empty_v: float
+    resistance_ohm: float
+    idle_current_a: float
+    hover_current_a: float
+    speed_at_zero_v_rpm: float
+    speed_per_volt_rpm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """Contact shapes of the vehicle, body frame."""
+
+    foot_offset_m: float
+    foot_radius_m: float
+    foot_bottom_m: float
+    body_half_size_m: Vec3
+    body_centre_z_m: float
+    propeller_half_thickness_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """Shapes of the ground robot."""
+
+    body_length_m: float
+    body_width_m: float
+    body_height_m: float
+    ground_clearance_m: float
+    body_centre_behind_axle_m: float
+    lidar_radius_m: float
+    lidar_top_m: float
+    pad_thickness_m: float
+    wheel_half_track_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Contact model."""
+
+    friction: float
+    time_constant_s: float
+    gravity_m_s2: float
+
+
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """Noise densities (one-sided), biases (standard deviation over vehicles) and filters."""
+
+    gyro_noise_rad_s_sqrthz: float
+    gyro_bias_rad_s: float
+    gyro_filter_hz: float
+    accel_noise_m_s2_sqrthz: float
+    accel_bias_m_s2: float
+    accel_filter_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class WindShape:
+    """Correlation times of gusts and the vertical share."""
+
+    horizontal_time_s: float
+    vertical_time_s: float
+    vertical_share: float
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityGains:
+    """Gains of the PID loop from velocity to degrees of tilt, and to thousands of thrust counts.
+
+    Defaults: Crazyflie firmware, platform_defaults_cf2.h, PID_VEL_X and PID_VEL_Z.
+    """
+
+    xy_p: float = 25.0
+    xy_i: float = 1.0
+    z_p: float = 25.0
+    z_i: float = 15.0
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """Everything in a vehicle's file."""
+
+    body: Body
+    rotor: Rotor
+    battery: Battery
+    geometry: Geometry
+    robot: Robot
+    contact: Contact
+    imu: Imu
+    wind: WindShape
+    velocity_gains: VelocityGains = field(default_factory=VelocityGains)
+
+
+@dataclass(frozen=True, slots=True)
+class Plant:
+    """Factors by which this vehicle differs from the nominal one; the firmware does not know them."""
+
+    mass: float = 1.0
+    motor_lag: float = 1.0
+    thrust: float = 1.0
+
+    @classmethod
+    def draw(cls, spec: VehicleSpec, seed: int) -> Plant:
+        """Draw from uniform distributions of the scenario's half-widths."""
+        mass, lag, thrust = stream(seed, "plant").uniform(-1.0, 1.0, 3).tolist()
+        return cls(
+            1.0 + spec.mass_spread * mass,
+            1.0 + spec.motor_lag_spread * lag,
+            1.0 + spec.thrust_spread * thrust,
+        )
+
+
+@cache
+def load(airframe: Airframe = Airframe.CRAZYFLIE20) -> Params:
+    """Read the parameter file of a vehicle that comes with the package.
+
+    Raises:
+        ConfigError: an unknown, missing or ill-typed key.
+    """
+    return from_table(Params, read_toml(Path(str(resources.files("sim.plant") / f"{airframe.value}.toml"))))

@@ -1,0 +1,220 @@
+"""Measurements on their way (noise, loss, delay), and seeded random streams."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections import deque
+from collections.abc import Sequence
+from operator import add
+from typing import Annotated
+
+import numpy as np
+
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Record, cell
+from sim.scenarios.scenario import OdometryLink
+
+NS = 1_000_000_000
+NS_PER_MS = 1_000_000
+NEVER_NS = 1 << 62
+NO_NOISE = -0.0  # which leaves also a zero as it is
+BLOCK = 1024  # numbers drawn at a time; single draws from numpy cost twenty times as much
+
+
+def stream(seed: int, purpose: str) -> np.random.Generator:
+    """Random stream of one purpose. Streams of different purposes are independent, whatever others draw."""
+    return np.random.default_rng(np.random.SeedSequence([seed & (1 << 64) - 1, zlib.crc32(purpose.encode())]))
+
+
+def ms_from(time_ns: int) -> int:
+    """First whole millisecond that is not earlier."""
+    return -(-time_ns // NS_PER_MS)
+
+
+class Normals:
+    """Standard normal numbers, drawn in blocks."""
+
+    __slots__ = ("_left", "_rng")
+
+    def __init__(self, seed: int, purpose: str) -> None:
+        self._rng = stream(seed, purpose)
+        self._left: list[float] = []
+
+    def block(self) -> F64:
+        """Draw the next ``BLOCK`` numbers, in the order of use."""
+        return self._rng.standard_normal(BLOCK)[::-1]
+
+    def take(self) -> float:
+        """Return the next number."""
+        if not self._left:
+            self._left = self.block()[::-1].tolist()
+        return self._left.pop()
+
+
+class NoiseRows:
+    """Noise for samples of several values: the numbers of ``Normals``, one for each value that is noisy.
+
+    Args:
+        sigmas: standard deviation for each value.
+        seed: of the run.
+        purpose: name of the random stream.
+    """
+
+    __slots__ = ("_left", "_noisy", "_normals", "_sigmas")
+
+    def __init__(self, sigmas: Sequence[float], seed: int, purpose: str) -> None:
+        self._sigmas = np.array(sigmas, dtype=np.float64)
+        self._noisy = self._sigmas != 0.0
+        self._normals = Normals(seed, purpose)
+        self._left: list[list[float]] = []
+
+    def take(self) -> list[float]:
+        """Noise for the values of the next sample."""
+        if not self._left:
+            self._left = self.block()[::-1].tolist()
+        return self._left.pop()
+
+    def block(self) -> F64:
+        """Noise for the next samples, one a row, in the order of use: as few as fill whole blocks."""
+        width = int(self._noisy.sum())
+        if width == 0:
+            return np.full((BLOCK, len(self._sigmas)), NO_NOISE)
+        blocks = [self._normals.block() for _ in range(width // math.gcd(width, BLOCK))]
+        numbers = np.concatenate(blocks).reshape(-1, width)
+        rows = np.full((len(numbers), len(self._sigmas)), NO_NOISE)
+        rows[:, self._noisy] = self._sigmas[self._noisy] * numbers
+        return rows
+
+
+class TapeRecord(Record):
+    """Normal numbers drawn ahead for compiled code, in the order of use."""
+
+    numbers: Annotated[F64, 2 * BLOCK]
+    next: int
+
+
+@jitted
+def take(tape: TapeRecord) -> float:
+    """Return the next number; there must be one (``Tape.top_up``)."""
+    tape.next += 1
+    return float(tape.numbers[tape.next - 1])
+
+
+class Tape:
+    """The numbers of ``Normals`` for compiled code, which cannot draw its own."""
+
+    __slots__ = ("_next", "_normals", "_numbers")
+
+    def __init__(self, seed: int, purpose: str, record: TapeRecord) -> None:
+        self._normals = Normals(seed, purpose)
+        self._next, self._numbers = cell(record)["next"], record.numbers
+        self._numbers[:BLOCK] = self._normals.block()
+        self._numbers[BLOCK:] = self._normals.block()
+
+    def top_up(self) -> None:
+        """See to it that at least ``BLOCK`` numbers are left."""
+        if self._next[0] >= BLOCK:
+            self._numbers[:BLOCK] = self._numbers[BLOCK:]
+            self._numbers[BLOCK:] = self._normals.block()
+            self._next -= BLOCK
+
+
+class Losses:
+    """Which samples of a link never come: some by chance, and all within a drop-out.
+
+    Drop-outs begin as a Poisson process of mean distance ``dropout_every_s`` and last uniformly up to
+    ``dropout_max_s``.
+
+    Args:
+        link: loss and drop-outs.
+        seed: of the run.
+        purpose: name of the random stream.
+    """
+
+    __slots__ = ("_chances", "_drop_end_ns", "_drop_start_ns", "_link", "_rng")
+
+    def __init__(self, link: OdometryLink, seed: int, purpose: str) -> None:
+        self._link = link
+        self._rng = stream(seed, purpose)
+        self._chances: list[float] = []  # drawn ahead, the last one to be used first
+        self._drop_start_ns = self._drop_end_ns = NEVER_NS
+        if link.dropout_every_s > 0.0 and link.dropout_max_s > 0.0:
+            self._draw_dropout(0)
+
+    def _draw_dropout(self, after_ns: int) -> None:
+        self._drop_start_ns = after_ns + round(self._rng.exponential(self._link.dropout_every_s) * NS)
+        self._drop_end_ns = self._drop_start_ns + round(self._rng.uniform(0.0, self._link.dropout_max_s) * NS)
+
+    @property
+    def possible(self) -> bool:
+        """Whether any sample can be lost."""
+        return self._link.loss > 0.0 or self._drop_start_ns != NEVER_NS
+
+    def lost(self, measured_ns: int) -> bool:
+        """Whether the next sample is lost; ask once for each, in order."""
+        while measured_ns >= self._drop_end_ns:
+            self._draw_dropout(self._drop_end_ns)
+        by_chance = self._link.loss > 0.0 and self._chance() < self._link.loss
+        return by_chance or measured_ns >= self._drop_start_ns
+
+    def _chance(self) -> float:
+        if self._drop_start_ns != NEVER_NS:  # drop-outs are drawn in between
+            return self._rng.random()
+        if not self._chances:
+            self._chances = self._rng.random(BLOCK)[::-1].tolist()
+        return self._chances.pop()
+
+
+class MeasurementChannel:
+    """Samples a quantity at the link's rate and hands the samples out after the link's delay, in order.
+
+    Sample k is measured at time k / rate. A lost one (``Losses``) never comes. Times are integer nanoseconds.
+    ``due_ns`` and ``release_ns`` tell when the next call has something to do.
+
+    Args:
+        link: rate, delay, loss, drop-outs.
+        sigmas: standard deviation of the noise on each value.
+        seed: of the run.
+        purpose: name of the random stream.
+    """
+
+    __slots__ = (
+        "_delay_ns", "_index", "_losses", "_noise", "_queue", "_rate", "due_ns", "lost", "release_ns",
+        "taken",
+    )  # fmt: skip
+
+    def __init__(self, link: OdometryLink, sigmas: Sequence[float], seed: int, purpose: str) -> None:
+        self._losses = Losses(link, seed, purpose + ".loss")
+        self._noise = NoiseRows(sigmas, seed, purpose + ".noise")
+        self._rate = link.rate_hz
+        self._delay_ns = round(link.delay_s * NS)
+        self._queue: deque[tuple[int, int, tuple[float, ...]]] = deque()
+        self._index = 0
+        self.due_ns = 0
+        self.release_ns = NEVER_NS
+        self.taken = 0
+        self.lost = 0
+
+    def sample(self, now_ns: int, values: Sequence[float]) -> None:
+        """Measure ``values`` now. Call when ``now_ns >= due_ns``; one sample a call."""
+        self._index += 1
+        self.due_ns = round(self._index * NS / self._rate)
+        self.taken += 1
+        noisy = tuple(map(add, values, self._noise.take()))
+        if self._losses.lost(now_ns):
+            self.lost += 1
+            return
+        if not self._queue:
+            self.release_ns = now_ns + self._delay_ns
+        self._queue.append((now_ns + self._delay_ns, now_ns, noisy))
+
+    def release(self, now_ns: int) -> list[tuple[int, tuple[float, ...]]]:
+        """Return ``(measured_ns, values)`` of all samples whose delay has passed, oldest first."""
+        queue = self._queue
+        out = []
+        while queue and queue[0][0] <= now_ns:
+            _, measured_ns, values = queue.popleft()
+            out.append((measured_ns, values))
+        self.release_ns = queue[0][0] if queue else NEVER_NS
+        return out

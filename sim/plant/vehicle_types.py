@@ -1,0 +1,41 @@
+"""What the simulated vehicle says of itself: what it believes, and what is true."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from flightstack.core.types import Vec3
+
+
+class Estimate(NamedTuple):
+    """What the on-board estimator believes."""
+
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    quaternion: tuple[float, float, float, float]  # w, x, y, z; FLU body in ENU world
+    angular_velocity_flu_rad_s: Vec3
+    valid: bool
+
+
+class Truth(NamedTuple):
+    """The true state and what happened since the last call of ``truth`` (fields of TrueState.msg)."""
+
+    time_s: float
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    quaternion: tuple[float, float, float, float]  # w, x, y, z; FLU body in ENU world
+    angular_velocity_flu_rad_s: Vec3
+    rotor_rpm: tuple[float, float, float, float]
+    pad_position_enu_m: Vec3
+    pad_velocity_enu_m_s: Vec3
+    pad_yaw_rad: float
+    h_m: float
+    h_min_m: float
+    h_min_outside_pad_m: float  # +inf if no step was outside the pad's radius
+    contacts: int  # bits CONTACT_*
+    first_touch_relative_position_enu_m: Vec3  # NaN until there was one
+    first_touch_relative_velocity_enu_m_s: Vec3
+    first_touch_time_s: float  # NaN until there was one
+    motors_running: bool
+    battery_v: float
+    wind_enu_m_s: Vec3

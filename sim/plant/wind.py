@@ -1,0 +1,88 @@
+"""Wind: a constant mean and gusts.
+
+Each gust component is an Ornstein-Uhlenbeck process, dg = -g/T dt + rms sqrt(2/T) dW, the first-order
+spectrum that Dryden's model has along the wind. T and the vertical share stand in ``crazyflie20.toml``.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.types import Vec3
+from sim.compiled.jit import jitted
+from sim.compiled.records import Record, Vector, new, reader
+from sim.plant.params import WindShape
+from sim.plant.sensors import Tape, TapeRecord, stream, take
+from sim.scenarios.scenario import Wind
+
+
+class WindRecord(Record):
+    """Wind at the vehicle, m/s, world ENU."""
+
+    now: Vector
+    steady: Vector  # the mean
+    gust: Vector
+    decay: Vector  # of the gust in one step
+    kick: Vector  # standard deviation that one step adds
+    gusty: bool
+    noise: TapeRecord
+
+
+@jitted
+def blow(w: WindRecord) -> None:
+    """Advance the gusts by one step; takes three numbers from the tape."""
+    if w.gusty:
+        for i in range(3):
+            w.gust[i] = w.decay[i] * w.gust[i] + w.kick[i] * take(w.noise)
+            w.now[i] = w.steady[i] + w.gust[i]
+
+
+class WindModel:
+    """Wind at the vehicle: ``x``, ``y``, ``z`` in m/s, world ENU.
+
+    Args:
+        wind: mean, gust rms, direction towards which the mean blows (drawn from the seed if None).
+        shape: correlation times and vertical share.
+        seed: of the run.
+        step_s: time between calls of ``step``.
+        record: where to keep everything; None for a place of its own.
+    """
+
+    __slots__ = ("_read", "_tape", "mean_enu_m_s", "record")
+
+    def __init__(
+        self, wind: Wind, shape: WindShape, seed: int, step_s: float, record: WindRecord | None = None
+    ) -> None:
+        self.record = r = new(WindRecord) if record is None else record
+        self._read = reader(r.now)
+        drawn = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
+        direction = drawn if wind.direction_rad is None else wind.direction_rad
+        self.mean_enu_m_s: Vec3 = (
+            wind.mean_m_s * math.cos(direction),
+            wind.mean_m_s * math.sin(direction),
+            0.0,
+        )
+        r.steady[:] = self.mean_enu_m_s
+        r.gusty = wind.gust_rms_m_s > 0.0
+        self._tape = Tape(seed, "wind.gust", r.noise)
+        rms_h, rms_v = wind.gust_rms_m_s, wind.gust_rms_m_s * shape.vertical_share
+        times = (shape.horizontal_time_s, shape.horizontal_time_s, shape.vertical_time_s)
+        for i, (rms, time) in enumerate(zip((rms_h, rms_h, rms_v), times, strict=True)):
+            decay = math.exp(-step_s / time)  # exact discretisation
+            r.decay[i], r.kick[i] = decay, rms * math.sqrt(1.0 - decay**2)
+            r.gust[i] = rms * take(r.noise)  # stationary from the start
+            r.now[i] = r.steady[i] + r.gust[i]
+
+    def top_up(self) -> None:
+        """Draw noise for at least 340 steps."""
+        self._tape.top_up()
+
+    def step(self) -> None:
+        """Advance by ``step_s``."""
+        self.top_up()
+        blow(self.record)
+
+    @property
+    def now_enu_m_s(self) -> Vec3:
+        """Wind now."""
+        return self._read()

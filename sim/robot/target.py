@@ -1,0 +1,229 @@
+"""The ground robot: a unicycle with speed and acceleration limits on a path, and its odometry.
+
+Between steps the twist is constant and the pose moves on the exact arc; a step ends by choosing the twist of
+the next interval. Whoever integrates pose and twist over the same interval ends on the same pose.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, NamedTuple
+
+from flightstack.core.types import Vec3
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Cell, Record, Vector, cell_of_numbers, new, reader
+from sim.plant.params import load
+from sim.plant.sensors import NS, MeasurementChannel, stream
+from sim.scenarios.scenario import OdometryLink, PathKind, TargetSpec
+
+DRIVE_LAG_S = 0.1  # first-order lag of the drive; not documented by ROBOTIS, 0.05 to 0.15 s (assumption)
+
+
+class PadPose(NamedTuple):
+    """Pose of the pad centre (top surface), ENU."""
+
+    position_enu_m: Vec3
+    yaw_rad: float
+
+
+class TargetMeasurement(NamedTuple):
+    """One odometry sample; twist in the body frame (x forward, y left)."""
+
+    time_s: float  # of the measurement
+    position_enu_m: Vec3
+    yaw_rad: float
+    velocity_body_m_s: Vec3
+    yaw_rate_rad_s: float
+
+
+# Shares of speed and turn rate that a path demands until it changes, then until it changes back.
+DEMANDS: dict[PathKind, tuple[float, float, float, float]] = {
+    PathKind.STILL: (0.0, 0.0, 0.0, 0.0),
+    PathKind.STRAIGHT: (1.0, 0.0, 1.0, 0.0),
+    PathKind.CIRCLE: (1.0, 1.0, 1.0, 1.0),
+    PathKind.STOP_AND_GO: (1.0, 1.0, 0.0, 0.0),
+    PathKind.REVERSING: (1.0, 1.0, -1.0, 1.0),
+}
+
+
+class PadRecord(Record):
+    """Motion of the pad centre."""
+
+    time_ns: int
+    position: Vector  # ENU, m
+    yaw: float
+    body_velocity: Vector  # m/s
+    velocity: Vector  # the same, ENU
+    rate: float  # rad/s
+
+
+class MotionRecord(Record):
+    """What the robot is to do, the axle's state, and the pad's motion that follows."""
+
+    demand: Annotated[F64, 4]
+    speed: float  # m/s
+    turn_rate: float
+    phase_s: float
+    period_s: float
+    speed_max: float
+    turn_rate_max: float
+    accel_max: float
+    turn_accel_max: float
+    behind: float  # pad behind the axle, m
+    height: float  # of the pad, m
+    heave: float  # amplitude, m
+    heave_rad_s: float
+    heave_phase: float
+    driven_s: float
+    x: float  # axle, ENU, m
+    y: float
+    yaw: float
+    v: float  # m/s
+    w: float  # rad/s
+    pad: PadRecord
+
+
+@jitted
+def arc(length_m: float, turn_rad: float) -> tuple[float, float]:
+    """Displacement (forward, left) after driving ``length_m`` while turning by ``turn_rad``, exact."""
+    if abs(turn_rad) < 1e-9:
+        return length_m, 0.5 * length_m * turn_rad
+    return length_m * math.sin(turn_rad) / turn_rad, length_m * (1.0 - math.cos(turn_rad)) / turn_rad
+
+
+@jitted
+def wrap(angle_rad: float) -> float:
+    """Angle in (-pi, pi]."""
+    return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)
+
+
+@jitted
+def _clip(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))
+
+
+@jitted
+def _height(m: MotionRecord, time_s: float) -> float:
+    return m.height + m.heave * math.sin(m.heave_rad_s * time_s + m.heave_phase)
+
+
+@jitted
+def publish(motion: Cell[MotionRecord], dt_s: float) -> None:
+    """Turn the axle's state into the pad's; the pad stands behind the axle and swings with the yaw."""
+    m = motion[0]
+    pad, c, s = m.pad, math.cos(m.yaw), math.sin(m.yaw)
+    time_s = pad.time_ns / NS
+    z = _height(m, time_s)
+    vx, vy, vz = m.v, -m.behind * m.w, (_height(m, time_s + dt_s) - z) / dt_s
+    pad.position[0], pad.position[1], pad.position[2] = m.x - m.behind * c, m.y - m.behind * s, z
+    pad.body_velocity[0], pad.body_velocity[1], pad.body_velocity[2] = vx, vy, vz
+    pad.velocity[0], pad.velocity[1], pad.velocity[2] = c * vx - s * vy, s * vx + c * vy, vz
+    pad.yaw, pad.rate = m.yaw, m.w
+
+
+@jitted
+def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
+    """Move on by ``dt_s`` with the twist chosen before, then choose the next; not driving: braking."""
+    m = motion[0]
+    forward, left = arc(m.v * dt_s, m.w * dt_s)
+    c, s = math.cos(m.yaw), math.sin(m.yaw)
+    m.x += c * forward - s * left
+    m.y += s * forward + c * left
+    m.yaw = wrap(m.yaw + m.w * dt_s)
+    m.pad.time_ns += round(dt_s * NS)
+    demand_v = demand_w = 0.0
+    if driving:
+        first = 2 * (int((m.driven_s + m.phase_s) / m.period_s) % 2)
+        demand_v, demand_w = m.demand[first] * m.speed, m.demand[first + 1] * m.turn_rate
+        m.driven_s += dt_s
+    lag = -math.expm1(-dt_s / DRIVE_LAG_S)
+    dv = _clip(lag * (demand_v - m.v), m.accel_max * dt_s)
+    dw = _clip(lag * (demand_w - m.w), m.turn_accel_max * dt_s)
+    m.v = _clip(m.v + dv, m.speed_max)
+    m.w = _clip(m.w + dw, m.turn_rate_max)
+    publish(motion, dt_s)
+
+
+class TargetModel:
+    """True motion of the target.
+
+    ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s`` and ``yaw_rate_rad_s`` are of the pad centre at
+    ``time_s``; the body-frame twist holds until the next step. Heave goes on all the time, driving or not: it
+    is the sea's.
+
+    Args:
+        spec: path, speeds, limits, pad.
+        seed: draws speed, turn rate and heading where the spec asks for it, the time until the first change
+            of stop-and-go and reversing, and the phase of the heave.
+        step_s: expected time between steps (used to choose the heave velocity of the first interval).
+    """
+
+    def __init__(self, spec: TargetSpec, seed: int, *, step_s: float = 0.01) -> None:
+        rng = stream(seed, "target")
+        speed, turn, heading, phase, heave = rng.uniform(0.0, 1.0, 5).tolist()
+        share, turn_share = (speed, 2.0 * turn - 1.0) if spec.random_speed else (1.0, 1.0)
+        self.speed_m_s = min(spec.speed_m_s * share, spec.speed_max_m_s)
+        self.turn_rate_rad_s = float(_clip(spec.turn_rate_rad_s * turn_share, spec.turn_rate_max_rad_s))
+        self._record = m = new(MotionRecord)
+        m.demand[:] = DEMANDS[spec.path]
+        m.speed, m.turn_rate = self.speed_m_s, self.turn_rate_rad_s
+        m.phase_s, m.period_s = phase * spec.stop_period_s, spec.stop_period_s
+        m.speed_max, m.turn_rate_max = spec.speed_max_m_s, spec.turn_rate_max_rad_s
+        m.accel_max = spec.acceleration_max_m_s2
+        m.turn_accel_max = spec.acceleration_max_m_s2 / load().robot.wheel_half_track_m
+        m.behind, m.height = spec.pad_behind_axle_m, spec.pad_height_m
+        m.heave, m.heave_rad_s = spec.heave_amplitude_m, 2.0 * math.pi * spec.heave_rate_hz
+        m.heave_phase = 2.0 * math.pi * heave
+        m.x, m.y = spec.position_m
+        m.yaw = wrap(2.0 * math.pi * heading) if spec.random_heading else wrap(spec.heading_rad)
+        self._cell, self._read = cell_of_numbers(m), reader(m.pad)
+        publish(self._cell, step_s)
+        self._show()
+        # compiled, or loaded, before time begins to count
+        drive(cell_of_numbers(new(MotionRecord)), step_s, False)
+
+    def step(self, dt_s: float, driving: bool) -> None:
+        """Move on by ``dt_s``, see ``drive``."""
+        drive(self._cell, dt_s, driving)
+        self._show()
+
+    def _show(self) -> None:
+        pad = self._read()  # in the order of PadRecord
+        self.time_s: float = pad[0] / NS
+        self.pose = PadPose(pad[1:4], pad[4])
+        self.velocity_body_m_s: Vec3 = pad[5:8]
+        self.velocity_enu_m_s: Vec3 = pad[8:11]
+        self.yaw_rate_rad_s: float = pad[11]
+
+
+class TargetOdometry:
+    """Odometry of the target through its link.
+
+    Call ``step`` at time zero and after every step of the model: it measures when a sample is due and returns
+    the samples released by now, oldest first. One sample a call at most, so step at least at the link's rate.
+    Yaw-rate noise is that of two wheels with the given speed noise: velocity noise over half the track.
+    """
+
+    def __init__(self, link: OdometryLink, seed: int) -> None:
+        p, v = link.position_noise_m, link.velocity_noise_m_s
+        sigmas = (p, p, p, link.yaw_noise_rad, v, v, v, v / load().robot.wheel_half_track_m)
+        self.channel = MeasurementChannel(link, sigmas, seed, "target.odometry")
+
+    def step(self, model: TargetModel) -> list[TargetMeasurement]:
+        """Measure if due and return what has arrived."""
+        now_ns = round(model.time_s * NS)
+        channel = self.channel
+        if now_ns >= channel.due_ns:
+            values = (
+                *model.pose.position_enu_m,
+                model.pose.yaw_rad,
+                *model.velocity_body_m_s,
+                model.yaw_rate_rad_s,
+            )
+            channel.sample(now_ns, values)
+        if now_ns < channel.release_ns:
+            return []
+        return [
+            TargetMeasurement(t_ns / NS, (v[0], v[1], v[2]), wrap(v[3]), (v[4], v[5], v[6]), v[7])
+            for t_ns, v in channel.release(now_ns)
+        ]

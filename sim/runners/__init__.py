@@ -1,0 +1,1 @@
+"""Processes of the simulator, and a landing in one process."""

@@ -1,0 +1,173 @@
+"""The deck of the vehicle process: true poses of the robot, as they come over Zenoh, move it."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import deque
+from typing import NamedTuple
+
+from bridge.frames import world_from_body, yaw_from_quaternion
+from bridge.target.odometry import OdometryError, OdometrySubscriber, decode_odometry
+from bridge.zenoh import zenoh_link
+from flightstack.common.pacing import PAIR
+from flightstack.core.types import ZERO, Vec3
+
+_STRINGS_AT = 12  # bytes: CDR header and stamp come before the frame names
+_DOUBLES_BYTES = 85 * 8
+# position, orientation x y z w, 36 covariances passed over, linear and angular twist
+_POSE_TWIST = struct.Struct("<7d288x6d")
+
+STALE_S = 0.5  # s without a true pose until the deck is stopped
+_PULL_1_S = (
+    5.0  # 1/s; an error is taken out by velocity, since a jump would throw off what stands on the deck
+)
+_SNAP_M = 0.3  # m; an error too large to be pulled out is no timing error
+
+
+class DeckState(NamedTuple):
+    """Pose and twist of the pad centre, ENU, and the message they came in."""
+
+    position_enu_m: Vec3
+    yaw_rad: float
+    velocity_enu_m_s: Vec3
+    yaw_rate_rad_s: float
+    payload: bytes
+
+
+class DeckDecoder:
+    """Decodes one sender's odometry; frame names do not change, so their length is learnt once."""
+
+    def __init__(self) -> None:
+        self._prefix = b""
+
+    def decode(self, payload: bytes) -> DeckState:
+        """Decode a true pose.
+
+        Raises:
+            OdometryError: malformed, or a number is not finite.
+        """
+        at = len(payload) - _DOUBLES_BYTES
+        if not self._prefix or payload[_STRINGS_AT:at] != self._prefix:
+            decode_odometry(payload)  # raises if anything is wrong
+            self._prefix = payload[_STRINGS_AT:at]
+        x, y, z, qx, qy, qz, qw, vx, vy, vz, _, _, rate = _POSE_TWIST.unpack_from(payload, at)
+        if not math.isfinite(x + y + z + qx + qy + qz + qw + vx + vy + vz + rate):
+            raise OdometryError("true pose of the robot holds a number that is not finite")
+        q = (qw, qx, qy, qz)
+        return DeckState((x, y, z), yaw_from_quaternion(q), world_from_body(q, (vx, vy, vz)), rate, payload)
+
+
+class LockstepDeck:
+    """True poses by tick."""
+
+    def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
+        self._subscriber = OdometrySubscriber(session, truth_key(namespace), lossless=True)
+        self._decoder = DeckDecoder()
+        self._waiting: deque[tuple[int, bytes]] = deque()
+        self.bad = 0  # messages that could not be used
+
+    def has(self, tick: int) -> bool:
+        """Whether the pose of this tick has come; older ones are dropped."""
+        waiting = self._waiting
+        while waiting and waiting[0][0] < tick:
+            waiting.popleft()
+        if waiting:
+            return waiting[0][0] == tick
+        for raw in self._subscriber.poll():
+            if raw.attachment is None or len(raw.attachment) != PAIR.size:
+                self.bad += 1
+                continue
+            number = PAIR.unpack(raw.attachment)[0]
+            if number >= tick:
+                waiting.append((number, raw.payload))
+        return bool(waiting) and waiting[0][0] == tick
+
+    def take(self, tick: int) -> DeckState | None:
+        """Pose of this tick if it has come."""
+        if not self.has(tick):
+            return None
+        try:
+            return self._decoder.decode(self._waiting.popleft()[1])
+        except OdometryError:
+            self.bad += 1
+            return None
+
+
+class RealTimeDeck:
+    """Follows true poses that come when they come: dead reckoning with the last twist, gently corrected."""
+
+    def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
+        self._subscriber = OdometrySubscriber(session, truth_key(namespace))
+        self._decoder = DeckDecoder()
+        self._last: DeckState | None = None
+        self._last_s = 0.0
+        self.bad = 0
+
+    def poll(self, now_s: float) -> list[bytes]:
+        """Take what has come; returns the messages, for the log."""
+        payloads = [raw.payload for raw in self._subscriber.poll()]
+        for payload in reversed(payloads):
+            try:
+                self._last, self._last_s = self._decoder.decode(payload), now_s
+                break
+            except OdometryError:
+                self.bad += 1
+        return payloads
+
+    def stale(self, now_s: float) -> bool:
+        """Whether there was a pose, but not lately."""
+        return self._last is not None and now_s - self._last_s > STALE_S
+
+    def follow(self, position_enu_m: Vec3, yaw_rad: float, now_s: float) -> DeckState | None:
+        """What the deck, which is here now, should do next; None before the first pose.
+
+        Args:
+            position_enu_m: where the simulated deck is.
+            yaw_rad: its heading.
+            now_s: simulated time.
+        """
+        last = self._last
+        if last is None:
+            return None
+        if self.stale(now_s):
+            return DeckState(position_enu_m, yaw_rad, ZERO, 0.0, b"")
+        return follow(last, now_s - self._last_s, position_enu_m, yaw_rad)
+
+
+def follow(last: DeckState, age_s: float, position_enu_m: Vec3, yaw_rad: float) -> DeckState:
+    """State to give the deck so that it meets where the robot is now, without a jump if it is near.
+
+    Args:
+        last: the newest true pose.
+        age_s: its age.
+        position_enu_m: where the simulated deck is.
+        yaw_rad: its heading.
+    """
+    there = reckon(last, age_s)
+    x, y, z = position_enu_m
+    ex, ey, ez = there.position_enu_m[0] - x, there.position_enu_m[1] - y, there.position_enu_m[2] - z
+    if math.hypot(ex, ey, ez) > _SNAP_M:
+        return there
+    vx, vy, vz = there.velocity_enu_m_s
+    pulled = (vx + _PULL_1_S * ex, vy + _PULL_1_S * ey, vz + _PULL_1_S * ez)
+    turn = _PULL_1_S * math.remainder(there.yaw_rad - yaw_rad, math.tau)
+    return DeckState(position_enu_m, yaw_rad, pulled, there.yaw_rate_rad_s + turn, last.payload)
+
+
+def reckon(last: DeckState, age_s: float) -> DeckState:
+    """Dead reckoning on the arc of a constant twist."""
+    turn = last.yaw_rate_rad_s * age_s
+    vx, vy, vz = last.velocity_enu_m_s
+    x, y, z = last.position_enu_m
+    # The chord of the arc is turned half as far as the velocity, and very nearly as long as the arc.
+    c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
+    there = (x + (c * vx - s * vy) * age_s, y + (s * vx + c * vy) * age_s, z + vz * age_s)
+    c, s = math.cos(turn), math.sin(turn)
+    velocity = (c * vx - s * vy, s * vx + c * vy, vz)
+    return DeckState(there, last.yaw_rad + turn, velocity, last.yaw_rate_rad_s, last.payload)
+
+
+def truth_key(namespace: str) -> str:
+    """Zenoh key of the robot's true pose."""
+    return f"{namespace}/sim/target/truth"

@@ -1,0 +1,150 @@
+"""One seeded landing in one process: ``land(scenario, seed)``, pure simulation without sockets.
+
+The same code as over the wires flies: the vehicle's lockstep loop with its autopilot and faults, the robot,
+the companion's link and ``Controller.step``. Only the wires are handed over directly, with their rounding;
+so a landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the last bit.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
+from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.profiles.autopilots import OWN_SITL
+from flightstack.common.pacing import NO_GO, RUN_AHEAD_TICKS, LockstepClock, Tick
+from flightstack.core.controller import Controller, Outputs
+from flightstack.core.leaving import Leaving
+from flightstack.core.types import Inputs, Operator
+from flightstack.onboard.exchange import answer, take
+from logs.verdict.truth import judge_truth
+from logs.verdict.types import Verdict
+from sim.autopilot.server.server import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.clock import StopSignal, TickGrid
+from sim.runners.landing_notes import Notes, Seen, VehicleNotes
+from sim.runners.landing_target import DirectTarget
+from sim.runners.landing_wire import wires
+from sim.runners.lockstep import LockstepLoop
+from sim.runners.vehicle_runner import VehicleNode
+from sim.scenarios.scenario import Scenario
+from sim.vehicle.vehicle import VehicleSim
+
+OnStep = Callable[[Tick, Outputs], None]
+
+
+@dataclass(frozen=True)
+class Landing:
+    """What became of it.
+
+    Attributes:
+        seed: of all chance.
+        verdict: judged from the true states, as a flight log is.
+        seen: what a log of it would hold, as far as a verdict needs it.
+        simulated_s: length.
+        wall_s: time it took.
+        retries: how often the landing was begun anew.
+    """
+
+    seed: int
+    verdict: Verdict
+    seen: Seen
+    simulated_s: float
+    wall_s: float
+    retries: int
+
+
+def land(scenario: Scenario, seed: int, *, on_step: OnStep | None = None) -> Landing:
+    """Fly one landing and judge it.
+
+    Args:
+        scenario: everything that is not chance; its ``onboard`` part is flown.
+        seed: chance.
+        on_step: called after every controller step.
+
+    Raises:
+        RuntimeError: the simulation did not come to its end.
+    """
+    began_s = time.perf_counter()
+    flight = _Companion(scenario, seed, on_step)
+    seen = flight.fly()
+    verdict = judge_truth(seen, seen.truth)
+    simulated_s = float(seen.steps.t_s[-1])
+    wall_s = time.perf_counter() - began_s
+    return Landing(seed, verdict, seen, simulated_s, wall_s, flight.controller.memory.retries)
+
+
+def keep_garbage_low() -> None:
+    """Collect what a landing left; between landings the collector sleeps, as it does in the processes."""
+    gc.collect()
+    gc.disable()
+
+
+class _Companion:
+    """The onboard process, called by the vehicle's loop whenever that waits for its answer."""
+
+    def __init__(self, scenario: Scenario, seed: int, on_step: OnStep | None) -> None:
+        config = scenario.onboard
+        rate_hz = config.loop.rate_hz
+        self.controller = Controller(config)
+        self._on_step = on_step
+        self._leaving = Leaving(scenario.duration_max_s)
+        self._clock = LockstepClock(rate_hz)
+        self._stop = StopSignal()
+        self._last_s = 0.0
+        self._over = False
+        grid = TickGrid(rate_hz)
+        self._ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
+        self._target = DirectTarget(scenario, seed, grid)
+        here, there = wires((SYSTEM_ID, COMPONENT_ID), (SYSTEM_ID, COMPANION_ID))
+        self._link = VehicleLink(
+            "",
+            takeoff_height_m=config.takeoff.height_m,
+            profile=OWN_SITL,
+            rate_hz=rate_hz,
+            defer_timesync=True,
+            endpoint=there,
+        )
+        vehicle = VehicleSim(scenario, seed)
+        autopilot = Autopilot(vehicle, rate_hz, trim_enu_m_s=vehicle.trim_velocity_enu_m_s)
+        self._notes = Notes(config, scenario.target.pad_radius_m)
+        node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes))
+        here.answer = self._tick
+        self._link.poll(0.0)  # says hello, as the process does before the first tick
+        self._loop = LockstepLoop(node, self._target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
+
+    def fly(self) -> Seen:
+        """Run to the end."""
+        self._loop.run(self._ticks_max)
+        if not self._over:
+            raise RuntimeError(f"the landing was not over after {self._ticks_max} ticks")
+        return self._notes.seen()
+
+    def _tick(self) -> None:
+        if self._over:  # one true state after the last step, then the vehicle's process is ended, too
+            self._stop.is_set = True
+            return
+        link = self._link
+        link.poll(self._last_s)
+        sim_ns = link.take_timesync()
+        if sim_ns is None:
+            raise RuntimeError("the vehicle waits for an answer, but did not ask for it")
+        tick = self._clock.tick(sim_ns)
+        now_s = self._last_s = tick.now_s
+        operator = self._leaving.operator(Operator.NONE, link.status, now_s)
+        taken = take(link, (), operator, now_s)
+        given = taken.inputs
+        inputs = Inputs(given.own, given.status, self._target.samples(now_s), given.operator)
+        out = self.controller.step(inputs, now_s, command_failed=taken.command_failed)
+        answer(link, out, now_s, lockstep=True)
+        self._notes.step(tick, out)
+        for _, text in link.take_texts():
+            self._notes.event(tick.now_s, 0, "onboard", f"vehicle: {text}")
+        if self._target.go_tick == NO_GO and self.controller.memory.started_s <= now_s:
+            self._target.go_tick = tick.number + RUN_AHEAD_TICKS + 1
+        if self._on_step is not None:
+            self._on_step(tick, out)
+        ended = self._leaving.ended(out, self.controller.memory, link.status, now_s)
+        self._over = ended is not None

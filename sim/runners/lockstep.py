@@ -1,0 +1,226 @@
+"""The vehicle process in lockstep: simulated time goes on when the companion has answered for a tick.
+
+Tick k is at t = k / rate. The vehicle sends what is due and TIMESYNC(tc1=0, ts1=t in ns) in one datagram; the
+companion acts on it and answers with TIMESYNC(tc1 != 0, ts1=t). Everything that came before that answer is
+handled at t, then the physics goes on to the next tick. A companion that stops answering does not stop the
+world: after 3 s of wall time the simulation runs on, so that fail-safes act, until it answers again.
+Faults of the wire concern everything but this handshake.
+"""
+
+from __future__ import annotations
+
+import time
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.endpoint import Peer, Received
+from flightstack.core.types import ZERO
+from sim.clock import SILENCE_S, STARTUP_S, NoAnswerError, StopSignal, TickGrid, wait_until
+from sim.runners.deck import STALE_S, DeckState, LockstepDeck, reckon
+from sim.runners.vehicle_runner import VehicleNode
+
+_WAIT_S = 0.05  # s of wall time between two looks at the signals
+_REPEAT_S = 0.5  # s of wall time until a request is repeated
+_REPEAT_UNHEARD_S = 0.05  # s, the same while nobody was ever heard
+_DECK_YIELDS = 20  # looks for the deck's pose before sleeping: it is there, or due any moment
+_FLUSH_EVERY = 10  # ticks; the recorder is not woken for every single one
+_TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
+_HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
+
+
+class LockstepLoop:
+    """Runs ticks until the end."""
+
+    def __init__(
+        self, node: VehicleNode, deck: LockstepDeck | None, grid: TickGrid, stop: StopSignal, radio_s: float
+    ) -> None:
+        """Prepare; ``radio_s`` is the delay of set-points on their way to the vehicle."""
+        self._radio_ms = round(radio_s * 1000.0)
+        self._node, self._deck, self._grid, self._stop = node, deck, grid, stop
+        self._companion: Peer | None = None  # whoever answered first
+        self._answers = True  # the companion is waited for
+        self._replies: list[Message] = []  # for the companion, with the next tick
+        self._late: list[Received] = []  # came after the answer: belongs to the next tick
+        self._deck_comes = deck is not None
+        self._deck_last: DeckState | None = None
+        self._deck_s = 0.0  # time of the last true pose
+        self._request = b""
+
+    def run(self, ticks: int | None) -> None:
+        """Simulate.
+
+        Args:
+            ticks: how many; None for no end.
+
+        Raises:
+            NoAnswerError: companion or target never came.
+        """
+        node, grid = self._node, self._grid
+        self._await_start()
+        tick = 0
+        while not self._stop.is_set and tick != ticks:
+            now_ns = grid.ns(tick)
+            now_s = now_ns / 1e9
+            if self._deck is not None:
+                self._move_deck(self._deck, tick, now_ns)
+            self._send(now_ns, now_s)
+            # The state of this tick is written while the companion works on it.
+            node.write_log(tick, now_ns)
+            if tick % _FLUSH_EVERY == 0:
+                node.log.feed.flush()
+            # Whatever the answer is, the radio delays it: so much can be simulated before it is known.
+            steps = grid.ms(tick + 1) - grid.ms(tick)
+            ahead = min(steps, self._radio_ms)
+            node.vehicle.advance(ahead)
+            node.vehicle.sent_before_ms = ahead
+            self._await_answer(now_ns, now_s)
+            node.control(now_s)
+            node.vehicle.advance(steps - ahead)
+            tick += 1
+
+    def _await_start(self) -> None:
+        """Until somebody can be sent to, and the deck's first pose is there: tick 0 must be whole."""
+        endpoint, deck = self._node.endpoint, self._deck
+        deadline_s = time.monotonic() + STARTUP_S
+        while not endpoint.peers and not self._stop.is_set:
+            if time.monotonic() > deadline_s:
+                raise NoAnswerError(f"no companion was heard on the MAVLink endpoint within {STARTUP_S:g} s")
+            endpoint.wait(_WAIT_S)
+            self._late += endpoint.receive()
+        if deck is not None and not wait_until(
+            lambda: deck.has(0), self._stop, deadline_s - time.monotonic(), pause_s=0.002
+        ):
+            raise NoAnswerError(
+                f"no true pose of the robot came over Zenoh within {STARTUP_S:g} s; is the target running, "
+                "and connected to this process's endpoint?"
+            )
+
+    def _move_deck(self, deck: LockstepDeck, tick: int, now_ns: int) -> None:
+        node = self._node
+        if self._deck_comes and self._answers:
+            self._deck_comes = deck.has(tick) or wait_until(
+                lambda: deck.has(tick), self._stop, SILENCE_S, yields=_DECK_YIELDS
+            )
+            if not self._deck_comes:
+                text = f"Robot silent for {SILENCE_S:g} s: going on without"
+                node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, text)
+        state = deck.take(tick)
+        if state is not None:
+            self._deck_comes, self._deck_last, self._deck_s = True, state, now_ns * 1e-9
+            node.move_deck(state)
+            node.log.target(now_ns, state.payload)
+            return
+        age_s = now_ns * 1e-9 - self._deck_s
+        if self._deck_last is not None and age_s > STALE_S:  # until then it goes on along its arc
+            stopped = reckon(self._deck_last, age_s)._replace(velocity_enu_m_s=ZERO, yaw_rate_rad_s=0.0)
+            self._deck_last = None
+            node.move_deck(stopped)
+            node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, "Robot's pose too old: deck stopped")
+
+    def _await_answer(self, now_ns: int, now_s: float) -> None:
+        """Handle everything up to the companion's answer for this tick."""
+        for received in self._node.wire.late(now_ns):
+            self._answer(received, now_ns, now_s)
+        late, self._late = self._late, []
+        answered = self._take(late, now_ns, now_s)
+        if not self._answers:
+            self._run_free(now_ns, now_s)
+            return
+        sent_s = repeat_s = time.monotonic()
+        while not answered and not self._stop.is_set:
+            self._node.endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
+            answered = self._take(self._node.endpoint.receive(), now_ns, now_s)
+            wall_s = time.monotonic()
+            if answered:
+                return
+            if wall_s - sent_s > (SILENCE_S if self._companion else STARTUP_S):
+                self._give_up()
+                return
+            if wall_s - repeat_s > (
+                _REPEAT_S if self._node.endpoint.counters.received else _REPEAT_UNHEARD_S
+            ):
+                repeat_s = wall_s
+                self._repeat()
+
+    def _send(self, now_ns: int, now_s: float) -> None:
+        endpoint, companion = self._node.endpoint, self._companion
+        messages = self._node.autopilot.telemetry(now_s)
+        replies, self._replies = self._replies, []
+        request = dialect.MAVLink_timesync_message(0, now_ns)
+        if not self._node.wire.sound:
+            companions = endpoint.peers if companion is None else (companion,)
+            others = [peer for peer in endpoint.peers if peer not in companions]
+            self._node.wire.send(messages, (*companions, *others), now_ns)
+            self._node.wire.send(replies, companions, now_ns)
+            messages = replies = []
+        elif companion is not None:
+            for peer in endpoint.peers:
+                if peer != companion:
+                    endpoint.send(messages, peer)
+        endpoint.send([*messages, *replies, request], companion)
+        self._request = bytes(request.get_msgbuf())
+
+    def _repeat(self) -> None:
+        peers = self._node.endpoint.peers if self._companion is None else (self._companion,)
+        for peer in peers:
+            # The same bytes, or the number of repeats, a matter of wall time, would show in the log.
+            self._node.endpoint.repeat(self._request, peer)
+
+    def _take(self, frames: list[Received], now_ns: int, now_s: float) -> bool:
+        """Handle frames up to the answer for this tick; True when it was there."""
+        for i, received in enumerate(frames):
+            message = received.message
+            if message.get_msgId() == _TIMESYNC and message.tc1 != 0:
+                if self._is_answer(received, now_ns):
+                    self._late += frames[i + 1 :]
+                    return True
+                continue
+            if self._companion is None and message.get_msgId() == _HEARTBEAT:
+                # Somebody's first words come as often as wall time has it: not for a radio that draws lots.
+                self._answer(received, now_ns, now_s)
+                continue
+            for arrived in self._node.wire.receive(received, now_ns):
+                self._answer(arrived, now_ns, now_s)
+        return False
+
+    def _answer(self, received: Received, now_ns: int, now_s: float) -> None:
+        """Let the autopilot act; what it answers the companion goes with the next tick."""
+        replies = self._node.answer(received, now_s)
+        if not replies:
+            return
+        if received.peer == self._companion or self._companion is None:
+            self._replies += replies
+        elif self._node.wire.sound:
+            self._node.endpoint.send(replies, received.peer)
+        else:
+            self._node.wire.send(replies, (received.peer,), now_ns)
+
+    def _is_answer(self, received: Received, now_ns: int) -> bool:
+        """Whether the companion has answered for this tick; an older answer shows that it is alive."""
+        this_tick: bool = received.message.ts1 == now_ns
+        if self._companion is None and this_tick:
+            self._companion = received.peer
+        if received.peer != self._companion:
+            return False
+        if not self._answers:
+            self._answers = True
+            self._node.autopilot.flight.say(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
+        return this_tick
+
+    def _give_up(self) -> None:
+        if self._companion is None:
+            raise NoAnswerError(
+                f"no companion answered the TIMESYNC of tick 0 within {STARTUP_S:g} s; "
+                "does it run in lockstep?"
+            )
+        self._answers = False
+        text = f"Companion silent for {SILENCE_S:g} s: going on without"
+        self._node.autopilot.flight.say(dialect.MAV_SEVERITY_CRITICAL, text)
+
+    def _run_free(self, now_ns: int, now_s: float) -> None:
+        """Without the companion: as fast as it goes while flying, in real time once it has landed."""
+        endpoint = self._node.endpoint
+        if not self._node.vehicle.armed:
+            endpoint.wait(self._grid.period_s)
+        self._take(endpoint.receive(), now_ns, now_s)

@@ -1,0 +1,341 @@
+"""The ground robot as a process: drives, and publishes its odometry and its true state on Zenoh.
+
+Keys under the name space (``cf1`` by default):
+
+- ``target/odom``: measured odometry as the tracker would send it, ``nav_msgs/msg/Odometry`` in CDR.
+- ``sim/target/truth``: true pose and twist at every tick, same type; attachment (tick, 0) as two int64.
+- ``sim/target/tick``: in lockstep, after everything of a tick: (tick, samples put so far) as two int64.
+- ``sim/credit`` (read): in lockstep, how far the reader is and from which tick on to drive (-1: not yet).
+- ``controller/step`` (read): in real time, its phase tells when the landing begins.
+
+With ``--ros2`` the samples go to the ROS 2 topic ``/cf1/target/odom`` as well.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from bridge.frames import quaternion_from_yaw
+from bridge.ros2.ros2_network import Ros2Network
+from bridge.ros2.ros2_node import Ros2Node, Ros2Publisher
+from bridge.target.odometry import OdometryPublisher
+from bridge.target.ros2_target import ROS_TYPES, TargetType
+from bridge.zenoh import zenoh_link
+from flightstack.common.pacing import (
+    EPOCH_NS,
+    NO_GO,
+    PAIR,
+    RUN_AHEAD_TICKS,
+    RealTimePacer,
+    quiet_garbage_collector,
+)
+from flightstack.common.simulation_clock import Clock, Follower, chosen_clock
+from flightstack.core.types import Phase
+from logs.recorder.feed import FeedError
+from logs.schema.codec import Severity, unpack_controller_step
+from sim.clock import STARTUP_S, NoAnswerError, StopSignal, TickGrid, wait_until
+from sim.robot.target import TargetMeasurement
+from sim.robot.target_motion import TargetMotion
+from sim.runners.log import EventLog
+from sim.scenarios.scenario import Scenario
+
+_CREDIT_PAUSE_S = 0.002  # s between two looks for credit; far less than the run-ahead lasts
+_MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
+NODE = "flightstack_target"  # name of the ROS 2 node
+_LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
+
+
+class Robot:
+    """Model, odometry and publishers; the same in lockstep and in real time."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        session: zenoh_link.Session,
+        namespace: str,
+        rate_hz: int,
+        *,
+        lossless: bool,
+    ) -> None:
+        self.grid = TickGrid(rate_hz)
+        self.epoch_ns = EPOCH_NS  # Unix time of tick 0
+        self.samples = 0
+        self._motion = TargetMotion(scenario, seed, self.grid)
+        self.faults = self._motion.faults
+        self.drives_at_once = self._motion.drives_at_once
+        key = f"{namespace}/sim/target/truth"
+        self.truth = OdometryPublisher(session, key, child_frame_id="target", lossless=lossless)
+        key = f"{namespace}/target/odom"
+        self.odom = OdometryPublisher(session, key, child_frame_id="target", lossless=lossless)
+        self.shown: Ros2Publisher | None = None  # the same to ROS 2
+
+    @property
+    def tick(self) -> int:
+        """Where it is."""
+        return self._motion.tick
+
+    def step(self, driving: bool) -> None:
+        """Go on to the next tick."""
+        self._motion.step(driving)
+
+    def publish(self, sent_ns: int) -> None:
+        """Publish the true state of this tick, and the samples released since the last.
+
+        Args:
+            sent_ns: time of sending, Unix time or simulated.
+        """
+        model = self._motion.model
+        stamp_ns = self.epoch_ns + self.grid.ns(self.tick)
+        payload = self.truth.encode(
+            stamp_ns,
+            model.pose.position_enu_m,
+            quaternion_from_yaw(model.pose.yaw_rad),
+            model.velocity_body_m_s,
+            (0.0, 0.0, model.yaw_rate_rad_s),
+        )
+        self.truth.put(payload, sent_ns, PAIR.pack(self.tick, 0))
+        due, self._motion.due = self._motion.due, []
+        for sample in due:
+            payload = self._encode(sample)
+            self.odom.put(payload, sent_ns)
+            if self.shown is not None:
+                self.shown.put(payload, sent_ns)
+            self.samples += 1
+
+    def _encode(self, sample: TargetMeasurement) -> bytes:
+        return self.odom.encode(
+            self.epoch_ns + round(sample.time_s * 1e9),
+            sample.position_enu_m,
+            quaternion_from_yaw(sample.yaw_rad),
+            sample.velocity_body_m_s,
+            (0.0, 0.0, sample.yaw_rate_rad_s),
+        )
+
+
+class Credit:
+    """How far the reader of the odometry has come."""
+
+    def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
+        self._subscriber = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/credit")
+        self.tick = 0  # before the first credit the run-ahead counts from the start
+        self.go_tick = NO_GO
+
+    def poll(self) -> None:
+        """Take what has come; credit never goes back, and the first go-tick stands."""
+        for sample in zenoh_link.drain(self._subscriber):
+            data = sample.payload.to_bytes()
+            if len(data) != PAIR.size:
+                continue
+            tick, go_tick = PAIR.unpack(data)
+            self.tick = max(self.tick, tick)
+            if self.go_tick == NO_GO and go_tick >= 0:
+                self.go_tick = go_tick
+
+    def covers(self, tick: int) -> bool:
+        """Whether this tick may be made by now."""
+        self.poll()
+        return tick <= self.tick + RUN_AHEAD_TICKS
+
+
+def target_main(
+    scenario: Scenario,
+    seed: int,
+    *,
+    lockstep: bool,
+    rate_hz: int,
+    listen: Sequence[str],
+    connect: Sequence[str],
+    namespace: str = "cf1",
+    feed_socket: str | None = None,
+    duration_s: float | None = None,
+    zenoh_config: Path | None = None,
+    ros2: Ros2Network | None = None,
+    speed: float = 1.0,
+    clock: Path | None = None,
+) -> int:
+    """Run the robot until SIGTERM, SIGINT or ``duration_s``; prints ``ready`` when it can be reached.
+
+    Args:
+        scenario: what it does.
+        seed: chance.
+        lockstep: simulated time by credit, instead of real time.
+        rate_hz: ticks per second; in lockstep that of the onboard process.
+        listen: Zenoh endpoints to listen on; none means a free port on loopback.
+        connect: Zenoh endpoints to connect to.
+        namespace: first part of all keys.
+        feed_socket: flight recorder, if there is one.
+        duration_s: how long, simulated or real; None: no end.
+        zenoh_config: Zenoh configuration to begin with.
+        ros2: where to be a ROS 2 node as well.
+        speed: of its time against real time, unless in lockstep.
+        clock: of a simulator, to live by instead of the wall's.
+
+    Returns:
+        Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
+    """
+    stop = StopSignal().install()
+    try:
+        paced = chosen_clock(speed, clock, Follower.TARGET, lambda: stop.is_set, lockstep=lockstep)
+        with ExitStack() as stack:
+            session = zenoh_link.open_session(listen, connect, config_file=zenoh_config)
+            stack.callback(session.close)
+            robot = Robot(scenario, seed, session, namespace, rate_hz, lossless=lockstep)
+            if ros2 is not None:
+                robot.shown = _shown(ros2, namespace, stack)
+            if not lockstep:
+                robot.epoch_ns = paced.unix_ns()  # once all that takes time is done
+            log = EventLog.connect(feed_socket, "target", robot.epoch_ns, lossless=lockstep)
+            stack.callback(log.close)
+            ticks = robot.grid.count(duration_s)
+            if lockstep:
+                _Lockstep(robot, session, namespace, log, stop).run(ticks)
+            else:
+                _RealTime(robot, session, namespace, log, stop).run(ticks, paced)
+    except ValueError as error:
+        print(f"target: {error}", file=sys.stderr)
+        return 2
+    except (zenoh_link.ZenohLinkError, FeedError, NoAnswerError) as error:
+        print(f"target: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _shown(ros2: Ros2Network, namespace: str, stack: ExitStack) -> Ros2Publisher:
+    """The robot as a ROS 2 node, on a session of its own, that publishes its odometry."""
+    session = ros2.open()
+    stack.callback(session.close)
+    node = Ros2Node(session, NODE, domain=ros2.domain, namespace=f"/{namespace}")
+    stack.callback(node.close)
+    return node.publisher(f"/{namespace}/target/odom", *ROS_TYPES[TargetType.ODOMETRY])
+
+
+class _Lockstep:
+    """Ticks as fast as the reader's credit allows."""
+
+    def __init__(
+        self, robot: Robot, session: zenoh_link.Session, namespace: str, log: EventLog, stop: StopSignal
+    ) -> None:
+        self._robot, self._log, self._stop, self._namespace = robot, log, stop, namespace
+        self._credit = Credit(session, namespace)
+        self._marker = zenoh_link.blocking_publisher(session, f"{namespace}/sim/target/tick")
+        print("ready", flush=True)
+
+    def run(self, ticks: int | None) -> None:
+        """Drive until the end.
+
+        Raises:
+            NoAnswerError: no subscribers, or no credit.
+        """
+        robot = self._robot
+        self._await_subscribers()
+        quiet_garbage_collector()
+        driving = robot.drives_at_once
+        while not self._stop.is_set:
+            robot.publish(robot.epoch_ns + robot.grid.ns(robot.tick))
+            self._marker.put(PAIR.pack(robot.tick, robot.samples))
+            log_faults(robot, self._log)
+            self._log.feed.flush()
+            tick = robot.tick + 1
+            if tick == ticks or not self._await_credit(tick):
+                return
+            go_tick = self._credit.go_tick
+            if NO_GO < go_tick <= tick:
+                robot.faults.landing_began(robot.grid.ns(go_tick))
+            if not driving and NO_GO < go_tick <= tick:
+                driving = True
+                self._report_start(tick, go_tick)
+            robot.step(driving)
+
+    def _report_start(self, tick: int, go_tick: int) -> None:
+        now_ns = self._robot.grid.ns(tick)
+        self._log.event(now_ns, Severity.INFO, f"the robot drives from tick {tick} on")
+        if go_tick < tick:
+            text = f"the go-tick {go_tick} came when the robot was at {tick} already: not repeatable"
+            self._log.event(now_ns, Severity.ERROR, text)
+            print(f"target: {text}; it must lie more than {RUN_AHEAD_TICKS} ticks ahead", file=sys.stderr)
+
+    def _await_subscribers(self) -> None:
+        # What is put before a subscriber is known is lost, and a lost tick would never be made up for.
+        matched: dict[str, Callable[[], bool]] = {
+            "sim/target/truth (read by the vehicle)": lambda: self._robot.truth.matched,
+            "target/odom (read by the onboard process)": lambda: self._robot.odom.matched,
+            "sim/target/tick (read by the onboard process)": lambda: zenoh_link.is_matched(self._marker),
+        }
+        for what, is_matched in matched.items():
+            if not wait_until(is_matched, self._stop, STARTUP_S, pause_s=_MATCH_PAUSE_S):
+                raise NoAnswerError(
+                    f"nobody subscribed to {self._namespace}/{what} within {STARTUP_S:g} s; is it running, "
+                    "and connected to this process's endpoint?"
+                )
+
+    def _await_credit(self, tick: int) -> bool:
+        """True when the tick may be made, False when the process is to end."""
+        if wait_until(lambda: self._credit.covers(tick), self._stop, STARTUP_S, pause_s=_CREDIT_PAUSE_S):
+            return not self._stop.is_set
+        raise NoAnswerError(
+            f"no credit for tick {tick} on {self._namespace}/sim/credit for {STARTUP_S:g} s: the onboard "
+            "process has stopped, or does not run in lockstep"
+        )
+
+
+class _RealTime:
+    """Ticks by a clock; after a pause the robot is where it would have been."""
+
+    def __init__(
+        self, robot: Robot, session: zenoh_link.Session, namespace: str, log: EventLog, stop: StopSignal
+    ) -> None:
+        self._robot, self._log, self._stop = robot, log, stop
+        self._steps = zenoh_link.ring_subscriber(session, f"{namespace}/controller/step")
+        print("ready", flush=True)
+
+    def run(self, ticks: int | None, clock: Clock) -> None:
+        """Drive until the end."""
+        robot = self._robot
+        quiet_garbage_collector()
+        pacer = RealTimePacer(
+            robot.grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
+        )
+        driving = robot.drives_at_once
+        while not self._stop.is_set:
+            now = pacer.wait()
+            due = round(now.now_s * robot.grid.rate_hz)
+            while robot.tick < due:
+                robot.step(driving)
+            robot.publish(now.unix_ns)
+            log_faults(robot, self._log)
+            landing = (not driving or robot.faults.waits_for_landing) and self._landing_began()
+            if landing:
+                robot.faults.landing_began(robot.grid.ns(robot.tick))
+            if landing and not driving:
+                driving = True
+                self._log.event(
+                    robot.grid.ns(robot.tick), Severity.INFO, "the landing began: the robot drives"
+                )
+            self._log.feed.flush()
+            if ticks is not None and robot.tick + 1 >= ticks:
+                return
+
+    def _landing_began(self) -> bool:
+        return any(
+            (phase := phase_of(sample.payload.to_bytes())) is not None and phase in _LANDING
+            for sample in zenoh_link.drain(self._steps)
+        )
+
+
+def log_faults(robot: Robot, log: EventLog) -> None:
+    """Write which faults have begun and ended."""
+    for fault in robot.faults.take_texts():
+        level = Severity.WARN if fault.begins else Severity.INFO
+        log.event(robot.grid.ns(robot.tick), level, str(fault))
+
+
+def phase_of(payload: bytes) -> int | None:
+    """Phase in a serialised ControllerStep, None if it is something else."""
+    try:
+        return unpack_controller_step(payload).phase
+    except ValueError:
+        return None

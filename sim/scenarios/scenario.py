@@ -1,0 +1,195 @@
+"""A scenario: everything about a simulated run that is not the seed.
+
+One TOML file a scenario in ``sim/scenarios``; loaded by name or by path, unknown keys refused. ``spread``
+values are half-widths of uniform draws from the seed. Lengths of time and space in s and m, frames ENU.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+from flightstack.common.strict_toml import ConfigError, Range, from_table, read_toml
+from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.types import Vec3
+from sim.scenarios.fault_spec import Fault
+
+
+class StartKind(Enum):
+    """How the vehicle begins."""
+
+    GROUND = "ground"  # stands on the floor, disarmed
+    HOVER = "hover"  # armed and trimmed in the wind at start.offset_m
+
+
+class PathKind(Enum):
+    """Path of the target."""
+
+    STILL = "still"
+    STRAIGHT = "straight"
+    CIRCLE = "circle"  # constant speed and turn rate
+    STOP_AND_GO = "stop_and_go"
+    REVERSING = "reversing"
+
+
+class VelocityLoop(Enum):
+    """On-board velocity loop of the vehicle."""
+
+    PAPER = "paper"  # eq. 8 with K1, K2 in the Mellinger attitude controller
+    PID = "pid"  # Crazyflie firmware position_controller_pid.c
+
+
+class Airframe(Enum):
+    """Vehicles with a parameter file of that name in ``sim``."""
+
+    CRAZYFLIE20 = "crazyflie20"
+    QUAD_1000G = "quad_1000g"
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where the vehicle begins. ``offset_m`` is relative to the landing spot at time zero, ENU."""
+
+    kind: StartKind = StartKind.GROUND
+    ground_position_m: tuple[float, float] = (0.0, 0.0)  # where it stands for kind = ground
+    offset_m: Vec3 | None = None  # for kind = hover; None: drawn from distance, bearing and h below
+    distance_m: tuple[float, float] = (0.3, 2.5)
+    h_m: tuple[float, float] = (0.03, 1.2)
+
+
+@dataclass(frozen=True, slots=True)
+class TargetSpec:
+    """The ground robot: a TurtleBot3 Burger with a pad, on a path."""
+
+    path: PathKind = PathKind.STILL
+    speed_m_s: Annotated[float, Range(0.0, 3.0)] = 0.0
+    turn_rate_rad_s: Annotated[float, Range(-3.0, 3.0)] = 0.0
+    random_speed: bool = (
+        False  # draw speed in [0, speed_m_s] and turn rate in +-turn_rate_rad_s from the seed
+    )
+    position_m: tuple[float, float] = (0.0, 0.0)
+    heading_rad: float = 0.0
+    random_heading: bool = False
+    wait_for_landing: bool = True
+    stop_period_s: Annotated[float, Range(0.5, 60.0)] = 4.0  # stop_and_go and reversing: time between changes
+    acceleration_max_m_s2: Annotated[float, Range(0.05, 10.0)] = 1.0
+    speed_max_m_s: Annotated[float, Range(0.01, 5.0)] = 0.2108  # OpenCR turtlebot3_burger.h: 61 rpm wheels
+    turn_rate_max_rad_s: Annotated[float, Range(0.01, 10.0)] = 2.635  # OpenCR turtlebot3_burger.h
+    heave_amplitude_m: Annotated[float, Range(0.0, 0.5)] = 0.0
+    heave_rate_hz: Annotated[float, Range(0.0, 2.0)] = 0.0
+    pad_height_m: Annotated[float, Range(0.05, 2.0)] = 0.20  # LDS top at 0.192 m plus the pad
+    pad_radius_m: Annotated[float, Range(0.05, 2.0)] = 0.10
+    pad_behind_axle_m: Annotated[float, Range(-0.2, 0.2)] = 0.0  # 0.032 would be the body's centre
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryLink:
+    """How measurements reach their reader: rate, noise, delay, loss."""
+
+    rate_hz: Annotated[float, Range(1.0, 500.0)] = 100.0
+    position_noise_m: Annotated[float, Range(0.0, 0.2)] = 0.0
+    velocity_noise_m_s: Annotated[float, Range(0.0, 0.5)] = 0.0
+    yaw_noise_rad: Annotated[float, Range(0.0, 0.2)] = 0.0
+    delay_s: Annotated[float, Range(0.0, 0.5)] = 0.0
+    loss: Annotated[float, Range(0.0, 1.0)] = 0.0
+    dropout_every_s: Annotated[float, Range(0.0, 600.0)] = 0.0  # mean time between drop-outs; 0: none
+    dropout_max_s: Annotated[float, Range(0.0, 5.0)] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleSpec:
+    """The simulated vehicle: its file, velocity loop, spreads of its plant, mocap of its estimator."""
+
+    airframe: Airframe = Airframe.CRAZYFLIE20
+    velocity_loop: VelocityLoop = VelocityLoop.PAPER
+    mass_spread: Annotated[float, Range(0.0, 0.5)] = 0.0
+    motor_lag_spread: Annotated[float, Range(0.0, 0.9)] = 0.0
+    thrust_spread: Annotated[float, Range(0.0, 0.5)] = 0.0
+    slow_motors: bool = False  # 0.136 s up, 0.108 s down instead of 0.07 s
+    ground_effect_gain: Annotated[float, Range(0.0, 6.0)] = 1.0
+    mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
+    setpoint_delay_s: Annotated[float, Range(0.0, 0.1)] = 0.002  # radio, one way (Crazyradio: 2 to 7 ms)
+
+
+@dataclass(frozen=True, slots=True)
+class Wind:
+    """Mean wind (direction drawn from the seed unless given) and gusts."""
+
+    mean_m_s: Annotated[float, Range(0.0, 10.0)] = 0.0
+    gust_rms_m_s: Annotated[float, Range(0.0, 5.0)] = 0.0
+    direction_rad: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Judge:
+    """The barrier the run is judged by, from true states; whatever the controller believes."""
+
+    alpha_1_m: Annotated[float, Range(0.05, 20.0)] = 1.0
+    beta_m: Annotated[float, Range(0.05, 20.0)] = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A whole scenario."""
+
+    name: str
+    description: str
+    onboard: FlightConfig
+    duration_max_s: Annotated[float, Range(1.0, 3600.0)] = 120.0
+    start: Start = field(default_factory=Start)
+    target: TargetSpec = field(default_factory=TargetSpec)
+    odometry: OdometryLink = field(default_factory=OdometryLink)
+    vehicle: VehicleSpec = field(default_factory=VehicleSpec)
+    wind: Wind = field(default_factory=Wind)
+    judge: Judge = field(default_factory=Judge)
+    fault: tuple[Fault, ...] = ()  # [[fault]], in any order
+
+    def __post_init__(self) -> None:
+        if self.target.speed_m_s > self.target.speed_max_m_s + 1e-9:
+            raise ConfigError(
+                f"target.speed_m_s: found {self.target.speed_m_s:g}, above target.speed_max_m_s "
+                f"{self.target.speed_max_m_s:g}"
+            )
+        if self.start.kind is StartKind.GROUND and self.onboard.takeoff.start_offset_m is None:
+            raise ConfigError("onboard.takeoff.start_offset_m: missing; a start on the ground needs it")
+
+    def with_filter(self, kind: FilterKind) -> Scenario:
+        """Return the same scenario flown with another safety filter."""
+        return replace(self, onboard=replace(self.onboard, filter=kind))
+
+
+def names() -> list[str]:
+    """Names of the scenarios that come with the simulator."""
+    folder = resources.files("sim.scenarios")
+    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+
+
+def path_of(name_or_file: str) -> Path:
+    """File of a scenario given by name or path.
+
+    Raises:
+        ConfigError: neither a known name nor a file.
+    """
+    if name_or_file in names():
+        return Path(str(resources.files("sim.scenarios") / f"{name_or_file}.toml"))
+    path = Path(name_or_file)
+    if path.is_file():
+        return path
+    raise ConfigError(f"scenario {name_or_file!r}: neither a file nor one of: {', '.join(names())}")
+
+
+def load(name_or_file: str) -> Scenario:
+    """Load a scenario by name or path.
+
+    Raises:
+        ConfigError: with file, key, what was found and what is allowed.
+    """
+    path = path_of(name_or_file)
+    try:
+        return from_table(Scenario, read_toml(path))
+    except ConfigError as error:
+        text = str(error)
+        raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None

@@ -1,0 +1,1 @@
+"""The simulated vehicle: plant and firmware in one loop."""

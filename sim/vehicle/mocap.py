@@ -1,0 +1,155 @@
+"""Motion capture for compiled code: what chance does to each sample is drawn ahead, here, in plain Python.
+
+When sample k is measured, when it arrives, its noise and whether it is lost depend on the seed alone, not on
+the flight. So all that is left to do in flight is to add the true pose. The numbers and their order are those
+of ``MeasurementChannel``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, I64, Cell, Record, cell
+from sim.compiled.rotation import rotation_axes
+from sim.firmware.estimator import EstimatorRecord, correct
+from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
+from sim.scenarios.scenario import OdometryLink
+from sim.world.world import BodyRecord
+
+ROWS = 512  # of samples; at most 250 are under way (500 Hz, 0.5 s)
+LOST = -1
+VALUES = 4  # x, y, z (ENU, m), yaw (rad)
+
+
+class MocapRecord(Record):
+    """Samples in the order of measurement: arrived ones first, then those under way, then future ones."""
+
+    measured_ms: Annotated[I64, ROWS]
+    arrives_ms: Annotated[I64, ROWS]  # or LOST
+    values: Annotated[F64, ROWS * VALUES]  # the noise, until it is measured
+    measuring: int  # the row that is measured next
+    arriving: int  # the row that arrives next
+    diverted: bool  # arriving samples are left to Python: a fault is to work on them
+
+
+@jitted
+def measure_pose(m: MocapRecord, body: BodyRecord, now_ms: int) -> None:
+    """Take the samples that are due; there must be rows (``MocapTape.top_up``)."""
+    while m.measured_ms[m.measuring] <= now_ms:
+        axes = rotation_axes(body.quaternion)
+        at = VALUES * m.measuring
+        for i in range(3):
+            m.values[at + i] += body.position[i]
+        m.values[at + 3] += math.atan2(axes[1], axes[0])
+        m.measuring += 1
+
+
+@jitted
+def next_arrived(m: MocapRecord, now_ms: int) -> int:
+    """Take the next sample that has arrived: its first value's index, or -1 when there is none."""
+    while m.arriving < m.measuring and m.arrives_ms[m.arriving] <= now_ms:
+        m.arriving += 1
+        if m.arrives_ms[m.arriving - 1] != LOST:
+            return VALUES * (m.arriving - 1)
+    return -1
+
+
+@jitted
+def correct_estimate(m: MocapRecord, estimator: EstimatorRecord, now_ms: int) -> None:
+    """Give the estimator what has arrived."""
+    at = next_arrived(m, now_ms)
+    while at >= 0:
+        correct(estimator, m.values[at], m.values[at + 1], m.values[at + 2], m.values[at + 3])
+        at = next_arrived(m, now_ms)
+
+
+@jitted
+def _next_arrived(mocap: Cell[MocapRecord], now_ms: int) -> int:
+    return next_arrived(mocap[0], now_ms)
+
+
+@jitted
+def _measure_pose(mocap: Cell[MocapRecord], body: Cell[BodyRecord], now_ms: int) -> None:
+    measure_pose(mocap[0], body[0], now_ms)
+
+
+class MocapTape:
+    """Fills the rows, and hands out samples while they are diverted.
+
+    Args:
+        link: rate, noise, delay, loss, drop-outs.
+        seed: of the run.
+        record: where the rows are.
+        body: the vehicle.
+    """
+
+    def __init__(self, link: OdometryLink, seed: int, record: MocapRecord, body: BodyRecord) -> None:
+        noise = link.position_noise_m
+        self._rate_hz, self._delay_ns = link.rate_hz, round(link.delay_s * NS)
+        self._losses = Losses(link, seed, "mocap.loss")
+        self._noise_left = np.empty((0, VALUES))
+        self._noise = NoiseRows((noise, noise, noise, link.yaw_noise_rad), seed, "mocap.noise")
+        self._cell, self._body = cell(record), cell(body)
+        self._measured_ms, self._arrives_ms, self._values = (
+            record.measured_ms, record.arrives_ms, record.values.reshape(ROWS, VALUES),
+        )  # fmt: skip
+        self._measuring, self._arriving = self._cell["measuring"], self._cell["arriving"]
+        self._count = 0  # samples drawn
+        self._fill(0)
+
+    @property
+    def drawn_until_ms(self) -> int:
+        """Time up to which there are rows."""
+        return int(self._measured_ms[-1])
+
+    def top_up(self) -> None:
+        """See to it that there are rows for the next half a second, and at most for ten minutes."""
+        if self._measuring[0] < ROWS // 2:
+            return
+        done = int(self._arriving[0])
+        for rows in (self._measured_ms, self._arrives_ms, self._values):
+            rows[: ROWS - done] = rows[done:].copy()
+        self._measuring -= done
+        self._arriving[0] = 0
+        self._fill(ROWS - done)
+
+    def _fill(self, first: int) -> None:
+        counts = np.arange(self._count, self._count + ROWS - first)
+        self._count += len(counts)
+        measured_ms = _ms_from(np.rint(counts * NS / self._rate_hz).astype(np.int64))
+        measured_ns = measured_ms * NS_PER_MS
+        self._measured_ms[first:] = measured_ms
+        self._arrives_ms[first:] = _ms_from(measured_ns + self._delay_ns)
+        if self._losses.possible:
+            lost = [self._losses.lost(time_ns) for time_ns in measured_ns.tolist()]
+            self._arrives_ms[first:][lost] = LOST
+        while len(self._noise_left) < len(counts):
+            self._noise_left = np.concatenate((self._noise_left, self._noise.block()))
+        self._values[first:], self._noise_left = np.split(self._noise_left, [len(counts)])
+
+    def divert(self, diverted: bool) -> None:
+        """Leave arriving samples to ``take``, or no longer."""
+        self._cell["diverted"][0] = diverted
+
+    def take(self, now_ms: int) -> list[tuple[float, ...]]:
+        """Measure what is due now, and take what has arrived."""
+        _measure_pose(self._cell, self._body, now_ms)
+        samples: list[tuple[float, ...]] = []
+        while (at := _next_arrived(self._cell, now_ms)) >= 0:
+            samples.append(tuple(self._values[at // VALUES].tolist()))
+        return samples
+
+    def next_ms(self) -> int:
+        """When ``take`` has something to do."""
+        measuring, arriving = int(self._measuring[0]), int(self._arriving[0])
+        measured_ms = int(self._measured_ms[measuring])
+        return min(measured_ms, int(self._arrives_ms[arriving])) if arriving < measuring else measured_ms
+
+
+def _ms_from(times_ns: I64) -> I64:
+    """``ms_from`` of many."""
+    return -(-times_ns // NS_PER_MS)

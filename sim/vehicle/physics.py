@@ -1,0 +1,136 @@
+"""World, rotors, battery, wind and deck of one vehicle, whoever flies it, and what a judge sees of them."""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.safety.barrier import Barrier
+from flightstack.core.types import Vec3
+from sim.compiled.records import Values, cell, new, reader, scalars
+from sim.plant.battery import BatteryModel
+from sim.plant.ground_effect import GroundEffect
+from sim.plant.params import STEP_S, Plant, load
+from sim.plant.rotors import Rotors
+from sim.plant.vehicle_types import Truth
+from sim.plant.wind import WindModel
+from sim.robot.target import TargetModel
+from sim.scenarios.scenario import Scenario
+from sim.vehicle.loop import WIND_EVERY_MS, VehicleRecord
+from sim.world.contact import GAP_MS, NONE_MS
+from sim.world.world import ContactBit, World
+
+AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
+_TUMBLED = ContactBit.TUMBLED.value
+_NAN3: Vec3 = (math.nan, math.nan, math.nan)
+
+
+class Physics:
+    """One vehicle's body and surroundings; times are simulated ones, ms.
+
+    Attributes:
+        params: of the vehicle's file.
+        plant: factors by which this vehicle differs from the nominal one.
+        weight_n: its own.
+        hover_rpm: rotor speed that holds it in still air.
+        record, vehicle: memory that the steps of 1 ms work on, in one piece, and its view for them.
+        world, rotors, battery, wind: its parts, which are views of that memory.
+        barrier: of the judge.
+        judging: whether touches count, one element.
+        pad_ms, ground_ms, since_ms: last contact with pad and floor, and since when it stands; one element.
+
+    Args:
+        scenario: plant, wind, target, judge.
+        seed: of the run.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self.params = params = load(scenario.vehicle.airframe)
+        self.plant = plant = Plant.draw(scenario.vehicle, seed)
+        mass_kg = params.body.mass_kg * plant.mass
+        self.weight_n = mass_kg * params.contact.gravity_m_s2
+        self.record = r = new(VehicleRecord)
+        self.vehicle = cell(r)
+        self.world = World(params, mass_kg, scenario.target, r.body, r.deck, r.reach, r.memory)
+        self.rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
+        pad_radius = scenario.target.pad_radius_m
+        GroundEffect(params.rotor, scenario.vehicle.ground_effect_gain, pad_radius, r.ground)
+        self.hover_rpm = params.rotor.rpm(self.weight_n / 4.0 / plant.thrust)
+        self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery)
+        self.wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
+        drag_xy, _, drag_z = params.body.drag_n_s_m
+        r.drag.xy, r.drag.along, r.drag.weight = drag_xy, drag_z - drag_xy, self.weight_n
+        judge = scenario.judge
+        self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)
+        cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
+        self._h_min, self._h_min_outside, self._tumbled = scalars(
+            r.judge, "h_min", "h_min_outside", "tumbled"
+        )
+        self.since_ms, self.pad_ms, self.ground_ms = scalars(r.contact, "since_ms", "pad_ms", "ground_ms")
+        self._touch_ms, self.judging, self._contacts = scalars(r.contact, "touch_ms", "judging", "bits")
+        for times in (self.since_ms, self.pad_ms, self.ground_ms, self._touch_ms):
+            times[0] = NONE_MS
+        self._read_body, self._read_deck = reader(r.body), reader(r.deck)
+        self._read_contact = reader(r.contact)
+        target = TargetModel(scenario.target, seed)
+        pose = target.pose
+        self.world.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
+
+    def on_pad(self, now_ms: int) -> bool:
+        """In contact with the pad's top (true contact; bounces shorter than 30 ms don't count)."""
+        return bool(now_ms - self.pad_ms[0] <= GAP_MS)
+
+    def on_ground(self, now_ms: int) -> bool:
+        """In contact with the floor."""
+        return bool(now_ms - self.ground_ms[0] <= GAP_MS)
+
+    def judge_from_here(self) -> None:
+        """Begin the judging; what was touched before is forgotten."""
+        self.judging[0] = True
+        self._touch_ms[0] = NONE_MS
+
+    def airborne(self, now_ms: int) -> bool:
+        """Out of contact for so long that it has left the ground."""
+        return bool(now_ms - max(self.pad_ms[0], self.ground_ms[0]) > AIRBORNE_AFTER_MS)
+
+    def judge_once_airborne(self, now_ms: int) -> None:
+        """Begin the judging once the vehicle has left the ground."""
+        if not self.judging[0] and self.airborne(now_ms):
+            self.judging[0] = True
+
+    def body(self) -> Values:
+        """Position (3), velocity (3), quaternion (4, w first) and angular velocity (3), as in the record."""
+        return self._read_body()
+
+    def truth(self, now_ms: int, motors_running: bool) -> Truth:
+        """Return the true state now and the extremes and contacts since the last call; those start anew."""
+        body, deck = self._read_body(), self._read_deck()  # in the order of their records
+        position, pad = body[:3], deck[:3]
+        h = self.barrier.h((position[0] - pad[0], position[1] - pad[1], position[2] - pad[2]))
+        touch_s, touch_e, touch_v = math.nan, _NAN3, _NAN3
+        if self._touch_ms[0] != NONE_MS:
+            contact = self._read_contact()  # ends with place and velocity
+            touch_s, touch_e, touch_v = self._touch_ms[0] * STEP_S, contact[-6:-3], contact[-3:]
+        truth = Truth(
+            now_ms * STEP_S,
+            position,
+            body[3:6],
+            body[6:10],
+            body[10:13],
+            self.rotors.rpm,
+            pad,
+            deck[3:6],
+            math.remainder(deck[6], 2.0 * math.pi),
+            h,
+            min(h, self._h_min[0]),
+            self._h_min_outside[0],
+            self._contacts[0] | (_TUMBLED if self._tumbled[0] else 0),
+            touch_e,
+            touch_v,
+            touch_s,
+            motors_running,
+            self.battery.voltage_v,
+            self.wind.now_enu_m_s,
+        )
+        self._h_min[0] = self._h_min_outside[0] = math.inf
+        self._tumbled[0] = self._contacts[0] = 0
+        return truth

@@ -1,0 +1,301 @@
+"""The simulated Crazyflie: body, rotors, firmware, estimator and the deck it lands on, in 1 ms steps.
+
+Deterministic in (scenario, seed). Knows nothing of MAVLink or of the wall clock.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.types import ZERO, Vec3
+from sim.compiled.records import scalars
+from sim.compiled.rotation import quaternion_from_axes, rotation_axes
+from sim.faults.battery import BatteryFaults
+from sim.faults.motors import MotorFaults
+from sim.faults.vehicle_faults import Faults
+from sim.firmware.mixer import OFF
+from sim.firmware.paper_loop import axes_from_force
+from sim.firmware.setpoint import STOP, Setpoint
+from sim.firmware.stack import Firmware
+from sim.firmware.supervisor import PERIOD_MS, STATES, State
+from sim.plant.imu import Imu
+from sim.plant.params import CONTROL_STEP_S, STEP_S
+from sim.plant.sensors import NS_PER_MS, ms_from, stream
+from sim.plant.vehicle_types import Estimate, Truth
+from sim.scenarios.scenario import Scenario, StartKind
+from sim.vehicle.loop import fly
+from sim.vehicle.mocap import MocapTape
+from sim.vehicle.physics import Physics
+from sim.world.world import ContactBit
+
+CONTACT_PAD = ContactBit.PAD.value
+CONTACT_GROUND = ContactBit.GROUND.value
+CONTACT_ROBOT = ContactBit.ROBOT.value
+CONTACT_PAD_EDGE = ContactBit.PAD_EDGE.value
+CONTACT_TUMBLED = ContactBit.TUMBLED.value
+
+LANDED_AFTER_MS = 150  # in contact for this long is landed
+WARM_UP_MS = 100  # every loop of the firmware has run by then, and motion capture has come
+SUPPLY_MS = 320  # the noise of the IMU, of which six numbers go every 2 ms, is drawn so far ahead
+_STATE_TEXTS = tuple(str(state.value) for state in STATES)
+_LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
+
+
+class VehicleSim:
+    """One vehicle with its deck.
+
+    Attributes:
+        time_s: simulated time.
+        faults: what fails, when; its ``link`` is for whoever has the MAVLink wire.
+        trim_velocity_enu_m_s: set-point that holds a hover start against weight and mean wind; zero
+            otherwise.
+        plant: factors by which this vehicle differs from the nominal one.
+        sent_before_ms: how long ago the set-points handed over now were sent, at most the radio's delay; a
+            simulation may run ahead by that much before it has to know them.
+
+    Args:
+        scenario: plant, wind, target, start, judge.
+        seed: of the run.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self._physics = physics = Physics(scenario, seed)
+        r, self._vehicle, self._world = physics.record, physics.vehicle, physics.world
+        self._params, self.plant, self._rotors = physics.params, physics.plant, physics.rotors
+        self._battery, self._wind = physics.battery, physics.wind
+        params = physics.params
+        self._gravity = params.contact.gravity_m_s2
+        self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed, r.imu)
+        self._firmware = Firmware(scenario.vehicle, params, r.firmware)
+        self._mocap = MocapTape(scenario.vehicle.mocap, seed, r.mocap, r.body)
+        motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, physics.hover_rpm)
+        self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
+        self._ms = self._supplied_ms = 0
+        self._allowed, self._state = scalars(r.firmware.supervisor, "motors_allowed", "state")
+        self.trim_velocity_enu_m_s: Vec3 = ZERO
+        self.sent_before_ms = 0
+        physics.judging[0] = scenario.start.kind is StartKind.HOVER
+        if scenario.start.kind is StartKind.HOVER:
+            self._start_hover(scenario, seed)
+        else:
+            x, y = scenario.start.ground_position_m
+            self._world.set_vehicle((x, y, -params.geometry.foot_bottom_m - 1e-5))
+            physics.ground_ms[0], physics.since_ms[0] = 0, -LANDED_AFTER_MS
+        self._settle()
+
+    def _start_hover(self, scenario: Scenario, seed: int) -> None:
+        """Place the vehicle at rest in the air, rotors and firmware trimmed for the mean wind."""
+        offset = scenario.start.offset_m or self._draw_offset(scenario, seed)
+        deck = self._world.deck_position
+        position = (deck[0] + offset[0], deck[1] + offset[1], deck[2] + offset[2])
+        wx, wy, wz = self._wind.mean_enu_m_s
+        drag_xy, _, drag_z = self._params.body.drag_n_s_m
+        zx, zy, zz = 0.0, 0.0, 1.0
+        fx = fy = fz = 0.0
+        for _ in range(20):  # drag depends on the tilt, the tilt on the drag
+            along = (drag_z - drag_xy) * (wx * zx + wy * zy + wz * zz)
+            fx, fy = -drag_xy * wx - along * zx, -drag_xy * wy - along * zy
+            fz = self._physics.weight_n - drag_xy * wz - along * zz
+            length = math.sqrt(fx * fx + fy * fy + fz * fz)
+            zx, zy, zz = fx / length, fy / length, fz / length
+        self._world.set_vehicle(position, quaternion_from_axes(axes_from_force(fx, fy, fz, 1.0, 0.0)))
+        rpm = self._params.rotor.rpm(length / 4.0 / self.plant.thrust)
+        self._rotors.rpm = (rpm, rpm, rpm, rpm)
+        self._firmware.commands = self._rotors.rpm
+        scale = self.plant.thrust
+        trim = self._firmware.controller.trim((fx / scale, fy / scale, fz / scale))
+        self.trim_velocity_enu_m_s = trim
+        self._firmware.start_flying(Setpoint(*trim))
+
+    def _draw_offset(self, scenario: Scenario, seed: int) -> Vec3:
+        rng = stream(seed, "start")
+        distance = rng.uniform(*scenario.start.distance_m)
+        bearing = rng.uniform(-math.pi, math.pi)
+        height = rng.uniform(*scenario.start.h_m) + self._physics.barrier.height(distance)
+        return (distance * math.cos(bearing), distance * math.sin(bearing), height)
+
+    def _settle(self) -> None:
+        """Start with a converged estimate."""
+        world = self._world
+        axes = rotation_axes(world.quaternion)
+        g = self._gravity
+        self._imu.settle(world.velocity, (g * axes[2], g * axes[5], g * axes[8]))
+        bias = self._imu.accel_bias
+        self._firmware.estimator.settle(world.position, world.velocity, axes, world.quaternion, bias)
+
+    def set_deck(
+        self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float
+    ) -> None:
+        """True pose and twist of the pad centre now; it moves on an arc until the next call."""
+        self._world.set_deck(position_enu_m, yaw_rad, velocity_enu_m_s, yaw_rate_rad_s)
+
+    def advance(self, steps: int) -> None:
+        """Run ``steps`` physics steps of 1 ms."""
+        end_ms = self._ms + steps
+        while self._ms < end_ms:
+            if self._ms >= self._supplied_ms:
+                self._supply()
+            stop_ms = min(end_ms, self._supplied_ms)
+            if not self.faults.quiet:
+                stop_ms = min(stop_ms, self._fail())
+            self._ms = fly(self._vehicle, self._ms, stop_ms)
+        self._physics.judge_once_airborne(self._ms)
+
+    def _supply(self) -> None:
+        """Draw ahead what compiled code takes."""
+        self._imu.top_up()
+        self._wind.top_up()
+        self._mocap.top_up()
+        self._supplied_ms = min(self._ms + SUPPLY_MS, self._mocap.drawn_until_ms)
+
+    def _fail(self) -> int:
+        """Let faults begin and end, and the own state and motion capture go their faulty way.
+
+        Returns:
+            When to call it next, in ms.
+        """
+        faults, mocap, now_ms = self.faults, self._mocap, self._ms
+        now_ns = now_ms * NS_PER_MS
+        if now_ms % PERIOD_MS == 0 and faults.waits_for_takeoff and self._physics.airborne(now_ms):
+            faults.took_off(now_ns)
+        if now_ns >= faults.next_ns:
+            faults.run(now_ns)
+        if now_ns >= faults.own_state.due_ns:
+            faults.own_state.sample(now_ns, self._believed())
+        next_ms = (now_ms // PERIOD_MS + 1) * PERIOD_MS
+        mocap.divert(faults.mocap.active)
+        if faults.mocap.active:
+            for x, y, z, yaw in faults.mocap.deliver(now_ns, mocap.take(now_ms)):
+                self._firmware.estimator.correct(x, y, z, yaw)
+            next_ms = min(next_ms, mocap.next_ms())
+        return min(next_ms, ms_from(faults.next_ns))
+
+    def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
+        """Fail, or heal, as MAV_CMD_INJECT_FAILURE asks; None when done, else why not.
+
+        Args:
+            unit: FAILURE_UNIT.
+            kind: FAILURE_TYPE.
+            instance: 0 all, else which one, from 1.
+        """
+        return self.faults.inject(unit, kind, instance, self._ms * NS_PER_MS)
+
+    def arm(self) -> str | None:
+        """Arm; None if accepted (or armed already), else why not."""
+        return self._firmware.arm(self._ms, self._battery.voltage_v)
+
+    def disarm(self, force: bool) -> str | None:
+        """Disarm, motors off at once; without ``force`` only in contact. None if accepted, else why not."""
+        if not force and self.armed and self.motors_running and not (self.on_pad or self.on_ground):
+            return "in the air; land first, or force"
+        self._firmware.disarm(self._ms)
+        return None
+
+    def reboot(self) -> str | None:
+        """Restart the firmware, which also unlocks it; None when done, else why not."""
+        if self.armed:
+            return "armed; disarm first"
+        self._firmware.supervisor.restart()
+        self._firmware.disarm(self._ms)
+        self.stop_setpoint()
+        return None
+
+    def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
+        """Send a velocity set-point; it takes effect, and its age counts, after the radio's delay."""
+        vx, vy, vz = velocity_enu_m_s
+        self._firmware.send(Setpoint(vx, vy, vz, yaw_rad), self._ms - self.sent_before_ms)
+
+    def stop_setpoint(self) -> None:
+        """Send a stop set-point: motors off while it is the newest. It ages like any other."""
+        self._firmware.send(STOP, self._ms - self.sent_before_ms)
+
+    def begin_judging(self) -> None:
+        """The landing begins: the next touch of the pad is the first."""
+        self._physics.judge_from_here()
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return self._ms * STEP_S
+
+    @property
+    def battery_v(self) -> float:
+        """Voltage under load."""
+        return self._battery.voltage_v
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors may turn."""
+        return bool(self._allowed[0])
+
+    @property
+    def locked(self) -> bool:
+        """Whether only a reboot (a new object) helps."""
+        return bool(self._state[0] == _LOCKED)
+
+    @property
+    def crashed(self) -> bool:
+        """Whether the supervisor saw a tumble; disarm to clear."""
+        return bool(self._state[0] == _CRASHED)
+
+    @property
+    def state_text(self) -> str:
+        """State of the supervisor in words."""
+        text: str = _STATE_TEXTS[self._state[0]]
+        return text
+
+    @property
+    def motors_running(self) -> bool:
+        """Whether any motor is commanded to turn."""
+        return self._firmware.commands != OFF
+
+    @property
+    def motor_commands(self) -> tuple[float, float, float, float]:
+        """Commands of M1..M4, 0 to 1 of the highest speed that the battery still allows."""
+        limit = self._battery.rpm_max
+        m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self._firmware.commands)
+        return (m1, m2, m3, m4)
+
+    @property
+    def on_pad(self) -> bool:
+        """In contact with the pad's top (true contact; bounces shorter than 30 ms don't count)."""
+        return self._physics.on_pad(self._ms)
+
+    @property
+    def on_ground(self) -> bool:
+        """In contact with the floor."""
+        return self._physics.on_ground(self._ms)
+
+    @property
+    def landed(self) -> bool:
+        """In contact with pad or floor for 0.15 s."""
+        stands = self.on_pad or self.on_ground
+        return stands and bool(self._ms - self._physics.since_ms[0] >= LANDED_AFTER_MS)
+
+    def estimate(self) -> Estimate:
+        """Return what has reached the autopilot of what the estimator believes."""
+        believed = self._believed()
+        if self.faults.quiet:
+            return believed
+        return self.faults.own_state.report(self._ms * NS_PER_MS, believed)
+
+    def _believed(self) -> Estimate:
+        return Estimate(*self._firmware.estimator.believed())
+
+    def truth(self) -> Truth:
+        """Return the true state now and the extremes and contacts since the last call; those start anew."""
+        return self._physics.truth(self._ms, self.motors_running)
+
+
+def warm_up(scenario: Scenario) -> None:
+    """Have everything that a flight calls compiled, or loaded from the cache, before time begins to count.
+
+    Takes about 10 s the first time on a machine, some milliseconds later.
+    """
+    vehicle = VehicleSim(scenario, 0)
+    vehicle.arm()
+    for _ in range(WARM_UP_MS // 10):
+        vehicle.set_velocity((0.0, 0.0, 0.3), 0.0)
+        vehicle.advance(10)
+        vehicle.truth()
+        vehicle.estimate()

@@ -1,0 +1,1 @@
+"""The MuJoCo world: vehicle, deck, contact."""

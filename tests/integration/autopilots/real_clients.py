@@ -1,0 +1,224 @@
+"""Runs other people's clients against a vehicle process, and watches with an eye of its own.
+
+Every wait is bounded and ends on something seen: a line the program prints, or telemetry.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from tests.integration.sim_processes import ROOT, Client
+
+SCENARIO = "paper_static_1"  # starts on the ground; target and air stand still
+READY_MAX_S = 240.0  # the simulator may have to be compiled first, next to other compilers
+STEP_MAX_S = 60.0  # one step of a flight on a busy machine
+END_MAX_S = 30.0
+DOCUMENTATION = ROOT / "docs" / "clients.md"
+ARMED = mav.MAV_MODE_FLAG_SAFETY_ARMED
+ON_GROUND = mav.MAV_LANDED_STATE_ON_GROUND
+OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000  # PX4 px4_custom_mode.h
+_BEAT_S = 1.0
+_SIGNING_EPOCH_S = 1420070400  # 2015-01-01 (mavlink.io, message signing); time stamps count 10 us from there
+
+
+@contextmanager
+def vehicle(directory: Path, *more: str) -> Iterator[int]:
+    """Run ``flightstack vehicle`` on a free port of loopback, given back; it must also end in order."""
+    command = [sys.executable, "-m", "flightstack.cli.main", "vehicle", "--scenario", SCENARIO]
+    command += ["--url", "udpin:127.0.0.1:0", *more]
+    errors = directory / "vehicle.err"
+    with errors.open("w") as stderr:
+        child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    try:
+        assert child.stdout is not None
+        assert select.select([child.stdout], [], [], READY_MAX_S)[0], f"not ready in {READY_MAX_S:g} s"
+        ready = child.stdout.readline()
+        assert ready.startswith("ready udpin:127.0.0.1:"), f"said {ready!r}: {errors.read_text()}"
+        yield int(ready.rsplit(":", 1)[1])
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(END_MAX_S) == 0, errors.read_text()
+    finally:
+        if child.poll() is None:
+            child.kill()
+        child.communicate(timeout=END_MAX_S)
+
+
+class Observer(Client):
+    """A client that says nothing but heartbeats, and remembers what it hears."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__(f"udpin:127.0.0.1:{port}")
+        self._beat_due_s = -math.inf
+
+    def beat(self) -> None:
+        """Say that we are still there, once a second."""
+        now_s = time.monotonic()
+        if now_s >= self._beat_due_s:
+            self._beat_due_s = now_s + _BEAT_S
+            self.hello()
+
+    def sign(self, secret: bytes) -> None:
+        """Sign what is sent from now on with this key."""
+        signing = self._mav.signing
+        signing.secret_key, signing.sign_outgoing = secret, True
+        signing.timestamp = round((time.time() - _SIGNING_EPOCH_S) * 1e5)
+
+    def drain(self) -> None:
+        """Take what has come."""
+        while self.receive(0.0):
+            pass
+
+    def fileno(self) -> int:
+        """Descriptor of the socket, for ``select``."""
+        return self._socket.fileno()
+
+    def all(self, name: str, since: int = 0) -> list:
+        """Messages of one type, from a place in the log on."""
+        return [m for m in self.log[since:] if m.get_type() == name]
+
+    def index(self, wanted: Callable[[object], bool], since: int = 0) -> int:
+        """Where the first message that is wanted stands in the log: the vehicle's order, not the reader's."""
+        return next(i for i in range(since, len(self.log)) if wanted(self.log[i]))
+
+    def last(self, name: str):
+        """Newest message of one type, None if there was none."""
+        return next((m for m in reversed(self.log) if m.get_type() == name), None)
+
+    @property
+    def position(self):
+        """Newest LOCAL_POSITION_NED."""
+        found = self.last("LOCAL_POSITION_NED")
+        assert found is not None, "no position yet"
+        return found
+
+    def modes(self, since: int = 0) -> list[int]:
+        """Custom modes in their order, each change once."""
+        return _changes([m.custom_mode for m in self.all("HEARTBEAT", since)])
+
+    def armings(self, since: int = 0) -> list[bool]:
+        """Armed or not, each change once."""
+        return _changes([bool(m.base_mode & ARMED) for m in self.all("HEARTBEAT", since)])
+
+    def texts(self, since: int = 0) -> list[str]:
+        """What the vehicle said."""
+        return [m.text for m in self.all("STATUSTEXT", since)]
+
+    @property
+    def armed(self) -> bool:
+        """By the newest heartbeat."""
+        beat = self.last("HEARTBEAT")
+        assert beat is not None, "no heartbeat yet"
+        return bool(beat.base_mode & ARMED)
+
+
+def _changes(values: list) -> list:
+    return [v for i, v in enumerate(values) if i == 0 or v != values[i - 1]]
+
+
+class Program:
+    """A client program: read by what it prints, driven by lines to its standard input."""
+
+    def __init__(self, command: Sequence[str], watch: Observer, **more) -> None:
+        self._child = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            **more,
+        )
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        self._stdin, self._stdout = self._child.stdin, self._child.stdout
+        self._watch = watch
+        self._open = True
+        self.output = ""
+        self.typed: list[str] = []
+        self._read_to = 0
+
+    def __enter__(self) -> Program:
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        if self._child.poll() is None:
+            self._child.kill()
+        self._child.wait(END_MAX_S)
+        for pipe in (self._stdin, self._stdout):
+            pipe.close()
+        if error is not None:
+            error.add_note(self.said())
+
+    def said(self) -> str:
+        """All it printed, and what the vehicle said, for a person to read."""
+        vehicle_said = "\n".join(self._watch.texts())
+        return f"--- the client printed\n{self.output}\n--- the vehicle said\n{vehicle_said}"
+
+    def send(self, line: str) -> None:
+        """Type a line."""
+        self.typed.append(line)
+        self._stdin.write(f"{line}\n".encode())
+        self._stdin.flush()
+
+    def hang_up(self) -> None:
+        """End its standard input."""
+        self._stdin.close()
+
+    def pump(self, timeout_s: float) -> None:
+        """Take what came from the program and from the vehicle, waiting a little if there is nothing."""
+        self._watch.beat()
+        sources = [self._watch, self._stdout] if self._open else [self._watch]
+        ready = select.select(sources, [], [], timeout_s)[0]
+        if self._watch in ready:
+            self._watch.drain()
+        if self._stdout in ready:
+            data = os.read(self._stdout.fileno(), 65536)
+            self._open = bool(data)
+            self.output += data.decode(errors="replace")
+
+    def until(
+        self,
+        done: Callable[[], object],
+        what: str,
+        within_s: float = STEP_MAX_S,
+        each: Callable[[], None] | None = None,
+    ) -> None:
+        """Go on until something is so.
+
+        Args:
+            done: looked at whenever something came.
+            what: said when it does not become so.
+            within_s: wall time.
+            each: called every time something came, and every 0.05 s.
+        """
+        deadline_s = time.monotonic() + within_s
+        while not done():
+            assert time.monotonic() < deadline_s, f"{what}: not within {within_s:g} s"
+            assert self._open, f"{what}: the client has ended"
+            if each is not None:
+                each()
+            self.pump(0.05)
+
+    def expect(self, pattern: str, within_s: float = STEP_MAX_S, each: Callable[[], None] | None = None):
+        """Wait until it prints something new that matches; returns the match."""
+        compiled = re.compile(pattern)
+        self.until(lambda: compiled.search(self.output, self._read_to), f"{pattern!r}", within_s, each)
+        match = compiled.search(self.output, self._read_to)
+        assert match is not None
+        self._read_to = match.end()
+        return match
+
+    def end(self, within_s: float = END_MAX_S) -> int:
+        """Wait for its end; returns the exit status."""
+        self.until(lambda: not self._open, "its end", within_s)
+        return self._child.wait(END_MAX_S)

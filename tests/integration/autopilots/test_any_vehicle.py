@@ -1,0 +1,256 @@
+"""The tests that fly anything: our simulated vehicle by default, any other by ``--vehicle URL --target KEY``.
+
+Each step ends at a limit of height, distance or time with the vehicle being brought down. On a vehicle that
+was given, nothing arms without ``--arm-ok``; see docs/hardware.md.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import socket
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from flightstack.core.types import ZERO, Landed, Mode, Request
+from tests.flight_suite.companion import companion
+from tests.flight_suite.limits import Lost
+from tests.flight_suite.pilot import Pilot
+from tests.flight_suite.px4_room import on_px4
+from tests.flight_suite.radio import Radio
+from tests.flight_suite.room import Fence, given, simulated
+from tests.integration.runs import WALL_MAX_S, flightstack
+from tests.integration.sim_processes import ROOT
+
+pytestmark = pytest.mark.vehicle
+SAFE_S = 2.0  # from the loss of a part to what the onboard process does about it
+HEARTBEAT_LOST_S = 3.0  # it comes once a second, and two may be lost
+STANDING_M_S = 0.15  # own velocity of a vehicle that stands on the ground
+STOPPED_S = 2.0  # from the emergency stop to motors off
+AWAY_M_S = 0.3  # of a pilot who leaves
+FLIGHT_MAX_S = 90.0
+LANDED_MAX_S = 40.0  # from the loss of the companion to motors off, by the vehicle itself
+
+
+@pytest.fixture
+def room(request, tmp_path, personality, flight_number):
+    option = request.config.getoption
+    if option("--vehicle") is not None:
+        where = given(request.config, tmp_path)
+    elif option("--px4") is not None:
+        where = on_px4(
+            tmp_path, option("--px4"), option("--scenario"), flight_number, speed=option("--speed")
+        )
+    else:
+        where = simulated(tmp_path, personality)
+    with where as one:
+        yield one
+
+
+@pytest.fixture
+def pilot(room):
+    with Pilot(room) as one:
+        one.connect()
+        yield one
+
+
+def speed_m_s(pilot):
+    return math.hypot(*pilot.own.velocity_enu_m_s)
+
+
+def test_connects_and_tells_who_and_where_it_is(pilot):
+    seen = set()
+
+    def newer() -> bool:
+        seen.add(pilot.own.source_time_s)
+        return False
+
+    until_s = pilot.vehicle_s + 2.0
+    pilot.watch("count states", lambda: newer() or pilot.vehicle_s >= until_s, 5.0)
+    assert len(seen) / 2.0 >= 20.0, "states a second"
+    assert pilot.status.landed is Landed.ON_GROUND
+    assert not pilot.status.armed
+    assert pilot.link.state.counters.other_autopilot == 0
+    assert speed_m_s(pilot) < STANDING_M_S
+
+
+def test_its_parameters_are_safe(room):
+    words = ["--vehicle", room.url, "--autopilot", room.autopilot, "--config", room.config]
+    words += ["--signing-key", room.signing_key] if room.signing_key else []
+    done = flightstack("preflight", *words, "--system-id", room.system_id, "--json")
+    assert done.code == 0, done.out + done.err
+    assert done.json
+
+
+@pytest.mark.arms
+def test_takes_off_holds_follows_set_points_and_lands(pilot, room):
+    limits = pilot.limits
+    pilot.take_off()
+    pilot.fly_for("settle", ZERO, limits.settle_s)
+    begun = pilot.own.position_enu_m
+    pilot.fly_for("hold", ZERO, 5.0)
+    held = pilot.own.position_enu_m
+    assert math.dist(begun, held) < limits.drift_m
+    pilot.fly_for("north", (0.0, limits.step_m_s, 0.0), limits.step_s)
+    turned = pilot.own.position_enu_m
+    pilot.fly_for("south", (0.0, -limits.step_m_s, 0.0), limits.step_s)
+    back = pilot.own.position_enu_m
+    moved_m = (2.0 * turned[1] - held[1] - back[1]) / 2.0  # a steady drift is not in it
+    least, most = limits.moved_share
+    assert least < moved_m / (limits.step_m_s * limits.step_s) < most, f"moved {moved_m:.2f} m"
+    pilot.fly_for("stop", ZERO, 2.0)
+    assert speed_m_s(pilot) < limits.still_m_s
+    pilot.ask("land", Request.LAND, lambda: not pilot.status.armed, 30.0)
+    assert pilot.status.landed is Landed.ON_GROUND
+    assert pilot.max_height_m < room.takeoff_height_m + 0.5
+
+
+@pytest.mark.arms
+def test_emergency_stop_just_after_arming(pilot):
+    pilot.rise("arm", lambda: pilot.status.armed, 20.0)
+    took_s = pilot.ask("stop", Request.MOTORS_OFF, lambda: not pilot.status.armed, 5.0)
+    assert took_s < STOPPED_S
+    assert pilot.max_height_m < 0.3
+
+
+@pytest.mark.arms
+def test_a_companion_that_falls_silent_leaves_a_safe_vehicle(pilot):
+    pilot.take_off()
+    pilot.fly_for("on the way", (0.0, pilot.limits.step_m_s, 0.0), 1.0)
+    pilot.listen("silent", lambda: safe(pilot), pilot.limits.lost_s)
+    if pilot.limits.lost is Lost.LANDS:
+        pilot.listen("landing", lambda: stands(pilot), LANDED_MAX_S)
+
+
+def safe(pilot) -> bool:
+    """Whether it does what its autopilot does without set-points, and no longer what it was sent last."""
+    if not pilot.status.armed or pilot.status.mode is Mode.LAND:
+        return True
+    return pilot.limits.lost is Lost.STOPS and speed_m_s(pilot) < pilot.limits.still_m_s
+
+
+def stands(pilot) -> bool:
+    """Whether it is on the ground with its motors off."""
+    return not pilot.status.armed and pilot.status.landed is Landed.ON_GROUND
+
+
+@pytest.mark.arms
+def test_follows_and_lands_on_the_target(room):
+    with companion(room) as flying:
+        code = flying.ended(FLIGHT_MAX_S)
+    assert code == 0, flying.said
+    assert flying.said[-1].startswith("LANDED")
+    assert down(room)
+
+
+@pytest.mark.arms
+@pytest.mark.parametrize("phase", ["TAKEOFF", "APPROACH", "LAND"])
+def test_an_abort_brings_it_down_clear_of_the_target(room, phase):
+    with companion(room) as flying:
+        flying.until(f"-> {phase}", FLIGHT_MAX_S)
+        flying.signal(signal.SIGINT)
+        code = flying.ended(FLIGHT_MAX_S)
+    assert code == 1, flying.said
+    assert flying.said[-1].startswith("ABORT")
+    assert down(room)
+
+
+@pytest.mark.arms
+@pytest.mark.parametrize("phase", ["TAKEOFF", "APPROACH", "LAND"])
+def test_a_killed_companion_leaves_a_safe_vehicle(room, phase):
+    with companion(room) as flying:
+        flying.until(f"-> {phase}", FLIGHT_MAX_S)
+        flying.kill()
+        left_alone(room)
+
+
+def left_alone(room) -> None:
+    """Look on while a vehicle that nobody flies any more brings itself into a safe state."""
+    with Pilot(room) as pilot:
+        pilot.connect()
+        pilot.watch("safe state", lambda: safe(pilot), pilot.limits.lost_s)
+        if pilot.limits.lost is Lost.LANDS:
+            pilot.watch("landing", lambda: stands(pilot), LANDED_MAX_S)
+
+
+def down(room) -> bool:
+    """Whether it stands with its motors off, soon."""
+    with Pilot(room) as pilot:
+        pilot.connect()
+        pilot.watch("motors off", lambda: not pilot.status.armed, 20.0)
+        return pilot.status.landed is Landed.ON_GROUND
+
+
+# Of the suite itself, and of what only the simulated room can do.
+
+
+@pytest.mark.simulated
+@pytest.mark.parametrize("phase", ["TAKEOFF", "APPROACH", "LAND"])
+def test_a_target_that_falls_silent_is_left_alone(room, phase):
+    with companion(room) as flying:
+        flying.until(f"-> {phase}", FLIGHT_MAX_S)
+        room.target.process.kill()
+        flying.until("-> HOLD", SAFE_S)
+        assert flying.ended(FLIGHT_MAX_S) == 1
+    assert down(room)
+
+
+@pytest.mark.simulated
+@pytest.mark.parametrize("phase", ["TAKEOFF", "APPROACH", "LAND"])
+def test_a_cut_radio_leaves_a_safe_vehicle(room, phase):
+    with Radio(room.url) as radio, companion(replace(room, url=radio.url)) as flying:
+        flying.until(f"-> {phase}", FLIGHT_MAX_S)
+        radio.cut()
+        left_alone(room)
+        flying.until("-> ABORT", HEARTBEAT_LOST_S + SAFE_S)
+    assert down(room)
+
+
+@pytest.mark.simulated
+@pytest.mark.parametrize("fence", [Fence(0.25, 4.0), Fence(2.0, 0.3)], ids=["height", "distance"])
+def test_a_step_beyond_the_fence_ends_on_the_ground(room, fence):
+    with Pilot(replace(room, fence=fence)) as pilot:
+        pilot.connect()
+        with pytest.raises(AssertionError, match=r"m high|m away"):
+            fly_away(pilot)
+        assert not pilot.status.armed
+        assert pilot.height_m < 0.1
+
+
+def fly_away(pilot):
+    pilot.take_off()
+    pilot.fly_for("away", (AWAY_M_S, 0.0, 0.0), 6.0)
+
+
+@pytest.mark.simulated
+def test_a_companion_beyond_the_fence_is_called_off(room):
+    with companion(replace(room, fence=Fence(2.0, 0.3))) as flying:
+        with pytest.raises(AssertionError, match="beyond Fence"):
+            flying.ended(FLIGHT_MAX_S)
+        assert "-> ABORT" in " ".join(flying.said)
+    assert down(room)
+
+
+@pytest.mark.simulated
+def test_a_killed_companion_leaves_its_sockets_to_the_next(room):
+    with companion(room) as flying:
+        flying.kill()
+        host, port = room.listen.removeprefix("tcp/").split(":")
+        with socket.create_server((host, int(port))):
+            pass
+
+
+@pytest.mark.simulated
+def test_a_given_vehicle_is_flown(room):
+    words = ["--vehicle", room.url, "--config", room.config, "--target", room.target_key, "--arm-ok"]
+    words += ["--connect", room.connect[0], "--listen", room.listen, "-k", "test_connects or test_follows"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", __file__,
+         *map(str, words)],
+        cwd=ROOT, capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    assert "2 passed" in done.stdout

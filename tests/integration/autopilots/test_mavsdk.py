@@ -1,0 +1,134 @@
+"""MAVSDK flies the vehicle process: its C library and Python package, over its own UDP."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from tests.integration.autopilots.real_clients import (
+    ARMED,
+    DOCUMENTATION,
+    HOLD,
+    LAND,
+    OFFBOARD,
+    ON_GROUND,
+    STEP_MAX_S,
+    TAKEOFF,
+    Observer,
+    Program,
+    vehicle,
+)
+from tests.integration.sim_processes import Client, free_port, is_a, setpoint
+
+pytestmark = pytest.mark.xdist_group("real-time")
+
+CLIENT = Path(__file__).with_name("mavsdk_client.py")
+STORY_MAX_S = 180.0
+
+
+@contextmanager
+def story(
+    name: str, directory: Path, *, vehicle_calls: bool = False
+) -> Iterator[tuple[Program, Observer, int]]:
+    """MAVSDK plays a story; somebody else watches."""
+    client_port = free_port()
+    peer = ["--peer", f"127.0.0.1:{client_port}"] if vehicle_calls else []
+    with vehicle(directory, *peer) as port:
+        url = f"udpin://127.0.0.1:{client_port}" if vehicle_calls else f"udpout://127.0.0.1:{port}"
+        watch = Observer(port)
+        try:
+            with Program([sys.executable, str(CLIENT), url, name], watch) as client:
+                yield client, watch, port
+                client.expect(r"step done\n", STORY_MAX_S)
+                assert client.end() == 0
+        finally:
+            watch.close()
+
+
+@pytest.mark.parametrize("vehicle_calls", [False, True], ids=["udpout", "udpin"])
+def test_whole_flight(vehicle_calls: bool, tmp_path: Path, flight_number: int) -> None:
+    with story("flight", tmp_path, vehicle_calls=vehicle_calls) as (client, watch, _):
+        client.expect(r"step parameters \d+\n")
+        client.expect("step offboard")
+        square = len(watch.log)
+        client.expect("step east", 4 * STEP_MAX_S)
+        positions = watch.all("LOCAL_POSITION_NED", square)
+        client.expect("step down")
+    assert watch.modes() == [HOLD, TAKEOFF, HOLD, OFFBOARD, HOLD, LAND, HOLD]
+    assert watch.armings() == [False, True, False]
+    north = [p.x for p in positions]
+    east = [p.y for p in positions]
+    for way in (north, east):  # half a metre, and the way the vehicle needs to stop
+        assert 0.5 < max(way) - min(way) < 0.9
+    assert all(0.3 < -p.z < 0.7 for p in positions)
+    assert 0.3 < max(p.vx for p in positions) < 0.51  # the paper's gains overshoot by a third
+    assert -0.51 < min(p.vy for p in positions) < -0.3
+    assert watch.last("EXTENDED_SYS_STATE").landed_state == ON_GROUND
+    assert -watch.last("LOCAL_POSITION_NED").z < 0.05
+
+
+def test_documented_example(tmp_path: Path, flight_number: int) -> None:
+    block = re.search(r"^```python\n(.*?)^```", DOCUMENTATION.read_text(), re.MULTILINE | re.DOTALL)
+    assert block is not None
+    port_there = free_port()
+    script = tmp_path / "example.py"
+    script.write_text(block.group(1).replace("0.0.0.0:14540", f"127.0.0.1:{port_there}"))
+    with vehicle(tmp_path, "--peer", f"127.0.0.1:{port_there}") as port:
+        watch = Observer(port)
+        with Program([sys.executable, str(script)], watch) as client:
+            assert client.end(STORY_MAX_S) == 0
+        watch.close()
+    # HOLD between two of them may be shorter than a tick.
+    assert [mode for mode in watch.modes() if mode != HOLD] == [TAKEOFF, OFFBOARD, LAND]
+    assert watch.armings() == [False, True, False]
+    assert max(p.x for p in watch.all("LOCAL_POSITION_NED")) > 0.0
+
+
+def test_second_client_does_not_take_over(tmp_path: Path, flight_number: int) -> None:
+    with story("owner", tmp_path) as (client, watch, port):
+        other = Client(f"udpin:127.0.0.1:{port}", system=2)
+        east = setpoint(0.0, 1.0)  # m/s
+
+        def interfere() -> None:
+            other.send(east, other.command(176, 1.0, 4.0, 3.0))  # fly east; hold
+            while other.receive(0.0):
+                pass
+
+        client.expect("step offboard")
+        client.expect("step north", each=interfere)
+        meanwhile = watch.log[watch.index(is_a("HEARTBEAT", custom_mode=OFFBOARD)) :]
+        client.expect("step down")
+        acks = [m.result for m in other.log if m.get_type() == "COMMAND_ACK"]
+        other.close()
+    assert set(acks) == {mav.MAV_RESULT_TEMPORARILY_REJECTED}
+    way = [p for p in meanwhile if p.get_type() == "LOCAL_POSITION_NED"]
+    assert way[-1].x - way[0].x > 0.9
+    assert max(abs(p.y - way[0].y) for p in way) < 0.15
+    assert watch.modes() == [HOLD, TAKEOFF, HOLD, OFFBOARD, LAND, HOLD]
+
+
+def test_refused_arming_has_a_reason_that_mavsdk_shows(tmp_path: Path, flight_number: int) -> None:
+    with story("refusals", tmp_path) as (client, watch, _):
+        client.expect("step refused")
+        assert watch.armings() == [False]
+    assert watch.armings() == [False, True, False]
+
+
+@pytest.mark.parametrize("cut", ["kill", "terminate"])
+def test_motors_stop_in_the_air_when_asked_to(cut: str, tmp_path: Path, flight_number: int) -> None:
+    with story(cut, tmp_path) as (client, watch, _):
+        client.expect("step fallen")
+    armed = watch.index(lambda m: is_a("HEARTBEAT")(m) and m.base_mode & ARMED)
+    off = watch.index(lambda m: is_a("HEARTBEAT")(m) and not m.base_mode & ARMED, armed)
+    after = watch.all("LOCAL_POSITION_NED", off)
+    assert -after[0].z > 0.4
+    assert max(p.vz for p in after) > 2.0  # m/s; a free fall from half a metre ends with 3.1
+    assert -after[-1].z < 0.1
+    assert watch.armings() == [False, True, False]
+    assert LAND not in watch.modes()

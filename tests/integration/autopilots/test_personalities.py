@@ -1,0 +1,135 @@
+"""The same stack lands the simulated vehicle as PX4 and as ArduCopter, found by the heartbeat alone."""
+
+import json
+import re
+import signal
+import subprocess
+
+import pytest
+
+from flightstack.core.parameters.flight import path_of
+from logs.reader.reader import LogFile
+from tests.integration.runs import COMMAND, WALL_MAX_S, flightstack
+from tests.integration.sim_processes import ROOT
+
+PERSONALITIES = ("px4", "ardupilot")
+PAGE = ROOT / "docs" / "autopilots.md"
+
+
+def landed(tmp_path, *arguments):
+    out = tmp_path / "run"
+    done = flightstack("sitl", "--json", "--no-report", "--out", out, *arguments)
+    assert done.code == 0, done.out + done.err
+    assert done.json["outcome"] == "landed"
+    assert done.json["violation"] is False
+    return out / "flight.mcap"
+
+
+@pytest.mark.parametrize("plays", PERSONALITIES)
+def test_lockstep_landing_and_its_replay(flown, plays):
+    landing = flown("lab", 1, *(() if plays == "px4" else ("--personality", plays)))
+    assert (landing.json["outcome"], landing.json["violation"]) == ("landed", False)
+    replayed = flightstack("replay", landing.log)
+    assert replayed.code == 0, replayed.out
+    assert "wire: equal" in replayed.out
+
+
+@pytest.mark.parametrize("plays", PERSONALITIES)
+def test_a_vehicle_of_one_kilogram(tmp_path, plays):
+    landed(tmp_path, "--scenario", "large", "--lockstep", "--personality", plays)
+
+
+def test_from_the_ground_as_ardupilot_with_an_origin_to_be_told(tmp_path):
+    log = landed(tmp_path, "--scenario", "paper_moving_1", "--lockstep", "--personality", "ardupilot")
+    (config,) = [a.data.decode() for a in LogFile(log).attachments() if a.name == "onboard.toml"]
+    assert "origin_wgs84 = [47.397742, 8.545594, 10.0]" in config
+
+
+@pytest.mark.xdist_group("real-time")
+@pytest.mark.parametrize("plays", PERSONALITIES)
+def test_real_time_landing_after_the_check(tmp_path, plays):
+    log = landed(tmp_path, "--scenario", "lab", "--seed", 2, "--personality", plays)
+    found = LogFile(log).metadata()["preflight"]
+    assert found["profile"] == {"px4": "sitl", "ardupilot": "ardupilot"}[plays]
+    assert found["problem"] == ""
+    assert not any("UNSAFE" in value for value in found.values())
+
+
+class Vehicle:
+    """``flightstack vehicle`` in the background, disarmed on the ground."""
+
+    def __init__(self, *arguments):
+        self.process = subprocess.Popen(
+            [*COMMAND, "vehicle", "--scenario", "paper_moving_1", "--url", "udpin:127.0.0.1:0", *arguments],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+        )  # fmt: skip
+
+    def __enter__(self):
+        self.url = self.process.stdout.readline().split()[1].replace("udpin", "udpout")
+        return self
+
+    def __exit__(self, *_):
+        self.process.send_signal(signal.SIGTERM)
+        self.said = self.process.communicate(timeout=WALL_MAX_S)[0]
+
+
+def test_preflight_tells_safe_from_unsafe(tmp_path):
+    with Vehicle() as vehicle:
+        done = flightstack("preflight", "--vehicle", vehicle.url, "--json")
+        assert (done.code, done.json["safe"], done.json["autopilot"]) == (0, True, "sitl")
+        table = flightstack("preflight", "--vehicle", vehicle.url)
+        assert table.code == 0
+        assert "may arm" in table.out
+    with Vehicle("--parameter", "COM_OF_LOSS_T=3", "--parameter", "MPC_Z_VEL_MAX_DN=0.3") as vehicle:
+        done = flightstack("preflight", "--vehicle", vehicle.url, "--json")
+        unsafe = [p["name"] for p in done.json["parameters"] if p["level"] == "unsafe"]
+        assert (done.code, unsafe) == (1, ["COM_OF_LOSS_T", "MPC_Z_VEL_MAX_DN"])
+        config = tmp_path / "accepts.toml"
+        text = path_of("crazyflie").read_text()
+        accepted = 'accepted_parameters = ["COM_OF_LOSS_T", "MPC_Z_VEL_MAX_DN"]'
+        config.write_text(re.sub(r"accepted_parameters = \[\]", accepted, text))
+        done = flightstack("preflight", "--vehicle", vehicle.url, "--config", config)
+        assert done.code == 0, done.out
+
+
+def test_the_documented_command_reads_as_it_stands():
+    (command,) = [
+        line for line in PAGE.read_text().splitlines() if "flightstack preflight --vehicle udpout" in line
+    ]
+    with Vehicle() as vehicle:
+        words = command.split()[1:]
+        words[words.index("--vehicle") + 1] = vehicle.url
+        done = flightstack(*words)
+    assert done.code == 0
+    assert json.loads(done.out)["safe"] is True
+
+
+def test_preflight_of_nobody_and_of_nonsense():
+    done = flightstack("preflight", "--vehicle", "udpout:127.0.0.1:9", "--wait", 0.5, "--json")
+    assert (done.code, done.json["safe"]) == (1, False)
+    assert "no heartbeat" in done.json["problem"]
+    done = flightstack("preflight", "--vehicle", "tcp:127.0.0.1:9", "--wait", 0.5)
+    assert done.code == 1  # it may be there soon: tried again, in time
+    assert "TCP connection to 127.0.0.1:9 cannot be opened (Connection refused): tried again" in done.err
+    assert flightstack("preflight", "--vehicle", "udpout:127.0.0.1:9", "--autopilot", "betaflight").code == 2
+    vehicle = ("vehicle", "--scenario", "lab", "--url", "udpin:127.0.0.1:0", "--duration", 1)
+    wrong = flightstack(*vehicle, "--parameter", "COM_OF_LOSS_T=99")
+    assert wrong.code == 2
+    assert "allowed is 0.1 to 5" in wrong.err
+    assert flightstack(*vehicle, "--parameter", "COM_OF_LOSS_T").code == 2
+
+
+@pytest.mark.xdist_group("real-time")
+def test_onboard_does_not_arm_what_is_unsafe():
+    onboard = ("onboard", "--config", "crazyflie", "--no-record", "--duration", 20)
+    with Vehicle("--personality", "ardupilot") as vehicle:
+        done = flightstack(*onboard, "--vehicle", vehicle.url)
+        assert done.code == 1, done.out
+        assert "UNSAFE: GUID_TIMEOUT is 3: s without set-points" in done.out
+        assert (
+            "WAIT: unsafe parameters of the autopilot: GUID_TIMEOUT, FS_GCS_ENABLE, SYSID_MYGCS" in done.out
+        )
+        other = flightstack(*onboard, "--vehicle", vehicle.url, "--autopilot", "px4")
+        assert other.code == 1
+        assert "is for autopilot 12: it is not flown" in other.out
+    assert "armed" not in vehicle.said.split()

@@ -1,0 +1,213 @@
+"""The verb ``px4-sim`` over its real wires, flown by a stand-in for PX4 that sees nothing but the sensors."""
+
+import itertools
+import select
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from flightstack.cli.main import main
+from flightstack.common.processes import Port
+from logs.reader.flight import load_flight
+from tests.unit.px4.px4_fakes import FakePx4, Pilot, parameters_of, true_place
+
+ROOT = Path(__file__).parents[3]
+PATIENCE_S = 120.0  # the first run on a machine compiles
+FLIGHTSTACK = [sys.executable, "-m", "flightstack.cli.main"]
+
+
+@contextmanager
+def running(*arguments, ready="ready"):
+    """A verb in a process of its own; yields it and its ready line."""
+    child = subprocess.Popen(
+        [*FLIGHTSTACK, *arguments], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        if ready:
+            assert select.select([child.stdout], [], [], PATIENCE_S)[0], "no ready line"
+            line = child.stdout.readline().strip()
+            assert line.startswith(ready), line + child.communicate()[1]
+            yield child, line
+        else:
+            yield child, ""
+    finally:
+        if child.poll() is None:
+            child.kill()
+        child.communicate(timeout=PATIENCE_S)
+
+
+@contextmanager
+def simulator(name, *more, speed="0"):
+    with running("px4-sim", "--scenario", name, "--tcp", "127.0.0.1:0", "--speed", speed, *more) as (
+        child,
+        line,
+    ):
+        yield child, int(line.rsplit(":", 1)[1])
+
+
+def pilot_for(name):
+    """A pilot with the parameters that the verb prints for this vehicle."""
+    done = CliRunner().invoke(main, ["px4-sim", "--scenario", name, "--parameters", "env"])
+    assert done.exit_code == 0
+    return Pilot(parameters_of(done.output))
+
+
+def lines(child):
+    out, err = child.communicate(timeout=PATIENCE_S)
+    return out.splitlines(), err
+
+
+@pytest.mark.parametrize("name", ["paper_moving_1", "large"])
+def test_climbs_hovers_and_flies_aside_by_the_sensors_alone(name):
+    with simulator(name, "--seed", "3", "--duration", "14") as (child, port):
+        fake, pilot = FakePx4(port), pilot_for(name)
+        fake.hello()
+        fake.fly(pilot, lambda t: t >= 1.0)
+        start = np.array(true_place(fake))
+        pilot.armed, pilot.goal = True, np.array([0.0, 0.0, -1.0])
+        fake.fly(pilot, lambda t: t >= 7.0)
+        assert np.array(true_place(fake)) - start == pytest.approx([0.0, 0.0, 1.0], abs=0.3)
+        assert fake.truth.attitude_quaternion == pytest.approx(pilot.estimate.q, abs=0.05)
+        pilot.goal = np.array([0.6, -0.6, -1.0])
+        fake.fly(pilot, lambda t: t >= 13.9)
+        moved = np.array(true_place(fake)) - start
+        assert moved == pytest.approx([0.6, -0.6, 1.0], abs=0.3)
+        assert pilot.estimate.position == pytest.approx([*moved[:2], -moved[2]], abs=0.25)
+        while (sensor := fake.sensor(pilot)) is not None:  # until the time is over
+            fake.answer(sensor.time_usec, pilot.controls())
+        said, _ = lines(child)
+        assert child.returncode == 0
+        assert said == ["connected", "lockstep", "armed"]
+
+
+def test_flies_by_motion_capture_in_the_coordinates_of_the_room():
+    with simulator("paper_moving_1", "--mocap", "--once") as (child, port):
+        fake, pilot = FakePx4(port), pilot_for("paper_moving_1")
+        fake.hello()
+        fake.fly(pilot, lambda t: t >= 2.0)
+        assert pilot.estimate.position == pytest.approx([0.3, -1.2, -0.0144], abs=0.01)
+        pilot.armed, pilot.goal = True, np.array([0.1, -0.9, -0.8])
+        fake.fly(pilot, lambda t: t >= 9.0)
+        assert true_place(fake) == pytest.approx((0.1, -0.9, 0.8), abs=0.1)
+        assert fake.counts["ODOMETRY"] == pytest.approx(9.0 * 50, abs=2)
+        assert "HIL_GPS" not in fake.counts
+        fake.close()
+        lines(child)
+
+
+def test_lands_on_the_pad_and_says_where():
+    with simulator("paper_moving_1", "--once") as (child, port):
+        fake, pilot = FakePx4(port), pilot_for("paper_moving_1")
+        fake.hello()
+        fake.fly(pilot, lambda t: t >= 1.0)
+        pilot.armed, pilot.goal = True, np.array([-0.3, 1.2, -0.7])  # over the pad, which is at the origin
+        fake.fly(pilot, lambda t: t >= 9.0)
+        pilot.goal = np.array([-0.3, 1.2, 0.0])
+        fake.fly(pilot, lambda t: t >= 13.0)
+        pilot.armed = False
+        fake.fly(pilot, lambda t: t >= 14.0)
+        assert true_place(fake)[2] == pytest.approx(0.2144, abs=0.01)  # it stands on the pad
+        fake.close()
+        said, _ = lines(child)
+        assert child.returncode == 0
+        assert said[-1] == "disarmed"
+        assert said[-2].startswith("touched the pad at ")
+
+
+def first_steps(port, count=500):
+    """HIL_SENSOR of the first steps, motors on after a second."""
+    fake = FakePx4(port)
+    fake.hello()
+    found = []
+    for step in range(count):
+        sensor = fake.sensor()
+        found.append((sensor.time_usec, sensor.xacc, sensor.zacc, sensor.zgyro, sensor.abs_pressure))
+        fake.answer(sensor.time_usec, (0.7, 0.7, 0.7, 0.7), armed=step >= 250)
+    fake.close()
+    return found
+
+
+def test_a_new_px4_finds_the_vehicle_at_its_start_and_the_same_seed_reads_the_same():
+    with simulator("paper_moving_1", "--seed", "5") as (child, port):
+        first, second = first_steps(port), first_steps(port)
+        assert {b[0] - a[0] for a, b in itertools.pairwise(first)} == {4000}
+        assert first == second
+        assert np.mean([s[2] for s in first[400:]]) < -10.2  # it has left the floor
+        child.send_signal(signal.SIGTERM)
+        said, err = lines(child)
+        assert child.returncode == 0
+        assert said.count("connected") == 2
+        assert "listening for the next one" in err
+
+
+def test_garbage_and_other_autopilots_are_dropped_and_px4_flies_after_them():
+    with simulator("paper_moving_1") as (child, port):
+        other = FakePx4(port)
+        other.hello(autopilot=3)
+        assert other.sensor() is None  # hung up
+        gone = FakePx4(port)
+        gone.raw(b"\xfd\x00nothing that is MAVLink")
+        gone.close()
+        assert len(first_steps(port, 20)) == 20
+        child.send_signal(signal.SIGINT)
+        _, err = lines(child)
+        assert "autopilot 3 of MAV_AUTOPILOT" in err
+        assert child.returncode == 0
+
+
+def test_a_silent_px4_ends_it_with_the_reason():
+    with simulator("paper_moving_1", "--silent-max", "1") as (child, port):
+        fake = FakePx4(port)
+        fake.hello()
+        fake.answer(fake.sensor().time_usec, (0.0,) * 4)
+        _, err = lines(child)
+        assert child.returncode == 1
+        assert "PX4 is silent" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["--scenario", "fault_motor_dead"], "[[fault]]"),
+        (["--scenario", "nowhere"], "neither a file nor"),
+        (["--scenario", "grid", "--tcp", "4560"], "HOST:PORT"),
+        (["--scenario", "grid", "--tcp", "0.0.0.0:4560"], "--allow-unsigned"),
+        (["--scenario", "grid", "--speed", "0", "--connect", "tcp/127.0.0.1:7447"], "a speed of its own"),
+    ],
+)
+def test_wrong_input_is_status_2_with_a_reason(arguments, word):
+    with running("px4-sim", *arguments, ready="") as (child, _):
+        _, err = lines(child)
+        assert child.returncode == 2
+        assert word in err
+
+
+@pytest.mark.xdist_group("real-time")
+def test_in_real_time_the_deck_follows_the_robot_and_the_truth_is_recorded(tmp_path):
+    socket, log = tmp_path / "feed", tmp_path / "flight.mcap"
+    place = Port()
+    recorder = running("record", "--socket", str(socket), "--out", str(log), "--until-clients", "1")
+    robot = running("target", "--scenario", "large", "--listen", place.endpoint)
+    plugs = ("--connect", place.endpoint, "--recorder", str(socket), "--once")
+    with recorder as (record, _), simulator("large", *plugs, speed="1") as (child, port), robot:
+        fake, pilot = FakePx4(port), Pilot({"MPC_THR_HOVER": 0.5})
+        fake.hello()
+        began_s = time.monotonic()
+        fake.fly(pilot, lambda t: t >= 6.0)
+        assert time.monotonic() - began_s > 5.5
+        fake.close()
+        lines(child)
+        assert record.wait(PATIENCE_S) == 0
+    place.close()
+    flight = load_flight(log)
+    assert flight.truth is not None
+    pad = flight.truth.pad_position_enu_m
+    assert np.linalg.norm(pad[-1] - pad[0]) > 0.5  # it drives at 0.4 m/s
+    assert len(pad) == pytest.approx(6.0 * 250 / 3, rel=0.05)

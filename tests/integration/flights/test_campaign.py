@@ -1,0 +1,276 @@
+"""Campaigns: equal to single runs over the real wires, whatever happens to the workers."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flightstack.core.types import ZERO
+from logs.reader.flight import load_flight
+from sim.campaign.rows import read_rows
+from sim.runners.landing import land
+from sim.scenarios.scenario import load
+from tests.integration.runs import COMMAND, WALL_MAX_S, gone
+
+RUNS = 6
+# as much of a scenario as a campaign test needs: short flights
+SHORT = ("stop_and_go", "--runs", RUNS, "--seed", 40, "--no-report")
+
+
+@pytest.mark.parametrize(
+    ("scenario", "seed"),
+    [
+        ("paper_moving_1", 0),  # from the ground
+        ("lab", 1),
+        ("storm", 1),  # drop-outs, wind
+        ("deck", 2),
+        ("unsafe", 0),
+        ("fault_link_burst", 0),
+        ("fault_target_dropout", 0),
+        ("fault_motor_dead", 0),
+    ],
+)
+def test_a_landing_equals_the_same_over_the_wires(flown, scenario, seed):
+    commands = []
+
+    def keep(tick, out):
+        del tick
+        commands.append(out.setpoint.velocity_enu_m_s if out.setpoint is not None else ZERO)
+
+    landing = land(load(scenario), seed, on_step=keep)
+    wired = flown(scenario, seed)
+    result = wired.json
+    verdict = landing.verdict.to_json_dict()
+    assert {key: result[key] for key in verdict} == verdict
+    flight = load_flight(wired.log)
+    assert np.array_equal(flight.steps.command_enu_m_s, np.array(commands))
+    for name in ("t_s", "phase", "own_age_s", "target_age_s"):
+        seen, logged = getattr(landing.seen.steps, name), getattr(flight.steps, name)
+        assert np.array_equal(seen, logged, equal_nan=True), name
+    for name in vars(type(flight.truth))["__dataclass_fields__"]:
+        seen, logged = getattr(landing.seen.truth, name), getattr(flight.truth, name)
+        assert np.array_equal(seen, logged, equal_nan=logged.dtype.kind == "f"), name
+
+
+def campaign(*arguments, cwd=None, check=True, wall_max_s=WALL_MAX_S):
+    """Run the verb to its end."""
+    done = subprocess.run(
+        [*COMMAND, "campaign", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=wall_max_s,
+        cwd=cwd,
+        check=False,
+    )
+    if check:
+        assert done.returncode == 0, done.stderr
+    return done
+
+
+def untimed(folder):
+    return [row.untimed() for row in read_rows(folder / "rows.csv")]
+
+
+shared = pytest.mark.xdist_group("campaign")  # one worker flies it once
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A campaign nobody disturbed."""
+    folder = tmp_path_factory.mktemp("whole")
+    done = campaign(*SHORT[:-1], "--workers", 2, "--out", folder, "--json")
+    return folder, done
+
+
+@shared
+def test_complete(whole):
+    folder, done = whole
+    told = json.loads(done.stdout.strip().splitlines()[-1])
+    assert told == json.loads((folder / "summary.json").read_text())
+    assert (
+        told["runs"]
+        == RUNS
+        == sum(told[key] for key in ("landed", "declared_aborts", "undeclared_misses", "crashes"))
+    )
+    assert [row.seed for row in untimed(folder)] == list(range(40, 40 + RUNS))
+    assert told["realtime_factor"] > 0.0
+    page = (folder / "campaign.html").read_text()
+    assert page.count('class="figure"') == 6
+    assert told["worst"][0]["command"] in page
+    assert re.search(r"@@[A-Z]+@@", page) is None
+
+
+@shared
+def test_the_command_of_a_seed_repeats_it(whole, tmp_path):
+    folder, done = whole
+    command = json.loads(done.stdout)["worst"][0]["command"].split()
+    assert command[0] == "flightstack"
+    again = subprocess.run(
+        [*COMMAND, *command[1:], "--json", "--no-report", "--out", str(tmp_path)],
+        capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
+    )  # fmt: skip
+    told = json.loads(again.stdout.strip().splitlines()[-1])
+    row = next(r for r in untimed(folder) if r.seed == told["seed"])
+    for key in ("outcome", "reason", "violation", "h_min_m", "h_min_outside_pad_m", "touchdown_error_m"):
+        assert told[key] == getattr(row, key), key
+
+
+@shared
+def test_the_number_of_workers_changes_nothing(whole, tmp_path):
+    campaign(*SHORT, "--workers", 1, "--out", tmp_path)
+    assert untimed(tmp_path) == untimed(whole[0])
+
+
+class Running:
+    """A campaign in the background."""
+
+    def __init__(self, folder, *arguments):
+        self.folder = folder
+        self.process = subprocess.Popen(
+            [*COMMAND, "campaign", *map(str, arguments), "--out", str(folder)],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+
+    def wait_for_rows(self, number):
+        until = time.monotonic() + WALL_MAX_S
+        path = self.folder / "rows.csv"
+        while time.monotonic() < until:
+            if path.exists() and len(read_rows(path)) >= number:
+                return
+            assert self.process.poll() is None, self.process.communicate()[0]
+            time.sleep(0.02)  # polling another process
+        raise AssertionError(f"no {number} rows")
+
+    def workers(self):
+        """Process ids of the spawned workers."""
+        pid = self.process.pid
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        return [int(c) for c in children if "spawn_main" in Path(f"/proc/{c}/cmdline").read_text()]
+
+    def end(self):
+        out = self.process.communicate(timeout=WALL_MAX_S)[0]
+        return self.process.returncode, out
+
+
+@shared
+def test_a_killed_worker_costs_no_row(whole, tmp_path):
+    running = Running(tmp_path, *SHORT, "--workers", 2)
+    running.wait_for_rows(2)
+    os.kill(running.workers()[0], signal.SIGKILL)
+    code, out = running.end()
+    assert code == 0, out
+    assert untimed(tmp_path) == untimed(whole[0])
+
+
+@shared
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
+    longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # not flown before the signal is there
+    running = Running(tmp_path, *longer, "--workers", 2)
+    running.wait_for_rows(2)
+    workers = running.workers()
+    running.process.send_signal(number)
+    code, out = running.end()
+    if number != signal.SIGKILL:
+        assert code == 1, out
+        assert "landings are missing" in out
+        assert "Traceback" not in out
+    for pid in workers:
+        assert gone(pid, within_s=60.0)
+    kept = untimed(tmp_path)
+    assert 2 <= len(kept) < 2 * RUNS
+    campaign(*longer, "--workers", 2, "--out", tmp_path)
+    rows = untimed(tmp_path)
+    assert [row.seed for row in rows] == list(range(40, 40 + 2 * RUNS))
+    assert rows[:RUNS] == untimed(whole[0])
+    assert all(row in rows for row in kept)
+
+
+@shared
+def test_more_runs_extend_it_and_fewer_are_refused(whole, tmp_path):
+    campaign("stop_and_go", "--runs", 2, "--seed", 40, "--no-report", "--workers", 1, "--out", tmp_path)
+    campaign("stop_and_go", "--runs", 3, "--seed", 40, "--no-report", "--workers", 1, "--out", tmp_path)
+    assert untimed(tmp_path) == untimed(whole[0])[:3]
+    done = campaign("stop_and_go", "--runs", 2, "--seed", 40, "--out", tmp_path, check=False)
+    assert done.returncode == 2
+    assert "at least 3 runs" in done.stderr
+
+
+@shared
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("stop_and_go", "--seed", 41), "another first seed"),
+        (("stop_and_go", "--seed", 40, "--filter", "paper"), "another scenario"),
+        (("straight", "--seed", 40), "another scenario"),
+    ],
+)
+def test_a_changed_campaign_is_refused(whole, arguments, said):
+    done = campaign(*arguments, "--runs", RUNS, "--out", whole[0], check=False)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "--out" in done.stderr
+
+
+def test_wrong_input_is_one_line(tmp_path):
+    file = tmp_path / "file"
+    file.write_text("")
+    for arguments, said in (
+        (("nowhere",), "neither a file nor one of"),
+        (("lab", "--out", file / "below"), "below"),
+        (("lab", "--runs", 1, "--cluster", "tcp://127.0.0.1:9", "--out", tmp_path / "x"), None),
+    ):
+        done = campaign(*arguments, check=False)
+        assert done.returncode in (1, 2)
+        assert "Traceback" not in done.stderr
+        assert said is None or said in done.stderr
+
+
+def test_require_tells_what_is_missed(tmp_path):
+    done = campaign(
+        "stop_and_go", "--runs", 1, "--no-report", "--out", tmp_path, "--require", "lab", check=False
+    )
+    assert done.returncode == 1
+    assert "not met, lab: median time to land over that of the paper's filter: not known" in done.stderr
+    assert len(untimed(tmp_path)) == 1
+
+
+@shared
+def test_a_cluster_that_loses_a_worker_ends_complete_and_equal(whole, tmp_path):
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
+         "--no-dashboard", "--scheduler-file", str(tmp_path / "scheduler.json")],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    started = [scheduler]
+    try:
+        until = time.monotonic() + 60.0
+        while not (tmp_path / "scheduler.json").exists() and time.monotonic() < until:
+            time.sleep(0.05)  # polling another process
+        address = json.loads((tmp_path / "scheduler.json").read_text())["address"]
+        for number in range(2):
+            started.append(
+                subprocess.Popen(
+                    [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1",
+                     "--no-dashboard", "--no-nanny", "--host", "127.0.0.1",
+                     "--local-directory", str(tmp_path / f"worker{number}")],
+                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                )
+            )  # fmt: skip
+        running = Running(tmp_path / "out", *SHORT, "--cluster", address)
+        running.wait_for_rows(2)
+        started[1].kill()
+        code, out = running.end()
+        assert code == 0, out
+        assert untimed(tmp_path / "out") == untimed(whole[0])
+    finally:
+        for process in reversed(started):
+            process.kill()
+            process.wait(30.0)

@@ -1,0 +1,109 @@
+"""Every cell of the grid of faults ends as its table demands, and docs/fault_grid.md says so."""
+
+from __future__ import annotations
+
+import gc
+import math
+
+import pytest
+
+from sim.runners.landing import land
+from sim.vehicle.vehicle import warm_up
+from tests.benchmarks.fault_grid import PAGE, complaints, row
+from tests.fault_grid.run import SEED, equal, fly, scenario, undisturbed
+from tests.fault_grid.table import GRID
+from tests.fault_grid.words import End, Moment, Part, Way
+
+MAKE_ANEW = "run: python -m tests.benchmarks fault_grid"
+GROUPS = [(part, moment) for part in Part for moment in Moment]
+# another processor may round otherwise: s, s, m
+TOLERANCES = (0.1, 0.5, 0.01)
+_FIRST_NUMBER = 5  # column of the page
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    warm_up(scenario())
+    gc.collect()
+    gc.freeze()  # the collections after each cell need not look at all that the tests have loaded
+    yield
+    gc.unfreeze()
+
+
+def test_the_grid_is_whole():
+    assert set(GRID) == {(part, way, moment) for part in Part for way in Way for moment in Moment}
+    assert len(GRID) == 196
+    for need in GRID.values():
+        assert need.ends
+        assert need.why
+        assert not need.ends & {End.CRASHED, End.MISSED, End.FLYING}
+        assert bool(need.falls_short) == bool(need.short_ends)
+        assert need.undetectable or need.within_s is None or need.within_s <= 10.0
+
+
+def written(part: Part) -> dict[tuple[str, str], list[str]]:
+    """Rows of the page by way and moment, as cells."""
+    text = PAGE.read_text().partition(f"\n## {part[0].upper()}{part[1:]}\n")[2].partition("\n## ")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if "|" in line]
+    return {(cells[0], cells[1]): cells for cells in rows[2:]}
+
+
+@pytest.mark.parametrize(("part", "moment"), GROUPS, ids=[f"{p} in {m.name.lower()}" for p, m in GROUPS])
+def test_each_way_to_fail_ends_as_demanded_and_as_the_page_says(part, moment):
+    page, problems = written(part), []
+    assert len(page) == len(Way) * len(Moment), MAKE_ANEW
+    for way in Way:
+        need, result = GRID[part, way, moment], fly(part, way, moment)
+        problems += [f"{part} {way} {moment.name}: {text}" for text in complaints(need, result)]
+        fresh = [cell.strip() for cell in row(way, moment, need, result).split("|")[1:-1]]
+        old = page[str(way), moment.name.lower()]
+        if not same(old, fresh):
+            problems.append(f"page: {old}, measured {fresh}; {MAKE_ANEW}")
+        if part is Part.DISK:
+            problems += [f"{way}: {text}" for text in untold(way, result.said)]
+        gc.collect()
+    assert not problems, "\n".join(problems)
+
+
+def same(old: list[str], fresh: list[str]) -> bool:
+    """Whether two rows are equal, numbers within the tolerance."""
+    numbers = range(_FIRST_NUMBER - 1, _FIRST_NUMBER + 2)
+    words = [i for i in range(len(fresh)) if i not in numbers]
+    if [old[i] for i in words] != [fresh[i] for i in words]:
+        return False
+    return all(near(old[i], fresh[i], most) for i, most in zip(numbers, TOLERANCES, strict=True))
+
+
+def near(a: str, b: str, most: float) -> bool:
+    return a == b if "-" in (a, b) else math.isclose(float(a), float(b), abs_tol=most)
+
+
+SAYS = {
+    Way.OFF: "No space left on device",
+    Way.STUCK: "Input/output error",
+    Way.GARBAGE: "file: ",
+    Way.WRONG: "Read-only file system",
+    Way.SLOW: "nothing: all",
+    Way.DELAYED: "nothing: all",
+    Way.INTERMITTENT: "Input/output error",
+}
+
+
+def untold(way: Way, said: str) -> list[str]:
+    return [] if SAYS[way] in said else [f"said {said!r}, expected {SAYS[way]!r}"]
+
+
+def test_without_a_fault_the_flight_is_that_of_a_landing_in_one_process():
+    plain, watched = land(scenario(), SEED), undisturbed(Moment.APPROACH, SEED)
+    assert plain.verdict.outcome == "landed"
+    ticks = len(plain.seen.truth.t_s)
+    cut = type(watched.truth)(**{name: getattr(watched.truth, name)[:ticks] for name in FIELDS})
+    assert equal(plain.seen.truth, cut)
+
+
+FIELDS = (
+    "t_s", "tick", "position_enu_m", "velocity_enu_m_s", "orientation", "pad_position_enu_m",
+    "pad_velocity_enu_m_s", "pad_yaw_rad", "h_m", "h_min_m", "h_min_outside_pad_m", "contacts",
+    "first_touch_relative_position_enu_m", "first_touch_relative_velocity_enu_m_s", "first_touch_time_s",
+    "motors_running", "battery_v",
+)  # fmt: skip

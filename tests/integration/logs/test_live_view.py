@@ -1,0 +1,167 @@
+"""The scene in 3-D while it flies: what is drawn, what is refused; a viewer that hangs holds up nobody."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+
+import pytest
+from click.testing import CliRunner
+from rerun.chunk import RrdReader
+
+from bridge.zenoh import zenoh_link
+from flightstack.cli.main import main
+from flightstack.common.processes import Port
+from logs.schema.codec import pack_controller_step, pack_loop_timing
+from logs.view.live import LiveRecording
+from tests.integration.runs import COMMAND, flightstack
+from tests.integration.sim_processes import ROOT, wait_for
+from tests.synthetic_flight import landing
+
+pytestmark = pytest.mark.xdist_group("real-time")
+
+CONFIG = ROOT / "flightstack" / "config" / "sitl-1kg.toml"
+KEYS = ("controller/step", "loop/timing")
+PAD_RADIUS_M = 0.5  # of that configuration
+ROWS = landing().steps[::5]  # 20 Hz, as on the wire
+PUTS = 2000  # of a loop at 20 Hz: more than any queue on the way holds
+PUT_TIME_MAX_S = 0.01
+
+
+def entities(path):
+    """Entity -> rows with a time, and the names of all its columns."""
+    rows, columns = Counter(), {}
+    for chunk in RrdReader(path).store().stream().to_chunks():
+        rows[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
+        columns.setdefault(chunk.entity_path, set()).update(chunk.to_record_batch().schema.names)
+    return rows, columns
+
+
+def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
+    whole = tmp_path / "pieces.rrd"
+    recording = LiveRecording(str(whole), {"pad_radius_m": "0.1"}, "test")
+    for begin in range(0, len(ROWS), 3):
+        piece = ROWS[begin : begin + 3]
+        timings = [t for t in landing().timing if piece[0].tick <= t.tick <= piece[-1].tick]
+        recording.add(piece, timings, "made up")
+    recording.add([], [])
+    recording.close()
+    rows, columns = entities(whole)
+    assert rows["/safety/h/controller"] == rows["/world/vehicle"] == rows["/world/target"] == len(ROWS)
+    assert rows["/velocity/z/filtered"] == len(ROWS)
+    assert rows["/phase"] == rows["/events"] == len({r.phase for r in ROWS})
+    assert 5 < rows["/world/vehicle_path"] <= len(ROWS) / 4 + 1  # a path is sent whole, so less often
+    assert any(name.startswith("Arrows3D:vectors") for name in columns["/world/velocity/nominal"])
+    assert "/world/target_spot/barrier" not in columns  # nobody told its shape
+    reader = RrdReader(whole)
+    assert (len(reader.recordings()), len(reader.blueprints())) == (1, 1)
+
+
+@pytest.fixture
+def sender():
+    """Publishers as of the onboard process, and where they are."""
+    port = Port()
+    session = zenoh_link.open_session([port.endpoint], [])
+    yield {key: zenoh_link.dropping_publisher(session, f"cf1/{key}") for key in KEYS}, port.endpoint
+    session.close()
+    port.close()
+
+
+@pytest.fixture
+def watching(sender, tmp_path):
+    """The verb as a process of its own, with somebody to listen to."""
+    out = tmp_path / "live.rrd"
+    child = subprocess.Popen(
+        [*COMMAND, "watch", "--connect", sender[1], "--view", str(out), "--config", str(CONFIG)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert child.stdout.readline() == f"ready {out}\n"
+    wait_for(lambda: all(map(zenoh_link.is_matched, sender[0].values())), "a viewer that listens")
+    yield child, out
+    if child.poll() is None:
+        child.kill()
+    child.communicate()
+
+
+def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching):
+    puts, (child, out) = sender[0], watching
+    size = out.stat().st_size
+    for row, timing in zip(ROWS[:40], landing().timing, strict=False):
+        puts["controller/step"].put(pack_controller_step(row))
+        puts["loop/timing"].put(pack_loop_timing(timing))
+        time.sleep(0.02)  # the pace of a flight; nothing is waited for
+    wait_for(lambda: out.stat().st_size > size + 20_000, "a recording that grows while it flies")
+    child.send_signal(signal.SIGINT)
+    _, errors = child.communicate(timeout=60.0)
+    assert (child.returncode, errors) == (0, "")
+    rows, columns = entities(out)
+    assert rows["/world/vehicle"] > 10
+    assert any(name.startswith("Mesh3D") for name in columns["/world/target_spot/barrier"])
+    for chunk in RrdReader(out).store().stream().to_chunks():
+        if chunk.entity_path == "/world/target/pad":
+            batch = chunk.to_record_batch()
+            (name,) = [n for n in batch.schema.names if n.startswith("Cylinders3D:radii")]
+            assert batch.column(name).to_pylist()[0][0] == pytest.approx(PAD_RADIUS_M)
+
+
+def test_a_viewer_that_hangs_holds_up_nobody(sender, watching):
+    puts, (child, _) = sender[0], watching
+    os.kill(child.pid, signal.SIGSTOP)
+    try:
+        payload, took_s = pack_controller_step(ROWS[50]), []
+        for _ in range(PUTS):
+            begin_s = time.thread_time()
+            puts["controller/step"].put(payload)
+            took_s.append(time.thread_time() - begin_s)
+        assert sorted(took_s)[-5] < PUT_TIME_MAX_S
+    finally:
+        os.kill(child.pid, signal.SIGCONT)
+    child.send_signal(signal.SIGTERM)
+    child.communicate(timeout=60.0)
+    assert child.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--view", "scene.txt"], "web or a file that ends with .rrd"),
+        (["--view", "web", "--json"], "give one of them"),
+        (["--view", "x.rrd", "--config", "nonesuch"], "nonesuch"),
+    ],
+)
+def test_wrong_words_are_refused(tmp_path, words, told):
+    done = flightstack("watch", *words, cwd=tmp_path)
+    assert done.code == 2
+    assert told in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_that_exists_is_kept(tmp_path):
+    (tmp_path / "old.rrd").write_text("old")
+    done = flightstack("watch", "--view", tmp_path / "old.rrd")
+    assert (done.code, "exists" in done.err) == (2, True)
+    assert (tmp_path / "old.rrd").read_text() == "old"
+
+
+def test_without_rerun_the_extra_is_named(monkeypatch):
+    for name in [n for n in sys.modules if n.partition(".")[0] == "rerun" or n.startswith("logs.view.view")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    done = CliRunner().invoke(main, ["watch", "--view", "web"])
+    assert done.exit_code == 2
+    assert "crazyflie-flightstack[view]" in done.output
+
+
+def test_sitl_shows_the_flight_and_flies_as_without(tmp_path):
+    out = tmp_path / "live.rrd"
+    done = flightstack(
+        "sitl", "--scenario", "paper_moving_1", "--lockstep", "--json", "--no-report", "--view", out,
+        "--out", tmp_path / "run",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert done.json["outcome"] == "landed"
+    rows, columns = entities(out)
+    assert rows["/world/vehicle"] > 0  # lockstep is quicker than the view, which drops what is old
+    assert "/world/target_spot/barrier" in columns

@@ -1,0 +1,114 @@
+"""Every command of the README and the docs is run, as it stands there."""
+
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from logs.reader.flight import load_flight
+from tests.integration.runs import WALL_MAX_S
+from tests.unit.target.ros2_helpers import on_free_ports
+
+ROOT = Path(__file__).parents[3]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BIN = Path(os.sys.executable).parent
+APART = ("target", "vehicle", "fly")
+
+
+def commands():
+    """Commands in blocks marked ``sh``, in order, joined where a backslash continues them."""
+    found = []
+    for page in PAGES:
+        for block in re.findall(r"^```sh\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
+            found += [line for line in block.replace("\\\n", " ").splitlines() if line.strip()]
+    return found
+
+
+def verb(command):
+    words = shlex.split(command)
+    return words[1] if words[0].endswith("flightstack") else words[0]
+
+
+def run(command, cwd):
+    """Run one command in a folder whose .venv is the one the tests run in."""
+    if not (cwd / ".venv").exists():
+        (cwd / ".venv").symlink_to(BIN.parent)
+        (cwd / "docs").symlink_to(ROOT / "docs")
+    return subprocess.run(
+        shlex.split(command), cwd=cwd, capture_output=True, text=True, timeout=WALL_MAX_S, check=False
+    )
+
+
+def test_the_readme_has_the_commands_it_promises():
+    verbs = {verb(c) for c in commands()}
+    assert verbs >= {"make", "sitl", "scenarios", "report", "compare", *APART}
+
+
+@pytest.mark.xdist_group("real-time")
+def test_the_commands_that_fly_report_and_compare(tmp_path):
+    ran = 0
+    for command in commands():
+        if verb(command) not in ("scenarios", "sitl", "report", "compare", "replay", "check", "campaign"):
+            continue
+        done = run(command, tmp_path)
+        assert done.returncode == 0, (command, done.stdout, done.stderr)
+        if "--json" in command:
+            assert json.loads(done.stdout.strip().splitlines()[-1])["outcome"] == "landed"
+        ran += 1
+    assert ran >= 12
+    assert (tmp_path / "runs/first/report.html").stat().st_size > 100_000
+
+
+@pytest.mark.xdist_group("real-time")
+def test_the_parts_apart_land(tmp_path):
+    (tmp_path / "runs").mkdir()
+    page = on_free_ports("\n".join(commands()))
+    parts = {verb(c): c for c in page.splitlines() if verb(c) in APART}
+    assert list(parts) == list(APART)
+    run(f"{BIN}/flightstack --version", tmp_path)
+    running = []
+    try:
+        for name, command in parts.items():
+            text = (tmp_path / f"{name}.txt").open("w")
+            running.append(
+                subprocess.Popen(
+                    shlex.split(command), cwd=tmp_path, stdout=subprocess.PIPE, stderr=text, text=True
+                )
+            )
+            if name == "vehicle":  # the target says ready once somebody listens
+                ready = running[-1].stdout.readline()
+                assert ready.startswith("ready"), (tmp_path / f"{name}.txt").read_text()
+        said, _ = running[-1].communicate(timeout=WALL_MAX_S)
+        assert running[-1].returncode == 0, said + (tmp_path / "fly.txt").read_text()
+        assert "LANDED: motors off" in said
+    finally:
+        for process in reversed(running):
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+            process.communicate(timeout=20.0)
+    flight = load_flight(tmp_path / "runs/real/flight.mcap")
+    assert flight.complete
+    assert len(flight.steps.tick) > 500
+    assert (tmp_path / "runs/real/report.html").exists()
+
+
+@pytest.mark.xdist_group("real-time")
+def test_make_fly_lands():
+    if shutil.which("make") is None or not (ROOT / ".venv").exists():
+        pytest.skip("make fly needs make and the checkout's own .venv")
+    assert "make fly" in commands()
+    assert "make test" in commands()  # what runs this test
+    done = subprocess.run(
+        ["make", "fly"], cwd=ROOT, capture_output=True, text=True, timeout=WALL_MAX_S, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "landed" in done.stdout
+    log, report = (re.search(rf"^{what}\s+(\S+)", done.stdout, re.MULTILINE)[1] for what in ("log", "report"))
+    assert load_flight(ROOT / log).complete
+    assert (ROOT / report).stat().st_size > 100_000

@@ -1,0 +1,207 @@
+"""The report of a real log, opened in a real browser."""
+
+import builtins
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from html.parser import HTMLParser
+
+import pytest
+
+from logs.report.compare import write_comparison
+from logs.report.report import ReportError, write_report
+from tests.synthetic_flight import landing, write_log
+
+pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
+
+FIGURES = 13
+SIZE_MAX = 6e6  # bytes, drawing library included
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+BROWSER_LIMIT_S = 180
+
+
+def find_chromium():
+    """Path of a Chromium, ``None`` without one; CHROMIUM names another."""
+    named = os.environ.get("CHROMIUM")
+    return named if named else next((path for name in BROWSERS if (path := shutil.which(name))), None)
+
+
+@pytest.fixture
+def browse(tmp_path):
+    browser = find_chromium()
+    if browser is None:
+        pytest.skip(
+            f"no Chromium here (looked for {', '.join(BROWSERS)} and $CHROMIUM); the page was not opened"
+        )
+
+    def opened(page, place=""):
+        """What the page is after its scripts ran, and what it wrote to the console."""
+        result = subprocess.run(
+            [
+                browser, "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
+                f"--user-data-dir={tmp_path / 'profile'}", "--no-first-run", "--disable-quic",
+                "--disable-sync", "--disable-background-networking", "--disable-component-update",
+                "--disable-dev-shm-usage",
+                "--enable-logging=stderr", "--virtual-time-budget=30000", "--window-size=1200,1000",
+                "--dump-dom", page.as_uri() + place,
+            ],
+            capture_output=True, text=True, timeout=BROWSER_LIMIT_S, check=True,
+        )  # fmt: skip
+        return result.stdout, [line for line in result.stderr.splitlines() if ":CONSOLE" in line]
+
+    return opened
+
+
+class Page(HTMLParser):
+    """Classes and attributes of the elements, scripts left out."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.classes, self.body, self.words, self.sources, self.tags = [], {}, [], [], Counter()
+        self._script = False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        values = dict(attrs)
+        self._script = tag in ("script", "style")
+        self.tags[tag] += 1
+        self.classes += (values.get("class") or "").split()
+        self.sources += [v for k, v in values.items() if k in ("src", "href") and v]
+        if tag == "body":
+            self.body = values
+
+    def handle_endtag(self, tag):
+        self._script = False
+
+    def handle_data(self, data):
+        if not self._script:
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+
+def errors(console):
+    """Console lines that tell of trouble; hints about speed are none."""
+    return [
+        line for line in console if re.search(r"error|exception|refused|violat|failed", line, re.IGNORECASE)
+    ]
+
+
+def test_every_figure_is_drawn_without_a_complaint(tmp_path, browse):
+    rows = landing()
+    rows.steps = [row._replace(wanted_enu_m_s=row.filtered_enu_m_s) for row in rows.steps]
+    page = write_report(write_log(tmp_path / "flight.mcap", rows))
+    dom, console = browse(page, "#t=2.5")
+    assert errors(console) == []
+    seen = Page(dom)
+    assert seen.body["data-shown"] == "-0.5 5.5"  # in every figure over time
+    assert seen.body["data-figures"] == str(FIGURES)
+    assert seen.body["data-figures-drawn"] == str(FIGURES)
+    assert seen.tags["canvas"] >= 1  # the 3-D figure
+    assert "no-webgl" not in seen.classes
+    assert seen.classes.count("main-svg") >= FIGURES
+
+
+@pytest.mark.parametrize("kind", ["bare estimate", "cut short", "no steps"])
+def test_poor_logs_give_a_page_that_says_so(tmp_path, browse, kind):
+    rows, complete = landing(), kind != "cut short"
+    expected = "cut short or damaged"
+    if kind == "bare estimate":
+        rows.truth, rows.timing, rows.odometry, rows.events = [], [], [], []
+        rows.run.clear()
+        expected = "The log does not say which barrier was flown"
+    elif kind == "no steps":
+        rows.steps = []
+        expected = "no controller steps in this log"
+    page = write_report(write_log(tmp_path / "flight.mcap", rows, complete=complete))
+    dom, console = browse(page)
+    assert errors(console) == []
+    seen = Page(dom)
+    assert int(seen.body["data-figures"]) >= 3
+    assert seen.body["data-figures"] == seen.body["data-figures-drawn"]
+    assert "Mind when reading" in seen.text
+    assert expected in seen.text
+
+
+def test_a_comparison_draws_both_flights(tmp_path, browse):
+    other = landing()
+    other.run |= {"scenario": "another", "seed": "8"}
+    other.truth = []
+    a, b = write_log(tmp_path / "a.mcap", landing()), write_log(tmp_path / "b.mcap", other, complete=False)
+    dom, console = browse(write_comparison(a, b))
+    assert errors(console) == []
+    seen = Page(dom)
+    assert int(seen.body["data-figures"]) >= 7
+    assert seen.body["data-figures"] == seen.body["data-figures-drawn"]
+    for words in (
+        "synthetic and another, compared",
+        "run.seed 7 8",
+        "B: no true states in this log",
+        "B − A",
+    ):
+        assert words in seen.text
+    assert len((tmp_path / "comparison.html").read_text(encoding="utf-8")) < SIZE_MAX
+
+
+def test_a_flight_that_never_began_to_land(tmp_path):
+    rows = landing()
+    rows.cut(0.5)
+    page = Page(write_report(write_log(tmp_path / "flight.mcap", rows)).read_text(encoding="utf-8"))
+    assert "the landing never began" in page.text
+    assert "a barrier violation cannot be excluded" in page.text
+
+
+def test_the_page_is_whole_and_names_every_number_with_its_unit(tmp_path):
+    rows = landing()
+    out = write_report(write_log(tmp_path / "flight.mcap", rows), tmp_path / "there" / "report.html")
+    assert out == tmp_path / "there" / "report.html"
+    text = out.read_text(encoding="utf-8")
+    page = Page(text)
+    assert all(source.startswith(("data:", "#")) for source in page.sources)  # nothing is fetched
+    assert "@@" not in page.text
+    for words in (
+        "Landed",
+        "seed 7",
+        "filter paper",
+        "lockstep",
+        "touchdown error",
+        "cm",
+        "m/s",
+        "true states",
+    ):
+        assert words in page.text
+    for figure in ("7, 10", "8, 11", "9a, 13a", "9b–d, 13b–d", "12"):
+        assert f"paper Fig. {figure}" in page.text
+    assert "TOUCHDOWN -> LANDED: made up" in page.text
+    assert len(text) < SIZE_MAX
+
+
+def test_text_from_the_log_stays_text(tmp_path):
+    rows = landing()
+    evil = "</script><script>document.title='x'</script><b>&"
+    rows.run["scenario"] = evil
+    rows.events.append((rows.steps[-1].stamp_ns, 40, evil))
+    text = write_report(write_log(tmp_path / "flight.mcap", rows)).read_text(encoding="utf-8")
+    assert evil not in text
+    assert Page(text).text.count(evil) == 4  # title, headline, run, event
+
+
+def test_without_the_plotting_library_the_reason_is_given(tmp_path, monkeypatch):
+    log = write_log(tmp_path / "flight.mcap", landing())
+    for name in [n for n in sys.modules if n.startswith(("logs.report.figures", "logs.report_", "plotly"))]:
+        monkeypatch.delitem(sys.modules, name)
+    real = builtins.__import__
+
+    def without(name, *rest):
+        if name.split(".")[0] == "plotly":
+            raise ModuleNotFoundError("No module named 'plotly'", name="plotly")
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(ReportError, match=r"crazyflie-flightstack\[report\]"):
+        write_report(log)

@@ -1,0 +1,324 @@
+"""A flown log in programs that are not ours: what they decode is what was flown."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from pymavlink.dialects.v20 import ardupilotmega as mav
+from rerun.chunk import RrdReader
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Nodetype
+
+from logs.schema.codec_mavlink import unpack_mavlink
+from logs.view.layouts import layout
+from tests.integration.runs import COMMAND, flightstack
+
+ROOT = Path(__file__).parents[3]
+pytestmark = pytest.mark.xdist_group("viewers")  # they share a flight
+RERUN = Path(sys.executable).parent / "rerun"
+PATIENCE_S = 180.0
+ROS_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")  # ROS 2 design, "Topic and Service name mapping"
+REACH_M = 2.5  # of the picture of the barrier, for alpha = 1/m
+
+
+@pytest.fixture(scope="module")
+def log(flown):
+    flight = flown("paper_moving_1")
+    assert flight.code == 0
+    return flight.log
+
+
+@pytest.fixture(scope="module")
+def bag(log):
+    """Topic -> [(log time in ns, message)], by rosbags."""
+    found: dict[str, list] = {}
+    with AnyReader([log]) as reader:
+        for connection, log_time_ns, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            found.setdefault(connection.topic, []).append((log_time_ns, message))
+    return found
+
+
+def vector(v):
+    return np.array([v.x, v.y, v.z])
+
+
+def test_the_other_cdr_library_decodes_every_message(log, bag):
+    with log.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        counts = Counter(c.topic for _, c, _, m in reader.iter_decoded_messages() if m is not None)
+    assert counts == {topic: len(messages) for topic, messages in bag.items()}
+    assert len(counts) > 30
+
+
+def test_every_topic_has_a_legal_name_and_says_its_type(log):
+    with log.open("rb") as stream, AnyReader([log]) as bags:
+        summary = make_reader(stream).get_summary()
+        assert summary is not None
+        for channel in summary.channels.values():
+            schema = summary.schemas[channel.schema_id]
+            assert ROS_TOPIC.fullmatch(channel.topic), channel.topic
+            assert (channel.message_encoding, schema.encoding) == ("cdr", "ros2msg")
+            assert "offered_qos_profiles" in channel.metadata
+            assert channel.metadata["topic_type_hash"] == bags.typestore.hash_rihs01(schema.name)
+
+
+def test_slow_topics_come_again_for_those_who_jump(bag):
+    end_ns = max(t for t, _ in bag["/cf1/controller/step"])
+    for topic in ("/tf_static", "/cf1/run", "/cf1/cbf/markers", "/diagnostics"):
+        times = [t for t, _ in bag[topic]]
+        assert max(np.diff([*times, end_ns])) <= 5.1e9, topic
+
+
+def test_transforms_are_one_tree_and_agree_with_the_poses(bag):
+    parents = {}
+    moved: dict[str, dict] = {}
+    for topic in ("/tf", "/tf_static"):
+        for time_ns, message in bag[topic]:
+            for t in message.transforms:
+                assert parents.setdefault(t.child_frame_id, t.header.frame_id) == t.header.frame_id
+                q = t.transform.rotation
+                assert math.hypot(q.x, q.y, q.z, q.w) == pytest.approx(1.0)
+                moved.setdefault(t.child_frame_id, {})[time_ns] = t.transform
+    assert set(parents) == {"map_ned", "cf1/base_link", "target", "target_pad"}
+    assert set(parents.values()) == {"map"}
+    for frame, topics in (("cf1/base_link", ("/cf1/pose", "/cf1/odom")), ("target", ("/cf1/target/pose",))):
+        for topic in topics:
+            assert len(bag[topic]) == len(moved[frame]) > 500
+            for time_ns, message in bag[topic]:
+                pose = message.pose.pose if topic == "/cf1/odom" else message.pose
+                transform = moved[frame][time_ns]
+                assert (vector(pose.position) == vector(transform.translation)).all()
+                assert pose.orientation == transform.rotation
+
+
+def test_own_odometry_is_what_the_vehicle_sent(bag):
+    """Independent of our bridge: NED of LOCAL_POSITION_NED against ENU of the odometry, at the same ticks."""
+    sent = dict(bag["/cf1/mavlink/sys1/comp1/LOCAL_POSITION_NED"])
+    compared = 0
+    for time_ns, odometry in bag["/cf1/odom"]:
+        if time_ns in sent:
+            m, p = sent[time_ns], odometry.pose.pose.position
+            assert (p.x, p.y, p.z) == pytest.approx((m.y, m.x, -m.z), abs=1e-6)
+            speed = vector(odometry.twist.twist.linear)
+            assert np.linalg.norm(speed) == pytest.approx(math.hypot(m.vx, m.vy, m.vz), abs=1e-6)
+            compared += 1
+    assert compared > 500
+
+
+def test_pictures_are_where_the_numbers_are(bag):
+    topics = ("velocity_nominal", "velocity_filtered", "velocity")
+    twists = [{t: vector(m.twist.linear) for t, m in bag[f"/cf1/cmd/{name}"]} for name in topics]
+    poses = {t: vector(m.pose.position) for t, m in bag["/cf1/pose"]}
+    seen = Counter()
+    for time_ns, message in bag["/cf1/cbf/markers"]:
+        for marker in message.markers:
+            seen[marker.ns] += 1
+            points = np.array([vector(p) for p in marker.points])
+            if marker.ns == "velocity":
+                tail, head = points
+                np.testing.assert_array_equal(tail, poses[time_ns])
+                np.testing.assert_allclose(head - tail, twists[marker.id][time_ns], atol=1e-12)
+            elif marker.ns == "barrier":  # paper eq. (5) with alpha = 1/m, beta = 1.5 m
+                d = np.hypot(points[:, 0], points[:, 1])
+                np.testing.assert_allclose(points[:, 2], 1.5 * d * np.exp(-d), atol=3e-3)
+                assert d.max() == pytest.approx(REACH_M, abs=0.01)
+                assert marker.header.frame_id == "target_pad"
+            elif marker.ns == "path" and marker.id == 0:
+                nearest = np.array(
+                    [np.abs(np.array(list(poses.values())) - p).sum(1).min() for p in points[::20]]
+                )
+                assert nearest.max() < 0.02
+    assert set(seen) == {"velocity", "barrier", "pad", "path", "vehicle"}
+    assert min(seen.values()) > 50
+
+
+def test_every_raw_frame_is_also_decoded_and_names_its_peer(log, bag):
+    raw = [m for topic in ("/uas1/mavlink_source", "/uas1/mavlink_sink") for _, m in bag[topic]]
+    peers = flightstack("log", "info", "--json", log).json["metadata"]["mavlink_peers"]
+    assert {m.header.frame_id for m in raw} == set(peers) == {"p00"}
+    assert re.fullmatch(r"127\.0\.0\.1:\d+", peers["p00"])
+    decoded = {topic: len(ms) for topic, ms in bag.items() if topic.startswith("/cf1/mavlink/")}
+    assert sum(decoded.values()) == len(raw)
+    parser, counts = mav.MAVLink(None), Counter()
+    with AnyReader([log]) as reader:
+        for _, _, data in reader.messages([c for c in reader.connections if c.topic.startswith("/uas1/")]):
+            message = parser.decode(bytearray(unpack_mavlink(bytes(data))[1]))
+            sender = f"sys{message.get_srcSystem()}/comp{message.get_srcComponent()}"
+            counts[f"/cf1/mavlink/{sender}/{message.get_type()}"] += 1
+    assert counts == decoded
+
+
+def rerun(home, *arguments):
+    """Run the program with a home of its own: it keeps settings there."""
+    done = subprocess.run(
+        [str(RERUN), *map(str, arguments)],
+        capture_output=True, text=True, timeout=PATIENCE_S, check=False,
+        env=os.environ | {"HOME": str(home), "NO_COLOR": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def rows_of(rrd):
+    """Entity -> (rows of its temporal data, names of its columns)."""
+    found: dict[str, tuple[int, set]] = {}
+    for chunk in RrdReader(rrd).store().stream().to_chunks():
+        rows, columns = found.get(chunk.entity_path, (0, set()))
+        names = set(chunk.to_record_batch().schema.names)
+        rows += 0 if chunk.is_static else chunk.num_rows
+        found[chunk.entity_path] = (rows, columns | names)
+    return found
+
+
+def test_rerun_reads_the_log_as_it_is(log, bag, tmp_path):
+    rerun(tmp_path, "mcap", "convert", log, "-o", tmp_path / "as_it_is.rrd")
+    found = rows_of(tmp_path / "as_it_is.rrd")
+    for topic, word in (
+        ("/cf1/odom", "nav_msgs.msg.Odometry"),
+        ("/cf1/controller/step", "ControllerStep"),
+        ("/cf1/mavlink/sys1/comp1/ATTITUDE", "mavlink_msgs.msg.Attitude"),
+        ("/tf", "Transform3D"),
+        ("/cf1/pose", "InstancePoses3D"),
+        ("/rosout", "TextLog"),
+    ):
+        rows, columns = found[topic]
+        assert rows >= len(bag[topic]), topic
+        assert any(word in column for column in columns), (topic, columns)
+
+
+def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
+    out = tmp_path / "flight.rrd"
+    done = flightstack("view", log, "--save", out)
+    assert done.code == 0, done.err
+    rerun(tmp_path, "rrd", "verify", out)
+    reader = RrdReader(out)
+    assert len(reader.recordings()) == 1
+    assert len(reader.blueprints()) == 1
+    found = rows_of(out)
+    steps = bag["/cf1/controller/step"]
+    for entity in ("/safety/h/controller", "/velocity/z/filtered", "/age/target", "/loop/exec"):
+        assert found[entity][0] == len(steps), entity
+    for entity, column in (
+        ("/world/target_spot/barrier", "Mesh3D:vertex_positions"),
+        ("/world/target/pad", "Cylinders3D"),
+        ("/world/vehicle", "Transform3D:translation"),
+        ("/world/vehicle_path", "LineStrips3D:strips"),
+        ("/world/velocity/command", "Arrows3D:vectors"),
+        ("/phase", "StateChange:state"),
+        ("/run", "TextDocument:text"),
+    ):
+        assert any(c.startswith(column) for c in found[entity][1]), (entity, found[entity])
+    assert found["/events"][0] == len(bag["/rosout"])
+    for chunk in reader.store().stream().to_chunks():
+        if chunk.entity_path == "/safety/h/controller" and not chunk.is_static:
+            shown = [v[0] for v in chunk.to_record_batch().column("Scalars:scalars").to_pylist()]
+            np.testing.assert_array_equal(shown, [m.h_m for _, m in steps])
+    again = flightstack("view", log, "--save", out)
+    assert (again.code, "--force" in again.err) == (2, True)
+
+
+def test_the_blueprint_shows_what_the_recording_holds(log, tmp_path):
+    out = tmp_path / "flight.rrd"
+    assert flightstack("view", log, "--save", out).code == 0
+    entities = set(rows_of(out))
+    blueprint = RrdReader(out)
+    origins = set()
+    for chunk in blueprint.store(store=blueprint.blueprints()[0]).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        for name in batch.schema.names:
+            if name.endswith(":space_origin"):
+                origins |= {value[0] for value in batch.column(name).to_pylist() if value}
+    assert {"/world", "/safety/h", "/phase", "/events", "/run"} <= origins
+    for origin in origins:
+        assert any(e == origin or e.startswith(origin + "/") for e in entities), origin
+
+
+def numeric(reader, topic, fields):
+    """Whether a dotted path ends at a number, by the definitions in the log itself."""
+    (connection,) = [c for c in reader.connections if c.topic == topic]
+    kind = connection.msgtype
+    for i, field in enumerate(fields):
+        types = dict(reader.typestore.fielddefs[kind][1])
+        assert field in types, (topic, field, list(types))
+        node, argument = types[field]
+        if node == Nodetype.BASE:
+            return i == len(fields) - 1 and argument[0] != "string"
+        assert node == Nodetype.NAME, (topic, field)
+        kind = argument
+    return False
+
+
+def test_foxglove_layout_names_topics_and_fields_that_are_there(log):
+    panels = json.loads(layout("foxglove.json"))["configById"]
+    with AnyReader([log]) as reader:
+        topics = {c.topic for c in reader.connections}
+        checked = 0
+        for name, config in panels.items():
+            for path in config.get("paths", []):
+                topic, *fields = path["value"].split(".")
+                assert numeric(reader, topic, fields), path["value"]
+                checked += 1
+            for key in ("topicToRender", "topicPath"):
+                assert config.get(key, "/rosout") in topics, name
+            assert set(config.get("topics", {})) <= topics
+        assert checked > 25
+        frames = {f"frame:{name}" for name in ("map_ned", "target_pad", "target", "cf1/base_link")}
+        assert set(panels["3D!scene"]["transforms"]) <= frames
+
+
+def test_plotjuggler_layout_names_topics_and_fields_that_are_there(log):
+    curves = [c.get("name") for c in ElementTree.fromstring(layout("plotjuggler.xml")).iter("curve")]
+    assert len(curves) > 25
+    with AnyReader([log]) as reader:
+        topics = {c.topic for c in reader.connections}
+        for curve in curves:
+            (topic,) = [t for t in topics if curve.startswith(t + "/")]
+            assert numeric(reader, topic, curve.removeprefix(topic + "/").split("/")), curve
+
+
+def test_the_commands_of_the_page_run(log, tmp_path):
+    page = (ROOT / "docs/viewing.md").read_text()
+    lines = re.findall(r"^\.venv/bin/(flightstack view .*)$", page, re.MULTILINE)
+    (tmp_path / "runs/first").mkdir(parents=True)
+    (tmp_path / "runs/first/flight.mcap").symlink_to(log)
+    files = [line for line in lines if "--save" in line or "--layouts" in line]
+    assert (len(lines), len(files)) == (4, 2)
+    for line in files:
+        done = flightstack(*line.split()[1:], cwd=tmp_path)
+        assert done.code == 0, (line, done.err)
+        assert (tmp_path / line.split()[-1]).exists()
+    for frame in ("map", "map_ned", "cf1/base_link", "target", "target_pad"):
+        assert f"| `{frame}` |" in page
+
+
+def test_view_serves_a_browser_on_this_machine_only(log):
+    process = subprocess.Popen(
+        [*COMMAND, "view", str(log), "--web"],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+    )  # fmt: skip
+    try:
+        said = []
+        for line in process.stdout:  # ends by itself if Rerun does not start
+            said.append(line)
+            if "Hosting a web-viewer at" in line:
+                break
+        address = re.search(r"Hosting a web-viewer at http://([\d.]+):\d+", "".join(said))
+        assert address is not None, said
+        assert address.group(1) == "127.0.0.1"
+    finally:
+        os.killpg(process.pid, signal.SIGTERM)
+        process.wait(PATIENCE_S)

@@ -1,0 +1,298 @@
+"""Watching a flight from outside: the live keys, the verb ``watch``; old data is never shown as new."""
+
+import io
+import json
+import math
+import select
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import pytest
+from rich.console import Console
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from bridge.zenoh import zenoh_link
+from flightstack.common.processes import Port
+from flightstack.core.types import Phase
+from flightstack.watch.json_lines import snapshot
+from flightstack.watch.live import draw
+from flightstack.watch.state import STALE_S, News, Watch
+from logs.schema.codec import pack_controller_step, pack_loop_timing
+from logs.schema.codec_health import HealthRow, pack_health, unpack_health
+from logs.schema.schemas import HEALTH, schema_text
+from tests.integration.sim_processes import ROOT
+from tests.synthetic_flight import landing
+
+PATIENCE_S = 60.0
+KEYS = ("controller/step", "loop/timing", "health")
+HEALTHY = HealthRow(
+    1_700_000_000_123_456_789, 42, 0.01, 0.02, 0.5, 3.87, 0.9, 1, 2, True, True, True, True, True, False,
+    100, 1, 2, 3, "inputs good again, ±",
+)  # fmt: skip
+
+
+class Clock:
+    """Seconds that a test sets."""
+
+    def __init__(self):
+        self.now_s = 100.0
+
+    def __call__(self):
+        return self.now_s
+
+
+class Sender:
+    """Plays the onboard process on a session of its own."""
+
+    def __init__(self, endpoint, namespace="cf1"):
+        self.session = zenoh_link.open_session([endpoint], [])
+        self.puts = {key: zenoh_link.dropping_publisher(self.session, f"{namespace}/{key}") for key in KEYS}
+
+    def wait(self):
+        until_s = time.monotonic() + PATIENCE_S
+        while not all(map(zenoh_link.is_matched, self.puts.values())):
+            assert time.monotonic() < until_s, "nobody subscribed"
+            time.sleep(0.005)
+
+
+@contextmanager
+def opened(namespace="cf1"):
+    """A sender, a watch and its clock."""
+    port, clock = Port(), Clock()
+    sender = Sender(port.endpoint, namespace)
+    session = zenoh_link.open_session([], [port.endpoint])
+    try:
+        watch = Watch(session, namespace, clock=clock)
+        sender.wait()
+        yield sender, watch, clock
+    finally:
+        session.close()
+        sender.session.close()
+        port.close()
+
+
+def until(watch, done, what):
+    end_s = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < end_s, what
+        time.sleep(0.005)
+        watch.poll()
+
+
+def shown(watch, whom="tcp/lab:7448"):
+    console = Console(width=110, record=True, file=io.StringIO())
+    console.print(draw(watch, "title", whom))
+    return console.export_text()
+
+
+def step(number=0, **values):
+    rows = [r for r in landing().steps if r.phase == Phase.APPROACH]
+    return rows[number]._replace(**values)
+
+
+def test_health_reads_back_here_and_in_any_ros_tool():
+    data = pack_health(HEALTHY)
+    assert unpack_health(data) == HEALTHY
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(schema_text(HEALTH).partition("=" * 80)[0], HEALTH))
+    read = store.deserialize_cdr(data, HEALTH)
+    for name in HealthRow._fields[1:]:
+        assert getattr(read, name) == getattr(HEALTHY, name), name
+    assert (read.header.stamp.sec, read.header.stamp.nanosec) == (1_700_000_000, 123_456_789)
+
+
+@pytest.mark.parametrize("cut", [0, 3, 20, 60, 110, -1])
+def test_a_health_that_is_cut_short_is_refused(cut):
+    with pytest.raises(ValueError, match="Health"):
+        unpack_health(pack_health(HEALTHY)[:cut])
+
+
+def test_old_data_is_shown_as_old_and_never_as_new():
+    with opened() as (sender, watch, clock):
+        assert watch.news is News.NEVER
+        clock.now_s += 3.2
+        assert "no data for 3.2 s" in shown(watch)
+        row = step()
+        sender.puts["controller/step"].put(pack_controller_step(row))
+        sender.puts["health"].put(pack_health(HEALTHY))
+        sender.puts["loop/timing"].put(pack_loop_timing(landing().timing[5]))
+        until(watch, lambda: watch.step and watch.health and watch.timings, "nothing came")
+        assert watch.news is News.FRESH
+        text = shown(watch)
+        for words in ("APPROACH", f"h {row.h_m:+.3f} m", "target 20 ms", "battery 3.87 V 90 %", "good again"):
+            assert words in text
+        assert "no data" not in text
+        clock.now_s += STALE_S + 2.0
+        assert watch.news is News.STALE
+        text = shown(watch)
+        assert "no data for 3.0 s: connected, but nothing comes on these keys; below is OLD" in text
+        values = snapshot(watch)
+        assert (values["fresh"], values["health"]["fresh"]) == (False, False)
+        assert values["age_s"] == 3.0
+
+
+def test_who_dials_a_router_as_its_peer_is_told_why_nothing_comes():
+    port = Port()
+    router = zenoh_link.open_session([port.endpoint], role=zenoh_link.Role.ROUTER)
+    for role, words in (
+        (zenoh_link.Role.PEER, "is a router, which passes nothing from peer to peer"),
+        (zenoh_link.Role.CLIENT, "connected, but nothing comes on these keys"),
+    ):
+        session = zenoh_link.open_session(connect=[port.endpoint], role=role)
+        watch = Watch(session, "cf1", role=role)
+        until(watch, lambda: watch.connections == 1, "no connection")  # noqa: B023 (called at once)
+        assert words in shown(watch, port.endpoint)
+        session.close()
+    router.close()
+    port.close()
+
+
+def test_a_sender_that_repeats_itself_is_stale():
+    with opened() as (sender, watch, clock):
+        payload = pack_controller_step(step())
+        sender.puts["controller/step"].put(payload)
+        until(watch, lambda: watch.step, "nothing came")
+        clock.now_s += STALE_S + 1.0
+        sender.puts["controller/step"].put(payload)
+        sender.puts["loop/timing"].put(pack_loop_timing(landing().timing[5]))
+        until(watch, lambda: watch.timings, "nothing came")  # sent after the repeated step
+        assert watch.news is News.STALE
+        sender.puts["controller/step"].put(pack_controller_step(step(1)))
+        until(watch, lambda: watch.news is News.FRESH, "a new step is news")
+
+
+def test_what_is_not_ours_is_counted_and_shown():
+    with opened() as (sender, watch, _):
+        sender.puts["controller/step"].put(b"something else")
+        sender.puts["health"].put(pack_health(HEALTHY)[:50])
+        until(watch, lambda: watch.refused == 2, "not counted")
+        assert watch.step is None
+        assert "2 samples not understood" in shown(watch)
+
+
+def test_phases_and_numbers_nobody_knows_are_shown_all_the_same():
+    with opened() as (sender, watch, _):
+        none = (math.nan,) * 3
+        odd = step(phase=77, h_m=math.nan, filter_status=99, own_position_enu_m=none)
+        sender.puts["controller/step"].put(pack_controller_step(odd))
+        sender.puts["health"].put(
+            pack_health(HEALTHY._replace(mode=50, battery_v=math.nan, target_age_s=math.nan))
+        )
+        until(watch, lambda: watch.step and watch.health, "nothing came")
+        text, values = shown(watch), snapshot(watch)
+        assert "77" in text
+        assert "target never" in text
+        assert values["h_m"] is None
+        assert values["e_m"] is None
+        assert values["health"]["mode"] == "50"
+        json.dumps(values, allow_nan=False)
+
+
+def test_the_end_of_a_flight_is_told():
+    with opened() as (sender, watch, clock):
+        sender.puts["controller/step"].put(pack_controller_step(step(phase=Phase.LANDED, finished=True)))
+        until(watch, lambda: watch.step, "nothing came")
+        sender.session.close()
+        clock.now_s += 5.0
+        assert "the flight is over: LANDED, 5 s ago" in shown(watch)
+
+
+def command(*words):
+    return [sys.executable, "-m", "flightstack.cli.main", *words]
+
+
+def test_nobody_there_is_said_and_exit_status_1():
+    port = Port()
+    words = ("watch", "--connect", port.endpoint, "--once", "--timeout", "0.5")
+    done = subprocess.run(
+        command(*words), cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+    assert done.returncode == 1
+    assert f"nobody answers at {port.endpoint}" in done.stdout
+    done = subprocess.run(
+        command(*words, "--json"), cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+    values = json.loads(done.stdout)
+    assert (done.returncode, values["fresh"], values["connections"]) == (1, False, 0)
+    port.close()
+
+
+@pytest.mark.parametrize("words", [["--connect", "nonsense"], ["--namespace", "a//b"]])
+def test_wrong_words_are_refused(words):
+    done = subprocess.run(
+        command("watch", "--once", *words),
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "allowed" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
+    """Scripts and a terminal see a flight that sitl flies; Ctrl-C ends watching with status 0."""
+    port = Port()
+    sitl = subprocess.Popen(
+        command("sitl", "--scenario", "straight", "--out", str(tmp_path / "run"), "--no-report", "--listen",
+                port.endpoint),
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    watching = subprocess.Popen(
+        command("watch", "--connect", port.endpoint, "--json"),
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        seen = list(_lines(watching, lambda v: v["fresh"] and v.get("phase") == "APPROACH"))
+        assert not seen[0]["fresh"]
+        now = seen[-1]
+        assert now["health"]["armed"]
+        assert 3.0 < now["health"]["battery_v"] < 4.3
+        assert now["health"]["target_age_s"] < 1.0
+        assert now["h_m"] > -0.1
+        assert len(now["setpoint_enu_m_s"]) == 3
+        once = subprocess.run(
+            command("watch", "--connect", port.endpoint, "--once", "--json", "--timeout", "30"),
+            cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=True,
+        )  # fmt: skip
+        assert json.loads(once.stdout)["tick"] > now["tick"]
+        example = (
+            (ROOT / "docs" / "live.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+        )
+        read = subprocess.run(
+            [sys.executable, "-c", example, port.endpoint],
+            cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=True,
+        )  # fmt: skip
+        assert read.stdout.split()[0] in Phase.__members__
+        sitl.send_signal(signal.SIGINT)
+        text, _ = sitl.communicate(timeout=PATIENCE_S)
+        assert f"to watch: flightstack watch --connect {port.endpoint}" in text.replace("\n", " ")
+        list(_lines(watching, lambda v: not v["fresh"] and v["age_s"] > STALE_S))
+        watching.send_signal(signal.SIGINT)
+        _, errors = watching.communicate(timeout=PATIENCE_S)
+        assert (watching.returncode, errors) == (0, "")
+    finally:
+        for child in (sitl, watching):
+            if child.poll() is None:
+                child.kill()
+            child.communicate(timeout=PATIENCE_S)
+        port.close()
+
+
+def _lines(child, done):
+    """Objects that the child prints, up to one for which ``done`` holds."""
+    until_s = time.monotonic() + 3 * PATIENCE_S
+    while time.monotonic() < until_s:
+        assert select.select([child.stdout], [], [], PATIENCE_S)[0], "it fell silent"
+        line = child.stdout.readline()
+        assert line, f"it ended: {child.stderr.read()}"
+        value = json.loads(line)
+        yield value
+        if done(value):
+            return
+    pytest.fail("what we wait for did not come")

@@ -1,0 +1,223 @@
+"""A landing on a target that is a ROS 2 topic, through a router, while a ROS 2 node looks on."""
+
+import math
+import re
+import select
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from bridge.frames import world_from_body
+from bridge.ros2.cdr import decode_odometry
+from bridge.ros2.ros2_names import parse_topic_key, topic_key
+from bridge.target.ros2_target import ROS_TYPES, TargetType
+from bridge.zenoh import zenoh_link
+from flightstack.core.types import Phase
+from tests.integration.runs import WALL_MAX_S
+from tests.unit.target.ros2_helpers import PATIENCE_S, decode, on_free_ports, pose_stamped, rmw_session, until
+
+ROOT = Path(__file__).parents[3]
+PAD_M = 0.2  # of the pad above the floor
+
+
+def commands():
+    """The page's commands, on free ports."""
+    page = (ROOT / "docs" / "ros2.md").read_text()
+    block = re.search(r"^```bash\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[1].replace("\\\n", " ")
+    lines = on_free_ports(block).splitlines()
+    return {shlex.split(line)[1]: shlex.split(line)[2:] for line in lines}
+
+
+class Node:
+    """Plays a ROS 2 node: every topic of domain 0, decoded by another library."""
+
+    def __init__(self, endpoint):
+        self.session = rmw_session(endpoint)
+        self._heard = zenoh_link.ring_subscriber(self.session, "0/**", 4096)
+        self.messages, self.sequences = defaultdict(list), defaultdict(list)
+        self.types = {}
+
+    def poll(self):
+        for sample in zenoh_link.drain(self._heard):
+            key = parse_topic_key(str(sample.key_expr))
+            attachment = sample.attachment.to_bytes()
+            assert len(attachment) == 33
+            self.types[key.topic] = key.type_name
+            self.sequences[key.topic].append(int.from_bytes(attachment[:8], "little"))
+            self.messages[key.topic].append(decode(key.type_name, sample.payload.to_bytes()))
+
+    def has_all_of_the_flight(self):
+        """On a busy machine the robot may tell late where it was."""
+        self.poll()
+        own, target = self.messages["/cf1/odom"], self.messages["/cf1/target/odom"]
+        return seconds(target[-1]) >= seconds(own[-1])
+
+    def tokens(self):
+        return [str(one.ok.key_expr) for one in self.session.liveliness().get("@ros2_lv/0/**", timeout=1.0)]
+
+
+class Parts:
+    """The page's processes, started in its order."""
+
+    def __init__(self, folder, stack):
+        self._folder, self._stack, self._words = folder, stack, commands()
+        assert list(self._words) == ["router", "target", "vehicle", "onboard"]
+        onboard = self._words["onboard"]
+        self.endpoint = onboard[onboard.index("--ros2") + 1]
+        self._words["router"] += ["--listen", self.endpoint]
+        self.running = {}
+
+    def change(self, name, word, other):
+        self._words[name] = [other if one == word else one for one in self._words[name]]
+        assert other in self._words[name]
+
+    def add(self, name, *words):
+        self._words[name] += words
+
+    def start(self, name):
+        errors = self._stack.enter_context((self._folder / f"{name}.txt").open("w"))
+        child = subprocess.Popen(
+            [sys.executable, "-m", "flightstack.cli.main", name, *self._words[name]],
+            cwd=ROOT, stdout=subprocess.PIPE, stderr=errors, text=True,
+        )  # fmt: skip
+        self._stack.callback(end, child)
+        self.running[name] = child
+        if name in ("router", "vehicle"):
+            self.line(name, "ready")
+
+    def line(self, name, words):
+        """Read what a process says up to a line with these words."""
+        child, deadline_s = self.running[name], time.monotonic() + WALL_MAX_S
+        while time.monotonic() < deadline_s:
+            assert select.select([child.stdout], [], [], WALL_MAX_S)[0], f"{name} is silent"
+            line = child.stdout.readline()
+            assert line, f"{name} ended: {self.errors(name)}"
+            if words in line:
+                return
+        pytest.fail(f"{name} did not say {words!r}")
+
+    def errors(self, name):
+        return (self._folder / f"{name}.txt").read_text()
+
+
+@pytest.mark.xdist_group("real-time")
+def test_the_page_lands_and_ros_2_sees_it(tmp_path):
+    with ExitStack() as stack:
+        parts = Parts(tmp_path, stack)
+        parts.start("router")
+        node = Node(parts.endpoint)
+        stack.callback(node.session.close)
+        for name in ("target", "vehicle", "onboard"):
+            parts.start(name)
+        until(lambda: len(node.tokens()) >= 2 + 1 + 12, "nodes and publishers")
+        tokens = node.tokens()
+        onboard, deadline_s = parts.running["onboard"], time.monotonic() + WALL_MAX_S
+        while onboard.poll() is None:
+            assert time.monotonic() < deadline_s
+            node.poll()
+            time.sleep(0.02)
+        assert onboard.returncode == 0, onboard.stdout.read() + parts.errors("onboard")
+        until(node.has_all_of_the_flight, "the robot's last place in the flight")
+        assert "LANDED" in onboard.stdout.read()
+        assert parts.errors("onboard") == ""
+    names = {token.split("/")[8] for token in tokens if token.split("/")[5] == "NN"}
+    assert names == {"flightstack_onboard", "flightstack_target"}
+    told = {token.split("/")[9].replace("%", "/") for token in tokens if token.split("/")[5] == "MP"}
+    assert told == set(node.types)
+    check(node)
+
+
+@pytest.mark.xdist_group("real-time")
+def test_a_router_that_dies_in_flight_and_comes_back_costs_a_pause(tmp_path):
+    with ExitStack() as stack:
+        parts = Parts(tmp_path, stack)
+        for name in ("router", "target", "vehicle", "onboard"):
+            parts.start(name)
+        parts.line("onboard", "-> APPROACH")
+        parts.running["router"].kill()
+        parts.line("onboard", "-> HOLD")
+        parts.start("router")
+        parts.line("onboard", "-> APPROACH")
+        parts.line("onboard", "-> LANDED")
+        assert parts.running["onboard"].wait(PATIENCE_S) == 0
+
+
+def check(node):
+    for topic, numbers in node.sequences.items():
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), topic  # none lost on the way
+    phases = [message.data for message in node.messages["/cf1/phase"]]
+    assert {Phase.TAKEOFF.name, Phase.APPROACH.name, Phase.LAND.name} <= set(phases)
+    assert phases[-1] == Phase.LANDED.name
+    steps = node.messages["/cf1/controller/step"]
+    last = [repr(step.h_m) for step in steps[-50:]]  # NaN equals itself
+    assert [repr(message.data) for message in node.messages["/cf1/h"][-50:]] == last
+    landing = [step.h_m for step in steps if step.phase == Phase.LAND]
+    assert len(landing) >= 10
+    assert min(landing) > -0.1
+    commands_ = node.messages["/cf1/cmd/velocity"]
+    assert {one.header.frame_id for one in commands_} == {"map"}
+    assert max(abs(one.twist.linear.z) for one in commands_) > 0.05
+    own = node.messages["/cf1/odom"][-1]  # the robot drives on and tells so while onboard ends
+    target = min(node.messages["/cf1/target/odom"], key=lambda one: abs(seconds(one) - seconds(own)))
+    assert (target.header.frame_id, target.child_frame_id) == ("map", "target")
+    assert abs(seconds(target) - seconds(own)) < 0.1
+    gap = [getattr(own.pose.pose.position, a) - getattr(target.pose.pose.position, a) for a in "xy"]
+    assert math.hypot(*gap) < 0.2
+    assert node.messages["/cf1/health"][-1].target_accepted > 500
+
+
+def seconds(message):
+    return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+
+
+def end(child):
+    if child.poll() is None:
+        child.send_signal(signal.SIGTERM)
+    try:
+        child.communicate(timeout=PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.communicate(timeout=PATIENCE_S)
+
+
+@pytest.mark.xdist_group("real-time")
+def test_a_landing_on_a_target_that_sends_poses_alone(tmp_path):
+    """A tracker's view of a TurtleBot3: the pose of the floor between its wheels, and nothing else."""
+    with ExitStack() as stack:
+        parts = Parts(tmp_path, stack)
+        offset = ["--target-offset", "-0.032", "0", f"{PAD_M}"]
+        parts.change("onboard", "ros2:/cf1/target/odom", "ros2:/tracker/turtlebot")
+        parts.add("onboard", "--target-type", "pose", *offset)
+        parts.start("router")
+        node = rmw_session(parts.endpoint)
+        stack.callback(node.close)
+        heard = zenoh_link.ring_subscriber(
+            node, topic_key(0, "/cf1/target/odom", *ROS_TYPES[TargetType.ODOMETRY])
+        )
+        told = zenoh_link.dropping_publisher(
+            node, topic_key(0, "/tracker/turtlebot", *ROS_TYPES[TargetType.POSE])
+        )
+        for name in ("target", "vehicle", "onboard"):
+            parts.start(name)
+        onboard, deadline_s, sent = parts.running["onboard"], time.monotonic() + WALL_MAX_S, 0
+        while onboard.poll() is None:
+            assert time.monotonic() < deadline_s
+            for sample in zenoh_link.drain(heard):
+                pad = decode_odometry(sample.payload.to_bytes())
+                back = world_from_body(pad.orientation_wxyz, (-0.032, 0.0, PAD_M))
+                floor = tuple(p - b for p, b in zip(pad.position_m, back, strict=True))
+                told.put(pose_stamped(pad.stamp_ns, "map", floor, pad.orientation_wxyz), attachment=bytes(33))
+                sent += 1
+            time.sleep(0.002)
+        said = onboard.stdout.read()
+        assert onboard.returncode == 0, said + parts.errors("onboard")
+        assert "LANDED" in said
+        assert parts.errors("onboard") == ""
+        assert sent > 500

@@ -1,0 +1,151 @@
+"""The whole chain with a signing key: a signed client flies, an unsigned one meets silence."""
+
+from __future__ import annotations
+
+import select
+import socket
+import stat
+import subprocess
+import time
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from bridge.mavlink.signing.key import load_key
+from bridge.mavlink.signing.signing import Signer
+from tests.integration.runs import COMMAND, flightstack, fly
+from tests.integration.sim_processes import PATIENCE_S, Client, is_a, terminate
+
+ARMED = 128
+TAKEOFF, HOLD = 0x02040000, 0x03040000
+
+
+@pytest.fixture
+def key_file(tmp_path):
+    path = tmp_path / "fleet.key"
+    made = flightstack("key", path)
+    assert made.code == 0, made.err
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert load_key(path).secret.hex() not in made.out
+    return path
+
+
+@pytest.fixture
+def vehicle():
+    children = []
+
+    def start(*arguments):
+        words = [
+            "vehicle",
+            "--scenario",
+            "paper_moving_1",
+            "--url",
+            "udpin:127.0.0.1:0",
+            *map(str, arguments),
+        ]
+        child = subprocess.Popen(
+            [*COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        children.append(child)
+        assert select.select([child.stdout], [], [], 3 * PATIENCE_S)[0], "no ready line"
+        return child, child.stdout.readline().strip().removeprefix("ready ")
+
+    yield start
+    for child in children:
+        if child.poll() is None:
+            child.kill()
+        child.communicate(timeout=PATIENCE_S)
+
+
+def signing(client, key):
+    """Let a client use pymavlink's own signing."""
+    client._mav.robust_parsing = True
+    client._mav.signing.secret_key = key.secret
+    client._mav.signing.sign_outgoing = True
+    client._mav.signing.timestamp = Signer(key, 255, 190).now()
+    return client
+
+
+@pytest.mark.xdist_group("real-time")
+def test_signed_client_flies_and_an_unsigned_one_gets_no_reaction(key_file, vehicle):
+    child, url = vehicle("--signing-key", key_file)
+    pilot, stranger = signing(Client(url), load_key(key_file)), Client(url)
+    disarm = stranger.command(400, 0.0, 21196.0)
+
+    def disturb():
+        stranger.hello()
+        stranger.send(disarm, stranger.command(21))
+
+    stranger.hello()
+    stranger.send(stranger.command(400, 1.0))
+    pilot.hello()
+    beat = pilot.until(is_a("HEARTBEAT"))
+    assert not beat.base_mode & ARMED
+    pilot.send(pilot.command(400, 1.0), pilot.command(22))
+    assert pilot.until(is_a("COMMAND_ACK", command=400)).result == 0
+    assert pilot.until(is_a("COMMAND_ACK", command=22)).result == 0
+    pilot.until(is_a("HEARTBEAT", custom_mode=HOLD), each=disturb)
+    modes = [m.custom_mode for m in pilot.log if m.get_type() == "HEARTBEAT" and m.base_mode & ARMED]
+    assert set(modes) <= {TAKEOFF, HOLD}
+    assert pilot.until(is_a("LOCAL_POSITION_NED")).z < -0.3
+    assert all(m.get_signed() for m in pilot.log)
+    assert stranger.receive(0.2) == []
+    assert terminate(child) < 2.0
+    assert "MAVLink not let through: unsigned " in child.stderr.read()
+
+
+def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, tmp_path):
+    signed = fly(tmp_path / "signed", "paper_static_2", 0, "--signing-key", key_file)
+    plain = flown("paper_static_2", 0)
+    assert signed.json["outcome"] == plain.json["outcome"] == "landed"
+    states = sorted(p.name for p in key_file.parent.glob("*.state"))
+    assert states == ["fleet.key.1-1-0.state", "fleet.key.1-191-0.state"]
+    compared = flightstack("compare", tmp_path / "signed/flight.mcap", plain.log)
+    assert compared.code == 0, compared.out
+
+
+@pytest.mark.xdist_group("real-time")
+def test_configured_peers_find_the_vehicle_without_a_call(vehicle):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(PATIENCE_S)
+        child, _ = vehicle("--peer", f"127.0.0.1:{listener.getsockname()[1]}")
+        parser, types = mav.MAVLink(None, 255, 190), set()
+        until = time.monotonic() + PATIENCE_S
+        while "HEARTBEAT" not in types and time.monotonic() < until:
+            types |= {m.get_type() for m in parser.parse_buffer(listener.recv(65536)) or []}
+        assert types >= {"HEARTBEAT", "LOCAL_POSITION_NED", "ATTITUDE"}
+        assert terminate(child) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--url", "udpin:0.0.0.0:0"), "--signing-key FILE"),
+        (("--peer", "nowhere"), "allowed is HOST:PORT"),
+        (("--peer", "127.0.0.1:14550", "--lockstep"), "in lockstep the companion calls first"),
+        (("--signing-key", "/none/fleet.key"), "flightstack key FILE"),
+    ],
+)
+def test_wrong_wires_of_the_vehicle_are_refused_with_what_to_do(arguments, words):
+    done = flightstack("vehicle", "--scenario", "paper_moving_1", *arguments)
+    assert done.code in (1, 2)
+    assert words in done.err
+
+
+def test_onboard_refuses_the_network_without_a_key():
+    done = flightstack("onboard", "--vehicle", "udpin:0.0.0.0:0", "--config", "crazyflie")
+    assert (done.code, done.out) == (2, "")
+    assert "--signing-key FILE" in done.err
+
+
+def test_a_key_is_never_written_over_nor_read_when_others_can(key_file):
+    before = key_file.read_bytes()
+    again = flightstack("key", key_file)
+    assert again.code == 2
+    assert "not written over" in again.err
+    assert key_file.read_bytes() == before
+    key_file.chmod(0o644)
+    refused = flightstack("vehicle", "--scenario", "paper_moving_1", "--signing-key", key_file)
+    assert refused.code == 2
+    assert "chmod 600" in refused.err

@@ -1,0 +1,228 @@
+"""The vehicle process on its real wires: real time with a plain client, lockstep with a small companion."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import signal
+import struct
+import time
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from bridge.target.odometry import OdometryPublisher
+from bridge.zenoh import zenoh_link
+from flightstack.core.types import ZERO
+from tests.integration.sim_processes import Client, free_port, is_a, process, setpoint, terminate, wait_for
+
+ARMED = 128
+OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000
+RATE_HZ = 100
+
+
+def vehicle(seed: int, *, lockstep: bool, more: str = ""):
+    call = f"scenario, {seed}, 'udpin:127.0.0.1:0', lockstep={lockstep}, rate_hz={RATE_HZ}{more}"
+    return process("sim.runners.vehicle_process", "vehicle_main", call)
+
+
+def test_flies_in_real_time_with_a_plain_client() -> None:
+    with vehicle(1, lockstep=False) as (child, ready):
+        client = Client(ready.removeprefix("ready "))
+        client.hello()
+        beat = client.until(is_a("HEARTBEAT"))
+        assert (beat.autopilot, beat.base_mode & ARMED) == (mav.MAV_AUTOPILOT_PX4, 0)
+        client.send(client.command(176, 1.0, 6.0))
+        assert client.until(is_a("COMMAND_ACK", command=176)).result == 1
+        assert "no set-points" in client.until(is_a("STATUSTEXT")).text
+        client.send(client.command(400, 1.0), client.command(22))
+        assert client.until(is_a("COMMAND_ACK", command=400)).result == 0
+        assert client.until(is_a("COMMAND_ACK", command=22)).result == 0
+        client.until(is_a("HEARTBEAT", custom_mode=TAKEOFF, base_mode=29 | ARMED))
+        client.until(is_a("HEARTBEAT", custom_mode=HOLD))
+        high = client.until(is_a("LOCAL_POSITION_NED"))
+        assert -high.z == pytest.approx(0.5, abs=0.08)
+        client.send(client.command(400, 0.0))
+        assert client.until(is_a("COMMAND_ACK", command=400)).result == 1  # not in the air
+
+        north = [setpoint(0.3)]
+        client.send(*north, client.command(176, 1.0, 6.0))
+        assert client.until(is_a("COMMAND_ACK", command=176)).result == 0
+        client.until(
+            lambda m: is_a("LOCAL_POSITION_NED")(m) and m.x > high.x + 0.3,
+            each=lambda: client.send(*north),
+        )
+        assert client.log[-1].vx > 0.1 or client.until(is_a("LOCAL_POSITION_NED")).vx > 0.1
+        client.send(client.command(21))
+        client.until(is_a("HEARTBEAT", custom_mode=LAND))
+        client.until(is_a("EXTENDED_SYS_STATE", landed_state=mav.MAV_LANDED_STATE_ON_GROUND))
+        client.until(lambda m: is_a("HEARTBEAT")(m) and not m.base_mode & ARMED)
+
+        client.log.clear()
+        start_s = time.monotonic()
+        while time.monotonic() < start_s + 1.0:
+            client.receive(0.1)
+        times_ms = [m.time_boot_ms for m in client.log if m.get_type() == "LOCAL_POSITION_NED"]
+        assert 60 <= len(times_ms) <= 110  # a busy machine may lose some tenths
+        assert {b - a for a, b in itertools.pairwise(times_ms)} == {10}
+        assert terminate(child) < 1.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_ends_on_a_signal_also_before_anybody_has_called(lockstep: bool, number: signal.Signals) -> None:
+    with vehicle(1, lockstep=lockstep) as (child, ready):
+        assert ready.startswith("ready udpin:127.0.0.1:")
+        assert terminate(child, number) < 1.0
+
+
+def test_after_a_pause_it_goes_on_from_there_and_takes_no_core_from_others() -> None:
+    with vehicle(1, lockstep=False) as (child, ready):
+        client = Client(ready.removeprefix("ready "))
+        called_s = time.monotonic()
+        client.hello()
+        before = client.until(is_a("LOCAL_POSITION_NED")).time_boot_ms
+        child.send_signal(signal.SIGSTOP)
+        start_s = time.monotonic()
+        wait_for(lambda: time.monotonic() - start_s > 0.5, "half a second")
+        child.send_signal(signal.SIGCONT)
+        client.until(lambda m: is_a("STATUSTEXT")(m) and re.match(r"Machine paused \d\.\d\d s", m.text))
+        after = client.until(is_a("LOCAL_POSITION_NED")).time_boot_ms
+        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # it stood still
+        assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
+        assert terminate(child) < 1.0
+
+
+def test_bad_url_is_an_error_with_a_reason() -> None:
+    call = "scenario, 1, 'tcp:127.0.0.1:1', lockstep=False, rate_hz=100"
+    with process("sim.runners.vehicle_process", "vehicle_main", call) as (child, _):
+        _, err = child.communicate(timeout=10.0)
+        assert child.returncode == 2
+        assert "udpin:HOST:PORT" in err
+
+
+class Companion(Client):
+    """Answers TIMESYNC; its plan is a function of the tick."""
+
+    def __init__(self, url: str, *, listen: bool = False) -> None:
+        super().__init__(url, listen=listen)
+        self.tick = -1
+        self.last_request = b""
+        if not listen:
+            self.hello()
+
+    def step(self, timeout_s: float = 20.0) -> bool:
+        """Wait for the next tick's request and answer it; False if it did not come."""
+        deadline_s = time.monotonic() + timeout_s
+        while time.monotonic() < deadline_s:
+            for message in self.receive(max(0.0, deadline_s - time.monotonic())):
+                if message.get_type() != "TIMESYNC" or message.tc1 != 0:
+                    continue
+                raw = bytes(message.get_msgbuf())
+                answer = mav.MAVLink_timesync_message(message.ts1 + 1, message.ts1)
+                if raw == self.last_request:  # a repetition after a pause of the machine
+                    self.frames.remove(raw)
+                    self.send(answer)
+                    continue
+                self.last_request = raw
+                self.tick += 1
+                assert message.ts1 == self.tick * 1_000_000_000 // RATE_HZ
+                self.send(*self.plan(self.tick), answer)
+                return True
+        return False
+
+    def plan(self, tick: int) -> list:
+        first = {
+            5: [self.command(400, 1.0)],
+            8: [self.command(22)],
+            350: [self.command(176, 1.0, 6.0)],
+        }.get(tick, [])
+        return [setpoint(0.2, -0.1, 0.0), *first] if tick >= 340 else first
+
+
+def fly(seed: int, ticks: int) -> list[bytes]:
+    with vehicle(seed, lockstep=True) as (child, ready):
+        companion = Companion(ready.removeprefix("ready "))
+        for _ in range(ticks):
+            assert companion.step()
+        beats = [m for m in companion.log if m.get_type() == "HEARTBEAT"]
+        assert beats[-1].custom_mode == OFFBOARD
+        assert terminate(child) < 1.0
+        return companion.frames
+
+
+def test_lockstep_gives_the_same_bytes_for_the_same_seed() -> None:
+    first = fly(7, 460)
+    assert len(first) > 3 * 460
+    assert fly(7, 460) == first
+    assert fly(8, 460) != first
+
+
+def test_companion_that_falls_silent_lets_the_vehicle_land_in_simulated_time_and_may_come_back() -> None:
+    with vehicle(3, lockstep=True) as (child, ready):
+        companion = Companion(ready.removeprefix("ready "))
+        for _ in range(500):
+            assert companion.step()
+        lost_s = 5.0
+        companion.log.clear()
+        silent_s = time.monotonic()
+        companion.until(is_a("STATUSTEXT", text="Companion silent for 3 s: going on without"))
+        assert time.monotonic() - silent_s > 2.5
+        companion.until(lambda m: is_a("HEARTBEAT")(m) and m.custom_mode == LAND)
+        companion.until(lambda m: is_a("HEARTBEAT")(m) and not m.base_mode & ARMED)
+        texts = [m.text for m in companion.log if m.get_type() == "STATUSTEXT"]
+        assert "No set-points for 0.5 s: landing" in texts
+        assert "Landed, disarmed" in texts
+        positions = [m for m in companion.log if m.get_type() == "LOCAL_POSITION_NED"]
+        assert -positions[-1].z < 0.03
+        landing = next(m.time_boot_ms for m in positions if m.vz > 0.1)
+        assert 0.5 <= landing / 1000 - lost_s <= 1.0
+        assert positions[-1].time_boot_ms / 1000 - lost_s < 8.0
+
+        def answer() -> None:
+            for message in reversed(companion.log):
+                if message.get_type() == "TIMESYNC":
+                    companion.send(mav.MAVLink_timesync_message(message.ts1 + 1, message.ts1))
+                    break
+
+        companion.until(is_a("STATUSTEXT", text="Companion answers again"), each=answer)
+        assert terminate(child) < 1.0
+
+
+def test_vehicle_that_calls_loses_nothing_of_the_first_tick() -> None:
+    port = free_port()
+    call = f"scenario, 1, 'udpout:127.0.0.1:{port}', lockstep=True, rate_hz={RATE_HZ}, duration_s=0.2"
+    companion = Companion(f"udpin:127.0.0.1:{port}", listen=True)
+    with process("sim.runners.vehicle_process", "vehicle_main", call) as (child, ready):
+        assert ready == f"ready udpout:127.0.0.1:{port}"
+        for _ in range(20):
+            assert companion.step()
+        assert child.wait(5.0) == 0
+    times_ms = [m.time_boot_ms for m in companion.log if m.get_type() == "LOCAL_POSITION_NED"]
+    assert times_ms == list(range(0, 200, 10))
+
+
+def test_robot_that_falls_silent_stops_the_deck_but_not_the_flight() -> None:
+    port = free_port()
+    session = zenoh_link.open_session([f"tcp/127.0.0.1:{port}"], [])
+    robot = OdometryPublisher(session, "cf1/sim/target/truth", lossless=True)
+    try:
+        with vehicle(2, lockstep=True, more=f", zenoh_connect=['tcp/127.0.0.1:{port}']") as (child, ready):
+            wait_for(lambda: robot.matched, "the vehicle's subscription")
+            for tick in range(50):
+                pose = robot.encode(
+                    tick, (0.001 * tick, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0), ZERO
+                )
+                robot.put(pose, tick, struct.pack("<qq", tick, 0))
+            companion = Companion(ready.removeprefix("ready "))
+            for _ in range(200):
+                assert companion.step()
+            texts = [m.text for m in companion.log if m.get_type() == "STATUSTEXT"]
+            assert texts[-2:] == [
+                "Robot silent for 3 s: going on without",
+                "Robot's pose too old: deck stopped",
+            ]
+            assert terminate(child) < 1.0
+    finally:
+        session.close()

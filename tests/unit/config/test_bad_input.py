@@ -1,0 +1,241 @@
+"""What goes wrong on the links, and what the vehicle does about it: holds, climbs or lands away, in time."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import pytest
+
+from flightstack.common.strict_toml import from_table
+from flightstack.core.memory import AbortWay
+from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.types import FilterStatus, Landed, Mode, Operator, Phase, Request
+from tests.point_mass import DT_S, World, each_sample
+
+REACTION_MAX_S = 0.5
+CONFIG = from_table(
+    FlightConfig,
+    {
+        "barrier": {"alpha_1_m": 1.0, "beta_m": 1.5},
+        "limits": {"velocity_max_m_s": [0.4, 0.4, 0.5]},
+        "touchdown": {"rule": "paper"},
+    },
+)
+
+
+def no_samples(_, inputs):
+    return replace(inputs, target_samples=())
+
+
+def stuck_sample(world, inputs):
+    """The same message again and again."""
+    if not hasattr(world, "stuck"):
+        world.stuck = inputs.target_samples
+    return replace(inputs, target_samples=tuple(replace(s, arrival_s=world.t_s) for s in world.stuck))
+
+
+def older_each_time(world, inputs):
+    back_s = 2.0 * (world.t_s - world.fault_from_s) + DT_S
+    return replace(
+        inputs,
+        target_samples=tuple(
+            replace(s, source_time_s=s.source_time_s - back_s) for s in inputs.target_samples
+        ),
+    )
+
+
+def half_a_second_late(_, inputs):
+    return replace(
+        inputs,
+        target_samples=tuple(replace(s, source_time_s=s.source_time_s - 0.5) for s in inputs.target_samples),
+    )
+
+
+def jumped_by_a_metre(_, inputs):
+    return replace(
+        inputs,
+        target_samples=tuple(
+            replace(s, position_enu_m=(s.position_enu_m[0] + 1.0, *s.position_enu_m[1:]))
+            for s in inputs.target_samples
+        ),
+    )
+
+
+TARGET_FAULTS = {
+    "missing": no_samples,
+    "late": half_a_second_late,
+    "out of order": older_each_time,
+    "repeated": stuck_sample,
+    "not a number": each_sample(position_enu_m=(math.nan, 0.0, 0.2)),
+    "another robot": each_sample(child_frame_id="other"),
+}
+
+
+def flown(fault, phase=Phase.APPROACH, seconds=math.inf):
+    return World(CONFIG).fault_in(phase, fault, seconds)
+
+
+def test_without_faults_it_lands():
+    world = World(CONFIG).run(60.0, until=lambda w: w.phase is Phase.LANDED)
+    assert world.phase is Phase.LANDED
+    d = math.hypot(*world.relative()[:2])
+    assert d < 0.05
+    assert not world.armed
+
+
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LAND])
+@pytest.mark.parametrize("name", TARGET_FAULTS)
+def test_a_target_that_cannot_be_believed_is_held_then_climbed_from_then_landed_away_from(name, phase):
+    world = flown(TARGET_FAULTS[name], phase)
+    since_s = world.fault_from_s
+    world.run(REACTION_MAX_S, until=lambda w: w.phase is Phase.HOLD)
+    assert world.phase is Phase.HOLD
+    assert world.t_s - since_s <= REACTION_MAX_S
+    held_at_m = world.position[2]
+    world.run(20.0, until=lambda w: w.phase is Phase.CLIMB)
+    assert world.phase is Phase.CLIMB
+    assert world.position[2] > held_at_m - 0.1
+    world.run(60.0)
+    assert world.phase is Phase.ABORT
+    assert world.controller.memory.abort_way is AbortWay.FLY_CLEAR
+    known = world.controller.memory.target_position_enu_m
+    assert math.dist(world.position[:2], known[:2]) >= CONFIG.checks.clearance_m - 0.05
+    assert not world.armed  # landed, clear of the robot
+
+
+@pytest.mark.parametrize("name", TARGET_FAULTS)
+def test_a_target_that_comes_back_is_landed_on(name):
+    world = flown(TARGET_FAULTS[name], seconds=0.6)
+    world.run(60.0)
+    assert world.phase is Phase.LANDED
+    assert any("inputs good again" in text for text in world.texts)
+
+
+def test_retries_are_limited():
+    def now_and_then(world, inputs):
+        return no_samples(world, inputs) if (world.t_s - world.fault_from_s) % 1.2 < 0.6 else inputs
+
+    world = flown(now_and_then).run(60.0)
+    assert world.phase is Phase.ABORT
+    assert world.controller.memory.retries == CONFIG.checks.retries_max
+
+
+def test_a_jump_by_a_metre_is_not_followed_until_it_has_proved_itself():
+    world = flown(jumped_by_a_metre)
+    before = len(world.sent)
+    world.run(0.2)
+    target = world.outputs[-1].seen.target.position_enu_m
+    assert target[0] < world.pad[0] + 0.1  # still where it was believed to be
+    assert len(world.sent) > before
+    world.run(5.0, until=lambda w: w.phase is Phase.HOLD)
+    assert world.phase is Phase.HOLD
+
+
+def test_a_silent_vehicle_gets_no_velocity_at_all():
+    frozen = {}
+
+    def silent(_, inputs):
+        frozen.setdefault("own", inputs.own)
+        return replace(inputs, own=frozen["own"])
+
+    world = flown(silent)
+    world.run(CONFIG.checks.own_age_max_s + 2 * DT_S)
+    sent = len(world.sent)
+    assert world.t_s - world.fault_from_s < REACTION_MAX_S
+    world.run(5.0)
+    assert len(world.sent) == sent  # nothing stale is repeated
+    assert world.mode is Mode.LAND  # the vehicle's own fail-safe, or ours
+    assert world.phase is Phase.ABORT
+
+
+def test_a_vehicle_that_comes_back_is_flown_on():
+    frozen = {}
+
+    def silent(_, inputs):
+        frozen.setdefault("own", inputs.own)
+        return replace(inputs, own=frozen["own"])
+
+    world = flown(silent, seconds=0.3).run(60.0)
+    assert any("own state lost" in text for text in world.texts)
+    assert world.phase is Phase.LANDED
+
+
+def test_disarmed_by_someone_else_ends_it():
+    world = flown(lambda w, i: replace(i, status=replace(i.status, armed=False)))
+    out = world.step()
+    assert out.phase is Phase.ABORT
+    assert out.request is Request.LAND  # never armed again; in the air one of the two is not true
+    assert out.setpoint is None
+
+
+def test_a_mode_changed_under_us_is_left_to_whoever_changed_it():
+    world = flown(lambda w, i: replace(i, status=replace(i.status, mode=Mode.OTHER)))
+    out = world.step()
+    assert (out.phase, out.request, out.setpoint) == (Phase.ABORT, Request.NONE, None)
+    assert world.controller.memory.abort_way is AbortWay.HANDS_OFF
+
+
+def test_a_heartbeat_that_stops_ends_in_the_vehicles_own_landing():
+    world = flown(lambda w, i: replace(i, status=replace(i.status, arrival_s=w.fault_from_s)))
+    world.run(20.0)
+    assert world.phase is Phase.ABORT
+    assert world.mode is Mode.LAND
+
+
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LAND])
+def test_the_operator_can_abort_and_stop(phase):
+    world = flown(lambda w, i: replace(i, operator=Operator.ABORT), phase).run(60.0)
+    assert world.phase is Phase.ABORT
+    assert math.dist(world.position[:2], world.pad[:2]) > 0.5
+    world = flown(lambda w, i: replace(i, operator=Operator.EMERGENCY_STOP), phase)
+    assert world.step().request is Request.MOTORS_OFF
+
+
+def test_without_a_target_it_never_takes_off():
+    world = World(CONFIG, armed=False, landed=Landed.ON_GROUND)
+    world.fault, world.fault_from_s = no_samples, 0.0
+    world.run(CONFIG.checks.wait_time_max_s + 5.0)
+    assert world.phase is Phase.ABORT
+    assert not world.sent
+    assert {o.request for o in world.outputs} == {Request.NONE}
+
+
+def test_a_solver_that_fails_in_flight_is_replaced_and_the_landing_goes_on(monkeypatch):
+    world = World(CONFIG)
+    monkeypatch.setattr(world.controller._filter, "_osqp", lambda *_: ((0.0, 0.0, 0.0), math.inf, 4000))
+    world.run(60.0)
+    assert world.phase is Phase.LANDED
+    landing = [o for o in world.outputs if o.phase in (Phase.APPROACH, Phase.LAND) and o.barrier is not None]
+    assert {o.barrier.result.status for o in landing} <= {FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE}
+
+
+@pytest.mark.parametrize("kind", list(FilterKind))
+def test_every_set_point_is_inside_the_box_and_what_is_wanted_changes_no_faster_than_allowed(kind):
+    config = replace(CONFIG, filter=kind)
+    world = World(config).run(60.0)
+    fastest = {
+        FilterKind.PAPER: config.limits.slew_max_m_s2,
+        FilterKind.ROBUST: config.robust.acceleration_max_m_s2,
+    }
+    assert len(world.sent) > 200
+    for _, setpoint in world.sent:
+        for axis in range(3):
+            assert abs(setpoint[axis]) <= config.limits.velocity_max_m_s[axis] + 1e-9
+    for before, after in itertools.pairwise(world.outputs):
+        if (
+            before.setpoint is None
+            or after.setpoint is None
+            or before.seen.inputs.status.mode is not Mode.EXTERNAL
+        ):
+            continue
+        for axis in range(3):
+            change = abs(after.wanted[axis] - before.wanted[axis])
+            assert change <= fastest[kind][axis] * DT_S + 1e-9
+        if kind is FilterKind.PAPER:
+            assert after.setpoint.velocity_enu_m_s == after.wanted
+
+
+def test_the_same_inputs_give_the_same_outputs_to_the_last_bit():
+    first, second = World(CONFIG).run(30.0), World(CONFIG).run(30.0)
+    assert first.sent == second.sent
+    assert len(first.sent) > 200

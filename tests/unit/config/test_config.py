@@ -1,0 +1,176 @@
+"""Configurations that fly, and those that are refused with the reason."""
+
+import dataclasses
+
+import pytest
+
+from flightstack.common.strict_toml import ConfigError, dumps, from_table, to_table
+from flightstack.core.mission.conditions import View
+from flightstack.core.parameters.flight import FilterKind, FlightConfig, load, names, path_of
+from flightstack.core.strategies.law import RobustLaw
+from flightstack.core.types import Inputs
+from flightstack.verify.certificate import problems
+from sim.scenarios import scenario
+
+PAPER = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}}
+
+
+def config(**sections):
+    return from_table(FlightConfig, {**PAPER, **sections})
+
+
+def paper(**sections):
+    return config(filter="paper", **sections)
+
+
+def test_the_papers_set_flies():
+    assert problems(paper()) == []
+
+
+@pytest.mark.parametrize(
+    ("sections", "words"),
+    [
+        (
+            {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5, "gamma": 1}},
+            ["barrier.gamma", "unknown key", "alpha_1_m"],
+        ),
+        ({"barrier": {"alpha_m": 1.0, "beta_m": 1.5}}, ["wrong unit", "found [m]", "alpha_1_m [1_m]"]),
+        ({"checks": {"hold_time_ms": 1000.0}}, ["wrong unit", "found [ms]", "hold_time_s"]),
+        ({"checks": {"hold_tim_s": 1.0}}, ["unknown key", "did you mean hold_time_s"]),
+        ({"loop": {"rate_hz": 1000}}, ["loop.rate_hz", "1000", "10 to 500"]),
+        ({"loop": {"rate_hz": 100.5}}, ["loop.rate_hz", "int"]),
+        ({"limits": {"velocity_max_m_s": [0.2, 0.2]}}, ["found 2 values", "exactly 3"]),
+        ({"barrier": {"alpha_1_m": 1.0}}, ["barrier", "give alpha_1_m and beta_m"]),
+        ({"barrier": {"alpha_1_m": 1.0, "beta_m": float("nan")}}, ["beta_m", "finite"]),
+        ({"filter": "best"}, ["filter", "'best'", "paper, robust"]),
+        ({"limits": {"altitude_max_m": 0.6}}, ["altitude_max_m", "peak"]),
+        ({"barrier": 3}, ["a table [barrier] is needed"]),
+        (
+            {"loop": {"rate_hz": 10}, "velocity_loop": {"rate_z_1_s": 11.0, "damping": 0.7}},
+            [
+                "velocity_loop.rate_z_1_s",
+                "found 11",
+                "damping 0.7",
+                "rate_hz 10",
+                "10.41",
+                "raise loop.rate_hz",
+            ],
+        ),
+        (
+            {"loop": {"rate_hz": 10}, "velocity_loop": {"rate_xy_1_s": 30.0}},
+            ["velocity_loop.rate_xy_1_s", "found 30", "lower it"],
+        ),
+        (
+            {"robust": {"fade_radius_m": 0.051}, "touchdown": {"pad_radius_m": 0.05}},
+            ["robust.fade_radius_m", "found 0.051", "at most the pad's radius, 0.05 m"],
+        ),
+    ],
+)
+def test_wrong_configurations_are_refused_with_the_reason(sections, words):
+    with pytest.raises(ConfigError) as error:
+        config(**sections)
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("sections", "word"),
+    [
+        # slope 1.5, box 0.2: a target of v outruns it when 0.5 + 1.5 (0.2 - v) < 0, so v > 0.533
+        ({"touchdown": {"target_speed_max_m_s": 0.54}}, "outruns the box"),
+        (
+            {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5, "omega_1_s": 20.0}, "loop": {"rate_hz": 20}},
+            "omega_1_s",
+        ),
+        ({"limits": {"slew_max_m_s2": [50.0, 50.0, 50.0]}}, "slew_max_m_s2[0]"),
+        ({"barrier": {"alpha_1_m": 20.0, "beta_m": 0.1}, "touchdown": {"pad_radius_m": 0.2}}, "peak"),
+    ],
+)
+def test_infeasible_sets_are_found(sections, word):
+    assert any(word in problem for problem in problems(paper(**sections)))
+
+
+def test_the_feasibility_bound_is_where_the_program_really_fails():
+    assert problems(paper(touchdown={"target_speed_max_m_s": 0.533})) == []
+    from flightstack.core.safety.qp_filter import SafetyFilter
+    from flightstack.core.types import FilterStatus
+
+    barrier = config().barrier.build()
+    e = (1e-1, 0.0, barrier.height(1e-1))  # on the boundary by the apex, target coming along x
+    for speed, expected in ((0.5, FilterStatus.SOLVED), (0.7, FilterStatus.INFEASIBLE)):
+        h, g, dh_dt = barrier.evaluate(e, (-speed, 0.0, 0.0))
+        h2, g2, dh_dt2 = barrier.evaluate(e, (speed, 0.0, 0.0))
+        found = {
+            SafetyFilter(0.7).solve((0.0, 0.0, 0.0), *state, (-0.2, -0.2, -0.5), (0.2, 0.2, 0.5)).status
+            for state in ((h, g, dh_dt), (h2, g2, dh_dt2))
+        }
+        assert expected in found
+
+
+def test_a_file_names_itself_in_the_error(tmp_path):
+    path = tmp_path / "wrong.toml"
+    path.write_text("[barrier\n")
+    with pytest.raises(ConfigError, match=r"wrong\.toml: not TOML"):
+        load(path)
+    with pytest.raises(ConfigError, match="can't be read"):
+        load(tmp_path / "absent.toml")
+
+
+@pytest.mark.parametrize("name", scenario.names())
+def test_every_scenario_loads_is_feasible_and_survives_writing(name):
+    import tomllib
+
+    loaded = scenario.load(name)
+    assert problems(loaded.onboard) == []
+    assert from_table(scenario.Scenario, tomllib.loads(dumps(to_table(loaded)))) == loaded
+
+
+def test_an_unknown_scenario_is_refused_with_the_names():
+    with pytest.raises(ConfigError, match="paper_moving_1"):
+        scenario.load("nowhere")
+
+
+def test_the_documented_configuration_names_every_key_and_its_default():
+    file = path_of("crazyflie")
+    documented = to_table(load(file))
+    defaults = to_table(config())
+    text = file.read_text()
+    for section, values in to_table(from_table(FlightConfig, PAPER)).items():
+        assert section in text
+        for key in values if isinstance(values, dict) else ():
+            assert key in text
+    changed = {"filter", "touchdown", "takeoff"}
+    assert {k: v for k, v in documented.items() if k not in changed} == {
+        k: v for k, v in defaults.items() if k not in changed
+    }
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_configuration_that_comes_with_the_package_is_found_by_name_and_may_fly(name):
+    assert problems(load(path_of(name))) == []
+
+
+def test_a_configuration_that_does_not_exist_is_refused_with_the_names(tmp_path):
+    with pytest.raises(ConfigError, match="crazyflie"):
+        path_of("nowhere")
+    file = tmp_path / "mine.toml"
+    file.write_text("")
+    assert path_of(str(file)) == file
+
+
+def test_what_only_the_robust_filter_looks_at_does_not_refuse_the_papers():
+    wrong = {"loop": {"rate_hz": 10}, "velocity_loop": {"rate_z_1_s": 50.0}, "robust": {"fade_radius_m": 1.0}}
+    assert paper(**wrong).loop.rate_hz == 10
+    with pytest.raises(ConfigError, match="velocity_loop"):
+        dataclasses.replace(paper(**wrong), filter=FilterKind.ROBUST)
+
+
+def test_no_margin_is_blown_up_by_more_than_half():
+    """It is divided by the share that is there at the pad's edge."""
+    for pad_m in (0.03, 0.1, 0.5):
+        widest = config(
+            robust={"fade_radius_m": pad_m, "tracking_error_m_s": 0.1, "rate_1_s": 1.0, "sigma_factor": 0.0},
+            touchdown={"pad_radius_m": pad_m},
+        )
+        held = RobustLaw(widest, widest.barrier.build()).held(View(Inputs(), None, True, True, True, None))
+        assert 0.1 < held.margin_m < 0.16

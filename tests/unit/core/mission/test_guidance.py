@@ -1,0 +1,304 @@
+"""What each phase asks for."""
+
+import math
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from flightstack.common.strict_toml import from_table
+from flightstack.core.memory import AbortWay, Memory
+from flightstack.core.mission import guidance
+from flightstack.core.mission.conditions import View, high_enough_m
+from flightstack.core.mission.guidance import TAKEOFF_DONE, Situation, Wish, wish
+from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.target.track import TargetState
+from flightstack.core.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, Request, VehicleStatus
+
+PAD = (3.0, -2.0, 0.2)
+MOVING = (0.1, -0.05, 0.02)
+
+
+def config(filter="robust", **sections):
+    return from_table(
+        FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, **sections}
+    )
+
+
+ROBUST, PAPER = config(), config("paper")
+BARRIER = ROBUST.barrier.build()
+SHAPES = [PAPER, ROBUST]
+
+
+def asked(
+    phase, settings=ROBUST, e=(0.5, -0.4, 1.0), memory=None, *, own=True, target=True, own_ok=True,
+    target_ok=True, armed=True, landed=Landed.IN_AIR, status=True, velocity=ZERO,
+):  # fmt: skip
+    """The wish in one situation."""
+    memory = memory if memory is not None else Memory()
+    memory.phase = phase
+    position = tuple(a + b for a, b in zip(e, PAD, strict=True))
+    state = OwnState(0.0, 0.0, position, velocity, 0.0)
+    word = VehicleStatus(0.0, armed, Mode.EXTERNAL, landed, True)
+    inputs = Inputs(state if own else None, word if status else None)
+    known = TargetState(0.0, PAD, MOVING, 0.0)
+    seen = View(inputs, known if target else None, own_ok, target_ok, True, e if own and target else None)
+    return wish(Situation(settings, BARRIER, memory, seen))
+
+
+def test_every_phase_way_and_filter_has_an_answer():
+    assert set(guidance._PHASES) == set(Phase)
+    assert set(guidance._ABORT) == set(AbortWay)
+    assert set(guidance._LANDING) == set(guidance._DESCENT) == set(FilterKind)
+
+
+@pytest.mark.parametrize("settings", SHAPES)
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("way", AbortWay)
+@pytest.mark.parametrize(
+    "lost", [{}, {"own": False}, {"target": False}, {"own": False, "target": False, "status": False}]
+)
+def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered(settings, phase, way, lost):
+    found = asked(phase, settings, memory=Memory(abort_way=way), **lost)
+    assert isinstance(found, Wish)
+    filtered = {Phase.APPROACH, Phase.LAND, *([Phase.WAIT] if settings is ROBUST else [])}
+    assert not found.filtered or phase in filtered
+    with_velocity = {Request.EXTERNAL, *([Request.TAKEOFF] if phase is Phase.TAKEOFF else [])}
+    assert found.velocity is None or (
+        found.request in with_velocity and all(map(math.isfinite, found.velocity))
+    )
+    if phase in (Phase.APPROACH, Phase.LAND):
+        assert found.filtered == (found.velocity is not None) == (not lost)
+
+
+def test_waiting_is_doing_nothing_unless_it_is_found_in_the_air():
+    """Of a pad that comes nearer the robust filter keeps away even then."""
+    assert asked(Phase.WAIT, PAPER) == Wish(Request.EXTERNAL, ZERO)
+    assert asked(Phase.WAIT, ROBUST) == Wish(Request.EXTERNAL, ZERO, filtered=True)
+    for changes in ({"armed": False}, {"landed": Landed.ON_GROUND}, {"target_ok": False}, {"status": False}):
+        assert asked(Phase.WAIT, **changes) == Wish(Request.NONE)
+    assert asked(Phase.LANDED) == Wish(Request.NONE)
+
+
+def test_the_take_off_climbs_straight_up_until_it_is_high_and_armed():
+    settings = config(takeoff={"height_m": 0.5, "start_offset_m": [-1.0, 0.0, 0.7]})
+    memory = Memory(was_armed=True)
+
+    def at(z, memory_=memory):
+        return asked(Phase.TAKEOFF, settings, (0.0, 0.0, z - PAD[2]), memory_)
+
+    def climbs(found, up_m_s):
+        return found.request is Request.TAKEOFF and found.velocity == pytest.approx(
+            (0.0, 0.0, up_m_s), abs=1e-5
+        )
+
+    gain_1_s = settings.position_loop.gain_1_s[2]
+    assert climbs(at(0.01), min(settings.limits.velocity_max_m_s[2], 0.5 * gain_1_s))
+    assert climbs(at(0.01 + TAKEOFF_DONE * 0.5 - 1e-6), (1.0 - TAKEOFF_DONE) * 0.5 * gain_1_s)
+    assert memory.ground_z_m == pytest.approx(0.01)
+    never_armed = Memory(ground_z_m=0.01)
+    assert climbs(at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6, never_armed), (1.0 - TAKEOFF_DONE) * 0.5 * gain_1_s)
+    assert climbs(at(9.0, never_armed), 0.0)  # it never sinks
+    assert at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6).request is Request.EXTERNAL
+    assert at(0.02).request is Request.EXTERNAL  # once climbed it stays ours
+    for lost in ({"own": False}, {"target": False}):
+        assert asked(Phase.TAKEOFF, settings, memory=Memory(climbed=True), **lost) == Wish(Request.TAKEOFF)
+
+
+def test_once_it_has_lifted_off_by_set_points_nothing_is_left_to_ask_of_the_take_off():
+    flies = Memory(was_armed=True, was_external=True, ground_z_m=PAD[2])
+    for landed, request in ((Landed.ON_GROUND, Request.TAKEOFF), (Landed.TAKEOFF, Request.EXTERNAL)):
+        found = asked(Phase.TAKEOFF, e=(0.0, 0.0, 0.05), memory=flies, landed=landed)
+        assert found.request is request
+        assert found.velocity[2] > 0.0  # no zero velocity so near to the ground, wherever the start is
+    assert not flies.climbed
+    silent = asked(Phase.TAKEOFF, e=(0.0, 0.0, 0.05), memory=flies, status=False)
+    assert silent.request is Request.TAKEOFF
+
+
+def test_to_the_start_it_goes_upwards_first():
+    settings = config(
+        takeoff={"start_offset_m": [-1.0, 0.5, 0.7]}, position_loop={"gain_1_s": [1.0, 2.0, 3.0]}
+    )
+    near_m = settings.takeoff.level_first_m
+    low = asked(Phase.TAKEOFF, settings, (0.0, 0.0, 0.7 - near_m - 1e-6), Memory(climbed=True))
+    assert low.velocity == pytest.approx((0.0, 0.0, 3.0 * near_m), abs=1e-4)
+    level = asked(Phase.TAKEOFF, settings, (0.0, 0.0, 0.7 - near_m + 1e-6), Memory(climbed=True))
+    assert level.velocity == pytest.approx((-1.0, 1.0, 3.0 * near_m), abs=1e-4)
+    assert not level.filtered
+    anywhere = asked(Phase.TAKEOFF, config(), memory=Memory(climbed=True))
+    assert anywhere == Wish(Request.EXTERNAL, ZERO)
+
+
+places = st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.0, 2.0))
+
+
+@given(places)
+def test_the_papers_landing_is_proportional_with_the_targets_velocity(e):
+    for phase in (Phase.APPROACH, Phase.LAND):
+        found = asked(phase, PAPER, e)
+        assert found.velocity == pytest.approx([v - x for v, x in zip(MOVING, e, strict=True)])
+        assert found.filtered
+
+
+@given(places)
+def test_the_robust_landing_waits_low_over_the_middle(e):
+    r = ROBUST.robust
+    for phase, gain in ((Phase.APPROACH, r.gain_1_s), (Phase.LAND, r.gain_over_pad_1_s)):
+        found = asked(phase, ROBUST, e, velocity=MOVING)
+        assert found.velocity[:2] == pytest.approx(
+            [v - gain * x for v, x in zip(MOVING[:2], e[:2], strict=True)]
+        )
+        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # first over the ring, as high above it
+        above = e[2] - r.wait_height_m - (BARRIER.peak_height_m if far else 0.0)
+        rising = found.velocity[2] - MOVING[2]
+        if above > 0.0:
+            down = min(max(r.gain_1_s * above, r.descent_min_m_s), r.descent_max_m_s)
+            assert rising == pytest.approx(-down)
+        else:
+            assert rising == pytest.approx(-r.gain_1_s * above)
+        assert found.filtered
+
+
+near = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(0.0, 2.0))
+
+
+@given(near, st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)))
+def test_who_comes_to_rest_beyond_the_middle_does_not_sink_below_the_barrier_there(e, slip):
+    """The place by driving there in small steps; on this side of the middle nothing changes."""
+    r = ROBUST.robust
+    brakes = guidance.BRAKING * r.acceleration_max_m_s2[0]
+    speed, (x, y), passed = math.hypot(*slip), e[:2], False
+    flown = (slip[0] + MOVING[0], slip[1] + MOVING[1], 0.0)
+    if speed > 0.0:
+        for n in range(2000):
+            share = (1.0 - (n + 0.5) / 2000) * speed / brakes / 2000
+            x, y = x + share * slip[0], y + share * slip[1]
+            passed = passed or x * slip[0] + y * slip[1] > 0.0
+    assume(speed == 0.0 or (speed > 1e-6 and abs(x * slip[0] + y * slip[1]) > 1e-5 * speed))
+    ahead = BARRIER.height(math.hypot(x, y)) if passed else 0.0
+    above = e[2] - r.wait_height_m - ahead
+    rising = asked(Phase.APPROACH, e=e, velocity=flown).velocity[2] - MOVING[2]
+    down = min(max(r.gain_1_s * above, r.descent_min_m_s), r.descent_max_m_s)
+    expected = -down if above > 0.0 else -r.gain_1_s * above
+    assume(abs(above) > 1e-4)
+    assert rising == pytest.approx(expected, abs=1e-4)
+
+
+def test_by_contact_it_descends_until_there_is_contact():
+    for settings in (config("paper"), config()):
+        found = asked(Phase.TOUCHDOWN, settings, (0.03, -0.02, 0.03))
+        assert found.request is Request.EXTERNAL
+        assert not found.filtered
+        assert found.velocity[2] < MOVING[2] - 0.1
+        assert (found.velocity[0] < MOVING[0], found.velocity[1] > MOVING[1]) == (True, True)
+        assert asked(Phase.TOUCHDOWN, settings, memory=Memory(contact=True)) == Wish(Request.MOTORS_OFF)
+        blind = asked(Phase.TOUCHDOWN, settings, target=False)
+        assert blind == Wish(Request.EXTERNAL)
+    r = ROBUST.robust
+    found = asked(Phase.TOUCHDOWN, ROBUST, (0.03, -0.02, 0.1))
+    gain = r.gain_over_pad_1_s
+    assert found.velocity == pytest.approx((0.1 - gain * 0.03, -0.05 + gain * 0.02, 0.02 - r.descent_m_s))
+
+
+def test_by_the_papers_rule_the_motors_go_off_below_its_height():
+    rule = {"touchdown": {"rule": "paper", "height_m": 0.05}}
+    assert asked(Phase.TOUCHDOWN, config("paper", **rule), (0.0, 0.0, 0.2)) == Wish(Request.MOTORS_OFF)
+    assert asked(Phase.TOUCHDOWN, config(**rule), (0.0, 0.0, 0.05 - 1e-9)) == Wish(Request.MOTORS_OFF)
+    assert asked(Phase.TOUCHDOWN, config(**rule), (0.0, 0.0, 0.05)).request is Request.EXTERNAL
+
+
+def test_holding_is_standing_still_or_following_what_was_followed_and_rising():
+    assert asked(Phase.HOLD, PAPER, memory=Memory(started_s=1.0)) == Wish(Request.EXTERNAL, ZERO)
+    assert asked(Phase.HOLD, ROBUST) == Wish(Request.EXTERNAL, ZERO)  # no landing yet: nothing to climb from
+    assert asked(Phase.HOLD, ROBUST, memory=Memory(started_s=1.0), target=False) == Wish(
+        Request.EXTERNAL, ZERO
+    )
+    wide = config(limits={"velocity_max_m_s": [1.0, 1.0, 1.0]})
+    found = asked(Phase.HOLD, wide, memory=Memory(started_s=1.0))
+    assert found == Wish(Request.EXTERNAL, (MOVING[0], MOVING[1], MOVING[2] + wide.retreat.hold_climb_m_s))
+    narrow = config(limits={"velocity_max_m_s": [0.05, 0.05, 0.1]})
+    assert asked(Phase.HOLD, narrow, memory=Memory(started_s=1.0)).velocity == (0.05, -0.05, 0.1)
+
+
+def test_the_climb_ends_above_everything_and_never_sinks():
+    memory = Memory(target_position_enu_m=PAD)
+    top = high_enough_m(ROBUST, BARRIER, memory) - PAD[2]
+    fast, slow = (asked(Phase.CLIMB, e=(0.3, 0.0, z), memory=memory).velocity for z in (0.0, top + 0.05))
+    assert fast == (0.0, 0.0, ROBUST.limits.velocity_max_m_s[2])
+    assert slow == pytest.approx((0.0, 0.0, 0.05 * ROBUST.position_loop.gain_1_s[2]))
+    assert asked(Phase.CLIMB, e=(0.3, 0.0, top + 1.0), memory=memory).velocity == ZERO
+    assert asked(Phase.CLIMB, own=False) == Wish(Request.EXTERNAL)
+
+
+@pytest.mark.parametrize(
+    ("way", "request_"),
+    [
+        (AbortWay.NONE, Request.NONE),
+        (AbortWay.MOTORS_OFF, Request.MOTORS_OFF),
+        (AbortWay.HANDS_OFF, Request.NONE),
+        (AbortWay.LAND_HERE, Request.LAND),
+    ],
+)
+def test_ways_to_end_that_fly_nowhere(way, request_):
+    assert asked(Phase.ABORT, memory=Memory(abort_way=way)) == Wish(request_)
+
+
+def clearing(e, target_m_s=ZERO, **changes):
+    memory = Memory(
+        abort_way=AbortWay.FLY_CLEAR, target_position_enu_m=PAD, target_velocity_enu_m_s=target_m_s
+    )
+    return asked(Phase.ABORT, ROBUST, e, memory, **changes), memory
+
+
+def test_flying_clear_is_up_then_away_then_down():
+    vx, _, vz = ROBUST.limits.velocity_max_m_s
+    top = high_enough_m(ROBUST, BARRIER, Memory(target_position_enu_m=PAD)) - PAD[2]
+    assert clearing((0.3, 0.0, 0.1))[0] == Wish(Request.EXTERNAL, (0.0, 0.0, vz))
+    assert clearing((0.3, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))
+    away = clearing((-0.3, -0.4, top))[0].velocity
+    assert away == pytest.approx((-0.6 * vx, -0.8 * vx, 0.0))
+    assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # any direction will do
+    far = ROBUST.checks.clearance_m
+    there, memory = clearing((0.0, -far - 1e-6, 0.1))
+    assert there == Wish(Request.LAND)
+    assert memory.clear
+    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Wish(Request.LAND)  # it stays so
+    assert clearing((0.0, -far + 1e-6, top))[0].request is Request.EXTERNAL
+
+
+def test_it_does_not_land_while_it_closes_in():
+    """What it still moves by its velocity loop counts, and what the target drives until it is down."""
+    vx, vy, vz = ROBUST.limits.velocity_max_m_s
+    far, lag_s = ROBUST.checks.clearance_m, ROBUST.velocity_loop.lag_xy_s
+    z = 0.3 - PAD[2]  # 0.3 m above the origin
+    sinks_s = 0.3 / ROBUST.retreat.landing_speed_m_s
+    coming = {"velocity": (-0.4, 0.0, 0.0)}
+    still = clearing((far + 0.4 * lag_s - 1e-6, 0.0, z), **coming)[0]
+    assert still == Wish(Request.EXTERNAL, (vx, 0.0, vz))  # away at once: it is clear of the barrier
+    assert clearing((far + 0.4 * lag_s + 1e-6, 0.0, z), **coming)[0] == Wish(Request.LAND)
+    followed = (0.0, -0.2, 0.0)
+    reach_m = far + 0.2 * sinks_s
+    assert clearing((0.0, -reach_m + 1e-6, z), followed)[0] == Wish(Request.EXTERNAL, (0.0, -vy, vz))
+    assert clearing((0.0, -reach_m - 1e-6, z), followed)[0] == Wish(Request.LAND)
+    assert clearing((0.0, far + 1e-6, z), followed)[0] == Wish(Request.LAND)  # it drives away
+    # It comes by at 0.9 of the clearance before the vehicle is down.
+    assert clearing((0.9 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0].request is Request.EXTERNAL
+    assert clearing((1.1 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0] == Wish(Request.LAND)
+
+
+def test_from_the_ground_it_took_off_from_the_landing_takes_longer():
+    memory = Memory(
+        abort_way=AbortWay.FLY_CLEAR, target_position_enu_m=PAD, target_velocity_enu_m_s=(0.2, 0.0, 0.0),
+        ground_z_m=-1.0,
+    )  # fmt: skip
+    reach_m = ROBUST.checks.clearance_m + 0.2 * (1.0 + 0.3) / ROBUST.retreat.landing_speed_m_s
+    for more_m, request in ((-1e-6, Request.EXTERNAL), (1e-6, Request.LAND)):
+        e = (reach_m + more_m, 0.0, 0.3 - PAD[2])
+        assert asked(Phase.ABORT, ROBUST, e, memory).request is request
+
+
+@pytest.mark.parametrize("lost", [{"own": False}, {"own_ok": False}])
+def test_without_knowing_where_it_is_it_lands_there(lost):
+    assert clearing((0.3, 0.0, 0.5), **lost)[0] == Wish(Request.LAND)
+    assert asked(Phase.ABORT, memory=Memory(abort_way=AbortWay.FLY_CLEAR)) == Wish(Request.LAND)

@@ -1,0 +1,309 @@
+"""What differs between the filters: the paper's law as it always was, the robust one by its properties."""
+
+import hashlib
+import math
+import platform
+import struct
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flightstack.common.strict_toml import from_table
+from flightstack.core.memory import MotionMemory, TrackingMemory
+from flightstack.core.mission.conditions import View
+from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.safety.barrier import Barrier
+from flightstack.core.safety.robust_barrier import RobustBarrier
+from flightstack.core.strategies.law import LAWS, PaperLaw, RobustLaw
+from flightstack.core.target.track import TargetState, TargetTrack
+from flightstack.core.types import Inputs, OwnState, TargetSample
+from tests.point_mass import World
+
+SHAPE = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}}
+CONE = Barrier(1.0, 1.5)
+
+
+def config(**sections):
+    return from_table(FlightConfig, {**SHAPE, **sections})
+
+
+def robust(**sections):
+    settings_ = config(**sections)
+    return RobustLaw(settings_, settings_.barrier.build()), settings_
+
+
+def seen(own_velocity, target_velocity, e=(1.0, 0.0, 1.0), sigma_m=0.0, sigma_z_m=0.0):
+    own = OwnState(0.0, 0.0, e, own_velocity, 0.0)
+    target = TargetState(0.0, (0.0, 0.0, 0.0), target_velocity, 0.0, sigma_m, sigma_z_m)
+    return View(Inputs(own), target, True, True, True, e)
+
+
+def test_every_filter_has_a_law():
+    assert dict(LAWS) == {FilterKind.PAPER: PaperLaw, FilterKind.ROBUST: RobustLaw}
+
+
+# Flights of the point mass before there was another law: ticks, set-points, where it ended, all else hashed.
+PAPER_FLIGHTS = {
+    "paper": (
+        [0.2, 0.2, 0.5], {}, None, 997, 775,
+        ("0x1.56fc4d15f09c9p-1", "0x1.23f3bb2417f39p-2", "0x1.ff13a12a9f1a9p-3"), "7a0c9d22f86b4ac6",
+    ),
+    "contact": (
+        [0.4, 0.4, 0.5], {"solid_pad": True}, None, 662, 440,
+        ("0x1.ab0f8d4ec599dp-2", "0x1.856751abe2debp-4", "0x1.b71758e219653p-3"), "d90a37514859acba",
+    ),
+    "target lost": (
+        [0.4, 0.4, 0.5], {}, (2.0, 2.8), 714, 492,
+        ("0x1.c5bdd44af1f14p-2", "0x1.dc4059f10ebfap-4", "0x1.ff0c17c86e30ep-3"), "b057bab3c28fc90b",
+    ),
+}  # fmt: skip
+MATHS = "cec3"
+
+
+def maths():
+    """How this machine's mathematical library rounds: machines differ in the last bit."""
+    values = [f(0.001 * n) for n in range(1, 3000) for f in (math.exp, math.sin, math.cos, math.sqrt)]
+    values += [math.hypot(0.001 * n, 0.7) for n in range(3000)]
+    made = platform.system() + platform.machine()
+    return hashlib.sha256(struct.pack(f"<{len(values)}d", *values) + made.encode()).hexdigest()[:4]
+
+
+def numbers(out):
+    """Everything a tick decided, as bytes."""
+    sent = out.setpoint.velocity_enu_m_s if out.setpoint is not None else (math.nan,) * 3
+    b = out.barrier
+    held = () if b is None else (*b.gradient, b.dh_dt_m_s, *b.nominal, *b.result.velocity_enu_m_s)
+    return struct.pack(f"<3B{3 + len(held)}d", out.phase, out.request, out.gate, *sent, *held)
+
+
+@pytest.mark.parametrize("name", PAPER_FLIGHTS)
+def test_the_papers_law_flies_as_it_did_before_there_was_another(name):
+    box, changes, fault, ticks, sent, ended, digest = PAPER_FLIGHTS[name]
+    rule = "contact" if name == "contact" else "paper"
+    limits = {"velocity_max_m_s": box}
+    world = World(config(filter="paper", limits=limits, touchdown={"rule": rule}), **changes)
+    if fault is not None:
+        world.fault = lambda _, inputs: replace(inputs, target_samples=())
+        world.fault_from_s, world.fault_to_s = fault
+    world.run(60.0)
+    assert (len(world.outputs), len(world.sent)) == (ticks, sent)
+    assert world.position == pytest.approx([float.fromhex(x) for x in ended], abs=1e-9)
+    for out in world.outputs:
+        if out.barrier is not None:
+            assert out.barrier.h_m == CONE.h(out.seen.e_m)
+    if maths() == MATHS:
+        assert [x.hex() for x in world.position] == list(ended)
+        assert hashlib.sha256(b"".join(map(numbers, world.outputs))).hexdigest()[:16] == digest
+
+
+def test_the_papers_law_changes_nothing():
+    settings_ = config(filter="paper")
+    law = PaperLaw(settings_, CONE)
+    own = OwnState(1.0, 1.0, (1.0, 2.0, 3.0), (0.3, 0.2, 0.1), 0.5)
+    assert law.own(own) is own
+    assert law.held(seen((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), sigma_m=1.0)) is CONE
+    assert law.setpoint((9.0, 9.0, 9.0), (0.1, 0.2, 0.3), seen((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))) == (
+        0.1,
+        0.2,
+        0.3,
+    )
+    assert (
+        law.climb_m_s(-1.0, (9.0, 9.0, 1.0), (0.0, 0.0, 0.0), seen((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        == -math.inf
+    )
+    assert (law.rate_1_s, law.acceleration_max_m_s2) == (
+        settings_.barrier.omega_1_s, settings_.limits.slew_max_m_s2
+    )  # fmt: skip
+    law.take(sample(0.0))
+    law.observe((1.0, 0.0, 0.0), commanding=True)
+    assert math.isnan(law.motion.time_s)
+    assert law.tracking == TrackingMemory()
+    track = TargetTrack(settings_.checks)
+    assert law.target(track, 0.0) is None
+    track.accept(sample(0.0))
+    assert law.target(track, 0.1) == track.at(0.1)
+
+
+def sample(t_s, velocity=(0.2, -0.1, 0.0)):
+    position = tuple(1.0 + v * t_s for v in velocity)
+    return TargetSample(t_s, 500.0 + t_s, "map", "target", position, velocity, 0.3, 0.0)
+
+
+rates = st.floats(0.3, 5.0)
+velocities = st.tuples(*(st.floats(-0.6, 0.6),) * 3)
+legs = st.lists(st.tuples(velocities, velocities, st.floats(0.05, 0.4)), min_size=1, max_size=6)
+starts = st.tuples(
+    st.floats(0.2, 2.0), st.floats(0.0, 2.0 * math.pi), st.one_of(st.just(0.0), st.floats(0.0, 0.5))
+)
+
+
+def fly(law, held, e, legs_, dt_s):
+    """Exact kinematics with the vertical velocity at its bound; yields h and the distance after each step."""
+    climb = None
+    for velocity, target, seconds in legs_:
+        for _ in range(round(seconds / dt_s)):
+            h, gradient, _ = held.evaluate(e, target)
+            # flown exactly: what was wanted last is what is measured
+            now = (velocity[0], velocity[1], 0.0 if climb is None else climb)
+            climb = law.climb_m_s(h, gradient, now, seen(now, target, e))
+            flown = (velocity[0], velocity[1], climb)
+            e = tuple(a + (v - t) * dt_s for a, v, t in zip(e, flown, target, strict=True))
+            yield held.h(e), math.hypot(e[0], e[1])
+
+
+@given(rates, st.floats(0.0, 0.1), starts, legs)
+@settings(max_examples=40)
+def test_climbing_as_told_holds_the_barrier_whatever_is_flown_sideways(rate, margin, start, legs_):
+    """At the bound, for any horizontal motion of vehicle and target: only the step's curvature is lost."""
+    law, _ = robust(robust={"rate_1_s": rate})
+    held = RobustBarrier(CONE, margin, 0.06)
+    d, angle, above = start
+    e = (d * math.cos(angle), d * math.sin(angle), 0.0)
+    e = (e[0], e[1], above - held.h(e))
+    dt_s, near_m = 2e-4, 0.15
+    # second derivatives outside that radius: of b, of b along the circle, of the margin; and the smoothing's
+    curvature = 2.0 * 1.5 + 1.5 / near_m + 4.0 * margin / 0.06**2 * math.exp(-((near_m / 0.06) ** 2)) * 10.0
+    speed = 2.0 * math.hypot(0.6, 0.6)
+    lost = (
+        0.5 * curvature * speed * speed * dt_s + held.slope_max * 0.5 * (0.005 / near_m) ** 2 * speed
+    ) / rate
+    for h, distance in fly(law, held, e, legs_, dt_s):
+        if distance < near_m:
+            return  # over the pad: below
+        assert h >= -lost
+
+
+@given(rates, st.floats(0.0, 0.05), st.floats(-0.02, 0.02), velocities, velocities)
+@settings(max_examples=30)
+def test_across_the_axis_no_more_is_lost_than_the_gradient_leaves_out(rate, margin, beside, velocity, target):
+    """Its slope is short by 1 - d / sqrt(d^2 + s^2), which is s over a whole way out from the axis."""
+    law, _ = robust(robust={"rate_1_s": rate})
+    held = RobustBarrier(CONE, margin, 0.06)
+    dx, dy = velocity[0] - target[0], velocity[1] - target[1]
+    speed = math.hypot(dx, dy)
+    if speed < 0.2:
+        return
+    e = tuple((-0.3 * a + beside * b) / speed for a, b in ((dx, -dy), (dy, dx)))
+    e = (*e, -held.h((*e, 0.0)))
+    dt_s = 2e-4 / speed  # steps of 0.2 mm
+    curvature = 2.0 * 1.5 + 1.5 / 0.005 + 4.0 * margin / 0.06**2
+    least = min(h for h, _ in fly(law, held, e, [(velocity, target, 0.6 / speed)], dt_s))
+    step_lost = 0.5 * curvature * 2e-4 * 0.05 + 0.5 * 20.0 * 2e-4 * speed / rate
+    assert least >= -(CONE.slope_max * CONE.smoothing_m + step_lost)
+
+
+@given(
+    rates,
+    velocities,
+    velocities,
+    st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.just(1.0)),
+    st.floats(-1.0, 1.0),
+)
+def test_the_climb_is_what_the_barriers_derivative_asks_for(rate, own, target, gradient, h):
+    law, _ = robust(robust={"rate_1_s": rate})
+    climb = law.climb_m_s(h, gradient, own, seen(own, target))
+    flown = (own[0], own[1], climb)
+    derivative = sum(g * (v - t) for g, v, t in zip(gradient, flown, target, strict=True))
+    assert derivative == pytest.approx(-rate * h, abs=1e-9)
+
+
+def test_what_the_vertical_loop_still_has_to_lose_counts_as_lost():
+    law, settings_ = robust()
+    lag_s, rate = settings_.velocity_loop.lag_z_s, settings_.robust.rate_1_s
+    still, up = (0.0, 0.0, 0.0), (0.0, 0.0, 0.3)
+    plain = law.climb_m_s(0.1, up, still, seen(still, still))
+    sinking = law.climb_m_s(0.1, up, still, seen((0.0, 0.0, -0.2), still))
+    assert sinking - plain == pytest.approx(rate * lag_s * 0.2)
+    # climbing more than wanted is no credit
+    assert law.climb_m_s(0.1, up, still, seen((0.0, 0.0, 0.2), still)) == plain
+
+
+def test_the_margin_grows_with_what_is_not_known_and_is_whole_at_the_pads_edge():
+    law, settings_ = robust()
+    still, edge = (0.0, 0.0, 0.0), (settings_.touchdown.pad_radius_m, 0.0, 0.5)
+
+    def margin(view_):
+        return CONE.h(edge) - law.held(view_).h(edge)
+
+    margins = [margin(seen(still, still, sigma_m=s, sigma_z_m=0.7 * s)) for s in (0.0, 0.005, 0.01, 0.1)]
+    assert margins == sorted(margins)
+    assert margins[0] >= settings_.robust.tracking_error_m_s / settings_.robust.rate_1_s
+    slope = CONE.slope(settings_.touchdown.pad_radius_m)
+    own_m = settings_.own.position_noise_m
+    expected = settings_.robust.margin_m(slope, math.hypot(0.01, own_m), math.hypot(0.007, own_m))
+    assert margins[2] == pytest.approx(expected)
+    assert margin(seen(still, still)._replace(target=None)) == margins[0]
+    assert law.held(seen(still, still)).fade_radius_m == settings_.robust.fade_radius_m
+
+
+def test_target_and_vehicle_are_carried_on_by_their_delays():
+    law, settings_ = robust(own={"delay_s": 0.05}, target={"delay_s": 0.1})
+    track = TargetTrack(settings_.checks)
+    assert law.target(track, 0.0) is None
+    for n in range(50):
+        assert track.accept(sample(0.02 * n)).value == "accepted"
+        law.take(sample(0.02 * n))
+    found = law.target(track, 1.0)  # the last was measured at 0.98 and took 0.1 s more than the clocks show
+    assert found.age_s == pytest.approx(0.02 + 0.1)
+    assert found.position_enu_m == pytest.approx(sample(1.1).position_enu_m, abs=1e-6)
+    assert found.velocity_enu_m_s == pytest.approx((0.2, -0.1, 0.0), abs=1e-6)
+    assert found.position_sigma_m > 0.0
+    assert law.target(track, 1.2).position_sigma_m > found.position_sigma_m
+    assert law.target(track, 1.2).position_sigma_z_m > found.position_sigma_z_m > 0.0
+    assert found.position_sigma_z_m < found.position_sigma_m  # it is told to drive on a floor
+    own = OwnState(3.0, 2.9, (1.0, 2.0, 3.0), (1.0, -2.0, 0.5), 0.7)
+    moved = law.own(own)
+    assert moved.position_enu_m == pytest.approx((1.05, 1.9, 3.025))
+    assert replace(moved, position_enu_m=own.position_enu_m) == own
+
+
+def test_a_target_that_is_not_seen_any_more_stays_where_it_was_lost():
+    law, settings_ = robust()
+    track = TargetTrack(settings_.checks)
+    for n in range(50):  # it gains speed all the time
+        t_s = 0.02 * n
+        rising = replace(
+            sample(t_s), position_enu_m=(0.3 * t_s * t_s, 0.0, 0.2), velocity_enu_m_s=(0.6 * t_s, 0, 0)
+        )
+        assert track.accept(rising).value == "accepted"
+        law.take(rising)
+    limit_s = 0.98 + settings_.checks.target_age_max_s
+    assert law.target(track, limit_s).position_enu_m > law.target(track, limit_s - 1e-3).position_enu_m
+    lost = law.target(track, limit_s)
+    for later_s in (1e-6, 1.0, 60.0, 1e9, 1e300):
+        found = law.target(track, limit_s + later_s)
+        assert found.age_s >= lost.age_s
+        for a, b in zip(found[1:], lost[1:], strict=True):
+            assert a == pytest.approx(b, abs=1e-9)
+    assert math.dist(lost.position_enu_m, (0.3 * limit_s**2, 0.0, 0.2)) < 0.05
+
+
+def test_the_set_point_is_the_corrected_one_and_stays_in_the_box():
+    law, settings_ = robust(limits={"velocity_max_m_s": [0.2, 0.2, 0.5]})
+    still = (0.0, 0.0, 0.0)
+    slow = law.setpoint((0.1, 0.0, 0.0), (0.1, 0.0, 0.0), seen(still, still))
+    assert 0.1 < slow[0] <= 0.2
+    assert law.setpoint((0.1, 0.0, 0.0), (0.2, 0.0, 0.0), seen(still, still))[0] == 0.2
+    blind = SimpleNamespace(inputs=Inputs())
+    law.tracking = TrackingMemory()
+    assert law.setpoint((0.1, 0.0, 0.0), (0.1, 0.0, 0.0), blind) == pytest.approx((0.1, 0.0, 0.0))
+    assert (law.rate_1_s, law.acceleration_max_m_s2) == (
+        settings_.robust.rate_1_s, settings_.robust.acceleration_max_m_s2
+    )  # fmt: skip
+
+
+def test_its_state_can_be_put_back():
+    law, _ = robust()
+    law.take(sample(0.0))
+    law.observe((0.1, 0.0, 0.0), commanding=False)
+    motion, tracking = law.motion, law.tracking
+    assert motion.time_s == 500.0
+    assert tracking.model_m_s == (0.1, 0.0, 0.0)
+    law.motion, law.tracking = MotionMemory(), TrackingMemory()
+    assert math.isnan(law.motion.time_s)
+    other, _ = robust()
+    other.motion, other.tracking = motion, tracking
+    assert (other.motion, other.tracking) == (motion, tracking)

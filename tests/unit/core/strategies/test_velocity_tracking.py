@@ -1,0 +1,178 @@
+"""Corrections of the set-point against a plant of its own, which is not quite what the model says."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flightstack.core.parameters.robust import VelocityLoop
+from flightstack.core.strategies.velocity_tracking import VelocityTracking
+from flightstack.core.types import ZERO
+from tests.unit.core.target.tracking_helpers import AXES, LOOP, T_S, WIDE, Plant, constant, flown
+
+spreads = st.floats(0.7, 1.3)
+pushes = st.tuples(*(st.floats(-0.25, 0.25),) * 3)
+wanted = st.tuples(*(st.floats(-0.3, 0.3),) * 3)
+
+
+@given(wanted, spreads, spreads, pushes)
+@settings(max_examples=40)
+def test_a_vehicle_that_answers_otherwise_than_modelled_still_flies_what_is_wanted(
+    reference, rate, damping, push
+):
+    """Thirty per cent off in rate and damping, and a constant push: no error is left, nothing swings on."""
+    _, setpoints, velocities = flown(constant(reference), Plant(rate=rate, damping=damping, push=push))
+    assert np.abs(velocities[-100:] - reference).max() < 1e-3
+    assert np.abs(velocities).max() < 1.5
+    assert np.abs(np.diff(setpoints[-100:], axis=0)).max() < 1e-4
+
+
+@given(spreads, spreads, pushes)
+@settings(max_examples=25)
+def test_what_it_learns_of_a_push_is_the_push(rate, damping, push):
+    tracking, _, _ = flown(constant((0.1, -0.1, 0.05)), Plant(rate=rate, damping=damping, push=push))
+    assert tracking.memory.disturbance_m_s == pytest.approx(push, abs=1e-3)
+
+
+def test_with_a_perfect_model_and_no_push_nothing_is_fed_back():
+    """Semi-implicit steps of the model differ from the exact plant by a share of w T only."""
+    steps = [tuple(0.3 * math.sin(0.8 * T_S * n) for _ in AXES) for n in range(800)]
+    tracking, _, _ = flown(steps, Plant())
+    assert np.abs(tracking.memory.disturbance_m_s).max() < 0.1 * 0.3
+
+
+def test_it_follows_a_slow_change_better_than_the_plain_command():
+    """Judged on a ramp, where the plain command is late by the lag for as long as the ramp lasts."""
+    ramp = [(0.1 * T_S * n,) * 3 for n in range(300)]
+    _, _, helped = flown(ramp, Plant())
+    plain, velocities = Plant(), []
+    for reference in ramp:
+        plain.fly(reference)
+        velocities.append(plain.velocity)
+    late = np.abs(np.array(ramp) - velocities)[200:].mean(axis=0)
+    mended = np.abs(np.array(ramp) - helped)[200:].mean(axis=0)
+    assert (mended < 0.5 * late).all()
+    for axis, w in enumerate((LOOP.rate_xy_1_s, LOOP.rate_xy_1_s, LOOP.rate_z_1_s)):
+        assert late[axis] == pytest.approx(0.1 * 2.0 * LOOP.damping / w, rel=0.1)
+
+
+@given(
+    st.lists(st.tuples(wanted, wanted, st.tuples(*(st.floats(-50.0, 50.0),) * 3)), min_size=1, max_size=30),
+    st.tuples(*(st.floats(0.05, 5.0),) * 3),
+)
+def test_the_limits_hold_whatever_is_measured(ticks, most):
+    tracking = VelocityTracking(LOOP, T_S)
+    for n, (before, reference, velocity) in enumerate(ticks):
+        tracking.observe(velocity, commanding=n > 0)
+        setpoint = tracking.command(before, reference, velocity, most)
+        assert all(abs(u) <= m for u, m in zip(setpoint, most, strict=True))
+        assert all(abs(d) <= LOOP.disturbance_max_m_s for d in tracking.memory.disturbance_m_s)
+        assert tracking.memory.setpoint_m_s == setpoint
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_push_that_is_too_strong_is_learned_up_to_the_limit(axis, sign):
+    push = [0.0, 0.0, 0.0]
+    push[axis] = 3.0 * sign
+    tracking, _, _ = flown(constant(ZERO, 5.0), Plant(push=tuple(push)))
+    expected = [0.0, 0.0, 0.0]
+    expected[axis] = sign * LOOP.disturbance_max_m_s
+    assert tracking.memory.disturbance_m_s == pytest.approx(expected, abs=1e-9)
+
+
+def test_horizontally_the_set_point_stays_near_the_velocity_so_that_the_tilt_is_bounded():
+    tracking = VelocityTracking(replace(LOOP, error_max_m_s=0.3), T_S)
+    tracking.observe((0.1, -0.1, 0.0), commanding=False)
+    setpoint = tracking.command(ZERO, (3.0, -3.0, 3.0), (0.1, -0.1, 0.0), WIDE)
+    assert setpoint[:2] == pytest.approx((0.4, -0.4))
+    assert setpoint[2] > 3.0  # upward nothing tilts
+
+
+def test_the_corrections_are_those_of_the_formula():
+    """u = r + lag s + k (r - v) - d, with s a low-pass of the wanted acceleration."""
+    loop = VelocityLoop(
+        lag_xy_s=0.2, lag_z_s=0.1, gain_xy=0.25, gain_z=0.5, slope_time_s=0.04, error_max_m_s=10.0
+    )  # fmt: skip
+    tracking = VelocityTracking(loop, T_S)
+    tracking.memory.slope_m_s2 = (1.0, -1.0, 0.5)
+    tracking.memory.disturbance_m_s = (0.05, -0.1, 0.2)
+    found = tracking.command((0.0, 0.1, 0.2), (0.02, 0.08, 0.2), (0.1, 0.0, -0.2), WIDE)
+    slope = (0.75 + 0.25 * 2.0, -0.75 - 0.25 * 2.0, 0.375)
+    assert tracking.memory.slope_m_s2 == pytest.approx(slope)
+    assert found == pytest.approx((
+        0.02 + 0.2 * slope[0] - 0.25 * 0.08 - 0.05,
+        0.08 + 0.2 * slope[1] + 0.25 * 0.08 + 0.1,
+        0.2 + 0.1 * slope[2] + 0.5 * 0.4 - 0.2,
+    ))  # fmt: skip
+
+
+def test_while_somebody_else_flies_the_model_follows_and_nothing_is_learned():
+    references = [*constant((0.2, 0.1, -0.1), 3.0), (0.21, 0.11, -0.11)]
+    tracking, _, _ = flown(references, Plant(push=(0.1, 0.0, -0.1)))
+    learned = tracking.memory.disturbance_m_s
+    assert tracking.memory.slope_m_s2 != ZERO
+    for velocity in ((1.0, 0.0, 0.0), (0.3, -0.2, 0.1)):
+        tracking.observe(velocity, commanding=False)
+        assert tracking.memory.model_m_s == velocity
+        assert tracking.memory.model_m_s2 == tracking.memory.slope_m_s2 == ZERO
+    assert tracking.memory.disturbance_m_s == learned  # the wind goes on blowing
+    tracking.command((0.3, -0.2, 0.1), (0.3, -0.2, 0.1), (0.3, -0.2, 0.1), WIDE)
+    tracking.observe((0.3, -0.2, 0.1), commanding=True)
+    # taken over in flight there is no jump to learn from
+    assert tracking.memory.disturbance_m_s == pytest.approx(learned, abs=0.01)
+
+
+def test_all_of_its_state_is_its_memory():
+    """A copy that is given the memory goes on to the last bit."""
+    references = [tuple(0.2 * math.sin(0.02 * n + axis) for axis in AXES) for n in range(200)]
+    plant = Plant(push=(0.1, 0.0, 0.0))
+    tracking, _, _ = flown(references[:100], plant)
+    other = VelocityTracking(LOOP, T_S)
+    other.memory = replace(tracking.memory)
+    for before, reference in itertools.pairwise(references[99:]):
+        for either in (tracking, other):
+            either.observe(plant.velocity, commanding=True)
+            either.command(before, reference, plant.velocity, WIDE)
+        assert tracking.memory == other.memory
+        plant.fly(tracking.memory.setpoint_m_s)
+
+
+@pytest.mark.parametrize("period_s", [0.1, 0.02, 0.002])
+def test_at_any_rate_the_model_of_the_usual_vehicle_is_stable(period_s):
+    tracking = VelocityTracking(LOOP, period_s)
+    tracking.observe(ZERO, commanding=False)
+    tracking.memory.setpoint_m_s = (0.2, -0.2, 0.1)
+    for _ in range(round(10.0 / period_s)):
+        tracking.observe((0.2, -0.2, 0.1), commanding=True)
+    assert tracking.memory.model_m_s == pytest.approx((0.2, -0.2, 0.1), abs=1e-6)
+
+
+@pytest.mark.parametrize("period_s", [0.1, 0.02, 0.002])
+@given(damping=st.floats(0.1, 2.0), axis=st.sampled_from(AXES), start=st.floats(-1.0, 1.0))
+@settings(max_examples=20)
+def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period_s, damping, axis, start):
+    def left(share):
+        """What remains of a disturbed model, vehicle and set-point at rest."""
+        rate = share * replace(LOOP, damping=damping).rate_max_1_s(period_s)
+        loop = replace(LOOP, damping=damping, rate_xy_1_s=rate, rate_z_1_s=rate)
+        tracking = VelocityTracking(loop, period_s)
+        away = [0.0, 0.0, 0.0]
+        away[axis] = start
+        tracking.memory.model_m_s, tracking.memory.model_m_s2 = tuple(away), (0.1, 0.1, 0.1)
+        for _ in range(2000):
+            tracking.observe(ZERO, commanding=True)
+        return max(map(abs, tracking.memory.model_m_s))
+
+    assert left(0.99) < 1e-3
+    assert left(1.01) > 1.0
+
+
+def test_the_rate_allowed_is_that_of_the_criterion():
+    for damping in (0.1, 0.68, 2.0):
+        w_t = replace(LOOP, damping=damping).rate_max_1_s(0.01) * 0.01
+        assert w_t * w_t + 4.0 * damping * w_t == pytest.approx(4.0)

@@ -1,0 +1,353 @@
+"""The quadratic program: OSQP against the exact projection, and what happens when it cannot be solved."""
+
+import itertools
+import math
+import random
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from osqp import ext_builtin
+
+from flightstack.core.safety.projection import best_corner, project
+from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, SafetyFilter
+from flightstack.core.types import FilterStatus
+
+FILTER = SafetyFilter(0.7)
+BOX = (0.2, 0.2, 0.5)
+STILL = (0.0, 0.0, 0.0)
+FREE, LOW, HIGH = range(3)  # of an axis
+SOLVED = ext_builtin.osqp_status_type.OSQP_SOLVED
+velocities = st.tuples(*(st.floats(-2.0, 2.0),) * 3)
+slopes = st.one_of(st.just(0.0), st.floats(-4.0, 4.0))
+gradients = st.tuples(slopes, slopes, st.just(1.0))
+any_gradients = st.tuples(slopes, slopes, slopes).filter(lambda g: all(s == 0.0 or abs(s) > 1e-3 for s in g))
+sides = st.tuples(st.floats(-1.0, 1.0), st.one_of(st.just(0.0), st.floats(0.0, 1.0)))
+boxes = st.tuples(sides, sides, sides).map(
+    lambda b: (tuple(low for low, _ in b), tuple(low + size for low, size in b))
+)
+
+
+def low(box):
+    return tuple(-b for b in box)
+
+
+def dot(a, b):
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+def by_active_sets(nominal, g, b, lower, upper):
+    """The projection once more: of all 54 ways to bind axes and barrier the nearest that is allowed."""
+    best, least = None, math.inf
+    for states in itertools.product((FREE, LOW, HIGH), repeat=3):
+        for on_barrier in (False, True):
+            u = [
+                axis[state]
+                for axis, state in zip(zip(nominal, lower, upper, strict=True), states, strict=True)
+            ]
+            free = [i for i in range(3) if states[i] == FREE]
+            if on_barrier:
+                steepness = sum(g[i] * g[i] for i in free)
+                if steepness == 0.0:
+                    continue
+                push = (b - dot(g, u)) / steepness
+                for i in free:
+                    u[i] += push * g[i]
+            inside = all(lo - 1e-9 <= x <= hi + 1e-9 for lo, x, hi in zip(lower, u, upper, strict=True))
+            if inside and dot(g, u) >= b - 1e-9 and math.dist(u, nominal) < least:
+                best, least = tuple(u), math.dist(u, nominal)
+    return best
+
+
+@given(velocities, any_gradients, st.floats(-3.0, 3.0), boxes)
+@settings(max_examples=300)
+def test_the_exact_projection_agrees_with_a_search_of_all_active_sets(nominal, g, b, box):
+    lower, upper = box
+    most = max(dot(g, corner) for corner in itertools.product(*zip(lower, upper, strict=True)))
+    assume(abs(most - b) > 1e-6)
+    point = project(nominal, g, b, lower, upper)
+    assert (point is None) == (most < b)
+    if point is not None:
+        assert all(lo <= x <= hi for lo, x, hi in zip(lower, point, upper, strict=True))
+        assert math.dist(point, by_active_sets(nominal, g, b, lower, upper)) < 1e-5
+
+
+@given(any_gradients, boxes)
+def test_the_best_corner_is_the_best_and_stays_where_nothing_is_won(g, box):
+    lower, upper = box
+    corner = best_corner(g, lower, upper)
+    assert dot(g, corner) == pytest.approx(
+        max(dot(g, c) for c in itertools.product(*zip(lower, upper, strict=True))), abs=1e-12
+    )
+    for slope, x, lo, hi in zip(g, corner, lower, upper, strict=True):
+        assert lo <= x <= hi
+        if slope == 0.0:
+            assert abs(x) == min(abs(y) for y in (lo, hi, *((0.0,) if lo <= 0.0 <= hi else ())))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("lower", "upper", "nearest"), [(-1.0, 2.0, 0.0), (0.5, 2.0, 0.5), (-2.0, -0.5, -0.5)]
+)
+def test_an_axis_without_a_gradient_stays_nearest_to_zero(axis, lower, upper, nearest):
+    g, lows, highs = [1.0, -1.0, 1.0], [-0.3, -0.3, -0.3], [0.4, 0.4, 0.4]
+    g[axis], lows[axis], highs[axis] = 0.0, lower, upper
+    expected = [0.4 if s > 0.0 else -0.3 for s in g]
+    expected[axis] = nearest
+    assert best_corner(tuple(g), tuple(lows), tuple(highs)) == tuple(expected)
+
+
+def test_exact_cases_of_the_projection():
+    lower, upper = (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
+    assert project((0.0, 0.5, 0.25), (0.0, 0.0, 1.0), 0.25, lower, upper) == (0.0, 0.5, 0.25)
+    assert project(STILL, (0.0, 0.0, 1.0), 0.5, lower, upper) == (0.0, 0.0, 0.5)
+    assert project(STILL, (1.0, 0.0, 1.0), 1.0, lower, upper) == (0.5, 0.0, 0.5)
+    assert project(STILL, (1.0, 1.0, 1.0), 3.0, lower, upper) == (1.0, 1.0, 1.0)  # one corner is left
+    assert project(STILL, (1.0, 1.0, 1.0), math.nextafter(3.0, 4.0), lower, upper) is None
+    assert project((-3.0, 0.0, 0.0), (1.0, 0.0, 0.5), 1.25, lower, upper) == (0.75, 0.0, 1.0)
+    assert project((-3.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.5, lower, upper) == (-1.0, 0.0, 0.0)
+    assert project(STILL, (0.0, 0.0, 0.0), 0.5, lower, upper) is None
+    assert project((9.0, 9.0, 9.0), (0.0, 0.0, 0.0), -0.5, lower, upper) == (1.0, 1.0, 1.0)
+    # a slope so small that the multiplier has no finite value
+    tiny = 5e-324
+    assert project((0.0, 0.0, -9.0), (0.0, 0.0, tiny), tiny, lower, upper) == (0.0, 0.0, 1.0)
+    with pytest.raises(ValueError, match=r"shorter|longer"):
+        project((0.0, 0.0), (0.0, 0.0, 1.0), 0.5, lower, upper)
+    with pytest.raises(ValueError, match=r"shorter|longer"):
+        project((*STILL, 0.0), (0.0, 0.0, 1.0), 0.5, lower, upper)
+
+
+def test_osqp_agrees_with_the_exact_projection_on_random_states():
+    chance = random.Random(20261121)
+    worst, solved = 0.0, 0
+    for _ in range(5000):  # 10^5 in the benchmark
+        lower = tuple(-chance.choice((0.2, 0.5, 1.0)) for _ in range(3))
+        upper = tuple(lo + chance.uniform(0.01, 1.0) for lo in lower)  # cut by the slew limit
+        nominal = tuple(chance.uniform(-2, 2) for _ in range(3))
+        gradient = (chance.uniform(-2, 2), chance.uniform(-2, 2), chance.choice((1.0, 1.0, 0.6)))
+        h, dh_dt = chance.uniform(-0.5, 1.0), chance.uniform(-0.4, 0.4)
+        result = FILTER.solve(nominal, h, gradient, dh_dt, lower, upper)
+        exact = project(nominal, gradient, -0.7 * h - dh_dt, lower, upper)
+        if exact is None:
+            assert result.status is FilterStatus.INFEASIBLE
+            continue
+        solved += result.status is FilterStatus.SOLVED
+        worst = max(worst, *(abs(a - b) for a, b in zip(exact, result.velocity_enu_m_s, strict=True)))
+        clipped = [min(max(n, lo), hi) for n, lo, hi in zip(nominal, lower, upper, strict=True)]
+        assert result.active == (dot(gradient, clipped) < -0.7 * h - dh_dt)
+    assert worst < 1e-6
+    assert solved > 3500
+
+
+@given(velocities, st.floats(-1, 1), gradients, st.floats(-0.5, 0.5), boxes)
+@settings(max_examples=300)
+def test_never_outside_the_box_and_never_below_the_barrier_unless_it_says_so(
+    nominal, h, gradient, dh_dt, box
+):
+    result = FILTER.solve(nominal, h, gradient, dh_dt, *box)
+    assert all(lo <= u <= hi for lo, u, hi in zip(box[0], result.velocity_enu_m_s, box[1], strict=True))
+    assert result.slack_m_s == pytest.approx(
+        dot(gradient, result.velocity_enu_m_s) + dh_dt + 0.7 * h, abs=1e-9
+    )
+    if result.status is FilterStatus.INFEASIBLE:
+        assert result.slack_m_s < 0.0
+        assert result.velocity_enu_m_s == best_corner(gradient, *box)
+    else:
+        assert result.slack_m_s >= -2e-6
+
+
+def test_a_safe_nominal_passes_unchanged():
+    result = FILTER.solve((0.1, -0.1, -0.2), 1.0, (0.5, 0.5, 1.0), 0.0, low(BOX), BOX)
+    assert result.velocity_enu_m_s == pytest.approx((0.1, -0.1, -0.2), abs=1e-7)
+    assert not result.active
+
+
+def test_filtering_twice_changes_nothing():
+    once = FILTER.solve((0.2, 0.0, -0.5), 0.0, (1.0, 0.0, 1.0), -0.1, low(BOX), BOX)
+    twice = FILTER.solve(once.velocity_enu_m_s, 0.0, (1.0, 0.0, 1.0), -0.1, low(BOX), BOX)
+    assert once.active
+    assert twice.velocity_enu_m_s == pytest.approx(once.velocity_enu_m_s, abs=1e-6)
+
+
+def test_a_result_does_not_depend_on_what_was_solved_before():
+    asked = ((0.2, 0.1, -0.5), 0.05, (1.2, -0.4, 1.0), -0.05, low(BOX), BOX)
+    fresh = SafetyFilter(0.7).solve(*asked)
+    used = SafetyFilter(0.7)
+    chance = random.Random(3)
+    for _ in range(200):
+        used.solve(
+            tuple(chance.uniform(-2, 2) for _ in range(3)),
+            chance.uniform(-1, 1),
+            (1.0, 0.0, 1.0),
+            0.0,
+            low(BOX),
+            BOX,
+        )
+    again = used.solve(*asked)
+    assert again.velocity_enu_m_s == fresh.velocity_enu_m_s  # to the last bit
+    assert again.iterations == fresh.iterations
+
+
+def test_the_solver_is_set_as_it_was_scanned():
+    found = FILTER._solver.get_settings()
+    expected = {
+        "eps_abs": 1e-9, "eps_rel": 1e-9, "rho": 1.0, "alpha": 1.5, "max_iter": 4000, "check_termination": 5,
+        "adaptive_rho": 0, "warm_starting": 0, "scaling": 0, "polishing": 0, "verbose": 0,
+    }  # fmt: skip
+    assert {name: getattr(found, name) for name in expected} == expected
+    assert RESIDUAL_MAX_M_S == 1e-6
+    assert [(s.name, int(s)) for s in FilterStatus] == [
+        ("NOT_RUN", 0), ("SOLVED", 1), ("CLOSED_FORM", 2), ("INFEASIBLE", 3), ("REJECTED", 4)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_numbers_that_are_not_finite_are_refused(bad):
+    good = [[0.1, 0.1, 0.1], 0.1, [0.5, 0.5, 1.0], 0.0, [-0.2, -0.2, -0.5], [0.2, 0.2, 0.5]]
+    places = [
+        (n, axis)
+        for n, value in enumerate(good)
+        for axis in (range(3) if isinstance(value, list) else (None,))
+    ]
+    assert len(places) == 14
+    for n, axis in places:
+        asked = [list(value) if isinstance(value, list) else value for value in good]
+        if axis is None:
+            asked[n] = bad
+        else:
+            asked[n][axis] = bad
+        result = FILTER.solve(*(tuple(value) if isinstance(value, list) else value for value in asked))
+        assert result.status is FilterStatus.REJECTED
+        assert (result.velocity_enu_m_s, result.active, result.iterations, result.solve_s) == (
+            STILL,
+            False,
+            0,
+            0.0,
+        )
+        assert math.isnan(result.slack_m_s)
+        assert math.isnan(result.residual_m_s)
+
+
+def test_when_nothing_in_the_box_holds_the_barrier_it_says_so_and_rises():
+    result = FILTER.solve((0.2, 0.0, -0.5), -1.0, (1.0, -0.5, 1.0), -0.5, low(BOX), BOX)
+    assert result.status is FilterStatus.INFEASIBLE
+    assert result.velocity_enu_m_s == (0.2, -0.2, 0.5)
+    assert result.slack_m_s == pytest.approx(0.2 + 0.1 + 0.5 - 1.2)
+    assert (result.active, result.residual_m_s, result.iterations, result.solve_s) == (True, 0.0, 0, 0.0)
+
+
+def test_a_barrier_that_only_the_corner_holds_is_held():
+    result = FILTER.solve(STILL, 0.0, (0.0, 0.0, 1.0), -0.5, low(BOX), BOX)
+    assert result.status in (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
+    assert result.velocity_enu_m_s[2] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_a_nominal_on_the_barrier_itself_is_not_changed():
+    result = FILTER.solve((0.0, 0.0, 0.25), 0.0, (0.0, 0.0, 1.0), -0.25, low(BOX), BOX)
+    assert not result.active
+    assert FILTER.solve((0.0, 0.0, 0.2499), 0.0, (0.0, 0.0, 1.0), -0.25, low(BOX), BOX).active
+
+
+def test_the_time_is_that_of_the_solver():
+    before = time.perf_counter()
+    result = FILTER.solve((0.2, 0.0, -0.5), 0.0, (1.0, 0.0, 1.0), -0.1, low(BOX), BOX)
+    assert 0.0 < result.solve_s < time.perf_counter() - before
+    assert result.iterations % 5 == 0
+    assert 0 < result.iterations <= 4000
+
+
+@pytest.mark.parametrize("residual", [math.inf, math.nan, 1e-3, math.nextafter(1e-6, 1.0)])
+def test_a_solver_that_fails_is_replaced_by_the_exact_projection(monkeypatch, residual):
+    broken = SafetyFilter(0.7)
+    monkeypatch.setattr(broken, "_osqp", lambda *_: ((0.0, 0.0, -0.5), residual, 4000))
+    result = broken.solve((0.2, 0.0, -0.5), 0.0, (1.0, 0.0, 1.0), -0.1, low(BOX), BOX)
+    assert result.status is FilterStatus.CLOSED_FORM
+    assert result.velocity_enu_m_s == project((0.2, 0.0, -0.5), (1.0, 0.0, 1.0), 0.1, low(BOX), BOX)
+    assert result.slack_m_s >= -1e-12
+    assert (result.residual_m_s, result.iterations) == (pytest.approx(residual, nan_ok=True), 4000)
+
+
+def test_a_result_that_misses_by_as_much_as_allowed_is_used(monkeypatch):
+    exact = SafetyFilter(0.7)
+    monkeypatch.setattr(exact, "_osqp", lambda *_: ((0.1, 0.0, 0.0), 1e-6, 10))
+    result = exact.solve((0.2, 0.0, -0.5), 0.0, (1.0, 0.0, 1.0), -0.1, low(BOX), BOX)
+    assert (result.status, result.velocity_enu_m_s) == (FilterStatus.SOLVED, (0.1, 0.0, 0.0))
+
+
+class Solver:
+    """Says what it is told to, and remembers what it was asked."""
+
+    def __init__(self, point, status=SOLVED):
+        self.solution = SimpleNamespace(x=np.array(point))
+        self.info = SimpleNamespace(status_val=status, iter=35)
+
+    def update_data_vec(self, q, l, u):  # noqa: E741
+        self.vectors = [x.tolist() for x in (q, l, u)]
+
+    def update_data_mat(self, P_x, P_i, A_x, A_i):
+        self.matrix, self.others = A_x.tolist(), (P_x, P_i, A_i)
+
+    def solve(self):
+        pass
+
+
+LOWER, UPPER, NOMINAL, GRADIENT = (-0.1, -0.2, -0.3), (0.4, 0.5, 0.6), (0.7, -0.8, 0.9), (1.5, -2.5, 0.5)
+
+
+def told(point, status=SOLVED, bound=-9.0):
+    judged = SafetyFilter(0.7)
+    judged._solver = Solver(point, status)
+    return judged._osqp(NOMINAL, GRADIENT, bound, LOWER, UPPER), judged._solver
+
+
+def test_the_solver_is_asked_the_program():
+    _, solver = told(STILL, bound=0.125)
+    q, lower, upper = solver.vectors
+    assert q == [-0.7, 0.8, -0.9]
+    assert (lower, upper[1:]) == ([0.125, *LOWER], list(UPPER))
+    assert upper[0] >= ext_builtin.OSQP_INFTY
+    assert solver.matrix == [1.5, 1.0, -2.5, 1.0, 0.5, 1.0]
+    assert solver.others == (None, None, None)
+
+
+def test_a_point_inside_misses_nothing():
+    assert told((0.1, 0.2, 0.3))[0] == ((0.1, 0.2, 0.3), 0.0, 35)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_what_a_point_misses_the_box_by_is_its_residual(axis):
+    for edge, sign in ((LOWER[axis], -1.0), (UPPER[axis], 1.0)):
+        point, expected = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+        point[axis], expected[axis] = edge + sign * 0.01, edge
+        (found, residual, _), _ = told(point)
+        assert found == tuple(expected)
+        assert residual == pytest.approx(0.01)
+
+
+def test_what_a_point_misses_the_barrier_by_is_its_residual():
+    (_, residual, _), _ = told((0.1, 0.2, 0.3), bound=-0.15)  # g . u = 0.15 - 0.5 + 0.15 = -0.2
+    assert residual == pytest.approx(0.05)
+    (_, residual, _), _ = told((0.1, 0.2, 0.3), bound=-0.25)
+    assert residual == 0.0
+    # the barrier is judged where the point has been put into the box: (0.4, 0.2, 0.3) gives 0.25
+    (_, residual, _), _ = told((0.5, 0.2, 0.3), bound=0.75)
+    assert residual == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_point_that_is_not_finite_is_no_result(axis, bad):
+    point = [0.0, 0.0, 0.0]
+    point[axis] = bad
+    assert told(point)[0][1] == math.inf
+
+
+def test_any_other_status_than_solved_is_no_result():
+    others = [s for s in ext_builtin.osqp_status_type.__members__.values() if s != SOLVED]
+    assert len(others) > 5
+    for status in others:
+        (point, residual, iterations), _ = told((0.1, 0.9, 0.3), status)
+        assert (point, residual, iterations) == ((0.1, 0.5, 0.3), math.inf, 35)

@@ -1,0 +1,241 @@
+"""No size of a vehicle or pad is a constant of the code; what a size is in the configuration, flies."""
+
+import ast
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import flightstack
+from flightstack.common.strict_toml import from_table
+from flightstack.core.controller import Controller
+from flightstack.core.memory import AbortWay, Memory
+from flightstack.core.mission.conditions import View, gather, high_enough_m
+from flightstack.core.mission.guidance import Situation, wish
+from flightstack.core.mission.phases import Condition
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.velocity_tracking import VelocityTracking
+from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.target.track import TargetState
+from flightstack.core.types import (
+    ZERO,
+    Inputs,
+    Landed,
+    Mode,
+    OwnState,
+    Phase,
+    Request,
+    VehicleStatus,
+)
+from flightstack.verify.certificate import checks
+
+SIZE = re.compile(r".*_(M|M_S|M_S2|M_S3|KG|N)")
+# what may stay: the same for a vehicle of any size
+ALLOWED = {
+    ("certificate_robust", "HELD_M"): "the verdict's own limit of a violation",
+    ("gate", "BOX_TOLERANCE_M_S"): "rounding",
+    ("gate", "SOLVER_TOLERANCE_M_S"): "what the solver may miss, from its own bound",
+    ("safety_filter", "RESIDUAL_MAX_M_S"): "the solver's accuracy",
+    ("plausibility", "STANDING_M_S"): "resolution of the numbers on the wire",
+    ("live", "_H_LOW_M"): "ends of a drawn scale",
+    ("live", "_H_HIGH_M"): "ends of a drawn scale",
+    ("identify", "EXCITATION_MIN_M_S"): "looks at logs; the lag's standard error decides besides",
+}
+
+
+def constants(source):
+    """Names of a module's constants that are sizes by their ending."""
+    found = set()
+    for node in ast.parse(source).body:
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        for name in (n for target in targets if target is not None for n in ast.walk(target)):
+            if isinstance(name, ast.Name) and SIZE.fullmatch(name.id):
+                found.add(name.id)
+    return found
+
+
+def test_no_size_is_a_constant():
+    files = sorted(Path(flightstack.__file__).parent.glob("*.py"))
+    found = {(file.stem, name) for file in files for name in constants(file.read_text())}
+    assert len(files) > 40
+    assert found == set(ALLOWED), "a size belongs into the configuration, with unit, range and default"
+
+
+def test_sizes_are_found_however_they_are_written():
+    source = "A_M = 1\n_B_M_S: float = 2\nC_M, D_M_S2 = 1, 2\nE_S = 1\nFORM = 3\nif A_M:\n    F_M = 1\n"
+    assert constants(source) == {"A_M", "_B_M_S", "C_M", "D_M_S2"}
+
+
+def config(filter="robust", **sections):
+    return from_table(
+        FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, **sections}
+    )
+
+
+PAD = (0.0, 0.0, 0.0)
+
+
+def seen(e, velocity=ZERO, *, own_ok=True, now_s=0.0, speed=ZERO):
+    own = OwnState(now_s, now_s, e, velocity, 0.0)
+    status = VehicleStatus(now_s, True, Mode.EXTERNAL, Landed.IN_AIR, True)
+    return View(Inputs(own, status), TargetState(0.0, PAD, speed, 0.0), own_ok, True, True, e)
+
+
+def velocity(settings, phase, e, **memory):
+    """What a phase asks for."""
+    situation = Situation(settings, settings.barrier.build(), Memory(phase=phase, **memory), seen(e))
+    return wish(situation)
+
+
+def word(settings, phase, e, velocity=ZERO, *, after_s=0.0, own_ok=True, memory=None):
+    """Conditions after some time in which nothing changes, and the memory."""
+    memory = memory if memory is not None else Memory(own_ok_s=0.0)
+    memory.phase, barrier = phase, settings.barrier.build()
+    found = gather(settings, barrier, memory, seen(e, velocity), False, 0.0)
+    if after_s:
+        view = seen(e, velocity, own_ok=own_ok, now_s=after_s)
+        found = gather(settings, barrier, memory, view, False, after_s)
+    return found, memory
+
+
+def contact(settings, height_m, velocity=ZERO, after_s=0.2, command=ZERO):
+    memory = Memory(own_ok_s=0.0, command=command)
+    return word(settings, Phase.TOUCHDOWN, (0.0, 0.0, height_m), velocity, after_s=after_s, memory=memory)[
+        1
+    ].contact
+
+
+def learned(settings):
+    """Disturbance after a strong push."""
+    tracking = VelocityTracking(settings.velocity_loop, 0.01)
+    for n in range(1000):
+        tracking.observe((4.0, 0.0, 0.0), commanding=n > 0)
+    return tracking.memory.disturbance_m_s[0]
+
+
+def lags(settings):
+    """Whether a vehicle that does not move is noticed within 5 s."""
+    watch = Plausibility(settings)
+    for _ in range(500):
+        watch.follow((settings.limits.velocity_max_m_s[0], 0.0, 0.0), ZERO)
+    return not watch.follows
+
+
+def drifted_away(settings):
+    """Whether a position that moves with 0.1 m/s unsaid is noticed."""
+    watch = Plausibility(settings)
+    for n in range(500):
+        watch.take(OwnState(0.01 * n, 0.01 * n, (0.001 * n, 0.0, 0.0), ZERO, 0.0))
+    return watch.memory.distrusted
+
+
+def ended(settings, after_s=70.0):
+    """Whether the stack ends although the vehicle flies on after an abort."""
+    controller = Controller(settings)
+    controller.memory.phase, controller.memory.abort_way = Phase.ABORT, AbortWay.LAND_HERE
+    status = VehicleStatus(after_s, True, Mode.LAND, Landed.IN_AIR, True)
+    return controller.step(Inputs(None, status), after_s).finished
+
+
+def cleared(settings):
+    memory = {"abort_way": AbortWay.FLY_CLEAR, "target_position_enu_m": PAD, "phase_since_s": -40.0}
+    return velocity(settings, Phase.ABORT, (0.3, 0.0, 2.0), **memory).request is Request.LAND
+
+
+def papers(settings):
+    return replace(settings, filter=config("paper").filter)
+
+
+WIDE = {
+    "limits": {"velocity_max_m_s": [1.0, 1.0, 2.0]},
+    "takeoff": {"start_offset_m": [1.0, 0.0, 0.7]},
+}
+# section, key, another value, what the vehicle does, with the default and with the other value
+CHANGES = [
+    ("takeoff", "level_first_m", 0.5,
+     lambda c: velocity(c, Phase.TAKEOFF, (0.0, 0.0, 0.4), climbed=True, was_armed=True).velocity[0] != 0.0,
+     (False, True)),
+    ("touchdown", "descent_m_s", 0.5,
+     lambda c: velocity(papers(c), Phase.TOUCHDOWN, (0.0, 0.0, 0.03)).velocity[2], (-0.2, -0.5)),
+    ("touchdown", "blind_time_s", 1.0,
+     lambda c: bool(word(c, Phase.TOUCHDOWN, (0.0, 0.0, 0.03), after_s=0.7, own_ok=False)[0]
+                    & Condition.OWN_LOST), (True, False)),
+    ("touchdown", "timeout_s", 5.0,
+     lambda c: bool(word(c, Phase.TOUCHDOWN, (0.0, 0.0, 0.2), after_s=3.0)[0] & Condition.PHASE_TIME_OVER),
+     (True, False)),
+    ("contact", "gap_m", 0.05, lambda c: contact(c, 0.0144 + 0.03), (False, True)),
+    ("contact", "speed_m_s", 0.1, lambda c: contact(c, 0.0144, (0.0, 0.0, -0.08)), (False, True)),
+    ("contact", "time_s", 0.5, lambda c: contact(c, 0.0144), (True, False)),
+    ("contact", "stopped_time_s", 0.5,
+     lambda c: contact(c, 0.0144 + 0.03, command=(0.0, 0.0, -c.robust.descent_m_s)), (True, False)),
+    ("retreat", "drift_time_s", 0.1,
+     lambda c: bool(word(c, Phase.TOUCHDOWN, (0.07, 0.0, 0.22), (0.08, 0.0, 0.0))[0] & Condition.DRIFTED),
+     (True, False)),
+    ("retreat", "h_left_m", 0.2,
+     lambda c: bool(word(c, Phase.TOUCHDOWN, (0.07, 0.0, 0.22), (0.08, 0.0, 0.0))[0] & Condition.DRIFTED),
+     (True, False)),
+    ("retreat", "hold_climb_m_s", 0.7,
+     lambda c: velocity(c, Phase.HOLD, (0.0, 0.0, 1.0), started_s=0.0).velocity[2], (0.4, 0.7)),
+    ("retreat", "climb_margin_m", 0.6,
+     lambda c: round(high_enough_m(c, c.barrier.build(), Memory()) - c.barrier.build().peak_height_m, 9),
+     (0.2, 0.6)),
+    ("retreat", "clear_time_max_s", 90.0, cleared, (True, False)),
+    ("retreat", "abort_time_max_s", 200.0, ended, (True, False)),
+    ("checks", "follow_memory_s", 0.4, lags, (True, False)),
+    ("checks", "own_drift_memory_s", 1.0, drifted_away, (True, False)),
+    ("robust", "descent_min_m_s", 0.3,
+     lambda c: velocity(c, Phase.LAND, (0.0, 0.0, 0.11)).velocity[2], (-0.1, -0.3)),
+    ("velocity_loop", "disturbance_max_m_s", 1.5, learned, (0.6, 1.5)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "other", "does", "expected"), CHANGES, ids=[f"{c[0]}.{c[1]}" for c in CHANGES]
+)
+def test_a_changed_size_changes_what_it_does(section, key, other, does, expected):
+    changed = {**WIDE, section: {**WIDE.get(section, {}), key: other}}
+    found = does(config(**WIDE)), does(config(**changed))
+    assert found == pytest.approx(expected)
+
+
+def test_the_climb_goes_half_the_margin_beyond_and_flies_clear_a_quarter_below():
+    for margin_m in (0.2, 0.6):
+        settings = config(**WIDE, retreat={"climb_margin_m": margin_m})
+        top = high_enough_m(settings, settings.barrier.build(), Memory())
+        rising = velocity(settings, Phase.CLIMB, (0.0, 0.0, top)).velocity[2]
+        assert rising == pytest.approx(0.5 * margin_m)
+        known = {"abort_way": AbortWay.FLY_CLEAR, "target_position_enu_m": PAD}
+        for lacking, climbs in ((0.26, True), (0.24, False)):
+            away = velocity(settings, Phase.ABORT, (0.3, 0.0, top - lacking * margin_m), **known).velocity
+            assert (away[2] > 0.0) is climbs
+
+
+def one(name, settings):
+    (found,) = (check for check in checks(settings) if check.name == name)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "filter", "section", "key", "passes", "fails"),
+    [
+        ("contact.speed_m_s", "paper", "contact", "speed_m_s", 0.2, 0.201),
+        ("contact.speed_m_s", "robust", "contact", "speed_m_s", 0.22, 0.221),
+        ("touchdown.height_m", "paper", "touchdown", "height_m", 0.0145, 0.0143),
+        ("checks.follow_lag_max_s", "paper", "checks", "follow_memory_s", 0.45, 0.449),
+        ("checks.follow_lag_max_s", "robust", "checks", "follow_memory_s", 0.45, 0.449),
+        ("descent time", "robust", "touchdown", "timeout_s", 1.5, 1.3),
+        ("altitude", "robust", "retreat", "climb_margin_m", 1.6, 1.7),
+    ],
+)
+def test_the_certificate_knows_each_size_from_both_sides(name, filter, section, key, passes, fails):
+    assert one(name, config(filter, **{section: {key: passes}})).proven
+    found = one(name, config(filter, **{section: {key: fails}}))
+    assert not found.proven
+    assert section in found.remedy or name == "altitude"
+
+
+def test_a_longer_time_for_the_descent_is_more_time_to_drift():
+    slow = {"robust": {"descent_m_s": 0.08}}
+    short, long = (one("drift", config(**slow, touchdown={"timeout_s": t})) for t in (0.5, 5.0))
+    assert short.room > long.room

@@ -1,0 +1,341 @@
+"""Poses of motion capture: which are passed on, and what arrives at the vehicle."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mav
+from scipy.spatial.transform import Rotation
+
+from bridge.frames import (
+    euler_from_quaternion,
+    ned_covariance_from_enu,
+    ned_frd_from_enu_flu,
+    upper_triangle,
+)
+from bridge.mavlink.client.origin import Origin
+from bridge.mavlink.codec.packing import pack
+from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between, centre
+from bridge.mocap.messages import WANTS, odometry, vision_position_estimate
+from bridge.mocap.source import CheckedPoses, MocapSource, parse_spec
+from bridge.mocap.vehicle import MocapVehicle
+from bridge.ros2.pose_cdr import Pose
+from bridge.zenoh import zenoh_link
+from tests.unit.target.ros2_helpers import pose_stamped
+
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+S = 1_000_000_000
+EPOCH_S = 1.7e9  # the mocap computer's clock is another one
+UNIT = (
+    st.tuples(*[st.floats(-1.0, 1.0)] * 4)
+    .filter(lambda q: sum(e * e for e in q) > 0.01)
+    .map(lambda q: tuple(e / math.sqrt(sum(x * x for x in q)) for e in q))
+)
+POINT = st.tuples(*[st.floats(-20.0, 20.0)] * 3)
+ENU_TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
+
+
+def sample(at_s, position=(0.0, 0.0, 0.0), q=LEVEL, *, late_s=0.0, frame="map"):
+    return Sample(Pose(round((EPOCH_S + at_s) * S), frame, position, q), at_s + 0.003 + late_s)
+
+
+def stream(checks, start_s, seconds, position=(0.0, 0.0, 0.0), rate_hz=100.0, *, armed=False, **more):
+    """Feed a steady stream; returns what was passed on and the last problem."""
+    passed, problem = [], None
+    for i in range(round(seconds * rate_hz)):
+        at_s = start_s + i / rate_hz
+        step = checks.step([sample(at_s, position, **more)], at_s + 0.004, armed=armed)
+        passed += step.passed
+        problem = step.problem
+    return passed, problem
+
+
+def test_a_steady_stream_is_passed_on_with_the_time_it_was_measured():
+    checks = PoseChecks()
+    passed, problem = stream(checks, 0.0, 3.0)
+    assert problem is None
+    assert len(passed) == 300
+    assert all(abs(p.measured_s - (i / 100.0 + 0.003)) < 1e-3 for i, p in enumerate(passed))
+    assert sum(checks.counts.values()) == 0
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        (lambda at_s: Sample(None, at_s), Refusal.UNREADABLE),
+        (lambda at_s: sample(at_s, frame="world"), Refusal.FRAME),
+        (lambda at_s: sample(at_s - 0.5), Refusal.ORDER),
+        (lambda at_s: sample(at_s, late_s=0.2), Refusal.LATE),
+        (lambda at_s: sample(at_s, (0.0, 0.0, 101.0)), Refusal.ROOM),
+        (lambda at_s: sample(at_s, (0.3, 0.0, 0.0)), Refusal.JUMP),
+        (lambda at_s: sample(at_s, q=(0.0, 0.0, 0.0, 1.0)), Refusal.JUMP),
+    ],
+)
+def test_bad_poses_are_refused_counted_and_explained(bad, reason):
+    checks = PoseChecks(Limits(frame_id="map"))
+    stream(checks, 0.0, 2.0)
+    assert checks.step([bad(2.0)], 2.005, armed=False).passed == ()
+    assert checks.counts[reason] == 1
+    assert sum(checks.counts.values()) == 1
+    problem = checks.step([], 2.5, armed=False).problem
+    assert problem.startswith("mocap: no pose for 0.5 s; the last was ")
+    assert reason.value in problem
+    passed, problem = stream(checks, 2.6, 1.0)
+    assert len(passed) > 80
+    assert problem is None
+
+
+def test_nothing_yet_and_nothing_any_more_are_said():
+    checks = PoseChecks()
+    assert checks.step([], 1.0, armed=False).problem == "mocap: no pose yet"
+    stream(checks, 2.0, 1.0)
+    assert checks.step([], 3.1, armed=False).problem is None
+    assert checks.step([], 3.4, armed=False).problem == "mocap: no pose for 0.4 s"
+
+
+def test_a_slow_stream_is_a_problem_and_a_fast_one_is_thinned():
+    checks = PoseChecks()
+    _, problem = stream(checks, 0.0, 4.0, rate_hz=10.0)
+    assert problem == "mocap: 10 Hz, 20 Hz needed"
+    fast = PoseChecks(Limits(rate_max_hz=50.0))
+    passed, problem = stream(fast, 0.0, 4.0, rate_hz=300.0)
+    assert problem is None
+    assert 190 <= len(passed) <= 305
+    assert fast.thinned + len(passed) == 1200
+
+
+def test_armed_a_jump_is_never_believed_disarmed_after_a_second():
+    checks = PoseChecks()
+    stream(checks, 0.0, 1.0, armed=True)
+    passed, problem = stream(checks, 1.0, 5.0, (1.0, 0.0, 0.0), armed=True)
+    assert passed == []
+    assert "a jump no vehicle can make" in problem
+    passed, problem = stream(checks, 6.0, 3.0, (1.0, 0.0, 0.0))
+    assert problem is None
+    assert {p.resets for p in passed} == {1}
+    assert passed[0].measured_s == pytest.approx(7.0, abs=0.05)
+
+
+def test_two_bodies_that_take_turns_are_never_believed():
+    checks = PoseChecks()
+    stream(checks, 0.0, 1.0)
+    for i in range(500):
+        at_s = 1.0 + i / 100.0
+        place = ((1.0, 0.0, 0.0), (3.0, 0.0, 0.0))[i % 2]
+        assert checks.step([sample(at_s, place)], at_s + 0.004, armed=False).passed == ()
+
+
+def test_what_was_lost_for_a_while_may_be_somewhere_else():
+    checks = PoseChecks()
+    stream(checks, 0.0, 1.0, armed=True)
+    step = checks.step([sample(2.0, (3.0, 0.0, 0.0))], 2.004, armed=True)
+    assert len(step.passed) == 1  # 3 m in 1 s
+    assert checks.step([sample(9.0, (9.0, 0.0, 0.0))], 9.004, armed=True).passed == ()
+
+
+def test_after_a_swap_of_markers_in_flight_it_may_have_flown_on():
+    checks = PoseChecks()
+    stream(checks, 0.0, 1.0, armed=True)
+    assert stream(checks, 1.0, 0.3, (2.0, 0.0, 0.0), armed=True)[0] == []
+    passed, problem = stream(checks, 1.3, 0.5, (0.4, 0.0, 0.0), armed=True)
+    assert len(passed) == 50
+    assert problem is None
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 5.0), POINT, st.booleans()), max_size=60))
+def test_no_two_poses_in_a_row_are_further_apart_than_a_vehicle_flies(course):
+    checks = PoseChecks()
+    at_s, last = 0.0, None
+    for gap_s, place, armed in course:
+        at_s += gap_s
+        for passed in checks.step([sample(at_s, place)], at_s + 0.004, armed=armed).passed:
+            if last is not None and passed.resets == last.resets:
+                dt_s = (passed.pose.stamp_ns - last.pose.stamp_ns) / S
+                assert (
+                    math.dist(passed.pose.position_m, last.pose.position_m)
+                    <= 0.05 + 5.0 * min(dt_s, 1.0) + 1e-6
+                )
+            last = passed
+
+
+@given(UNIT, UNIT)
+def test_the_angle_between_attitudes_is_that_of_another_implementation(a, b):
+    expected = (Rotation.from_quat([*a[1:], a[0]]).inv() * Rotation.from_quat([*b[1:], b[0]])).magnitude()
+    assert angle_between(a, b) == pytest.approx(expected, abs=1e-6)
+    assert angle_between(a, tuple(-e for e in b)) == pytest.approx(angle_between(a, b), abs=1e-9)
+
+
+@given(POINT, UNIT, POINT)
+def test_the_offset_of_the_markers_turns_with_the_body(position, q, offset):
+    moved = centre(Pose(0, "map", position, q), offset)
+    turned = Rotation.from_quat([*q[1:], q[0]]).apply(offset)
+    assert moved.position_m == pytest.approx(np.add(position, turned), abs=1e-9)
+    assert moved.orientation_wxyz == q
+
+
+def wire(message):
+    return mav.MAVLink(None).decode(bytearray(pack(message, 0, 1, 197)))
+
+
+def covariance(seed):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(6, 6))
+    return tuple(float(e) for e in (root @ root.T).ravel())
+
+
+@given(POINT, UNIT, st.integers(0, 2**32))
+def test_both_messages_carry_the_pose_into_the_ned_room(position, q, seed):
+    passed = Passed(Pose(0, "map", position, q, covariance(seed)), 1.5, 3)
+    turned = ENU_TO_NED @ Rotation.from_quat([*q[1:], q[0]]).as_matrix() @ FLU_TO_FRD
+    blocks = np.kron(np.eye(2), ENU_TO_NED)
+    expected = (blocks @ np.reshape(passed.pose.covariance, (6, 6)) @ blocks.T)[np.triu_indices(6)]
+
+    odom = wire(odometry(passed, 1_500_000))
+    assert (odom.x, odom.y, odom.z) == pytest.approx(ENU_TO_NED @ position, rel=1e-5, abs=1e-5)
+    w, x, y, z = odom.q
+    assert Rotation.from_quat([x, y, z, w]).as_matrix() == pytest.approx(turned, abs=1e-5)
+    assert odom.pose_covariance == pytest.approx(expected, rel=1e-4, abs=1e-5)
+    assert (odom.frame_id, odom.child_frame_id, odom.estimator_type) == (1, 12, mav.MAV_ESTIMATOR_TYPE_VISION)
+    assert (odom.time_usec, odom.reset_counter) == (1_500_000, 3)
+    assert all(math.isnan(v) for v in (odom.vx, odom.vy, odom.vz, odom.velocity_covariance[0]))
+
+    vision = wire(vision_position_estimate(passed, 1_500_000))
+    assert (vision.x, vision.y, vision.z) == pytest.approx(ENU_TO_NED @ position, rel=1e-5, abs=1e-5)
+    back = Rotation.from_euler("ZYX", [vision.yaw, vision.pitch, vision.roll]).as_matrix()
+    assert back == pytest.approx(turned, abs=2e-3)  # near the pole single precision is all there is
+    assert vision.covariance == pytest.approx(expected, rel=1e-4, abs=1e-5)
+    assert (vision.usec, vision.reset_counter) == (1_500_000, 3)
+
+
+def test_a_covariance_that_is_not_known_says_so():
+    passed = Passed(Pose(0, "map", (1.0, 2.0, 3.0), LEVEL), 0.0, 300)
+    assert math.isnan(wire(odometry(passed, 1)).pose_covariance[0])
+    vision = wire(vision_position_estimate(passed, 1))
+    assert math.isnan(vision.covariance[0])
+    assert vision.reset_counter == 44
+
+
+@given(st.integers(0, 2**32))
+def test_covariances_turn_back_into_themselves(seed):
+    known = covariance(seed)
+    assert ned_covariance_from_enu(ned_covariance_from_enu(known)) == known
+    assert len(upper_triangle(known)) == 21
+
+
+def test_a_covariance_of_another_size_is_refused():
+    with pytest.raises(ValueError, match="6 x 6"):
+        ned_covariance_from_enu((0.0,) * 35)
+
+
+@given(UNIT)
+def test_euler_angles_of_frd_are_those_of_another_implementation(q):
+    turned = ned_frd_from_enu_flu(q)
+    roll, pitch, yaw = euler_from_quaternion(turned)
+    w, x, y, z = turned
+    back = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    assert back == pytest.approx(Rotation.from_quat([x, y, z, w]).as_matrix(), abs=1e-5)
+
+
+def heartbeat(autopilot, *, armed=False):
+    return mav.MAVLink_heartbeat_message(2, autopilot, 128 if armed else 0, 0, 3, 3)
+
+
+def kinds(messages):
+    return [m.get_type() for m in messages]
+
+
+@pytest.mark.parametrize(("autopilot", "kind"), [(12, "ODOMETRY"), (3, "VISION_POSITION_ESTIMATE")])
+def test_each_autopilot_gets_what_it_wants_once_it_is_heard(autopilot, kind):
+    vehicle = MocapVehicle(1, Limits(), None)
+    messages, _ = vehicle.step([sample(0.0)], 0.004)
+    assert kinds(messages) == ["HEARTBEAT"]  # calls, and knows not what to send
+    vehicle.handle(heartbeat(autopilot), 0.005)
+    sent = []
+    for i in range(1, 200):
+        messages, problem = vehicle.step([sample(i / 100.0)], i / 100.0 + 0.004)
+        sent += kinds(messages)
+    assert problem is None
+    assert sent.count(kind) == pytest.approx(100, abs=3)  # 50 Hz of 100
+    assert set(sent) <= {kind, "HEARTBEAT"}
+    messages, _ = vehicle.step([sample(6.0)], 6.004)
+    assert kind not in kinds(messages)  # silent for 4 s
+
+
+def test_only_an_autopilot_that_needs_one_gets_an_origin_until_it_shows_it():
+    origin = Origin(47.4, 8.5, 430.0)
+    for autopilot, wanted in ((12, 0), (3, 5)):
+        vehicle = MocapVehicle(1, Limits(), origin)
+        told = []
+        for i in range(100):
+            if i % 10 == 0:
+                vehicle.handle(heartbeat(autopilot), i / 10.0)
+            if i == 45:
+                vehicle.handle(mav.MAVLink_gps_global_origin_message(1, 2, 3), i / 10.0)
+            told += [m for m in vehicle.step([], i / 10.0)[0] if m.get_type() == "SET_GPS_GLOBAL_ORIGIN"]
+        assert len(told) == pytest.approx(wanted, abs=1) if wanted else told == []
+        assert {(m.latitude, m.altitude) for m in told} <= {(474_000_000, 430_000)}
+
+
+def test_a_missing_origin_and_an_unknown_autopilot_are_known():
+    vehicle = MocapVehicle(1, Limits(), None)
+    assert not vehicle.origin_missing
+    vehicle.handle(heartbeat(3), 0.0)
+    assert vehicle.origin_missing
+    vehicle.handle(mav.MAVLink_gps_global_origin_message(1, 2, 3), 0.1)
+    assert not vehicle.origin_missing
+    vehicle.handle(heartbeat(18), 0.2)
+    assert (vehicle.wants, vehicle.unknown_autopilot) == (None, 18)
+
+
+def test_an_armed_vehicle_keeps_its_place_against_a_jump():
+    vehicle = MocapVehicle(1, Limits(), None)
+    sent = []
+    for i in range(600):
+        at_s = i / 100.0
+        if i % 50 == 0:
+            vehicle.handle(heartbeat(12, armed=True), at_s)
+        place = (0.0, 0.0, 0.0) if i < 100 else (2.0, 0.0, 0.0)
+        sent += [
+            m for m in vehicle.step([sample(at_s, place)], at_s + 0.004)[0] if m.get_type() == "ODOMETRY"
+        ]
+    assert {m.y for m in sent} == {0.0}
+
+
+def test_px4s_clock_is_answered():
+    vehicle = MocapVehicle(1, Limits(), None)
+    (answer,) = vehicle.handle(mav.MAVLink_timesync_message(0, 77), 2.5)
+    assert (answer.tc1, answer.ts1) == (2_500_000_000, 77)
+    assert vehicle.handle(mav.MAVLink_timesync_message(1, 77), 2.5) == []
+
+
+def test_the_table_names_every_autopilot_of_the_stack():
+    assert set(WANTS) == {mav.MAV_AUTOPILOT_PX4, mav.MAV_AUTOPILOT_ARDUPILOTMEGA}
+
+
+def test_odometry_is_no_pose():
+    with pytest.raises(ValueError, match="are no poses: allowed is pose, pose-covariance"):
+        parse_spec("a/b", "odometry")
+
+
+def test_why_poses_cannot_be_read_is_known_until_one_can():
+    session = zenoh_link.open_session()
+    try:
+        source = MocapSource(session, parse_spec("lab/pose"))
+        checked = CheckedPoses(source, PoseChecks())
+        session.put("lab/pose", b"no pose")
+        assert checked.poll(1.0, armed=False) is None
+        why = source.problem_text
+        assert why is not None
+        for now_s in (1.002, 1.5, 9.0):  # nothing more comes
+            assert checked.poll(now_s, armed=False) is None
+            assert checked.problem == f"mocap: {why}"
+        session.put("lab/pose", pose_stamped(S, "map", (1.0, 2.0, 0.5)))
+        assert checked.poll(9.1, armed=False) is not None
+        assert source.problem_text is None
+        checked.poll(12.0, armed=False)
+        assert checked.problem == "mocap: no pose for 2.9 s"
+    finally:
+        session.close()

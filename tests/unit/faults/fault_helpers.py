@@ -1,0 +1,63 @@
+"""Faults of every cell of the table, and vehicles that fail, for the tests."""
+
+from sim.faults.schedule import Running
+from sim.plant.sensors import NS, stream
+from sim.scenarios.fault_spec import Fault
+from sim.scenarios.fault_table import TABLE, Kind, Number, What
+from sim.scenarios.scenario import Start, StartKind, VehicleSpec, VelocityLoop
+from sim.vehicle.vehicle import VehicleSim
+from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario
+
+CELLS = [(what, kind) for what, kinds in TABLE.items() for kind in kinds]
+ALOFT = Start(StartKind.HOVER, offset_m=(2.0, 0.0, 1.5))
+
+
+def fault(what: What, kind: Kind, **values) -> Fault:
+    """A fault of this cell with the table's defaults."""
+    if what is What.MOTOR:
+        values.setdefault("motor", 2)
+    if TABLE[what][kind].offset:
+        values.setdefault("offset_m", (0.3, 0.0, 0.0))
+    return Fault(what, kind, **values)
+
+
+def running(what: What, kind: Kind, start_s: float = 0.0, **values) -> Running:
+    """The same, as a schedule would hand it over."""
+    return Running(fault(what, kind, **values), stream(1, "test"), start_ns=round(start_s * NS))
+
+
+def aloft(*faults: Fault, loop=VelocityLoop.PID, seed=1) -> VehicleSim:
+    """A vehicle in hover, 1.7 m over free floor."""
+    spec = VehicleSpec(velocity_loop=loop, mocap=QUIET)
+    return VehicleSim(scenario(start=ALOFT, vehicle=spec, fault=faults), seed)
+
+
+def hold(sim: VehicleSim, seconds: float):
+    """Hold the place where it is by its own state with a simple position loop; truths at 100 Hz."""
+    home, truths = (2.0, 0.0, 1.7), []
+    for _ in range(round(seconds * 100)):
+        position = sim.estimate().position_enu_m
+        sim.set_velocity(tuple(max(-0.5, min(0.5, a - b)) for a, b in zip(home, position, strict=True)), 0.0)
+        sim.advance(10)
+        truths.append(sim.truth())
+    return truths
+
+
+def off_home(truth) -> float:
+    """Distance from where ``hold`` keeps it, m."""
+    x, y, z = truth.position_enu_m
+    return ((x - 2.0) ** 2 + y**2 + (z - 1.7) ** 2) ** 0.5
+
+
+def table_row(what: What, kind: Kind) -> str:
+    """The cell's row in docs/faults.md."""
+    cell = TABLE[what][kind]
+    columns = " | ".join(_shown(number) for number in (cell.value, cell.period))
+    return f"| `{what.value}` | `{kind.value}` | {cell.effect} | {columns} |"
+
+
+def _shown(number: Number | None) -> str:
+    if number is None:
+        return ""
+    allowed = f"{number.meaning}, {number.low:g} to {number.high:g} {number.unit}".removesuffix(" 1")
+    return f"{allowed} ({number.default:g})"

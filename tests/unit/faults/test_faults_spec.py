@@ -1,0 +1,136 @@
+"""[[fault]] tables: what is taken, what is refused and why, and how they are written back."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from flightstack.common.strict_toml import ConfigError, dumps, from_table, to_table
+from sim.faults.mavlink import FAILURES
+from sim.scenarios.fault_spec import After, Fault
+from sim.scenarios.fault_table import TABLE, Kind, What
+from sim.scenarios.scenario import Scenario, load, names
+from tests.unit.faults.fault_helpers import CELLS, fault, table_row
+
+ONBOARD = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "takeoff": {"start_offset_m": [-1.0, 0.0, 0.7]}}
+
+
+def parse(*faults: dict) -> Scenario:
+    return from_table(Scenario, {"name": "t", "description": "", "onboard": ONBOARD, "fault": list(faults)})
+
+
+@pytest.mark.parametrize(("what", "kind"), CELLS)
+def test_every_cell_is_read_from_toml_and_written_back(what, kind):
+    made = fault(what, kind, start_s=1.5, duration_s=2.0 if TABLE[what][kind].healable else None)
+    text = dumps(to_table(parse(to_table(made))))
+    assert "[[fault]]" in text
+    again = from_table(Scenario, tomllib.loads(text))
+    assert again.fault == (made,)
+    assert what.value.replace("_", " ") in made.text
+
+
+def test_several_faults_keep_their_order():
+    faults = [fault(What.MOTOR, Kind.DEAD, motor=k) for k in (3, 1, 2)]
+    assert [f.motor for f in parse(*map(to_table, faults)).fault] == [3, 1, 2]
+
+
+@pytest.mark.parametrize(("what", "kind"), CELLS)
+def test_ends_of_every_range_are_taken_and_what_lies_beyond_is_not(what, kind):
+    cell = TABLE[what][kind]
+    for key, number in (("value", cell.value), ("period_s", cell.period)):
+        if number is None:
+            with pytest.raises(ConfigError, match=f"{key}: .*takes none"):
+                fault(what, kind, **{key: 1.0})
+            continue
+        assert number.low <= number.default <= number.high
+        if kind is not Kind.INTERMITTENT:
+            for good in (number.low, number.high):
+                fault(what, kind, **{key: good})
+        for bad in (number.low - 1e-3, number.high + 1e-3):
+            with pytest.raises(ConfigError, match=f"{key}: found .* allows"):
+                fault(what, kind, **{key: bad})
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"what": "motor", "kind": "delayed", "motor": 1}, ["kind", "'delayed'", "dead, stuck, weak"]),
+        ({"what": "wings", "kind": "dead"}, ["fault[0].what", "'wings'", "motor"]),
+        ({"what": "motor", "kind": "melted", "motor": 1}, ["fault[0].kind", "'melted'", "weak"]),
+        ({"what": "motor", "kind": "dead"}, ["motor: missing", "1 to 4"]),
+        ({"what": "motor", "kind": "dead", "motor": 5}, ["motor: found 5", "1 to 4"]),
+        ({"what": "clock", "kind": "stuck", "motor": 1}, ["motor: clock stuck takes none"]),
+        ({"what": "mocap", "kind": "wrong"}, ["offset_m, yaw_rad or both"]),
+        ({"what": "mocap", "kind": "off", "yaw_rad": 0.1}, ["takes neither"]),
+        ({"what": "mocap", "kind": "wrong", "offset_m": [0.0, 101.0, 0.0]}, ["offset_m", "-100 to 100"]),
+        ({"what": "mocap", "kind": "off", "after": "landing"}, ["after", "time, takeoff"]),
+        ({"what": "target_odometry", "kind": "off", "after": "takeoff"}, ["after", "time, landing"]),
+        ({"what": "battery", "kind": "loss", "duration_s": 1.0}, ["duration_s", "cannot end"]),
+        ({"what": "mocap", "kind": "off", "duration_s": 0.0}, ["duration_s", "0.001 to 3600"]),
+        ({"what": "mocap", "kind": "off", "start_s": -1.0}, ["start_s", "0 to 3600"]),
+        (
+            {"what": "mocap", "kind": "intermittent", "value": 1.0, "period_s": 1.0},
+            ["period_s", "must exceed"],
+        ),
+        ({"what": "mocap", "kind": "off", "start_ms": 5}, ["wrong unit", "start_s"]),
+        ({"what": "mocap"}, ["fault[0].kind: missing"]),
+    ],
+)
+def test_wrong_faults_are_refused_with_the_reason(table, words):
+    with pytest.raises(ConfigError) as error:
+        parse(table)
+    for word in ["fault[0]", *words]:
+        assert word in str(error.value)
+
+
+def test_a_single_table_is_refused_with_the_right_brackets():
+    with pytest.raises(ConfigError, match=r"an array of tables \[\[fault\]\] is needed"):
+        from_table(
+            Scenario,
+            {"name": "t", "description": "", "onboard": ONBOARD, "fault": {"what": "mocap", "kind": "off"}},
+        )
+
+
+def test_no_fault_is_the_default():
+    assert load("straight").fault == ()
+    assert from_table(Scenario, tomllib.loads(dumps(to_table(load("straight"))))) == load("straight")
+
+
+def test_texts_say_what_and_how_much():
+    assert fault(What.MOTOR, Kind.DEAD).text == "motor 2 dead"
+    assert fault(What.MOCAP, Kind.DELAYED, value=0.25).text == "mocap delayed 0.25 s"
+    assert Fault(What.LINK_IN, Kind.BURST_LOSS).text == "link in burst loss 0.1 s every 1 s"
+    wrong = Fault(What.OWN_STATE, Kind.WRONG, after=After.TAKEOFF, offset_m=(0.0, 0.5, 0.0), yaw_rad=0.1)
+    assert wrong.text == "own state wrong (0, 0.5, 0) m, 0.1 rad"
+
+
+DOC = (Path(__file__).parents[3] / "docs" / "faults.md").read_text()
+
+
+def test_every_example_of_the_document_is_a_scenario():
+    blocks = re.findall(r"^```toml\n(.*?)^```", DOC, re.MULTILINE | re.DOTALL)
+    assert len(blocks) == 3
+    for block in blocks:
+        assert parse(*tomllib.loads(block)["fault"]).fault
+
+
+def test_the_document_lists_every_fault_and_no_other():
+    rows = re.findall(r"^\| `[a-z_]+` \| `[a-z_]+` \| .*$", DOC, re.MULTILINE)
+    rows = [row for row in rows if not row.startswith("| `what`")]
+    assert rows == [table_row(what, kind) for what, kind in CELLS]
+
+
+def test_the_document_lists_every_failure_of_mavlink_and_no_other():
+    rows = re.findall(r"^\| `[A-Z_]+` \((\d+)\) \| `[A-Z_]+` \((\d+)\) \| (.*) \|$", DOC, re.MULTILINE)
+    found = {(int(unit), int(kind)): text for unit, kind, text in rows}
+    assert set(found) == {(unit, kind) for unit, kinds in FAILURES.items() for kind in kinds}
+    for (unit, kind), text in found.items():
+        for made in FAILURES[unit][kind]((1,)):
+            assert made.kind.value.replace("_", " ") in text
+
+
+def test_the_documents_scenarios_exist_and_have_faults():
+    named = set(re.findall(r"`(fault_\w+)`", DOC))
+    assert named == {name for name in names() if name.startswith("fault_")}
+    assert all(load(name).fault for name in named)

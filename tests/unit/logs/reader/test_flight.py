@@ -1,0 +1,228 @@
+"""A log as arrays: right numbers, right times, and nothing invented."""
+
+import itertools
+import math
+import time
+
+import numpy as np
+import pytest
+
+from bridge.ros2.cdr import encode_odometry
+from flightstack.common.pacing import EPOCH_NS
+from flightstack.core.types import Phase
+from logs.reader.flight import load_flight
+from logs.reader.flight_decode import columns
+from logs.reader.reader import LogError, LogFile
+from logs.recorder.mcap_file import McapFile
+from logs.schema import schemas
+from logs.schema.codec import pack_controller_step
+from tests.synthetic_flight import landing, write_log
+
+
+@pytest.fixture
+def log(tmp_path):
+    return tmp_path / "flight.mcap"
+
+
+def test_arrays_hold_what_was_written(log):
+    rows = landing()
+    flight = load_flight(write_log(log, rows))
+    assert flight.complete
+    assert flight.problems == ()
+    assert flight.origin_ns == EPOCH_NS
+    assert flight.duration_s == pytest.approx((len(rows.steps) - 1) * 0.01)
+    assert (flight.barrier.alpha_1_m, flight.barrier.beta_m) == (1.0, 1.5)
+    assert flight.velocity_max_m_s == (0.2, 0.2, 0.5)
+    for index in (0, 500, len(rows.steps) - 1):
+        step, true, timing = rows.steps[index], rows.truth[index], rows.timing[index]
+        assert flight.steps.t_s[index] == pytest.approx(index * 0.01)
+        for name in ("phase", "gate", "own_age_s", "h_m", "iterations", "barrier_active", "target_accepted"):
+            assert getattr(flight.steps, name)[index] == getattr(step, name)
+        for name in ("own_position_enu_m", "target_velocity_enu_m_s", "filtered_enu_m_s", "command_enu_m_s"):
+            assert np.array_equal(getattr(flight.steps, name)[index], getattr(step, name), equal_nan=True)
+        for name in ("contacts", "motors_running", "h_min_outside_pad_m", "pad_yaw_rad", "battery_v"):
+            assert getattr(flight.truth, name)[index] == getattr(true, name)
+        assert tuple(flight.truth.pad_position_enu_m[index]) == true.pad_position_enu_m
+        assert tuple(flight.truth.orientation[index]) == true.orientation_xyzw
+        assert flight.timing.solve_s[index] == timing.solve_s
+    assert len(flight.target.t_s) == len(rows.odometry)
+    assert set(flight.target.frame_id) == {"map"}
+    assert np.allclose(flight.target.position_enu_m[-1], rows.truth[-1].pad_position_enu_m)
+
+
+def test_dtypes_and_shapes(log):
+    flight = load_flight(write_log(log, landing()))
+    n = len(flight.steps.t_s)
+    assert flight.steps.e_m.shape == (n, 3)
+    assert flight.steps.phase.dtype == np.int64
+    assert flight.steps.own_valid.dtype == np.bool_
+    assert flight.truth.relative_velocity_m_s.shape == (n, 3)
+
+
+def test_landing_start_and_phase_spans(log):
+    rows = landing()
+    flight = load_flight(write_log(log, rows))
+    assert flight.landing_start_s == pytest.approx(rows.begin_tick * 0.01)
+    spans = flight.phase_spans()
+    assert [phase for phase, _, _ in spans] == [Phase(n) for n in range(6)]
+    assert all(a[2] == b[1] for a, b in itertools.pairwise(spans))
+    assert spans[-1][2] == flight.steps.t_s[-1]
+
+
+def test_estimate_is_nan_where_an_input_was_not_valid(log):
+    rows = landing()
+    rows.steps[400] = rows.steps[400]._replace(target_valid=False)
+    flight = load_flight(write_log(log, rows))
+    assert np.isnan(flight.steps.e_m[400]).all()
+    assert math.isnan(flight.steps.d_m[400])
+    assert np.isfinite(flight.steps.e_m[[399, 401]]).all()
+
+
+def test_a_vehicle_carried_by_a_turning_pad_is_at_rest(log):
+    rows = landing()
+    flight = load_flight(write_log(log, rows))
+    resting = flight.truth.relative_velocity_m_s[rows.touch + 50 :]
+    assert np.abs(resting).max() < 0.01
+
+
+def test_events_in_order(log):
+    flight = load_flight(write_log(log, landing()))
+    assert [e.text.split(" -> ")[0] for e in flight.events] == [
+        "WAIT",
+        "TAKEOFF",
+        "APPROACH",
+        "LAND",
+        "TOUCHDOWN",
+    ]
+    assert flight.events[0].source == "onboard"
+    assert flight.events[0].t_s == pytest.approx(1.0)
+
+
+def test_missing_topics_are_none(log):
+    rows = landing()
+    rows.truth, rows.timing, rows.odometry = [], [], []
+    flight = load_flight(write_log(log, rows))
+    assert flight.truth is None
+    assert flight.timing is None
+    assert flight.target is None
+    assert flight.steps is not None
+
+
+def test_true_states_alone(log):
+    rows = landing()
+    rows.steps = []
+    flight = load_flight(write_log(log, rows))
+    assert flight.steps is None
+    assert flight.landing_start_s is None
+    assert flight.phase_spans() == []
+
+
+def test_neither_steps_nor_truth_is_an_error(log):
+    rows = landing()
+    rows.steps, rows.truth = [], []
+    with pytest.raises(LogError, match="controller steps"):
+        load_flight(write_log(log, rows))
+
+
+def test_not_a_log(tmp_path):
+    path = tmp_path / "x.mcap"
+    path.write_bytes(b"no log")
+    with pytest.raises(LogError, match="not an MCAP file"):
+        load_flight(path)
+
+
+def test_a_log_cut_short_gives_what_came_before(log):
+    flight = load_flight(write_log(log, landing(), complete=False))
+    assert not flight.complete
+    assert flight.problems
+    assert 100 < len(flight.steps.t_s) < len(landing().steps)
+
+
+def test_any_namespace(log):
+    flight = load_flight(write_log(log, landing(), namespace="fleet/cf9"))
+    assert flight.steps is not None
+    assert flight.target is not None
+
+
+def test_barrier_from_the_configuration_if_the_run_names_none(log):
+    writer = McapFile(log)
+    rows = landing()
+    channel = writer.channel("/cf1/controller/step", schemas.CONTROLLER_STEP)
+    writer.write(channel, EPOCH_NS, EPOCH_NS, 0, pack_controller_step(rows.steps[0]))
+    text = b"[barrier]\npeak_height_m = 0.5\npeak_distance_m = 2.0\n"
+    text += b"[limits]\nvelocity_max_m_s = [0.3, 0.3, 0.4]\n"
+    writer.attachment("onboard.toml", "application/toml", EPOCH_NS, text)
+    writer.close()
+    flight = load_flight(log)
+    assert flight.barrier.peak_height_m == pytest.approx(0.5)
+    assert flight.barrier.peak_distance_m == pytest.approx(2.0)
+    assert flight.velocity_max_m_s == (0.3, 0.3, 0.4)
+
+
+def test_no_barrier_is_made_up(log):
+    rows = landing()
+    rows.run.clear()
+    flight = load_flight(write_log(log, rows))
+    assert flight.barrier is None
+    assert flight.velocity_max_m_s is None
+
+
+def test_one_bad_odometry_sample_is_counted_not_fatal(log):
+    rows = landing()
+    rows.odometry.insert(10, (rows.odometry[10][0], b"\x00\x01\x00\x00garbage"))
+    flight = load_flight(write_log(log, rows))
+    assert len(flight.target.t_s) == len(rows.odometry) - 1
+    assert any("cannot be read" in p for p in flight.problems)
+
+
+def test_frame_names_of_different_length_in_one_topic():
+    quat = (1.0, 0.0, 0.0, 0.0)
+    frames = ["map", "a_rather_long_world", "map", "o"]
+    payloads = [
+        encode_odometry(n, f, "t" * (n + 1), (float(n), 0.0, -1.0), quat) for n, f in enumerate(frames)
+    ]
+    found = columns(
+        schemas.ODOMETRY, payloads, ["header.stamp.nanosec", "pose.pose.position", "pose.covariance"]
+    )
+    assert found.texts["header.frame_id"] == frames
+    assert found.texts["child_frame_id"] == ["t", "tt", "ttt", "tttt"]
+    assert found.numbers["header.stamp.nanosec"].tolist() == [0, 1, 2, 3]
+    assert found.numbers["pose.pose.position"][:, 0].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert found.numbers["pose.covariance"].shape == (4, 36)
+
+
+def test_bulk_decoding_agrees_with_the_generic_codec(log):
+    flight_path = write_log(log, landing())
+    messages = [m for m in LogFile(flight_path).messages() if m.schema == schemas.TRUE_STATE][::300]
+    found = columns(
+        schemas.TRUE_STATE, [m.data for m in messages], ["rotor_rpm", "h_min_m", "wind_enu_m_s", "contacts"]
+    )
+    for index, message in enumerate(messages):
+        slow = message.decode()
+        assert found.numbers["h_min_m"][index] == slow.h_min_m
+        assert found.numbers["contacts"][index] == slow.contacts
+        assert found.numbers["rotor_rpm"][index].tolist() == list(slow.rotor_rpm)
+        assert found.numbers["wind_enu_m_s"][index].tolist() == [
+            slow.wind_enu_m_s.x, slow.wind_enu_m_s.y, slow.wind_enu_m_s.z
+        ]  # fmt: skip
+
+
+def test_a_field_that_does_not_exist_is_named(log):
+    rows = landing()
+    with pytest.raises(LogError, match="no field 'height'"):
+        columns(schemas.ODOMETRY, [rows.odometry[0][1]], ["height"])
+
+
+def test_three_thousand_steps_load_fast(log):
+    rows = landing()
+    while len(rows.steps) < 3000:
+        shift = rows.steps[-1].stamp_ns + 10_000_000 - rows.steps[0].stamp_ns
+        ticks = rows.steps[-1].tick + 1
+        rows.steps += [r._replace(stamp_ns=r.stamp_ns + shift, tick=r.tick + ticks) for r in rows.steps]
+        rows.truth += [r._replace(stamp_ns=r.stamp_ns + shift, tick=r.tick + ticks) for r in rows.truth]
+    write_log(log, rows)
+    load_flight(log)
+    started = time.process_time()
+    flight = load_flight(log)
+    assert len(flight.steps.t_s) >= 3000
+    assert time.process_time() - started < 1.0

@@ -1,0 +1,155 @@
+"""Logs, recovered and cut ones too, open unmodified in readers that are not ours, by their index."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from logs.reader.reader import LogFile
+from logs.tools.edit import cut, recover
+from tests.unit.logs.reader.test_reader import record
+
+NODE = Path(__file__).parents[3] / "node"
+RERUN = Path(sys.executable).parent / "rerun"
+PATIENCE_S = 120.0
+
+
+@pytest.fixture(scope="module", params=["recorded", "recovered", "cut"])
+def log(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp(request.param)
+    whole = record(folder / "whole.mcap")
+    if request.param == "recorded":
+        return whole
+    out = folder / f"{request.param}.mcap"
+    if request.param == "cut":
+        cut(LogFile(whole), 0.5, 2.0, out)
+    else:
+        killed = record(folder / "killed.mcap", close=False)
+        data = killed.read_bytes()
+        killed.write_bytes(data[:-100])
+        recover(LogFile(killed), out)
+    return out
+
+
+def counts(log):
+    found: dict[str, int] = {}
+    for message in LogFile(log).messages():
+        found[message.topic] = found.get(message.topic, 0) + 1
+    assert len(found) >= 13
+    return found
+
+
+def same(a, b):
+    """Field by field, whatever the classes of two decoders."""
+    fields = getattr(b, "__dataclass_fields__", None)
+    if fields is not None:
+        return all(
+            same(getattr(a, f), getattr(b, f)) for f in fields if "ClassVar" not in str(fields[f].type)
+        )
+    if isinstance(b, list | np.ndarray):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    return a == b or (a != a and b != b)
+
+
+def test_two_cdr_libraries_agree_on_every_message(log):
+    """The indexed reader and ROS 2 decoder of the MCAP project, and rosbags."""
+    with log.open("rb") as stream, AnyReader([log]) as bags:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        theirs: dict[str, list] = {}
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            theirs.setdefault(channel.topic, []).append((message.log_time, decoded))
+        other: dict[str, list] = {}
+        for connection, log_time_ns, data in bags.messages():
+            decoded = bags.deserialize(data, connection.msgtype)
+            other.setdefault(connection.topic, []).append((log_time_ns, decoded))
+    assert {topic: len(messages) for topic, messages in theirs.items()} == counts(log)
+    for topic, messages in theirs.items():
+        for (time_a, a), (time_b, b) in zip(messages, other[topic], strict=True):
+            assert time_a == time_b
+            assert same(a, b), topic
+
+
+def rerun(tmp_path, *arguments):
+    """Run the program with a home of its own: it keeps settings there."""
+    return subprocess.run(
+        [str(RERUN), *map(str, arguments)],
+        capture_output=True, text=True, timeout=PATIENCE_S, check=False,
+        env=os.environ | {"HOME": str(tmp_path), "NO_COLOR": "1"},
+    )  # fmt: skip
+
+
+def test_rerun_finds_nothing_wrong_and_converts_every_message(log, tmp_path):
+    checked = rerun(tmp_path, "mcap", "check", log)
+    assert checked.returncode == 0, checked.stderr
+    lines = re.findall(r"^(\w+)\s+\d+\s+\d+\s+(/\S+)", checked.stdout, re.MULTILINE)
+    states = {topic: state for state, topic in lines}
+    expected = counts(log)
+    assert states == dict.fromkeys(expected, "ok")
+    converted = rerun(tmp_path, "mcap", "convert", log, "-o", tmp_path / "log.rrd")
+    assert converted.returncode == 0, converted.stderr
+    verified = rerun(tmp_path, "rrd", "verify", tmp_path / "log.rrd")
+    assert verified.returncode == 0, verified.stderr
+    printed = rerun(tmp_path, "rrd", "print", tmp_path / "log.rrd")
+    rows: dict[str, int] = {}
+    for number, entity, columns in re.findall(
+        r"with (\d+) rows .*? - (/\S+) - .*?data columns: \[(.*)\]", printed.stdout
+    ):
+        if "Odometry" in columns or "Step" in columns:
+            rows[entity] = rows.get(entity, 0) + int(number)
+    assert rows == {t: expected[t] for t in ("/cf1/odom", "/cf1/controller/step")}
+
+
+def test_rerun_reads_a_killed_log_before_it_is_recovered(tmp_path):
+    killed = record(tmp_path / "killed.mcap", close=False)
+    assert (
+        rerun(tmp_path, "mcap", "info", killed).returncode != 0
+    )  # so a pass of the test above says something
+    told = rerun(tmp_path, "mcap", "info", "--recover", killed)
+    assert told.returncode == 0, told.stderr
+    assert "/cf1/controller/step" in told.stdout
+
+
+@pytest.fixture
+def node():
+    program = shutil.which("node")
+    if program is None or not (NODE / "node_modules").is_dir():
+        pytest.skip(
+            "no node, or its packages are not installed (`npm ci` in tests/node): not opened by @mcap/core"
+        )
+    return program
+
+
+def test_the_javascript_reader_opens_it(log, node):
+    done = subprocess.run(
+        [node, str(NODE / "read_log.mjs"), str(log)],
+        capture_output=True, text=True, timeout=PATIENCE_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found, ours = json.loads(done.stdout), LogFile(log)
+    assert found["messages"] == counts(log)
+    assert found["counted"] == sum(found["messages"].values())
+    assert found["bytes"] == sum(len(m.data) for m in ours.messages())
+    assert found["profile"] == "ros2"
+    assert found["metadata"] == ours.metadata()
+    assert found["attachments"] == [a.name for a in ours.attachments()]
+
+
+def test_the_javascript_reader_refuses_a_broken_log(tmp_path, node):
+    killed = record(tmp_path / "killed.mcap", close=False)
+    done = subprocess.run(
+        [node, str(NODE / "read_log.mjs"), str(killed)],
+        capture_output=True, text=True, timeout=PATIENCE_S, check=False,
+    )  # fmt: skip
+    assert done.returncode != 0
+    assert "Expected MCAP magic" in done.stderr

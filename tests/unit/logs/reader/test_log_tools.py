@@ -1,0 +1,332 @@
+"""Info, cut, filter and recover: on whole logs, and on every broken one."""
+
+from __future__ import annotations
+
+import json
+import random
+
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from flightstack.cli.main import main
+from logs.derive.derive import Deriver
+from logs.reader.reader import LogFile
+from logs.recorder.mcap_file import McapFile
+from logs.schema import codec, schemas
+from logs.tools.compare import compare
+from logs.tools.info import gather
+from tests.unit.logs.reader.test_reader import EPOCH_NS, payloads, record
+
+SECOND_NS = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Three seconds; /rosout once a second, /tf_static once."""
+    return record(tmp_path_factory.mktemp("whole") / "whole.mcap")
+
+
+@pytest.fixture(scope="module")
+def broken(whole, tmp_path_factory):
+    """The same, cut in the middle."""
+    path = tmp_path_factory.mktemp("broken") / "broken.mcap"
+    data = whole.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    return path
+
+
+@pytest.fixture
+def tool(tmp_path):
+    """Run ``flightstack log ...``; returns exit status, output and error text."""
+
+    def run(*arguments):
+        result = CliRunner().invoke(main, ["log", *map(str, arguments)])
+        assert not isinstance(result.exception, Exception) or isinstance(result.exception, SystemExit)
+        assert [p for p in tmp_path.iterdir() if p.name.startswith(".")] == []  # no temporary file stays
+        return result.exit_code, result.stdout, result.stderr
+
+    return run
+
+
+def summary(path):
+    """What the package's own indexed reader says: every message by the index, and the statistics."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        found = reader.get_summary()
+        messages = [(c.topic, m.log_time, m.sequence, m.data) for _, c, m in reader.iter_messages()]
+        names = [a.name for a in reader.iter_attachments()], [m.name for m in reader.iter_metadata()]
+    assert found.statistics.message_count == len(messages)
+    assert sum(found.statistics.channel_message_counts.values()) == len(messages)
+    assert found.statistics.chunk_count == len(found.chunk_indexes)
+    if messages:
+        times = [m[1] for m in messages]
+        assert (found.statistics.message_start_time, found.statistics.message_end_time) == (
+            min(times),
+            max(times),
+        )
+    return found, messages, names
+
+
+def rows(path):
+    return [(m.topic, m.log_time_ns, m.sequence, m.data) for m in LogFile(path).messages()]
+
+
+def test_info_of_a_whole_log(tool, whole):
+    code, out, _ = tool("info", whole)
+    assert code == 0
+    assert "complete" in out.splitlines()
+    assert "seed = 1" in out
+    code, out, _ = tool("info", "--json", whole)
+    found = json.loads(out)
+    topics = {t["topic"]: t for t in found["topics"]}
+    assert code == 0
+    assert found["complete"]
+    assert found["problem"] == ""
+    assert found["readable_bytes"] == found["size_bytes"] == whole.stat().st_size
+    assert found["duration_s"] == pytest.approx(2.99)
+    assert found["start"] == "2020-01-01T00:00:00Z"
+    assert found["profile"] == "ros2"
+    assert topics["/cf1/loop/timing"] == {
+        "topic": "/cf1/loop/timing", "schema": schemas.LOOP_TIMING, "encoding": "cdr", "messages": 300,
+        "rate_hz": pytest.approx(100.0),
+    }  # fmt: skip
+    assert topics["/tf_static"]["rate_hz"] is None
+    assert found["messages"] == sum(t["messages"] for t in topics.values()) == len(rows(whole))
+    assert found["metadata"]["run"]["seed"] == "1"
+    assert found["attachments"] == [{"name": "s.toml", "media_type": "t", "bytes": 5}]
+
+
+def test_info_of_a_broken_log_says_where_it_breaks(tool, whole, broken):
+    code, out, _ = tool("info", "--json", broken)
+    found = json.loads(out)
+    assert code == 1
+    assert not found["complete"]
+    assert 0 < found["readable_bytes"] < found["size_bytes"] == broken.stat().st_size
+    assert f"nothing after byte {found['readable_bytes']} of {found['size_bytes']}" in found["problem"]
+    data = broken.read_bytes()
+    readable = broken.parent / "readable.mcap"
+    readable.write_bytes(data[: found["readable_bytes"]])
+    assert rows(readable) == rows(broken)  # it is all there
+    code, out, _ = tool("info", broken)
+    assert code == 1
+    assert "BROKEN" in out
+
+
+def test_recover_makes_a_whole_file_of_everything_before_the_break(tool, whole, broken, tmp_path):
+    out = tmp_path / "recovered.mcap"
+    code, said, _ = tool("recover", broken, "--out", out)
+    assert code == 0
+    found, messages, names = summary(out)
+    before = rows(broken)
+    assert 0 < len(before) < len(rows(whole))
+    assert f"{len(before)} messages" in said
+    assert sorted(messages) == sorted(before)
+    assert rows(out) == before  # in the order they were written
+    assert LogFile(out).complete
+    assert names == (["s.toml"], ["run", "log_tool"])
+    properties = {c.topic: c.metadata for c in found.channels.values()}
+    assert properties["/cf1/loop/timing"]["topic_type_hash"] == schemas.type_hash(schemas.LOOP_TIMING)
+    with out.open("rb") as stream:
+        assert make_reader(stream).get_header().profile == "ros2"
+
+
+def test_recover_of_a_whole_log_is_the_same_log(tool, whole, tmp_path):
+    out = tmp_path / "again.mcap"
+    assert tool("recover", whole, "--out", out)[0] == 0
+    assert rows(out) == rows(whole)
+    assert compare(whole, out) == []
+    code, said, _ = tool("diff", whole, out)
+    assert (code, said) == (0, "equal\n")
+
+
+def test_every_byte_offset_of_a_small_log(tmp_path):
+    """A power cut leaves any prefix of the file."""
+    small, cut, out = (tmp_path / name for name in ("small.mcap", "cut.mcap", "out.mcap"))
+    file = McapFile(small)
+    channel = file.channel("/t", schemas.LOOP_TIMING)
+    file.metadata("run", {"seed": "1"})
+    ends = {}  # size of the file -> messages that must be there
+    for tick in range(6):
+        file.write(channel, EPOCH_NS + tick, 5, tick, codec.pack_loop_timing(TIMING._replace(tick=tick)))
+        if tick % 2:
+            file.flush()
+            ends[small.stat().st_size] = tick + 1
+    file.attachment("s.toml", "t", 3, b"x = 1")
+    file.close()
+    data, all_rows = small.read_bytes(), rows(small)
+    assert 1500 < len(data) < 8000
+    counts = set()
+    for at in range(8, len(data)):
+        cut.write_bytes(data[:at])
+        log = LogFile(cut)
+        info = gather(log)
+        messages = rows(cut)
+        assert not info.complete
+        assert info.problem
+        assert info.readable_bytes <= at
+        assert info.messages == len(messages)
+        assert messages == all_rows[: len(messages)]
+        assert len(messages) >= max((n for end, n in ends.items() if end <= at), default=0)
+        counts.add(len(messages))
+        if at % 11 == 0:  # the slow part: recover, and open with the package's indexed reader
+            code = CliRunner().invoke(main, ["log", "recover", str(cut), "--out", str(out), "--force"])
+            assert code.exit_code == 0, code.output
+            assert summary(out)[1] == messages
+            assert LogFile(out).complete
+    assert counts == {0, 2, 4, 6}
+
+
+TIMING = codec.LoopTimingRow(EPOCH_NS, 0, 0.01, 0.0, 0.0, 0.0, 0, 0)
+
+
+def test_flipped_bytes_never_break_a_tool(whole, tmp_path):
+    data, rng = bytearray(whole.read_bytes()), random.Random(8)
+    bad, out = tmp_path / "bad.mcap", tmp_path / "out.mcap"
+    broken = 0
+    for _ in range(30):
+        at = rng.randrange(8, len(data))
+        data[at] ^= 1 << rng.randrange(8)
+        bad.write_bytes(data)
+        result = CliRunner().invoke(main, ["log", "recover", str(bad), "--out", str(out), "--force"])
+        assert result.exit_code == 0, result.output
+        assert sorted(summary(out)[1]) == sorted(rows(bad))
+        broken += not LogFile(bad).complete
+        data[:] = whole.read_bytes()
+    assert broken > 15
+
+
+def test_cut_shows_what_held_at_its_start(tool, whole, tmp_path):
+    out = tmp_path / "cut.mcap"
+    code, said, _ = tool("cut", whole, "--from", 1.5, "--to", 2.2, "--out", out)
+    assert code == 0
+    begin, end = EPOCH_NS + 3 * SECOND_NS // 2, EPOCH_NS + 11 * SECOND_NS // 5
+    inside = [row for row in rows(whole) if begin <= row[1] <= end]
+    _, messages, names = summary(out)
+    repeated = [m for m in rows(out) if m not in inside]
+    earlier = [row for row in rows(whole) if row[1] < begin]
+    few = {t for t in {r[0] for r in rows(whole)} if sum(r[0] == t for r in rows(whole)) <= 6}  # of 3 s
+    assert {"/rosout", "/tf_static"} <= few
+    assert {m[0] for m in repeated} == few & {r[0] for r in earlier}
+    assert {m[1] for m in repeated} == {begin}
+    (event,) = [m for m in repeated if m[0] == "/rosout"]
+    assert codec.unpack_log(event[3]).message == "tick 100"  # the last one before the cut
+    assert rows(out)[: len(repeated)] == repeated  # at the start of the file
+    assert [m for m in rows(out) if m not in repeated] == inside
+    assert len(messages) == len(inside) + len(repeated)
+    assert f"{len(repeated)} of them from before the start" in said
+    assert names[0] == ["s.toml"]
+    assert LogFile(out).metadata()["log_tool"]["from_s"] == "1.5"
+    assert {t.topic for t in gather(LogFile(out)).topics} == {t.topic for t in gather(LogFile(whole)).topics}
+
+
+def test_every_publisher_of_static_transforms_is_kept_by_a_cut(tool, tmp_path):
+    path, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    file = McapFile(path)
+    static = file.channel("/tf_static", schemas.TF_MESSAGE)
+    fast = file.channel("/t", schemas.LOOP_TIMING)
+    step = next(payloads(0, EPOCH_NS))[1]
+    one = {topic: data for topic, _, data in Deriver("/cf1/controller/step").step(0, step)}
+    other = one["/tf_static"].replace(b"map_ned", b"map_abc")
+    assert other != one["/tf_static"]
+    file.write(static, 0, 0, 0, one["/tf_static"])
+    file.write(static, 1, 1, 0, other)
+    for i in range(100):
+        file.write(fast, i * SECOND_NS // 100, 0, i, codec.pack_loop_timing(TIMING))
+    file.close()
+    assert tool("cut", path, "--from", 0.5, "--out", out)[0] == 0
+    kept = [m.data for m in LogFile(out).messages(["/tf_static"])]
+    assert kept == [one["/tf_static"], other]
+
+
+def test_cut_outside_the_log_is_refused(tool, whole, tmp_path):
+    for arguments in (["--from", 10], ["--from", 2, "--to", 1]):
+        code, _, err = tool("cut", whole, *arguments, "--out", tmp_path / "x.mcap")
+        assert code == 2
+        assert "from 0 to 2.990 s" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_cut_and_filter_of_a_broken_log_give_what_is_there(tool, broken, tmp_path):
+    last_s = gather(LogFile(broken)).duration_s
+    code, _, err = tool("cut", broken, "--from", last_s - 0.2, "--out", tmp_path / "cut.mcap")
+    assert code == 1
+    assert "nothing after byte" in err
+    assert LogFile(tmp_path / "cut.mcap").complete
+    code, _, _ = tool("filter", broken, "--topic", "/rosout", "--out", tmp_path / "f.mcap")
+    assert code == 1
+    assert rows(tmp_path / "f.mcap") == [r for r in rows(broken) if r[0] == "/rosout"]
+
+
+def test_filter_by_pattern(tool, whole, tmp_path):
+    out = tmp_path / "f.mcap"
+    code, _, _ = tool("filter", whole, "--topic", "/cf1/cmd/*", "--topic", "/rosout", "--out", out)
+    assert code == 0
+    found, messages, names = summary(out)
+    wanted = {t for t in {r[0] for r in rows(whole)} if t.startswith("/cf1/cmd/")} | {"/rosout"}
+    assert len(wanted) >= 3
+    assert {c.topic for c in found.channels.values()} == wanted
+    assert len(found.schemas) == 2
+    assert sorted(messages) == sorted(r for r in rows(whole) if r[0] in wanted)
+    assert "run" in names[1]
+    code, _, err = tool("filter", whole, "--topic", "/cf2/*", "--out", tmp_path / "g.mcap")
+    assert code == 2
+    assert "'/cf2/*'" in err
+    assert "/cf1/cmd/velocity_nominal" in err
+
+
+def test_files_that_exist_are_not_written_over_unless_forced(tool, whole, tmp_path):
+    out = tmp_path / "mine.mcap"
+    out.write_bytes(b"mine")
+    code, _, err = tool("filter", whole, "--topic", "/rosout", "--out", out)
+    assert code == 2
+    assert "--force" in err
+    assert out.read_bytes() == b"mine"
+    assert tool("filter", whole, "--topic", "/rosout", "--out", out, "--force")[0] == 0
+    assert LogFile(out).complete
+    size = out.stat().st_size
+    assert tool("recover", out, "--out", out, "--force")[0] == 0  # onto itself, through the temporary name
+    assert out.stat().st_size >= size
+
+
+@pytest.mark.parametrize("arguments", [["info"], ["recover", "--out", "x.mcap"], ["diff"]])
+def test_what_is_no_log_is_refused(tool, tmp_path, arguments):
+    text = tmp_path / "text.mcap"
+    text.write_text("hello, world")
+    verb, *more = arguments
+    both = [text, text] if verb == "diff" else [text]
+    code, _, err = tool(verb, *both, *more)
+    assert code == 2
+    assert "not an MCAP file" in err
+    code, _, err = tool(verb, *[tmp_path / "absent.mcap"] * len(both), *more)
+    assert code == 2
+    assert "No such file" in err
+
+
+def test_logs_of_other_programs_keep_what_we_do_not_know(tool, tmp_path):
+    """Schemaless, JSON, repeated metadata names, a time of creation of its own: all kept."""
+    path, out = tmp_path / "foreign.mcap", tmp_path / "out.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("", "somebody else")
+        schema = writer.register_schema("Thing", "jsonschema", b"{}")
+        one = writer.register_channel("/json", "json", schema, {"a": "b"})
+        two = writer.register_channel("/bare", "text", 0)
+        for i in range(10):
+            writer.add_message(one, i, b'{"x": 1}', i, i)
+            writer.add_message(two, i, b"hello", i, i)
+        for value in ("1", "2"):
+            writer.add_metadata("same", {"k": value})
+        writer.add_attachment(7, 8, "a", "b", b"c")
+        writer.finish()
+    assert tool("recover", path, "--out", out)[0] == 0
+    found, messages, names = summary(out)
+    assert len(messages) == 20
+    assert names[1] == ["same", "same", "log_tool"]
+    assert {c.topic: (c.message_encoding, c.metadata) for c in found.channels.values()} == {
+        "/json": ("json", {"a": "b"}),
+        "/bare": ("text", {}),
+    }
+    (index,) = found.attachment_indexes
+    assert (index.create_time, index.log_time) == (7, 8)

@@ -1,0 +1,227 @@
+"""Exports hold what an independent decoder sees, and open in the programs they are for."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import subprocess
+import sys
+from functools import reduce
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from mcap_ros2.decoder import DecoderFactory
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from flightstack.cli.main import main
+from logs.recorder.mcap_file import McapFile
+from logs.schema import codec, schemas
+from tests.unit.logs.reader.test_reader import EPOCH_NS, record
+
+TICKS = 300
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("whole") / "whole.mcap", ticks=TICKS)
+
+
+def export(log, out, *arguments, kind="csv"):
+    result = CliRunner().invoke(
+        main, ["log", "export", str(log), "--format", kind, "--out", str(out), *arguments]
+    )
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+def independent(log, topic):
+    """Messages as the MCAP project's own ROS 2 decoder gives them."""
+    with log.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        return [(m.log_time, m.sequence, d) for _, _, m, d in reader.iter_decoded_messages(topics=[topic])]
+
+
+def field(message, name):
+    """``a.b[2]`` of a message."""
+    steps = name.replace("[", ".").replace("]", "").split(".")
+    return reduce(lambda m, s: m[int(s)] if s.isdigit() else getattr(m, s), steps, message)
+
+
+def equal(text, value):
+    if isinstance(value, float):
+        return float(text) == value or (math.isnan(float(text)) and math.isnan(value))
+    return text == str(value)
+
+
+@pytest.mark.parametrize(
+    "topic", ["/cf1/sim/truth", "/cf1/controller/step", "/cf1/pose", "/cf1/odom", "/rosout"]
+)
+def test_csv_is_what_another_decoder_sees(whole, tmp_path, topic):
+    result = export(whole, tmp_path / "a.csv", "--topic", topic)
+    assert result.exit_code == 0, result.output
+    messages = independent(whole, topic)
+    with (tmp_path / "a.csv").open(newline="") as stream:
+        table = list(csv.DictReader(stream))
+    assert len(table) == len(messages) > 0
+    assert f"{len(table)} rows" in result.stdout
+    for row, (log_time_ns, sequence, message) in zip(table, messages, strict=True):
+        assert int(row.pop("log_time_ns")) == log_time_ns
+        assert int(row.pop("sequence")) == sequence
+        row.pop("publish_time_ns")
+        for name, text in row.items():
+            assert equal(text, field(message, name)), name
+    assert {"header.frame_id", "position_enu_m.x", "rotor_rpm[3]"} <= table[
+        0
+    ].keys() or topic != "/cf1/sim/truth"
+
+
+def test_lists_of_any_length_are_one_column_of_json(whole, tmp_path):
+    export(whole, tmp_path / "tf.csv", "--topic", "/tf")
+    with (tmp_path / "tf.csv").open(newline="") as stream:
+        table = list(csv.DictReader(stream))
+    for row, (_, _, message) in zip(table, independent(whole, "/tf"), strict=True):
+        transforms = json.loads(row["transforms"])
+        assert [t["child_frame_id"] for t in transforms] == [t.child_frame_id for t in message.transforms]
+        assert transforms[0]["transform"]["translation"]["x"] == message.transforms[0].transform.translation.x
+
+
+def test_parquet_has_types_and_the_same_values(whole, tmp_path):
+    result = export(whole, tmp_path / "a.parquet", "--topic", "/cf1/sim/truth", kind="parquet")
+    assert result.exit_code == 0, result.output
+    table = pyarrow.parquet.read_table(tmp_path / "a.parquet")
+    assert table.num_rows == TICKS
+    kinds = {f.name: str(f.type) for f in table.schema}
+    assert kinds["log_time_ns"] == "uint64"
+    assert kinds["position_enu_m.x"] == "double"
+    assert kinds["motors_running"] == "bool"
+    assert kinds["header.frame_id"] == "string"
+    columns = table.to_pydict()
+    for i, (log_time_ns, _, message) in enumerate(independent(whole, "/cf1/sim/truth")):
+        assert columns["log_time_ns"][i] == log_time_ns
+        assert columns["position_enu_m.x"][i] == message.position_enu_m.x
+        assert columns["h_min_outside_pad_m"][i] == math.inf
+        assert columns["motors_running"][i] is True
+
+
+@pytest.mark.parametrize("topic", ["/rosout", "/cf1/cbf/markers", "/uas1/mavlink_source", "/tf_static"])
+def test_parquet_takes_every_kind_of_topic(whole, tmp_path, topic):
+    assert export(whole, tmp_path / "a.parquet", "--topic", topic, kind="parquet").exit_code == 0
+    assert pyarrow.parquet.read_table(tmp_path / "a.parquet").num_rows == len(independent(whole, topic)) > 0
+
+
+def test_parquet_without_pyarrow_says_what_to_do(whole, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    result = export(whole, tmp_path / "a.parquet", "--topic", "/rosout", kind="parquet")
+    assert result.exit_code == 2
+    assert "crazyflie-flightstack[export]" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_broken_log_is_exported_up_to_its_break(whole, tmp_path):
+    data = whole.read_bytes()
+    (tmp_path / "broken.mcap").write_bytes(data[: len(data) // 2])
+    result = export(tmp_path / "broken.mcap", tmp_path / "a.csv", "--topic", "/cf1/loop/timing")
+    assert result.exit_code == 1
+    assert "before the break" in result.stderr
+    assert 50 < len((tmp_path / "a.csv").read_text().splitlines()) < TICKS
+
+
+def test_wrong_input(whole, tmp_path):
+    for arguments, kind, word in (
+        ([], "csv", "--topic"),
+        (["--topic", "/nowhere"], "csv", "/cf1/loop/timing"),
+        (["--topic", "/rosout"], "tlog", "no MAVLink frame"),
+    ):
+        result = export(whole, tmp_path / "x", *arguments, kind=kind)
+        assert result.exit_code == 2
+        assert word in result.stderr
+    foreign = tmp_path / "foreign.mcap"
+    with foreign.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("")
+        channel = writer.register_channel("/json", "json", writer.register_schema("T", "jsonschema", b"{}"))
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.finish()
+    result = export(foreign, tmp_path / "x", "--topic", "/json")
+    assert result.exit_code == 2
+    assert "json/jsonschema" in result.stderr
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_type_of_somebody_else_is_read_by_the_definition_in_the_log(tmp_path):
+    path = tmp_path / "other.mcap"
+    definition = b"float32[2] pair\nOther inner\n" + b"=" * 80 + b"\nMSG: other_msgs/Other\nint16 value\n"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("other_msgs/msg/Thing", "ros2msg", definition)
+        channel = writer.register_channel("/thing", "cdr", schema)
+        writer.add_message(channel, 5, codec.CDR_HEADER + bytes.fromhex("0000003f 000080be fdff"), 6, 7)
+        writer.finish()
+    assert export(path, tmp_path / "a.csv", "--topic", "/thing").exit_code == 0
+    assert (tmp_path / "a.csv").read_text() == (
+        "log_time_ns,publish_time_ns,sequence,pair[0],pair[1],inner.value\n5,6,7,0.5,-0.25,-3\n"
+    )
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    """A log of both directions, and what went into it."""
+    path = tmp_path_factory.mktemp("frames") / "frames.mcap"
+    ours, theirs = mav.MAVLink(None, 255, 190), mav.MAVLink(None, 1, 1)
+    file = McapFile(path)
+    sink = file.channel("/uas1/mavlink_sink", schemas.MAVLINK)
+    source = file.channel("/uas1/mavlink_source", schemas.MAVLINK)
+    written = []
+    for i in range(200):
+        now_ns = EPOCH_NS + i * 10_000_000
+        for link, channel, sender, message in (
+            (0, source, theirs, mav.MAVLink_attitude_message(i, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)),
+            (3, sink, ours, mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)),
+        ):
+            frame = message.pack(sender)
+            sender.seq = (sender.seq + 1) % 256
+            file.write(channel, now_ns, now_ns, i, codec.pack_mavlink(now_ns, frame))
+            written.append((now_ns // 1000, link, frame))
+    file.close()
+    return path, written
+
+
+def test_tlog_opens_in_pymavlink(frames, tmp_path):
+    path, written = frames
+    out = tmp_path / "flight.tlog"
+    result = export(path, out, kind="tlog")
+    assert result.exit_code == 0
+    assert f"{len(written)} frames" in result.stdout
+    data = out.read_bytes()
+    assert int.from_bytes(data[:8], "big") & ~3 == EPOCH_NS // 1000
+    connection = mavutil.mavlink_connection(str(out), notimestamps=False)
+    read = []
+    while (message := connection.recv_match()) is not None:
+        time_us = round(message._timestamp * 1e6)
+        read.append((time_us & ~3, message._link, bytes(message.get_msgbuf())))
+    assert read == [(time_us & ~3, link, frame) for time_us, link, frame in written]
+
+
+def test_tlog_opens_in_mavlogdump(frames, tmp_path):
+    path, written = frames
+    export(path, tmp_path / "flight.tlog", kind="tlog")
+    tool = Path(sys.executable).parent / "mavlogdump.py"
+    done = subprocess.run(
+        [sys.executable, str(tool), "--format", "json", str(tmp_path / "flight.tlog")],
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    kinds = [json.loads(line)["meta"]["type"] for line in done.stdout.splitlines() if line.startswith("{")]
+    assert kinds == ["ATTITUDE", "HEARTBEAT"] * (len(written) // 2)
+
+
+def test_tlog_of_one_direction(frames, tmp_path):
+    path, written = frames
+    export(path, tmp_path / "a.tlog", "--topic", "/uas1/mavlink_sink", kind="tlog")
+    assert (tmp_path / "a.tlog").stat().st_size == sum(8 + len(f) for _, link, f in written if link == 3)

@@ -1,0 +1,201 @@
+"""What the report computes from a log: margin, errors, faults, losses, tables, commands."""
+
+import dataclasses
+import math
+import shlex
+
+import numpy as np
+import pytest
+
+from flightstack.core.parameters.flight import FilterKind, load, path_of
+from flightstack.core.safety.qp_filter import SafetyFilter
+from flightstack.core.safety.robust_barrier import RobustBarrier
+from flightstack.core.types import FilterStatus, Phase
+from logs.reader.flight import load_flight
+from logs.report.compare import write_comparison
+from logs.report.derived import estimate_errors, held_margin_m, tilt_deg
+from logs.report.faults import fault_spans
+from logs.report.links import TARGET, load_streams, missing, missing_of_256
+from logs.report.page import page
+from logs.report.repeat import command, repeat_section
+from logs.report.tables import Html, ages_table, faults_table, links_table, phases_table, table
+from tests.synthetic_flight import BARRIER, BOX, landing, write_log
+
+CONFIG = path_of("crazyflie")
+MARGIN_M, FADE_M = 0.04, 0.06
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(rows, **more):
+        return load_flight(write_log(tmp_path / "flight.mcap", rows, **more))
+
+    return write
+
+
+def test_the_margin_is_read_back_from_what_the_filter_left(written):
+    """The filter's own slack, with the robust barrier, gives its margin back: full outside, faded inside."""
+    config = dataclasses.replace(load(CONFIG), filter=FilterKind.ROBUST)
+    barrier = RobustBarrier(BARRIER, MARGIN_M, FADE_M)
+    solver = SafetyFilter(config.robust.rate_1_s)
+    rows, box = landing(), (tuple(-b for b in BOX), BOX)
+    seen = []
+    for row in rows.steps:
+        if row.phase == Phase.APPROACH and row.own_valid:
+            e = tuple(p - q for p, q in zip(row.own_position_enu_m, row.target_position_enu_m, strict=True))
+            h, gradient, dh_dt = barrier.evaluate(e, row.target_velocity_enu_m_s)
+            found = solver.solve(row.nominal_enu_m_s, h, gradient, dh_dt, *box)
+            row = row._replace(
+                gradient=gradient, dh_dt_m_s=dh_dt, filtered_enu_m_s=found.velocity_enu_m_s,
+                slack_m_s=found.slack_m_s, filter_status=found.status, h_m=BARRIER.h(e),
+            )  # fmt: skip
+        else:
+            row = row._replace(filter_status=FilterStatus.NOT_RUN)
+        seen.append(row)
+    rows.steps = seen
+    flight = dataclasses.replace(written(rows), config=config)
+    margin_m, steps = held_margin_m(flight), flight.steps
+    ran = steps.phase == Phase.APPROACH
+    expected = MARGIN_M * (1.0 - np.exp(-((steps.d_m / FADE_M) ** 2)))
+    assert np.isnan(margin_m[~ran]).all()
+    np.testing.assert_allclose(margin_m[ran], expected[ran], atol=1e-9)
+    assert held_margin_m(dataclasses.replace(flight, config=None)) is None
+
+
+def test_errors_are_what_was_put_into_the_estimate(written):
+    rows = landing()
+    shift = (0.01, -0.02, 0.03)
+
+    def moved(position):
+        return tuple(p + s for p, s in zip(position, shift, strict=True))
+
+    truth = {row.tick: row for row in rows.truth}
+    rows.steps = [
+        row._replace(
+            own_position_enu_m=moved(truth[row.tick].position_enu_m),
+            target_position_enu_m=truth[row.tick].pad_position_enu_m,
+        )
+        for row in rows.steps
+        if row.tick in truth
+    ]  # fmt: skip
+    errors = estimate_errors(written(rows))
+    known = np.isfinite(errors.own_m[:, 0])
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(errors.own_m[known], np.tile(shift, (known.sum(), 1)), atol=1e-9)
+    np.testing.assert_allclose(errors.target_m[known], 0.0, atol=1e-9)
+
+
+def test_a_hole_in_the_true_states_gives_no_errors_there(written):
+    rows = landing()
+    rows.truth = [row for row in rows.truth if not 300 <= row.tick < 400]
+    errors = estimate_errors(written(rows))
+    assert np.isnan(errors.own_m[310:390]).all()
+    assert np.isfinite(errors.own_m[200:290]).all()
+
+
+def test_without_true_states_there_are_no_errors_and_no_tilt(written):
+    rows = landing()
+    rows.truth = []
+    flight = written(rows)
+    assert estimate_errors(flight) is None
+    assert tilt_deg(flight) is None
+
+
+def test_tilt_is_the_angle_to_the_vertical(written):
+    rows, half = landing(), math.radians(10.0)
+    rows.truth = [r._replace(orientation_xyzw=(math.sin(half), 0.0, 0.0, math.cos(half))) for r in rows.truth]
+    np.testing.assert_allclose(tilt_deg(written(rows)), 20.0, atol=1e-6)
+
+
+def test_faults_have_begin_and_end_and_count_once(written):
+    rows = landing()
+    at = [row.stamp_ns for row in rows.steps]
+    rows.events = [
+        (at[100], 30, "Fault: motor 2 weak"),
+        (at[101], 30, "vehicle: Fault: motor 2 weak"),  # the onboard process repeats the vehicle
+        (at[200], 20, "Fault over: motor 2 weak"),
+        (at[201], 20, "vehicle: Fault over: motor 2 weak"),
+        (at[300], 30, "Fault: target odometry off"),
+    ]
+    flight = written(rows)
+    spans = fault_spans(flight)
+    assert [(s.text, s.over) for s in spans] == [("motor 2 weak", True), ("target odometry off", False)]
+    assert (spans[0].begin_s, spans[0].end_s) == pytest.approx((1.0, 2.0))
+    assert spans[1].end_s == flight.duration_s
+    assert "to the end" in faults_table(flight)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "lost"),
+    [([], None), ([7], 0), ([1, 2, 3], 0), ([250, 251, 255, 0, 2], 4), ([1, 3, 2, 4], 0), ([5, 5, 6], 0)],
+)
+def test_losses_in_mavlink_numbers(numbers, lost):
+    assert missing_of_256(numbers) == lost
+
+
+@pytest.mark.parametrize(
+    ("numbers", "lost"), [([], None), ([0, 0, 0], None), ([1, 2, 3], 0), ([4, 9, 6], 3), ([2, 2, 3], 0)]
+)
+def test_losses_in_target_numbers(numbers, lost):
+    assert missing(numbers) == lost
+
+
+def test_streams_have_rate_and_gap(written, tmp_path):
+    rows = landing()
+    del rows.odometry[200:230]
+    flight = written(rows)
+    (target,) = load_streams(flight.path, flight.origin_ns)
+    assert (target.name, len(target.t_s)) == (TARGET, len(rows.odometry))
+    assert target.gap_max_s == pytest.approx(0.31)
+    assert "310" in links_table([target])
+    assert "ticks not usable" in ages_table(flight)
+
+
+def test_phases_tell_why_they_began(written):
+    text = phases_table(written(landing()))
+    assert text.count("made up") == 5  # every phase but the first
+    assert 'href="#t=0.00"' in text
+
+
+def test_cells_are_text_unless_made_as_html():
+    text = table(("a",), [("<b>",), (Html("<i>x</i>"),)])
+    assert "&lt;b&gt;" in text
+    assert "<i>x</i>" in text
+
+
+def test_the_command_repeats_the_run(written):
+    run = {"scenario": "my odd name", "seed": "7", "filter": "robust", "mode": "lockstep"}
+    words = shlex.split(command(run, "a b.toml"))
+    assert words == [
+        "flightstack",
+        "sitl",
+        "--scenario",
+        "a b.toml",
+        "--seed",
+        "7",
+        "--filter",
+        "robust",
+        "--lockstep",
+    ]
+    flight = dataclasses.replace(
+        written(landing()), metadata={"run": run}, attachments={"scenario.toml": b"name = 'x'"}
+    )
+    text = repeat_section(flight)
+    assert "--scenario scenario.toml --seed 7 --filter robust --lockstep" in text
+    assert "--scenario &#x27;my odd name&#x27;" in text
+    assert "no simulated run of ours" in repeat_section(dataclasses.replace(flight, attachments={}))
+
+
+def test_a_log_compared_with_itself_differs_in_nothing(tmp_path):
+    log = write_log(tmp_path / "flight.mcap", landing())
+    text = write_comparison(log, log).read_text(encoding="utf-8")
+    assert "Nothing that the logs tell of." in text
+    assert "Not drawn" not in text
+    assert text.count("<h2>Events of") == 2
+
+
+def test_any_page_has_its_title_and_body():
+    text = page("a < b", "<p>body</p>")
+    assert "<title>a &lt; b</title>" in text
+    assert "<main><p>body</p></main>" in text
+    assert "@@" not in text

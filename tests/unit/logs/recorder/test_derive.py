@@ -1,0 +1,214 @@
+"""What viewers are shown is what the controller steps say, at bounded cost."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flightstack.core.safety.barrier import Barrier
+from logs.derive.derive import Deriver
+from logs.derive.markers import PATH_POINTS, surface
+from logs.schema import codec, schemas
+
+STORE = schemas.typestore()
+EPOCH_NS = 1_577_836_800_000_000_000
+RUN = {"barrier_alpha_1_m": "1.0", "barrier_beta_m": "1.5", "pad_radius_m": "0.1"}
+
+
+def step(t_ns=0, own=(1.0, 2.0, 3.0), velocity=(0.3, 0.0, -0.1), yaw=0.0, **changes):
+    zero = (0.0, 0.0, 0.0)
+    row = codec.ControllerStepRow(
+        EPOCH_NS + t_ns, t_ns // 10_000_000, 3, 2, 1, 0, True, True, True, True, 0.01, 0.02,
+        own, velocity, yaw, (0.5, -0.5, 0.2), (0.1, 0.0, 0.0), math.pi / 2,
+        0.4, zero, 0.0, (0.2, 0.0, -0.2), (0.1, 0.0, -0.1), zero, 0.0, 0.0, 1, 2, 3,
+    )  # fmt: skip
+    return row._replace(**changes)
+
+
+def derive(row, deriver=None):
+    deriver = deriver or Deriver("/cf1/controller/step")
+    made = deriver.step(row.stamp_ns, codec.pack_controller_step(row))
+    return {topic: STORE.deserialize_cdr(data, schema) for topic, schema, data in made}
+
+
+def test_every_message_is_what_the_generic_codec_writes():
+    deriver = Deriver("/cf1/controller/step")
+    deriver.configure(RUN)
+    topics = set()
+    for t_ns in range(0, 2_000_000_000, 10_000_000):
+        row = step(t_ns, own=(t_ns * 1e-9, 0.0, 1.0), own_valid=t_ns % 70_000_000 != 0)
+        for topic, schema, data in deriver.step(row.stamp_ns, codec.pack_controller_step(row)):
+            assert bytes(STORE.serialize_cdr(STORE.deserialize_cdr(data, schema), schema)) == data
+            topics.add(topic)
+    assert topics == {
+        "/tf", "/tf_static", "/cf1/pose", "/cf1/odom", "/cf1/target/pose", "/cf1/cbf/markers",
+        "/cf1/cmd/velocity_nominal", "/cf1/cmd/velocity_filtered", "/cf1/cmd/velocity", "/cf1/run",
+    }  # fmt: skip
+
+
+def test_frames_and_poses():
+    shown = derive(step(yaw=math.pi / 2))
+    own, target, pad = shown["/tf"].transforms
+    assert [t.header.frame_id for t in (own, target, pad)] == ["map"] * 3
+    assert [t.child_frame_id for t in (own, target, pad)] == ["cf1/base_link", "target", "target_pad"]
+    assert (own.transform.translation.x, own.transform.translation.z) == (1.0, 3.0)
+    assert own.transform.rotation.z == pytest.approx(math.sqrt(0.5))
+    assert (target.transform.translation.z, target.transform.rotation.w) == (
+        0.2,
+        pytest.approx(math.sqrt(0.5)),
+    )
+    assert (pad.transform.translation.y, pad.transform.rotation.w) == (-0.5, 1.0)
+    pose = shown["/cf1/pose"]
+    assert (pose.header.stamp.sec, pose.header.frame_id, pose.pose.position.y) == (
+        EPOCH_NS // 10**9,
+        "map",
+        2.0,
+    )
+    assert shown["/cf1/target/pose"].pose.position.x == 0.5
+    assert shown["/cf1/cmd/velocity_nominal"].twist.linear.x == 0.2
+    assert shown["/cf1/cmd/velocity_filtered"].twist.linear.z == -0.1
+
+
+def test_odometry_gives_the_velocity_in_the_childs_frame():
+    odometry = derive(step(velocity=(0.3, 0.1, -0.1), yaw=math.pi / 2))["/cf1/odom"]
+    linear = odometry.twist.twist.linear  # nose to the north: north is ahead, west is left
+    assert (linear.x, linear.y, linear.z) == pytest.approx((0.1, -0.3, -0.1))
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "cf1/base_link")
+
+
+def test_ned_axes_in_the_static_transform():
+    (ned,) = derive(step())["/tf_static"].transforms
+    assert (ned.header.frame_id, ned.child_frame_id) == ("map", "map_ned")
+    q = ned.transform.rotation
+    x, y, z, w = q.x, q.y, q.z, q.w
+    north_in_enu = (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w))
+    down_in_enu = (2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y))
+    assert north_in_enu == pytest.approx((0.0, 1.0, 0.0))
+    assert down_in_enu == pytest.approx((0.0, 0.0, -1.0))
+
+
+def test_what_is_not_valid_is_not_shown():
+    blind = derive(step(own_valid=False))
+    assert [t.child_frame_id for t in blind["/tf"].transforms] == ["target", "target_pad"]
+    assert not {"/cf1/pose", "/cf1/odom"} & blind.keys()
+    lost = derive(step(target_valid=False))
+    assert [t.child_frame_id for t in lost["/tf"].transforms] == ["cf1/base_link"]
+    assert "/cf1/target/pose" not in lost
+    assert {m.ns for m in lost["/cf1/cbf/markers"].markers} == {"velocity", "vehicle"}
+    assert "/tf" not in derive(step(own_valid=False, target_valid=False))
+
+
+def test_rates_follow_the_log_time_only():
+    counts: dict[str, int] = {}
+    deriver = Deriver("/cf1/controller/step")
+    for t_ns in range(0, 10_000_000_000, 2_000_000):  # 500 Hz for ten seconds
+        for topic in derive(step(t_ns), deriver):
+            counts[topic] = counts.get(topic, 0) + 1
+    assert counts["/tf"] == counts["/cf1/pose"] == 500
+    assert counts["/cf1/cbf/markers"] == 50
+    assert counts["/tf_static"] == 2  # again and again, so that a viewer that jumps finds it
+
+
+def test_the_run_is_told_again_and_again():
+    deriver = Deriver("/cf1/controller/step")
+    deriver.configure({"scenario": "paper_static_1", "seed": "3"})
+    told = []
+    for t_ns in range(0, 11_000_000_000, 20_000_000):
+        told += [s.data for topic, s in derive(step(t_ns), deriver).items() if topic == "/cf1/run"]
+    assert told == ["scenario = paper_static_1\nseed = 3"] * 3
+
+
+def markers_of(deriver, row):
+    return {(m.ns, m.id): m for m in derive(row, deriver)["/cf1/cbf/markers"].markers}
+
+
+def test_markers():
+    deriver = Deriver("/cf1/controller/step")
+    deriver.configure(RUN)
+    for t_ns in range(0, 1_000_000_000, 20_000_000):
+        derive(step(t_ns, own=(t_ns * 1e-9, 0.0, 1.0)), deriver)
+    shown = markers_of(deriver, step(1_000_000_000))
+    assert shown.keys() == {
+        ("barrier", 0),
+        ("pad", 0),
+        ("path", 0),
+        ("path", 1),
+        ("vehicle", 0),
+        ("velocity", 0),
+        ("velocity", 1),
+        ("velocity", 2),
+    }
+    barrier, pad, path, arrow = (shown[k] for k in (("barrier", 0), ("pad", 0), ("path", 0), ("velocity", 0)))
+    assert (barrier.type, barrier.header.frame_id, barrier.frame_locked) == (
+        barrier.TRIANGLE_LIST,
+        "target_pad",
+        True,
+    )
+    assert (pad.type, pad.header.frame_id, pad.scale.x) == (pad.CYLINDER, "target", 0.2)
+    assert (path.type, path.header.frame_id) == (path.LINE_STRIP, "map")
+    assert [round(p.x, 6) for p in path.points] == [*(round(0.1 * i, 6) for i in range(10)), 1.0]
+    assert arrow.type == arrow.ARROW
+    tail, head = arrow.points
+    assert (head.x - tail.x, head.z - tail.z) == pytest.approx((0.2, -0.2))
+    body = shown["vehicle", 0]
+    assert (body.type, body.header.frame_id) == (body.CUBE, "cf1/base_link")
+    assert (body.scale.x, body.scale.z) == (0.092, 0.029)
+    for marker in shown.values():
+        assert marker.action == marker.ADD
+        assert marker.color.a > 0
+        assert marker.lifetime.sec + marker.lifetime.nanosec * 1e-9 == 0.5
+
+
+def test_no_surface_without_a_barrier_in_the_run():
+    assert ("barrier", 0) not in markers_of(Deriver("/cf1/controller/step"), step())
+
+
+def test_no_arrow_for_a_velocity_that_is_no_number():
+    shown = derive(step(nominal_enu_m_s=(math.nan, 0.0, 0.0)))
+    numbers = [m.id for m in shown["/cf1/cbf/markers"].markers if m.ns == "velocity"]
+    assert numbers == [1, 2]
+    silent = derive(step(setpoint_sent=False))
+    assert [m.id for m in silent["/cf1/cbf/markers"].markers if m.ns == "velocity"] == [0, 1]
+    assert "/cf1/cmd/velocity" not in silent
+
+
+@given(st.floats(0.2, 5.0), st.floats(0.1, 5.0))
+def test_surface_lies_on_the_boundary(alpha, beta):
+    barrier = Barrier(alpha, beta)
+    points = np.frombuffer(surface(barrier)).reshape(-1, 3)
+    assert len(points) % 3 == 0
+    d = np.hypot(points[:, 0], points[:, 1])
+    height = np.array([barrier.height(x) for x in d])
+    assert np.abs(points[:, 2] - height).max() < 2e-3 * max(1.0, barrier.slope_max)  # rounded to 1/1024 m
+    assert d.max() == pytest.approx(2.5 / alpha, rel=1e-2)
+    assert points[:, 2].max() > 0.9 * barrier.peak_height_m - 2e-3
+
+
+def test_paths_stay_bounded_and_keep_the_start():
+    deriver = Deriver("/cf1/controller/step")
+    longest = 0
+    for t_ns in range(0, 300_000_000_000, 100_000_000):
+        shown = derive(step(t_ns, own=(t_ns * 1e-9, 0.0, 1.0)), deriver)
+        if "/cf1/cbf/markers" in shown and t_ns:
+            markers = {(m.ns, m.id): m for m in shown["/cf1/cbf/markers"].markers}
+            points = markers["path", 0].points if ("path", 0) in markers else []
+            longest = max(longest, len(points))
+            if points:
+                assert points[0].x == 0.0
+                assert t_ns * 1e-9 - points[-1].x <= 300 / PATH_POINTS * 2 + 0.1
+    assert PATH_POINTS * 0.9 < longest <= PATH_POINTS
+
+
+def test_not_a_step_is_an_error():
+    with pytest.raises(ValueError, match="ControllerStep"):
+        Deriver("/cf1/controller/step").step(0, b"x")
+
+
+def test_other_name_spaces():
+    deriver = Deriver("/lab/cf7/controller/step")
+    topics = {t for t, _, _ in deriver.step(0, codec.pack_controller_step(step()))}
+    assert {"/lab/cf7/pose", "/tf"} <= topics

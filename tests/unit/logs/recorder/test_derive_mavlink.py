@@ -1,0 +1,155 @@
+"""Decoded MAVLink in the log is what pymavlink decodes, for every message of the dialect."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as everything
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from bridge.mavlink.codec.decoding import decode
+from bridge.mavlink.codec.wide_messages import MESSAGES
+from logs.derive.mavlink_decoded import TOPICS_MAX, FrameDecoder
+from logs.schema import codec, mavlink_types, schemas
+from logs.schema.codec_mavlink import FrameError, peer_of
+from logs.schema.mavlink_peers import MAVLINK_PEERS, NAMED_MAX, OTHERS, PeerNames
+
+LINK = mav.MAVLink(None, srcSystem=1, srcComponent=1)
+PARSER = everything.MAVLink(None)
+STAMP_NS = 1_577_836_800_123_456_789
+ROS_FIELD = re.compile(r"[a-z](_?[a-z0-9])*")  # ROS 2 interface definition: field names
+ROS_TYPE = re.compile(r"[A-Z][A-Za-z0-9]*")
+
+
+def framed(number, payload, sequence=0, system=1, component=1):
+    """One frame with this payload and a valid checksum."""
+    payload = payload.rstrip(b"\x00") or payload[:1]
+    head = bytes([len(payload), 0, 0, sequence, system, component]) + number.to_bytes(3, "little")
+    crc = mav.x25crc(head + payload)
+    crc.accumulate(bytes([MESSAGES[number].crc_extra]))
+    return b"\xfd" + head + payload + crc.crc.to_bytes(2, "little")
+
+
+def decoded(frame, peer=b"p00"):
+    """(topic, schema, fields) of the one message made of a frame."""
+    decoder = FrameDecoder("/cf1/mavlink_source")
+    ((topic, schema, data),) = decoder.step(0, codec.pack_mavlink(STAMP_NS, frame, peer))
+    store = schemas.store_for(schema)
+    message = store.deserialize_cdr(data, schema)
+    assert bytes(store.serialize_cdr(message, schema)) == data
+    return topic, schema, message
+
+
+@pytest.mark.parametrize("number", mavlink_types.numbers())
+def test_every_message_of_the_dialect(number):
+    cls = MESSAGES[number]
+    rng = np.random.default_rng(number)
+    kind = mavlink_types.of(number)
+    assert ROS_TYPE.fullmatch(kind.schema.removeprefix(mavlink_types.PACKAGE))
+    assert len({f.name for f in kind.fields}) == len(kind.fields)
+    for _ in range(3):
+        payload = bytes(rng.integers(1, 127, kind.size, dtype=np.uint8))  # no zeros: text fills its field
+        frame = framed(number, payload)
+        theirs = PARSER.decode(bytearray(frame)) if number in everything.mavlink_map else decode(frame)
+        topic, schema, ours = decoded(frame)
+        assert (topic, schema) == (f"/cf1/mavlink/sys1/comp1/{cls.msgname}", kind.schema)
+        assert (ours.header.stamp.sec, ours.header.stamp.nanosec) == divmod(STAMP_NS, 10**9)
+        for name, field in zip(cls.ordered_fieldnames, kind.fields, strict=True):
+            assert ROS_FIELD.fullmatch(field.name)
+            value, seen = getattr(theirs, name), getattr(ours, field.name)
+            if isinstance(value, list):
+                assert list(seen) == value, name
+            else:
+                assert seen == (ord(value) if isinstance(value, str) and field.kind == "uint8" else value)
+
+
+def test_cut_zeros_come_back():
+    message = mav.MAVLink_local_position_ned_message(1234, 1.0, -2.0, 0.0, 0.0, 0.0, 0.0)
+    _, _, ours = decoded(message.pack(LINK))
+    assert (ours.time_boot_ms, ours.x, ours.y, ours.vz) == (1234, 1.0, -2.0, 0.0)
+
+
+@given(st.binary(max_size=50))
+@settings(max_examples=60)
+def test_text_of_any_bytes_stays_readable(raw):
+    text = raw.partition(b"\x00")[0].decode("utf-8", "replace")
+    frame = framed(253, bytes([4]) + raw.ljust(50, b"\x00") + b"\x01\x00\x02")
+    _, _, ours = decoded(frame)
+    assert (ours.severity, ours.text, ours.id, ours.chunk_seq) == (4, text, 1, 2)
+
+
+def test_nan_and_old_frames():
+    message = mav.MAVLink_attitude_message(1, math.nan, 0.5, 0, 0, 0, 0)
+    _, _, ours = decoded(message.pack(LINK))
+    assert math.isnan(ours.roll)
+    assert ours.pitch == 0.5
+    old = mav.MAVLink(None, srcSystem=9, srcComponent=8)
+    frame = mav.MAVLink_heartbeat_message(2, 12, 81, 5, 3, 3).pack(old, force_mavlink1=True)
+    topic, _, beat = decoded(frame, b"")
+    assert topic == "/cf1/mavlink/sys9/comp8/HEARTBEAT"
+    assert (beat.custom_mode, beat.base_mode, beat.header.frame_id) == (5, 81, "p--")
+
+
+def test_what_the_dialect_does_not_know_is_left_to_the_raw_topic():
+    frame = b"\xfd\x01\x00\x00\x00\x01\x01\xff\xff\xff\x00ab"
+    assert FrameDecoder("/cf1/mavlink_source").step(0, codec.pack_mavlink(1, frame)) == []
+    with pytest.raises(FrameError, match="cut short"):
+        FrameDecoder("/cf1/mavlink_source").step(0, b"\x00\x01\x00\x00")
+
+
+def test_topics_are_bounded_and_named_after_the_run():
+    decoder = FrameDecoder("/uas1/mavlink_source")
+    topics = set()
+    for system in range(1, 256):
+        for component in (1, 2, 3):
+            frame = framed(0, bytes(8) + b"\x03", system=system, component=component)
+            topics |= {t for t, _, _ in decoder.step(0, codec.pack_mavlink(1, frame, b"p00"))}
+    assert len(topics) == TOPICS_MAX
+    assert "/uas1/mavlink/sys1/comp1/HEARTBEAT" in topics
+    decoder.configure({"namespace": "lab/cf7"})
+    ((topic, _, _),) = decoder.step(0, codec.pack_mavlink(1, framed(0, bytes(8) + b"\x03"), b"p00"))
+    assert topic == "/lab/cf7/mavlink/sys1/comp1/HEARTBEAT"
+
+
+def test_units_are_in_the_definition():
+    text = schemas.schema_text("mavlink_msgs/msg/LocalPositionNed")
+    assert "float32 vx  # m/s" in text
+    assert "MSG: std_msgs/Header" in text
+    with pytest.raises(schemas.UnknownSchemaError, match="not in the MAVLink dialect"):
+        schemas.schema_text("mavlink_msgs/msg/NoSuchThing")
+
+
+class Sink:
+    def __init__(self):
+        self.written = {}
+
+    def metadata(self, name, values):
+        assert name == MAVLINK_PEERS
+        self.written |= values
+
+
+def test_frames_name_their_peer():
+    sink = Sink()
+    names = PeerNames(sink)
+    first, second = ("127.0.0.1", 14550), ("10.0.0.2", 14551)
+    assert [names(first), names(second), names(first)] == [b"p00", b"p01", b"p00"]
+    assert sink.written == {"p00": "127.0.0.1:14550", "p01": "10.0.0.2:14551"}
+    frame = framed(0, bytes(8) + b"\x03")
+    for peer in (b"p01", b""):
+        data = codec.pack_mavlink(STAMP_NS, frame, peer)
+        assert codec.unpack_mavlink(data) == (STAMP_NS, frame)
+        assert peer_of(data) == peer.decode()
+        raw = schemas.typestore().deserialize_cdr(data, schemas.MAVLINK)
+        assert raw.header.frame_id == peer.decode()
+        assert bytes(schemas.typestore().serialize_cdr(raw, schemas.MAVLINK)) == data
+    with pytest.raises(FrameError, match="3 characters"):
+        codec.pack_mavlink(1, frame, b"somebody")
+    for port in range(200):
+        last = names(("10.0.0.9", port))
+    assert last == OTHERS
+    assert len(sink.written) == NAMED_MAX

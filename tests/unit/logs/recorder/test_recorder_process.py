@@ -1,0 +1,287 @@
+"""The recorder as its own process: killed, told to stop, and on a full disk."""
+
+from __future__ import annotations
+
+import io
+import os
+import random
+import resource
+import signal
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+from mcap.reader import make_reader
+
+from logs.reader.reader import LogFile
+from logs.recorder.feed import Feed
+from logs.recorder.mcap_file import McapFile, SafeStream
+from logs.recorder.recorder import RecorderProcess, problems
+from logs.recorder.recorder_sync import Syncer
+from logs.schema import codec, schemas
+from tests.unit.logs.recorder.recorder_helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
+
+RECORD = (
+    "import sys; from pathlib import Path; from logs.recorder.recorder import record_main;"
+    "sys.exit(record_main(Path(sys.argv[1]), Path(sys.argv[2]), None))"
+)
+
+
+def start(tmp_path, *, file_limit=None, until="None"):
+    """Start a recorder as its own process; returns when it listens."""
+    paths = (tmp_path / "feed.sock", tmp_path / "flight.mcap")
+    code = RECORD.replace("None", until)
+
+    def limit():
+        if file_limit:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
+
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, paths)],
+        cwd=Path(__file__).parents[4],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=limit,
+        text=True,
+    )
+    assert process.stdout.readline() == "ready\n"
+    return process, *paths
+
+
+def test_killed_recorder_leaves_all_but_the_last_half_second(tmp_path):
+    process, path, out = start(tmp_path)
+    client = Feed.connect(str(path), "onboard", lossless=True)
+    channel = client.channel("/t", schemas.LOOP_TIMING)
+    sent = 0
+
+    def on_disk():
+        nonlocal sent
+        client.write(channel, EPOCH_NS + sent, time.monotonic_ns(), sent, timing(sent))
+        client.flush()
+        sent += 1
+        return [m.publish_time_ns for m in LogFile(out).messages({"/t"})]
+
+    latencies = []
+    for _ in range(4):
+        first, begun = sent, time.monotonic()
+        wait_until(lambda first=first: len(on_disk()) > first, "the record on disk")
+        latencies.append(time.monotonic() - begun)
+    seen = on_disk()
+    process.send_signal(signal.SIGKILL)
+    process.wait(DEADLINE_S)
+    assert min(latencies) < 0.5  # the machine may be busy once, not always
+    log = LogFile(out)
+    recovered = list(log.messages({"/t"}))
+    assert [m.sequence for m in recovered] == list(range(len(recovered)))
+    assert len(recovered) >= len(seen) > 0
+    assert [m.data for m in recovered] == [timing(i) for i in range(len(recovered))]
+    assert not log.complete
+    assert log.problem
+    client.write(channel, 0, 0, 0, b"")
+    client.flush()
+    assert not client.alive
+    client.close()
+
+
+def test_told_to_stop_it_takes_what_is_in_the_sockets(tmp_path):
+    process, path, out = start(tmp_path)
+    client = Feed.connect(str(path), "onboard", lossless=True)
+    channel = client.channel("/t", schemas.LOOP_TIMING)
+    process.send_signal(signal.SIGSTOP)  # so that the records wait in the socket
+    for i in range(100):
+        client.write(channel, i, i, i, timing(i))
+    client.flush()
+    process.send_signal(signal.SIGTERM)
+    process.send_signal(signal.SIGINT)  # the second wish: at once, without waiting for the client
+    process.send_signal(signal.SIGCONT)
+    _, errors = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 1
+    assert "ended without a goodbye" in errors
+    log = LogFile(out)
+    assert [m.sequence for m in log.messages({"/t"})] == list(range(100))
+    assert log.complete
+    assert not path.exists()
+    client.close()
+
+
+def test_ends_by_itself_after_the_last_client(tmp_path):
+    process, path, out = start(tmp_path, until="1")
+    client = Feed.connect(str(path), "onboard", lossless=True)
+    client.write(client.channel("/t", schemas.LOOP_TIMING), 0, 0, 0, timing(0))
+    client.close()
+    output, errors = process.communicate(timeout=DEADLINE_S)
+    assert (process.returncode, output, errors) == (0, "", "")
+    assert LogFile(out).complete
+
+
+def test_simulated_time_lost_by_a_kill_is_bounded_in_lockstep(tmp_path):
+    """Lockstep runs many times faster than the wall clock; the bound holds in simulated time, too."""
+    lost_s = []
+    for seed in range(4):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        process, path, out = start(folder)
+        client = Feed.connect(str(path), "onboard", lossless=True)
+        channel = client.channel("/t", schemas.LOOP_TIMING)
+        begun_s, tick = time.monotonic(), 0
+        end_s = 0.4 + 0.3 * random.Random(seed).random()
+        while time.monotonic() - begun_s < end_s:
+            client.write(channel, EPOCH_NS + tick * 10_000_000, 0, tick, timing(tick))
+            tick += 1
+            if tick % 10 == 0:
+                client.flush()  # as the onboard process does
+                time.sleep(0.01)  # ten ticks of 10 ms in 10 ms: ten times real time
+        process.send_signal(signal.SIGKILL)
+        process.wait(DEADLINE_S)
+        recovered = [m.sequence for m in LogFile(out).messages({"/t"})]
+        assert recovered == list(range(len(recovered)))
+        lost_s.append((tick - len(recovered)) * 0.01)
+        client.close()
+    assert statistics.median(lost_s) <= 0.5, lost_s  # the machine may be busy once, not always
+
+
+def test_full_disk_ends_the_recorder_and_stalls_nobody(tmp_path):
+    process, path, out = start(tmp_path, file_limit=200_000)
+    client = Feed.connect(str(path), "onboard", lossless=True)
+    channel = client.channel("/t", schemas.MAVLINK)
+    frame = codec.pack_mavlink(1, bytes([0xFD, 250]) + bytes(8) + os.urandom(250) + b"ab")
+    longest_s, sent = 0.0, 0
+    while client.alive:
+        begun_s = time.monotonic()
+        client.write(channel, sent, sent, sent, frame[:-8] + os.urandom(4) + frame[-4:])
+        client.flush()
+        longest_s = max(longest_s, time.monotonic() - begun_s)
+        sent += 1
+        assert sent < 200_000, "the recorder goes on on a full disk"
+    assert longest_s < 4.0  # less than the patience with a recorder that does not answer
+    client.close()
+    _, errors = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 1
+    assert "writing failed (File too large)" in errors
+    assert "goodbye" not in errors  # the clients did nothing wrong
+    assert not path.exists()
+    log = LogFile(out)
+    sequences = [m.sequence for m in log.messages({"/t"})]
+    assert len(sequences) > 0
+    assert sequences == list(range(len(sequences)))
+    assert out.stat().st_size <= 200_000
+    assert not log.complete
+
+
+def test_a_disk_that_is_full_from_the_start_is_refused(tmp_path):
+    process = subprocess.run(
+        [sys.executable, "-c", RECORD, str(tmp_path / "feed.sock"), str(tmp_path / "flight.mcap")],
+        cwd=Path(__file__).parents[4], capture_output=True, text=True, timeout=DEADLINE_S, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)),
+    )  # fmt: skip
+    assert process.returncode == 2
+    assert "cannot write the log" in process.stderr
+    assert "File too large" in process.stderr
+    assert "Traceback" not in process.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_kernels_own_full_disk(tmp_path):
+    """/dev/full takes nothing and says ENOSPC, as a full disk does."""
+    with Path("/dev/full").open("wb", buffering=0) as full:
+        file = McapFile(tmp_path / "x.mcap", stream=SafeStream(full))
+        assert file.failure == "No space left on device"
+        file.write(file.channel("/t", schemas.LOOP_TIMING), 0, 0, 0, timing(0))
+        assert file.messages == 0
+        file.close()
+
+
+def test_the_file_is_brought_to_the_disk_while_recording(tmp_path):
+    process, path, out = start(tmp_path, until="1")
+    client = Feed.connect(str(path), "onboard", lossless=True)
+    channel = client.channel("/t", schemas.LOOP_TIMING)
+    begun_s, tick = time.monotonic(), 0
+    while time.monotonic() - begun_s < 1.5:
+        client.write(channel, tick, tick, tick, timing(tick))
+        client.flush()
+        tick += 1
+        time.sleep(0.001)  # a flight, not a flood
+    client.close()
+    process.communicate(timeout=DEADLINE_S)
+    record = LogFile(out).metadata()["recorder"]
+    assert 2 <= int(record["syncs"]) <= 7  # every quarter of a second, where the disk is fast enough
+    assert 0.0 < float(record["sync_worst_s"]) < DEADLINE_S
+
+
+def test_a_slow_disk_delays_nobody_and_the_last_call_covers_the_end(tmp_path, monkeypatch):
+    path, calls, go = tmp_path / "x", [], threading.Event()
+
+    def slow(descriptor):
+        calls.append(os.fstat(descriptor).st_size)
+        assert go.wait(DEADLINE_S)
+
+    monkeypatch.setattr(os, "fdatasync", slow)
+    with path.open("wb", buffering=0) as stream:
+        syncer = Syncer(stream.fileno(), path)
+        for i in range(50):
+            stream.write(b"x")
+            syncer.ask()
+            if i == 0:
+                wait_until(lambda: calls, "the first call")
+        assert calls == [1]  # one at a time, and nobody waited for it
+    go.set()
+    syncer.close()
+    assert calls[-1] == 50
+    assert len(calls) <= 3
+    assert syncer.failure == ""
+
+
+def test_a_disk_that_cannot_keep_what_it_took_is_a_failure(tmp_path, monkeypatch):
+    def broken(descriptor):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "fdatasync", broken)
+    process = RecorderProcess(tmp_path / "feed.sock", tmp_path / "flight.mcap")
+    counts = process.run()  # ends by itself
+    assert counts.failure == "Input/output error"
+    assert "writing failed (Input/output error)" in problems(counts)[0]
+
+
+class SmallDisk(io.BytesIO):
+    """A file on a disk with so much room."""
+
+    room = 60_000
+
+    def write(self, data):
+        fits = min(len(data), self.room - self.tell())
+        if fits <= 0:
+            raise OSError(28, "No space left on device")
+        return super().write(data[:fits])
+
+
+class Reserve(io.BytesIO):
+    def __init__(self, disk):
+        super().__init__()
+        self.disk = disk
+
+    def close(self):
+        self.disk.room += 400_000
+        super().close()
+
+
+def test_full_disk_with_reserve_still_closes_the_file(tmp_path):
+    disk = SmallDisk()
+    file = McapFile(tmp_path / "x.mcap", stream=SafeStream(disk, Reserve(disk)))
+    disk.close = lambda: None
+    channel = file.channel("/t", schemas.LOOP_TIMING)
+    for i in range(5000):
+        file.write(channel, i, i, i, timing(i) + os.urandom(60))
+        if i % 200 == 199:
+            file.flush()
+    assert file.failure == "No space left on device"
+    assert 0 < file.messages < 5000
+    file.close()
+    (tmp_path / "x.mcap").write_bytes(disk.getvalue())
+    log = LogFile(tmp_path / "x.mcap")
+    assert log.complete
+    assert [m.sequence for m in log.messages()] == list(range(file.messages))
+    with (tmp_path / "x.mcap").open("rb") as stream:
+        assert make_reader(stream).get_summary().statistics.message_count == file.messages

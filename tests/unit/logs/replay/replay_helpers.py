@@ -1,0 +1,74 @@
+"""Flights of the point mass, recorded by the code that records real ones."""
+
+from pathlib import Path
+
+from flightstack.common.pacing import EPOCH_NS, Tick
+from flightstack.common.strict_toml import dumps, from_table, to_table
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.types import Phase
+from flightstack.onboard.exchange import Taken
+from flightstack.onboard.log import OnboardLog
+from logs.recorder.mcap_file import McapFile
+from tests.point_mass import DT_S, World
+
+CONFIG = from_table(
+    FlightConfig,
+    {
+        "barrier": {"alpha_1_m": 1.0, "beta_m": 1.5},
+        "limits": {"velocity_max_m_s": [0.4, 0.4, 0.5]},
+        "touchdown": {"rule": "paper"},
+    },
+)
+STEP, INPUT, STATE = "/cf1/controller/step", "/cf1/controller/input", "/cf1/controller/state"
+
+
+class FileFeed:
+    """A feed that writes straight into a file, flushing now and then as the recorder does."""
+
+    def __init__(self, path: Path):
+        self.file = McapFile(path)
+
+    def channel(self, topic, schema):
+        return self.file.channel(topic, schema)
+
+    def write(self, channel, log_time_ns, publish_time_ns, sequence, payload):
+        self.file.write(channel, log_time_ns, publish_time_ns, sequence, payload)
+
+    def flush(self):
+        self.file.flush()
+
+
+class NoSession:
+    """A Zenoh session that nobody listens to."""
+
+    def declare_publisher(self, key, **_):
+        return self
+
+    def put(self, payload):
+        pass
+
+
+def record(path: Path, world: World, seconds: float, *, until=None, config: FlightConfig = CONFIG) -> Path:
+    """Fly the world and record it; ends when the time is over or the controller has finished."""
+    feed = FileFeed(path)
+    feed.file.attachment("onboard.toml", "application/toml", 0, dumps(to_table(config)).encode())
+    feed.file.metadata("onboard", {"namespace": "cf1"})
+    log = OnboardLog(feed, NoSession(), "cf1", config.loop.rate_hz, lockstep=True)
+    for number in range(round(seconds / DT_S)):
+        tick = Tick(number, world.t_s, EPOCH_NS + round(world.t_s * 1e9), 0.0, 0.0)
+        given = world.inputs()
+        out = world.step()
+        step = log.step(tick, Taken(given, False, []), out, world.controller.state)
+        log.timing(tick, out, 0.0, 0, 0, step)
+        if out.finished or (until is not None and until(world)):
+            break
+    feed.file.close()
+    return path
+
+
+def short_flight(path: Path, seconds: float = 3.0) -> Path:
+    """A flight that begins in the air next to the pad and lands: all phases of a landing."""
+    world = World(CONFIG, position=(-0.6, 0.2, 0.95))
+    record(path, world, seconds)
+    assert world.phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED)
+    return path

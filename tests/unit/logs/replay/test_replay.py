@@ -1,0 +1,352 @@
+"""A log is proof: one changed bit in it, or a controller that decides otherwise, is found and named."""
+
+import json
+import struct
+from dataclasses import replace as with_
+
+import pytest
+from click.testing import CliRunner
+
+from flightstack.cli.main import main
+from flightstack.common.pacing import EPOCH_NS
+from flightstack.core.controller import Controller
+from flightstack.core.types import OwnState, Phase
+from logs.reader.flight_decode import layout
+from logs.reader.reader import LogFile
+from logs.replay.compare import fields_of
+from logs.replay.replay import ReplayError, replay
+from logs.schema import schemas
+from logs.schema.codec import unpack_controller_step
+from logs.schema.codec_input import (
+    pack_controller_input,
+    pack_controller_state,
+    unpack_controller_input,
+    unpack_controller_state,
+)
+from logs.schema.codec_log import pack_log, unpack_log
+from logs.schema.schemas import CONTROLLER_STEP
+from tests.golden.keep import write_kept
+from tests.point_mass import World, each_sample
+from tests.synthetic_flight import landing, write_log
+from tests.unit.logs.replay.replay_helpers import CONFIG, INPUT, STATE, STEP, record, short_flight
+
+TICK = 40  # one that is flown
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return short_flight(tmp_path_factory.mktemp("replay") / "flight.mcap")
+
+
+@pytest.fixture(scope="module")
+def step(recorded):
+    """The recorded step of the tick that is changed."""
+    return next(m.data for m in LogFile(recorded).messages({STEP}) if m.sequence == TICK)
+
+
+def rewritten(recorded, target, *, when=None, change=None):
+    return write_kept(recorded, target, wire=False, when=when, change=change)
+
+
+def at(topic, change, tick=TICK):
+    """Changes one message."""
+    return lambda m: change(m.data) if (m.topic, m.sequence) == (topic, tick) else m.data
+
+
+def flipped(data, byte, bit=0):
+    changed = bytearray(data)
+    changed[byte] ^= 1 << bit
+    return bytes(changed)
+
+
+def test_a_flight_replays_bit_by_bit(recorded):
+    result = replay(recorded)
+    assert result.equal
+    assert (result.start, result.first_tick) == ("tick 0", 0)
+    assert result.compared == result.last_tick + 1 > 100
+    assert result.phases_recorded == result.phases_replayed
+    assert [c.phase for c in result.phases_recorded][:2] == ["WAIT", "APPROACH"]
+    assert result.command_ticks == 0
+
+
+def step_fields():
+    example = pack_controller_step_example()
+    known = layout(CONTROLLER_STEP, example)
+    return list(zip(known.names, known.offsets, strict=True))
+
+
+def pack_controller_step_example():
+    from logs.schema.codec import pack_controller_step
+
+    return pack_controller_step(landing().steps[0])
+
+
+@pytest.mark.parametrize(("name", "offset"), step_fields())
+def test_one_flipped_bit_of_any_recorded_decision_is_found_and_named(recorded, step, tmp_path, name, offset):
+    changed = rewritten(recorded, tmp_path / "changed.mcap", change=at(STEP, lambda d: flipped(d, offset)))
+    result = replay(changed)
+    assert not result.equal
+    (found,) = result.outputs.first
+    assert (found.topic, found.tick, found.field) == (STEP, TICK, name)
+    assert found.recorded != found.replayed
+    assert (result.outputs.count, result.outputs.ticks) == (1, 1)
+
+
+def test_every_bit_of_a_step_counts(step):
+    for byte in range(len(step)):
+        for bit in range(8):
+            assert len(list(fields_of(CONTROLLER_STEP, flipped(step, byte, bit), step))) == 1, (byte, bit)
+
+
+def test_minus_zero_and_other_nans_are_differences(step):
+    at_byte = dict(
+        zip(layout(CONTROLLER_STEP, step).names, layout(CONTROLLER_STEP, step).offsets, strict=True)
+    )
+    for recorded, replayed in ((0.0, -0.0), (float("nan"), -float("nan"))):
+        offset = at_byte["h_m"]
+        a, b = (step[:offset] + struct.pack("<d", v) + step[offset + 8 :] for v in (recorded, replayed))
+        ((name, x, y),) = fields_of(CONTROLLER_STEP, a, b)
+        assert name == "h_m"
+        assert x != y
+        assert list(fields_of(CONTROLLER_STEP, a, a)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (lambda row: pack_log(row.stamp_ns, row.level, row.name, row.message + "!"), "events[0].message"),
+        (lambda row: pack_log(row.stamp_ns, row.level ^ 2, row.name, row.message), "events[0].level"),
+        (lambda row: pack_log(row.stamp_ns ^ 1, row.level, row.name, row.message), "events[0].stamp_ns"),
+        (lambda row: pack_log(row.stamp_ns, row.level, "somebody", row.message), "events.length"),
+        (lambda row: pack_log(row.stamp_ns, row.level, row.name, row.message, line=1), "events[0].line"),
+    ],
+)
+def test_a_changed_event_is_found(recorded, tmp_path, change, field):
+    def first_event(message):
+        row = unpack_log(message.data) if message.topic == "/rosout" else None
+        return change(row) if row and "-> APPROACH" in row.message else message.data
+
+    result = replay(rewritten(recorded, tmp_path / "changed.mcap", change=first_event))
+    assert [(d.topic, d.field) for d in result.outputs.first] == [("/rosout", field)]
+
+
+def test_a_barrier_changed_by_a_billionth_is_found(recorded):
+    shape = with_(CONFIG.barrier, alpha_1_m=CONFIG.barrier.alpha_1_m + 1e-9)
+    result = replay(recorded, with_(CONFIG, barrier=shape))
+    assert not result.equal
+    assert result.outputs.first[0].field == "h_m"
+    assert 0.0 < result.command_most_m_s < 1e-6
+
+
+def test_a_controller_that_remembers_otherwise_is_found_before_it_decides_otherwise(recorded, monkeypatch):
+    enter = Controller._enter
+
+    def forgetful(self, *arguments):
+        event = enter(self, *arguments)
+        self.memory.retries = 7
+        return event
+
+    monkeypatch.setattr(Controller, "_enter", forgetful)
+    result = replay(recorded)
+    assert result.outputs.count == 0
+    assert {d.field for d in result.states.first} == {"memory.retries"}
+    assert (result.states.first[0].topic, result.states.first[0].tick) == (STATE, 100)
+
+
+def test_changed_inputs_change_what_comes_out(recorded, tmp_path):
+    def moved(data):
+        row = unpack_controller_input(data)
+        own = row.inputs.own
+        x, y, z = own.position_enu_m
+        own = OwnState(own.arrival_s, own.source_time_s, (x + 1e-12, y, z), own.velocity_enu_m_s, own.yaw_rad)
+        return pack_controller_input(*row[:3], with_(row.inputs, own=own), row.command_failed)
+
+    result = replay(rewritten(recorded, tmp_path / "changed.mcap", change=at(INPUT, moved)))
+    assert not result.equal
+    assert result.outputs.first[0].field == "own_position_enu_m.x"
+
+
+def test_a_log_cut_at_any_byte_is_equal_up_to_there_or_refused(recorded, tmp_path):
+    whole, cut = recorded.read_bytes(), tmp_path / "cut.mcap"
+    compared, refused = set(), set()
+    for share in range(1, 40):
+        cut.write_bytes(whole[: len(whole) * share // 40])
+        try:
+            result = replay(cut)
+        except ReplayError:
+            refused.add(share)
+            continue
+        assert result.equal, result.outputs.first
+        assert any("breaks off" in note for note in result.notes)
+        compared.add(result.compared)
+    assert max(refused) < 10  # only pieces so short that nothing was decided yet
+    assert len(compared) > 5  # longer and longer pieces, not the same one each time
+    assert max(compared) <= replay(recorded).compared
+
+
+def test_a_last_tick_without_its_decisions_is_left_out(recorded, tmp_path):
+    last = replay(recorded).last_tick
+    cut = rewritten(recorded, tmp_path / "cut.mcap", when=lambda m: (m.topic, m.sequence) != (STEP, last))
+    result = replay(cut)
+    assert (result.equal, result.last_tick) == (True, last - 1)
+    assert any("not whole" in note for note in result.notes)
+
+
+def without(topics, ticks):
+    gone = frozenset(ticks)
+    return lambda m: not (m.topic in topics and round((m.log_time_ns - EPOCH_NS) / 1e7) in gone)
+
+
+@pytest.mark.parametrize(
+    ("topics", "ticks", "words"),
+    [
+        ((INPUT, STEP, STATE), [50], ["tick 50 is missing", "gap"]),
+        ((INPUT, STEP, STATE), range(50, 61), ["ticks 50 to 60 are missing"]),
+        ((STEP,), [50], ["decisions of a tick after tick 49 are missing"]),
+        ((INPUT,), [50], ["inputs of a tick after tick 49 are missing"]),
+        ((INPUT,), range(10**6), ["no tick with both inputs and decisions"]),
+        ((STEP,), range(10**6), ["no tick with both inputs and decisions"]),
+        ((INPUT, STEP, STATE), [0, *range(100, 10**6, 100)], ["is missing"]),
+        ((INPUT, STEP, STATE, "/rosout"), [0, *range(10, 10**6)], ["neither tick 0 nor a usable snapshot"]),
+        ((INPUT, STEP, STATE, "/rosout"), range(1, 10**6), ["never sent a set-point", "0 to 0"]),
+    ],
+)
+def test_a_log_that_proves_nothing_says_why(recorded, tmp_path, topics, ticks, words):
+    broken = rewritten(recorded, tmp_path / "broken.mcap", when=without(topics, ticks))
+    with pytest.raises(ReplayError) as error:
+        replay(broken)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_a_controller_that_never_acted_proves_nothing(tmp_path):
+    world = World(CONFIG, fault=lambda _, i: with_(i, own=None), fault_from_s=0.0)
+    with pytest.raises(ReplayError, match="would prove nothing"):
+        replay(record(tmp_path / "idle.mcap", world, 1.0))
+
+
+def test_a_log_without_inputs_or_configuration_is_refused(tmp_path):
+    with pytest.raises(ReplayError, match="no controller inputs"):
+        replay(write_log(tmp_path / "old.mcap", landing()))
+    (tmp_path / "text.mcap").write_text("hello, this is not a log")
+    with pytest.raises(ReplayError, match="not an MCAP file"):
+        replay(tmp_path / "text.mcap")
+
+
+def test_a_log_that_lacks_its_beginning_is_replayed_from_the_first_snapshot(recorded, tmp_path):
+    late = lambda m: m.topic == "/rosout" or m.sequence >= 37  # noqa: E731
+    result = replay(rewritten(recorded, tmp_path / "late.mcap", when=late))
+    assert result.equal, result.outputs.first + result.states.first
+    assert (result.start, result.first_tick) == ("the state after tick 100", 101)
+    assert any("lacks its beginning" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(("start_s", "first"), [(0.0, 0), (0.37, 101), (1.0, 101), (1.005, 201)])
+def test_what_log_cut_leaves_replays(recorded, tmp_path, start_s, first):
+    cut = tmp_path / "cut.mcap"
+    done = CliRunner().invoke(main, ["log", "cut", str(recorded), "--from", str(start_s), "--out", str(cut)])
+    assert done.exit_code == 0, done.output
+    result = replay(cut)
+    assert result.equal, result.outputs.first
+    assert result.first_tick == first
+
+
+def test_a_wrong_snapshot_is_found_by_what_follows(recorded, tmp_path):
+    def slower(data):
+        row = unpack_controller_state(data)
+        text = row.state.replace('"commanding":true', '"commanding":false')
+        assert text != row.state
+        return pack_controller_state(row.stamp_ns, row.tick, row.layout, text)
+
+    changed = rewritten(
+        recorded,
+        tmp_path / "late.mcap",
+        when=lambda m: m.topic == "/rosout" or m.sequence >= 37,
+        change=at(STATE, slower, 100),
+    )
+    assert not replay(changed).equal
+
+
+def test_a_snapshot_of_another_layout_is_refused_or_left_out(recorded, tmp_path):
+    def renamed(message):
+        if message.topic != STATE:
+            return message.data
+        row = unpack_controller_state(message.data)
+        return pack_controller_state(row.stamp_ns, row.tick, row.layout + ",new:float", row.state)
+
+    whole = replay(rewritten(recorded, tmp_path / "whole.mcap", change=renamed))
+    assert whole.equal
+    assert any("another layout" in note for note in whole.notes)
+    late = rewritten(recorded, tmp_path / "late.mcap", when=lambda m: m.sequence >= 37, change=renamed)
+    with pytest.raises(ReplayError, match=r"snapshot after tick \d+ is of no use.*new:float"):
+        replay(late)
+
+
+def test_refused_samples_and_faults_replay(tmp_path):
+    world = World(CONFIG, position=(-0.35, 0.1, 0.75))
+    world.fault, world.fault_from_s, world.fault_to_s = each_sample(position_enu_m=(9.0, 9.0, 0.2)), 0.5, 1.2
+    path = record(tmp_path / "fault.mcap", world, 4.0)
+    steps = [unpack_controller_step(m.data) for m in LogFile(path).messages({STEP})]
+    assert steps[-1].target_rejected > 50
+    assert Phase.HOLD in {row.phase for row in steps}
+    result = replay(path)
+    assert result.equal, result.outputs.first
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, ["replay", *map(str, arguments)])
+
+
+def test_the_verb_says_equal_or_names_what_is_not(recorded, tmp_path):
+    for arguments in ([recorded], [recorded, "--check"]):
+        done = run(*arguments)
+        assert (done.exit_code, done.output.splitlines()[-1]) == (0, "equal"), done.output
+    changed = rewritten(recorded, tmp_path / "changed.mcap", change=at(STEP, lambda d: flipped(d, -1, 7)))
+    done = run(changed, "--check")
+    assert done.exit_code == 1
+    assert f"{STEP} tick {TICK} command_yaw_rad: recorded -0.0, replayed 0.0" in done.output
+    assert "decisions and events: 1 differences in 1 ticks" in done.output
+    found = json.loads(run(changed, "--json").output)
+    assert (found["result"], found["outputs"]["count"]) == ("different", 1)
+    assert found["outputs"]["first"][0]["field"] == "command_yaw_rad"
+    (tmp_path / "not.mcap").write_text("not a log")
+    done = run(tmp_path / "not.mcap", "--json")
+    assert done.exit_code == 2
+    assert json.loads(done.stdout)["result"] == "unusable"
+
+
+def test_the_verb_shows_what_another_configuration_would_have_done(recorded):
+    done = run(recorded, "--set", "barrier.alpha_1_m=1.2", "--set", "limits.velocity_max_m_s=[0.3, 0.3, 0.5]")
+    assert done.exit_code == 0, done.output
+    assert "set-point differs in" in done.output
+    assert "phases recorded: WAIT from 0, APPROACH from" in done.output
+    assert run(recorded, "--set", "barrier.alpha_1_m=1.2", "--check").exit_code == 1
+    same = run(recorded, "--set", "barrier.alpha_1_m=1.0", "--check")
+    assert (same.exit_code, "every set-point is the same" in same.output) == (0, True)
+    word = run(recorded, "--set", "filter=paper", "--json")
+    assert json.loads(word.output)["set"] == ["filter=paper"]
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("barrier.alpha_2_m=1", ["barrier.alpha_2_m", "alpha_1_m"]),
+        ("loop.rate_s=0.01", ["wrong unit", "rate_hz"]),
+        ("barrier.alpha_1_m=wide", ["barrier.alpha_1_m", "wide", "float"]),
+        ("barrier.alpha_1_m=99", ["0.05 to 20"]),
+        ("barrier.omega_1_s.x=1", ["omega_1_s is a value"]),
+        ("barrier.alpha_1_m", ["KEY=VALUE"]),
+        ("=1", ["KEY=VALUE"]),
+        ("wings.count=2", ["wings", "unknown key"]),
+    ],
+)
+def test_a_wrong_setting_is_refused(recorded, setting, words):
+    done = run(recorded, "--set", setting)
+    assert done.exit_code == 2
+    for word in words:
+        assert word in done.output
+
+
+def test_schemas_of_the_new_topics_are_in_the_log(recorded):
+    found = {m.topic: m.schema for m in LogFile(recorded).messages({INPUT, STATE})}
+    assert found == {INPUT: schemas.CONTROLLER_INPUT, STATE: schemas.CONTROLLER_STATE}

@@ -1,0 +1,45 @@
+"""The golden logs: what the controller decided when they were made, it decides today.
+
+If a change is meant to change decisions, ``python -m tests.golden update`` shows it and flies anew.
+"""
+
+import pytest
+
+from logs.replay.replay import replay
+from tests.golden.__main__ import main, phases
+from tests.golden.flights import BYTES_MAX, FLIGHTS, FOLDER, path_of
+
+HELP = "; if this is meant: python -m tests.golden update"
+
+
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_a_golden_log_is_decided_as_it_was(name):
+    result = replay(path_of(name))
+    wire = result.wire.first if result.wire is not None else []
+    assert result.equal, "\n".join(map(str, result.outputs.first + result.states.first + wire)) + HELP
+    assert set(FLIGHTS[name].phases) <= phases(result)
+    assert (result.wire is not None) == FLIGHTS[name].wire
+    assert result.compared > 200
+    assert result.start == "tick 0"
+
+
+def test_every_golden_log_has_its_flight_and_stays_small():
+    found = {path.stem: path.stat().st_size for path in FOLDER.glob("*.mcap")}
+    assert set(found) == set(FLIGHTS)
+    assert max(found.values()) <= BYTES_MAX
+
+
+def test_the_golden_logs_hold_flights_of_both_clocks_and_filters():
+    assert {flight.lockstep for flight in FLIGHTS.values()} == {True, False}
+    assert {flight.scenario for flight in FLIGHTS.values()} == {
+        "paper_static_1",
+        "paper_moving_1",
+        "straight",
+    }
+
+
+def test_the_command_checks_and_refuses_unknown_names(capsys):
+    assert main(["check", "contact"]) == 0
+    assert "contact: " in capsys.readouterr().out
+    assert main(["check", "nothing"]) == 2
+    assert main(["burn"]) == 2

@@ -1,0 +1,194 @@
+"""The controller's state as text: restored at any tick it goes on as if nothing had happened."""
+
+import math
+import struct
+from dataclasses import dataclass, fields, is_dataclass, replace
+from enum import Enum
+from typing import get_args, get_origin, get_type_hints
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flightstack.common.pacing import Tick
+from flightstack.core.controller import Controller
+from flightstack.core.memory import State
+from flightstack.core.parameters.flight import FilterKind
+from flightstack.core.safety.qp_filter import SafetyFilter
+from flightstack.core.types import Operator, TargetSample
+from flightstack.onboard.state_text import StateText, StateTextError
+from logs.schema.codec import pack_controller_step
+from logs.schema.step_row import step_row
+from tests.point_mass import World, each_sample
+from tests.unit.config.test_bad_input import TARGET_FAULTS
+from tests.unit.logs.replay.replay_helpers import CONFIG
+from tests.unit.logs.replay.test_replay_codec import bits, floats, texts
+
+TEXT = StateText(State)
+PLAIN = {float: floats, bool: st.booleans(), int: st.integers(0, 2**40), str: texts}
+
+
+def any_of(hint):
+    """Any value of a declared type."""
+    if hint in PLAIN:
+        return PLAIN[hint]
+    if is_dataclass(hint):
+        hints = get_type_hints(hint)
+        return st.builds(hint, **{f.name: any_of(hints[f.name]) for f in fields(hint)})
+    if get_origin(hint) is tuple:
+        return st.tuples(*map(any_of, get_args(hint)))
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return st.sampled_from(hint)
+    return st.one_of(st.none() if each is type(None) else any_of(each) for each in get_args(hint))
+
+
+def packed(value):
+    """Every leaf of a state; floats by their bits, since NaN equals nothing."""
+    if is_dataclass(value):
+        return [(f.name, packed(getattr(value, f.name))) for f in fields(value)]
+    if isinstance(value, tuple):
+        return [packed(v) for v in value]
+    return struct.pack("<d", value) if isinstance(value, float) else (type(value), value)
+
+
+@given(any_of(State))
+def test_any_state_comes_back_to_the_bit(state):
+    back = TEXT.loads(TEXT.layout, TEXT.dumps(state))
+    assert packed(back) == packed(state)
+
+
+FAULTS = {
+    "none": None,
+    **TARGET_FAULTS,
+    "abort": lambda w, i: i.__class__(i.own, i.status, i.target_samples, Operator.ABORT),
+    "emergency": lambda w, i: i.__class__(i.own, i.status, i.target_samples, Operator.EMERGENCY_STOP),
+    "no own state": lambda w, i: i.__class__(None, i.status, i.target_samples),
+    "elsewhere": each_sample(position_enu_m=(2.0, 2.0, 0.2)),
+}
+
+
+def step_bytes(tick, now_s, out):
+    events = tuple(out.events)
+    return pack_controller_step(step_row(Tick(tick, now_s, tick, 0.0, 0.0), out)), events
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    fault=st.sampled_from(sorted(FAULTS)),
+    at_s=st.floats(0.0, 3.0),
+    lasts_s=st.floats(0.05, 2.5),
+    cut=st.integers(0, 399),
+    kind=st.sampled_from(FilterKind),
+)
+def test_restored_at_any_tick_it_decides_what_the_straight_run_decides(fault, at_s, lasts_s, cut, kind):
+    config = replace(CONFIG, filter=kind)
+    world = World(config, FAULTS[fault], at_s, at_s + lasts_s, position=(-0.5, 0.2, 0.9))
+    flown = []
+    text = None
+    for tick in range(400):
+        now_s, given = world.t_s, world.inputs()
+        out = world.step()
+        flown.append((now_s, given, step_bytes(tick, now_s, out)))
+        if tick == cut:
+            text = TEXT.dumps(world.controller.state)
+    controller = Controller(config)
+    controller.restore(TEXT.loads(TEXT.layout, text))
+    for tick, (now_s, inputs, expected) in enumerate(flown[cut + 1 :], cut + 1):
+        assert step_bytes(tick, now_s, controller.step(inputs, now_s)) == expected
+    assert TEXT.dumps(controller.state) == TEXT.dumps(world.controller.state)
+
+
+def leaves(value, name="controller"):
+    """Everything plain that an object holds, at any depth; the solver's scratch space is none of it."""
+    if isinstance(value, SafetyFilter | type) or callable(value):
+        return
+    if is_dataclass(value):
+        inner = {f.name: getattr(value, f.name) for f in fields(value)}
+    elif isinstance(value, tuple | list):
+        inner = dict(enumerate(value))
+    else:
+        inner = value if isinstance(value, dict) else getattr(value, "__dict__", None)
+    if inner is None:
+        yield name, struct.pack("<d", value) if isinstance(value, float) else value
+        return
+    for key, each in inner.items():
+        yield from leaves(each, f"{name}.{key}")
+
+
+@pytest.mark.parametrize("filter_kind", FilterKind)
+def test_the_state_is_all_that_changes_in_a_controller(filter_kind):
+    config = replace(CONFIG, filter=filter_kind)
+    fault = each_sample(position_enu_m=(2.0, 2.0, 0.2))
+    world = World(config, fault, 0.5, 0.8, position=(-0.5, 0.2, 0.9)).run(2.0)
+    restored = Controller(config)
+    fresh = dict(leaves(restored))
+    restored.restore(TEXT.loads(TEXT.layout, TEXT.dumps(world.controller.state)))
+    flown = dict(leaves(world.controller))
+    assert dict(leaves(restored)) == flown
+    assert fresh != flown
+    assert any(name.endswith("offset_s") for name in flown)  # it looks deep enough
+
+
+def test_another_layout_is_refused():
+    with pytest.raises(StateTextError, match="layout 'old' found"):
+        TEXT.loads("old", TEXT.dumps(Controller(CONFIG).state))
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (('"retries":0', '"retries":0.5'), "memory.retries"),
+        (('"retries":0', '"retries":true'), "memory.retries"),
+        (('"retries":0', '"tries":0'), "memory"),
+        (('"phase":"WAIT"', '"phase":"DANCE"'), "memory.phase"),
+        (('"phase_since_s":0.0', '"phase_since_s":NaN'), "NaN"),
+        (('"phase_since_s":0.0', '"phase_since_s":"f64:00"'), "memory.phase_since_s"),
+        (('"command":[0.0,0.0,0.0]', '"command":[0.0,0.0]'), "memory.command"),
+        (('"yaw_rad":null', '"yaw_rad":"north"'), "memory.yaw_rad"),
+        (('{"memory"', '["memory"'), "not JSON"),
+    ],
+)
+def test_text_that_is_no_state_is_refused_and_named(change, word):
+    text = TEXT.dumps(Controller(CONFIG).state)
+    assert change[0] in text
+    with pytest.raises(StateTextError, match=word):
+        TEXT.loads(TEXT.layout, text.replace(*change))
+
+
+@dataclass
+class _Listed:
+    values: list[float]
+
+
+@dataclass
+class _Either:
+    value: int | str
+
+
+@dataclass
+class _Endless:
+    values: tuple[float, ...]
+
+
+@pytest.mark.parametrize("cls", [_Listed, _Either, _Endless])
+def test_a_type_that_cannot_be_written_is_refused_at_the_start(cls):
+    with pytest.raises(TypeError, match=cls.__name__):
+        StateText(cls)
+
+
+@given(bits)
+def test_floats_without_a_word_in_json_keep_their_bits(number):
+    state = Controller(CONFIG).state
+    state.memory.phase_since_s = number
+    back = TEXT.loads(TEXT.layout, TEXT.dumps(state)).memory.phase_since_s
+    assert struct.pack("<d", back) == struct.pack("<d", number)
+
+
+def test_the_text_can_be_read_by_a_person():
+    sample = TargetSample(1.0, 2.0, "map", "target", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0), 0.0, 0.0)
+    state = Controller(CONFIG).state
+    state.memory.reason, state.track.last = "because", sample
+    text = TEXT.dumps(state)
+    for word in ('"reason":"because"', '"position_enu_m":[0.1,0.2,0.3]', '"phase":"WAIT"'):
+        assert word in text
+    assert math.inf == TEXT.loads(TEXT.layout, text).track.offset_s

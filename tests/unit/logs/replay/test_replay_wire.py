@@ -1,0 +1,150 @@
+"""The recorded wire through today's bridge: what it means must be what it meant."""
+
+import itertools
+from dataclasses import replace as with_
+
+import pytest
+
+from bridge.mavlink.endpoint import dialect
+from bridge.target.odometry import OdometryError, sample_from_cdr
+from flightstack.core.types import Inputs
+from logs.reader.reader import LogFile
+from logs.replay.read import SINK, SOURCE, FlightInputs, TickRecord
+from logs.replay.replay import replay
+from logs.replay.wire import WireReplay
+from logs.schema.codec_input import ControllerInputRow
+from logs.schema.codec_log import ONBOARD, LogRow
+from logs.schema.codec_mavlink import pack_mavlink, unpack_mavlink
+from tests.golden.flights import path_of
+from tests.golden.keep import write_kept
+from tests.unit.logs.replay.replay_helpers import CONFIG
+
+GOLDEN = path_of("contact")
+POSITION, ANSWER = dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, dialect.MAVLINK_MSG_ID_TIMESYNC
+SKIPPED = 200  # messages of the kind, so that the flight is under way
+PAYLOAD_AT = 10  # bytes, MAVLink 2
+
+
+def frame_changed(target, topic, message_id, byte, *, value=None):
+    """The golden log with one byte of one frame's payload changed, all 200 frames of the kind into it."""
+    seen = 0
+
+    def change(message):
+        nonlocal seen
+        if message.topic != topic:
+            return message.data
+        stamp_ns, frame = unpack_mavlink(message.data)
+        seen += frame[7] == message_id
+        if frame[7] != message_id or seen != SKIPPED:
+            return message.data
+        changed = bytearray(frame)
+        changed[PAYLOAD_AT + byte] = (frame[PAYLOAD_AT + byte] ^ 1) if value is None else value
+        seen += 1
+        return pack_mavlink(stamp_ns, bytes(changed))
+
+    write_kept(GOLDEN, target, change=change)
+    assert seen > SKIPPED
+    return target
+
+
+def misread(path):
+    """Inputs that the wire gives otherwise, whatever the controller decides on them."""
+    flight = FlightInputs(path)
+    wire = WireReplay(flight.config(), 1, lockstep=True, autopilot=flight.onboard["autopilot"])
+    return [each for tick in flight.ticks() for each in wire.take(tick, tick.given)]
+
+
+def test_the_golden_wire_gives_the_recorded_inputs():
+    assert misread(GOLDEN) == []
+    log = LogFile(GOLDEN)
+    assert sum(m.topic == SOURCE for m in log.messages()) > 1000
+    assert sum(m.topic == SINK for m in log.messages()) > 300
+
+
+@pytest.mark.parametrize(
+    ("byte", "field"),
+    [
+        (4, "own.position_enu_m[1]"),  # x north
+        (8, "own.position_enu_m[0]"),  # y east
+        (12, "own.position_enu_m[2]"),  # z down
+        (24, "own.velocity_enu_m_s[2]"),
+        (0, "own.source_time_s"),
+    ],
+)
+def test_a_changed_bit_of_the_vehicles_position_means_other_inputs(tmp_path, byte, field):
+    found = misread(frame_changed(tmp_path / "changed.mcap", SOURCE, POSITION, byte))
+    assert {d.field for d in found} == {field}
+    assert {d.topic for d in found} == {"wire, inputs"}
+    assert len(found) <= 2
+
+
+def once(topic, number, change):
+    """Changes one message of a topic, by its place."""
+    seen = itertools.count(1)
+    return lambda m: change(m.data) if m.topic == topic and next(seen) == number else m.data
+
+
+def test_a_changed_bit_of_the_targets_odometry_means_other_inputs(tmp_path):
+    def change(data):
+        at = data.index(b"target\x00") + 7  # the pose begins behind it, aligned to eight
+        at += (4 - at) % 8
+        return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
+
+    changed = write_kept(GOLDEN, tmp_path / "changed.mcap", change=once("/cf1/target/odom", 150, change))
+    (found,) = misread(changed)
+    assert found.field == "target_samples[0].position_enu_m[0]"
+
+
+def test_a_changed_frame_to_the_vehicle_is_found(tmp_path):
+    before, result = replay(GOLDEN), replay(frame_changed(tmp_path / "changed.mcap", SINK, ANSWER, 4))
+    assert result.outputs.count == before.outputs.count
+    assert result.wire.count == before.wire.count + 1
+    assert SINK in {d.topic for d in result.wire.first}
+
+
+def test_a_frame_of_an_unknown_message_is_passed_over_and_what_it_was_is_missed(tmp_path):
+    def change(data):
+        stamp_ns, frame = unpack_mavlink(data)
+        return pack_mavlink(stamp_ns, frame[:7] + b"\xff\xff\xff" + frame[10:])
+
+    found = misread(write_kept(GOLDEN, tmp_path / "changed.mcap", change=once(SOURCE, 700, change)))
+    assert found[0].topic == "wire, inputs"
+
+
+def tick_of(odometry, said):
+    given = ControllerInputRow(0, 0, 0.0, Inputs(), False)
+    return TickRecord(
+        0, given=given, odometry=odometry, said=[LogRow(0, 30, ONBOARD, t, "", "", 0) for t in said]
+    )
+
+
+def take_problem(payload):
+    with pytest.raises(OdometryError) as error:
+        sample_from_cdr(payload, 0.0)
+    return [f"target sample refused: {error.value}"]
+
+
+def test_samples_that_never_decoded_do_not_disturb_and_their_refusal_is_compared():
+    payload = next(m.data for m in LogFile(GOLDEN).messages({"/cf1/target/odom"}))
+    (refusal,) = take_problem(b"\x00\x01\x02")
+    for said, count in (
+        ([refusal], 0),
+        ([], 1),
+        ([refusal + "!"], 1),
+        (["frames of other systems ignored: 2"], 1),
+        ([refusal, "waiting: no sample on cf1/target/odom; gives up within 9 s (checks.wait_time_max_s)"], 0),
+        ([refusal, "no heartbeat of system 1, component 1 for 4 s: nothing arrives"], 0),
+    ):
+        record = tick_of([b"\x00\x01\x02", payload], said)
+        wire = WireReplay(CONFIG, 1, lockstep=False)
+        found = wire.take(record, record.given)
+        assert sum(d.topic == "/rosout" for d in found) == count, found
+        assert [d.field for d in found if d.topic == "wire, inputs"] == ["target_samples.length"]
+
+
+def test_with_another_configuration_or_without_frames_the_wire_is_left_out(tmp_path):
+    config = FlightInputs(GOLDEN).config()
+    assert replay(GOLDEN, with_(config)).wire is None
+    bare = replay(write_kept(GOLDEN, tmp_path / "bare.mcap", wire=False))
+    assert bare.wire is None
+    assert any("wire not replayed" in note for note in bare.notes)

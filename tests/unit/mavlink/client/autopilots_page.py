@@ -1,0 +1,177 @@
+"""The tables of docs/autopilots.md, from the code; run as a module it writes them into the page.
+
+python -m tests.unit.mavlink.client.autopilots_page
+"""
+
+from pathlib import Path
+
+from bridge.mavlink.endpoint import dialect
+from bridge.mavlink.line_budget import LineTooSlowError
+from bridge.mavlink.preflight.report import Level, Needs
+from bridge.mavlink.preflight.rules import RULES
+from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
+from bridge.mavlink.profiles.profile import Reading
+from flightstack.core.parameters.flight import BarrierShape, FlightConfig
+from flightstack.core.types import Mode, Request
+from flightstack.onboard.preflight import line_plan, needs_of
+from sim.autopilot.modes import FlightMode
+from sim.autopilot.personality import PERSONALITIES
+from sim.scenarios import scenario
+from tests.unit.verify.certificate_page import BEGIN, END, split
+
+PAGE = Path(__file__).parents[4] / "docs" / "autopilots.md"
+PROFILES = (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)
+EXAMPLE = "lab"  # scenario whose command box the wanted values are for
+
+
+def _table(head, rows):
+    lines = ["| " + " | ".join(cells) + " |" for cells in (head, *rows)]
+    return "\n".join([lines[0], "|---" * len(head) + "|", *lines[1:]])
+
+
+def _yes(value):
+    return "yes" if value else "no"
+
+
+def _steps(profile, request):
+    steps = profile.sequences[request]
+    return ", ".join(f"{s.name} ({s.command}; {s.tries} × {s.period_s:g} s)" for s in steps)
+
+
+def _takeoff_height(profile):
+    own = any(step.command == dialect.MAV_CMD_NAV_TAKEOFF for step in profile.sequences[Request.TAKEOFF])
+    return profile.takeoff_altitude.value if own else "not told: it climbs by set-points"
+
+
+def _modes(profile, mode):
+    found = [number for number, of in profile.modes.items() if of is mode]
+    return ", ".join(f"0x{n:08x}" if n > 0xFFFF else str(n) for n in found) or "none of its own"
+
+
+def _answers(profile, reading):
+    numbers = [number for number, of in profile.answers.items() if of is reading]
+    return ", ".join(dialect.enums["MAV_RESULT"][n].name.removeprefix("MAV_RESULT_") for n in numbers)
+
+
+def _streams(profile):
+    extra = [dialect.mavlink_map[n].msgname for n in profile.asked_hz]
+    way = "SET_MESSAGE_INTERVAL" + (", then REQUEST_DATA_STREAM" if profile.data_streams else "")
+    return way + (f"; also {', '.join(extra)}" if extra else "")
+
+
+def profiles():
+    """What differs between autopilots."""
+    rows = [
+        ("`--autopilot`", lambda p: f"`{p.name}`"),
+        ("MAV_AUTOPILOT of the heartbeat", lambda p: str(p.autopilot)),
+        ("follows set-points in", lambda p: _modes(p, Mode.EXTERNAL)),
+        ("takes off in", lambda p: _modes(p, Mode.TAKEOFF)),
+        ("holds in", lambda p: _modes(p, Mode.HOLD)),
+        ("lands in", lambda p: _modes(p, Mode.LAND)),
+        ("on the ground, before anything", lambda p: ", ".join(s.name for s in p.prepare) or "nothing"),
+        ("take-off", lambda p: _steps(p, Request.TAKEOFF)),
+        ("height of the take-off", _takeoff_height),
+        (
+            "set-points during its take-off",
+            lambda p: "allowed" if p.stream_in_takeoff else "held back: one ends it",
+        ),
+        (
+            "set-points before the switch",
+            lambda p: f"for {p.prestream_s:g} s" if p.prestream_s else "not needed",
+        ),
+        ("switch", lambda p: _steps(p, Request.EXTERNAL)),
+        ("set-point", lambda p: f"mask {p.setpoint_mask}, frame {p.frame}"),
+        ("landing", lambda p: _steps(p, Request.LAND)),
+        ("kill", lambda p: _steps(p, Request.MOTORS_OFF)),
+        ("left-out command parameters", lambda p: f"{p.unset:g}"),
+        *((f"answers: {r.value}", lambda p, r=r: _answers(p, r)) for r in Reading),
+        ("streams are asked for by", _streams),
+        ("integer parameters", lambda p: p.encoding.value),
+        ("origin is told", lambda p: "when `vehicle.origin_wgs84` is set" if p.needs_origin else "no"),
+        ("TIMESYNC", lambda p: p.time_sync),
+        ("set-points stop", lambda p: p.stream_lost),
+    ]
+    return _table(
+        ["", *(p.title for p in PROFILES)], [[n, *(value(p) for p in PROFILES)] for n, value in rows]
+    )
+
+
+def _needs() -> Needs:
+    return needs_of(scenario.load(EXAMPLE).onboard)
+
+
+def rules(name):
+    """Parameters of the check of one autopilot."""
+    rows = [
+        [
+            rule.name,
+            rule.wanted(_needs()),
+            "keeps it from arming" if rule.level is Level.UNSAFE else "note",
+            rule.why,
+        ]
+        for rule in RULES[name]
+    ]
+    return _table(["parameter", "wanted", "otherwise", "why"], rows)
+
+
+def personalities():
+    """What the simulated vehicle plays."""
+    who = list(PERSONALITIES.values())
+
+    def mode(p, wanted):
+        return str(p.custom_mode(p.codes[wanted]))
+
+    rows = [
+        ("`--personality`", lambda p: f"`{p.name}`"),
+        ("MAV_AUTOPILOT", lambda p: str(p.autopilot)),
+        *((f"custom_mode: {m.value}", lambda p, m=m: mode(p, m)) for m in FlightMode),
+        (
+            "refused for now",
+            lambda p: dialect.enums["MAV_RESULT"][p.refused].name.removeprefix("MAV_RESULT_"),
+        ),
+        ("frames of set-points", lambda p: ", ".join(map(str, p.frames))),
+        ("set-points in its take-off", lambda p: "end it" if p.guided else "wait for the switch"),
+        (
+            "silence, or a wrong set-point",
+            lambda p: "stops, stays in the mode" if p.guided else "fail-safe; dropped",
+        ),
+        ("arming outside the external mode", lambda p: _yes(not p.guided)),
+        ("needs an origin", lambda p: _yes(p.needs_origin)),
+        ("sends unasked", lambda p: "its streams" if p.rates_hz else "HEARTBEAT, STATUSTEXT"),
+        ("REQUEST_DATA_STREAM", lambda p: "raises rates" if p.data_streams else "ignored"),
+        ("integer parameters", lambda p: "bytes of the integer" if p.bytewise else "converted to a float"),
+        (
+            "set by `sitl`",
+            lambda p: ", ".join(f"{k} = {v:g}" for k, v in p.set_before_flight.items()) or "nothing",
+        ),
+    ]
+    return _table(["", *(p.name for p in who)], [[n, *(value(p) for p in who)] for n, value in rows])
+
+
+def line_rates():
+    config = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))
+    rows = []
+    for baud in (921_600, 115_200, 57_600, 38_400, 19_200):
+        try:
+            plan = line_plan(baud, config, signed=False)
+        except LineTooSlowError:
+            rows.append((str(baud), "refused", "", "", ""))
+            continue
+        state, setpoint = (f"{hz:.3g} Hz" for hz in (plan.state_hz, plan.setpoint_hz))
+        rows.append((str(baud), state, f"{plan.in_bytes_s:.0f} B/s", setpoint, f"{plan.out_bytes_s:.0f} B/s"))
+    return _table(("baud", "position and attitude", "needs in", "set-points", "needs out"), rows)
+
+
+def tables():
+    found = {"profiles": profiles(), "personalities": personalities(), "line rates": line_rates()}
+    return found | {f"rules {name}": rules(name) for name in RULES if RULES[name]}
+
+
+if __name__ == "__main__":
+    page = PAGE.read_text()
+    for name, table in tables().items():
+        before, _, after = split(page, name)
+        page = before + table + after
+    PAGE.write_text(page)
+    assert all(BEGIN.format(name) in page for name in tables())
+    assert page.count(END) == len(tables())

@@ -1,0 +1,246 @@
+"""The table of autopilots: who is flown, by which profile, and what the differences do."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from bridge.mavlink.client.commands import CommandSequencer
+from bridge.mavlink.client.origin import Origin, OriginSender
+from bridge.mavlink.client.streams import StreamRequests
+from bridge.mavlink.client.vehicle_state import VehicleState
+from bridge.mavlink.endpoint import dialect
+from bridge.mavlink.profiles.autopilots import (
+    ARDUPILOT,
+    AUTO,
+    CHOICES,
+    CRAZYFLIE,
+    OWN_SITL,
+    PROFILES,
+    PX4,
+    found,
+    profile,
+    refusal,
+)
+from bridge.mavlink.profiles.profile import Encoding, Reading
+from flightstack.cli import options as cli_options
+from flightstack.core.types import Landed, Mode, Request
+from sim.autopilot.personality import PERSONALITIES as SIMULATED
+from tests.unit.mavlink.client.vehicle_link_fakes import (
+    HEIGHT,
+    commands,
+    heartbeat,
+    params,
+    sequencer,
+    status,
+)
+
+GUIDED, LOITER, STABILIZE = 4, 5, 0
+
+
+def test_every_profile_is_whole():
+    for name, each in PROFILES.items():
+        assert each.name == name
+        assert set(each.sequences) == set(Request)
+        assert set(each.answers) <= set(dialect.enums["MAV_RESULT"])
+        assert Mode.EXTERNAL in each.modes.values()
+        assert Mode.LAND in each.modes.values()
+        assert not any(
+            step.blind for r in Request if r is not Request.MOTORS_OFF for step in each.sequences[r]
+        )
+    assert (AUTO, *PROFILES) == CHOICES
+
+
+def test_the_command_knows_the_simulators_personalities():
+    assert tuple(SIMULATED) == cli_options.PERSONALITIES
+
+
+def test_names_and_heartbeats_give_profiles():
+    assert profile(AUTO) is None
+    assert profile("ardupilot") is ARDUPILOT
+    assert found(12) is PX4  # the simulator and the bridge are told from it by AUTOPILOT_VERSION
+    assert found(3) is ARDUPILOT
+    assert found(0) is None
+    with pytest.raises(ValueError, match="auto, sitl, crazyflie, px4, ardupilot"):
+        profile("betaflight")
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "type_", "chosen", "words"),
+    [
+        (0, 2, None, ["GENERIC (0)", "PX4", "ArduCopter", "not flown"]),
+        (99, 2, None, ["99"]),
+        (12, 1, None, ["FIXED_WING (1)", "QUADROTOR (2)"]),
+        (3, 10, ARDUPILOT, ["GROUND_ROVER (10)"]),
+        (3, 2, PX4, ["autopilot 3", "'px4'", "auto"]),
+    ],
+)
+def test_who_is_not_known_is_refused_with_what_is(autopilot, type_, chosen, words):
+    text = refusal(autopilot, type_, chosen)
+    assert text is not None
+    for word in words:
+        assert word in text
+
+
+@pytest.mark.parametrize("type_", [2, 13, 14, 15])
+def test_multirotors_of_both_are_flown(type_):
+    assert refusal(12, type_, None) is None
+    assert refusal(3, type_, ARDUPILOT) is None
+
+
+def test_arming_that_is_worked_on_is_left_alone_for_three_seconds():
+    s = sequencer(ARDUPILOT)
+    guided = status(0.0, mode=Mode.TAKEOFF)
+    sent = []
+    for tick in range(400):
+        now = tick * 0.01
+        sent += [now for _ in s.step(Request.TAKEOFF, guided, now)]
+        if tick == 10:
+            s.note_ack(400, dialect.MAV_RESULT_IN_PROGRESS)
+    assert sent == pytest.approx([0.0, 3.0, 3.5])
+
+
+@pytest.mark.parametrize("autopilot", PROFILES.values(), ids=PROFILES)
+def test_a_final_refusal_is_believed_when_it_is_said_twice(autopilot):
+    s = sequencer(autopilot)
+    s.step(Request.LAND, status(0.0, armed=True), 0.0)
+    s.note_ack(21, dialect.MAV_RESULT_UNSUPPORTED)
+    assert len(s.step(Request.LAND, status(0.6, armed=True), 0.6)) == 1
+    s.note_ack(21, dialect.MAV_RESULT_UNSUPPORTED)
+    assert s.step(Request.LAND, status(1.2, armed=True), 1.2) == []
+    assert "UNSUPPORTED" in s.failed
+
+
+def test_motors_off_is_sent_on_whatever_is_answered():
+    s = sequencer()
+    sent = 0
+    for tick in range(20):
+        sent += len(s.step(Request.MOTORS_OFF, status(tick * 0.5, armed=True), tick * 0.5))
+        s.note_ack(400, dialect.MAV_RESULT_DENIED)
+    assert sent == 20
+    assert s.failed is None
+
+
+def test_a_temporary_rejection_is_tried_again():
+    for autopilot in PROFILES.values():
+        for result in (dialect.MAV_RESULT_TEMPORARILY_REJECTED, dialect.MAV_RESULT_FAILED):
+            assert autopilot.answers[result] is Reading.AGAIN
+
+
+def test_ardupilot_is_prepared_on_the_ground_until_it_shows_guided():
+    s = sequencer(ARDUPILOT)
+    sent = []
+    for tick in range(350):
+        now = tick * 0.01
+        sent += [(now, m) for m in s.step(Request.NONE, status(now, mode=Mode.OTHER), now)]
+    assert [now for now, _ in sent] == pytest.approx([0.0, 1.0, 2.0, 3.0])
+    assert {(m.command, m.param1, m.param2) for _, m in sent} == {(176, 1.0, 4.0)}
+    assert s.step(Request.NONE, status(3.5, mode=Mode.TAKEOFF), 3.5) == []
+    assert len(s.step(Request.NONE, status(4.5, mode=Mode.OTHER), 4.5)) == 1  # lost again, as after its boot
+
+
+def test_a_vehicle_that_is_armed_or_that_was_flown_is_not_prepared():
+    s = sequencer(ARDUPILOT)
+    assert s.step(Request.NONE, status(0.0, armed=True, mode=Mode.OTHER), 0.0) == []
+    s.step(Request.LAND, status(1.0, armed=True), 1.0)
+    assert s.step(Request.NONE, status(2.0, mode=Mode.OTHER), 2.0) == []
+    assert sequencer(PX4).step(Request.NONE, status(0.0, mode=Mode.OTHER), 0.0) == []
+
+
+def test_guided_is_a_take_off_until_it_follows_us():
+    state = VehicleState(ARDUPILOT)
+    state.update(heartbeat(GUIDED, armed=True, autopilot=3), 1.0)
+    assert state.status.mode is Mode.TAKEOFF
+    state.follow(True)
+    assert state.status.mode is Mode.EXTERNAL
+    assert state.status.arrival_s == 1.0  # no news of the heartbeat
+    state.update(heartbeat(LOITER, armed=True, autopilot=3), 2.0)
+    assert state.status.mode is Mode.HOLD
+    state.update(heartbeat(GUIDED, armed=False, autopilot=3), 3.0)
+    assert state.status.mode is Mode.TAKEOFF  # disarmed: the next flight begins anew
+    state.update(heartbeat(STABILIZE, autopilot=3), 4.0)
+    assert state.status.mode is Mode.OTHER
+
+
+def test_offboard_of_px4_always_follows():
+    state = VehicleState(PX4)
+    state.update(heartbeat(6 << 16, armed=True), 1.0)
+    assert state.status.mode is Mode.EXTERNAL
+
+
+def test_ardupilots_take_off_is_over_for_the_sequencer_only_in_the_air():
+    s = sequencer(ARDUPILOT)
+    armed = status(0.0, armed=True, mode=Mode.TAKEOFF)
+    (takeoff,) = s.step(Request.TAKEOFF, armed, 0.0)
+    assert (takeoff.command, takeoff.param7) == (22, pytest.approx(HEIGHT))
+    assert s.step(Request.TAKEOFF, armed, 3.9) == []
+    assert commands(s.step(Request.TAKEOFF, armed, 4.1)) == [22]
+    assert s.step(Request.TAKEOFF, replace(armed, arrival_s=4.5, landed=Landed.TAKEOFF), 4.5) == []
+    assert s.reached
+
+
+def test_data_streams_are_asked_for_after_the_intervals():
+    streams = StreamRequests({32: 50.0}, 1, 1, 0.0, {32: 6})
+    asked = [m for tick in range(1000) for m in streams.step(tick * 0.01)]
+    assert [m.get_type() for m in asked] == ["COMMAND_LONG"] * 5 + ["REQUEST_DATA_STREAM"] * 5
+    assert (asked[-1].req_stream_id, asked[-1].req_message_rate, asked[-1].start_stop) == (6, 50, 1)
+
+
+def asked_s(streams, from_s, until_s):
+    """Times at which something is asked for."""
+    ticks = range(round(from_s * 100), round(until_s * 100))
+    return [tick * 0.01 for tick in ticks for _ in streams.step(tick * 0.01)]
+
+
+def test_what_never_comes_is_asked_for_every_three_seconds_in_both_ways():
+    streams = StreamRequests({32: 50.0}, 1, 1, 0.0, {32: 6})
+    assert asked_s(streams, 0.0, 9.5) == pytest.approx([float(s) for s in range(10)])
+    assert asked_s(streams, 9.5, 60.0) == pytest.approx([12.0 + 3.0 * n for n in range(16)])
+    later = [m.get_type() for tick in range(6000, 12000) for m in streams.step(tick * 0.01)]
+    assert set(later) == {"COMMAND_LONG", "REQUEST_DATA_STREAM"}
+    assert len(later) == 20
+
+
+def test_a_stream_that_comes_more_slowly_than_asked_is_left_as_it_is():
+    streams = StreamRequests({32: 50.0}, 1, 1, 0.0)
+    sent = 0
+    for tick in range(6000):
+        if tick % 10 == 0:  # 10 Hz, which is all that the line has room for
+            streams.seen(32)
+        sent += len(streams.step(tick * 0.01))
+    assert sent == 5
+
+
+def test_after_a_restart_what_does_not_come_is_asked_for_at_once():
+    streams = StreamRequests({32: 50.0, 30: 50.0}, 1, 1, 0.0)
+    for tick in range(2000):
+        streams.seen(30)
+        streams.step(tick * 0.01)
+    streams.restart()
+    streams.seen(30)
+    assert [m.param1 for m in streams.step(20.0)] == [32.0]  # 30 comes: it is not asked for again
+    assert asked_s(streams, 20.01, 22.5) == pytest.approx([21.0, 21.0, 22.0, 22.0])  # then neither comes
+
+
+def test_the_origin_is_told_once_a_second_on_the_ground_until_it_is_known():
+    sender = OriginSender(Origin(47.0, 8.5, 400.0), 1)
+    assert sender.step(None, False, 0.0) == []
+    (message,) = sender.step(status(), False, 0.0)
+    assert (message.latitude, message.longitude, message.altitude) == (470_000_000, 85_000_000, 400_000)
+    assert sender.step(status(), False, 0.5) == []
+    assert len(sender.step(status(), False, 1.0)) == 1
+    assert sender.step(status(), True, 2.0) == []
+    assert sender.step(status(armed=True), False, 2.0) == []
+    assert sum(len(sender.step(status(), False, 3.0 + tick)) for tick in range(200)) == 58
+    assert OriginSender(None, 1).step(status(), False, 0.0) == []
+
+
+def test_only_ardupilot_gets_no_nan_and_casts():
+    for autopilot in PROFILES.values():
+        s = CommandSequencer(autopilot, 1, 1, HEIGHT)
+        (land,) = s.step(Request.LAND, status(0.0, armed=True), 0.0)
+        assert any(map(math.isnan, params(land))) == (autopilot.encoding is Encoding.BYTEWISE)
+    for own in (OWN_SITL, CRAZYFLIE):
+        assert own.modes == PX4.modes
+        assert all(own.sequences[r] == PX4.sequences[r] for r in Request if r is not Request.TAKEOFF)
+    assert OWN_SITL.sequences == PX4.sequences

@@ -1,0 +1,275 @@
+"""The companion's side of the vehicle link over real sockets."""
+
+import math
+
+import pytest
+
+from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
+from bridge.mavlink.endpoint import Endpoint, dialect
+from flightstack.core.types import Mode, Request
+from tests.unit.mavlink.client.vehicle_link_fakes import (
+    HEIGHT,
+    LAND,
+    LOITER,
+    OFFBOARD,
+    TAKEOFF,
+    FakeAutopilot,
+    Setpoint,
+    attitude,
+    heartbeat,
+    home,
+    poll,
+    position,
+)
+
+
+@pytest.fixture
+def vehicle():
+    fake = FakeAutopilot()
+    yield fake
+    fake.endpoint.close()
+
+
+@pytest.fixture
+def link(vehicle):
+    opened = VehicleLink(f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT)
+    opened.poll(0.0)  # says hello, so that the vehicle knows where we are
+    vehicle.take("HEARTBEAT")
+    yield opened
+    opened.close()
+
+
+def test_hello_is_a_companions_heartbeat(vehicle):
+    link = VehicleLink(f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT)
+    link.poll(0.0)
+    (hello,) = vehicle.take("HEARTBEAT")
+    assert (hello.type, hello.autopilot) == (18, 8)
+    assert (hello.get_srcSystem(), hello.get_srcComponent()) == (1, COMPONENT_ID)
+    assert not link.heard
+    link.close()
+
+
+def test_state_and_status_come_through(vehicle, link):
+    vehicle.send(heartbeat(LOITER), attitude(500), position(500))
+    poll(link, 2.0)
+    assert link.own.position_enu_m == pytest.approx((2.0, 1.0, 3.0))
+    assert link.own.arrival_s == 2.0
+    assert link.status.mode is Mode.HOLD
+    assert link.heard
+
+
+@pytest.mark.parametrize("ids", [(2, 1), (1, 190), (255, 190)])
+def test_others_are_counted_and_ignored(ids):
+    link = VehicleLink("udpin:127.0.0.1:0", takeoff_height_m=HEIGHT)
+    other = Endpoint(f"udpout:127.0.0.1:{link.endpoint.local_port}", *ids)
+    other.send([heartbeat(OFFBOARD, armed=True), attitude(1), position(1)])
+    poll(link, 1.0)
+    other.close()
+    link.close()
+    assert (link.own, link.status, link.heard) == (None, None, False)
+    assert link.counters.foreign == 3
+
+
+def test_telemetry_is_asked_for_once_the_vehicle_is_heard(vehicle, link):
+    vehicle.beat()
+    poll(link, 1.0)
+    link.flush()
+    asked = {m.param1: m.param2 for m in vehicle.take("COMMAND_LONG") if m.get_type() == "COMMAND_LONG"}
+    assert asked == {32.0: 10_000.0, 30.0: 10_000.0, 245.0: 200_000.0}
+
+
+def test_own_heartbeat_goes_out_once_a_second(vehicle, link):
+    count = 0
+    for tick in range(301):
+        vehicle.send(position(tick * 10))
+        poll(link, tick * 0.01)
+        link.flush([dialect.MAVLink_ping_message(0, 0, 0, 0)])
+        count += sum(m.get_type() == "HEARTBEAT" for m in vehicle.take("PING"))
+    assert count == 4
+
+
+def test_setpoint_on_the_wire(vehicle, link):
+    assert link.send_setpoint(Setpoint((0.1, 0.2, 0.3), 0.0), now_s=1.2345)
+    link.flush()
+    (m,) = vehicle.take("SET_POSITION_TARGET_LOCAL_NED")
+    assert (m.coordinate_frame, m.type_mask, m.time_boot_ms) == (1, 2503, 1234)
+    assert (m.target_system, m.target_component) == (1, 1)
+    assert (m.vx, m.vy, m.vz) == pytest.approx((0.2, 0.1, -0.3))
+    assert m.yaw == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_setpoint_that_is_not_finite_never_leaves(link, bad):
+    assert not link.send_setpoint(Setpoint((0.0, bad, 0.0), 0.0), 0.0)
+    assert not link.send_setpoint(Setpoint((0.0, 0.0, 0.0), bad), 0.0)
+    assert link.counters.setpoints_refused == 2
+
+
+def test_nothing_is_sent_twice(vehicle, link):
+    link.send_setpoint(Setpoint((0.1, 0.0, 0.0), 0.0), 0.0)
+    link.flush()
+    link.flush([dialect.MAVLink_ping_message(0, 0, 0, 0)])
+    types = [m.get_type() for m in vehicle.take("PING")]
+    assert types == ["SET_POSITION_TARGET_LOCAL_NED", "PING"]
+
+
+def test_everything_of_a_tick_is_one_datagram(vehicle, link):
+    vehicle.beat()
+    poll(link, 1.0)
+    link.command(Request.LAND, 1.0)
+    link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 1.0)
+    link.flush([link.timesync_reply(10)])
+    assert vehicle.endpoint.wait(5.0)
+    assert vehicle.endpoint._transport.receive().data.count(b"\xfd") >= 5
+    assert vehicle.endpoint.receive() == []
+
+
+def test_a_flight_from_arming_to_motors_off(vehicle, link):
+    """The fake autopilot obeys, with PX4's double answer and one lost command each."""
+    lost = set()
+    now = 0.0
+    vehicle.send(home())
+
+    def obey(m):
+        if m.get_type() != "COMMAND_LONG" or m.command == 511:
+            return
+        key = (m.command, str(m.param1))
+        if key not in lost:
+            lost.add(key)
+            return
+        vehicle.send(*(dialect.MAVLink_command_ack_message(m.command, 0) for _ in range(2)))
+        if m.command == 400:
+            vehicle.armed = m.param1 == 1.0
+        vehicle.mode = {176: OFFBOARD, 22: TAKEOFF, 21: LAND}.get(m.command, vehicle.mode)
+        vehicle.beat()
+
+    for request, reached in (
+        (Request.TAKEOFF, lambda: link.status.mode is Mode.EXTERNAL and link.status.armed),
+        (Request.EXTERNAL, lambda: link.status.mode is Mode.EXTERNAL),
+        (Request.LAND, lambda: link.status.mode is Mode.LAND),
+        (Request.MOTORS_OFF, lambda: not link.status.armed),
+    ):
+        deadline = now + 4.0
+        while link.status is None or not reached():
+            assert now < deadline, request
+            vehicle.send(position(round(now * 1000)))
+            poll(link, now)
+            link.command(request, now)
+            link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), now)
+            link.flush()
+            for message in vehicle.take("SET_POSITION_TARGET_LOCAL_NED"):
+                obey(message)
+            if round(now * 100) % 100 == 0:
+                vehicle.beat()
+            now += 0.01
+        assert link.failed is None
+
+
+def test_texts_are_handed_over_once(vehicle, link):
+    vehicle.send(dialect.MAVLink_statustext_message(4, b"low battery", 0, 0))
+    poll(link, 0.0)
+    assert link.take_texts() == [(4, "low battery")]
+    assert link.take_texts() == []
+
+
+def test_a_refusal_is_explained(vehicle, link):
+    for tick in range(600):
+        now = tick * 0.01
+        vehicle.send(
+            heartbeat(OFFBOARD),
+            home(),
+            dialect.MAVLink_command_ack_message(400, 1),
+            dialect.MAVLink_statustext_message(2, b"no GPS", 0, 0),
+        )
+        poll(link, now)
+        link.send_setpoint(Setpoint((0.0, 0.0, 0.5), 0.0), now)
+        link.command(Request.TAKEOFF, now)
+    assert link.failed is not None
+    assert "arm (command 400)" in link.failed
+    assert "TEMPORARILY_REJECTED" in link.failed
+    assert "no GPS" in link.failed
+
+
+def test_wrong_profile_is_said_aloud_once(vehicle, link):
+    for _ in range(2):
+        vehicle.send(heartbeat(4, autopilot=3))
+        poll(link, 0.0)
+    ((severity, text),) = link.take_texts()
+    assert severity == 3
+    assert "autopilot 3" in text
+    assert link.status is None
+
+
+def test_timesync_is_answered_at_once_in_real_time(vehicle, link):
+    vehicle.send(dialect.MAVLink_timesync_message(0, 123), dialect.MAVLink_timesync_message(9, 5))
+    poll(link, 2.5)
+    (reply,) = vehicle.take("TIMESYNC")
+    assert (reply.tc1, reply.ts1) == (2_500_000_000, 123)
+    assert link.take_timesync() is None
+
+
+def test_lockstep_stamps_what_came_with_the_time_of_the_request(vehicle):
+    link = VehicleLink(
+        f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT, defer_timesync=True
+    )
+    link.poll(0.0)
+    vehicle.take("HEARTBEAT")
+    vehicle.send(heartbeat(), attitude(30), position(30))
+    poll(link, 77.0)
+    assert link.own is None  # no tick has claimed it yet
+    vehicle.send(dialect.MAVLink_timesync_message(0, 30_000_000))
+    poll(link, 77.0)
+    assert link.own.arrival_s == 30_000_000 / 1e9
+    assert link.status.arrival_s == 30_000_000 / 1e9
+    assert link.take_timesync() == 30_000_000
+    assert link.take_timesync() is None
+    link.flush([link.timesync_reply(30_000_000)])
+    sent = vehicle.take("TIMESYNC")
+    assert (sent[-1].tc1, sent[-1].ts1) == (30_000_001, 30_000_000)
+    link.close()
+
+
+def test_lockstep_holds_a_bounded_number_of_messages(vehicle):
+    link = VehicleLink(
+        f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT, defer_timesync=True
+    )
+    link.poll(0.0)
+    vehicle.take("HEARTBEAT")
+    batch = [position(i) for i in range(30)]
+    for _ in range(200):
+        vehicle.send(*batch)
+        poll(link, 0.0)
+    assert link.counters.held_lost == 6000 - 4096
+    link.close()
+
+
+def test_listening_link_follows_a_vehicle_that_comes_back_on_another_port():
+    link = VehicleLink("udpin:127.0.0.1:0", takeoff_height_m=HEIGHT)
+    for now_s in (0.0, 0.1):
+        vehicle = FakeAutopilot(f"udpout:127.0.0.1:{link.endpoint.local_port}")
+        vehicle.beat()
+        poll(link, now_s)
+        link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), now_s)
+        link.flush()
+        assert vehicle.take("SET_POSITION_TARGET_LOCAL_NED")
+        vehicle.endpoint.close()
+    link.close()
+
+
+def test_calling_link_hears_nobody_but_the_vehicle_it_calls(vehicle, link):
+    other = FakeAutopilot(f"udpout:127.0.0.1:{link.endpoint.local_port}")
+    other.beat()
+    vehicle.beat()
+    poll(link, 0.1)
+    assert link.endpoint.counters.received == 1
+    other.endpoint.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [({"url": "usb:/dev/x"}, "udpin"), ({"rate_hz": 0.0}, "loop rate"), ({"system_id": 0}, "1 to 255")],
+)
+def test_bad_arguments_are_refused(arguments, words):
+    values = {"url": "udpin:127.0.0.1:0", "takeoff_height_m": HEIGHT} | arguments
+    with pytest.raises(ValueError, match=words):
+        VehicleLink(values.pop("url"), **values)

@@ -1,0 +1,176 @@
+"""The vehicle link and the profiles: found by the heartbeat, and what ArduPilot wants otherwise."""
+
+from itertools import pairwise
+
+import pytest
+
+from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.client.origin import Origin
+from bridge.mavlink.endpoint import dialect
+from bridge.mavlink.profiles.autopilots import ARDUPILOT, PX4
+from flightstack.core.types import Mode, Request
+from tests.unit.mavlink.client.vehicle_link_fakes import (
+    HEIGHT,
+    FakeAutopilot,
+    Setpoint,
+    attitude,
+    heartbeat,
+    poll,
+    position,
+)
+
+
+@pytest.fixture
+def vehicle():
+    fake = FakeAutopilot()
+    yield fake
+    fake.endpoint.close()
+
+
+def test_ardupilot_gets_no_setpoint_while_it_takes_off(vehicle):
+    link = VehicleLink(
+        f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT, profile=ARDUPILOT
+    )
+    link.command(Request.TAKEOFF, 0.0)
+    assert not link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.0)
+    link.command(Request.EXTERNAL, 1.0)
+    assert link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 1.0)
+    link.close()
+
+
+@pytest.fixture
+def auto(vehicle):
+    opened = VehicleLink(
+        f"udpout:127.0.0.1:{vehicle.endpoint.local_port}",
+        takeoff_height_m=HEIGHT,
+        profile=None,
+        origin=Origin(47.4, 8.5, 10.0),
+    )
+    opened.poll(0.0)
+    vehicle.take("HEARTBEAT")
+    yield opened
+    opened.close()
+
+
+def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
+    assert auto.profile is None
+    assert auto.failed is None
+    auto.command(Request.LAND, 0.0)  # nobody there yet
+    assert not auto.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.0)
+    vehicle.send(position(10))
+    poll(auto, 0.1)
+    assert auto.profile is None
+    vehicle.beat()
+    poll(auto, 0.2)
+    assert auto.profile is PX4
+    assert auto.status.mode is Mode.HOLD
+    assert auto.refused is None
+    auto.command(Request.LAND, 0.2)
+    vehicle.armed = True
+    vehicle.beat()
+    poll(auto, 0.3)
+    auto.command(Request.LAND, 0.3)
+    auto.flush()
+    sent = vehicle.take("COMMAND_LONG")
+    assert [m.command for m in sent if m.get_type() == "COMMAND_LONG"] == [511, 511, 511, 21]
+    assert auto.take_texts() == [(6, "its heartbeat says: PX4, OFFBOARD")]
+    vehicle.send(heartbeat(4, autopilot=3))  # another one later is not flown, and not taken for the first
+    poll(auto, 0.4)
+    assert auto.profile is PX4
+    assert "autopilot 3" in auto.refused
+
+
+def test_the_motors_of_one_that_is_not_known_are_stopped_all_the_same(vehicle, auto):
+    for tick in range(200):
+        auto.command(Request.MOTORS_OFF, tick * 0.01)
+    auto.flush()
+    kills = [m for m in vehicle.take("COMMAND_LONG") if m.get_type() == "COMMAND_LONG"]
+    assert [(m.command, m.param1, m.param2) for m in kills] == [(400, 0.0, 21196.0)] * 4
+
+
+@pytest.mark.parametrize(("autopilot", "type_", "word"), [(0, 2, "GENERIC (0)"), (3, 1, "FIXED_WING (1)")])
+def test_auto_refuses_who_is_not_known(vehicle, auto, autopilot, type_, word):
+    for _ in range(3):
+        vehicle.send(dialect.MAVLink_heartbeat_message(type_, autopilot, 1, 0, 3, 3))
+        poll(auto, 0.1)
+    assert word in auto.refused
+    assert auto.take_texts() == [(3, auto.refused)]
+    assert (auto.profile, auto.status) == (None, None)
+    assert not auto.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.1)
+
+
+def test_ardupilot_is_prepared_told_its_origin_and_asked_for_everything(vehicle, auto):
+    vehicle.send(heartbeat(0, autopilot=3))
+    poll(auto, 1.0)
+    auto.command(Request.NONE, 1.0)
+    auto.flush()
+    sent = vehicle.take("SET_GPS_GLOBAL_ORIGIN")
+    asked = [(m.command, m.param1, m.param2) for m in sent if m.get_type() == "COMMAND_LONG"]
+    assert {(511, float(i)) for i in (1, 30, 32, 245)} <= {(number, first) for number, first, _ in asked}
+    assert (176, 1.0, 4.0) in asked
+    vehicle.send(dialect.MAVLink_gps_global_origin_message(0, 0, 0, 0))
+    poll(auto, 2.5)
+    auto.command(Request.NONE, 2.5)
+    auto.flush([dialect.MAVLink_ping_message(0, 0, 0, 0)])
+    assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in vehicle.take("PING"))
+
+
+def test_a_vehicle_that_restarts_while_it_is_waited_for_is_asked_and_told_anew(vehicle, auto):
+    def tick(now_s, *shown):
+        """One tick of the loop; returns what is asked for."""
+        if shown:
+            vehicle.send(*shown)
+            poll(auto, now_s)
+        else:
+            auto.poll(now_s)
+        auto.command(Request.NONE, now_s)
+        auto.flush([dialect.MAVLink_ping_message(0, 0, 0, 0)])
+        return [m for m in vehicle.take("PING") if m.get_type() != "PING"]
+
+    def asked(messages):
+        return {m.param1 for m in messages if m.get_type() == "COMMAND_LONG" and m.command == 511}
+
+    beat = heartbeat(4, autopilot=3)
+    for second in range(1, 30):
+        tick(float(second), beat)  # the tries of the first seconds are over: no position comes
+    tick(30.0, beat, dialect.MAVLink_gps_global_origin_message(0, 0, 0, 0))
+    tick(30.1, attitude(30_000), position(30_000))
+    assert auto.own.arrival_s == 30.1
+    assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in tick(31.5, beat))
+    auto.take_texts()
+    again = tick(40.0, beat)  # it has been silent: it restarted
+    assert asked(again) == {1.0, 30.0, 32.0, 245.0}
+    assert any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in again)
+    assert [text for _, text in auto.take_texts()] == [
+        "restarted, or heard again after a silence: what does not come is asked for again"
+    ]
+    seen = [second for second in range(41, 140) if 32.0 in asked(tick(float(second), beat))]
+    assert len(seen) > 10  # for as long as it takes, by the group's request in between
+    assert max(b - a for a, b in pairwise(seen)) <= 20
+    tick(140.1, beat, attitude(90_000), position(90_000))
+    assert auto.own.arrival_s == 140.1
+    assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in tick(142.0, beat))
+
+
+def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in_the_air(vehicle, auto):
+    still = Setpoint((0.0, 0.0, 0.0), 0.0)
+    landed = dialect.MAVLink_extended_sys_state_message
+
+    def shows(now_s, state):
+        vehicle.send(heartbeat(4, armed=True, autopilot=3), landed(0, state))
+        poll(auto, now_s)
+
+    shows(1.0, 1)
+    assert auto.status.mode is Mode.TAKEOFF
+    auto.command(Request.EXTERNAL, 1.0)
+    assert not auto.send_setpoint(still, 1.0)  # would keep it on the ground
+    auto.command(Request.TAKEOFF, 1.1)
+    assert not auto.send_setpoint(still, 1.1)
+    shows(4.0, 3)
+    assert auto.status.mode is Mode.TAKEOFF
+    auto.command(Request.EXTERNAL, 4.0)
+    assert auto.send_setpoint(still, 4.0)
+    assert auto.status.mode is Mode.EXTERNAL  # at once: what it shows on the wire does not change
+    shows(5.0, 1)  # stands on the pad, still pressed down by set-points
+    assert auto.send_setpoint(still, 5.0)
+    assert auto.status.mode is Mode.EXTERNAL

@@ -1,0 +1,260 @@
+"""Serial lines (pseudo-terminals) and TCP connections under an endpoint: cut, full, lost and found again."""
+
+import random
+import select
+import termios
+import time
+
+import pytest
+
+from bridge.mavlink.codec.framing import FrameCounters, split_frames
+from bridge.mavlink.endpoint import Direction, Endpoint
+from bridge.mavlink.transport.byte_stream import RETRY_S
+from tests.serial_relay import PtyEnd, TcpEnd
+from tests.unit.mavlink.codec.test_mavlink_endpoint import UNKNOWN, frames_of, position
+
+PATIENCE_S = 10.0
+
+
+@pytest.fixture(params=["serial", "tcp"])
+def wire(request, tmp_path):
+    """(far end, endpoint) over a pseudo-terminal and over TCP."""
+    far = PtyEnd(tmp_path, 921_600) if request.param == "serial" else TcpEnd()
+    endpoint = Endpoint(far.url, 1, 191)
+    yield far, endpoint
+    endpoint.close()
+    far.close()
+
+
+def until(done, what):
+    end_s = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < end_s, what
+        select.select((), (), (), 0.002)
+
+
+def feed(far, endpoint, data, received):
+    """Write all of it at the far end while the endpoint takes what comes."""
+    far.read()  # a TCP server takes its client now
+    while data:
+        data = data[far.write(data) :]
+        endpoint.wait(0.01)
+        received += [one.raw for one in endpoint.receive()]
+
+
+def connected(far, endpoint):
+    """Wait until bytes pass both ways."""
+    came = []
+
+    def passed():
+        endpoint.send([position()])
+        if far.read():
+            far.write(frames_of(1)[0])
+        endpoint.wait(0.01)
+        came.extend(endpoint.receive())
+        return came
+
+    until(passed, "the line was not connected")
+    while far.read():
+        pass
+
+
+def test_noise_and_cuts_lose_nothing_but_the_frames_they_hit(wire):
+    far, endpoint = wire
+    connected(far, endpoint)
+    rng, frames, received = random.Random(1), frames_of(1500, seed=2), []
+    stream, noise = bytearray(), 0
+    for frame in frames:
+        stray = rng.randbytes(rng.randrange(0, 140))
+        noise += len(stray)
+        stream += stray + frame
+    assert noise > 100_000
+    tail = frames_of(12, seed=3)
+    feed(far, endpoint, bytes(stream) + b"".join(tail), received)
+    until(lambda: take_more(endpoint, received) >= len(frames) + len(tail), "frames are missing")
+    assert received == frames + tail
+    assert endpoint.counters.garbage_bytes == noise
+
+
+def take_more(endpoint, received):
+    endpoint.wait(0.01)
+    received += [one.raw for one in endpoint.receive()]
+    return len(received)
+
+
+def test_unknown_message_reaches_the_recorder_alone(wire):
+    far, endpoint = wire
+    connected(far, endpoint)
+    shown, received, (good,) = [], [], frames_of(1)
+    endpoint.tap = lambda direction, frame, peer: shown.append((direction, frame))
+    feed(far, endpoint, good + UNKNOWN + good, received)
+    until(lambda: take_more(endpoint, received) >= 2, "frames are missing")
+    assert received == [good, good]
+    assert sorted(shown) == sorted([(Direction.IN, good)] * 2 + [(Direction.IN, UNKNOWN)])
+
+
+def test_full_line_drops_whole_messages_and_never_blocks(wire):
+    far, endpoint = wire
+    connected(far, endpoint)
+    began, sent = endpoint.counters.sent, 0
+    longest_s = 0.0
+    while endpoint.counters.outgoing_full < 200:
+        before_s = time.monotonic()
+        endpoint.send([position(float(sent % 1000))])
+        longest_s = max(longest_s, time.monotonic() - before_s)
+        sent += 1
+        assert sent < 200_000, "the buffers have no end"
+    assert longest_s < 0.5  # a machine under load; a blocking write would never end
+    assert endpoint.counters.sent - began == sent
+    data = bytearray()
+    until(lambda: drain(far, endpoint, data), "what waited did not come out")
+    counters = FrameCounters()
+    whole = list(split_frames(bytes(data), counters))
+    assert counters == FrameCounters(), "half a frame came out"
+    assert len(whole) == sent - endpoint.counters.outgoing_full
+
+
+def drain(far, endpoint, data):
+    """Read the far end empty; True once what is sent now comes out whole."""
+    while piece := far.read():
+        data += piece
+    endpoint.wait(0.0)
+    endpoint.send([])
+    end_s = time.monotonic() + 0.05
+    while time.monotonic() < end_s:
+        endpoint.wait(0.005)
+        if piece := far.read():
+            data += piece
+            return False
+    return True
+
+
+def test_pulled_cable_is_told_and_found_again(wire):
+    far, endpoint = wire
+    connected(far, endpoint)
+    assert endpoint.take_notices() == []
+    far.pull()
+    notices = []
+
+    def told():
+        before_s = time.monotonic()
+        endpoint.receive()
+        endpoint.send([position()])
+        endpoint.wait(0.01)
+        assert time.monotonic() - before_s < 0.5
+        notices.extend(endpoint.take_notices())
+        return notices
+
+    until(told, "the loss was not told")
+    assert "is lost" in notices[0]
+    assert "every 0.5 s" in notices[0]
+    assert endpoint.counters.connections_lost == 1
+    assert endpoint.fileno() >= 0
+    assert not endpoint.wait(0.01)
+    far.plug()
+    connected(far, endpoint)
+    (again,) = endpoint.take_notices()
+    assert "is connected again after" in again
+    assert len(notices) == 1, "said once, not at every try"
+
+
+def test_wait_ends_in_time_and_sees_what_comes(wire):
+    far, endpoint = wire
+    connected(far, endpoint)
+    endpoint.receive()
+    began_s = time.monotonic()
+    assert not endpoint.wait(0.05)
+    assert 0.04 < time.monotonic() - began_s < 1.0
+    far.write(frames_of(1)[0])
+    assert endpoint.wait(PATIENCE_S)
+    assert len(endpoint.receive()) == 1
+
+
+def test_close_can_be_repeated_and_ends_everything(wire):
+    far, endpoint = wire
+    connected(far, endpoint)
+    for _ in range(2):
+        endpoint.close()
+    assert endpoint.receive() == []
+    endpoint.send([position()])
+    assert not endpoint.wait(0.0)
+
+
+def test_serial_port_that_is_not_there_is_a_clear_error(tmp_path):
+    with pytest.raises(OSError, match="no such device"):
+        Endpoint(f"serial:{tmp_path / 'ttyNONE'}:57600", 1, 191)
+
+
+def test_serial_port_in_use_is_a_clear_error(tmp_path):
+    far = PtyEnd(tmp_path, 57_600)
+    first = Endpoint(far.url, 1, 191)
+    try:
+        with pytest.raises(OSError, match=r"another process|exclusively"):
+            Endpoint(far.url, 1, 191)
+    finally:
+        first.close()
+        far.close()
+
+
+def test_serial_line_has_the_speed_of_its_url(tmp_path):
+    far = PtyEnd(tmp_path, 57_600)
+    endpoint = Endpoint(far.url, 1, 191)
+    attributes = termios.tcgetattr(endpoint.fileno())
+    assert attributes[4:6] == [termios.B57600, termios.B57600]
+    assert endpoint.baud == 57_600
+    endpoint.close()
+    far.close()
+
+
+def test_vehicle_that_is_not_there_yet_is_called_until_it_is():
+    far = TcpEnd()
+    far.pull()
+    endpoint = Endpoint(far.url, 1, 191)
+    notices = []
+
+    def told():
+        endpoint.wait(0.01)
+        notices.extend(endpoint.take_notices())
+        return notices
+
+    until(told, "nothing was said")
+    assert "cannot be opened" in notices[0]
+    far.plug()
+    began_s = time.monotonic()
+    connected(far, endpoint)
+    assert time.monotonic() - began_s < RETRY_S + 2.0
+    endpoint.close()
+    far.close()
+
+
+def test_peer_of_tcp_on_the_network_follows_the_policy_of_udpout():
+    endpoint = Endpoint("tcp:192.0.2.1:5760", 1, 191)  # TEST-NET-1: answers nobody
+    assert "not signed" in endpoint.warnings[0]
+    before_s = time.monotonic()
+    endpoint.send([position()])
+    assert endpoint.receive() == []
+    assert time.monotonic() - before_s < 0.5
+    endpoint.close()
+
+
+def test_serial_line_needs_no_key_and_has_no_other_peers(tmp_path):
+    far = PtyEnd(tmp_path, 57_600)
+    endpoint = Endpoint(far.url, 1, 191)
+    assert endpoint.warnings == ()
+    endpoint.close()
+    with pytest.raises(ValueError, match="no other peer"):
+        Endpoint(far.url, 1, 191, always=[("127.0.0.1", 14550)])
+    far.close()
+
+
+def test_line_that_takes_nothing_is_not_turned_at_full_speed(tmp_path):
+    """Wait with bytes that cannot go out: it must not burn the processor."""
+    far = PtyEnd(tmp_path, 57_600)
+    endpoint = Endpoint(far.url, 1, 191)
+    while not endpoint.counters.outgoing_full:
+        endpoint.send([position()])
+    before_s = time.process_time()
+    endpoint.wait(0.3)
+    assert time.process_time() - before_s < 0.15
+    endpoint.close()
+    far.close()

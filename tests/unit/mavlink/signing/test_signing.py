@@ -1,0 +1,229 @@
+"""Rules of message signing: against pymavlink's own, and against what an attacker on the wire can do."""
+
+import random
+import stat
+
+import pytest
+
+from bridge.mavlink.codec.framing import split_frames
+from bridge.mavlink.endpoint import dialect
+from bridge.mavlink.signing.key import load_key, make_key
+from bridge.mavlink.signing.signing import AHEAD_TICKS, STALE_TICKS, Refusal
+from bridge.mavlink.signing.state import STREAMS_MAX, load_state
+from tests.unit.mavlink.signing.signing_helpers import COMPANION, Clock, S, forged, heartbeat, signed, theirs
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+# --- rules of the signer
+
+
+def test_accepts_what_pymavlink_signs_and_signs_what_pymavlink_accepts(clock):
+    signer = clock.signer()
+    peer = theirs(stamp=clock.ticks)
+    mav = dialect.MAVLink(None, 1, 1)
+    for _ in range(20):
+        assert signer.refusal(heartbeat().pack(peer)) is None
+        frame = signer.sign(heartbeat().pack(mav))
+        assert list(split_frames(frame)) == [frame]
+        message = peer.decode(bytearray(frame))
+        assert message.get_signed()
+        assert message.get_type() == "HEARTBEAT"
+
+
+def test_timestamps_follow_the_clock_and_are_never_equal(clock):
+    signer, frame = clock.signer(), heartbeat().pack(dialect.MAVLink(None, 1, 1))
+
+    def stamp():
+        return int.from_bytes(signer.sign(frame)[-12:-6], "little")
+
+    assert [stamp() - clock.ticks for _ in range(4)] == [0, 1, 2, 3]
+    clock.advance(1.0)
+    assert stamp() == clock.ticks
+    clock.unix_ns -= 10**15  # the system clock is set back by eleven days
+    before = stamp()
+    clock.monotonic_ns += 10**9
+    assert stamp() == before - 1 + S
+
+
+def test_one_forged_frame_locks_nobody_out_before_or_after_the_peer_has_appeared(clock):
+    signer, peer = clock.signer(), theirs(stamp=clock.ticks)
+    for _ in range(2):
+        assert signer.refusal(forged()) is Refusal.BAD_SIGNATURE
+        assert signer.refusal(heartbeat().pack(peer)) is None
+    # The same attack does lock out the peer of pymavlink's check, which this one replaces.
+    victim = theirs((1, 1), stamp=clock.ticks)
+    with pytest.raises(dialect.MAVError):
+        victim.decode(bytearray(forged()))
+    with pytest.raises(dialect.MAVError):
+        victim.decode(bytearray(heartbeat().pack(peer)))
+
+
+def test_forged_flood_makes_no_entries_and_moves_no_time(clock):
+    signer = clock.signer()
+    rng = random.Random(1)
+    before = signer.now()
+    for _ in range(5000):
+        ids = (rng.randrange(2, 256), rng.randrange(1, 256))
+        assert signer.refusal(forged(ids, rng.getrandbits(48), rng.randrange(256))) is Refusal.BAD_SIGNATURE
+    assert (signer.streams, signer.now()) == (0, before)
+
+
+def test_each_changed_bit_is_noticed(clock):
+    signer, frame = clock.signer(), signed(stamp=clock.ticks)
+    for bit in range(8 * 10, 8 * len(frame)):  # header bytes decide what a frame is; payload to signature
+        changed = bytearray(frame)
+        changed[bit // 8] ^= 1 << bit % 8
+        assert signer.refusal(bytes(changed)) is Refusal.BAD_SIGNATURE
+    assert signer.refusal(frame) is None
+
+
+def test_replays_are_refused_from_anywhere_and_in_any_order(clock):
+    signer, peer = clock.signer(), theirs(stamp=clock.ticks)
+    frames = [heartbeat().pack(peer) for _ in range(5)]
+    assert signer.refusal(frames[3]) is None
+    for frame in frames[:4]:
+        assert signer.refusal(frame) is Refusal.REPLAYED
+    assert signer.refusal(frames[4]) is None
+
+
+def test_streams_are_told_apart_by_link_and_ids(clock):
+    signer = clock.signer()
+    assert signer.refusal(signed(stamp=clock.ticks + 9)) is None
+    assert signer.refusal(signed(stamp=clock.ticks, link_id=1)) is None
+    assert signer.refusal(signed((1, 192), stamp=clock.ticks)) is None
+    assert signer.refusal(signed(stamp=clock.ticks)) is Refusal.REPLAYED
+
+
+@pytest.mark.parametrize(
+    ("offset", "refusal"),
+    [
+        (-STALE_TICKS, None),
+        (-STALE_TICKS - 1, Refusal.STALE),
+        (-(10**12), Refusal.STALE),
+        (AHEAD_TICKS, None),
+        (AHEAD_TICKS + 1, Refusal.AHEAD),
+    ],
+)
+def test_new_stream_must_be_near_our_clock(clock, offset, refusal):
+    assert clock.signer().refusal(signed(stamp=clock.ticks + offset)) is refusal
+
+
+def test_known_stream_may_count_frames_instead_of_time_but_not_leap_ahead(clock):
+    """pymavlink's timestamp grows by one a frame, so it falls behind any clock."""
+    signer, peer = clock.signer(), theirs(stamp=clock.ticks)
+    for _ in range(5):
+        assert signer.refusal(heartbeat().pack(peer)) is None
+        clock.advance(3600.0)
+    peer.signing.timestamp = clock.ticks + AHEAD_TICKS + 1
+    assert signer.refusal(heartbeat().pack(peer)) is Refusal.AHEAD
+
+
+def test_peer_with_a_fast_clock_does_not_drag_ours(clock):
+    signer = clock.signer()
+    assert signer.refusal(signed(stamp=clock.ticks + AHEAD_TICKS)) is None
+    frame = signer.sign(heartbeat().pack(dialect.MAVLink(None, 1, 1)))
+    assert int.from_bytes(frame[-12:-6], "little") == clock.ticks
+
+
+def test_own_frames_that_come_back_are_refused(clock):
+    signer = clock.signer()
+    assert signer.refusal(signer.sign(heartbeat().pack(dialect.MAVLink(None, 1, 1)))) is Refusal.REFLECTED
+
+
+def test_table_is_bounded_and_forgets_only_what_its_age_keeps_out(clock):
+    signer = clock.signer()
+    frames = [signed((2, n + 1), stamp=clock.ticks) for n in range(STREAMS_MAX + 1)]
+    assert [signer.refusal(f) for f in frames] == [None] * STREAMS_MAX + [Refusal.NO_ROOM]
+    clock.advance(61.0)
+    assert signer.refusal(signed((2, 2), stamp=clock.ticks)) is None
+    assert signer.refusal(signed((3, 1), stamp=clock.ticks)) is None
+    assert signer.streams == STREAMS_MAX
+    assert signer.refusal(frames[0]) is Refusal.STALE  # forgotten, yet not let in again
+    assert signer.refusal(frames[1]) is Refusal.REPLAYED
+
+
+# --- over a restart
+
+
+@pytest.fixture
+def key(tmp_path):
+    make_key(tmp_path / "fleet.key")
+    return load_key(tmp_path / "fleet.key")
+
+
+def test_replay_after_a_restart_is_refused_although_it_is_less_than_a_minute_old(clock, key):
+    first, peer = clock.signer(key), theirs(secret=key.secret, stamp=clock.ticks)
+    frames = [heartbeat().pack(peer) for _ in range(3)]
+    assert [first.refusal(f) for f in frames] == [None] * 3
+    first.close()
+    clock.advance(5.0)
+    second = clock.signer(key)
+    assert {second.refusal(f) for f in frames} == {Refusal.REPLAYED}
+    assert second.refusal(heartbeat().pack(peer)) is None
+
+
+def test_clock_that_went_back_over_a_restart_opens_nothing(clock, key):
+    old = signed(COMPANION, secret=key.secret, stamp=clock.ticks)
+    clock.advance(100.0)
+    first = clock.signer(key)
+    first.sign(heartbeat().pack(dialect.MAVLink(None, 1, 1)))
+    sent = load_state_of(key).sent
+    first.close()
+    assert load_state_of(key).sent > sent
+    before = first.now()
+    clock.unix_ns -= 100 * 10**9  # as if it had been set back to when the old frame was made
+    second = clock.signer(key)
+    assert second.now() == before + STALE_TICKS
+    assert "clock is 100 s behind" in second.warning
+    assert second.refusal(old) is Refusal.STALE
+    frame = second.sign(heartbeat().pack(dialect.MAVLink(None, 1, 1)))
+    assert int.from_bytes(frame[-12:-6], "little") > before
+
+
+def test_state_is_written_every_ten_seconds_and_at_the_end(clock, key):
+    signer = clock.signer(key)
+    clock.advance(9.9)
+    assert signer.refusal(signed(secret=key.secret, stamp=clock.ticks)) is None
+    signer.save_if_due()
+    assert load_state_of(key).streams == {}
+    clock.advance(0.2)
+    signer.save_if_due()
+    assert load_state_of(key).streams == {(0, 1, 191): clock.ticks - round(0.2 * S)}
+    path = state_of(key)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert [p.name for p in path.parent.iterdir() if p.name != "fleet.key"] == [path.name]
+
+
+def test_state_that_cannot_be_written_is_an_error_at_the_start_and_a_count_in_flight(clock, key, monkeypatch):
+    signer = clock.signer(key)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("bridge.mavlink.signing.signing.save_state", full)
+    clock.advance(11.0)
+    signer.save_if_due()
+    signer.save_if_due()
+    assert signer.state_errors == 1
+    with pytest.raises(OSError, match="No space"):
+        clock.signer(key)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"clock": -1, "sent": 0, "streams": []}', "\x00" * 50,
+                                  '{"clock": 1, "sent": 0, "streams": [[0, 1, 256, 3]]}'])  # fmt: skip
+def test_damaged_state_is_refused_with_what_to_do(clock, key, text):
+    state_of(key).write_text(text)
+    with pytest.raises(ValueError, match="delete it"):
+        clock.signer(key)
+
+
+def state_of(key):
+    return key.path.with_name("fleet.key.1-1-0.state")
+
+
+def load_state_of(key):
+    return load_state(state_of(key))

@@ -1,0 +1,171 @@
+"""A signed endpoint on a real socket: what passes, what is counted, what the log sees."""
+
+import socket
+
+import pytest
+
+from bridge.mavlink.codec.framing import split_frames
+from bridge.mavlink.endpoint import Endpoint, dialect
+from bridge.mavlink.signing.signing import AHEAD_TICKS, STALE_TICKS, Signer
+from tests.unit.mavlink.signing.signing_helpers import COMPANION, KEY, S, forged, heartbeat, signed, theirs
+
+
+class Wire:
+    """A signed endpoint, and a plain socket to reach it."""
+
+    def __init__(self, key=KEY):
+        self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=key)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.address = self.socket.getsockname()
+
+    def put(self, *frames):
+        self.socket.sendto(b"".join(frames), ("127.0.0.1", self.endpoint.local_port))
+        assert self.endpoint.wait(5.0)
+        return self.endpoint.receive()
+
+    def close(self):
+        self.endpoint.close()
+        self.socket.close()
+
+
+@pytest.fixture
+def wire():
+    made = Wire()
+    yield made
+    made.close()
+
+
+def now():
+    return Signer(KEY, 1, 1).now()
+
+
+def test_only_signed_frames_pass_and_each_refusal_has_its_count(wire):
+    plain = dialect.MAVLink(None, *COMPANION)
+    peer = theirs(stamp=now())
+    good = heartbeat().pack(peer)
+    later = heartbeat().pack(peer)
+    body = b"\x01\x00\x00\x01\x01\xff\xff\xff\x00"
+    received = wire.put(
+        heartbeat().pack(plain),
+        heartbeat().pack(plain, force_mavlink1=True),
+        forged(),
+        b"\xfd" + body + b"\x12\x34",
+        good,
+        good,
+        signed((1, 200), stamp=now() - STALE_TICKS - S),
+        signed((1, 200), stamp=now() + AHEAD_TICKS + S),
+        signed((1, 1), stamp=now()),
+        later,
+    )
+    assert [r.message.get_srcComponent() for r in received] == [191, 191]
+    counters = wire.endpoint.counters
+    names = (
+        "unsigned",
+        "version_1",
+        "bad_signature",
+        "unknown_id",
+        "replayed",
+        "stale",
+        "ahead",
+        "reflected",
+    )
+    assert {name: getattr(counters, name) for name in names} == dict.fromkeys(names, 1)
+    assert all(f"{name} 1" in counters.dropped() for name in names)
+    assert wire.endpoint.peers == (wire.address,)
+
+
+def test_strangers_get_no_byte_and_no_entry(wire):
+    plain = dialect.MAVLink(None, *COMPANION)
+    for frame in (heartbeat().pack(plain), forged(stamp=now())):
+        assert wire.put(frame) == []
+    wire.endpoint.send([heartbeat()])
+    wire.endpoint.send([heartbeat()], wire.address)
+    assert wire.endpoint._peers.remembered == 0
+    assert wire.endpoint.counters.sent == 0
+
+
+def test_signed_ends_talk_and_a_repeat_is_no_replay():
+    vehicle = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=KEY)
+    companion = Endpoint(f"udpout:127.0.0.1:{vehicle.local_port}", 1, 191, signing_key=KEY)
+    hello = heartbeat()
+    companion.send([hello])
+    companion.repeat(bytes(hello.get_msgbuf()))
+    frames = []
+    while len(frames) < 2:
+        assert vehicle.wait(5.0)
+        frames += [r.raw for r in vehicle.receive()]
+    assert frames[0] == frames[1]
+    vehicle.send([heartbeat()] * 60)
+    answers = []
+    while len(answers) < 60:
+        assert companion.wait(5.0)
+        answers += companion.receive()
+    damaged = bytearray(hello.get_msgbuf())
+    damaged[12] ^= 0xFF
+    companion.repeat(bytes(damaged))
+    assert vehicle.wait(5.0)
+    assert vehicle.receive() == []
+    assert vehicle.counters.bad_crc == 1
+    vehicle.close()
+    companion.close()
+
+
+def test_logs_see_valid_unsigned_frames_both_ways_equal_to_those_without_a_key(wire):
+    seen = []
+    wire.endpoint.tap = lambda direction, frame, peer: seen.append(frame)
+    wire.put(signed(stamp=now()))
+    wire.endpoint.send([heartbeat(), heartbeat()])
+    sent, _ = wire.socket.recvfrom(2048)
+    frames = list(split_frames(sent))
+    assert [f[2] for f in frames] == [1, 1]
+    expected = [heartbeat().pack(dialect.MAVLink(None, *COMPANION))]
+    mav = dialect.MAVLink(None, 1, 1)
+    for number in range(2):
+        mav.seq = number
+        expected.append(heartbeat().pack(mav))
+    assert seen == expected
+    for frame in seen:
+        assert dialect.MAVLink(None).decode(bytearray(frame)).get_type() == "HEARTBEAT"
+
+
+def test_without_a_key_signatures_are_ignored_and_stripped():
+    plain = Wire(key=None)
+    seen = []
+    plain.endpoint.tap = lambda direction, frame, peer: seen.append(frame)
+    (received,) = plain.put(forged())
+    assert received.raw == seen[0] == heartbeat().pack(dialect.MAVLink(None, *COMPANION))
+    assert plain.endpoint.counters.unchecked == 1
+    plain.close()
+
+
+@pytest.mark.parametrize("key", [KEY, None])
+def test_keys_from_the_network_are_never_taken_nor_logged(key):
+    wire = Wire(key)
+    seen = []
+    wire.endpoint.tap = lambda direction, frame, peer: seen.append(frame)
+    mav = theirs(stamp=now()) if key else dialect.MAVLink(None, *COMPANION)
+    setup = dialect.MAVLink_setup_signing_message(1, 1, list(range(100, 132)), 2**47)
+    assert wire.put(setup.pack(mav)) == []
+    assert wire.endpoint.counters.setup_signing == 1
+    assert seen == []
+    other = theirs(secret=bytes(range(100, 132)), stamp=now())
+    accepted = wire.put(heartbeat().pack(other), heartbeat().pack(mav))
+    assert len(accepted) == (1 if key else 2)  # without a key everything passes, signed or not
+    assert wire.endpoint.counters.bad_signature == (1 if key else 0)
+    wire.endpoint.send([heartbeat()])
+    assert (wire.socket.recv(2048)[2] == 1) is (key is not None)
+    wire.close()
+
+
+def test_link_id_is_on_the_wire():
+    endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=KEY, link_id=7)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        peer.sendto(signed(stamp=now()), ("127.0.0.1", endpoint.local_port))
+        assert endpoint.wait(5.0)
+        endpoint.receive()
+        endpoint.send([heartbeat()])
+        assert peer.recv(2048)[-13] == 7
+    endpoint.close()
+    with pytest.raises(ValueError, match="0 to 255"):
+        Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=KEY, link_id=256)

@@ -1,0 +1,150 @@
+"""Compiled code: the same as plain Python, the same every time, with or without a cache."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+
+import pytest
+
+from flightstack.core.parameters.ends import Takeoff
+from flightstack.core.parameters.flight import BarrierShape, FlightConfig
+from sim.clock import TickGrid
+from sim.compiled import jit
+from sim.plant.params import load
+from sim.robot.target_motion import TargetMotion
+from sim.scenarios import scenario
+from sim.scenarios.scenario import (
+    OdometryLink,
+    Scenario,
+    Start,
+    StartKind,
+    TargetSpec,
+    VehicleSpec,
+    VelocityLoop,
+    Wind,
+)
+from sim.vehicle.vehicle import VehicleSim
+from sim.world.world import World, contact_count
+
+STEPS = 300
+
+
+def flight(loop, kind):
+    """All numbers of a gusty flight that lands, or takes off, in short."""
+    mocap = OdometryLink(100.0, 0.005, 0.0, 0.005, 0.02, loss=0.02)
+    spec = VehicleSpec(
+        velocity_loop=VelocityLoop(loop),
+        mocap=mocap,
+        mass_spread=0.1,
+        thrust_spread=0.1,
+        slow_motors=kind == "ground",
+    )
+    start = Start(StartKind(kind), offset_m=(0.0, 0.05, 0.03))
+    onboard = FlightConfig(BarrierShape(1.0, 1.5), takeoff=Takeoff(start_offset_m=(-1.0, 0.0, 0.7)))
+    wind = Wind(1.0, 0.6)
+    sim = VehicleSim(Scenario("test", "", onboard, start=start, vehicle=spec, wind=wind), 5)
+    sim.arm()
+    climb = -0.2 if kind == "hover" else 0.3
+    out = []
+    for _ in range(STEPS // 10):
+        sim.set_velocity((0.1, 0.0, climb), 0.3)
+        sim.advance(10)
+        out.append([sim.truth(), sim.estimate()])
+    return out
+
+
+CASES = [(loop.value, kind.value) for loop in VelocityLoop for kind in StartKind]
+
+
+def flat(value):
+    if isinstance(value, (list, tuple)):
+        return [number for part in value for number in flat(part)]
+    return [value]
+
+
+def drives():
+    """All numbers of the robots of all scenarios, with what they measure."""
+    out = []
+    for name in scenario.names():
+        robot = TargetMotion(scenario.load(name), 3, TickGrid(100))
+        for tick in range(STEPS):
+            robot.step(driving=tick > 20)
+            model = robot.model
+            out.append([*model.pose, model.velocity_enu_m_s, model.velocity_body_m_s, model.yaw_rate_rad_s])
+        out.append(robot.due)
+    return out
+
+
+FLIGHTS, DRIVES = "[flight(*case) for case in CASES]", "drives()"
+
+
+def in_a_process(what=FLIGHTS, **environment):
+    """The same in a fresh interpreter."""
+    code = (
+        f"import json; from tests.unit.plant.test_jit import CASES, drives, flight; print(json.dumps({what}))"
+    )
+    env = {**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True, text=True)
+    return flat(json.loads(done.stdout))
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    return flat([flight(*case) for case in CASES])
+
+
+def test_plain_python_flies_the_same(compiled):
+    plain = in_a_process(NUMBA_DISABLE_JIT="1")
+    assert plain == pytest.approx(compiled, abs=1e-9, rel=1e-9, nan_ok=True)
+    assert any(isinstance(n, float) and math.isfinite(n) and n not in (0.0, 1.0) for n in plain)
+
+
+def test_the_robot_drives_the_same_bits_in_plain_python_without_numba():
+    """Its process runs so; a campaign runs it compiled, and the two must be equal."""
+    assert repr(in_a_process(DRIVES, NUMBA_DISABLE_JIT="1")) == repr(flat(json.loads(json.dumps(drives()))))
+    words = ["-m", "flightstack.cli.main", "target", "--scenario", "lab", "--duration", "0.1"]
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", *words], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0
+    assert "sim.robot.target_motion" in done.stderr
+    assert "numba" not in done.stderr
+
+
+def test_another_process_flies_the_same_bits(compiled):
+    assert repr(in_a_process()) == repr(compiled)
+
+
+def test_the_flights_touch_pad_and_ground():
+    for loop in VelocityLoop:
+        assert any(truth[12] & 1 for truth, _ in flight(loop.value, "hover"))
+        assert any(truth[12] & 2 for truth, _ in flight(loop.value, "ground"))
+
+
+def test_without_a_writable_directory_there_is_no_cache(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    assert jit.cache_directory.__wrapped__() is None
+    monkeypatch.setattr(jit, "cache_directory", lambda: None)
+    assert jit.jitted(lambda x: x + 1.0)(2.0) == 3.0
+
+
+def test_the_cache_belongs_to_these_sources(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    first = jit.cache_directory.__wrapped__()
+    assert first.parent == tmp_path
+    monkeypatch.setattr(jit, "HERE", tmp_path)
+    (tmp_path / "changed.py").write_text("x = 1")
+    assert jit.cache_directory.__wrapped__() != first
+
+
+def test_compiled_code_sees_how_many_contacts_there_are():
+    params = load()
+    world = World(params, params.body.mass_kg, TargetSpec())
+    for height_m, touches in ((-params.geometry.foot_bottom_m, True), (1.0, False)):
+        world.set_vehicle((1.0, 0.0, height_m))
+        world.step((0.0, 0.0, -0.3), (0.0, 0.0, 0.0))
+        assert contact_count(world.memory) == world.data.ncon
+        assert bool(world.data.ncon) is touches

@@ -1,0 +1,159 @@
+"""Measurement channel, IMU and wind: statistics, order, determinism."""
+
+import itertools
+import math
+import statistics
+
+import pytest
+
+from sim.plant.imu import Imu
+from sim.plant.params import CONTROL_STEP_S, load
+from sim.plant.sensors import NS, Losses, MeasurementChannel, NoiseRows, Normals, stream
+from sim.plant.wind import WindModel
+from sim.scenarios.scenario import OdometryLink, Wind
+
+MS = NS // 1000
+
+
+def run_channel(link, seconds, sigmas=(0.0,), seed=1, step_ms=1):
+    """All (released_ns, measured_ns, values) of a channel polled every step; the true value is the time."""
+    channel = MeasurementChannel(link, sigmas, seed, "test")
+    out = []
+    for k in range(0, round(seconds * 1000) + 1, step_ms):
+        now = k * MS
+        if now >= channel.due_ns:
+            channel.sample(now, [now / NS] * len(sigmas))
+        if now >= channel.release_ns:
+            out += [(now, t, v) for t, v in channel.release(now)]
+    return channel, out
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 50.0, 100.0, 30.0])
+def test_rate_is_kept_on_average(rate_hz):
+    _, out = run_channel(OdometryLink(rate_hz), 20.0)
+    assert len(out) == pytest.approx(20.0 * rate_hz + 1, abs=1)
+
+
+def test_delay_is_exact_and_order_is_kept():
+    _, out = run_channel(OdometryLink(100.0, delay_s=0.06), 5.0, step_ms=10)
+    assert {released - measured for released, measured, _ in out} == {60 * MS}
+    assert [m for _, m, _ in out] == sorted(m for _, m, _ in out)
+
+
+def test_no_noise_no_change():
+    _, out = run_channel(OdometryLink(100.0), 1.0)
+    assert all(v[0] == t / NS for _, t, v in out)
+
+
+def test_loss_is_as_asked():
+    channel, out = run_channel(OdometryLink(500.0, loss=0.2), 20.0)
+    assert channel.lost / channel.taken == pytest.approx(0.2, abs=3 * math.sqrt(0.16 / channel.taken))
+    assert len(out) == channel.taken - channel.lost
+
+
+def test_noise_has_its_deviation_and_no_mean():
+    _, out = run_channel(OdometryLink(500.0), 20.0, sigmas=(0.002, 0.05))
+    for i, sigma in enumerate((0.002, 0.05)):
+        errors = [v[i] - t / NS for _, t, v in out]
+        assert statistics.pstdev(errors) == pytest.approx(sigma, rel=0.03)
+        assert abs(statistics.mean(errors)) < 3 * sigma / math.sqrt(len(errors))
+
+
+def test_drop_outs_come_and_end():
+    link = OdometryLink(100.0, dropout_every_s=2.0, dropout_max_s=0.3)
+    _, out = run_channel(link, 200.0, step_ms=10)
+    gaps = [(b[1] - a[1]) / NS for a, b in itertools.pairwise(out) if b[1] - a[1] > 15 * MS]
+    assert 60 < len(gaps) < 130  # one per 2.15 s on average
+    assert max(gaps) <= 0.3 + 0.02
+    assert max(gaps) > 0.2
+
+
+def test_streams_are_independent_of_each_other_and_fixed_by_the_seed():
+    a, b = Normals(7, "a"), Normals(7, "a")
+    first = [a.take() for _ in range(2000)]
+    assert first == [b.take() for _ in range(2000)]
+    other = Normals(7, "b")
+    second = [other.take() for _ in range(2000)]
+    assert abs(statistics.correlation(first, second)) < 0.08
+    assert first != list(stream(8, "a").standard_normal(2000))
+
+
+@pytest.mark.parametrize("sigmas", [(0.5,), (0.0, 0.1, 0.0, 2.0, 3.0), (1.0, 2.0, 3.0, 4.0), (0.0, 0.0)])
+def test_rows_of_noise_are_the_numbers_one_by_one(sigmas):
+    rows, numbers = NoiseRows(sigmas, 3, "a"), Normals(3, "a")
+    for _ in range(4000):
+        assert rows.take() == [s * numbers.take() if s else 0.0 for s in sigmas]
+
+
+def test_chances_drawn_ahead_are_those_drawn_one_by_one():
+    losses, rng = Losses(OdometryLink(100.0, loss=0.3), 4, "a"), stream(4, "a")
+    assert [losses.lost(k) for k in range(3000)] == [rng.random() < 0.3 for _ in range(3000)]
+    assert losses.possible
+    assert not Losses(OdometryLink(100.0), 4, "a").possible
+    assert Losses(OdometryLink(100.0, dropout_every_s=1.0, dropout_max_s=0.1), 4, "a").possible
+
+
+def imu_run(seed, n=20000):
+    imu = Imu(load().imu, 9.81, CONTROL_STEP_S, seed)
+    imu.settle((0.0, 0.0, 0.0), (0.0, 0.0, 9.81))
+    out = []
+    for _ in range(n):
+        imu.measure((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
+        out.append((*imu.gyro, *imu.accel))
+    return imu, out
+
+
+def test_imu_at_rest_feels_gravity_bias_and_filtered_noise():
+    imu, out = imu_run(3)
+    p = load().imu
+    for i in range(3):
+        gyro, accel = [o[i] for o in out], [o[3 + i] for o in out]
+        # white noise through a first-order filter keeps the one-sided noise bandwidth 1 / (4 tau)
+        for values, density, cut in (
+            (gyro, p.gyro_noise_rad_s_sqrthz, p.gyro_filter_hz),
+            (accel, p.accel_noise_m_s2_sqrthz, p.accel_filter_hz),
+        ):
+            tau = math.sqrt(2.0) / (2.0 * math.pi * cut)
+            assert statistics.pstdev(values) == pytest.approx(density * math.sqrt(0.25 / tau), rel=0.1)
+        assert statistics.mean(accel) - (9.81 if i == 2 else 0.0) == pytest.approx(
+            imu.accel_bias[i], abs=2e-3
+        )
+        assert abs(statistics.mean(gyro)) < 4 * p.gyro_bias_rad_s
+
+
+def test_imu_filter_lags_a_rate_step_by_the_group_delay():
+    imu = Imu(load().imu, 9.81, CONTROL_STEP_S, 1)
+    imu.settle((0.0, 0.0, 0.0), (0.0, 0.0, 9.81))
+    axes = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    lag, rate = 0.0, 5.0
+    for _ in range(50):
+        imu.measure((0.0, 0.0, 0.0), (rate, 0.0, 0.0), axes)
+        lag += CONTROL_STEP_S * (1.0 - imu.gyro[0] / rate)
+    assert lag == pytest.approx(math.sqrt(2.0) / (2.0 * math.pi * 80.0), abs=CONTROL_STEP_S)
+
+
+def test_wind_has_mean_direction_rms_and_correlation_time():
+    wind = WindModel(Wind(2.0, 1.0, direction_rad=math.pi / 2), load().wind, 5, 0.01)
+    assert wind.mean_enu_m_s == pytest.approx((0.0, 2.0, 0.0))
+    xs, zs = [], []
+    for _ in range(200_000):
+        wind.step()
+        x, _, z = wind.now_enu_m_s
+        xs.append(x)
+        zs.append(z)
+    assert statistics.pstdev(xs) == pytest.approx(1.0, rel=0.1)
+    assert statistics.pstdev(zs) == pytest.approx(0.5, rel=0.1)
+    shift = round(load().wind.horizontal_time_s / 0.01)
+    assert statistics.correlation(xs[:-shift], xs[shift:]) == pytest.approx(math.exp(-1.0), abs=0.08)
+
+
+def test_wind_direction_comes_from_the_seed():
+    directions = {WindModel(Wind(1.0), load().wind, seed, 0.01).mean_enu_m_s for seed in range(5)}
+    assert len(directions) == 5
+    assert all(math.hypot(x, y) == pytest.approx(1.0) for x, y, _ in directions)
+
+
+def test_no_wind_is_still():
+    wind = WindModel(Wind(), load().wind, 1, 0.01)
+    wind.step()
+    assert wind.now_enu_m_s == (0.0, 0.0, 0.0)

@@ -1,0 +1,221 @@
+"""One session over a real TCP connection, with a PX4 that behaves badly in every way."""
+
+import itertools
+import threading
+import time
+
+import pytest
+from pymavlink.dialects.v20 import common as mav
+
+from sim.clock import NoAnswerError, StopSignal
+from sim.px4 import session as px4_session
+from sim.px4.link import LinkClosedError, Px4Server
+from sim.px4.lockstep import NoLockstepError
+from sim.px4.plant import Px4Plant
+from sim.px4.session import Event, NotPx4Error, Px4Session
+from sim.scenarios.scenario import Start
+from tests.unit.px4.px4_fakes import FakePx4
+from tests.unit.vehicle.vehicle_sim_helpers import scenario
+
+SHORT_S = 0.3
+
+
+@pytest.fixture
+def server():
+    listening = Px4Server("127.0.0.1", 0)
+    yield listening
+    listening.close()
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Patience of a test."""
+    monkeypatch.setattr(px4_session, "HELLO_MAX_S", SHORT_S)
+    monkeypatch.setattr(px4_session, "BOOT_MAX_S", SHORT_S)
+    monkeypatch.setattr(px4_session, "NUDGE_S", 0.1)
+
+
+def steps(session, count):
+    for _ in range(count):
+        session.step()
+
+
+class Pair:
+    """A session and the PX4 at its other end, stepped by turns in one thread."""
+
+    def __init__(self, server, **options):
+        self.fake = FakePx4(server.port, **options)
+        self.link = server.accept()
+        self.events = []
+        self.stop = StopSignal()
+        self.session = Px4Session(
+            self.link, Px4Plant(scenario(Start()), 1), 1, self.stop, speed=0.0, silent_max_s=SHORT_S,
+            tell=self.events.append,
+        )  # fmt: skip
+
+    def begin(self):
+        """Greet, and do the first answered step."""
+        self.fake.hello()
+        self.session.greet()
+        self.session._start_s += 10.0  # patience for the first answer, on a busy machine too
+        self.answering([(0.0,) * 4])
+
+    def answering(self, outputs, **options):
+        """Do as many steps, each answered with its outputs."""
+
+        def px4():
+            for controls in outputs:
+                self.fake.answer(self.fake.sensor().time_usec, controls, **options)
+
+        thread = threading.Thread(target=px4)
+        thread.start()
+        for _ in outputs:
+            self.session.step()
+        thread.join(10.0)
+
+
+@pytest.fixture
+def pair(server):
+    made = Pair(server)
+    yield made
+    made.fake.close()
+    made.link.close()
+
+
+def test_steps_with_each_answer_and_tells_what_happens(pair):
+    pair.begin()
+    pair.answering([(0.7,) * 4] * 50)
+    assert pair.session.steps == 51
+    assert pair.session.plant.time_s == pytest.approx(0.204)
+    assert min(pair.session.plant.rotor_rpm) > 5000.0
+    pair.answering([(0.7,) * 4] * 200, armed=False)  # outputs of a disarmed PX4 count for nothing
+    assert max(pair.session.plant.rotor_rpm) < 1.0
+    assert pair.events == [Event.CONNECTED, Event.LOCKSTEP, Event.ARMED, Event.DISARMED]
+    assert pair.session.nudges == 0
+
+
+def test_sensors_come_every_4_ms_of_px4_s_clock_and_the_truth_as_often_as_it_asked(pair):
+    pair.begin()
+    times = []
+    for _ in range(50):
+        pair.answering([(0.0,) * 4])
+        times.append(pair.session.time_us)
+    assert {b - a for a, b in itertools.pairwise(times)} == {4000}
+    assert pair.fake.counts["HIL_SENSOR"] == 51
+    assert pair.fake.counts["HIL_STATE_QUATERNION"] == pytest.approx(51 * 4 / 5, abs=1)
+    assert pair.fake.counts["HIL_GPS"] == 2
+
+
+def test_a_px4_of_mavlink_1_flies_too(server):
+    old = Pair(server, version_1=True)
+    old.begin()
+    old.answering([(0.7,) * 4] * 20)
+    assert old.session.steps == 21
+    assert min(old.session.plant.rotor_rpm) > 1000.0
+
+
+def test_a_silent_px4_is_called_dead_with_the_time_and_hardly_anything_moves_meanwhile(pair, short):
+    pair.begin()
+    with pytest.raises(NoAnswerError, match=r"silent.*time_usec \d+ or \d+") as error:
+        steps(pair.session, 100)
+    assert "0.0" in str(error.value)
+    assert pair.session.steps == 1 + pair.session.nudges
+    assert 1 <= pair.session.nudges <= 5
+
+
+def test_one_lost_answer_does_not_end_the_flight(pair, short):
+    pair.begin()
+    pair.session._silent_max_s = 5.0
+    pair.session.step()  # goes on after a while: PX4 may wait for a sensor as well
+    assert pair.session.nudges == 1
+    pair.fake.sensor()
+    pair.answering([(0.7,) * 4] * 10)
+    assert pair.session.nudges == 1
+
+
+def test_an_old_answer_and_one_said_twice_let_nothing_go_on(pair):
+    pair.begin()
+    first = pair.fake.first_us
+
+    def px4():
+        sensor = pair.fake.sensor()
+        pair.fake.answer(first, (0.9,) * 4)  # the first one's again
+        pair.fake.answer(sensor.time_usec, (0.5,) * 4)
+        pair.fake.answer(sensor.time_usec, (0.9,) * 4)
+        pair.fake.answer(pair.fake.sensor().time_usec, (0.4,) * 4)
+
+    thread = threading.Thread(target=px4)
+    thread.start()
+    pair.session.step()
+    wanted = pair.session.plant.wanted[0]
+    pair.session.step()
+    thread.join(10.0)
+    rotor = pair.session.plant.params.rotor
+    assert rotor.thrust_n(wanted) == pytest.approx(0.5 * 0.12)
+    assert rotor.thrust_n(pair.session.plant.wanted[0]) == pytest.approx(0.4 * 0.12)
+    assert pair.session.lockstep.old == 2
+    assert pair.session.steps == 3
+
+
+def test_garbage_among_the_answers_is_counted_and_harms_nothing(pair):
+    pair.begin()
+    pair.fake.raw(b"\xfd\x50\x00 noise \xfe\x00" * 30)
+    pair.answering([(0.7,) * 4] * 20)
+    assert pair.session.steps == 21
+    assert pair.link.stream.garbage_bytes == 30 * 12
+
+
+def test_while_px4_starts_time_goes_on_at_the_pace_of_the_wall(pair):
+    pair.fake.hello()
+    pair.session.greet()
+    began_s = time.monotonic()
+    for _ in range(25):
+        pair.session.step()
+    assert time.monotonic() - began_s >= 0.099
+    assert pair.session.steps == 25
+    assert pair.events == [Event.CONNECTED]
+
+
+def test_a_px4_that_never_answers_is_an_error_that_names_the_airframe(pair, short):
+    pair.fake.hello()
+    pair.session.greet()
+    with pytest.raises(NoAnswerError, match="PWM_MAIN_FUNC1"):
+        steps(pair.session, 1000)
+
+
+def test_a_client_that_says_nothing_or_garbage_is_dropped_with_a_reason(pair, short):
+    pair.fake.raw(b"GET / HTTP/1.1\r\n\r\n")
+    with pytest.raises(NotPx4Error, match="18 other bytes"):
+        pair.session.greet()
+
+
+def test_another_autopilot_is_refused_by_number(pair):
+    pair.fake.hello(autopilot=mav.MAV_AUTOPILOT_ARDUPILOTMEGA)
+    with pytest.raises(NotPx4Error, match="autopilot 3"):
+        pair.session.greet()
+
+
+def test_px4_without_lockstep_is_refused(pair):
+    pair.begin()
+    with pytest.raises(NoLockstepError):
+        pair.answering([(0.0,) * 4], flags=0)
+
+
+def test_px4_that_goes_is_noticed_at_once(pair):
+    pair.begin()
+    pair.fake.close()
+    with pytest.raises(LinkClosedError):
+        steps(pair.session, 3)
+
+
+def test_a_stop_signal_ends_the_wait(pair):
+    pair.begin()
+    pair.stop.is_set = True
+    began_s = time.monotonic()
+    pair.session.step()
+    assert time.monotonic() - began_s < 1.0
+
+
+def test_a_taken_port_is_an_error_that_says_what_may_be_wrong(server):
+    with pytest.raises(OSError, match="another simulator"):
+        Px4Server("127.0.0.1", server.port)

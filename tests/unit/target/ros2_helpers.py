@@ -1,0 +1,147 @@
+"""ROS 2 messages by mcap-ros2-support, a CDR codec that shares nothing with ours, and sessions."""
+
+import re
+import socket
+import time
+from contextlib import contextmanager
+from functools import cache
+from types import SimpleNamespace
+
+import zenoh
+from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
+
+from bridge.zenoh import zenoh_link
+from logs.schema.schemas import schema_text
+
+PATIENCE_S = 20.0
+ODOMETRY = "nav_msgs/msg/Odometry"
+POSE = "geometry_msgs/msg/PoseStamped"
+POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TF = "tf2_msgs/msg/TFMessage"
+GID = bytes(range(16))
+
+
+def space(**fields):
+    return SimpleNamespace(**fields)
+
+
+@cache
+def encoder(name):
+    return serialize_dynamic(name, schema_text(name))[name]
+
+
+@cache
+def decoder(name):
+    return generate_dynamic(name, schema_text(name))[name]
+
+
+def encode(name, message):
+    return encoder(name)(message)
+
+
+def decode(name, payload):
+    return decoder(name)(payload)
+
+
+def header(stamp_ns, frame_id):
+    sec, nanosec = divmod(stamp_ns, 10**9)
+    return space(stamp=space(sec=sec, nanosec=nanosec), frame_id=frame_id)
+
+
+def quaternion(q):
+    return space(w=q[0], x=q[1], y=q[2], z=q[3])
+
+
+def vector(v):
+    return space(x=v[0], y=v[1], z=v[2])
+
+
+def pose(position, q=(1.0, 0.0, 0.0, 0.0)):
+    return space(position=vector(position), orientation=quaternion(q))
+
+
+def pose_stamped(stamp_ns, frame_id, position, q=(1.0, 0.0, 0.0, 0.0)):
+    return encode(POSE, space(header=header(stamp_ns, frame_id), pose=pose(position, q)))
+
+
+def pose_covariance(stamp_ns, frame_id, position, covariance, q=(1.0, 0.0, 0.0, 0.0)):
+    body = space(pose=pose(position, q), covariance=list(covariance))
+    return encode(POSE_COVARIANCE, space(header=header(stamp_ns, frame_id), pose=body))
+
+
+def transforms(*edges):
+    """Edges are (stamp_ns, parent, child, position, quaternion)."""
+    made = [
+        space(
+            header=header(stamp_ns, parent),
+            child_frame_id=child,
+            transform=space(translation=vector(position), rotation=quaternion(q)),
+        )
+        for stamp_ns, parent, child, position, q in edges
+    ]
+    return encode(TF, space(transforms=made))
+
+
+def odometry(
+    stamp_ns, frame_id="odom", child="base_footprint", position=(0.0, 0.0, 0.0), q=(1.0, 0.0, 0.0, 0.0),
+    linear=(0.0, 0.0, 0.0), angular=(0.0, 0.0, 0.0), pose_cov=(0.0,) * 36, twist_cov=(0.0,) * 36,
+):  # fmt: skip
+    twist = space(linear=vector(linear), angular=vector(angular))
+    message = space(
+        header=header(stamp_ns, frame_id),
+        child_frame_id=child,
+        pose=space(pose=pose(position, q), covariance=list(pose_cov)),
+        twist=space(twist=twist, covariance=list(twist_cov)),
+    )
+    return encode(ODOMETRY, message)
+
+
+def free_endpoint():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def on_free_ports(text):
+    """The same commands with each port they name, 7447 to 14580, changed to one that is free."""
+    found = set(re.findall(r":(74\d\d|14\d\d\d)\b", text))
+    free = {port: free_endpoint().rsplit(":", 1)[1] for port in found}
+    return re.sub(r":(74\d\d|14\d\d\d)\b", lambda match: f":{free[match[1]]}", text)
+
+
+def until(condition, what="it", timeout_s=PATIENCE_S):
+    """Poll a condition of another thread or process."""
+    deadline_s = time.monotonic() + timeout_s
+    while not (found := condition()):
+        assert time.monotonic() < deadline_s, f"{what} did not come"
+        time.sleep(0.002)
+    return found
+
+
+def rmw_session(endpoint):
+    """A Zenoh session as rmw_zenoh opens it (DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5)."""
+    config = zenoh.Config.from_json5(f'''{{
+        mode: "peer",
+        connect: {{ endpoints: ["{endpoint}"] }},
+        listen: {{ endpoints: ["tcp/localhost:0"] }},
+        scouting: {{
+            multicast: {{ enabled: false }},
+            gossip: {{ enabled: true, target: {{ router: ["router", "peer"], peer: ["router"] }} }},
+        }},
+        timestamping: {{ enabled: {{ router: true, peer: true, client: true }} }},
+    }}''')
+    return zenoh.open(config)
+
+
+@contextmanager
+def network(nodes=1):
+    """A real router, our client of it, and sessions of ROS 2 nodes."""
+    endpoint = free_endpoint()
+    sessions = [zenoh_link.open_session([endpoint], role=zenoh_link.Role.ROUTER)]
+    try:
+        sessions.append(zenoh_link.open_session(connect=[endpoint], role=zenoh_link.Role.CLIENT))
+        sessions += [rmw_session(endpoint) for _ in range(nodes)]
+        yield (endpoint, *sessions[1:])
+    finally:
+        for session in reversed(sessions):
+            session.close()

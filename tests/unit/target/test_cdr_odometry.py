@@ -1,0 +1,226 @@
+import math
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
+
+from bridge.frames import quaternion_from_yaw
+from bridge.ros2.cdr import Odometry, OdometryError, decode_odometry, encode_odometry
+from bridge.target.odometry import sample_from_cdr
+from bridge.zenoh.attachment import pack_attachment, parse_attachment
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPES = STORE.types
+NAME = "nav_msgs/msg/Odometry"
+S = math.sqrt(0.5)
+
+doubles = st.floats(allow_nan=True, allow_infinity=True, width=64)
+names = st.text(st.characters(exclude_characters="\x00", exclude_categories=("Cs",)), max_size=40)
+
+
+def ros_message(odometry):
+    time = TYPES["builtin_interfaces/msg/Time"]
+    vector = TYPES["geometry_msgs/msg/Vector3"]
+    w, x, y, z = odometry.orientation_wxyz
+    seconds, nanoseconds = divmod(odometry.stamp_ns, 10**9)
+    return TYPES[NAME](
+        TYPES["std_msgs/msg/Header"](time(seconds, nanoseconds), odometry.frame_id),
+        odometry.child_frame_id,
+        TYPES["geometry_msgs/msg/PoseWithCovariance"](
+            TYPES["geometry_msgs/msg/Pose"](
+                TYPES["geometry_msgs/msg/Point"](*odometry.position_m),
+                TYPES["geometry_msgs/msg/Quaternion"](x, y, z, w),
+            ),
+            np.array(odometry.pose_covariance),
+        ),
+        TYPES["geometry_msgs/msg/TwistWithCovariance"](
+            TYPES["geometry_msgs/msg/Twist"](vector(*odometry.linear_m_s), vector(*odometry.angular_rad_s)),
+            np.array(odometry.twist_covariance),
+        ),
+    )
+
+
+def encode(odometry):
+    return encode_odometry(*(getattr(odometry, name) for name in Odometry.__dataclass_fields__))
+
+
+@st.composite
+def odometries(draw):
+    def n(count):
+        return tuple(draw(st.lists(doubles, min_size=count, max_size=count)))
+
+    stamp = draw(st.integers(-(2**31), 2**31 - 1)) * 10**9 + draw(st.integers(0, 10**9 - 1))
+    return Odometry(stamp, draw(names), draw(names), n(3), n(4), n(3), n(3), n(36), n(36))
+
+
+@settings(max_examples=150, deadline=None)
+@given(odometries())
+def test_encoding_is_byte_equal_with_rosbags(odometry):
+    assert encode(odometry) == bytes(STORE.serialize_cdr(ros_message(odometry), NAME))
+
+
+@settings(max_examples=150, deadline=None)
+@given(odometries())
+def test_decoding_what_rosbags_wrote_gives_the_same_values(odometry):
+    decoded = decode_odometry(bytes(STORE.serialize_cdr(ros_message(odometry), NAME)))
+    assert repr(decoded) == repr(odometry)  # repr: NaN equals itself
+
+
+@pytest.mark.parametrize("length", range(9))
+def test_every_alignment_of_the_frame_names(length):
+    odometry = Odometry(7, "m" * length, "t" * (8 - length), (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
+    payload = encode(odometry)
+    assert payload == bytes(STORE.serialize_cdr(ros_message(odometry), NAME))
+    assert decode_odometry(payload) == odometry
+
+
+def usual(**changes):
+    values = {
+        "stamp_ns": 1_500_000_000,
+        "frame_id": "map",
+        "child_frame_id": "target",
+        "position_m": (1.0, 2.0, 0.2),
+        "orientation_wxyz": quaternion_from_yaw(math.pi / 2),
+        "linear_m_s": (0.1, 0.0, 0.0),
+        "angular_rad_s": (0.0, 0.0, 0.4),
+    }
+    return encode_odometry(**(values | changes))
+
+
+def test_twist_is_turned_into_the_world():
+    sample = sample_from_cdr(usual(), arrival_s=3.0)
+    assert sample.velocity_enu_m_s == pytest.approx((0.0, 0.1, 0.0))
+    assert sample.position_enu_m == (1.0, 2.0, 0.2)
+    assert sample.yaw_rad == pytest.approx(math.pi / 2)
+    assert sample.yaw_rate_rad_s == pytest.approx(0.4)
+    assert (sample.arrival_s, sample.source_time_s) == (3.0, 1.5)
+    assert (sample.frame_id, sample.child_frame_id) == ("map", "target")
+
+
+def test_twist_is_turned_by_the_whole_quaternion():
+    # Nose north and up by 90 deg: forward is up, left is west.
+    q = (0.5, 0.5, -0.5, 0.5)
+    sample = sample_from_cdr(usual(orientation_wxyz=q, linear_m_s=(0.3, 0.1, 0.0)), 0.0)
+    assert sample.velocity_enu_m_s == pytest.approx((-0.1, 0.0, 0.3))
+
+
+def test_slightly_long_quaternion_does_not_stretch_the_velocity():
+    q = tuple(1.004 * c for c in quaternion_from_yaw(0.7))
+    sample = sample_from_cdr(usual(orientation_wxyz=q), 0.0)
+    assert math.hypot(*sample.velocity_enu_m_s) == pytest.approx(0.1)
+
+
+def test_any_frame_names_are_accepted():
+    sample = sample_from_cdr(usual(frame_id="", child_frame_id="roboter/grün"), 0.0)
+    assert (sample.frame_id, sample.child_frame_id) == ("", "roboter/grün")
+
+
+def test_strings_of_length_zero_and_trailing_bytes_are_accepted():
+    odometry = Odometry(5, "", "", (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
+    body = encode(odometry)[-680:]
+    terse = b"\x00\x01\x00\x00" + struct.pack("<iIII", 0, 5, 0, 0) + body + b"\x00\x00\x00"
+    assert decode_odometry(terse) == odometry
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (b"", "not even a CDR header"),
+        (b"\x00\x00" + usual()[2:], "big endian"),
+        (b"\x00\x03" + usual()[2:], "parameter list"),
+        (b"{}" + usual()[2:], "not a CDR encoding"),
+        (usual()[:300], "cut short"),
+        (usual()[:14], "cut short"),
+        (usual()[:12] + b"\xff\xff\xff\x7f" + usual()[16:], "does not fit"),
+        (usual()[:16] + b"\xff\xfe\xfd" + usual()[19:], "UTF-8"),
+        (usual(position_m=(math.nan, 0.0, 0.0)), "not finite"),
+        (usual(linear_m_s=(0.0, math.inf, 0.0)), "not finite"),
+        (usual(angular_rad_s=(0.0, 0.0, -1e300)), "beyond"),
+        (usual(orientation_wxyz=(0.0, 0.0, 0.0, 0.0)), "unit quaternion"),
+        (usual(orientation_wxyz=(1.0, 1.0, 0.0, 0.0)), "unit quaternion"),
+    ],
+)
+def test_malformed_payload_says_what_is_wrong(payload, words):
+    with pytest.raises(OdometryError, match=words):
+        sample_from_cdr(payload, 0.0)
+
+
+@settings(max_examples=500)
+@given(st.binary(max_size=80), st.integers(0, 715), st.integers(0, 715))
+def test_damaged_payload_never_raises_anything_else(noise, start, stop):
+    payload = usual()
+    for damaged in (noise, payload[:start] + noise + payload[stop:], payload[:stop]):
+        try:
+            sample = sample_from_cdr(damaged, 0.0)
+        except OdometryError:
+            continue
+        assert all(map(math.isfinite, (*sample.position_enu_m, *sample.velocity_enu_m_s, sample.yaw_rad)))
+
+
+def test_encoding_refuses_what_does_not_fit():
+    with pytest.raises(OdometryError, match="36"):
+        usual(pose_covariance=(0.0,) * 35)
+    with pytest.raises(OdometryError, match="32-bit"):
+        usual(stamp_ns=2**31 * 10**9)
+
+
+def test_attachment_is_the_33_bytes_of_rmw_zenoh():
+    gid = bytes(range(16))
+    data = pack_attachment(3, 1_600_000_000_000_000_000, gid)
+    assert data == struct.pack("<qqB", 3, 1_600_000_000_000_000_000, 16) + gid
+    assert len(data) == 33
+    assert parse_attachment(data) == (3, 1_600_000_000_000_000_000)
+
+
+def test_old_attachment_with_field_names_is_read():
+    data = (
+        b"\x0fsequence_number" + struct.pack("<q", 9) + b"\x10source_timestamp" + struct.pack("<q", 77)
+    ) + (b"\x0asource_gid\x10" + bytes(16))
+    assert len(data) == 77
+    assert parse_attachment(data) == (9, 77)
+
+
+@pytest.mark.parametrize("data", [None, b"", bytes(33), bytes(77), struct.pack("<qq", 1, 0)])
+def test_anything_else_is_no_attachment(data):
+    assert parse_attachment(data) is None
+
+
+def test_publisher_id_of_wrong_length_is_refused():
+    with pytest.raises(ValueError, match="16"):
+        pack_attachment(1, 2, b"short")
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "sigma"),
+    [
+        (0.0, 0.0, 0.0),  # unknown (nav_msgs/msg/Odometry)
+        (0.0004, 0.0009, 0.03),
+        (0.0009, 0.0004, 0.03),
+        (0.0004, 0.0, 0.0),
+        (-1.0, -1.0, 0.0),
+        (1e6, 1e6, 0.0),  # what is not measured, by habit
+        (math.nan, 0.01, 0.0),
+        (0.01, math.nan, 0.0),
+        (math.inf, 0.01, 0.0),
+    ],
+)
+def test_what_a_sender_says_of_its_accuracy_is_in_the_sample(x, y, sigma):
+    """Through rosbags' encoder; everything else in the covariances means nothing here."""
+    covariance = np.random.default_rng(1).normal(size=36)
+    covariance[0], covariance[7] = x, y
+    for name, field in (
+        ("pose_covariance", "position_sigma_m"), ("twist_covariance", "velocity_sigma_m_s"),
+    ):  # fmt: skip
+        odometry = Odometry(
+            10**9, "map", "base", (1.0, 2.0, 3.0), (S, 0.0, 0.0, S), (0.2, 0.0, 0.0), (0.0, 0.0, 0.3)
+        )
+        payload = bytes(
+            STORE.serialize_cdr(ros_message(replace(odometry, **{name: tuple(covariance)})), NAME)
+        )
+        found = sample_from_cdr(payload, 0.0)
+        assert getattr(found, field) == pytest.approx(sigma)
+        assert replace(found, **{field: 0.0}) == sample_from_cdr(encode(odometry), 0.0)

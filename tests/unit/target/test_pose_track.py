@@ -1,0 +1,138 @@
+"""Velocity from poses: true to within what is promised, and nothing where it is not known."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bridge.frames import quaternion_from_yaw
+from bridge.ros2.pose_cdr import Pose
+from bridge.target.odometry import sample_from_cdr
+from bridge.target.pose_noise import noise_of, worse_than_told
+from bridge.target.pose_track import OUTLIERS_MAX, SETTLED_M_S, PoseTrack
+from flightstack.core.parameters.robust import TargetLink
+from flightstack.core.target.estimator import RESTART_S
+
+LINK = TargetLink()
+SPEED_M_S, TURN_RAD_S = 0.2, 0.5
+
+
+def circle(t_s, noise=(0.0, 0.0, 0.0), frame="map"):
+    """A robot on a circle, as a tracker sees it."""
+    radius_m, yaw_rad = SPEED_M_S / TURN_RAD_S, TURN_RAD_S * t_s
+    x, y = radius_m * math.sin(yaw_rad), radius_m * (1.0 - math.cos(yaw_rad))
+    position = (x + noise[0], y + noise[1], 0.2 + noise[2])
+    return Pose(round(t_s * 1e9), frame, position, quaternion_from_yaw(yaw_rad))
+
+
+def drive(track, begin_s, end_s, rate_hz=50, sigma_m=0.0, seed=1):
+    """Samples that come out, with their times."""
+    chance = np.random.default_rng(seed)
+    for i in range(round(begin_s * rate_hz), round(end_s * rate_hz)):
+        t_s = i / rate_hz
+        payload = track.take(circle(t_s, tuple(map(float, chance.normal(0.0, 1.0, 3) * sigma_m))))
+        if payload is not None:
+            yield t_s, sample_from_cdr(payload, t_s)
+
+
+def velocity_error_m_s(t_s, sample):
+    yaw_rad = TURN_RAD_S * t_s
+    vx, vy, vz = sample.velocity_enu_m_s
+    return math.hypot(vx - SPEED_M_S * math.cos(yaw_rad), vy - SPEED_M_S * math.sin(yaw_rad), vz)
+
+
+def test_the_velocity_of_a_clean_circle_is_right_and_turned_into_the_world():
+    samples = list(drive(PoseTrack(LINK, "base"), 0.0, 5.0))
+    assert samples[0][0] < 0.25
+    assert max(velocity_error_m_s(*one) for one in samples if one[0] > 1.0) < 0.01
+    t_s, last = samples[-1]
+    assert (last.frame_id, last.child_frame_id) == ("map", "base")
+    assert last.source_time_s == pytest.approx(t_s)
+    assert last.position_enu_m == circle(t_s).position_m  # as measured
+    assert last.yaw_rate_rad_s == pytest.approx(TURN_RAD_S, rel=0.01)
+
+
+@pytest.mark.parametrize(("rate_hz", "millimetres"), [(100, 1), (50, 5), (20, 5)])
+def test_the_error_is_as_large_as_the_page_says(rate_hz, millimetres):
+    page = " ".join((Path(__file__).parents[3] / "docs" / "ros2.md").read_text().split())
+    said_m_s = float(re.search(rf"([0-9.]+) m/s at {rate_hz} Hz and {millimetres} mm", page)[1])
+    sigma_m = 1e-3 * millimetres
+    track = PoseTrack(TargetLink(position_noise_m=sigma_m), "base")
+    errors = [velocity_error_m_s(*one) for one in drive(track, 0.0, 30.0, rate_hz, sigma_m)]
+    assert len(errors) > 0.98 * 30 * rate_hz
+    found_m_s = math.sqrt(sum(e * e for e in errors) / len(errors))
+    assert found_m_s == pytest.approx(said_m_s, rel=0.1)
+    assert found_m_s < SETTLED_M_S
+
+
+def test_poses_that_are_too_few_or_too_bad_go_nowhere_and_it_is_said():
+    track = PoseTrack(TargetLink(position_noise_m=0.02), "base")
+    assert list(drive(track, 0.0, 10.0, 20, 0.02)) == []
+    assert track.withheld == 200
+    assert "0.05 m/s are needed" in track.problem
+
+
+def test_repeated_and_late_poses_make_nothing():
+    track = PoseTrack(LINK, "base")
+    list(drive(track, 0.0, 1.0))
+    assert track.take(circle(0.98)) is None
+    assert track.take(circle(0.5)) is None
+    assert len(list(drive(track, 1.0, 1.1))) == 5
+
+
+def test_an_outlier_goes_nowhere_and_does_not_move_the_velocity():
+    track = PoseTrack(LINK, "base")
+    list(drive(track, 0.0, 2.0))
+    assert track.take(circle(2.0, (0.25, 0.0, 0.0))) is None
+    after = list(drive(track, 2.02, 2.2))
+    assert len(after) == 9
+    assert max(velocity_error_m_s(*one) for one in after) < 0.02
+
+
+def test_a_target_that_was_carried_away_is_followed_anew():
+    track = PoseTrack(LINK, "base")
+    list(drive(track, 0.0, 2.0))
+    out = [track.take(circle(2.0 + i / 50, (3.0, 0.0, 0.0))) for i in range(50)]
+    first = next(i for i, payload in enumerate(out) if payload is not None)
+    assert OUTLIERS_MAX <= first < OUTLIERS_MAX + 15
+    late = sample_from_cdr(out[-1], 0.0)
+    assert velocity_error_m_s(2.0 + 49 / 50, late) < 0.02
+
+
+def test_a_gap_or_a_new_clock_begins_anew():
+    for begin_s in (2.0 + 2.0 * RESTART_S, 0.0):
+        track = PoseTrack(LINK, "base")
+        list(drive(track, 2.0 * RESTART_S, 5.0))
+        if begin_s == 0.0:
+            begin_s = 1.0  # stamps far back
+        else:
+            begin_s += 5.0
+        samples = list(drive(track, begin_s, begin_s + 2.0))
+        assert samples[0][0] > begin_s + 0.05
+        assert velocity_error_m_s(*samples[-1]) < 0.02
+
+
+def covariance(xx=0.0, yy=0.0):
+    out = [0.0] * 36
+    out[0], out[7] = xx, yy
+    return out
+
+
+def test_what_a_sender_says_of_its_noise():
+    unknown = covariance()
+    assert noise_of(unknown, unknown) == (None, None)
+    assert noise_of(covariance(1e-4, 4e-4), covariance(0.01, 1e-9)) == (
+        pytest.approx(0.02),
+        pytest.approx(0.1),
+    )
+    assert noise_of(covariance(1e6, 1e6), covariance(-1.0, 0.0)) == (None, None)
+    assert noise_of(covariance(math.nan, 1.0), covariance(math.inf, 1.0)) == (None, None)
+
+
+def test_a_sender_worse_than_configured_is_told_of():
+    assert worse_than_told(noise_of(covariance(2.5e-5, 2.5e-5), covariance(4e-4, 4e-4)), LINK) == ""
+    text = worse_than_told(noise_of(covariance(0.0025, 0.0025), covariance(0.04, 0.01)), LINK)
+    assert "0.05 m where target.position_noise_m is 0.005" in text
+    assert "0.2 m/s where target.velocity_noise_m_s is 0.02" in text

@@ -1,0 +1,333 @@
+"""A target of ROS 2 through a real router: what another library wrote is consumed, what is wrong refused."""
+
+import contextlib
+import math
+import struct
+from contextlib import contextmanager
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from zenoh.ext import CacheConfig, declare_advanced_publisher
+
+from bridge.frames import quaternion_from_yaw
+from bridge.ros2.cdr import OdometryError
+from bridge.ros2.ros2_names import NO_HASH, topic_key
+from bridge.target.odometry import sample_from_cdr
+from bridge.target.ros2_target import ROS_TYPES, Dialect, TargetSource, TargetSpec, TargetType
+from bridge.zenoh import zenoh_link
+from flightstack.core.parameters.robust import TargetLink
+from tests.unit import ros2_helpers as ros
+from tests.unit.target.ros2_helpers import until
+
+FRAME, CHILD = "odom", "base_footprint"  # TurtleBot3's burger.yaml
+STAMP = 1_700_000_000_500_000_000
+
+
+def attachment(sequence, time_ns):
+    """As the design document of rmw_zenoh has it: two int64, a length, 16 bytes."""
+    return struct.pack("<qqB", sequence, time_ns, 16) + ros.GID
+
+
+class Robot:
+    """Plays a publisher of rmw_zenoh, which is an advanced one without a cache (rmw_publisher_data.cpp)."""
+
+    def __init__(self, session, key):
+        self.publisher = declare_advanced_publisher(session, key)
+        self._probe = zenoh_link.dropping_publisher(session, key)  # that one tells of subscribers
+        self.sequence = 0
+
+    def put(self, payload, with_attachment=True):
+        self.sequence += 1
+        if with_attachment:
+            self.publisher.put(payload, attachment=attachment(self.sequence, STAMP + self.sequence))
+        else:
+            self.publisher.put(payload)
+
+    def wait(self):
+        until(lambda: zenoh_link.is_matched(self._probe), "the subscription")
+
+
+@contextmanager
+def source(text, kind=TargetType.ODOMETRY, key=None, domain=0, link=None):
+    """A ROS 2 robot and the source that listens to it, through a router."""
+    with ros.network() as (_, ours, theirs):
+        spec = TargetSpec.parse(text, kind, domain)
+        listening = TargetSource(ours, spec, FRAME, CHILD, link or TargetLink())
+        robot = Robot(theirs, key or spec.key.replace("*/*", "/".join(_typed(kind))))
+        robot.wait()
+        yield robot, listening
+
+
+def _typed(kind):
+    known = ROS_TYPES[kind]
+    return topic_key(0, "/x", known.name, known.type_hash).split("/")[2:]
+
+
+def collect(listening, count):
+    samples = []
+    until(lambda: samples.extend(listening.poll()) or len(samples) >= count, f"sample {count}")
+    return samples
+
+
+def told(listening):
+    """The first thing that it says."""
+
+    def one():
+        assert listening.poll() == []
+        return listening.take_problems()
+
+    return until(one, "a reason")[0]
+
+
+def test_a_turtlebot_is_followed_by_its_topic():
+    yaw = quaternion_from_yaw(math.pi / 2)
+    with source("ros2:/robot1/odom", domain=7) as (robot, listening):
+        assert str(robot.publisher.key_expr).startswith(
+            "7/robot1/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_3cc9"
+        )
+        robot.put(ros.odometry(STAMP, FRAME, CHILD, (1.0, 2.0, 0.0), yaw, (0.2, 0.0, 0.0), (0.0, 0.0, 0.3)))
+        [raw] = collect(listening, 1)
+        sample = sample_from_cdr(raw.payload, 3.0)
+        assert (raw.sequence, raw.source_time_ns, len(raw.attachment)) == (1, STAMP + 1, 33)
+        assert (sample.frame_id, sample.child_frame_id) == (FRAME, CHILD)
+        assert sample.position_enu_m == (1.0, 2.0, 0.0)
+        assert sample.velocity_enu_m_s == pytest.approx((0.0, 0.2, 0.0))  # from the child's frame
+        assert sample.source_time_s == pytest.approx(STAMP / 1e9)
+        assert listening.take_problems() == []
+
+
+def test_a_robot_that_comes_late_and_one_that_comes_again():
+    with ros.network(2) as (_, ours, one, two):
+        listening = TargetSource(ours, TargetSpec.parse("ros2:/odom"), FRAME, CHILD, TargetLink())
+        for session in (one, two):  # a node started anew is another publisher
+            robot = Robot(session, topic_key(0, "/odom", *ROS_TYPES[TargetType.ODOMETRY]))
+            robot.wait()
+            robot.put(ros.odometry(STAMP, FRAME, CHILD))
+            assert len(collect(listening, 1)) == 1
+            session.close()
+
+
+@pytest.mark.parametrize("with_attachment", [True, False])
+def test_behind_the_dds_bridge_a_topic_is_its_name(with_attachment):
+    with source("ros2dds:/robot1/odom", key="robot1/odom") as (robot, listening):
+        robot.put(ros.odometry(STAMP, FRAME, CHILD, (1.0, 0.0, 0.0)), with_attachment)
+        [raw] = collect(listening, 1)
+        assert sample_from_cdr(raw.payload, 0.0).position_enu_m == (1.0, 0.0, 0.0)
+        assert (raw.sequence is not None) == with_attachment
+
+
+def test_humble_has_no_hash_and_is_taken():
+    key = topic_key(0, "/odom", "nav_msgs/msg/Odometry", NO_HASH)
+    with source("ros2:/odom", key=key) as (robot, listening):
+        robot.put(ros.odometry(STAMP, FRAME, CHILD))
+        assert len(collect(listening, 1)) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "type_hash", "words"),
+    [
+        ("nav_msgs/msg/Odometry", "RIHS01_" + "0" * 64, "built with another definition"),
+        (*ROS_TYPES[TargetType.POSE], "carries geometry_msgs/msg/PoseStamped, nav_msgs"),
+    ],
+)  # fmt: skip
+def test_another_type_or_hash_is_refused_with_its_name(name, type_hash, words):
+    with source("ros2:/odom", key=topic_key(0, "/odom", name, type_hash)) as (robot, listening):
+        robot.put(ros.odometry(STAMP, FRAME, CHILD))
+        text = told(listening)
+        assert text.startswith("ros2:/odom: ")
+        assert words in text
+        assert listening.refused == 1
+        robot.put(ros.odometry(STAMP, FRAME, CHILD))
+        until(lambda: listening.poll() == [] and listening.refused == 2)
+        assert listening.take_problems() == []  # once is enough
+
+
+def test_other_domains_and_deeper_topics_are_not_heard():
+    with ros.network() as (_, ours, one):
+        listening = TargetSource(ours, TargetSpec.parse("ros2:/odom", domain=3), FRAME, CHILD, TargetLink())
+        known = ROS_TYPES[TargetType.ODOMETRY]
+        keys = [
+            topic_key(4, "/odom", *known),
+            topic_key(3, "/odom/raw", *known),
+            topic_key(3, "/odom", *known),
+        ]
+        robots = [Robot(one, key) for key in keys]
+        robots[-1].wait()
+        for robot in robots:
+            robot.put(ros.odometry(STAMP, FRAME, CHILD))
+        assert len(collect(listening, 1)) == 1
+        assert listening.poll() == []
+        assert listening.refused == 0
+
+
+@pytest.mark.parametrize(
+    ("frame", "child", "words"),
+    [
+        ("map", CHILD, "frame_id is 'map', checks.target_frame is 'odom'"),
+        (FRAME, "base_link", "child_frame_id is 'base_link', checks.target_child_frame is 'base_footprint'"),
+    ],
+)
+def test_wrong_frames_are_told_and_left_to_the_controller_to_refuse(frame, child, words):
+    with source("ros2:/odom") as (robot, listening):
+        robot.put(ros.odometry(STAMP, frame, child))
+        [raw] = collect(listening, 1)
+        assert sample_from_cdr(raw.payload, 0.0).frame_id == frame
+        assert words in listening.take_problems()[0]
+
+
+def test_a_covariance_worse_than_configured_is_told():
+    bad = [0.0] * 36
+    bad[0] = bad[7] = 0.01
+    with source("ros2:/odom") as (robot, listening):
+        robot.put(ros.odometry(STAMP, FRAME, CHILD, pose_cov=bad))
+        assert len(collect(listening, 1)) == 1
+        assert "0.1 m where target.position_noise_m is 0.005" in listening.take_problems()[0]
+
+
+def moving(i):
+    return (0.2 * i / 50, 0.0, 0.1), STAMP + i * 20_000_000
+
+
+def poses(kind):
+    for i in range(60):
+        position, stamp_ns = moving(i)
+        if kind is TargetType.POSE:
+            yield ros.pose_stamped(stamp_ns, FRAME, position)
+        elif kind is TargetType.POSE_COVARIANCE:
+            yield ros.pose_covariance(stamp_ns, FRAME, position, [0.0] * 36)
+        else:
+            wheel = (stamp_ns, CHILD, "wheel", (9.0, 9.0, 9.0), (1.0, 0.0, 0.0, 0.0))
+            half = (stamp_ns, FRAME, "half", tuple(0.5 * p for p in position), (1.0, 0.0, 0.0, 0.0))
+            rest = (stamp_ns, "half", CHILD, tuple(0.5 * p for p in position), (1.0, 0.0, 0.0, 0.0))
+            yield ros.transforms(wheel, rest, half)
+
+
+@pytest.mark.parametrize("kind", [TargetType.POSE, TargetType.POSE_COVARIANCE, TargetType.TF])
+def test_a_target_without_a_velocity_gets_one(kind):
+    with source("ros2:/pose", kind) as (robot, listening):
+        for payload in poses(kind):
+            robot.put(payload)
+        samples = collect(listening, 50)
+        until(lambda: samples.extend(listening.poll()) or samples[-1].sequence == 60, "the last")
+        last = sample_from_cdr(samples[-1].payload, 0.0)
+        assert (last.frame_id, last.child_frame_id) == (FRAME, CHILD)
+        assert last.position_enu_m == pytest.approx(moving(59)[0])
+        assert last.velocity_enu_m_s == pytest.approx((0.2, 0.0, 0.0), abs=0.01)
+        assert last.source_time_s == pytest.approx(moving(59)[1] / 1e9)
+        assert listening.refused == 0
+
+
+@pytest.mark.parametrize("prefix", ["ros2:", "ros2dds:"])
+@pytest.mark.parametrize("early", [True, False])
+def test_a_landing_spot_fixed_to_the_robot_is_found_by_tf_alone(prefix, early):
+    """Said once and kept for who comes late, as robot_state_publisher does (transient local)."""
+    with ros.network(2) as (_, ours, robot_session, state_session):
+        spec = TargetSpec.parse(f"{prefix}/tf", TargetType.TF)
+        typed = ROS_TYPES[TargetType.TF]
+        keys = [
+            topic_key(0, name, *typed) if prefix == "ros2:" else name.removeprefix("/")
+            for name in ("/tf", "/tf_static")
+        ]
+        kept = declare_advanced_publisher(
+            state_session, keys[1], cache=CacheConfig(1), publisher_detection=True
+        )
+        place = ros.transforms((0, "wheels", CHILD, (0.1, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0)))
+        if early:
+            kept.put(place, attachment=attachment(1, STAMP))
+        listening = TargetSource(ours, spec, FRAME, CHILD, TargetLink())
+        robot = Robot(robot_session, keys[0])
+        robot.wait()
+        if not early:
+            kept.put(place, attachment=attachment(1, STAMP))
+        until(lambda: listening.poll() == [] and CHILD in listening._chain._fixed, "the fixed transform")
+        for i in range(60):
+            position, stamp_ns = moving(i)
+            robot.put(ros.transforms((stamp_ns, FRAME, "wheels", position, quaternion_from_yaw(math.pi / 2))))
+        samples = collect(listening, 50)
+        until(lambda: samples.extend(listening.poll()) or samples[-1].sequence == 60, "the last")
+        last = sample_from_cdr(samples[-1].payload, 0.0)
+        x, y, z = moving(59)[0]
+        assert last.position_enu_m == pytest.approx((x, y + 0.1, z + 0.3))
+        assert last.velocity_enu_m_s == pytest.approx((0.2, 0.0, 0.0), abs=0.01)
+        assert last.source_time_s == pytest.approx(moving(59)[1] / 1e9)
+        assert listening.refused == 0
+        listening.close()
+
+
+def one_edge(parent, child):
+    return ros.transforms((STAMP, parent, child, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload", "words"),
+    [
+        (TargetType.POSE, ros.pose_stamped(STAMP, "camera", (0.0, 0.0, 0.0)), "frame_id is 'camera'"),
+        (TargetType.POSE, ros.pose_stamped(STAMP, FRAME, (0.0, 0.0, 0.0), (0.0,) * 4), "never set"),
+        (TargetType.POSE, b"\x00\x01\x00\x00", "cut short"),
+        (TargetType.TF, one_edge(FRAME, "other"), "no transform of 'base_footprint'"),
+        (TargetType.TF, one_edge("map", CHILD), "nothing says where that is"),
+    ],
+    ids=["other frame", "no quaternion", "cut short", "other child", "no chain"],
+)  # fmt: skip
+def test_poses_that_lead_nowhere_are_told(kind, payload, words):
+    with source("ros2:/pose", kind) as (robot, listening):
+        robot.put(payload)
+        assert words in told(listening)
+
+
+def test_what_a_target_may_be_called():
+    assert TargetSpec.parse("cf1/target/odom").is_direct
+    assert not TargetSpec.parse("cf1/target/pose", TargetType.POSE).is_direct
+    spec = TargetSpec.parse("ros2:/odom", domain=5)
+    assert (spec.dialect, spec.key, spec.is_direct) == (Dialect.RMW_ZENOH, "5/odom/*/*", False)
+    assert TargetSpec.parse("ros2dds:/a/odom").key == "a/odom"
+    for text in ("ros2:odom", "ros2:/2odom", "ros2dds:", "ros2:/a//b"):
+        with pytest.raises(ValueError, match="/robot1/odom"):
+            TargetSpec.parse(text)
+    with pytest.raises(ValueError, match="0 to 232"):
+        TargetSpec.parse("ros2:/odom", domain=233)
+
+
+def test_problems_are_bounded():
+    with source("ros2:/pose", TargetType.POSE) as (robot, listening):
+        for i in range(100):
+            robot.put(ros.pose_stamped(STAMP, f"frame{i}", (0.0, 0.0, 0.0)))
+        until(lambda: listening.poll() == [] and listening.refused == 100, "all")
+        assert len(listening.take_problems()) == 32
+
+
+WHOLE = {
+    TargetType.ODOMETRY: ros.odometry(STAMP, FRAME, CHILD),
+    TargetType.POSE: ros.pose_stamped(STAMP, FRAME, (1.0, 2.0, 3.0)),
+    TargetType.POSE_COVARIANCE: ros.pose_covariance(STAMP, FRAME, (1.0, 2.0, 3.0), [0.0] * 36),
+    TargetType.TF: one_edge(FRAME, CHILD),
+}
+
+
+@pytest.mark.parametrize("kind", list(TargetType))
+def test_hostile_payloads_never_get_out_of_hand(kind):
+    """Whatever comes, what goes on is odometry that the controller's decoder takes or refuses by name."""
+    session = zenoh_link.open_session()
+    listening = TargetSource(session, TargetSpec.parse("x/y", kind), FRAME, CHILD, TargetLink())
+    put = zenoh_link.dropping_publisher(session, "x/y")
+    whole = WHOLE[kind]
+
+    @settings(max_examples=150)
+    @given(st.binary(max_size=80), st.integers(0, len(whole)), st.integers(0, len(whole)))
+    def hostile(noise, start, stop):
+        for payload in (noise, whole[:start] + noise + whole[stop:], whole[:stop]):
+            put.put(payload)  # within one session it is there at once
+        for raw in listening.poll():
+            with contextlib.suppress(OdometryError):
+                sample = sample_from_cdr(raw.payload, 0.0)
+                assert all(map(math.isfinite, (*sample.position_enu_m, *sample.velocity_enu_m_s)))
+
+    try:
+        hostile()
+        assert len(listening.take_problems()) <= 32
+        for payload in [whole] * 3 if kind is TargetType.ODOMETRY else poses(kind):
+            put.put(payload)
+        assert len(listening.poll()) >= (3 if kind is TargetType.ODOMETRY else 40)  # it works as before
+    finally:
+        session.close()

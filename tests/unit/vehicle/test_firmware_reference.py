@@ -1,0 +1,163 @@
+"""The firmware port against the Crazyflie firmware itself: outputs of the compiled C code on random states.
+
+``tests/data/README.md`` says which functions of which commit, and how the numbers were made. The port
+computes in double precision and the firmware in single; whole counts therefore differ by one at most, where a
+value lies next to a whole number.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.compiled.records import new
+from sim.compiled.rotation import rotation_axes
+from sim.firmware.mixer import mix
+from sim.firmware.paper_loop import K_V_N_S_M, PaperLoop, axes_from_force, paper_update
+from sim.firmware.pid import PidLoop, cascade_update
+from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
+from sim.firmware.supervisor import PERIOD_MS, State, Supervisor
+from sim.plant.params import load
+
+DATA = Path(__file__).parents[2] / "data"
+PARAMS = load()
+MASS_THRUST = 132000.0  # counts per N, controller_mellinger.c
+ONE_COUNT = 1.01
+
+MAPPED = {
+    "NotInitialized": State.DISARMED,
+    "PreFlChecksNotPassed": State.DISARMED,
+    "PreFlChecksPassed": State.DISARMED,
+    "Reset": State.DISARMED,
+    "ReadyToFly": State.READY,
+    "Flying": State.FLYING,
+    "WarningLevelOut": State.LEVEL_OUT,
+    "Landed": State.LANDED,
+    "ExceptFreeFall": State.LOCKED,
+    "Locked": State.LOCKED,
+    "Crashed": State.CRASHED,
+}
+
+
+def data(name):
+    return np.load(DATA / f"firmware_{name}.npz")
+
+
+def euler_axes(roll, pitch, yaw):
+    """Body axes of a ZYX rotation, FLU, rad."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    x = (cy * cp, sy * cp, -sp)
+    y = (cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr)
+    z = (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr)
+    return (*x, *y, *z)
+
+
+def sensed(axes, gyro_deg_s, velocity=(0.0, 0.0, 0.0)):
+    record = new(SensedState)
+    record.axes, record.velocity = axes, velocity
+    record.rates = np.radians(np.asarray(gyro_deg_s, float))
+    return record
+
+
+def setpoint(velocity, yaw_deg):
+    return new(SetpointRecord, Setpoint(*map(float, velocity), float(np.radians(float(yaw_deg)))).fields())
+
+
+def mellinger_port(rows, paper):
+    """Moments and thrust counts of a sequence, thrust on the firmware's scale."""
+    r = paper.record
+    out = []
+    for q, gyro, force, yaw in ((row[:4], row[4:7], row[7:10], row[10]) for row in rows.astype(float)):
+        wanted = (np.array(force) - (0.0, 0.0, r.weight)) / K_V_N_S_M  # at rest, eq. 8 asks for this force
+        state = sensed(rotation_axes(q), gyro)
+        thrust, moments = paper_update(r, state, setpoint(wanted, yaw), False)
+        out.append((*moments, thrust / r.counts_per_n * MASS_THRUST))
+    return np.array(out)
+
+
+def test_mellinger_attitude_loop():
+    d = data("mellinger")
+    worst, off = 0.0, 0
+    for rows, expected in zip(d["rows"], d["out"].astype(float), strict=True):
+        got = mellinger_port(rows, PaperLoop(PARAMS))
+        difference = np.abs(got[:, :3] - expected[:, :3])
+        worst, off = max(worst, difference.max()), off + (difference > 0).sum()
+        on = expected[:, 3] > 0.0
+        assert got[on, 3] == pytest.approx(expected[on, 3], rel=2e-5, abs=1.0)
+        assert not got[~on, 3].any()
+    assert worst <= ONE_COUNT
+    assert off < 0.01 * d["out"][..., :3].size  # only where rounding decides
+
+
+def pid_port(rows):
+    loop = PidLoop(PARAMS)
+    out = []
+    for row in rows.astype(float):
+        state = sensed(euler_axes(*np.radians(row[:3])), row[3:6], row[6:9])
+        level = bool(row[13])
+        thrust, moments = cascade_update(loop.record, state, setpoint(row[9:12], row[12]), level)
+        out.append((*moments, thrust))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("length", ["short", "long"])
+def test_pid_cascade(length):
+    d = data("pid")
+    off = 0
+    for rows, expected in zip(d[f"{length}_rows"], d[f"{length}_out"].astype(float), strict=True):
+        difference = np.abs(pid_port(rows) - expected)
+        assert difference[:, :3].max() <= ONE_COUNT
+        assert difference[:, 3].max() <= ONE_COUNT
+        off += (difference[:, :3] > 0).sum()
+    assert off < 0.02 * d[f"{length}_out"][..., :3].size
+
+
+def test_mixer():
+    d = data("mixer")
+    for thrust, moments, expected in zip(d["thrust"], d["moments"], d["out"], strict=True):
+        got = np.array(mix(float(thrust), tuple(int(m) for m in moments)))
+        assert np.abs(got - expected.astype(float)).max() <= ONE_COUNT  # the firmware cuts every motor
+
+
+def supervisor_port(rows, accelerations):
+    port = Supervisor()
+    states = []
+    for k, (action, motors, age_ms, accel) in enumerate(rows.tolist()):
+        now_ms = 1000 + PERIOD_MS * k
+        if action == 1:
+            assert port.arm(now_ms) is None
+        elif action in (2, 3):  # disarm; recovery from a crash is a disarm here
+            port.disarm(now_ms)
+        port.update(now_ms, age_ms, bool(motors), tuple(accelerations[accel].tolist()))
+        states.append(port.state)
+    return states
+
+
+def test_supervisor():
+    d = data("supervisor")
+    names = d["states"].tolist()
+    entered = set()
+    for i, (rows, expected) in enumerate(zip(d["rows"], d["out"], strict=True)):
+        wanted = [MAPPED[names[s]] for s in expected]
+        got = supervisor_port(rows, d["accelerations_g"])
+        first = next((k for k, (a, b) in enumerate(zip(got, wanted, strict=True)) if a is not b), None)
+        assert first is None, f"sequence {i}, update {first}: {got[first]}, firmware {wanted[first]}"
+        entered.update(wanted)
+    assert entered == set(State)
+
+
+def test_the_numbers_reach_every_clamp():
+    """A comparison that never saturates or never leaves saturation would prove little."""
+    mellinger, pid = data("mellinger")["out"], data("pid")["short_out"]
+    for moments, clamp in ((mellinger[..., :2], 32000.0), (pid[..., :3], 32767.0)):
+        share = (np.abs(moments) >= clamp).mean(axis=(0, 1))
+        assert ((share > 0.02) & (share < 0.6)).all()
+    assert {20000.0, 65535.0} <= set(np.unique(pid[..., 3]).tolist())
+    assert (mellinger[..., 3] <= 0.0).any()
+
+
+def test_axes_from_force_is_what_the_firmware_flies():
+    """One number by hand: 30 degrees of yaw, force leaning east."""
+    axes = np.array(axes_from_force(0.1, 0.0, 0.3, np.cos(np.pi / 6), np.sin(np.pi / 6))).reshape(3, 3)
+    assert axes[2] == pytest.approx(np.array([0.1, 0.0, 0.3]) / np.hypot(0.1, 0.3))
+    assert np.linalg.det(axes) == pytest.approx(1.0)

@@ -1,0 +1,143 @@
+"""A landing in one process: its wires change numbers as real ones do, and chance is all in the seed."""
+
+import math
+import random
+import struct
+import tomllib
+from dataclasses import replace
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from bridge.frames import quaternion_from_yaw
+from bridge.mavlink.codec.decoding import decode
+from bridge.ros2.cdr import encode_odometry
+from bridge.target.odometry import sample_from_cdr
+from flightstack.common.pacing import EPOCH_NS
+from flightstack.common.strict_toml import dumps, from_table, to_table
+from flightstack.core.types import Phase, TargetSample
+from logs.verdict.verdict import Outcome
+from sim.campaign.rows import row_of
+from sim.robot.target import TargetMeasurement
+from sim.runners.landing import land
+from sim.runners.landing_target import arrived
+from sim.runners.landing_wire import PEER, wires
+from sim.scenarios.scenario import Scenario, load
+from tests.fault_grid.flight import Flight
+from tests.fault_grid.run import equal
+
+_EXTREMES = {
+    "float": (0.1, -1e-9, 12345.678, math.nan, math.inf),
+    "double": (0.1, 1e300),
+    "char": (0,),
+}
+
+
+def some_message(cls, rng):
+    """A message with numbers that do not survive 32 bits."""
+    values = []
+    lengths = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
+    for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True):
+        length = lengths[name]
+        if kind == "char":
+            values.append(b"abc"[: length or 1])
+            continue
+        pick = _EXTREMES.get(kind, (0, 1, 7, 100))
+        values.append([rng.choice(pick) for _ in range(length)] if length else rng.choice(pick))
+    return cls(*values)
+
+
+def same(a, b):
+    return a == b or (a != a and b != b) or struct.pack("<d", a) == struct.pack("<d", b)
+
+
+@pytest.mark.parametrize("id_", sorted(mav.mavlink_map))
+def test_every_message_is_handed_over_as_it_would_arrive(id_):
+    rng = random.Random(id_)
+    cls = mav.mavlink_map[id_]
+    here, there = wires((1, 1), (1, 191))
+    message, twin = some_message(cls, random.Random(id_)), some_message(cls, rng)
+    expected = decode(twin.pack(mav.MAVLink(None, 1, 1)))
+    here.send([message])
+    (arrived,) = there.receive()
+    assert arrived.peer == PEER
+    header = arrived.message.get_header()
+    assert (header.msgId, header.srcSystem, header.srcComponent) == (id_, 1, 1)
+    for name in cls.fieldnames:
+        got, wanted = getattr(arrived.message, name), getattr(expected, name)
+        pairs = zip(got, wanted, strict=True) if isinstance(wanted, list) else [(got, wanted)]
+        assert all(same(a, b) for a, b in pairs), name
+
+
+def test_some_message_is_really_rounded():
+    here, there = wires((1, 1), (1, 191))
+    here.send([mav.MAVLink_local_position_ned_message(5, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0)])
+    x = there.receive()[0].message.x
+    assert x == struct.unpack("<f", struct.pack("<f", 0.1))[0] != 0.1
+
+
+def test_a_damaged_frame_does_not_arrive():
+    here, there = wires((1, 1), (1, 191))
+    frame = here.pack(mav.MAVLink_timesync_message(0, 77))
+    here.repeat(frame[:12] + bytes((frame[12] ^ 1,)) + frame[13:])
+    assert there.receive() == []
+    here.repeat(frame)
+    assert there.receive()[0].message.ts1 == 77
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_a_target_sample_is_what_cdr_makes_of_it(seed):
+    rng = random.Random(seed)
+    sample = TargetMeasurement(
+        rng.uniform(0.0, 90.0),
+        (rng.gauss(0, 2), rng.gauss(0, 2), rng.gauss(0, 1)),
+        rng.uniform(-math.pi, math.pi),
+        (rng.gauss(0, 1), rng.gauss(0, 1), rng.gauss(0, 1)),
+        rng.gauss(0, 1),
+    )
+    payload = encode_odometry(
+        EPOCH_NS + round(sample.time_s * 1e9), "map", "target", sample.position_enu_m,
+        quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
+    )  # fmt: skip
+    assert TargetSample(1.25, *arrived(sample)) == sample_from_cdr(payload, 1.25)
+
+
+def short(name, **changes):
+    """A scenario through its text, as workers get it."""
+    text = dumps(to_table(replace(load(name), **changes)))
+    return from_table(Scenario, tomllib.loads(text))
+
+
+def test_equal_seeds_are_equal_and_others_are_not():
+    scenario = short("lab")
+    first, again, other = (row_of(land(scenario, seed)).untimed() for seed in (4, 4, 5))
+    assert first == again
+    assert first.outcome == Outcome.LANDED
+    assert other.h_min_outside_pad_m != first.h_min_outside_pad_m
+
+
+def test_a_landing_that_is_not_over_in_time_is_aborted():
+    landing = land(short("lab", duration_max_s=1.0), 4)
+    assert landing.verdict.outcome is Outcome.ABORTED
+    assert 1.0 < landing.simulated_s < 61.0
+
+
+def test_every_step_is_shown():
+    ticks = []
+    landing = land(short("lab", duration_max_s=1.0), 4, on_step=lambda tick, _: ticks.append(tick.number))
+    assert ticks == list(range(len(ticks)))
+    assert len(ticks) == len(landing.seen.steps.t_s) > 101
+
+
+@pytest.mark.parametrize("repeats", [1, 5])
+def test_how_often_the_companion_said_hello_before_the_start_changes_nothing(repeats):
+    """It is a matter of wall time, and a radio with chance losses must not draw lots for it."""
+
+    def flown(times):
+        flight = Flight(load("fault_link_burst"), 5, lambda f: f.phase is Phase.LAND, lambda f: None)
+        for _ in range(times):
+            flight.link._hello_at_s = -math.inf  # long ago
+            flight.link.poll(0.0)
+        return flight.fly()
+
+    assert equal(flown(0).truth, flown(repeats).truth)

@@ -1,0 +1,71 @@
+"""Motion capture drawn ahead: the same samples at the same times as a channel draws while it measures."""
+
+import math
+
+import pytest
+
+from sim.compiled.records import new
+from sim.plant.sensors import NS_PER_MS, MeasurementChannel
+from sim.scenarios.scenario import OdometryLink
+from sim.vehicle.mocap import ROWS, MocapRecord, MocapTape
+from sim.world.world import BodyRecord
+
+LINKS = {
+    "default": OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010),
+    "perfect": OdometryLink(100.0),
+    "longest": OdometryLink(500.0, 0.001, 0.0, 0.005, 0.5),
+    "odd": OdometryLink(30.0, 0.01, 0.0, 0.0, 0.0333),
+    "slowest": OdometryLink(1.0, 0.0, 0.0, 0.01, 0.25),
+    "bad": OdometryLink(200.0, 0.002, 0.0, 0.005, 0.02, loss=0.2, dropout_every_s=0.7, dropout_max_s=0.5),
+    "nothing": OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010, loss=1.0),
+}
+END_MS = 12_000
+
+
+def move(body, now_ms):
+    """Some motion; zeros of both signs at the beginning."""
+    yaw = 0.001 * now_ms
+    body.position[:] = (-0.0 if now_ms < 100 else 0.001 * now_ms, math.sin(yaw), 0.0)
+    body.quaternion[:] = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
+    return (*body.position.tolist(), math.atan2(2.0 * (body.quaternion[0] * body.quaternion[3]),
+            1.0 - 2.0 * body.quaternion[3] ** 2))  # fmt: skip
+
+
+def by_channel(link, seed):
+    noise = link.position_noise_m
+    channel = MeasurementChannel(link, (noise, noise, noise, link.yaw_noise_rad), seed, "mocap")
+    body, arrived = new(BodyRecord), []
+    for now_ms in range(END_MS):
+        pose, now_ns = move(body, now_ms), now_ms * NS_PER_MS
+        while now_ns >= channel.due_ns:
+            channel.sample(now_ns, pose)
+        arrived += [(now_ms, *map(float, values)) for _, values in channel.release(now_ns)]
+    return arrived
+
+
+def by_tape(link, seed):
+    body, record = new(BodyRecord), new(MocapRecord)
+    tape, arrived = MocapTape(link, seed, record, body), []
+    for now_ms in range(END_MS):
+        if now_ms % 50 == 0:
+            tape.top_up()
+        move(body, now_ms)
+        due_ms = tape.next_ms()
+        samples = tape.take(now_ms)
+        assert due_ms <= now_ms or not samples
+        arrived += [(now_ms, *values) for values in samples]
+        assert tape.drawn_until_ms > now_ms
+    return arrived
+
+
+@pytest.mark.parametrize("name", LINKS)
+@pytest.mark.parametrize("seed", [0, 7])
+def test_the_same_bits_as_a_channel(name, seed):
+    expected = by_channel(LINKS[name], seed)
+    assert repr(by_tape(LINKS[name], seed)) == repr(expected)
+    assert bool(expected) is (name != "nothing")
+
+
+def test_the_rows_are_enough_for_the_fastest_link_and_its_delay():
+    link = LINKS["longest"]
+    assert 2.0 * link.rate_hz * link.delay_s <= ROWS

@@ -1,0 +1,237 @@
+"""The target: limits, exact arcs, twist that fits the pose, odometry statistics."""
+
+import itertools
+import math
+import statistics
+
+import pytest
+
+from sim.plant.params import load
+from sim.plant.sensors import stream
+from sim.robot.target import DRIVE_LAG_S, TargetModel, TargetOdometry, arc, wrap
+from sim.scenarios.scenario import OdometryLink, PathKind, TargetSpec
+
+DT = 0.01
+
+
+def drive(spec, seed=1, seconds=20.0, driving=True):
+    model = TargetModel(spec, seed)
+    states = []
+    for _ in range(round(seconds / DT)):
+        states.append((model.time_s, model.pose, model.velocity_enu_m_s, model.yaw_rate_rad_s))
+        model.step(DT, driving)
+    return model, states
+
+
+def test_arc_is_exact():
+    assert arc(2.0, 0.0) == (2.0, 0.0)
+    assert arc(math.pi, math.pi) == pytest.approx((0.0, 2.0))
+    assert arc(1.0, 1e-10)[1] == pytest.approx(5e-11)
+
+
+def test_wrap():
+    assert wrap(math.pi) == math.pi
+    assert wrap(-math.pi) == math.pi
+    assert wrap(3.0 * math.pi + 0.1) == pytest.approx(-math.pi + 0.1)
+
+
+def test_circle_has_the_radius_speed_over_turn_rate_and_closes():
+    spec = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)
+    _, states = drive(spec, seconds=90.0)
+    late = states[500:]  # the drive has settled
+    x0, y0, _ = late[0][1].position_enu_m
+    yaw0 = late[0][1].yaw_rad
+    centre = (x0 - math.sin(yaw0), y0 + math.cos(yaw0))  # 1 m to the left
+    for time_s, pose, velocity, rate in late:
+        yaw = yaw0 + 0.1 * (time_s - late[0][0])
+        x, y, z = pose.position_enu_m
+        assert (x, y) == pytest.approx((centre[0] + math.sin(yaw), centre[1] - math.cos(yaw)), abs=1e-9)
+        assert z == spec.pad_height_m
+        assert rate == pytest.approx(0.1)
+        assert math.hypot(*velocity[:2]) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("path", list(PathKind))
+@pytest.mark.parametrize("seed", range(5))
+def test_limits_are_never_passed(path, seed):
+    spec = TargetSpec(
+        path=path, speed_m_s=0.5, turn_rate_rad_s=2.6, random_heading=True, acceleration_max_m_s2=0.5,
+        speed_max_m_s=0.5, stop_period_s=1.5,
+    )  # fmt: skip
+    model = TargetModel(spec, seed)
+    before = model.velocity_body_m_s[0], model.yaw_rate_rad_s
+    for _ in range(1500):
+        model.step(DT, True)
+        now = model.velocity_body_m_s[0], model.yaw_rate_rad_s
+        assert abs(now[0]) <= 0.5 + 1e-12
+        assert abs(now[1]) <= spec.turn_rate_max_rad_s + 1e-12
+        assert abs(now[0] - before[0]) <= 0.5 * DT + 1e-12
+        assert abs(now[1] - before[1]) <= 0.5 / 0.08 * DT + 1e-12
+        before = now
+
+
+def test_reversing_reverses_and_stop_and_go_stops():
+    for path, slowest in ((PathKind.REVERSING, -0.2), (PathKind.STOP_AND_GO, 0.0)):
+        model = TargetModel(TargetSpec(path=path, speed_m_s=0.2, stop_period_s=2.0), 1)
+        speeds = []
+        for _ in range(1000):
+            model.step(DT, True)
+            speeds.append(model.velocity_body_m_s[0])
+        assert max(speeds) == pytest.approx(0.2, abs=1e-3)
+        assert min(speeds) == pytest.approx(slowest, abs=1e-3)
+
+
+def test_waits_until_told_and_brakes_when_told():
+    spec = TargetSpec(path=PathKind.STRAIGHT, speed_m_s=0.2, position_m=(1.0, 2.0), heading_rad=0.3)
+    model, states = drive(spec, driving=False, seconds=2.0)
+    assert {s[1].position_enu_m for s in states} == {(1.0, 2.0, spec.pad_height_m)}
+    for _ in range(200):
+        model.step(DT, True)
+    assert math.hypot(*model.velocity_enu_m_s[:2]) == pytest.approx(0.2, abs=1e-6)
+    for _ in range(200):
+        model.step(DT, False)
+    assert math.hypot(*model.velocity_enu_m_s[:2]) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_pose_follows_from_the_twist_given_before():
+    """Who moves the pad on an arc with the twist given at the start of an interval ends on its true pose."""
+    spec = TargetSpec(
+        path=PathKind.REVERSING, speed_m_s=0.5, turn_rate_rad_s=0.4, speed_max_m_s=0.5,
+        pad_behind_axle_m=0.032, heave_amplitude_m=0.15, heave_rate_hz=0.25,
+    )  # fmt: skip
+    _, states = drive(spec)
+    for (_, pose, v, w), (_, after, _, _) in itertools.pairwise(states):
+        c, s = math.cos(w * DT), math.sin(w * DT)
+        sx, sy = (s / w, (1.0 - c) / w) if w else (DT, 0.0)
+        x, y, z = pose.position_enu_m
+        expected = (x + sx * v[0] - sy * v[1], y + sx * v[1] + sy * v[0], z + DT * v[2])
+        assert after.position_enu_m == pytest.approx(expected, abs=1e-12)
+
+
+def test_pad_behind_the_axle_swings():
+    spec = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.0, turn_rate_rad_s=1.0, pad_behind_axle_m=0.032)
+    model, _ = drive(spec)
+    assert model.velocity_body_m_s == pytest.approx((0.0, -0.032, 0.0))
+    x, y, _ = model.pose.position_enu_m
+    assert math.hypot(x, y) == pytest.approx(0.032)
+
+
+def test_heave_has_its_amplitude_and_rate():
+    spec = TargetSpec(heave_amplitude_m=0.15, heave_rate_hz=0.25)
+    _, states = drive(spec, seconds=8.0, driving=False)
+    heights = [s[1].position_enu_m[2] for s in states]
+    assert max(heights) == pytest.approx(0.35, abs=1e-4)
+    assert min(heights) == pytest.approx(0.05, abs=1e-4)
+    assert heights[0] == pytest.approx(heights[400], abs=1e-9)  # 4 s later
+    assert max(abs(s[2][2]) for s in states) == pytest.approx(0.15 * 2 * math.pi * 0.25, rel=1e-3)
+
+
+def test_seed_decides_and_nothing_else():
+    spec = TargetSpec(
+        path=PathKind.CIRCLE, speed_m_s=0.2, turn_rate_rad_s=0.5, random_speed=True, random_heading=True
+    )
+    assert drive(spec, 4)[1] == drive(spec, 4)[1]
+    drawn = [TargetModel(spec, seed) for seed in range(200)]
+    assert all(0.0 <= m.speed_m_s <= 0.2 and abs(m.turn_rate_rad_s) <= 0.5 for m in drawn)
+    assert statistics.mean(m.speed_m_s for m in drawn) == pytest.approx(0.1, abs=0.02)
+    assert len({m.pose.yaw_rad for m in drawn}) == 200
+
+
+def test_odometry_statistics():
+    spec = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.2, turn_rate_rad_s=0.3)
+    link = OdometryLink(50.0, 0.01, 0.02, 0.03, delay_s=0.06, loss=0.05)
+    model, odometry = TargetModel(spec, 2), TargetOdometry(link, 2)
+    truth, got = {}, []
+    for _ in range(10_001):
+        truth[round(model.time_s, 6)] = (model.pose, model.velocity_body_m_s, model.yaw_rate_rad_s)
+        for sample in odometry.step(model):
+            assert model.time_s - sample.time_s == pytest.approx(0.06, abs=1e-9)
+            got.append(sample)
+        model.step(DT, True)
+    assert len(got) == pytest.approx(5001 * 0.95, rel=0.02)
+    assert [s.time_s for s in got] == sorted(s.time_s for s in got)
+    pairs = [(s, *truth[round(s.time_s, 6)]) for s in got]
+    for axis in range(3):
+        errors = [s.position_enu_m[axis] - pose.position_enu_m[axis] for s, pose, _, _ in pairs]
+        assert statistics.pstdev(errors) == pytest.approx(0.01, rel=0.05)
+        errors = [s.velocity_body_m_s[axis] - v[axis] for s, _, v, _ in pairs]
+        assert statistics.pstdev(errors) == pytest.approx(0.02, rel=0.05)
+    yaw = [wrap(s.yaw_rad - pose.yaw_rad) for s, pose, _, _ in pairs]
+    assert statistics.pstdev(yaw) == pytest.approx(0.03, rel=0.05)
+    rate = [s.yaw_rate_rad_s - w for s, _, _, w in pairs]
+    assert statistics.pstdev(rate) == pytest.approx(0.02 / 0.08, rel=0.05)
+
+
+def clip(value, limit):
+    return max(-limit, min(limit, value))
+
+
+def demand(spec, speed, turn, go):
+    return {
+        PathKind.STILL: (0.0, 0.0),
+        PathKind.STRAIGHT: (speed, 0.0),
+        PathKind.CIRCLE: (speed, turn),
+        PathKind.STOP_AND_GO: (speed, turn) if go else (0.0, 0.0),
+        PathKind.REVERSING: (speed if go else -speed, turn),
+    }[spec.path]
+
+
+def plain(spec, seed, drives):
+    """The motion in plain Python: pad, heading, twist after every step; ``drives`` tells when it drives."""
+    speed, turn, heading, phase, heave = stream(seed, "target").uniform(0.0, 1.0, 5).tolist()
+    speed = min(spec.speed_m_s * speed, spec.speed_max_m_s)
+    turn = clip(spec.turn_rate_rad_s * (2.0 * turn - 1.0), spec.turn_rate_max_rad_s)
+    (x, y), yaw, v, w, driven, ns = spec.position_m, wrap_plain(2.0 * math.pi * heading), 0.0, 0.0, 0.0, 0
+
+    def height(t):
+        angle = 2.0 * math.pi * spec.heave_rate_hz * t + 2.0 * math.pi * heave
+        return spec.pad_height_m + spec.heave_amplitude_m * math.sin(angle)
+
+    for driving in drives:
+        length, angle = v * DT, w * DT
+        if abs(angle) < 1e-9:
+            forward, left = length, 0.5 * length * angle
+        else:
+            forward, left = length * math.sin(angle) / angle, length * (1.0 - math.cos(angle)) / angle
+        c, s = math.cos(yaw), math.sin(yaw)
+        x, y, yaw, ns = (
+            x + (c * forward - s * left), y + (s * forward + c * left), wrap_plain(yaw + angle), ns + 10**7,
+        )  # fmt: skip
+        go = int((driven + phase * spec.stop_period_s) / spec.stop_period_s) % 2 == 0
+        wanted_v, wanted_w = demand(spec, speed, turn, go) if driving else (0.0, 0.0)
+        driven += DT if driving else 0.0
+        lag = -math.expm1(-DT / DRIVE_LAG_S)
+        accel = spec.acceleration_max_m_s2
+        dv = clip(lag * (wanted_v - v), accel * DT)
+        dw = clip(lag * (wanted_w - w), accel / load().robot.wheel_half_track_m * DT)
+        v, w = clip(v + dv, spec.speed_max_m_s), clip(w + dw, spec.turn_rate_max_rad_s)
+        c, s, b, t = math.cos(yaw), math.sin(yaw), spec.pad_behind_axle_m, ns / 1e9
+        z = height(t)
+        body = (v, -b * w, (height(t + DT) - z) / DT)
+        world = (c * body[0] - s * body[1], s * body[0] + c * body[1], body[2])
+        yield t, ((x - b * c, y - b * s, z), yaw), body, world, w
+
+
+def wrap_plain(angle):
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)
+
+
+@pytest.mark.parametrize("path", list(PathKind))
+@pytest.mark.parametrize("seed", range(4))
+def test_compiled_motion_is_that_of_plain_python_to_the_last_bit(path, seed):
+    spec = TargetSpec(
+        path=path, speed_m_s=0.2, turn_rate_rad_s=0.6, random_speed=True, random_heading=True,
+        stop_period_s=1.7, pad_behind_axle_m=0.032, heave_amplitude_m=0.1, heave_rate_hz=0.3,
+        position_m=(0.3, -0.2),
+    )  # fmt: skip
+    drives = [False] * 50 + [True] * 1000 + [False] * 100
+    model, got = TargetModel(spec, seed), []
+    for driving in drives:
+        model.step(DT, driving)
+        got.append(
+            (
+                model.time_s, tuple(model.pose), model.velocity_body_m_s, model.velocity_enu_m_s,
+                model.yaw_rate_rad_s,
+            )
+        )  # fmt: skip
+    assert repr(got) == repr(list(plain(spec, seed, drives)))

@@ -1,0 +1,50 @@
+"""Scenarios and flights that the tests of the simulated vehicle share."""
+
+import math
+
+from flightstack.core.parameters.ends import Takeoff
+from flightstack.core.parameters.flight import BarrierShape, FlightConfig
+from sim.scenarios.scenario import (
+    OdometryLink,
+    Scenario,
+    Start,
+    StartKind,
+    VehicleSpec,
+    VelocityLoop,
+)
+from sim.vehicle.vehicle import VehicleSim
+
+LOOPS = list(VelocityLoop)
+STANDING = 0.0144
+QUIET = OdometryLink(100.0, delay_s=0.01)
+HIGH = Start(StartKind.HOVER, offset_m=(0.0, 0.0, 1.0))
+
+
+def scenario(start=HIGH, **parts):
+    takeoff = Takeoff(start_offset_m=(-1.0, 0.0, 0.7))
+    onboard = FlightConfig(BarrierShape(1.0, 1.5), takeoff=takeoff)
+    parts.setdefault("vehicle", VehicleSpec(mocap=QUIET))
+    return Scenario("test", "", onboard, start=start, **parts)
+
+
+def vehicle(seed=1, **parts):
+    return VehicleSim(scenario(**parts), seed)
+
+
+def fly(sim, velocity, seconds, yaw=0.0):
+    """Truths at 100 Hz under a set-point sent at 100 Hz."""
+    out = []
+    for _ in range(round(seconds * 100)):
+        sim.set_velocity(velocity, yaw)
+        sim.advance(10)
+        out.append(sim.truth())
+    return out
+
+
+def yaw_of(truth):
+    w, x, y, z = truth.quaternion
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def series(truths, axis):
+    return [t.velocity_enu_m_s[axis] for t in truths]

@@ -1,0 +1,108 @@
+"""The tables of docs/robust_filter.md, from the code; run as a module it writes them into the page.
+
+python -m tests.unit.verify.certificate_page
+"""
+
+import math
+from pathlib import Path
+
+from flightstack.verify.certificate import checks
+from flightstack.verify.envelope import extremes
+from flightstack.verify.follow import follow_m
+from flightstack.verify.robust import between_ticks_m, demand, depth_m, outside
+from flightstack.verify.touchdown import descent_time_s, drift_m
+from sim.scenarios import scenario
+
+PAGE = Path(__file__).parents[3] / "docs" / "robust_filter.md"
+TIERS = ("lab", "field", "storm", "deck")
+BEGIN, END = "<!-- table: {} -->", "<!-- end -->"
+
+
+def _row(name, values):
+    return f"| {name} | " + " | ".join(values) + " |"
+
+
+def _table(rows):
+    head = [_row("", [f"`{tier}`" for tier in TIERS]), "|---" * (len(TIERS) + 1) + "|"]
+    return "\n".join([*head, *rows])
+
+
+def worked():
+    """Worked numbers of each tier."""
+    found = [(c, extremes(c)) for c in (scenario.load(tier).onboard for tier in TIERS)]
+
+    def row(name, value):
+        return _row(name, [value(c, x) for c, x in found])
+
+    return _table(
+        [
+            row("target: speed, climb, m/s", lambda c, x: f"{x.target_speed_m_s:g}, {x.target_climb_m_s:g}"),
+            row("target: acceleration, m/s²", lambda c, x: f"{x.target_acceleration_m_s2:g}"),
+            row("tracking error ē, m/s", lambda c, x: f"{c.robust.tracking_error_m_s:g}"),
+            row("ē / γ, mm", lambda c, x: f"{1e3 * c.robust.tracking_error_m_s / c.robust.rate_1_s:.1f}"),
+            row("position error k σ, horizontal, vertical, mm",
+                lambda c, x: f"{1e3 * x.position_error_m:.1f}, {1e3 * x.height_error_m:.1f}"),
+            row("margin m, mm", lambda c, x: f"{1e3 * x.usual.margin_m.low:.1f}"),
+            row("margin of a target almost lost, mm", lambda c, x: f"{1e3 * x.shape.margin_m.high:.1f}"),
+            row("lost between ticks, mm", lambda c, x: f"{1e3 * between_ticks_m(c, x):.1f}"),
+            row("lost between samples, mm", lambda c, x: f"{1e3 * x.growth_m:.1f}"),
+            row("h outside the pad stays above, mm", lambda c, x: f"{-1e3 * depth_m(c, x)[0]:.1f}"),
+            row("γ, and 1 / lag_z of the slowest vehicle, 1/s",
+                lambda c, x: f"{c.robust.rate_1_s:g}, {1.0 / x.lag_z_s:.2f}"),
+            row("vertical velocity needed, of the box, m/s",
+                lambda c, x: f"{_climb(c, x):.2f}, {c.limits.velocity_max_m_s[2]:g}"),
+            row("last descent takes at most, s", lambda c, x: f"{descent_time_s(c, x):.2f}"),
+            row("starts down within, mm; slip, m/s",
+                lambda c, x: f"{1e3 * c.robust.commit_radius_m:.0f}; {c.robust.commit_speed_m_s:g}"),
+            row("then drifts at most, mm",
+                lambda c, x: f"{1e3 * (drift_m, follow_m)[c.velocity_feedback.horizontal](c, x)[0]:.0f}"),
+            row("of h to climb away, needed, mm; kept",
+                lambda c, x: f"{1e3 * turn_back_m(c, x):.0f}; {1e3 * c.retreat.h_left_m:.0f}"),
+        ]
+    )  # fmt: skip
+
+
+def _climb(c, x):
+    worst = outside(x, lambda d: demand(x, x.shape.slope(d)))
+    return worst.bound + x.target_climb_m_s + c.robust.tracking_error_m_s
+
+
+def turn_back_m(c, x):
+    """Height lost from deciding to go around until it climbs."""
+    late_s = c.velocity_loop.slope_time_s + c.envelope.lag_spread * c.velocity_loop.lag_z_s
+    late_s += 2.0 / c.loop.rate_hz + c.own.delay_s
+    down = c.robust.descent_m_s
+    return down * late_s + down**2 / (2.0 * c.robust.acceleration_max_m_s2[2])
+
+
+def verdicts():
+    """Which checks each tier passes."""
+    results = [{k.name: k for k in checks(scenario.load(tier).onboard)} for tier in TIERS]
+    names = list(dict.fromkeys(name for result in results for name in result))
+
+    def word(check):
+        if check is None or check.proven:
+            return "–" if check is None else "proven"
+        return "**unknown**" if math.isnan(check.room) else f"**{check.room:.2g} {check.unit}**"
+
+    rows = [(name, [word(result.get(name)) for result in results]) for name in names]
+    return _table([_row(name, words) for name, words in rows if any("*" in w for w in words)])
+
+
+def tables():
+    return {"worked": worked(), "verdicts": verdicts()}
+
+
+def split(text, name):
+    """Text before, within and after a table's marks."""
+    before, rest = text.split(BEGIN.format(name) + "\n", 1)
+    within, after = rest.split(END, 1)
+    return before + BEGIN.format(name) + "\n", within.rstrip("\n"), "\n" + END + after
+
+
+if __name__ == "__main__":
+    page = PAGE.read_text()
+    for name, table in tables().items():
+        before, _, after = split(page, name)
+        page = before + table + after
+    PAGE.write_text(page)

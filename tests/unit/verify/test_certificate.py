@@ -1,0 +1,284 @@
+"""The certificate's claims against brute force, and each of its limits from both sides."""
+
+import math
+import random
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flightstack.core.mission.conditions import View
+from flightstack.core.parameters.robust import TargetLink
+from flightstack.core.safety.projection import best_corner
+from flightstack.core.safety.qp_filter import SafetyFilter
+from flightstack.core.safety.robust_barrier import RobustBarrier
+from flightstack.core.strategies.law import RobustLaw
+from flightstack.core.target.track import TargetTrack
+from flightstack.core.types import FilterStatus, Inputs, TargetSample
+from flightstack.verify.bound import Span
+from flightstack.verify.certificate import checks, problems
+from flightstack.verify.envelope import estimate_errors, extremes
+from flightstack.verify.paper import shortfall
+from flightstack.verify.robust import between_ticks_m, demand, demand_change, depth_m, outside
+from flightstack.verify.types import Check, Need
+from tests.unit.verify.certificate_helpers import config, one, rooms
+
+# name of a check, what to change, the last value that passes and the first that does not
+LIMITS = [
+    ("barrier", "touchdown", "target_speed_max_m_s", 1.0, None),
+    ("robust.rate_1_s", "robust", "rate_1_s", 4.524, 4.525),  # 1 / (1.3 * 0.17 s)
+    ("sampling, robust.rate_1_s", "loop", "rate_hz", None, None),
+    ("follow", "touchdown", "target_speed_max_m_s", 1.0, 1.0001),
+    ("descent on a heaving pad", "envelope", "target_climb_max_m_s", 0.78, 0.7801),
+    ("checks.target_speed_max_m_s", "checks", "target_speed_max_m_s", 0.5401, 0.5399),
+    ("wait height", "robust", "wait_height_m", 0.214, 0.22),
+    ("touch height", "robust", "touch_height_m", 0.02, 0.0145),
+    ("corridor", "robust", "corridor_m", 0.1, 0.1001),
+    ("descent time", "robust", "descent_m_s", 0.17, 0.15),
+    ("altitude", "limits", "altitude_max_m", 0.853, 0.851),
+    ("position loop", "robust", "gain_over_pad_1_s", 2.848, 2.850),  # 1 / (1.3 * 0.27 s)
+]
+
+
+@pytest.mark.parametrize(("name", "section", "key", "passes", "fails"), LIMITS)
+def test_each_limit_from_both_sides(name, section, key, passes, fails):
+    if passes is not None:
+        assert one(name, **{section: {key: passes}}).proven
+    if fails is not None:
+        found = one(name, **{section: {key: fails}})
+        assert not found.proven
+        assert found.remedy
+        if found.need is Need.FLIGHT:
+            assert found.text in problems(config(**{section: {key: fails}}))
+
+
+def test_sampling_from_both_sides():
+    assert one("sampling, robust.rate_1_s", loop={"rate_hz": 10}, robust={"rate_1_s": 5.0}).proven
+    assert not one("sampling, robust.rate_1_s", loop={"rate_hz": 10}, robust={"rate_1_s": 5.01}).proven
+
+
+def test_the_slew_limit_must_limit_from_both_sides():
+    name = "robust.acceleration_max_m_s2[0]"
+    box = {"velocity_max_m_s": [0.05, 0.05, 1.0]}
+    low = {"target_speed_max_m_s": 0.0}
+    assert one(name, limits=box, touchdown=low, robust={"acceleration_max_m_s2": [10.0, 5.0, 2.5]}).proven
+    assert not one(
+        name, limits=box, touchdown=low, robust={"acceleration_max_m_s2": [10.01, 5.0, 2.5]}
+    ).proven
+
+
+def test_the_peak_must_clear_the_pad_from_both_sides():
+    shape = {"alpha_1_m": 2.0, "beta_m": 1.0}
+    assert one("barrier's peak", barrier=shape, touchdown={"pad_radius_m": 1.0}).proven
+    assert not one("barrier's peak", barrier=shape, touchdown={"pad_radius_m": 1.001}).proven
+
+
+def test_the_estimator_must_believe_the_target_from_both_sides():
+    assert one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.2501}).proven
+    assert not one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.2499}).proven
+    assert one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.0501, "jerk_growth_max": 5.0}).proven
+    assert not one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.0499, "jerk_growth_max": 5.0}).proven
+    still = {"jerk_z_m_s3_sqrthz": 0.02}
+    assert one("estimator", target=still).proven  # it does not heave
+    assert not one("estimator", target=still, envelope={"target_climb_max_m_s": 0.1}).proven
+
+
+def test_the_commit_height_is_where_the_vehicle_would_hover():
+    base = one("commit height")
+    exact = config().robust.commit_height_m - base.room
+    assert one("commit height", robust={"commit_height_m": exact + 1e-4}).proven
+    assert not one("commit height", robust={"commit_height_m": exact - 1e-4}).proven
+
+
+def states(seed, x, count):
+    """Random distance, direction, margin and target velocity of the envelope, the ends included often."""
+    rng = random.Random(seed)
+
+    def some(low, high):
+        return rng.choice((low, high, rng.uniform(low, high), rng.uniform(low, high)))
+
+    for _ in range(count):
+        d = rng.choice((rng.expovariate(1.0), rng.uniform(0.0, 0.3), 0.0, x.barrier.peak_distance_m))
+        angle, heading = rng.choice((0.0, math.pi / 2, rng.uniform(0, math.tau))), rng.uniform(0, math.tau)
+        speed = some(0.0, x.target_speed_m_s)
+        target = (
+            speed * math.cos(heading),
+            speed * math.sin(heading),
+            some(-x.target_climb_m_s, x.target_climb_m_s),
+        )
+        yield d, angle, some(*x.shape.margin_m), target, rng
+
+
+SETS = [
+    {},
+    {"envelope": {"target_climb_max_m_s": 0.3}},
+    {"limits": {"velocity_max_m_s": [0.6, 0.3, 0.9]}, "touchdown": {"target_speed_max_m_s": 0.6}},
+    {"barrier": {"alpha_1_m": 2.0, "beta_m": 1.2}, "robust": {"fade_radius_m": 0.03}},
+]
+
+
+@pytest.mark.parametrize("number", range(len(SETS)))
+def test_no_state_of_the_envelope_beats_the_feasibility_bound(number):
+    settled = config(**SETS[number])
+    x = extremes(settled)
+    box = settled.limits.velocity_max_m_s
+    bound = -shortfall(x.shape, box, x.target_speed_m_s, x.target_climb_m_s).bound
+    lower = tuple(-v for v in box)
+    program = SafetyFilter(settled.robust.rate_1_s)
+    least = math.inf
+    for n, (d, angle, margin, target, _) in enumerate(states(number, x, 3000)):
+        held = RobustBarrier(x.barrier, margin, x.shape.fade_radius_m)
+        flat = (d * math.cos(angle), d * math.sin(angle))
+        e = (*flat, -held.h((*flat, 0.0)))  # h = 0
+        h, gradient, dh_dt = held.evaluate(e, target)
+        corner = best_corner(gradient, lower, box)
+        rise = sum(g * u for g, u in zip(gradient, corner, strict=True)) + dh_dt
+        assert rise >= bound - 1e-9
+        least = min(least, rise)
+        if n % 10 == 0:
+            status = program.solve((0.0, 0.0, -9.0), h, gradient, dh_dt, lower, box).status
+            assert (status is FilterStatus.INFEASIBLE) == (rise < 0.0)
+    assert least <= bound + 0.3  # and it is not far from what is really needed
+
+
+def test_a_set_beyond_the_bound_really_has_a_state_without_solution():
+    box = (0.3, 0.3, 0.5)
+    wide = {
+        "limits": {"velocity_max_m_s": list(box)},
+        "robust": {"fade_radius_m": 0.5},
+        "barrier": {"apex_smoothing_m": 0.001},
+    }
+    low, high = 0.3, 1.5
+    while high - low > 1e-4:  # largest target speed that is proven
+        speed = 0.5 * (low + high)
+        ok = one("barrier", touchdown={"target_speed_max_m_s": speed, "pad_radius_m": 0.5}, **wide).proven
+        low, high = (speed, high) if ok else (low, speed)
+    for speed, infeasible in ((low - 1e-3, False), (high + 2e-2, True)):
+        x = extremes(config(touchdown={"target_speed_max_m_s": speed, "pad_radius_m": 0.5}, **wide))
+        found = False
+        for margin in x.shape.margin_m:
+            held = RobustBarrier(x.barrier, margin, x.shape.fade_radius_m)
+            for step in range(2000):
+                e = (step * 5e-4, 0.0, 0.0)
+                _, gradient, dh_dt = held.evaluate(e, (-speed, 0.0, 0.0))  # it leaves
+                best = abs(gradient[0]) * box[0] + box[2] + dh_dt
+                found = found or best < 0.0
+        assert found is infeasible
+
+
+@pytest.mark.parametrize("number", range(len(SETS)))
+def test_demand_and_its_growth_stay_below_their_bounds(number):
+    """Fly over the boundary with speeds and accelerations of the envelope; differentiate the demand."""
+    settled = config(**SETS[number])
+    x = extremes(settled)
+    w, step_s, ahead_s = x.shape.fade_radius_m, 1e-5, 1e-3
+    largest = outside(x, lambda d: demand(x, x.shape.slope(d))).bound
+    ax, ay, _ = settled.robust.acceleration_max_m_s2
+    closest = math.inf
+    for d, angle, margin, _, rng in states(100 + number, x, 2000):
+        d += x.pad_radius_m + 0.01
+        held = RobustBarrier(x.barrier, margin, w)
+        outer = x.barrier.slope(d) + 2.0 * margin * d / w**2 * math.exp(-((d / w) ** 2)) < 0.0
+        speed = x.box_speed_m_s if outer else x.slip_m_s
+        push = (math.hypot(ax, ay) if outer else 0.0) + x.target_acceleration_m_s2
+        along, across = rng.uniform(0.0, math.tau), rng.uniform(0.0, math.tau)
+        e = (d * math.cos(angle), d * math.sin(angle))
+        v = (speed * math.cos(along), speed * math.sin(along))
+        a = (push * math.cos(across), push * math.sin(across))
+
+        def needed(t, e=e, v=v, a=a, held=held):
+            x0, y0 = (q + p * t + 0.5 * k * t * t for q, p, k in zip(e, v, a, strict=True))
+            vx, vy = (p + k * t for p, k in zip(v, a, strict=True))
+            return (held.h((x0, y0, 0.0)) - held.h((x0 + vx * step_s, y0 + vy * step_s, 0.0))) / step_s
+
+        assert needed(0.0) <= largest + 1e-3
+        grown = (needed(ahead_s) - needed(0.0)) / ahead_s
+        bound = demand_change(settled, x, x.shape, Span(d - 0.01, d + 0.01))
+        assert grown <= bound + 0.02
+        assert -grown <= demand_change(settled, x, x.shape, Span(d - 0.01, d + 0.01), -1.0) + 0.02
+        closest = min(closest, bound - x.heave_acceleration_m_s2 - grown)
+    assert closest < 0.3  # m/s^2: the bound is not far from what happens
+
+
+def test_the_estimators_own_errors_are_used_and_shrink_with_its_rate():
+    slow, fast = (estimate_errors(TargetLink(), hz, 0.25)[0] for hz in (10.0, 100.0))
+    assert fast.position_sigma_m < slow.position_sigma_m < 0.02
+    errors = estimate_errors(TargetLink(), 50.0, 0.25)
+    for axis in ("position_sigma_m", "position_sigma_z_m"):
+        fresh, usual, lost = (getattr(error, axis) for error in errors)
+        assert 0.0 < fresh < usual < lost
+    # of a target that hardly ever changes its acceleration the first sample leaves most open
+    first = estimate_errors(TargetLink(jerk_xy_m_s3_sqrthz=0.01, acceleration_xy_m_s2=3.0), 50.0, 0.25)
+    gone_s = 0.5 - 0.5 * math.exp(-0.25 / 0.5)  # acceleration_time_s is 0.5
+    expected_m = math.hypot(0.005, 0.02 * 0.25, 3.0 * 0.5 * (0.25 - gone_s))
+    assert first.lost.position_sigma_m == pytest.approx(expected_m, rel=1e-3)
+
+
+def test_between_samples_the_margin_grows_by_what_is_counted_as_lost():
+    """The rest of the depth does not know of samples: fewer of them cost their growth, and larger errors."""
+    settled = config()
+    x = extremes(settled)
+    assert x.growth_m > 0.0
+    without, _ = depth_m(settled, replace(x, growth_m=0.0))
+    depth, _ = depth_m(settled, x)
+    assert depth == pytest.approx(without + x.growth_m)
+    law = RobustLaw(settled, x.barrier)
+    for n in range(400):
+        law.take(
+            TargetSample(0.02 * n, 0.02 * n, "map", "target", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+        )
+    track = TargetTrack(settled.checks)
+    track.accept(TargetSample(7.98, 7.98, "map", "target", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0))
+    margins = [
+        law.held(View(Inputs(), law.target(track, 7.98 + 0.002 * n), True, True, True, None)).margin_m
+        for n in range(11)
+    ]
+    assert margins == sorted(margins)
+    assert margins[-1] - margins[0] == pytest.approx(x.growth_m, rel=1e-6)
+
+
+def test_between_ticks_h_loses_less_at_a_higher_rate_and_nothing_by_standing_still():
+    settled = config()
+    assert between_ticks_m(config(loop={"rate_hz": 200}), extremes(settled)) == pytest.approx(
+        0.5 * between_ticks_m(settled, extremes(settled))
+    )
+
+
+TIGHTER = [
+    ("robust", "tracking_error_m_s", ("recovery", "climb", "h outside the pad", "commit height"), 1.0),
+    ("own", "position_noise_m", ("h outside the pad", "drift", "commit height"), 0.1),
+    ("touchdown", "target_speed_max_m_s", ("barrier", "recovery", "climb", "follow"), 1.0),
+    ("envelope", "target_climb_max_m_s", ("barrier", "recovery", "climb", "h outside the pad"), 2.0),
+    ("envelope", "target_acceleration_max_m_s2", ("acceleration", "h outside the pad", "drift"), 4.0),
+    ("envelope", "lag_spread", ("robust.rate_1_s", "acceleration", "position loop", "drift"), 0.9),
+    ("robust", "commit_speed_m_s", ("drift",), 1.0),
+    ("robust", "commit_radius_m", ("drift", "commit height"), 0.3),
+    ("velocity_loop", "lag_z_s", ("robust.rate_1_s",), 1.0),
+]
+
+
+@pytest.mark.parametrize(("section", "key", "names", "most"), TIGHTER)
+@settings(max_examples=5, deadline=None)
+@given(shares=st.tuples(st.floats(0.05, 1.0), st.floats(0.05, 1.0)))
+def test_more_of_what_is_bad_never_leaves_more_room(section, key, names, most, shares):
+    less, more = sorted(share * most for share in shares)
+    good, bad = rooms(**{section: {key: less}}), rooms(**{section: {key: more}})
+    for name in names:
+        assert bad[name] <= good[name] + 2e-4, name
+
+
+def test_a_room_that_is_not_a_number_proves_nothing():
+    assert not Check("name", "claim", math.nan, "m", "worst", "remedy").proven
+
+
+def test_the_papers_filter_has_the_papers_checks_alone():
+    names = {check.name for check in checks(config(filter="paper"))}
+    assert "barrier" in names
+    assert not names & {"robust.rate_1_s", "drift", "h outside the pad"}
+
+
+def test_names_are_unique():
+    for kind in ("paper", "robust"):
+        names = [check.name for check in checks(config(filter=kind))]
+        assert len(names) == len(set(names))

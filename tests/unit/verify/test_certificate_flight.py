@@ -1,0 +1,175 @@
+"""The certificate's promises, flown: the real law and filter against the worst that is declared."""
+
+import math
+import random
+
+import pytest
+
+from flightstack.core.mission.conditions import View
+from flightstack.core.safety.position_loop import nominal_velocity
+from flightstack.core.safety.qp_filter import SafetyFilter
+from flightstack.core.safety.robust_barrier import RobustBarrier
+from flightstack.core.strategies.law import RobustLaw
+from flightstack.core.target.track import TargetState
+from flightstack.core.types import ZERO, Inputs, OwnState
+from flightstack.verify.envelope import extremes
+from flightstack.verify.robust import depth_m
+from flightstack.verify.touchdown import drift_m
+from tests.unit.verify.certificate_helpers import config
+
+DT_S = 0.01
+
+
+class Wanderer:
+    """Target that changes its mind: speed and acceleration bounded as declared."""
+
+    def __init__(self, rng, x):
+        self.rng, self.x = rng, x
+        self.position, self.left_s = [0.0, 0.0, 0.0], 0.0
+        heading, speed = rng.uniform(0.0, math.tau), rng.choice((0.0, x.target_speed_m_s))
+        self.velocity = [speed * math.cos(heading), speed * math.sin(heading), 0.0]
+        self.aim = self.velocity
+
+    def move(self):
+        rng, x = self.rng, self.x
+        self.left_s -= DT_S
+        if self.left_s <= 0.0:
+            self.left_s = rng.uniform(0.2, 1.5)
+            heading, speed = rng.uniform(0.0, math.tau), rng.choice((0.0, 1.0)) * x.target_speed_m_s
+            climb = rng.choice((-1.0, 0.0, 1.0)) * x.target_climb_m_s
+            self.aim = [speed * math.cos(heading), speed * math.sin(heading), climb]
+        for axes, most in (((0, 1), x.target_acceleration_m_s2), ((2,), x.heave_acceleration_m_s2)):
+            missing = math.hypot(*(self.aim[i] - self.velocity[i] for i in axes))
+            share = min(1.0, most * DT_S / missing) if missing > 0.0 else 0.0
+            for i in axes:
+                self.velocity[i] += share * (self.aim[i] - self.velocity[i])
+        for i in range(3):
+            self.position[i] += self.velocity[i] * DT_S
+
+
+def fly(settings, seed, seconds=8.0):
+    """One approach with the real law and filter; returns the lowest true h outside the pad.
+
+    Vertical velocity misses what is wanted by up to the declared tracking error, horizontal velocity follows
+    late, and the relative position is wrong by a constant of the declared size.
+    """
+    rng, x = random.Random(seed), extremes(settings)
+    robust, most = settings.robust, settings.limits.velocity_max_m_s
+    law, program = RobustLaw(settings, x.barrier), SafetyFilter(robust.rate_1_s)
+    target = Wanderer(rng, x)
+    side, angle, d = rng.uniform(0.0, math.tau), rng.uniform(0.0, math.tau), rng.uniform(0.3, 2.5)
+    size, up = rng.choice((0.0, 1.0, 1.0)) * x.position_error_m, rng.uniform(-1.0, 1.0)
+    level = size * math.sqrt(1.0 - up * up)
+    bias = (level * math.cos(side), level * math.sin(side), up * size * x.height_error_m / x.position_error_m)
+    sigma_m, sigma_z_m = (
+        math.sqrt((error_m / robust.sigma_factor) ** 2 - settings.own.position_noise_m**2)
+        for error_m in (x.position_error_m, x.height_error_m)
+    )
+    flat = (d * math.cos(angle), d * math.sin(angle))
+    held = RobustBarrier(x.barrier, x.usual.margin_m.low, robust.fade_radius_m)
+    clear = -held.h((flat[0] + bias[0], flat[1] + bias[1], bias[2])) + rng.choice((0.0, 0.05, 0.4))
+    position, velocity, before = [*flat, clear], [0.0, 0.0, 0.0], ZERO
+    step = [a * DT_S for a in robust.acceleration_max_m_s2]
+    lowest, error = math.inf, 0.0
+    for tick in range(int(seconds / DT_S)):
+        e = tuple(p - q for p, q in zip(position, target.position, strict=True))
+        if math.hypot(e[0], e[1]) > x.pad_radius_m:
+            lowest = min(lowest, x.barrier.h(e))
+        seen_e = tuple(p + b for p, b in zip(e, bias, strict=True))
+        own = OwnState(0.0, 0.0, tuple(position), tuple(velocity), 0.0)
+        state = TargetState(0.0, tuple(target.position), tuple(target.velocity), 0.0, sigma_m, sigma_z_m)
+        seen = View(Inputs(own=own), state, True, True, True, seen_e)
+        h, gradient, dh_dt = law.held(seen).evaluate(seen_e, state.velocity_enu_m_s)
+        lower = [max(-m, b - s) for m, b, s in zip(most, before, step, strict=True)]
+        upper = [min(m, b + s) for m, b, s in zip(most, before, step, strict=True)]
+        climb = law.climb_m_s(h, gradient, before, seen)
+        lower[2] = max(lower[2], min(climb, upper[2]))
+        gain = robust.gain_1_s
+        above = (seen_e[0], seen_e[1], seen_e[2] - robust.wait_height_m)
+        nominal = nominal_velocity(above, (gain, gain, gain), state.velocity_enu_m_s)
+        before = program.solve(nominal, h, gradient, dh_dt, tuple(lower), tuple(upper)).velocity_enu_m_s
+        if tick % 20 == 0:
+            error = rng.choice((-1.0, 0.0, 1.0, 1.0)) * robust.tracking_error_m_s
+        for i in range(2):
+            velocity[i] += (before[i] - velocity[i]) * DT_S / (0.3 * settings.velocity_loop.lag_xy_s)
+        velocity[2] = before[2] - error
+        for i in range(3):
+            position[i] += velocity[i] * DT_S
+        target.move()
+    return lowest
+
+
+SETS = {
+    "plain": {},
+    "heaving": {"envelope": {"target_climb_max_m_s": 0.2}},
+    "coarse": {"own": {"position_noise_m": 0.006}, "robust": {"tracking_error_m_s": 0.06}},
+    "driving on a floor": {"target": {"jerk_z_m_s3_sqrthz": 0.02}, "own": {"position_noise_m": 0.001}},
+    "lazy": {"robust": {"rate_1_s": 0.7, "fade_radius_m": 0.04}},
+}
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_h_stays_above_what_is_promised_outside_the_pad(name):
+    settings = config(**SETS[name])
+    depth, _ = depth_m(settings, extremes(settings))
+    lowest = min(fly(settings, seed) for seed in range(12))
+    assert lowest >= -depth
+    assert lowest < extremes(settings).usual.margin_m.low  # it came to the boundary: the promise was tried
+
+
+def test_without_the_margin_the_promise_would_be_broken():
+    """The flights above do press on the boundary: a filter told of smaller errors than there are loses."""
+    told = config(robust={"tracking_error_m_s": 0.0, "sigma_factor": 0.001})
+    true = config()
+    x = extremes(true)
+    depth, _ = depth_m(told, extremes(told))
+    lowest = math.inf
+    for seed in range(12):
+        rng = random.Random(seed)
+        angle = rng.uniform(0.0, math.tau)
+        held = RobustBarrier(x.barrier, extremes(told).usual.margin_m.low, told.robust.fade_radius_m)
+        e = [1.5 * math.cos(angle), 1.5 * math.sin(angle), 0.0]
+        e[2] = -held.h(tuple(e))
+        for _ in range(300):  # slides along the boundary, always flying 4 cm/s lower than wanted
+            h, gradient, _ = held.evaluate(tuple(e), ZERO)
+            inward = [-0.3 * e[0], -0.3 * e[1]]
+            climb = -told.robust.rate_1_s * h - gradient[0] * inward[0] - gradient[1] * inward[1]
+            e = [e[0] + inward[0] * DT_S, e[1] + inward[1] * DT_S, e[2] + (climb - 0.04) * DT_S]
+            lowest = min(lowest, x.barrier.h(tuple(e)))
+    assert lowest < -depth
+
+
+@pytest.mark.parametrize("acceleration", [0.0, 0.5, 1.5])
+def test_no_descent_drifts_farther_than_promised(acceleration):
+    """The vehicle's motion over the pad, with every error at its worst and turned against it."""
+    settings = config(envelope={"target_acceleration_max_m_s2": acceleration})
+    x = extremes(settings)
+    promised, _ = drift_m(settings, x)
+    gain, told = settings.robust.gain_over_pad_1_s, settings.velocity_loop.lag_xy_s
+    dt = 0.002
+    farthest = 0.0
+    for seed in range(150):
+        rng = random.Random(seed)
+        lag = rng.choice((x.lag_xy_s, told, 2.0 * told - x.lag_xy_s, rng.uniform(0.7, 1.3) * told))
+        turn = rng.uniform(0.0, math.tau)
+        start = settings.robust.commit_radius_m + x.position_error_m
+        e = [start * math.cos(turn), start * math.sin(turn)]
+        slip = settings.robust.commit_speed_m_s
+        heading = turn if rng.random() < 0.7 else rng.uniform(0.0, math.tau)
+        w = [slip * math.cos(heading), slip * math.sin(heading)]  # against the target
+        aside = rng.uniform(-0.5, 0.5) if seed % 3 else 0.0
+        for _ in range(500):
+            away = math.atan2(e[1], e[0]) + aside
+            unit = (math.cos(away), math.sin(away))
+            wrong_v = [x.velocity_error_m_s * u for u in unit]
+            wrong_p = [-x.position_error_m * u for u in unit]
+            a = [-x.target_acceleration_m_s2 * u for u in unit]
+            for i in range(2):
+                wanted = wrong_v[i] - gain * (e[i] + wrong_p[i])  # against the target
+                rate = a[i] - gain * w[i]  # of the velocity wanted, in the world
+                pulled = (wanted - w[i] + told * rate) / lag - a[i]
+                w[i] += pulled * dt
+                e[i] += w[i] * dt
+            farthest = max(farthest, math.hypot(*e))
+    assert farthest <= promised
+    assert farthest > 0.65 * promised  # and the promise is not caution alone
