@@ -15,6 +15,7 @@ fly: $(VENV)/.fly
 test: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-logo --no-cache
 	@# the simulator's loops are compiled once, and not by each worker
 	$(BIN)/python -m sim.runners.warm_up & $(BIN)/mypy && wait $$!
 	$(BIN)/python -m pytest -n auto --dist loadgroup -q

@@ -5,36 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from flightstack.common.strict_toml import to_table
 from logs.reader.flight import load_flight
 from logs.reader.flight_data import Flight, Floats
-from logs.report.derived import estimate_errors
+from logs.report.derived import Side, estimate_errors
 from logs.report.faults import fault_spans
 from logs.report.page import header, need_plotly, page, section
 from logs.report.tables import definitions, events_table, headline, table
-from logs.verdict.types import Verdict
 from logs.verdict.verdict import judge
-
-if TYPE_CHECKING:
-    from logs.report.links import Stream
 
 _BAR = (
     '<div class="bar"><span>All times:</span><button data-range="landing">Landing</button>'
     '<button data-range="whole">Whole flight</button></div>'
 )
-
-
-class Side(NamedTuple):
-    """One of the two."""
-
-    name: str
-    flight: Flight
-    verdict: Verdict
-    streams: list[Stream]
 
 
 def write_comparison(log_a: Path, log_b: Path, out: Path | None = None) -> Path:

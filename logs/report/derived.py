@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from flightstack.core.strategies.law import LAWS
 from flightstack.core.types import FilterStatus
 from logs.reader.flight_data import Flight, Floats
+from logs.verdict.types import Verdict
+
+if TYPE_CHECKING:
+    from logs.report.links import Stream
 
 _RAN = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE)
 _NEAR_S = 0.02  # a true state farther in time than two ticks is not that of the step
@@ -78,3 +83,12 @@ def _nearest(times: Floats, wanted: Floats) -> np.ndarray[tuple[int], np.dtype[n
     right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     left = right - 1
     return np.where(wanted - times[left] <= times[right] - wanted, left, right)
+
+
+class Side(NamedTuple):
+    """One of two flights that are compared."""
+
+    name: str
+    flight: Flight
+    verdict: Verdict
+    streams: list[Stream]

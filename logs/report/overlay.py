@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from logs.reader.flight_data import Flight, Floats, phase_name
-from logs.report.derived import estimate_errors
+from logs.report.derived import Side, estimate_errors
 from logs.report.faults import fault_spans
 from logs.report.figures import Panel
 from logs.report.series import AXES, value_range
@@ -32,9 +31,6 @@ from logs.report.style import (
 )
 from logs.report.timeline import bar
 from logs.verdict.types import VIOLATION_LIMIT_M
-
-if TYPE_CHECKING:
-    from logs.report.compare import Side
 
 _COLORS = {"A": TRUE, "B": "#D55E00"}
 

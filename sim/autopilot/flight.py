@@ -12,7 +12,7 @@ from bridge.frames import yaw_from_quaternion
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.battery import Charge
 from sim.autopilot.ground import Standing
-from sim.autopilot.guided import GUIDED, why_no_takeoff
+from sim.autopilot.guided import GUIDED, Situation, why_no_takeoff
 from sim.autopilot.modes import AIRBORNE_STATE, FlightMode, VehicleLike
 from sim.autopilot.owner import ControlOwner, Right, Sender
 from sim.autopilot.parameters import Parameters
@@ -176,11 +176,12 @@ class Flight:
         estimate = self.vehicle.estimate()
         if not self.positioned:
             return "Take-off refused: no position estimate"
-        if self.personality.guided:
-            refused = why_no_takeoff(self, height_m, estimate.position_enu_m[2])
-            if refused is not None:
-                return refused
         z, home_m = estimate.position_enu_m[2], self.home_enu_m[2]
+        if self.personality.guided:
+            label, aim_m = self.personality.label(self.mode), self.pilot.takeoff_height_m
+            now = Situation(self.mode, label, self.vehicle.armed, self.standing, aim_m, z)
+            if (refused := why_no_takeoff(now, height_m)) is not None:
+                return refused
         taking_off = self.mode is FlightMode.TAKEOFF
         if height_m is None:
             if taking_off:

@@ -2,32 +2,48 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from sim.autopilot.modes import FlightMode
-
-if TYPE_CHECKING:
-    from sim.autopilot.flight import Flight
 
 GUIDED = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
 
 
-def why_no_takeoff(flight: Flight, height_m: float | None, z_m: float) -> str | None:
+class Situation(NamedTuple):
+    """What the answer to a take-off command depends on.
+
+    Attributes:
+        mode: of the vehicle.
+        label: ArduPilot's name of that mode.
+        armed: whether it is.
+        standing: on the ground.
+        takeoff_height_m: local height that a take-off under way aims at.
+        z_m: local height of the vehicle.
+    """
+
+    mode: FlightMode
+    label: str
+    armed: bool
+    standing: bool
+    takeoff_height_m: float | None
+    z_m: float
+
+
+def why_no_takeoff(now: Situation, height_m: float | None) -> str | None:
     """Why GUIDED does not take off now, None if it does (ArduPilot mode_guided.cpp, takeoff.cpp).
 
     Args:
-        flight: of the vehicle.
+        now: the vehicle.
         height_m: local height asked for.
-        z_m: local height of the vehicle.
     """
-    if flight.mode is FlightMode.TAKEOFF and height_m == flight.pilot.takeoff_height_m and flight.standing:
+    if now.mode is FlightMode.TAKEOFF and height_m == now.takeoff_height_m and now.standing:
         return None  # the command again
-    if flight.mode not in GUIDED:
-        return f"Take-off refused: mode is {flight.personality.label(flight.mode)}, GUIDED is needed"
-    if not flight.vehicle.armed:
+    if now.mode not in GUIDED:
+        return f"Take-off refused: mode is {now.label}, GUIDED is needed"
+    if not now.armed:
         return "Take-off refused: not armed"
-    if not flight.standing:
+    if not now.standing:
         return "Take-off refused: in the air"
-    if height_m is None or height_m <= z_m:
+    if height_m is None or height_m <= now.z_m:
         return "Take-off refused: a height above the vehicle is needed"
     return None

@@ -33,14 +33,17 @@ from flightstack.verify.certificate import checks
 SIZE = re.compile(r".*_(M|M_S|M_S2|M_S3|KG|N)")
 # what may stay: the same for a vehicle of any size
 ALLOWED = {
-    ("certificate_robust", "HELD_M"): "the verdict's own limit of a violation",
-    ("gate", "BOX_TOLERANCE_M_S"): "rounding",
-    ("gate", "SOLVER_TOLERANCE_M_S"): "what the solver may miss, from its own bound",
-    ("safety_filter", "RESIDUAL_MAX_M_S"): "the solver's accuracy",
-    ("plausibility", "STANDING_M_S"): "resolution of the numbers on the wire",
-    ("live", "_H_LOW_M"): "ends of a drawn scale",
-    ("live", "_H_HIGH_M"): "ends of a drawn scale",
-    ("identify", "EXCITATION_MIN_M_S"): "looks at logs; the lag's standard error decides besides",
+    ("verify/robust", "HELD_M"): "the verdict's own limit of a violation",
+    ("core/safety/gate", "BOX_TOLERANCE_M_S"): "rounding",
+    ("core/safety/gate", "SOLVER_TOLERANCE_M_S"): "what the solver may miss, from its own bound",
+    ("core/safety/qp_filter", "RESIDUAL_MAX_M_S"): "the solver's accuracy",
+    ("core/target/plausibility", "STANDING_M_S"): "resolution of the numbers on the wire",
+    ("watch/live", "_H_LOW_M"): "ends of a drawn scale",
+    ("watch/live", "_H_HIGH_M"): "ends of a drawn scale",
+    (
+        "identify/velocity_loop",
+        "EXCITATION_MIN_M_S",
+    ): "looks at logs; the lag's standard error decides besides",
 }
 
 
@@ -56,8 +59,13 @@ def constants(source):
 
 
 def test_no_size_is_a_constant():
-    files = sorted(Path(flightstack.__file__).parent.glob("*.py"))
-    found = {(file.stem, name) for file in files for name in constants(file.read_text())}
+    folder = Path(flightstack.__file__).parent
+    files = sorted(folder.rglob("*.py"))
+    found = {
+        (file.relative_to(folder).with_suffix("").as_posix(), name)
+        for file in files
+        for name in constants(file.read_text())
+    }
     assert len(files) > 40
     assert found == set(ALLOWED), "a size belongs into the configuration, with unit, range and default"
 
