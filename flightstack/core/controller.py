@@ -11,15 +11,17 @@ import math
 from typing import NamedTuple
 
 from flightstack.core.memory import AbortWay, Memory, State
-from flightstack.core.mission.conditions import View, gather, view
+from flightstack.core.mission.conditions import gather
 from flightstack.core.mission.guidance import Situation, Wish, wish
 from flightstack.core.mission.phases import Condition, Rule, next_phase
 from flightstack.core.mission.reasons import Known, reason
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.barrier import ActiveBarrier
 from flightstack.core.safety.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
 from flightstack.core.safety.position_loop import limit, slew
-from flightstack.core.safety.qp_filter import FilterResult, SafetyFilter
-from flightstack.core.strategies.law import LAWS, Held
+from flightstack.core.safety.qp_filter import FilterResult
+from flightstack.core.snapshot import Snapshot, snapshot
+from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetTrack, Verdict
 from flightstack.core.types import (
@@ -87,7 +89,7 @@ class Outputs(NamedTuple):
     request: Request
     setpoint: ApprovedSetpoint | None
     gate: GateVerdict
-    seen: View
+    seen: Snapshot
     barrier: Barriers | None
     wanted: Vec3 | None
     events: tuple[Event, ...]
@@ -112,29 +114,31 @@ class Controller:
         self.memory = Memory()
         self.track = TargetTrack(config.checks)
         self.plausibility = Plausibility(config)
-        self._law = LAWS[config.filter](config, self.barrier)
-        self._filter = SafetyFilter(self._law.rate_1_s)
+        self._strategy = strategy_of(config)
+        self._filter = self._strategy.program()
         self._period_s = 1.0 / config.loop.rate_hz
         limits = config.limits
         self._gate = Gate(
-            self._law.rate_1_s,
+            self._strategy.rate_1_s,
             limits.velocity_max_m_s,
             limits.altitude_max_m,
             self._period_s,
         )
-        step = tuple(a * self._period_s for a in self._law.acceleration_max_m_s2)
+        step = tuple(a * self._period_s for a in self._strategy.acceleration_max_m_s2)
         self._slew_step: Vec3 = (step[0], step[1], step[2])
 
     @property
     def state(self) -> State:
         """What it remembers; still in use, so to be written down before the next step."""
-        law = self._law
-        return State(self.memory, self.track.memory, law.motion, law.tracking, self.plausibility.memory)
+        strategy = self._strategy
+        return State(
+            self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory
+        )
 
     def restore(self, state: State) -> None:
         """Go on from a state that was written down."""
         self.memory, self.track.memory = state.memory, state.track
-        self._law.motion, self._law.tracking = state.motion, state.tracking
+        self._strategy.motion, self._strategy.tracking = state.motion, state.tracking
         self.plausibility.memory = state.plausibility
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
@@ -145,37 +149,37 @@ class Controller:
             now_s: stack clock.
             command_failed: the bridge gave up on a requested mode.
         """
-        memory, law, plausibility = self.memory, self._law, self.plausibility
+        memory, strategy, plausibility = self.memory, self._strategy, self.plausibility
         if inputs.own is not None and not inputs.own.is_finite:  # it would stay in every memory
             inputs = Inputs(None, inputs.status, inputs.target_samples, inputs.operator)
         self.track.memory.settled = memory.phase is not Phase.WAIT
         events = self._take_samples(inputs)
-        target = law.target(self.track, now_s)
+        target = strategy.target(self.track, now_s)
         if inputs.own is not None:
             plausibility.take(inputs.own)
             flown = memory.commanding and plausibility.believes(now_s)
             wanted = self._flown(inputs.own, inputs.status, now_s) if plausibility.believes(now_s) else None
             plausibility.follow(wanted, inputs.own.velocity_enu_m_s)
-            own = law.own(inputs.own)
+            own = strategy.vehicle(inputs.own)
             inputs = Inputs(own, inputs.status, inputs.target_samples, inputs.operator)
-            law.observe(own.velocity_enu_m_s, commanding=flown)
+            strategy.observe(own.velocity_enu_m_s, commanding=flown)
         believed, follows = plausibility.believes(now_s), plausibility.follows
-        seen = view(self.config, inputs, target, now_s, believed=believed, follows=follows)
+        seen = snapshot(self.config, inputs, target, now_s, believed=believed, follows=follows)
         if target is not None and seen.target_ok:
             memory.target_position_enu_m = target.position_enu_m
             memory.target_velocity_enu_m_s = target.velocity_enu_m_s
         if memory.yaw_rad is None and inputs.own is not None:
             memory.yaw_rad = inputs.own.yaw_rad
-        word = gather(self.config, self.barrier, memory, seen, command_failed, now_s)
+        word = gather(self.config, strategy, self.barrier, memory, seen, command_failed, now_s)
         rule = next_phase(memory.phase, word)
         if rule is not None:
             events.append(self._enter(rule, word, seen, now_s))
         elif memory.phase is Phase.ABORT:
             events += self._abort_otherwise(inputs.operator)
-        asked = wish(Situation(self.config, self.barrier, memory, seen))
-        held = self._law.held(seen)
-        barrier = self._evaluate(asked, seen, held)
-        gate, setpoint, wanted = self._command(asked, seen, barrier, held)
+        asked = wish(Situation(self.config, self.barrier, memory, seen, strategy))
+        active = strategy.barrier(seen)
+        barrier = self._evaluate(asked, seen, active)
+        gate, setpoint, wanted = self._command(asked, seen, barrier, active)
         return Outputs(
             phase=memory.phase,
             request=asked.request,
@@ -195,7 +199,7 @@ class Controller:
         for sample in inputs.target_samples:
             verdict = self.track.accept(sample)
             if verdict is Verdict.ACCEPTED:
-                self._law.take(sample)
+                self._strategy.take(sample)
             else:
                 events.append(Event(WARN, f"target sample refused: {verdict.value}"))
         return events
@@ -227,7 +231,7 @@ class Controller:
             return [Event(ERROR, "ABORT: ended by the operator (land here)")]
         return []
 
-    def _enter(self, rule: Rule, word: int, seen: View, now_s: float) -> Event:
+    def _enter(self, rule: Rule, word: int, seen: Snapshot, now_s: float) -> Event:
         memory, phase = self.memory, rule.to
         known = Known(self.config.checks, seen, self.plausibility, self.track.memory.refusal, now_s)
         why = reason(rule, word, known)
@@ -262,30 +266,31 @@ class Controller:
             return AbortWay.LAND_HERE
         return AbortWay.FLY_CLEAR
 
-    def _evaluate(self, asked: Wish, seen: View, held: Held) -> Barriers | None:
+    def _evaluate(self, asked: Wish, seen: Snapshot, active: ActiveBarrier) -> Barriers | None:
         """Barrier and filter; the values are computed whenever they can be, the filter only for landing."""
-        if seen.e_m is None or seen.target is None:
+        at = seen.relative
+        if at is None:
             return None
-        held_m, gradient, dh_dt = held.evaluate(seen.e_m, seen.target.velocity_enu_m_s)
-        h_m = self.barrier.h(seen.e_m)
+        active_m, gradient, dh_dt = active.evaluate(at.e_m, at.target.velocity_enu_m_s)
+        h_m = self.barrier.h(at.e_m)
         nominal = asked.velocity if asked.velocity is not None else ZERO
         if not asked.filtered or asked.velocity is None or not (seen.own_ok and seen.target_ok):
             idle = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
             return Barriers(h_m, gradient, dh_dt, nominal, idle)
         lower, upper = self._box(seen)
-        climb_m_s = self._law.climb_m_s(held_m, gradient, self._base(seen), seen)
+        climb_m_s = self._strategy.climb_m_s(active_m, gradient, self._base(seen), at)
         if climb_m_s > lower[2]:
             lower = (lower[0], lower[1], min(climb_m_s, upper[2]))
-        result = self._filter.solve(nominal, held_m, gradient, dh_dt, lower, upper)
+        result = self._filter.solve(nominal, active_m, gradient, dh_dt, lower, upper)
         return Barriers(h_m, gradient, dh_dt, nominal, result)
 
-    def _base(self, seen: View) -> Vec3:
+    def _base(self, seen: Snapshot) -> Vec3:
         """Where the slew limit starts: the last command, or the present velocity when none was in force."""
         if self.memory.commanding or self.memory.lifting or seen.inputs.own is None:
             return self.memory.command
         return limit(seen.inputs.own.velocity_enu_m_s, self.config.limits.velocity_max_m_s)
 
-    def _box(self, seen: View) -> tuple[Vec3, Vec3]:
+    def _box(self, seen: Snapshot) -> tuple[Vec3, Vec3]:
         """Admissible velocities of this tick: the box of eq. 11 cut by what the slew limit can reach."""
         (bx, by, bz), (sx, sy, sz) = self._base(seen), self._slew_step
         mx, my, mz = self.config.limits.velocity_max_m_s
@@ -295,7 +300,7 @@ class Controller:
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def _command(
-        self, asked: Wish, seen: View, barrier: Barriers | None, held: Held
+        self, asked: Wish, seen: Snapshot, barrier: Barriers | None, active: ActiveBarrier
     ) -> tuple[GateVerdict, ApprovedSetpoint | None, Vec3 | None]:
         memory, own = self.memory, seen.inputs.own
         if asked.velocity is None:
@@ -304,12 +309,12 @@ class Controller:
         check = None
         if asked.filtered and barrier is not None and seen.e_m is not None and seen.target is not None:
             wanted = barrier.result.velocity_enu_m_s
-            check = BarrierCheck(held, seen.e_m, seen.target.velocity_enu_m_s, barrier.result.status)
+            check = BarrierCheck(active, seen.e_m, seen.target.velocity_enu_m_s, barrier.result.status)
         else:
             most = self.config.limits.velocity_max_m_s
             wanted = slew(self._base(seen), limit(asked.velocity, most), self._slew_step)
         least_z_m_s = self._least_z_m_s(seen)
-        setpoint = self._law.setpoint(self._base(seen), wanted, seen, least_z_m_s)
+        setpoint = self._strategy.setpoint(self._base(seen), wanted, seen, least_z_m_s)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
         verdict, approved = self._gate.check(
             wanted,
@@ -322,7 +327,7 @@ class Controller:
         )
         if approved is None:
             approved = self._gate.stop(yaw_rad, own_fresh=seen.own_ok)
-            memory.command = self._law.tracking.setpoint_m_s = ZERO
+            memory.command = self._strategy.tracking.setpoint_m_s = ZERO
         else:
             memory.command = wanted
         climbs = memory.phase is Phase.TAKEOFF and not memory.climbed
@@ -331,14 +336,14 @@ class Controller:
         memory.lifting = approved is not None and following and climbs
         return verdict, approved, wanted
 
-    def _least_z_m_s(self, seen: View) -> float:
+    def _least_z_m_s(self, seen: Snapshot) -> float:
         """Lowest vertical velocity that a set-point may lead to if it stays the last one.
 
         So near to the pad nothing but the pad stops a vehicle whose companion has died.
         """
         if self.memory.phase is not Phase.TOUCHDOWN or seen.target is None:
             return -math.inf
-        return seen.target.velocity_enu_m_s[2] - self._law.contact_speed_max_m_s
+        return seen.target.velocity_enu_m_s[2] - self._strategy.contact_speed_max_m_s
 
     def _finished(self, inputs: Inputs, now_s: float) -> bool:
         memory, status = self.memory, inputs.status

@@ -19,7 +19,7 @@ def verdict_result(flight: Flight, verdict: Verdict, report: Path | None = None)
     """
     run = flight.metadata.get("run", {})
     seed = run.get("seed", "")
-    flown_by = flight.config.filter.value if flight.config is not None else None
+    flown_by = flight.config.filter if flight.config is not None else None
     return {
         "scenario": run.get("scenario"),
         "seed": int(seed) if seed.isdigit() else None,

@@ -52,7 +52,7 @@ def render(wanted: Plan, flown: Flown) -> str:
         ReportError: the plotting library is not installed.
     """
     need_plotly()
-    title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter.value}"
+    title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter}"
     return page(title, _body(title, wanted, flown))
 
 

@@ -7,17 +7,16 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.mission.conditions import View, high_enough_m, start_point
-from flightstack.core.parameters.ends import TouchdownRule
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.mission.conditions import high_enough_m, start_point
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
-from flightstack.core.target.track import TargetState
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.types import ZERO, Landed, Operator, OwnState, Phase, Request, Vec3
 
 CLIMB_OVER = 0.5  # share of the climb margin by which the climb aims beyond what is high enough, to get there
 CLEAR_BELOW = 0.25  # share of it that a vehicle flying clear may lack of that height
-BRAKING = 0.5  # share of the wanted acceleration that brakes: the velocity lags, and the target may speed up
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 
 
@@ -35,14 +34,15 @@ class Situation(NamedTuple):
     config: FlightConfig
     barrier: Barrier
     memory: Memory
-    seen: View
+    seen: Snapshot
+    strategy: Strategy
 
 
 def _wait(s: Situation) -> Wish:
     status = s.seen.inputs.status
     if status is not None and status.armed and status.landed is not Landed.ON_GROUND and s.seen.target_ok:
         # found in the air: take over, standing still, and never below the barrier of a pad that comes nearer
-        return Wish(Request.EXTERNAL, ZERO, filtered=s.config.filter is FilterKind.ROBUST)
+        return Wish(Request.EXTERNAL, ZERO, filtered=s.strategy.waits_filtered)
     return Wish(Request.NONE)
 
 
@@ -77,53 +77,11 @@ def _flies_by_us(s: Situation) -> bool:
 
 
 def _land(s: Situation) -> Wish:
-    target, e = s.seen.target, s.seen.e_m
-    if target is None or e is None:
+    at = s.seen.relative
+    if at is None:
         return Wish(Request.EXTERNAL)
-    return Wish(Request.EXTERNAL, _LANDING[s.config.filter](s, target, e), filtered=True)
-
-
-def _land_paper(s: Situation, target: TargetState, e: Vec3) -> Vec3:
-    return nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
-
-
-def _land_robust(s: Situation, target: TargetState, e: Vec3) -> Vec3:
-    """To a place low above the pad's middle, where it waits until it may go down in one go."""
-    robust = s.config.robust
-    gain = robust.gain_1_s
-    over = robust.gain_over_pad_1_s if s.memory.phase is Phase.LAND else gain
-    above = e[2] - robust.wait_height_m - _ahead_m(s, target, e)
-    x, y, z = nominal_velocity((e[0], e[1], above), (over, over, gain), target.velocity_enu_m_s)
-    if above > 0.0:
-        pad_m_s = target.velocity_enu_m_s[2]
-        z = min(max(z, pad_m_s - robust.descent_max_m_s), pad_m_s - robust.descent_min_m_s)
-    return (x, y, z)
-
-
-def _ahead_m(s: Situation, target: TargetState, e: Vec3) -> float:
-    """Height of the boundary ahead that no velocity in the box may be quick enough for, once it is there.
-
-    Far out that is its ring, over which the way leads. Near the middle it is where the vehicle comes to
-    rest, if that is on the other side: the barrier sees an overshoot only when the middle has been
-    passed.
-    """
-    own, (ex, ey, _) = s.seen.inputs.own, e
-    assert own is not None
-    if math.hypot(ex, ey) > s.barrier.peak_distance_m:
-        return s.barrier.peak_height_m
-    v, t = own.velocity_enu_m_s, target.velocity_enu_m_s
-    vx, vy = v[0] - t[0], v[1] - t[1]
-    brakes_m_s2 = BRAKING * min(s.config.robust.acceleration_max_m_s2[:2])
-    rest_s = math.hypot(vx, vy) / (2.0 * brakes_m_s2)  # at this velocity, until as far as it comes
-    if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
-        return 0.0  # on this side
-    return s.barrier.height(math.hypot(ex + rest_s * vx, ey + rest_s * vy))
-
-
-_LANDING: dict[FilterKind, Callable[[Situation, TargetState, Vec3], Vec3]] = {
-    FilterKind.PAPER: _land_paper,
-    FilterKind.ROBUST: _land_robust,
-}
+    velocity = s.strategy.approach_m_s(at, over_pad=s.memory.phase is Phase.LAND)
+    return Wish(Request.EXTERNAL, velocity, filtered=True)
 
 
 def _touchdown(s: Situation) -> Wish:
@@ -131,33 +89,13 @@ def _touchdown(s: Situation) -> Wish:
 
     Within the pad's radius the cone is narrower than the pad and no longer what guards the landing.
     """
-    target, e = s.seen.target, s.seen.e_m
     if s.memory.contact:
         return Wish(Request.MOTORS_OFF)
-    if target is None or e is None:
+    at = s.seen.relative
+    if at is None:
         return Wish(Request.EXTERNAL)
-    return _DESCENT[s.config.filter](s, target, e)
-
-
-def _descend_paper(s: Situation, target: TargetState, e: Vec3) -> Wish:
-    if s.config.touchdown.rule is TouchdownRule.PAPER:
-        return Wish(Request.MOTORS_OFF)
-    x, y, _ = nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
-    return Wish(Request.EXTERNAL, (x, y, target.velocity_enu_m_s[2] - s.config.touchdown.descent_m_s))
-
-
-def _descend_robust(s: Situation, target: TargetState, e: Vec3) -> Wish:
-    if s.config.touchdown.rule is TouchdownRule.PAPER and e[2] < s.config.touchdown.height_m:
-        return Wish(Request.MOTORS_OFF)
-    gain = s.config.robust.gain_over_pad_1_s
-    x, y, _ = nominal_velocity(e, (gain, gain, gain), target.velocity_enu_m_s)
-    return Wish(Request.EXTERNAL, (x, y, target.velocity_enu_m_s[2] - s.config.robust.descent_m_s))
-
-
-_DESCENT: dict[FilterKind, Callable[[Situation, TargetState, Vec3], Wish]] = {
-    FilterKind.PAPER: _descend_paper,
-    FilterKind.ROBUST: _descend_robust,
-}
+    velocity = s.strategy.descent_m_s(at)
+    return Wish(Request.MOTORS_OFF) if velocity is None else Wish(Request.EXTERNAL, velocity)
 
 
 def _landed(s: Situation) -> Wish:
@@ -167,16 +105,11 @@ def _landed(s: Situation) -> Wish:
 
 
 def _hold(s: Situation) -> Wish:
-    """Stand still; with an estimator: up, and on with a target that was followed until a moment ago.
-
-    Standing still in the cone of a target that drives on is leaving the cone sideways.
-    """
-    target, memory = s.seen.target, s.memory
-    if s.config.filter is FilterKind.PAPER or target is None or memory.started_s == math.inf:
+    """As the filter holds; before the landing, or without a target, stand still."""
+    target = s.seen.target
+    if target is None or s.memory.started_s == math.inf:
         return Wish(Request.EXTERNAL, ZERO)
-    x, y, z = target.velocity_enu_m_s
-    up = min(s.config.limits.velocity_max_m_s[2], max(0.0, z) + s.config.retreat.hold_climb_m_s)
-    return Wish(Request.EXTERNAL, limit((x, y, up), s.config.limits.velocity_max_m_s))
+    return Wish(Request.EXTERNAL, s.strategy.hold_m_s(target))
 
 
 def _climb(s: Situation) -> Wish:

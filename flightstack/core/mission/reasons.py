@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from flightstack.core.mission.conditions import View
 from flightstack.core.mission.phases import Condition, Rule
 from flightstack.core.parameters.flight import Checks
+from flightstack.core.snapshot import Snapshot
 from flightstack.core.target.plausibility import Plausibility
 
 
@@ -28,7 +28,7 @@ class Known(NamedTuple):
     """
 
     checks: Checks
-    seen: View
+    seen: Snapshot
     plausibility: Plausibility
     refusal: str
     now_s: float

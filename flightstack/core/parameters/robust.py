@@ -37,7 +37,7 @@ class VelocityLoop:
     def rate_max_1_s(self, period_s: float) -> float:
         """Natural frequency below which the model, stepped with this period, is stable.
 
-        One step (velocity_axis.py) has the trace 2 - (wT)^2 - 2 z wT and the determinant 1 - 2 z wT: by
+        One step (velocity_tracking.py) has the trace 2 - (wT)^2 - 2 z wT and the determinant 1 - 2 z wT: by
         Jury's criterion it is stable for (wT)^2 + 4 z wT < 4.
         """
         return 2.0 * (math.hypot(self.damping, 1.0) - self.damping) / period_s
@@ -45,7 +45,7 @@ class VelocityLoop:
 
 @dataclass(frozen=True, slots=True)
 class VelocityFeedback:
-    """Horizontally the vehicle's whole state is fed back, not the lead: core/strategies/velocity_axis.py.
+    """Horizontally the vehicle's whole state is fed back, not the lead: core/strategies/velocity_tracking.py.
 
     For gusts. It needs the velocity loop identified, and room for tilt above the wind's share.
     """

@@ -11,10 +11,12 @@ import flightstack
 from flightstack.common.strict_toml import from_table
 from flightstack.core.controller import Controller
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.mission.conditions import View, gather, high_enough_m
+from flightstack.core.mission.conditions import gather, high_enough_m
 from flightstack.core.mission.guidance import Situation, wish
 from flightstack.core.mission.phases import Condition
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState
@@ -87,23 +89,25 @@ PAD = (0.0, 0.0, 0.0)
 def seen(e, velocity=ZERO, *, own_ok=True, now_s=0.0, speed=ZERO):
     own = OwnState(now_s, now_s, e, velocity, 0.0)
     status = VehicleStatus(now_s, True, Mode.EXTERNAL, Landed.IN_AIR, True)
-    return View(Inputs(own, status), TargetState(0.0, PAD, speed, 0.0), own_ok, True, True, e)
+    return Snapshot(Inputs(own, status), TargetState(0.0, PAD, speed, 0.0), own_ok, True, True, e)
 
 
 def velocity(settings, phase, e, **memory):
     """What a phase asks for."""
-    situation = Situation(settings, settings.barrier.build(), Memory(phase=phase, **memory), seen(e))
+    situation = Situation(
+        settings, settings.barrier.build(), Memory(phase=phase, **memory), seen(e), strategy_of(settings)
+    )
     return wish(situation)
 
 
 def word(settings, phase, e, velocity=ZERO, *, after_s=0.0, own_ok=True, memory=None):
     """Conditions after some time in which nothing changes, and the memory."""
     memory = memory if memory is not None else Memory(own_ok_s=0.0)
-    memory.phase, barrier = phase, settings.barrier.build()
-    found = gather(settings, barrier, memory, seen(e, velocity), False, 0.0)
+    memory.phase, barrier, strategy = phase, settings.barrier.build(), strategy_of(settings)
+    found = gather(settings, strategy, barrier, memory, seen(e, velocity), False, 0.0)
     if after_s:
         view = seen(e, velocity, own_ok=own_ok, now_s=after_s)
-        found = gather(settings, barrier, memory, view, False, after_s)
+        found = gather(settings, strategy, barrier, memory, view, False, after_s)
     return found, memory
 
 

@@ -7,17 +7,12 @@ import pytest
 
 from flightstack.common.strict_toml import from_table
 from flightstack.core.memory import Memory
-from flightstack.core.mission.conditions import (
-    DRIFT_SHARE,
-    STOPPED_SHARE,
-    TOLD_SHARE,
-    gather,
-    high_enough_m,
-    start_point,
-    view,
-)
+from flightstack.core.mission.conditions import gather, high_enough_m, start_point
 from flightstack.core.mission.phases import Condition
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.snapshot import snapshot
+from flightstack.core.strategies.robust import COMMANDED_SHARE, DRIFT_SHARE, STOPPED_SHARE
+from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Inputs, Landed, Mode, Operator, OwnState, Phase, VehicleStatus
 
@@ -53,8 +48,11 @@ def tick(
         None if "own" in without else own, None if "status" in without else status, (), operator
     )  # fmt: skip
     known = None if "target" in without else target
-    seen = view(settings, inputs, known, now_s, believed=believed, follows=follows)
-    return gather(settings, BARRIER, memory if memory is not None else Memory(), seen, failed, now_s)
+    seen = snapshot(settings, inputs, known, now_s, believed=believed, follows=follows)
+    strategy = strategy_of(settings)
+    return gather(
+        settings, strategy, BARRIER, memory if memory is not None else Memory(), seen, failed, now_s
+    )
 
 
 def names(word):
@@ -317,7 +315,7 @@ def test_contact_starts_anew_when_it_bounces():
 
 def test_a_descent_that_stopped_low_over_the_pad_is_contact():
     r, stopped_s = ROBUST.robust, ROBUST.contact.stopped_time_s
-    told = (0.0, 0.0, -1.01 * TOLD_SHARE * r.descent_m_s)
+    told = (0.0, 0.0, -1.01 * COMMANDED_SHARE * r.descent_m_s)
     slow = (0.0, 0.0, -0.99 * STOPPED_SHARE * r.descent_m_s)
     low = (0.02, 0.0, 0.9 * r.touch_height_m)
 

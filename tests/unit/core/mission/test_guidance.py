@@ -9,9 +9,12 @@ from hypothesis import strategies as st
 from flightstack.common.strict_toml import from_table
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission import guidance
-from flightstack.core.mission.conditions import View, high_enough_m
+from flightstack.core.mission.conditions import high_enough_m
 from flightstack.core.mission.guidance import TAKEOFF_DONE, Situation, Wish, wish
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.robust import BRAKING
+from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, Request, VehicleStatus
 
@@ -42,14 +45,13 @@ def asked(
     word = VehicleStatus(0.0, armed, Mode.EXTERNAL, landed, True)
     inputs = Inputs(state if own else None, word if status else None)
     known = TargetState(0.0, PAD, MOVING, 0.0)
-    seen = View(inputs, known if target else None, own_ok, target_ok, True, e if own and target else None)
-    return wish(Situation(settings, BARRIER, memory, seen))
+    seen = Snapshot(inputs, known if target else None, own_ok, target_ok, True, e if own and target else None)
+    return wish(Situation(settings, BARRIER, memory, seen, strategy_of(settings)))
 
 
-def test_every_phase_way_and_filter_has_an_answer():
+def test_every_phase_and_way_has_an_answer():
     assert set(guidance._PHASES) == set(Phase)
     assert set(guidance._ABORT) == set(AbortWay)
-    assert set(guidance._LANDING) == set(guidance._DESCENT) == set(FilterKind)
 
 
 @pytest.mark.parametrize("settings", SHAPES)
@@ -167,7 +169,7 @@ near = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(0.0, 2.0)
 def test_who_comes_to_rest_beyond_the_middle_does_not_sink_below_the_barrier_there(e, slip):
     """The place by driving there in small steps; on this side of the middle nothing changes."""
     r = ROBUST.robust
-    brakes = guidance.BRAKING * r.acceleration_max_m_s2[0]
+    brakes = BRAKING * r.acceleration_max_m_s2[0]
     speed, (x, y), passed = math.hypot(*slip), e[:2], False
     flown = (slip[0] + MOVING[0], slip[1] + MOVING[1], 0.0)
     if speed > 0.0:
