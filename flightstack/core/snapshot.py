@@ -56,6 +56,11 @@ class Snapshot(NamedTuple):
     follows: bool = True
 
     @property
+    def good(self) -> bool:
+        """All inputs can be flown by."""
+        return self.own_ok and self.link_ok and self.target_ok
+
+    @property
     def relative(self) -> Relative | None:
         """Vehicle relative to target; ``None`` unless both are known."""
         own, target, e = self.inputs.own, self.target, self.e_m

@@ -14,6 +14,7 @@ from flightstack.core.mission.phases import Condition, Rule
 from flightstack.core.parameters.flight import Checks
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.types import Phase
 
 
 class Known(NamedTuple):
@@ -34,17 +35,17 @@ class Known(NamedTuple):
     now_s: float
 
 
-def reason(rule: Rule, word: int, known: Known) -> str:
+def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
     """Reason of a rule that fires, with the numbers of those of its conditions that hold.
 
     Args:
         rule: of the phase table.
-        word: conditions of this tick.
+        flags: conditions of this tick.
         known: this tick.
     """
-    asked = (rule.when | rule.about) & word
+    asked = (rule.when | rule.about) & flags
     told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
-    if not told and rule.about & ~word & Condition.READY:
+    if not told and rule.about & ~flags & Condition.READY:
         told = ["the vehicle does not say that it is ready to arm"]
     return f"{rule.reason}: {', '.join(told)}" if told else rule.reason
 
