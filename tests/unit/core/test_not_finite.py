@@ -23,7 +23,7 @@ def config(kind):
         FlightConfig,
         {
             "barrier": {"alpha_1_m": 1.0, "beta_m": 1.5},
-            "filter": kind.value,
+            "filter": kind,
             "limits": {"velocity_max_m_s": [0.4, 0.4, 0.5]},
         },
     )
