@@ -87,7 +87,8 @@ def _target(known: Known) -> str:
 def _follow(known: Known) -> str:
     checks, watched = known.checks, known.plausibility
     return (
-        f"it lags {watched.missed_m:.2f} m behind its set-points; {watched.missed_max_m:.2f} m are allowed "
+        f"it lags {watched.tracking_lag_m:.2f} m behind its set-points; "
+        f"{watched.tracking_lag_max_m:.2f} m are allowed "
         f"by checks.follow_lag_max_s, {checks.follow_lag_max_s:g}"
     )
 
