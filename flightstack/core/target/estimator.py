@@ -11,8 +11,8 @@ Manned Maneuvering Targets, IEEE Transactions on Aerospace and Electronic System
 a gap, an acceleration that lasted would make the target faster than any robot. The vertical one lasts: a deck
 heaves for seconds. The covariances of x and y are equal, so turning leaves them as they are.
 
-While the innovations of the samples are larger than expected, the jerk on x and y is raised, up to a factor: a robot that
-brakes is followed at once, and one that drives on is known better than by any one jerk.
+While the innovations of the samples are larger than expected, the jerk on x and y is raised, up to a factor:
+a robot that brakes is followed at once, and one that drives on is known better than by any one jerk.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class TargetEstimator:
         memory.surprise += dt_s / (dt_s + INNOVATION_TIME_S) * (innovation2 - memory.surprise)
 
     def _jerk2_xy(self) -> float:
-        """Square of the jerk on x and y, now: it goes with the fourth power of the innovation squared.
+        """Square of the jerk on x and y, now: the jerk goes with the squared low-pass of the innovations.
 
         A value of 2, which chance seldom makes, is four times the jerk already.
         """
