@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from flightstack.core.memory import Memory, State
+from flightstack.core.memory import State
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
 from flightstack.core.mission.machine import Mission
 from flightstack.core.mission.transition import Transition
@@ -124,6 +124,7 @@ class Controller:
         self.plausibility = Plausibility(config)
         self._strategy = strategy_of(config)
         self._mission = Mission(config, self.barrier, self._strategy, self.track, self.plausibility)
+        self.memory = self._mission.memory
         self._filter = self._strategy.program()
         self._period_s = 1.0 / config.loop.rate_hz
         limits = config.limits
@@ -137,11 +138,6 @@ class Controller:
         self._slew_step: Vec3 = (step[0], step[1], step[2])
 
     @property
-    def memory(self) -> Memory:
-        """Phase, timers and last command."""
-        return self._mission.memory
-
-    @property
     def state(self) -> State:
         """What it remembers; still in use, so to be written down before the next step."""
         strategy = self._strategy
@@ -151,7 +147,8 @@ class Controller:
 
     def restore(self, state: State) -> None:
         """Go on from a state that was written down."""
-        self._mission.memory, self.track.memory = state.memory, state.track
+        self.memory = self._mission.memory = state.memory
+        self.track.memory = state.track
         self._strategy.motion, self._strategy.tracking = state.motion, state.tracking
         self.plausibility.memory = state.plausibility
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from flightstack.core.parameters.flight import FlightConfig
@@ -34,7 +35,8 @@ class Relative(NamedTuple):
         return v[0] - t[0], v[1] - t[1]
 
 
-class Snapshot(NamedTuple):
+@dataclass(slots=True)
+class Snapshot:
     """Inputs of one tick, judged by age.
 
     Attributes:
@@ -45,6 +47,8 @@ class Snapshot(NamedTuple):
         link_ok: the heartbeat is young enough.
         e_m: position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known.
         follows: the vehicle flies the commanded velocity.
+        good: all inputs can be flown by.
+        relative: vehicle relative to target; ``None`` unless both are known.
     """
 
     inputs: Inputs
@@ -54,19 +58,16 @@ class Snapshot(NamedTuple):
     link_ok: bool
     e_m: Vec3 | None
     follows: bool = True
+    good: bool = field(init=False)
+    relative: Relative | None = field(init=False)
 
-    @property
-    def good(self) -> bool:
-        """All inputs can be flown by."""
-        return self.own_ok and self.link_ok and self.target_ok
-
-    @property
-    def relative(self) -> Relative | None:
-        """Vehicle relative to target; ``None`` unless both are known."""
+    def __post_init__(self) -> None:
         own, target, e = self.inputs.own, self.target, self.e_m
+        self.good = self.own_ok and self.link_ok and self.target_ok
         if own is None or target is None or e is None:
-            return None
-        return Relative(own, target, e, math.hypot(e[0], e[1]))
+            self.relative = None
+        else:
+            self.relative = Relative(own, target, e, math.hypot(e[0], e[1]))
 
 
 def snapshot(
