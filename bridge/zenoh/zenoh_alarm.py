@@ -46,7 +46,8 @@ class ConnectionAlarm:
             self._said_router = True
             texts.append(
                 f"Zenoh: {self._whom} is a router, and we are its peer: it passes on nothing from its other "
-                "peers, such as ROS 2 nodes; be a client, with mode client in --zenoh-config (docs/zenoh.md)"
+                "peers, such as ROS 2 nodes; be a client, with mode client in --zenoh-config "
+                "(docs/how_to/zenoh.md)"
             )
         return texts
 

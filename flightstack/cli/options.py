@@ -115,7 +115,7 @@ autopilot = click.option(
     type=click.Choice(CHOICES),
     default=AUTO,
     show_default=True,
-    help="What flies the vehicle; auto: by its heartbeat (docs/autopilots.md).",
+    help="What flies the vehicle; auto: by its heartbeat (docs/how_to/autopilots.md).",
 )
 personality = click.option(
     "--personality",
@@ -155,7 +155,7 @@ duration = click.option(
 )
 view = click.option(
     "--view", is_flag=False, flag_value="native", metavar="[native|web|FILE.rrd]",
-    help="The scene in 3-D while it flies: in a window of Rerun, in a browser, or in a file (docs/live.md).",
+    help="The scene in 3-D during flight: in a window of Rerun, a browser, or a file (docs/how_to/live.md).",
 )  # fmt: skip
 
 
@@ -170,5 +170,5 @@ def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
         return error
     return ValueError(
         f"`{what}` needs Rerun: pip install 'crazyflie-flightstack[view]'; "
-        "or open the log itself in another viewer (docs/viewing.md)"
+        "or open the log itself in another viewer (docs/how_to/viewing.md)"
     )

@@ -32,11 +32,11 @@ zenoh_config = click.option(
     "--zenoh-config",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Zenoh configuration (JSON5): routers, TLS, passwords, access (docs/zenoh.md).",
+    help="Zenoh configuration (JSON5): routers, TLS, passwords, access (docs/how_to/zenoh.md).",
 )
 target_key = click.option(
     "--target", "target_key", default="cf1/target/odom", show_default=True, metavar="KEY",
-    help="Where the target's motion is: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/ros2.md).",
+    help="Source of the target: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/ros2.md).",
 )  # fmt: skip
 target_type = click.option(
     "--target-type", type=click.Choice(TARGET_TYPES), default=TARGET_TYPES[0], show_default=True,

@@ -1,7 +1,7 @@
 """Lockstep seen from the onboard process: the vehicle names the tick, the target counts its samples.
 
 Order between MAVLink and Zenoh is never assumed: a tick begins when the vehicle has asked for it by TIMESYNC
-and the target has said, tick by tick, how many samples belong to it (docs/lockstep.md).
+and the target has said, tick by tick, how many samples belong to it (docs/how_it_works/lockstep.md).
 """
 
 from __future__ import annotations

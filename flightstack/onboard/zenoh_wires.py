@@ -79,7 +79,8 @@ class ZenohWires:
         )  # fmt: skip
         self.search = KeySearch(where)
         self._texts = [
-            f"Zenoh listens on {endpoint} without rules: whoever reaches it can send a target (docs/zenoh.md)"
+            f"Zenoh listens on {endpoint} without rules: every process that reaches this endpoint "
+            "can send a target (docs/how_to/zenoh.md)"
             for endpoint in zenoh_link.open_to_all(plan.listen, config_file=plan.config_file)
         ]
         self._lockstep, self.target = plan.lockstep, plan.target

@@ -1,6 +1,7 @@
 """Checks of the robust filter outside the pad: is the barrier held by a vehicle that lags and errs?
 
-docs/robust_filter.md derives every line. Speeds that lower h, by the side of the boundary's peak:
+docs/how_it_works/robust_filter.md derives every line.
+Speeds that lower h, by the side of the boundary's peak:
 
 - outside, where the boundary rises inwards: closing on the target as fast as box and target allow;
 - inside, where it rises outwards: leaving the middle, no faster than the target can drive away.

@@ -1,7 +1,7 @@
 """Checks of the robust landing's end: can it get down, in time, and on the pad?
 
-Horizontal motion over the pad, by a comparison system (docs/robust_filter.md): with y the distance from the
-middle and z how far the velocity is off the velocity wanted,
+Horizontal motion over the pad, by a comparison system (docs/how_it_works/robust_filter.md): with y the
+distance from the middle and z the difference between the velocity and the commanded velocity,
 
     y' <= -K y + z + q,      z' <= -z / tau + rho (a + K (K y + z + q)),
 

@@ -1,4 +1,4 @@
-"""What becomes of a flight of a real PX4 when something fails: the fault table of docs/px4_sim.md.
+"""What becomes of a flight of a real PX4 when something fails: the fault table of docs/how_to/px4_sim.md.
 
 ``python -m tests.benchmarks px4_faults [SPEED] [FOLDER] [WORD]``: at so many times real time (default 1;
 below 1 on a busy machine), logs in that folder, only the faults whose name holds the word.

@@ -1,4 +1,4 @@
-"""Tables and figures of docs/vehicle.md, made anew: the vehicle against published numbers.
+"""Tables and figures of docs/how_it_works/vehicle.md, made anew: the vehicle against published numbers.
 
 python -m tests.benchmarks vehicle_figures
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 from tests.benchmarks.vehicle_tables import tables
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE = DOCS / "vehicle.md"
+PAGE = DOCS / "how_it_works" / "vehicle.md"
 BLOCK = re.compile(r"(<!-- table (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 

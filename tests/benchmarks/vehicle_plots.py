@@ -1,4 +1,7 @@
-"""The figures of docs/vehicle.md. Simulated lines are solid, references dashed; one colour is one thing."""
+"""The figures of docs/how_it_works/vehicle.md.
+
+Simulated lines are solid, references are dashed; a colour means the same thing in every figure.
+"""
 
 from __future__ import annotations
 

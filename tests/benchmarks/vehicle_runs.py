@@ -1,4 +1,4 @@
-"""The flights behind docs/vehicle.md: same seed, same parameters, always the same numbers."""
+"""The flights behind docs/how_it_works/vehicle.md: same seed, same parameters, always the same numbers."""
 
 from __future__ import annotations
 

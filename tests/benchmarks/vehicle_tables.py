@@ -1,4 +1,4 @@
-"""The tables of docs/vehicle.md: each row a simulated number, a reference and the deviation in percent."""
+"""The tables of docs/how_it_works/vehicle.md: each row a simulated number, a reference and the deviation."""
 
 from __future__ import annotations
 

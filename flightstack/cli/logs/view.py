@@ -28,7 +28,7 @@ SHOWN, BROKEN = 0, 1
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 def view(log_file: Path, save: Path | None, web: bool, layouts: Path | None, force: bool) -> None:
-    """Show a LOG in Rerun: the scene in 3-D, curves and events (docs/viewing.md), until it is closed.
+    """Show a LOG in Rerun: the scene in 3-D, curves and events (docs/how_to/viewing.md), until it is closed.
 
     Needs the extra `view`, except for --layouts. Exit status: 0 shown or written, 1 the same of a broken LOG,
     2 wrong input or no window.

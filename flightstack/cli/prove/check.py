@@ -33,7 +33,7 @@ def check(config: str, filter_name: str | None, as_json: bool) -> None:
     """Prove before flight that CONFIG keeps its promises over all it declares.
 
     CONFIG is a configuration of `onboard` or a scenario, by name or as a file. Each line shows the worst
-    point and how much room is left there (docs/robust_filter.md).
+    point and how much room is left there (docs/how_it_works/robust_filter.md).
 
     Exit status: 0 all proven, 1 something is not, 2 wrong input.
     """

@@ -93,7 +93,7 @@ def bridge() -> None:
 )  # fmt: skip
 @click.option(
     "--mocap", "mocap_key", metavar="KEY",
-    help="Pass on poses from there: a Zenoh key, ros2:/TOPIC or ros2dds:/TOPIC (docs/mocap.md).",
+    help="Pass on poses from there: a Zenoh key, ros2:/TOPIC or ros2dds:/TOPIC (docs/how_to/mocap.md).",
 )  # fmt: skip
 @_poses
 @plugs
@@ -107,7 +107,7 @@ def crazyflie(
     connect: tuple[str, ...], listen: tuple[str, ...], zenoh_config: Path | None,
     signing_key: Path | None, allow_unsigned: bool, duration_s: float | None,
 ) -> None:  # fmt: skip
-    """Show a stock Crazyflie as a MAVLink vehicle with PX4's modes (docs/crazyflie.md).
+    """Show a stock Crazyflie as a MAVLink vehicle with PX4's modes (docs/how_to/crazyflie.md).
 
     Ctrl-C, or a terminal that closes, lands it first when it is in the air; a second Ctrl-C ends at once, and
     the motors stop.
@@ -142,7 +142,7 @@ def crazyflie(
 @bridge.command()
 @click.option(
     "--key", "pose_key", required=True, metavar="KEY",
-    help="Where the poses are: a Zenoh key, ros2:/TOPIC (rmw_zenoh) or ros2dds:/TOPIC (docs/mocap.md).",
+    help="Source of the poses: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/mocap.md).",
 )  # fmt: skip
 @click.option(
     "--vehicle", "vehicle_url", required=True, metavar="URL",
@@ -167,7 +167,7 @@ def mocap(
     ros_domain: int, connect: tuple[str, ...], listen: tuple[str, ...], zenoh_config: Path | None,
     signing_key: Path | None, allow_unsigned: bool, duration_s: float | None,
 ) -> None:  # fmt: skip
-    """Pass poses of motion capture to a PX4 or ArduPilot vehicle, checked (docs/mocap.md)."""
+    """Pass poses of motion capture to a PX4 or ArduPilot vehicle, checked (docs/how_to/mocap.md)."""
     from bridge.mavlink.client.origin import Origin
     from bridge.mocap import process
     from bridge.mocap.source import parse_spec

@@ -10,7 +10,7 @@ import click
 @click.command()
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 def key(file: Path) -> None:
-    """Make a MAVLink signing key in a new FILE that its owner alone can read (docs/security.md)."""
+    """Make a MAVLink signing key in a new FILE that its owner alone can read (docs/how_to/security.md)."""
     from bridge.mavlink.signing.key import make_key
 
     make_key(file)

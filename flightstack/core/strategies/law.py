@@ -2,7 +2,7 @@
 
 ``PAPER`` takes the newest sample as it came, holds the barrier itself and sends the filtered velocity, as
 printed. ``ROBUST`` estimates, holds the barrier with a margin, minds the velocity that is really flown, and
-corrects the set-point for the vehicle's lag (docs/robust_filter.md).
+corrects the set-point for the vehicle's lag (docs/how_it_works/robust_filter.md).
 """
 
 from __future__ import annotations

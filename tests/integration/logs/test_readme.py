@@ -16,7 +16,10 @@ from tests.integration.runs import WALL_MAX_S
 from tests.unit.target.ros2_helpers import on_free_ports
 
 ROOT = Path(__file__).parents[3]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").rglob("*.md"), key=lambda p: (p.parent.name != "start", p)),
+]
 BIN = Path(os.sys.executable).parent
 APART = ("target", "vehicle", "fly")
 

@@ -261,9 +261,8 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
             cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=True,
         )  # fmt: skip
         assert json.loads(once.stdout)["tick"] > now["tick"]
-        example = (
-            (ROOT / "docs" / "live.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
-        )
+        page = (ROOT / "docs" / "how_to" / "live.md").read_text(encoding="utf-8")
+        example = page.split("```python\n")[1].split("```")[0]
         read = subprocess.run(
             [sys.executable, "-c", example, port.endpoint],
             cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=True,

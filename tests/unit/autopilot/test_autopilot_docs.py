@@ -1,4 +1,4 @@
-"""docs/mavlink.md says what the code does: its tables against the code's own."""
+"""docs/reference/mavlink.md says what the code does: its tables against the code's own."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sim.autopilot.server.status import ON_REQUEST
 from sim.autopilot.watches import FENCE, STATION_LOST, STREAM_LOST, Action
 from tests.unit.autopilot.autopilot_fakes import Rig
 
-TEXT = (Path(__file__).parents[3] / "docs" / "mavlink.md").read_text(encoding="utf-8")
+TEXT = (Path(__file__).parents[3] / "docs" / "reference" / "mavlink.md").read_text(encoding="utf-8")
 
 
 def rows(section: str) -> list[list[str]]:

@@ -95,7 +95,7 @@ def run(*words):
 
 
 ONBOARD = ("onboard", "--vehicle", "udpout:127.0.0.1:9", "--config", "crazyflie")
-CLIENT = ("--zenoh-config", "docs/zenoh/client.json5")
+CLIENT = ("--zenoh-config", "docs/how_to/zenoh/client.json5")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""docs/vehicle.md says what the simulator does: tables equal a fresh computation, figures are there."""
+"""docs/how_it_works/vehicle.md says what the simulator does: fresh tables, figures present."""
 
 import re
 
@@ -48,7 +48,7 @@ def test_the_simulator_agrees_with_theory(fresh, name, percent):
 
 
 def test_figures_are_there_small_and_all_shown():
-    shown = set(re.findall(r"\]\(figures/(vehicle_\w+\.svg)\)", PAGE.read_text()))
+    shown = set(re.findall(r"\]\(\.\./figures/(vehicle_\w+\.svg)\)", PAGE.read_text()))
     files = {path.name: path for path in (DOCS / "figures").glob("vehicle_*")}
     assert shown == set(files)
     for path in files.values():

@@ -1,4 +1,4 @@
-"""The tables of docs/autopilots.md, from the code; run as a module it writes them into the page.
+"""The tables of docs/how_to/autopilots.md, from the code; run as a module it writes them into the page.
 
 python -m tests.unit.mavlink.client.autopilots_page
 """
@@ -19,7 +19,7 @@ from sim.autopilot.personality import PERSONALITIES
 from sim.scenarios import scenario
 from tests.unit.verify.certificate_page import BEGIN, END, split
 
-PAGE = Path(__file__).parents[4] / "docs" / "autopilots.md"
+PAGE = Path(__file__).parents[4] / "docs" / "how_to" / "autopilots.md"
 PROFILES = (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)
 EXAMPLE = "lab"  # scenario whose command box the wanted values are for
 
