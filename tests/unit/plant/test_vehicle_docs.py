@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from tests.benchmarks.vehicle_figures import DOCS, PAGE, written_tables
-from tests.benchmarks.vehicle_tables import COMPARISONS, tables
+from tests.benchmarks.vehicle.figures import DOCS, PAGE, written_tables
+from tests.benchmarks.vehicle.tables import COMPARISONS, tables
 
 pytestmark = pytest.mark.xdist_group("vehicle docs")  # one worker computes the tables
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")

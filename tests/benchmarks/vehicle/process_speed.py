@@ -28,7 +28,7 @@ SETTLE_TICKS, TICKS = 400, 3000
 SEEDS = range(3)
 PATIENCE_S = 90.0  # compiling included
 NAN = float("nan")
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def heartbeat():

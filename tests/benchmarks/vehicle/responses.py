@@ -1,4 +1,4 @@
-"""The flights of ``vehicle_runs`` next to the linear models; flown once for tables and figures."""
+"""The flights of ``runs`` next to the linear models; flown once for tables and figures."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy.typing as npt
 from sim.plant.ground_effect import GroundEffect
 from sim.scenarios.scenario import VelocityLoop
 from tests import linear_analysis as analysis
-from tests.benchmarks import vehicle_linear as pid
-from tests.benchmarks import vehicle_runs as runs
+from tests.benchmarks.vehicle import linear as pid
+from tests.benchmarks.vehicle import runs as runs
 from tests.unit.vehicle.vehicle_sim_helpers import QUIET
 
 F64 = npt.NDArray[np.float64]

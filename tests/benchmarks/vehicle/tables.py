@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from sim.plant.battery import BatteryModel
 from tests import linear_analysis as analysis
-from tests.benchmarks import vehicle_reference as ref
-from tests.benchmarks import vehicle_runs as runs
-from tests.benchmarks.vehicle_parameters import constant_table, parameter_table, pid_table
-from tests.benchmarks.vehicle_responses import (
+from tests.benchmarks.vehicle import reference as ref
+from tests.benchmarks.vehicle import runs as runs
+from tests.benchmarks.vehicle.parameters import constant_table, parameter_table, pid_table
+from tests.benchmarks.vehicle.responses import (
     GUST_RMS_M_S,
     GUST_STEP_S,
     NAMES,

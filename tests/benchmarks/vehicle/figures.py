@@ -8,9 +8,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from tests.benchmarks.vehicle_tables import tables
+from tests.benchmarks.vehicle.tables import tables
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 PAGE = DOCS / "how_it_works" / "vehicle.md"
 BLOCK = re.compile(r"(<!-- table (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
@@ -22,7 +22,7 @@ def written_tables() -> dict[str, str]:
 
 def main() -> None:
     """Write page and figures."""
-    from tests.benchmarks.vehicle_plots import draw  # needs a plotting library, which the tables do without
+    from tests.benchmarks.vehicle.plots import draw  # needs a plotting library, which the tables do without
 
     fresh = tables()
     text = BLOCK.sub(lambda match: f"{match[1]}{fresh[match[2]]}\n{match[4]}", PAGE.read_text())

@@ -2,7 +2,7 @@
 
 First in one process: a companion's frames come through a real loopback socket, one datagram a tick, and the
 telemetry goes there. Only the vehicle's share is counted, in processor time, so that other programs disturb
-little. Then the real process, see ``vehicle_process_speed``.
+little. Then the real process, see ``process_speed``.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from sim.autopilot.modes import FlightMode
 from sim.autopilot.server.server import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.scenarios.scenario import Scenario, VelocityLoop, load
 from sim.vehicle.vehicle import VehicleSim, warm_up
-from tests.benchmarks import vehicle_process_speed
-from tests.benchmarks.vehicle_kernels import kernel_us_per_ms
-from tests.benchmarks.vehicle_process_speed import ASKED, RATE_HZ, heartbeat, plan
+from tests.benchmarks.vehicle import process_speed
+from tests.benchmarks.vehicle.kernels import kernel_us_per_ms
+from tests.benchmarks.vehicle.process_speed import ASKED, RATE_HZ, heartbeat, plan
 
 TICK_S, TICK_MS = 1.0 / RATE_HZ, 1000 // RATE_HZ
 SETTLE_TICKS = 400  # until the vehicle is in OFFBOARD, or stands
@@ -126,7 +126,7 @@ def main() -> None:
     for flying in (True, False):
         for loop in VelocityLoop:
             table(loop, flying)
-    vehicle_process_speed.main()
+    process_speed.main()
 
 
 if __name__ == "__main__":

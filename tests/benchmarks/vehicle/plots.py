@@ -17,9 +17,9 @@ from scipy.signal import welch
 
 from logs.report.style import BOUNDARY, COMMAND, GRID, INK, LIMIT, NOMINAL, TARGET, TRUE
 from tests import linear_analysis as analysis
-from tests.benchmarks import vehicle_reference as ref
-from tests.benchmarks import vehicle_runs as runs
-from tests.benchmarks.vehicle_responses import (
+from tests.benchmarks.vehicle import reference as ref
+from tests.benchmarks.vehicle import runs as runs
+from tests.benchmarks.vehicle.responses import (
     GUST_RMS_M_S,
     GUST_STEP_S,
     NAMES,
