@@ -124,9 +124,7 @@ def test_the_target_drives_a_circle_and_says_so():
         finally:
             session.close()
     messages = [decode(ODOMETRY, sample.payload) for sample in samples]  # by a codec that is not ours
-    assert [b.sequence - a.sequence for a, b in zip(samples, samples[1:], strict=False)] == [1] * (
-        len(samples) - 1
-    )
+    assert {b.sequence - a.sequence for a, b in pairwise(samples)} == {1}
     times_s = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages]
     places = [(m.pose.pose.position.x, m.pose.pose.position.y) for m in messages]
     assert {(m.header.frame_id, m.child_frame_id) for m in messages} == {("map", "target")}
