@@ -1,4 +1,4 @@
-"""The command ``flightstack``: verbs only, the work is elsewhere."""
+"""The command ``flightstack``: it finds the verb that is called; the other packages do the work."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ target_key = click.option(
 )  # fmt: skip
 target_type = click.option(
     "--target-type", type=click.Choice(TARGET_TYPES), default=TARGET_TYPES[0], show_default=True,
-    help="Its message type; of all but odometry the velocity is estimated.",
+    help="Message type of the target; for all types but odometry the velocity is estimated.",
 )  # fmt: skip
 target_offset = click.option(
     "--target-offset", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
@@ -65,7 +65,7 @@ def ros2(verb: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def ros2_network(where: str | None, domain: int) -> Ros2Network | None:
-    """What ``--ros2`` and ``--ros-domain`` say."""
+    """Return the network that ``--ros2`` and ``--ros-domain`` name, None without ``--ros2``."""
     from bridge.ros2.ros2_network import Ros2Network
 
     return Ros2Network(where, domain) if where is not None else None
