@@ -1,4 +1,4 @@
-"""The result of a flight: judged from its log, reported, and said in a table or as one JSON object."""
+"""The result of a flight: judges its log, writes the report, prints a table or one JSON object."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _VERDICT = tuple(field.name for field in fields(Verdict))
 
 @dataclass(frozen=True)
 class Flown:
-    """What a flight left behind.
+    """What remains of a flight: its log and its problems.
 
     Attributes:
         about: what was flown, the first keys of ``--json``.
@@ -45,7 +45,7 @@ class Flown:
 
 
 def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
-    """Judge a flight, write its report, print what was reached.
+    """Judge a flight, write its report, print the result.
 
     Returns:
         Exit status: 0 landed, 1 anything else.
@@ -63,25 +63,25 @@ def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool
 
 
 def conclude_values(flown: Flown, *, with_report: bool) -> dict[str, object]:
-    """Judge a flight and write its report; the keys of ``--json``."""
+    """Judge a flight and write its report; return the keys of ``--json``."""
     values = values_of(flown)
     report = flown.folder / "report.html" if flown.log is not None else None
     if flown.log is not None and with_report and values["judged_from"] is not None:
         try:
             write_report(flown.log, report)
-        except ReportError as error:  # the flight counts all the same
+        except ReportError as error:  # the verdict stays valid without a report
             print(f"flightstack: {error}", file=sys.stderr)
     log = str(flown.log) if flown.log is not None else None
     return {**values, "log": log, "report": str(report) if report is not None else None}
 
 
 def landed(values: Mapping[str, object], flown: Flown) -> bool:
-    """Whether it landed, and no process failed."""
+    """Return whether the vehicle landed and no process failed."""
     return values["outcome"] == "landed" and flown.problem is None
 
 
 def values_of(flown: Flown) -> dict[str, object]:
-    """The keys of ``--json`` up to the files; of what nothing is known, None.
+    """Return the keys of ``--json`` except the files; None for a value that is not known.
 
     Without a log the outcome is what the onboard process says, and nothing is measured.
     """

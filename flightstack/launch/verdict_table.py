@@ -1,4 +1,4 @@
-"""A verdict in the terminal."""
+"""A verdict as a table in the terminal."""
 
 from __future__ import annotations
 
