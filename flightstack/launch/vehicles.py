@@ -118,7 +118,7 @@ class _Px4Child:
 
 
 class _Px4Start:
-    """PX4 before its start; its instance number is chosen first, since it selects the simulator's port, too."""
+    """PX4 before its start; its instance number is chosen first, since the simulator's port depends on it."""
 
     def __init__(self, options: RunOptions) -> None:
         self._options, self._binary = options, _program_of(options)
@@ -281,7 +281,7 @@ def around_the_start(scenario: Scenario) -> Scenario:
 def _on_the_floor(scenario: Scenario) -> list[str]:
     """Return the option that puts the landing spot on the floor.
 
-    This vehicle measures height from where it stands: zero, and not that of its reference point over its feet.
+    This vehicle's height is zero where it stands, not the height of its reference point over its feet.
     """
     down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
     return ["--target-offset", "0", "0", f"{-down_m:g}"]

@@ -1,4 +1,4 @@
-"""Is this configuration good for everything it declares? Proved before take-off, over the whole envelope.
+"""Proves before take-off that a configuration is safe for everything it declares, over the whole envelope.
 
 ``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point.
 ``problems`` are the refuted claims without which no landing is possible: the onboard process refuses such a
