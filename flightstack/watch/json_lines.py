@@ -1,4 +1,4 @@
-"""One look at a flight as plain values, for scripts."""
+"""The newest state of a flight as plain values, for scripts."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ _LOUD = "bold white on red"
 
 
 class LiveView:
-    """Draws a ``Watch``; nothing depends on it."""
+    """Draws a ``Watch``; the flight does not depend on it."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class LiveView:
 
 
 def draw(watch: Watch, title: str, whom: str = "") -> Panel:
-    """One picture of what is known, and of how old it is."""
+    """Return the view of the known values and their ages."""
     style = "none" if watch.news is News.FRESH else "red"
     parts: list[RenderableType] = [banner(watch, whom)]
     if watch.step is not None:
@@ -137,7 +137,7 @@ def _velocities(step: ControllerStepRow, fresh: bool) -> Table:
 
 
 def _health(health: HealthRow, fresh: bool) -> Table:
-    """Ages and states; what the onboard process itself holds for lost is red."""
+    """Ages and states; those that the onboard process counts as lost are red."""
     grid = Table.grid(padding=(0, 3))
     grid.add_row(
         _age("own state", health.own_age_s, health.own_valid, fresh),

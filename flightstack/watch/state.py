@@ -1,4 +1,4 @@
-"""What a watcher knows of a flight on another machine, and how old that is by the watcher's own clock.
+"""The newest data of a flight on another machine, and their age by the watcher's own clock.
 
 A sample counts as news only if its tick is another one than before: a sender that repeats itself is as
 silent as one that says nothing.
@@ -23,7 +23,7 @@ _RING = 8  # samples kept between two looks
 
 
 class News(Enum):
-    """How good what we have is."""
+    """State of the data: whether they are fresh."""
 
     NEVER = "no data yet"
     FRESH = "fresh"
@@ -112,7 +112,7 @@ class Watch:
 
     @property
     def connections(self) -> int:
-        """Open connections to other Zenoh sessions; 0 means that nobody answers, or refuses us."""
+        """Number of open Zenoh connections; 0 means that the other end is unreachable or refuses."""
         return zenoh_link.transports(self._session)
 
     @property
