@@ -13,6 +13,7 @@ from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
 from flightstack.core.parameters.flight import path_of
 from tests.flight_suite.room import PERSONALITIES
 from tests.pauses import pytest_runtest_protocol as pytest_runtest_protocol
+from tests.quick import mark_slow
 from tests.quick import pytest_runtest_call as pytest_runtest_call
 from tests.quick import pytest_runtest_setup as pytest_runtest_setup
 
@@ -26,7 +27,7 @@ hypothesis.settings.load_profile("any machine")
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     add = parser.addoption
-    add("--quick", action="store_true", help="fail a test that needs much processor time and is not marked slow")
+    add("--quick", action="store_true", help="fail a test that is slow and not marked so")
     add("--flights", type=int, default=1, metavar="N", help="fly each flight of a real client N times")
     add("--vehicle", metavar="URL", help="fly this vehicle and no other: only the tests that can are run")
     add("--px4", type=Path, metavar="PLACE", help="fly this PX4 SITL, by px4-sim, and no other vehicle")
@@ -68,6 +69,7 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 @pytest.hookimpl(tryfirst=True)  # before the workers look at the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """A vehicle that was given is flown by the tests made for it, and armed only where that was allowed."""
+    mark_slow(items)
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
         if config.getoption("--flights") == 1:  # they mostly wait: one worker does, while others compute
