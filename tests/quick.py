@@ -1,6 +1,6 @@
 """``--quick``: a test that needs more processor time than a quick run allows is broken off and skipped.
 
-``make quick`` runs the unit tests that are not marked ``slow``; the modules of ``SLOW`` are. The bound keeps it
+``make quick`` runs the unit tests that are not marked ``slow``, as those of ``SLOW`` are. The bound keeps it
 quick when somebody adds a slow test and forgets the marker: the reason of the skip tells to mark it.
 ``make test`` runs all tests whole. Processor time depends less on the load of the machine than wall time.
 """

@@ -17,7 +17,7 @@ from logs.reader.reader import LogFile
 from tests.integration.runs import COMMAND, WALL_MAX_S, flightstack
 from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, free_port
 from tests.integration.wires.test_signed import signing
-from tests.unit import ros2_helpers as ros
+from tests.unit.target import ros2_helpers as ros
 
 pytestmark = pytest.mark.xdist_group("real-time")
 
