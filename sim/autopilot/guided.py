@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from sim.autopilot.modes import FlightMode
+from bridge.mavlink.server.profile import FlightMode
 
 GUIDED = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
 

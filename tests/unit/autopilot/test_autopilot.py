@@ -7,8 +7,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot.modes import FlightMode
-from sim.autopilot.server.server import Autopilot
+from bridge.mavlink.server.profile import FlightMode
+from sim.autopilot.autopilot import Autopilot
 from tests.unit.autopilot.autopilot_fakes import (
     HOLD,
     NAN,

@@ -9,8 +9,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.geo import degrees_e7, x_of, y_of
-from sim.autopilot.modes import FlightMode
 from tests.unit.autopilot.autopilot_fakes import HOLD, NAN, OFFBOARD, RATE_HZ, Rig, set_int, set_real
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
@@ -91,7 +91,7 @@ def state(rig: Rig) -> list[object]:
         pilot.goal.yaw_rad,
         pilot.goal.speed_m_s,
     )
-    streams = [rig.autopilot._streams.interval_us(i) for i in (30, 32, 331)]
+    streams = [rig.autopilot.streams.interval_us(i) for i in (30, 32, 331)]
     home = [round(v, 4) for v in flight.home_enu_m]
     vehicle = (rig.vehicle.armed, rig.vehicle.reboots, dict(rig.vehicle.failures))
     return [flight.mode, goal, round(pilot.takeoff_height_m, 6), streams, home, vehicle]
@@ -275,7 +275,7 @@ def test_reboot_unlocks_disarmed_and_is_denied_armed() -> None:
     assert rig.command(400, 1.0) == REJECTED
     assert rig.command(246, 1.0) == ACCEPTED
     assert rig.vehicle.reboots == 1
-    assert rig.autopilot._streams.interval_us(32) == round(1e6 / RATE_HZ)
+    assert rig.autopilot.streams.interval_us(32) == round(1e6 / RATE_HZ)
     assert rig.command(400, 1.0) == ACCEPTED
     assert rig.command(246, 1.0) == DENIED
     assert rig.texts()[-1] == "Reboot refused: armed"

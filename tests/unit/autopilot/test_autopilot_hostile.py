@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.decoding import decode
-from sim.autopilot.texts import Texts
+from bridge.mavlink.server.texts import Texts
 from tests.unit.autopilot.autopilot_fakes import GROUND_STATION, NAN, Rig
 
 EXTREMES = [b"\x00", b"\xff", b"\x7f", b"\x80", b"\x7f\xc0", b"\x80\x7f", b"\xff\xff\xff\x7f"]

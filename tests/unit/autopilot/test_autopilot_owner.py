@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot.modes import FlightMode
+from bridge.mavlink.server.profile import FlightMode
 from tests.unit.autopilot.autopilot_fakes import (
     COMPANION,
     GROUND_STATION,

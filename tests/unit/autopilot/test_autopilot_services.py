@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.framing import split_frames
-from sim.autopilot.modes import CODES, FlightMode
+from bridge.mavlink.server.profile import PX4_CODES, FlightMode
 from tests.unit.autopilot.autopilot_fakes import (
     COMPANION,
     FEET_M,
@@ -37,7 +37,7 @@ def test_heartbeat_comes_once_a_second_and_at_once_on_a_change() -> None:
 
 
 def test_mode_codes_are_those_of_px4() -> None:
-    assert {m: c.custom_mode for m, c in CODES.items()} == {
+    assert {m: c.custom_mode for m, c in PX4_CODES.items()} == {
         FlightMode.HOLD: 0x03040000,
         FlightMode.TAKEOFF: 0x02040000,
         FlightMode.LAND: 0x06040000,

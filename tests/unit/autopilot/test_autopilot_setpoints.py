@@ -7,7 +7,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot.modes import FlightMode
+from bridge.mavlink.server.profile import FlightMode
 from tests.unit.autopilot.autopilot_fakes import (
     FEET_M,
     GROUND_STATION,
