@@ -85,9 +85,9 @@ class Server(Generic[V]):
         table: dict[int, Entry] = {**self.vehicle_commands.table, **self.own_commands()}
         self.commands = Commands(table, vehicle.texts, vehicle.forbids, profile)
         self._handlers: dict[int, Handler] = {
-            dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self._on_setpoint,
-            dialect.MAVLINK_MSG_ID_COMMAND_LONG: self._on_command,
-            dialect.MAVLINK_MSG_ID_COMMAND_INT: self._on_command,
+            dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self.on_setpoint,
+            dialect.MAVLINK_MSG_ID_COMMAND_LONG: self.on_command,
+            dialect.MAVLINK_MSG_ID_COMMAND_INT: self.on_command,
             dialect.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
             dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
             dialect.MAVLINK_MSG_ID_HEARTBEAT: self.on_heartbeat,
@@ -171,7 +171,11 @@ class Server(Generic[V]):
         return messages
 
     def streamed(self, snapshot: Snapshot[V]) -> list[Message]:
-        """Messages of the streams that are due."""
+        """Messages of the streams for the present telemetry."""
+        return self.stream(snapshot)
+
+    def stream(self, snapshot: Snapshot[V]) -> list[Message]:
+        """Make the messages of the streams that are due."""
         self.streams.hide(self.hidden(snapshot.now_s))
         return self.streams.due(snapshot)
 
@@ -200,7 +204,8 @@ class Server(Generic[V]):
         system = getattr(message, "target_system", 0)
         return system in (0, self.system_id) and getattr(message, "target_component", 0) in (0, COMPONENT_ID)
 
-    def _on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+    def on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        """SET_POSITION_TARGET_LOCAL_NED, which has no answer but the text of a refusal."""
         vehicle = self.vehicle
         setpoint = read_setpoint(message, vehicle.yaw_rad, self.profile.frames)
         if isinstance(setpoint, str):
@@ -211,7 +216,8 @@ class Server(Generic[V]):
             vehicle.texts.refuse(refused, now_s, "set-point")
         return []
 
-    def _on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+    def on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        """COMMAND_LONG and COMMAND_INT."""
         if message.target_system == 0 and message.command not in _BROADCAST:
             return []
         return self.commands.run(message, sender, now_s)

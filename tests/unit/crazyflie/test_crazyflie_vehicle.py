@@ -4,9 +4,9 @@ import random
 
 import pytest
 
-from bridge.crazyflie.modes import Mode
 from bridge.crazyflie.rules import LOST_S, RECONNECT_S, Rules
 from bridge.crazyflie.types import Order
+from bridge.mavlink.server.profile import FlightMode
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
@@ -263,7 +263,7 @@ def test_a_take_off_that_ends_on_the_ground_says_why():
     bench.run(0.5)
     bench.command(22)
     bench.run(0.5)
-    assert bench.vehicle.mode is Mode.HOLD
+    assert bench.vehicle.mode is FlightMode.HOLD
     assert bench.vehicle.standing
     assert "No position estimate: stays on the ground" in bench.texts
 
@@ -276,7 +276,7 @@ def test_nothing_takes_it_out_of_the_landing_of_a_bridge_that_ends():
     bench.run(0.5)
     assert bench.result(176, 1.0, 6.0) == 1
     assert bench.result(22) == 1
-    assert bench.vehicle.mode is Mode.LAND
+    assert bench.vehicle.mode is FlightMode.LAND
     bench.until(lambda: not bench.vehicle.busy)
     assert bench.firmware.plant.on_surface
     bench.ready()
