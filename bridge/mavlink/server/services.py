@@ -29,6 +29,10 @@ _TYPES = frozenset(
     {dialect.MAV_MISSION_TYPE_MISSION, dialect.MAV_MISSION_TYPE_FENCE, dialect.MAV_MISSION_TYPE_RALLY}
 )
 _ALL = dialect.MAV_MISSION_TYPE_ALL
+_REFUSED_SETPOINTS = {
+    dialect.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: "attitude",
+    dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: "global position",
+}
 
 
 class Services:
@@ -56,8 +60,7 @@ class Services:
             m.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST: _mission_refused,
             m.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _log_list,
             m.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _file_transfer,
-            m.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: self._refuse_setpoint("attitude"),
-            m.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: self._refuse_setpoint("global position"),
+            **dict.fromkeys(_REFUSED_SETPOINTS, self._refuse_setpoint),
         }
         if profile.data_streams:
             self.handlers[m.MAVLINK_MSG_ID_REQUEST_DATA_STREAM] = self._data_stream
@@ -100,13 +103,11 @@ class Services:
                     self._streams.set_interval(message_id, interval_us, now_s)
         return []
 
-    def _refuse_setpoint(self, kind: str) -> Handler:
-        def refuse(message: Any, sender: Sender, now_s: float) -> list[Message]:
-            del message, sender
-            self._vehicle.texts.refuse(f"Set-point dropped: {kind}, only local velocity", now_s)
-            return []
-
-        return refuse
+    def _refuse_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        del sender
+        kind = _REFUSED_SETPOINTS[message.get_msgId()]
+        self._vehicle.texts.refuse(f"Set-point dropped: {kind}, only local velocity", now_s)
+        return []
 
 
 def _no_parameter(message: Any, sender: Sender) -> Message:

@@ -120,18 +120,6 @@ def test_plain_disarm_in_the_air_is_refused_and_after_a_landing_by_set_points_no
     assert not bench.firmware.plant.motors
 
 
-def test_one_sender_has_control_and_anybody_may_land_it():
-    bench = Bench().offboard((0.1, 0.0, 0.0))
-    bench.setpoint((0.0, 0.5, 0.0), sender=OTHER)
-    bench.run(0.05)
-    assert all(p.velocity_enu_m_s[0] == 0.0 for t, p in bench.velocities()[-5:])
-    assert any("1/191 has control" in text for text in bench.texts)
-    assert bench.result(176, 1.0, 4.0, 3.0, sender=OTHER) == 1
-    assert bench.result(400, 0.0, 21196.0, sender=OTHER) == 1
-    assert bench.result(21, sender=OTHER) == 0
-    assert bench.vehicle.mode.value == "land"
-
-
 def test_lands_when_no_client_is_left():
     bench = Bench().hover()
     bench.client_gone = True
