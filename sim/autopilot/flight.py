@@ -15,20 +15,11 @@ from bridge.mavlink.server.telemetry import Battery
 from bridge.mavlink.server.texts import Texts
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.ground import Standing
-from sim.autopilot.guided import GUIDED, Situation, why_no_takeoff
+from sim.autopilot.guided import GUIDED, why_no_takeoff
 from sim.autopilot.pilot import Event, Goal, Pilot
 from sim.autopilot.profiles import PX4, SimulatedProfile
 from sim.autopilot.vehicle_like import VehicleLike
-from sim.autopilot.watches import (
-    FAILSAFE_MODES,
-    HEIGHT_RANGE_M,
-    STREAM_LOST,
-    STRENGTH,
-    Action,
-    Alarm,
-    Charge,
-    Watches,
-)  # fmt: skip
+from sim.autopilot.watches import ACTION_MODES, HEIGHT_RANGE_M, STREAM_LOST, STRENGTH, Action, Alarm, Watches
 
 _ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself
 
@@ -134,7 +125,7 @@ class Flight:
             found.append("firmware is locked, restart it (command 246)")
         if not self.positioned:
             found.append("no position estimate")
-        if self.watches.battery.level >= Charge.CRITICAL:
+        if self.watches.battery.critical:
             found.append(f"battery at {100 * self.watches.battery.remaining:.0f} %")
         return found
 
@@ -194,9 +185,9 @@ class Flight:
         z, home_m = self.vehicle.estimate().position_enu_m[2], self.home_enu_m[2]
         if self.profile.guided:
             label, aim_m = self.profile.label(self.mode), self.pilot.takeoff_height_m
-            now = Situation(self.mode, label, self.vehicle.armed, self.standing, aim_m, z)
-            if (refused := why_no_takeoff(now, height_m)) is not None:
-                return refused
+            why = why_no_takeoff(self.mode, label, self.armed, self.standing, height_m, aim_m, z)
+            if why is not None:
+                return why
         taking_off = self.mode is FlightMode.TAKEOFF
         if height_m is None:
             if taking_off:
@@ -383,7 +374,7 @@ class Flight:
         if STRENGTH.get(self.mode, Action.NONE) >= action:
             self.say(dialect.MAV_SEVERITY_CRITICAL, text)
             return
-        mode, doing = FAILSAFE_MODES[action]
+        mode, doing = ACTION_MODES[action]
         self.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {doing}")
         self._enter(mode, failsafe=True, restart=True)
 

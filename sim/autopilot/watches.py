@@ -74,7 +74,7 @@ BATTERY: Mapping[tuple[Charge, int], Action] = MappingProxyType(
 
 
 # Mode of an action, and how a text calls it.
-FAILSAFE_MODES: Mapping[Action, tuple[FlightMode, str]] = MappingProxyType(
+ACTION_MODES: Mapping[Action, tuple[FlightMode, str]] = MappingProxyType(
     {
         Action.HOLD: (FlightMode.HOLD, "holding"),
         Action.RETURN: (FlightMode.RETURN, "returning"),
@@ -136,6 +136,11 @@ class BatteryGauge:
         better = before if armed else self._judge(self.remaining - _BETTER)
         self.level = max(self._judge(self.remaining), min(before, better))
         return self.level if self.level > before else None
+
+    @property
+    def critical(self) -> bool:
+        """Whether the charge is too low to take off."""
+        return self.level >= Charge.CRITICAL
 
     def _judge(self, remaining: float) -> Charge:
         for level, name in _THRESHOLDS:

@@ -29,6 +29,13 @@ _TYPES = frozenset(
     {dialect.MAV_MISSION_TYPE_MISSION, dialect.MAV_MISSION_TYPE_FENCE, dialect.MAV_MISSION_TYPE_RALLY}
 )
 _ALL = dialect.MAV_MISSION_TYPE_ALL
+_ITEM_REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
+_ITEMS = (
+    dialect.MAVLINK_MSG_ID_MISSION_ITEM,
+    dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+    dialect.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST,
+)
 _REFUSED_SETPOINTS = {
     dialect.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: "attitude",
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: "global position",
@@ -52,12 +59,7 @@ class Services:
             m.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _mission_list,
             m.MAVLINK_MSG_ID_MISSION_COUNT: _mission_count,
             m.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _mission_clear,
-            m.MAVLINK_MSG_ID_MISSION_REQUEST: _mission_item_wanted,
-            m.MAVLINK_MSG_ID_MISSION_REQUEST_INT: _mission_item_wanted,
-            m.MAVLINK_MSG_ID_MISSION_ITEM: _mission_refused,
-            m.MAVLINK_MSG_ID_MISSION_ITEM_INT: _mission_refused,
-            m.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: _mission_refused,
-            m.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST: _mission_refused,
+            **dict.fromkeys((*_ITEM_REQUESTS, *_ITEMS), _mission_refused),
             m.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _log_list,
             m.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _file_transfer,
             **dict.fromkeys(_REFUSED_SETPOINTS, self._refuse_setpoint),
@@ -155,16 +157,12 @@ def _mission_clear(message: Any, sender: Sender, now_s: float) -> list[Message]:
     return _ack(message, sender, dialect.MAV_MISSION_ACCEPTED if known else dialect.MAV_MISSION_UNSUPPORTED)
 
 
-def _mission_item_wanted(message: Any, sender: Sender, now_s: float) -> list[Message]:
-    """MISSION_REQUEST, MISSION_REQUEST_INT: there is no such item."""
-    del now_s
-    return _ack(message, sender, dialect.MAV_MISSION_INVALID_SEQUENCE)
-
-
 def _mission_refused(message: Any, sender: Sender, now_s: float) -> list[Message]:
-    """Items nobody asked for, and parts of a mission."""
+    """Items: none can be read, and none was asked for."""
     del now_s
-    return _ack(message, sender, dialect.MAV_MISSION_UNSUPPORTED)
+    wanted = message.get_msgId() in _ITEM_REQUESTS
+    result = dialect.MAV_MISSION_INVALID_SEQUENCE if wanted else dialect.MAV_MISSION_UNSUPPORTED
+    return _ack(message, sender, result)
 
 
 def _log_list(message: Any, sender: Sender, now_s: float) -> list[Message]:
