@@ -7,7 +7,7 @@ Pure: no socket, no clock, no randomness. Behaviour follows PX4 1.16 (``Commande
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, Generic
 
@@ -39,7 +39,7 @@ _BROADCAST = frozenset(  # the only commands PX4 obeys when sent to system 0
 _NOTHING: frozenset[int] = frozenset()
 
 
-class Server(Generic[V]):
+class Server(ABC, Generic[V]):
     """One autopilot on the wire; a subclass adds what is its vehicle's own.
 
     Attributes:
@@ -81,8 +81,8 @@ class Server(Generic[V]):
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
         }
         self.messages = frozenset(requestable)
-        self.vehicle_commands = VehicleCommands(vehicle, profile, self.streams, requestable, self.snapshot)
-        table: dict[int, Entry] = {**self.vehicle_commands.table, **self.own_commands()}
+        common = VehicleCommands(vehicle, profile, self.streams, requestable, self.snapshot)
+        table: dict[int, Entry] = {**common.table, **self.own_commands()}
         self.commands = Commands(table, vehicle.texts, vehicle.forbids, profile)
         self._handlers: dict[int, Handler] = {
             dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self.on_setpoint,
