@@ -25,7 +25,7 @@ from flightstack.launch.vehicles import (
 from flightstack.onboard.recording import describe, log_in, new_folder
 from flightstack.verify.certificate import problems
 from sim.autopilot.geo import ORIGIN_WGS84
-from sim.autopilot.personality import PERSONALITIES
+from sim.autopilot.profiles import PROFILES
 from sim.scenarios.scenario import Scenario, path_of
 from sim.scenarios.scenario import load as load_scenario
 
@@ -54,7 +54,7 @@ def prepare(options: RunOptions) -> Scenario:
         scenario = replace(scenario, onboard=_begun_as(scenario, load_config(path_of_config(name))))
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)
-    if PERSONALITIES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
+    if PROFILES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
         there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
         scenario = replace(scenario, onboard=replace(scenario.onboard, vehicle=there))
     if options.duration_s is not None:

@@ -19,7 +19,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
 from sim.autopilot.geo import ORIGIN_WGS84
-from sim.autopilot.personality import PERSONALITIES, PX4
+from sim.autopilot.profiles import PROFILES, PX4
 from sim.plant import params
 from sim.px4.airframe import SAFE_PARAMETERS, parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
@@ -79,7 +79,7 @@ class OwnVehicle:
         """Start it; see ``Vehicle.start``."""
         lockstep = ["--lockstep"] if options.lockstep else []
         key = ["--signing-key", str(options.signing_key)] if options.signing_key is not None else []
-        values = PERSONALITIES[options.personality].set_before_flight
+        values = PROFILES[options.personality].set_before_flight
         child = launcher.start(
             "vehicle", *common_words(launcher, options), *lockstep, *key,
             "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),

@@ -15,8 +15,8 @@ from contextlib import closing
 from dataclasses import replace
 
 from bridge.mavlink.endpoint import Endpoint
-from sim.autopilot.modes import FlightMode
-from sim.autopilot.server.server import COMPONENT_ID, SYSTEM_ID, Autopilot
+from bridge.mavlink.server.profile import FlightMode
+from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.scenarios.scenario import Scenario, VelocityLoop, load
 from sim.vehicle.vehicle import VehicleSim, warm_up
 from tests.benchmarks.vehicle import process_speed

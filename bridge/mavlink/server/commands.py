@@ -1,8 +1,9 @@
-"""MAVLink commands of the simulated autopilot: COMMAND_LONG and COMMAND_INT in, acknowledgement out.
+"""MAVLink commands: COMMAND_LONG and COMMAND_INT in, acknowledgement out.
 
 Every command may come again, since an acknowledgement can be lost and MAVSDK does not count its repeats:
-what is already so is ACCEPTED. A parameter that is NaN means "the default". No command takes long, so
-nothing is ever IN_PROGRESS; ACCEPTED means "valid, and being done".
+a command whose effect is there already is ACCEPTED. A parameter that is NaN means "the default". ACCEPTED
+means "valid, and being done"; nothing is ever IN_PROGRESS. Only arming may be acknowledged later, when its
+result is known.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message
-from sim.autopilot.owner import Right, Sender
-from sim.autopilot.personality import PX4, Personality
-from sim.autopilot.texts import Texts
+from bridge.mavlink.server.owner import Right, Sender
+from bridge.mavlink.server.profile import ServerProfile
+from bridge.mavlink.server.texts import Texts
+from flightstack.core.types import Vec3
 
 ACCEPTED: int = dialect.MAV_RESULT_ACCEPTED
 REJECTED: int = dialect.MAV_RESULT_TEMPORARILY_REJECTED
@@ -25,10 +27,11 @@ DENIED: int = dialect.MAV_RESULT_DENIED
 UNSUPPORTED: int = dialect.MAV_RESULT_UNSUPPORTED
 FAILED: int = dialect.MAV_RESULT_FAILED
 
+_WAITING_MAX = 8  # senders that wait for an acknowledgement
 _INT32_MAX = 2**31 - 1
 _INT_NAN = 0x7FF80000  # how a careless client's NaN looks as an integer (PX4 mavlink_receiver.cpp)
 _INT_SCALE = 1e-7  # COMMAND_INT carries degrees times 1e7
-# Frames of COMMAND_INT in which z is above sea level, or above home. COMMAND_LONG has the personality's.
+# Frames of COMMAND_INT in which z is above sea level, or above home. That of COMMAND_LONG is in the profile.
 _AMSL_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT})
 _HOME_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
 
@@ -53,6 +56,10 @@ class Command:
         """Whether param7 counts from home instead of from sea level."""
         return self.frame in _HOME_FRAMES
 
+    def local_z_m(self, height_m: float, home_enu_m: Vec3) -> float:
+        """Local height of a height in this command; local heights count from sea level."""
+        return height_m + (home_enu_m[2] if self.above_home else 0.0)
+
     @property
     def frame_known(self) -> bool:
         """Whether a place in this frame can be understood."""
@@ -60,11 +67,19 @@ class Command:
 
 
 class Answer(NamedTuple):
-    """What a command came to."""
+    """Result of a command."""
 
     result: int = ACCEPTED  # MAV_RESULT
     reason: str | None = None  # said when it was refused
     messages: tuple[Message, ...] = ()  # for the sender, after the acknowledgement
+    later: bool = False  # the result is not known yet; acknowledged by ``Commands.finish``
+
+
+class Reply(NamedTuple):
+    """An acknowledgement that comes later than its command."""
+
+    sender: Sender
+    message: Message
 
 
 def answer(reason: str | None, result: int = REJECTED) -> Answer:
@@ -117,37 +132,50 @@ class Commands:
         table: Table,
         texts: Texts,
         forbids: Callable[[Sender, Right, float], str | None],
-        personality: Personality = PX4,
+        profile: ServerProfile,
     ) -> None:
         """Set up.
 
         Args:
-            table: MAV_CMD to what is done.
-            texts: for reasons.
+            table: MAV_CMD to its handler.
+            texts: for reasons of refusals.
             forbids: why a sender may not use a right now.
-            personality: has the result of what is refused, and the frame of COMMAND_LONG.
+            profile: has the result of a refusal, and the frame of COMMAND_LONG.
         """
         self.table = table
         self._texts = texts
         self._forbids = forbids
-        self._personality = personality
+        self._profile = profile
+        self._waiting: list[tuple[int, Sender]] = []  # command and sender
 
     def run(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
-        """Run a command that is meant for us; returns the acknowledgement and what was asked for."""
-        result, reason, messages = self._run(message, sender, now_s)
-        if result == REJECTED:
-            result = self._personality.refused
+        """Run a command; returns the acknowledgement and the messages that it asked for."""
+        result, reason, messages, later = self._run(message, sender, now_s)
         if reason is not None:
             entry = self.table.get(message.command)
-            # A ground station asks for what it can use and does without: no reason to call its pilot.
+            # A ground station asks for many things and does without them: its pilot need not be told.
             question = entry is not None and entry.right is Right.ANYBODY
             severity = dialect.MAV_SEVERITY_DEBUG if question else dialect.MAV_SEVERITY_WARNING
             self._texts.refuse(reason, now_s, severity=severity)
-        ack = dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *sender)
-        return [ack, *messages]
+        if later:
+            waits = (message.command, sender)
+            if waits not in self._waiting and len(self._waiting) < _WAITING_MAX:
+                self._waiting.append(waits)
+            return []
+        return [self._acknowledge(message.command, result, sender), *messages]
+
+    def finish(self, result: int) -> list[Reply]:
+        """Acknowledge the commands whose result was not known: MAV_RESULT of all of them."""
+        waiting, self._waiting = sorted(self._waiting), []
+        return [Reply(to, self._acknowledge(number, result, to)) for number, to in waiting]
+
+    def _acknowledge(self, number: int, result: int, sender: Sender) -> Message:
+        if result == REJECTED:
+            result = self._profile.refused
+        return dialect.MAVLink_command_ack_message(number, result, 0, 0, *sender)
 
     def _run(self, message: Message, sender: Sender, now_s: float) -> Answer:
-        command = read_command(message, sender, now_s, self._personality.long_frame)
+        command = read_command(message, sender, now_s, self._profile.long_frame)
         if command is None:
             return Answer(DENIED, f"Command {message.command} denied: bad parameter")
         entry = self.table.get(command.number)
@@ -158,7 +186,7 @@ class Commands:
         if forbidden is not None:
             return Answer(REJECTED, f"Command {command.number} refused: {forbidden}")
         if entry.place and not command.frame_known:
-            # PX4 does not look at the frame, and would fly somewhere else than was meant.
+            # PX4 ignores the frame, and would fly to another place than the one meant.
             return Answer(DENIED, f"Command {command.number} denied: frame {command.frame}, only global")
         return entry.run(command)
 

@@ -1,4 +1,4 @@
-"""What the autopilot says: STATUSTEXT, bounded in number whatever comes over the network."""
+"""STATUSTEXT of a vehicle: events and reasons of refusals, bounded in number and rate."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _TOPICS_MAX = 64
 
 
 class Text(NamedTuple):
-    """Something a person should know."""
+    """A text for a person."""
 
     severity: int  # MAV_SEVERITY
     text: str
 
 
 class Texts:
-    """Texts until somebody takes them. Events are always kept, refusals only at a bounded rate.
+    """Texts that wait to be sent. Events are kept up to 64, refusals come at a bounded rate.
 
     Attributes:
         waiting: not taken yet.
@@ -39,18 +39,18 @@ class Texts:
         self._hidden = 0
 
     def say(self, severity: int, text: str) -> None:
-        """Tell of an event."""
+        """Add the text of an event."""
         if len(self.waiting) < _WAITING_MAX:
             self.waiting.append(Text(severity, text))
 
     def refuse(
         self, text: str, now_s: float, topic: str = "", severity: int = dialect.MAV_SEVERITY_WARNING
     ) -> None:
-        """Tell why something was refused, unless that was just said.
+        """Add the reason of a refusal, unless the same was said in the last second.
 
         Args:
             text: the reason.
-            now_s: simulated time.
+            now_s: time.
             topic: refusals of one topic count as the same; the text itself when left out.
             severity: MAV_SEVERITY.
         """
@@ -72,7 +72,7 @@ class Texts:
         self.say(severity, text)
 
     def take(self) -> list[Text]:
-        """What was said since the last call."""
+        """Take the texts added since the last call."""
         texts, self.waiting = self.waiting, []
         return texts
 

@@ -1,4 +1,4 @@
-"""What differs between the autopilots that the simulated vehicle can be: one table, a line each.
+"""The autopilots that the simulated vehicle plays: one server profile each.
 
 PX4 1.16 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``) and ArduCopter 4.6
 (``mode.h``, ``mode_guided.cpp``, ``GCS_Mavlink.cpp``), both also measured in their own SITL.
@@ -12,9 +12,10 @@ from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from sim.autopilot.ardupilot_parameters import ardupilot_table
-from sim.autopilot.modes import CODES, Code, FlightMode, codes, mode_from_code, why_no_mode
-from sim.autopilot.parameters import Parameter, table
+from bridge.mavlink.profiles.autopilot_version import SITL_MARK
+from bridge.mavlink.server.parameters import Parameter, Parameters
+from bridge.mavlink.server.profile import CAPABILITIES, RELEASE, Code, FlightMode, ServerProfile
+from sim.autopilot.parameters import ardupilot_parameters, px4_parameters
 
 _M = dialect
 # Hz; rates of PX4's own links, or what clients were measured to need. Missing: on request only.
@@ -36,75 +37,33 @@ DEFAULT_HZ: Mapping[int, float] = MappingProxyType(
         _M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 1.0,
     }
 )
-# The order is that of a datagram: a position counts with the attitude that came before it.
-EVERY_TICK = (_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
-_CAPABILITIES = (
-    _M.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
-    | _M.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    | _M.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
-    | _M.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
-    | _M.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+_SENSORS = (
+    _M.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | _M.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | _M.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | _M.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+    | _M.MAV_SYS_STATUS_SENSOR_BATTERY
 )
-_RELEASE = 255  # FIRMWARE_VERSION_TYPE_OFFICIAL
 
 
-@dataclass(frozen=True, slots=True)
-class Personality:
-    """One autopilot as the simulated vehicle plays it."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatedProfile(ServerProfile):
+    """A server profile, with what the simulated vehicle needs besides."""
 
-    name: str
-    autopilot: int  # MAV_AUTOPILOT
-    version: int  # AUTOPILOT_VERSION.flight_sw_version
-    capabilities: int
-    codes: Mapping[FlightMode, Code]
-    custom_mode: Callable[[Code], int]  # of HEARTBEAT
-    pair_of: Callable[[int], tuple[int, int]]  # custom_mode to what DO_SET_MODE has in param2 and param3
-    mode_of: Callable[[int, int], FlightMode | None]  # such a pair to the mode
-    why_no_mode: Callable[[int, int], str]
-    refused: int  # MAV_RESULT of what cannot be done now
     parameters: Callable[[int], tuple[Parameter, ...]]  # by system id
-    bytewise: bool  # an integer parameter travels as its bits
-    long_frame: int  # MAV_FRAME of a place in COMMAND_LONG
-    frames: Mapping[int, bool]  # of set-points; True: turned by the heading
-    # One mode takes off, follows set-points and stands still without them: its take-off wants that mode and
-    # an armed vehicle, a set-point ends it, and a wrong set-point or silence means "stop", not a fail-safe.
-    guided: bool
-    needs_origin: bool  # no position before SET_GPS_GLOBAL_ORIGIN, unless it starts in the air
-    rates_hz: Mapping[int, float] = field(default_factory=lambda: DEFAULT_HZ)
-    every_tick: tuple[int, ...] = EVERY_TICK
+    needs_origin: bool = False  # no position before SET_GPS_GLOBAL_ORIGIN, unless it starts in the air
     # parameter with the system id whose heartbeats are the ground station's; None: those of type GCS are
     station_id: str | None = None
-    data_streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # of REQUEST_DATA_STREAM
-    labels: Mapping[FlightMode, str] = field(default_factory=dict)  # of modes it calls otherwise
     # what a person sets before this stack flies it, since the default is not safe (preflight/rules.py)
     set_before_flight: Mapping[str, float] = field(default_factory=dict)
 
-    def label(self, mode: FlightMode) -> str:
-        """Name of a mode for people."""
-        return self.labels.get(mode, mode.value)
-
-    def __deepcopy__(self, memo: dict[int, object]) -> Personality:
-        """Itself: nothing of it ever changes."""
-        return self
+    def new_parameters(self, system_id: int) -> Parameters:
+        """Parameters with their defaults: those on the wire, and the simulator's own behind them."""
+        return Parameters(self.parameters(system_id), px4_parameters(system_id), bytewise=self.bytewise)
 
 
-PX4 = Personality(
-    name="px4",
-    autopilot=_M.MAV_AUTOPILOT_PX4,
-    version=1 << 24 | 16 << 16 | _RELEASE,
-    capabilities=_CAPABILITIES | _M.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE,
-    codes=CODES,
-    custom_mode=lambda code: code.custom_mode,
-    pair_of=codes,
-    mode_of=mode_from_code,
-    why_no_mode=why_no_mode,
-    refused=_M.MAV_RESULT_TEMPORARILY_REJECTED,
-    parameters=table,
-    bytewise=True,
-    long_frame=_M.MAV_FRAME_GLOBAL,
-    frames=MappingProxyType({_M.MAV_FRAME_LOCAL_NED: False, _M.MAV_FRAME_BODY_NED: True}),
-    guided=False,
-    needs_origin=False,
+PX4 = SimulatedProfile(
+    name="px4", mark=SITL_MARK, sensors=_SENSORS, rates_hz=DEFAULT_HZ, parameters=px4_parameters
 )
 
 _GUIDED = 4
@@ -146,18 +105,20 @@ _ARDUPILOT_STREAMS: dict[int, tuple[int, ...]] = {
     _M.MAV_DATA_STREAM_EXTRA3: (_M.MAVLINK_MSG_ID_BATTERY_STATUS, _M.MAVLINK_MSG_ID_SYSTEM_TIME),
 }
 
-ARDUPILOT = Personality(
+ARDUPILOT = SimulatedProfile(
     name="ardupilot",
+    mark=SITL_MARK,
+    sensors=_SENSORS,
     autopilot=_M.MAV_AUTOPILOT_ARDUPILOTMEGA,
-    version=4 << 24 | 6 << 16 | _RELEASE,
-    capabilities=_CAPABILITIES,
+    version=4 << 24 | 6 << 16 | RELEASE,
+    capabilities=CAPABILITIES,
     codes=_ARDUPILOT_CODES,
     custom_mode=lambda code: code.main,
     pair_of=lambda custom_mode: (custom_mode, 0),
-    mode_of=lambda number, _sub: _ARDUPILOT_MODES.get(number),
+    mode_of_pair=lambda number, _sub: _ARDUPILOT_MODES.get(number),
     why_no_mode=_ardupilot_why,
     refused=_M.MAV_RESULT_FAILED,
-    parameters=ardupilot_table,
+    parameters=ardupilot_parameters,
     bytewise=False,
     long_frame=_M.MAV_FRAME_GLOBAL_RELATIVE_ALT,
     frames=MappingProxyType(
@@ -191,4 +152,4 @@ ARDUPILOT = Personality(
     ),
 )
 
-PERSONALITIES: Mapping[str, Personality] = MappingProxyType({p.name: p for p in (PX4, ARDUPILOT)})
+PROFILES: Mapping[str, SimulatedProfile] = MappingProxyType({p.name: p for p in (PX4, ARDUPILOT)})

@@ -1,4 +1,4 @@
-"""Velocity set-points from the wire: what is accepted."""
+"""Velocity set-points from the wire: which are accepted."""
 
 from __future__ import annotations
 
@@ -8,16 +8,14 @@ from typing import Any, NamedTuple
 
 from bridge.frames import enu_from_ned, flu_from_frd, quaternion_from_yaw, world_from_body, yaw_enu_from_ned
 from flightstack.core.types import Vec3
-from sim.autopilot.personality import PX4
 
 SPEED_MAX_M_S = 5.0  # m/s; far above what any controller of this stack may ask for
 YAW_RATE_MAX_RAD_S = 6.0  # rad/s
 
-# POSITION_TARGET_TYPEMASK: a set bit means "ignore".
+# POSITION_TARGET_TYPEMASK: a set bit means "ignore". Bit 9 is about the acceleration, which is unused.
 _POSITION = 0b000000111
 _VELOCITY = 0b000111000
 _ACCELERATION = 0b111000000
-_FORCE = 1 << 9  # says how to read the acceleration, which is not used
 _YAW = 1 << 10
 _YAW_RATE = 1 << 11
 
@@ -27,18 +25,18 @@ class Setpoint(NamedTuple):
 
     velocity_enu_m_s: Vec3
     yaw_rad: float | None  # heading to hold; None: see the rate
-    yaw_rate_rad_s: float  # counter-clockwise; 0 holds the heading there is
+    yaw_rate_rad_s: float  # counter-clockwise; 0 holds the present heading
 
 
 def read_setpoint(
-    message: Any, yaw_rad: Callable[[], float], frames: Mapping[int, bool] = PX4.frames
+    message: Any, yaw_rad: Callable[[], float | None], frames: Mapping[int, bool]
 ) -> Setpoint | str:
-    """Turn SET_POSITION_TARGET_LOCAL_NED into a set-point, or into the reason why it is none.
+    """Turn SET_POSITION_TARGET_LOCAL_NED into a set-point, or into the reason why it is refused.
 
     Args:
-        message: the message; a body's frame is turned by the heading only (as PX4 and ArduPilot do).
-        yaw_rad: gives the present heading of the vehicle, counter-clockwise from east.
-        frames: that are known; True for a body's.
+        message: the message; a body frame is turned by the heading only (as PX4 and ArduPilot do).
+        yaw_rad: gives the present heading of the vehicle, counter-clockwise from east; None: not known.
+        frames: accepted MAV_FRAME; True for a body frame.
     """
     mask = message.type_mask
     if mask & _POSITION != _POSITION or mask & _ACCELERATION != _ACCELERATION or mask & _VELOCITY:
@@ -52,7 +50,13 @@ def read_setpoint(
     if turned is None:
         known = " or ".join(map(str, frames))
         return f"Set-point dropped: frame {message.coordinate_frame}, only {known}"
-    velocity = world_from_body(quaternion_from_yaw(yaw_rad()), flu_from_frd(v)) if turned else enu_from_ned(v)
+    if turned:
+        heading_rad = yaw_rad()
+        if heading_rad is None:
+            return "Set-point dropped: body frame, but the heading is not known"
+        velocity = world_from_body(quaternion_from_yaw(heading_rad), flu_from_frd(v))
+    else:
+        velocity = enu_from_ned(v)
     if not mask & _YAW:
         if not math.isfinite(message.yaw):
             return "Set-point dropped: yaw not finite"
@@ -62,14 +66,3 @@ def read_setpoint(
             return f"Set-point dropped: yaw rate above {YAW_RATE_MAX_RAD_S:g} rad/s"
         return Setpoint(velocity, None, -message.yaw_rate)
     return Setpoint(velocity, None, 0.0)
-
-
-def clip(velocity_enu_m_s: Vec3, xy_m_s: float, up_m_s: float, down_m_s: float) -> Vec3:
-    """Shorten a velocity to the vehicle's limits; the direction over ground stays."""
-    x, y, z = velocity_enu_m_s
-    if x * x + y * y <= xy_m_s * xy_m_s and -down_m_s <= z <= up_m_s:
-        return velocity_enu_m_s
-    speed_m_s = math.hypot(x, y)
-    if speed_m_s > xy_m_s:
-        x, y = x * xy_m_s / speed_m_s, y * xy_m_s / speed_m_s
-    return (x, y, min(max(z, -down_m_s), up_m_s))

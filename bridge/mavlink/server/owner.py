@@ -1,7 +1,7 @@
-"""Who may say what: one sender at a time has control, and only few things may be done over its head.
+"""Control of the vehicle: one sender of set-points has it, and few commands of other senders are obeyed.
 
 PX4 obeys whoever spoke last. Here a vehicle that is flown by a stream of set-points belongs to the sender of
-that stream; a second companion, a forgotten script or a stranger cannot take it over in flight.
+that stream: a second companion, a forgotten script or a stranger cannot take it over in flight.
 """
 
 from __future__ import annotations
@@ -16,22 +16,31 @@ GROUND_STATIONS = frozenset({255, 245})
 
 
 class Right(Enum):
-    """Who may do it while somebody has control."""
+    """Which senders may do something while one of them has control."""
 
-    ANYBODY = "anybody"  # changes nothing, or makes it safer: questions, telemetry, landing
+    ANYBODY = "anybody"  # changes nothing, or makes the vehicle safer: questions, telemetry, landing
     OWNER = "owner"  # changes what the vehicle does
     OWNER_OR_GROUND = "owner or ground station"  # motors off in an emergency
 
 
 class ControlOwner:
-    """One sender of set-points at a time; it keeps control until it has been silent for a while."""
+    """The sender that has control; it loses control when its set-points stop."""
 
     def __init__(self) -> None:
         self._owner: Sender | None = None
         self._heard_s = -math.inf
 
     def admit(self, sender: Sender, now_s: float, silence_s: float) -> str | None:
-        """Whether a valid set-point of this sender counts; the reason if not."""
+        """Give control to the sender of a valid set-point, if no other sender has it.
+
+        Args:
+            sender: of the set-point.
+            now_s: time.
+            silence_s: time without set-points after which control is free.
+
+        Returns:
+            The reason when another sender has control, else None.
+        """
         if sender != self._owner and self._owner is not None and now_s - self._heard_s <= silence_s:
             return f"Set-point dropped: {_name(self._owner)} has control"
         self._owner, self._heard_s = sender, now_s
@@ -48,7 +57,7 @@ class ControlOwner:
         return f"{_name(self._owner)} has control"
 
     def release(self) -> None:
-        """Free for anybody, for example after disarming."""
+        """Make control free, for example after disarming."""
         self._owner = None
 
 
