@@ -14,8 +14,7 @@ from rich.text import Text
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import FilterStatus, Landed, Mode, Phase
 from flightstack.watch.state import News, Watch
-from logs.schema.codec import ControllerStepRow, LoopTimingRow
-from logs.schema.codec_health import HealthRow
+from logs.schema.rows import ControllerStepRow, HealthRow, LoopTimingRow
 
 REFRESH_HZ = 8.0
 _STYLE = {

@@ -14,8 +14,7 @@ from enum import Enum
 from typing import Any
 
 from bridge.zenoh import zenoh_link
-from logs.schema.codec import ControllerStepRow, LoopTimingRow, unpack_controller_step, unpack_loop_timing
-from logs.schema.codec_health import HealthRow, unpack_health
+from logs.schema.rows import ControllerStepRow, HealthRow, LoopTimingRow
 
 STALE_S = 1.0  # s; the slowest of the keys comes every 0.2 s
 _TIMINGS = 20  # a second of them, for the mean period
@@ -79,17 +78,17 @@ class Watch:
         """Take what has come."""
         self.new_steps, self.new_timings = [], []
         for payload in self._payloads("controller/step"):
-            step = self._decode(unpack_controller_step, payload)
+            step = self._decode(ControllerStepRow.unpack, payload)
             if step is not None and (self.step is None or step.tick != self.step.tick):
                 self.step, self._step_s = step, self._clock()
                 self.new_steps.append(step)
         for payload in self._payloads("loop/timing"):
-            timing = self._decode(unpack_loop_timing, payload)
+            timing = self._decode(LoopTimingRow.unpack, payload)
             if timing is not None:
                 self.timings.append(timing)
                 self.new_timings.append(timing)
         for payload in self._payloads("health"):
-            health = self._decode(unpack_health, payload)
+            health = self._decode(HealthRow.unpack, payload)
             if health is not None and (self.health is None or health.tick != self.health.tick):
                 self.health, self._health_s = health, self._clock()
 

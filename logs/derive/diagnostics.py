@@ -7,14 +7,13 @@ wall-clock measurements, so two runs of one seed differ here.
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from logs.schema.codec import CDR_HEADER, ControllerStepRow, LoopTimingRow
-from logs.schema.codec_build import align, string
+from logs.schema.cdr import packer
 from logs.schema.codec_mavlink import PEER_CHARACTERS
+from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import DIAGNOSTIC_ARRAY
 
 TOPIC = "/diagnostics"
@@ -23,7 +22,6 @@ FILTER_BAD = 3  # ControllerStep: FILTER_INFEASIBLE and what is worse
 LATE_S = 0.002  # a tick later than this after its deadline, a fifth of 10 ms, is worth a look
 LOST_MAX = 0.02  # share of frames the vehicle numbered and nobody heard
 SENDERS_MAX = 256  # of which sequence numbers are followed
-_NS = 1_000_000_000
 
 
 class Level(IntEnum):
@@ -197,18 +195,6 @@ def _n(value: float) -> str:
 
 
 def pack_diagnostics(stamp_ns: int, hardware: str, statuses: Sequence[Status]) -> bytes:
-    """Return a ``diagnostic_msgs/msg/DiagnosticArray`` in CDR."""
-    out = bytearray(struct.pack("<iI", *divmod(stamp_ns, _NS)))
-    string(out, "")  # frame_id
-    align(out, 4)
-    out += struct.pack("<I", len(statuses))
-    for status in statuses:
-        out.append(status.level)
-        for text in (status.name, status.message, hardware):
-            string(out, text)
-        align(out, 4)
-        out += struct.pack("<I", len(status.values))
-        for pair in status.values.items():
-            for text in pair:
-                string(out, text)
-    return CDR_HEADER + bytes(out)
+    """Return a ``diagnostic_msgs/msg/DiagnosticArray`` as CDR."""
+    array = [(s.level, s.name, s.message, hardware, tuple(s.values.items())) for s in statuses]
+    return packer(DIAGNOSTIC_ARRAY, frame_id="")((stamp_ns, array))

@@ -17,43 +17,15 @@ from numpy.typing import NDArray
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Phase, Vec3
+from logs.schema.rows import ControllerStepColumns, LoopTimingColumns, TrueStateColumns
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class Steps:
+class Steps(ControllerStepColumns):
     """Controller steps, n of them; vectors are (n, 3). Fields as in ``ControllerStep.msg``."""
-
-    t_s: Floats
-    tick: Ints
-    phase: Ints
-    filter_status: Ints
-    gate: Ints
-    setpoint_sent: Bools
-    barrier_active: Bools
-    own_valid: Bools
-    target_valid: Bools
-    own_age_s: Floats
-    target_age_s: Floats
-    own_position_enu_m: Floats
-    own_velocity_enu_m_s: Floats
-    target_position_enu_m: Floats
-    target_velocity_enu_m_s: Floats
-    h_m: Floats
-    gradient: Floats
-    dh_dt_m_s: Floats
-    nominal_enu_m_s: Floats
-    filtered_enu_m_s: Floats
-    command_enu_m_s: Floats
-    slack_m_s: Floats
-    iterations: Ints
-    target_accepted: Ints
-    target_rejected: Ints
-    link_valid: Bools
-    wanted_enu_m_s: Floats
 
     @cached_property
     def both_valid(self) -> Bools:
@@ -80,27 +52,8 @@ class Steps:
         return np.where(self.both_valid[:, None], velocity_m_s, np.nan)
 
 
-@dataclass(frozen=True)
-class Truth:
+class Truth(TrueStateColumns):
     """The simulator's true states, n of them; vectors are (n, 3). Fields as in ``TrueState.msg``."""
-
-    t_s: Floats
-    tick: Ints
-    position_enu_m: Floats
-    velocity_enu_m_s: Floats
-    orientation: Floats  # (n, 4) x, y, z, w; body FLU to world ENU
-    pad_position_enu_m: Floats
-    pad_velocity_enu_m_s: Floats
-    pad_yaw_rad: Floats
-    h_m: Floats
-    h_min_m: Floats
-    h_min_outside_pad_m: Floats
-    contacts: Ints
-    first_touch_relative_position_enu_m: Floats
-    first_touch_relative_velocity_enu_m_s: Floats
-    first_touch_time_s: Floats
-    motors_running: Bools
-    battery_v: Floats
 
     @cached_property
     def e_m(self) -> Floats:
@@ -122,18 +75,8 @@ class Truth:
         return self.velocity_enu_m_s - self.pad_velocity_enu_m_s - carried
 
 
-@dataclass(frozen=True)
-class Timing:
+class Timing(LoopTimingColumns):
     """Wall-clock behaviour of the loop, n ticks. Fields as in ``LoopTiming.msg``, seconds."""
-
-    t_s: Floats
-    tick: Ints
-    period_s: Floats
-    lateness_s: Floats
-    exec_s: Floats
-    solve_s: Floats
-    overruns: Ints
-    feed_dropped: Ints
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from logs.derive.derive_recorder import Derive, Derivers
 from logs.recorder.feed_wire import Kind, Record
 from logs.recorder.mcap_file import McapFile
-from logs.schema.codec_log import Severity, pack_log
+from logs.schema.events import Severity, pack_log
 from logs.schema.schemas import LOG, UnknownSchemaError
 
 # A chunk holds no more log time than this: in lockstep that runs faster than the wall clock.

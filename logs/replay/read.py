@@ -14,11 +14,10 @@ from pathlib import Path
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from logs.reader.reader import LogError, LogFile
-from logs.schema.codec_input import ControllerInputRow, ControllerStateRow
-from logs.schema.codec_input import unpack_controller_input as unpack_input
-from logs.schema.codec_input import unpack_controller_state as unpack_state
-from logs.schema.codec_log import CONTROLLER, ONBOARD, LogRow, unpack_log
 from logs.schema.codec_mavlink import unpack_mavlink
+from logs.schema.controller_rows import TickInputs, unpack_controller_input
+from logs.schema.events import CONTROLLER, ONBOARD
+from logs.schema.rows import ControllerStateRow, LogRow
 from logs.schema.schemas import CONTROLLER_INPUT
 
 CONFIG = "onboard.toml"  # attachment
@@ -46,7 +45,7 @@ class TickRecord:
     """
 
     unix_ns: int
-    given: ControllerInputRow | None = None
+    given: TickInputs | None = None
     step: bytes | None = None
     state: ControllerStateRow | None = None
     events: list[LogRow] = field(default_factory=list)
@@ -130,7 +129,7 @@ class FlightInputs:
         for message in self.log.messages({given, step, state, odometry, SOURCE, SINK, ROSOUT}):
             topic, data = message.topic, message.data
             try:
-                said = unpack_log(data) if topic == ROSOUT else None
+                said = LogRow.unpack(data) if topic == ROSOUT else None
                 if said is not None and said.name not in (ONBOARD, CONTROLLER):
                     continue
                 if tick is None or message.log_time_ns != tick.unix_ns:
@@ -142,11 +141,11 @@ class FlightInputs:
                 if said is not None:
                     (tick.events if said.name == CONTROLLER else tick.said).append(said)
                 elif topic == given:
-                    tick.given = unpack_input(data)
+                    tick.given = unpack_controller_input(data)
                 elif topic == step:
                     tick.step = data
                 elif topic == state:
-                    snapshot = unpack_state(data)
+                    snapshot = ControllerStateRow.unpack(data)
                     if (
                         snapshot.stamp_ns == tick.unix_ns
                     ):  # else an older one, given again where a log was cut

@@ -10,7 +10,7 @@ import numpy as np
 from logs.reader.flight_data import Bools, Flight, Floats, phase_name
 from logs.report.faults import fault_spans
 from logs.report.links import Stream
-from logs.schema.codec_log import Severity
+from logs.schema.events import Severity
 from logs.verdict.types import ESTIMATE, SOURCES, Outcome, Verdict
 
 _SAME_TICK_S = 0.011  # an event of the tick in which a phase began

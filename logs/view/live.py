@@ -13,8 +13,8 @@ import rerun as rr
 
 from flightstack.common.processes import END_TIME_MAX_S, Port
 from flightstack.core.types import Phase
-from logs.schema.codec import ControllerStepRow, LoopTimingRow
-from logs.schema.codec_log import CONTROLLER, LogRow, Severity
+from logs.schema.events import CONTROLLER, Severity
+from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow
 from logs.view.blueprint import blueprint
 from logs.view.canvas import Canvas
 from logs.view.read import Seen
@@ -128,7 +128,7 @@ class LiveRecording:
                 events.append((row.stamp_ns, LogRow(row.stamp_ns, level, CONTROLLER, name, "", "", 0)))
         if events and reason:
             at_ns, last = events[-1]
-            events[-1] = (at_ns, last._replace(message=f"{last.message}: {reason}"))
+            events[-1] = (at_ns, last._replace(msg=f"{last.msg}: {reason}"))
         return events
 
 

@@ -80,7 +80,7 @@ def truth(canvas: Canvas, seen: Seen) -> None:
         return
     scene = [seen.truths[i] for i in every(seen.truths, SCENE_PERIOD_NS)]
     moved = rr.Transform3D.columns(
-        translation=column(scene, "position_enu_m"), quaternion=column(scene, "orientation_xyzw")
+        translation=column(scene, "position_enu_m"), quaternion=column(scene, "orientation")
     )
     canvas.columns(f"{WORLD}/true_vehicle", times(scene), moved)
     body = rr.Boxes3D(half_sizes=[BODY_HALF_M], colors=[rgba(TRUE_COLOR)])

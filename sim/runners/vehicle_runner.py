@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Endpoint, Received
-from logs.schema.codec import Severity
+from logs.schema.events import Severity
 from sim.autopilot.modes import FlightMode
 from sim.autopilot.server.server import Autopilot
 from sim.plant.vehicle_types import Truth

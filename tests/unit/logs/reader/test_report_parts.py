@@ -103,7 +103,7 @@ def test_without_true_states_there_are_no_errors_and_no_tilt(written):
 
 def test_tilt_is_the_angle_to_the_vertical(written):
     rows, half = landing(), math.radians(10.0)
-    rows.truth = [r._replace(orientation_xyzw=(math.sin(half), 0.0, 0.0, math.cos(half))) for r in rows.truth]
+    rows.truth = [r._replace(orientation=(math.sin(half), 0.0, 0.0, math.cos(half))) for r in rows.truth]
     np.testing.assert_allclose(tilt_deg(written(rows)), 20.0, atol=1e-6)
 
 

@@ -17,8 +17,7 @@ from flightstack.core.parameters.flight import FilterKind
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import Operator, TargetSample
 from flightstack.onboard.state_text import StateText, StateTextError
-from logs.schema.codec import pack_controller_step
-from logs.schema.step_row import step_row
+from logs.schema.controller_rows import step_row
 from tests.point_mass import World, each_sample
 from tests.unit.config.test_bad_input import TARGET_FAULTS
 from tests.unit.logs.replay.replay_helpers import CONFIG
@@ -69,7 +68,7 @@ FAULTS = {
 
 def step_bytes(tick, now_s, out):
     events = tuple(out.events)
-    return pack_controller_step(step_row(Tick(tick, now_s, tick, 0.0, 0.0), out)), events
+    return step_row(Tick(tick, now_s, tick, 0.0, 0.0), out).pack(), events
 
 
 @settings(max_examples=25, deadline=None)
