@@ -60,6 +60,7 @@ class LiveRos2:
         self._derive = Deriver(space + STEP_SUFFIX)
         self._derived = {space + name: self._publisher(space + name, kind) for name, kind in _DERIVED.items()}
         self._derived["/tf"] = self._publisher("/tf", TF_MESSAGE)
+        self._pack_float = packer(FLOAT64)
         self._h = self._publisher(space + "/h", FLOAT64)
         self._phase = self._publisher(space + "/phase", STRING)
         self._step = self._publisher(space + STEP_SUFFIX, CONTROLLER_STEP)
@@ -84,7 +85,7 @@ class LiveRos2:
             self._health.put(health, now_ns)
         if tick.number % self._every == 0 or out.finished:
             h_m = out.barrier.h_m if out.barrier is not None else math.nan
-            self._h.put(packer(FLOAT64)((h_m,)), now_ns)
+            self._h.put(self._pack_float((h_m,)), now_ns)
             self._phase.put(pack_string(out.phase.name), now_ns)
             self._step.put(step.pack(), now_ns)
 

@@ -55,6 +55,9 @@ class Deriver:
         self._markers = space + "/cbf/markers"
         self._run_topic, self._run_text = space + "/run", b""
         self._health = health
+        # made here, since the first of a type takes milliseconds
+        self._pack_tf, self._pack_odometry = packer(TF_MESSAGE), packer(ODOMETRY)
+        self._pack_pose, self._pack_twist = packer(POSE_STAMPED), packer(TWIST_STAMPED)
         self._scene = Scene(self._base)
         self._slots: dict[int, int] = {}
 
@@ -80,7 +83,9 @@ class Deriver:
         stamp_ns = row.stamp_ns
         made: list[Derived] = []
         if self._due(STATIC_PERIOD_NS, log_time_ns):
-            made.append(("/tf_static", *_transforms(stamp_ns, [("map_ned", ZERO, _NED_IN_ENU)])))
+            made.append(
+                ("/tf_static", TF_MESSAGE, self._transforms(stamp_ns, [("map_ned", ZERO, _NED_IN_ENU)]))
+            )
             if self._run_text:
                 made.append((self._run_topic, STRING, self._run_text))
         own = row.own_position_enu_m, _heading(row.own_yaw_rad)
@@ -89,25 +94,29 @@ class Deriver:
         if row.target_valid:
             shown += [("target", *target), ("target_pad", row.target_position_enu_m, _NO_ROTATION)]
         if shown:
-            made.append(("/tf", *_transforms(stamp_ns, shown)))
+            made.append(("/tf", TF_MESSAGE, self._transforms(stamp_ns, shown)))
         if row.own_valid:
-            made.append((self._pose, POSE_STAMPED, packer(POSE_STAMPED)((stamp_ns, own))))
+            made.append((self._pose, POSE_STAMPED, self._pack_pose((stamp_ns, own))))
             # The turn rates are not part of a controller step.
             twist = (_body_velocity(row), ZERO)
             odometry = (stamp_ns, self._base, (own, NO_COVARIANCE), (twist, NO_COVARIANCE))
-            made.append((self._odom, ODOMETRY, packer(ODOMETRY)(odometry)))
+            made.append((self._odom, ODOMETRY, self._pack_odometry(odometry)))
         if row.target_valid:
-            made.append((self._target_pose, POSE_STAMPED, packer(POSE_STAMPED)((stamp_ns, target))))
+            made.append((self._target_pose, POSE_STAMPED, self._pack_pose((stamp_ns, target))))
         velocities = [(self._nominal, row.nominal_enu_m_s), (self._filtered, row.filtered_enu_m_s)]
         if row.setpoint_sent:
             velocities.append((self._command, row.command_enu_m_s))
         for topic, velocity_enu_m_s in velocities:
             twist = (velocity_enu_m_s, ZERO)
-            made.append((topic, TWIST_STAMPED, packer(TWIST_STAMPED)((stamp_ns, twist))))
+            made.append((topic, TWIST_STAMPED, self._pack_twist((stamp_ns, twist))))
         self._scene.add(log_time_ns, row)
         if self._due(MARKER_PERIOD_NS, log_time_ns):
             made.append((self._markers, MARKER_ARRAY, self._scene.pack(row)))
         return made
+
+    def _transforms(self, stamp_ns: int, children: Sequence[tuple[str, Vec3, Vec4]]) -> bytes:
+        """Transforms of children of ``map``: name, position, orientation x, y, z, w."""
+        return self._pack_tf(([(stamp_ns, name, (position_m, turn)) for name, position_m, turn in children],))
 
     def _due(self, period_ns: int, log_time_ns: int) -> bool:
         slot = log_time_ns // period_ns
@@ -126,9 +135,3 @@ def _body_velocity(row: ControllerStepRow) -> Vec3:
     x, y, z = row.own_velocity_enu_m_s
     cos_yaw, sin_yaw = math.cos(row.own_yaw_rad), math.sin(row.own_yaw_rad)
     return (cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z)
-
-
-def _transforms(stamp_ns: int, children: Sequence[tuple[str, Vec3, Vec4]]) -> tuple[str, bytes]:
-    """Schema and CDR of the transforms of children of ``map``: name, position, orientation x, y, z, w."""
-    transforms = [(stamp_ns, name, (position_m, rotation)) for name, position_m, rotation in children]
-    return TF_MESSAGE, packer(TF_MESSAGE)((transforms,))

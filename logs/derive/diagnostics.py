@@ -77,6 +77,7 @@ class Health:
         self._steps: list[ControllerStepRow] = []
         self._timings: list[LoopTimingRow] = []
         self._slot: int | None = None
+        self._pack = packer(DIAGNOSTIC_ARRAY, frame_id="")
         self._accepted = self._rejected = self._overruns = self._dropped = 0
         self.incoming, self.outgoing = FrameCounter(), FrameCounter()
 
@@ -101,7 +102,8 @@ class Health:
         statuses = self._statuses()
         self._steps.clear()
         self._timings.clear()
-        return [(TOPIC, DIAGNOSTIC_ARRAY, pack_diagnostics(log_time_ns, self._name, statuses))]
+        array = [(s.level, s.name, s.message, self._name, tuple(s.values.items())) for s in statuses]
+        return [(TOPIC, DIAGNOSTIC_ARRAY, self._pack((log_time_ns, array)))]
 
     def _statuses(self) -> list[Status]:
         steps, name = self._steps, self._name
@@ -192,9 +194,3 @@ def _worst(values: Any) -> float:
 
 def _n(value: float) -> str:
     return f"{value:.6g}"
-
-
-def pack_diagnostics(stamp_ns: int, hardware: str, statuses: Sequence[Status]) -> bytes:
-    """Return a ``diagnostic_msgs/msg/DiagnosticArray`` as CDR."""
-    array = [(s.level, s.name, s.message, hardware, tuple(s.values.items())) for s in statuses]
-    return packer(DIAGNOSTIC_ARRAY, frame_id="")((stamp_ns, array))

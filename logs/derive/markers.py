@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from flightstack.core.safety.barrier import Barrier
@@ -94,6 +94,7 @@ class Scene:
         self._target_path = Path()
         self._surface: Marker | None = None
         self._pad = _pad(PAD_RADIUS_M)
+        self._pack = packer(MARKER_ARRAY, frame_id=None)
 
     def configure(self, run: Mapping[str, str]) -> None:
         """Take barrier and pad from the metadata of the run; without them there is no surface.
@@ -131,7 +132,7 @@ class Scene:
             for number, (velocity_m_s, color) in enumerate(arrows):
                 if math.isfinite(sum(velocity_m_s)):  # else the filter did not run, or nothing was sent
                     markers.append(_arrow(number, row.own_position_enu_m, velocity_m_s, color))
-        return pack_markers(row.stamp_ns, [marker for marker in markers if marker is not None])
+        return self._pack(([_values(row.stamp_ns, marker) for marker in markers if marker is not None],))
 
 
 def surface(barrier: Barrier) -> bytes:
@@ -162,18 +163,14 @@ def surface(barrier: Barrier) -> bytes:
     return struct.pack(f"<{len(corners)}d", *corners)
 
 
-def pack_markers(stamp_ns: int, markers: Sequence[Marker]) -> bytes:
-    """Return a ``visualization_msgs/msg/MarkerArray`` as CDR."""
-    array = [
-        (
-            (stamp_ns, marker.frame_id), marker.ns, marker.number, marker.kind, _ADD,
-            (marker.position, _NO_ROTATION), marker.scale, marker.color, _LIFETIME_NS,
-            True,  # frame_locked: the viewer moves the picture with its frame between two of ours
-            marker.points, *_NO_COLORS_TEXTURE_AND_MESH,
-        )
-        for marker in markers
-    ]  # fmt: skip
-    return packer(MARKER_ARRAY, frame_id=None)((array,))
+def _values(stamp_ns: int, marker: Marker) -> tuple[object, ...]:
+    """Values of a ``visualization_msgs/msg/Marker``."""
+    return (
+        (stamp_ns, marker.frame_id), marker.ns, marker.number, marker.kind, _ADD,
+        (marker.position, _NO_ROTATION), marker.scale, marker.color, _LIFETIME_NS,
+        True,  # frame_locked: the viewer moves the picture with its frame between two of ours
+        marker.points, *_NO_COLORS_TEXTURE_AND_MESH,
+    )  # fmt: skip
 
 
 def _pad(radius_m: float) -> Marker:

@@ -64,7 +64,10 @@ def codec(
     compiler = _Compiler(frame_id)
     names = compiler.message(schema, "row")
     compiler.flush()
-    pack = ["def pack(row):", *compiler.pack, "    return out"]
+    pack = ["def pack(row):", *compiler.pack, f"    return {'bytes(out)' if compiler.large else 'out'}"]
+    if compiler.large:
+        first = next(n for n, line in enumerate(pack) if line.startswith("    out = "))
+        pack.insert(first + 1, "    out = bytearray(out)")
     unpack = [
         "def unpack(data):",
         "    try:",
@@ -95,6 +98,7 @@ class _Compiler:
         self.pack: list[str] = []
         self.unpack: list[str] = []
         self.constants: dict[str, Any] = {}
+        self.large = False  # has sequences of numbers: a bytearray then grows faster than bytes
         self._frame = None if frame_id is None else frame_id.encode() + b"\x00"
         self._indent = "    "
         self._at: int | None = 0  # bytes from the start of the payload; None: known only at run time
@@ -178,7 +182,7 @@ class _Compiler:
 
     def _sequence(self, kind: str, numbers: list[str], v: str) -> None:
         if numbers:
-            size = struct.calcsize("<" + numbers[0])
+            self.large, size = True, struct.calcsize("<" + numbers[0])
             self._run("I", f"len({v}) // {size * len(numbers)}", [f"{v}_count"])
             self._grow(f"bytes((4 - len(out)) % {size}) + {v} if {v} else b''")  # no element, no padding
             self._line(self.unpack, f"at += (4 - at) % {size} if {v}_count else 0")

@@ -22,14 +22,52 @@ vehicle's own estimate; ``judged_from`` says which.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 from logs.reader.flight_data import Flight
 from logs.verdict.estimate import judge_estimate
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Outcome, Verdict
 
-__all__ = ["Outcome", "Verdict", "judge"]
+__all__ = ["Outcome", "Verdict", "judge", "verdict_result"]
 
 
 def judge(flight: Flight) -> Verdict:
     """Judge a flight by its true states, or by the estimate if the log has none."""
     return judge_estimate(flight) if flight.truth is None else judge_truth(flight, flight.truth)
+
+
+def verdict_result(
+    flight: Flight,
+    verdict: Verdict,
+    report: Path | None = None,
+    about: Mapping[str, object] | None = None,
+    realtime_factor: float | None = None,
+) -> dict[str, Any]:
+    """Return the result of a flight as plain values for JSON: the keys of ``flightstack sitl --json``.
+
+    Args:
+        flight: the log.
+        verdict: on it.
+        report: its page, if one was written.
+        about: what was flown; default: what the log says, ``None`` where it says nothing.
+        realtime_factor: stack time over wall time, known to the launcher of the processes.
+    """
+    if about is None:
+        run = flight.metadata.get("run", {})
+        seed = run.get("seed", "")
+        filter_flown = flight.config.filter.value if flight.config is not None else None
+        about = {
+            "scenario": run.get("scenario"),
+            "seed": int(seed) if seed.isdigit() else None,
+            "filter": run.get("filter", filter_flown),
+        }
+    return {
+        **about,
+        **verdict.to_json_dict(),
+        "realtime_factor": realtime_factor,
+        "log": str(flight.path),
+        "report": str(report) if report is not None else None,
+    }

@@ -59,8 +59,7 @@ def verdict(log_file: Path, as_json: bool) -> None:
     Exit status: 0 landed, 1 anything else that flew, 2 the LOG cannot be read.
     """
     from logs.reader.flight import load_flight
-    from logs.verdict.result import verdict_result
-    from logs.verdict.verdict import judge
+    from logs.verdict.verdict import judge, verdict_result
 
     flight = load_flight(log_file)
     values = verdict_result(flight, judge(flight))
