@@ -66,7 +66,7 @@ class Deriver:
 
         Args:
             run: metadata of the run; empty for a real flight.
-            shape: barrier and pad where the run does not name them (``flight_config.shape``).
+            shape: barrier and pad where the run does not name them (``flight_data.shape``).
 
         Raises:
             ValueError: A shape that is not a number.

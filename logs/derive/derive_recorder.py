@@ -9,7 +9,7 @@ from flightstack.common.strict_toml import ConfigError
 from logs.derive.derive import STEP_SUFFIX, Derived, Deriver
 from logs.derive.diagnostics import FrameCounter, Health
 from logs.derive.mavlink_decoded import FrameDecoder
-from logs.reader.flight_config import ATTACHMENT, read_config, shape
+from logs.reader.flight_data import ATTACHMENT, read_config, shape
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import CONTROLLER_STEP, LOOP_TIMING, MAVLINK
 

@@ -17,8 +17,16 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
-from logs.reader.flight_config import ATTACHMENT, read_config
-from logs.reader.flight_data import Event, Flight, Steps, TargetOdometry, Timing, Truth
+from logs.reader.flight_data import (
+    ATTACHMENT,
+    Event,
+    Flight,
+    Steps,
+    TargetOdometry,
+    Timing,
+    Truth,
+    read_config,
+)
 from logs.reader.flight_decode import columns
 from logs.reader.reader import LogError, LogFile, Message
 from logs.schema.rows import LogRow

@@ -7,6 +7,7 @@ number that was not known at a tick is NaN; nothing is ever filled with zeros.
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Phase, Vec3
@@ -22,6 +24,7 @@ from logs.schema.rows import ControllerStepColumns, LoopTimingColumns, TrueState
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+ATTACHMENT = "onboard.toml"  # name in the log
 
 
 class Steps(ControllerStepColumns):
@@ -181,3 +184,25 @@ def _rate(values: Floats, t_s: Floats) -> Floats:
         return np.full(len(t_s), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.gradient(values, t_s)
+
+
+def read_config(data: bytes) -> FlightConfig:
+    """Read the attachment.
+
+    Raises:
+        ConfigError: not a configuration of this version.
+    """
+    try:
+        return from_table(FlightConfig, tomllib.loads(data.decode()))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"not TOML: {error}") from error
+
+
+def shape(config: FlightConfig) -> dict[str, str]:
+    """Barrier and pad under the names that the metadata of a simulated run have, m and 1/m."""
+    barrier = config.barrier.build()
+    return {
+        "barrier_alpha_1_m": repr(barrier.alpha_1_m),
+        "barrier_beta_m": repr(barrier.beta_m),
+        "pad_radius_m": repr(config.touchdown.pad_radius_m),
+    }

@@ -11,8 +11,7 @@ import numpy as np
 from flightstack.common.strict_toml import to_table
 from logs.reader.flight import load_flight
 from logs.reader.flight_data import Flight, Floats
-from logs.report.derived import Side, estimate_errors
-from logs.report.faults import fault_spans
+from logs.report.derived import Side, estimate_errors, fault_spans
 from logs.report.page import header, need_plotly, page, section
 from logs.report.tables import definitions, events_table, headline, table
 from logs.verdict.verdict import judge

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from logs.reader.flight_data import Bools, Flight, Floats, phase_name
-from logs.report.faults import fault_spans
+from logs.report.derived import fault_spans
 from logs.report.links import Stream
 from logs.schema.events import Severity
 from logs.verdict.types import ESTIMATE, SOURCES, Outcome, Verdict

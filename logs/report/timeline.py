@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from flightstack.core.safety.gate import GateVerdict
 from logs.reader.flight_data import Bools, Flight, Floats, phase_name
-from logs.report.faults import fault_spans
+from logs.report.derived import fault_spans
 from logs.report.style import (
     BOUNDARY,
     COMMAND,

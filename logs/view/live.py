@@ -15,8 +15,7 @@ from flightstack.common.processes import END_TIME_MAX_S, Port
 from flightstack.core.types import Phase
 from logs.schema.events import CONTROLLER, Severity
 from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow
-from logs.view.blueprint import blueprint
-from logs.view.canvas import Canvas
+from logs.view.canvas import Canvas, blueprint
 from logs.view.read import Seen
 from logs.view.view import draw, viewer_program
 
@@ -35,7 +34,7 @@ class LiveRecording:
 
     Args:
         where: ``NATIVE``, ``WEB`` or a file that ends with ``.rrd``.
-        run: what is known of the run, with barrier and pad (``flight_config.shape``) if they are.
+        run: what is known of the run, with barrier and pad (``flight_data.shape``) if they are.
         name: of the recording.
 
     Raises:

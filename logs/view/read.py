@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.common.strict_toml import ConfigError
-from logs.reader.flight_config import ATTACHMENT, read_config, shape
+from logs.reader.flight_data import ATTACHMENT, read_config, shape
 from logs.reader.reader import LogError, LogFile
 from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, TRUE_STATE

@@ -20,8 +20,7 @@ from logs.derive.markers import (
     surface,
 )
 from logs.derive.markers import Path as BoundedPath
-from logs.view.blueprint import WORLD
-from logs.view.canvas import Canvas
+from logs.view.canvas import WORLD, Canvas
 from logs.view.read import Floats, Seen, column, every, times
 
 SCENE_PERIOD_NS = 20_000_000  # 50 Hz

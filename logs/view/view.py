@@ -17,8 +17,7 @@ import rerun as rr
 from flightstack.core.types import Phase
 from logs.derive.markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
 from logs.schema.events import Severity
-from logs.view.blueprint import AXES, EVENTS, PHASE, RUN, blueprint
-from logs.view.canvas import Canvas
+from logs.view.canvas import AXES, EVENTS, PHASE, RUN, Canvas, blueprint
 from logs.view.read import Floats, Ints, Seen, column, read, times
 from logs.view.scene import TRUE_COLOR, VELOCITIES, rgba, scene, truth, velocities
 

@@ -155,7 +155,7 @@ def recover(log_file: Path, out: Path, force: bool) -> None:
 def export(log_file: Path, topic: str | None, kind: str, out: Path, force: bool) -> None:
     """Write a topic of a LOG for other programs."""
     from logs.tools import export as tools_export
-    from logs.tools.tlog import export_tlog
+    from logs.tools.export import export_tlog
 
     opened = _open(log_file)
     if kind == "tlog":

@@ -13,11 +13,10 @@ from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.types import FilterStatus, Phase
 from logs.reader.flight import load_flight
 from logs.report.compare import write_comparison
-from logs.report.derived import estimate_errors, held_margin_m, tilt_deg
-from logs.report.faults import fault_spans
+from logs.report.derived import estimate_errors, fault_spans, held_margin_m, tilt_deg
 from logs.report.links import TARGET, load_streams, missing, missing_of_256
 from logs.report.page import page
-from logs.report.repeat import command, repeat_section
+from logs.report.report import command, repeat_section
 from logs.report.tables import Html, ages_table, faults_table, links_table, phases_table, table
 from tests.synthetic_flight import BARRIER, BOX, landing, write_log
 

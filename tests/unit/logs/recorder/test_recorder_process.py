@@ -20,7 +20,7 @@ from logs.reader.reader import LogFile
 from logs.recorder.feed import Feed
 from logs.recorder.mcap_file import McapFile, SafeStream
 from logs.recorder.recorder import RecorderProcess, problems
-from logs.recorder.recorder_sync import Syncer
+from logs.recorder.recorder_process import Syncer
 from logs.schema import schemas
 from logs.schema.codec_mavlink import pack_mavlink
 from tests.unit.logs.recorder.recorder_helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
