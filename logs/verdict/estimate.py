@@ -3,9 +3,9 @@
 An estimate holds no contacts. The first contact is taken from the descent: low over the pad, the sink rate
 relative to the pad collapses within some hundredths of a second, by more than a vehicle in flight can brake
 in that time. Position and velocity at the contact come from the steps before it, by a straight line through
-them: the steps after it already hold the impact. Phase LANDED stands for the motors that stopped, and a crash that
-the stack did not notice looks like a timeout; the reason says so. The numbers are as good as the estimates of
-vehicle and target: a constant error of either does not show.
+them: the steps after it already hold the impact. Phase LANDED stands for the motors that stopped, and a crash
+that the stack did not notice looks like a timeout; the reason says so. The numbers are as good as the
+estimates of vehicle and target: a constant error of either does not show.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ import sys
 
 from tests.benchmarks import (
     campaign_speed,
+    codec,
     control_step,
     fuzz_vehicle,
     lockstep,
@@ -24,6 +25,7 @@ if __name__ == "__main__":
         sys.exit()
     for benchmark in (
         campaign_speed,
+        codec,
         control_step,
         fuzz_vehicle,
         lockstep,

@@ -111,9 +111,8 @@ class Source(NamedTuple):
 def _once(source: Source, as_json: bool, timeout_s: float) -> int:
     from rich.console import Console
 
-    from flightstack.watch.json_lines import snapshot
     from flightstack.watch.live import draw
-    from flightstack.watch.state import News
+    from flightstack.watch.state import News, snapshot
 
     seen = source.watch()
     until_s = time.monotonic() + timeout_s
@@ -130,7 +129,7 @@ def _once(source: Source, as_json: bool, timeout_s: float) -> int:
 
 
 def _stream(source: Source) -> None:
-    from flightstack.watch.json_lines import snapshot
+    from flightstack.watch.state import snapshot
 
     seen = source.watch()
     while not source.ended.yes:

@@ -17,9 +17,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import Port
 from flightstack.core.types import Phase
-from flightstack.watch.json_lines import snapshot
 from flightstack.watch.live import draw
-from flightstack.watch.state import STALE_S, News, Watch
+from flightstack.watch.state import STALE_S, News, Watch, snapshot
 from logs.schema.rows import HealthRow
 from logs.schema.schemas import HEALTH, schema_text
 from tests.integration.sim_processes import ROOT
