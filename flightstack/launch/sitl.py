@@ -51,7 +51,7 @@ def prepare(options: RunOptions) -> Scenario:
     scenario = load_scenario(options.scenario)
     name = options.config or configuration_for(options.flies, scenario)
     if name is not None:
-        scenario = replace(scenario, onboard=load_config(path_of_config(name)))
+        scenario = replace(scenario, onboard=_begun_as(scenario, load_config(path_of_config(name))))
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)
     if PERSONALITIES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
@@ -67,6 +67,14 @@ def prepare(options: RunOptions) -> Scenario:
     if found:
         raise ConfigError(f"{name or options.scenario}: refused before take-off: " + "; ".join(found))
     return VEHICLES[options.flies].adapt(scenario)
+
+
+def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
+    """Begin the landing where the scenario does, unless the configuration says where."""
+    if config.takeoff.start_offset_m is not None:
+        return config
+    start_offset_m = scenario.onboard.takeoff.start_offset_m
+    return replace(config, takeoff=replace(config.takeoff, start_offset_m=start_offset_m))
 
 
 def run(options: RunOptions, console: Console) -> Flown:

@@ -1,6 +1,7 @@
 """Reads parameters by name (mavlink.io, services/parameter): bounded tries, answers matched by name; pure.
 
-A parameter that does not come is missing, with the reason; nothing is ever guessed for it.
+A parameter that does not come is missing, with the reason; nothing is ever guessed for it. Where
+an answer came only to a later request, each parameter is asked for more often.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from bridge.mavlink.profiles.profile import Encoding
 _AT_ONCE = 5  # questions without an answer yet; a radio's buffer is small
 _PERIOD_S = 0.4  # s between two tries; PX4 and ArduPilot answer within 0.05 s on a wire
 _TRIES = 5
+_TRIES_LOSSY = 15  # where an answer was lost: a line of 57,600 baud full of telemetry loses most of them
 _FLOAT = struct.Struct("<f")
 # How the bytes of the float field are read where integers travel as they are.
 _BYTES: Mapping[int, struct.Struct] = {
@@ -58,6 +60,7 @@ class ParameterReader:
         self._encoding = encoding
         self._tries = dict.fromkeys(self._open, 0)
         self._asked_s = dict.fromkeys(self._open, -math.inf)
+        self._tries_max = _TRIES
 
     @property
     def done(self) -> bool:
@@ -76,8 +79,9 @@ class ParameterReader:
 
     def step(self, now_s: float) -> list[Message]:
         """Return the requests to send now; those without an answer for too long become missing."""
-        for name in [n for n in self._open if self._tries[n] >= _TRIES and self._waited(n, now_s)]:
-            self._close(name, f"no answer to {_TRIES} requests in {_TRIES * _PERIOD_S:g} s")
+        most = self._tries_max
+        for name in [n for n in self._open if self._tries[n] >= most and self._waited(n, now_s)]:
+            self._close(name, f"no answer to {most} requests in {most * _PERIOD_S:g} s")
         due = [name for name in self._open[:_AT_ONCE] if self._waited(name, now_s)]
         for name in due:
             self._tries[name] += 1
@@ -95,6 +99,8 @@ class ParameterReader:
         if value is None or not math.isfinite(value):
             self._close(name, f"not a number: {message.param_value} of type {message.param_type}")
             return
+        if self._tries[name] > 1:
+            self._tries_max = _TRIES_LOSSY
         self.values[name] = value
         self._open.remove(name)
 

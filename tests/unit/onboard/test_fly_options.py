@@ -7,7 +7,10 @@ from flightstack.cli.main import main
 from flightstack.common.processes import LaunchError
 from flightstack.core.parameters.flight import load, path_of
 from flightstack.launch import fly
+from flightstack.launch.run_options import Flies, RunOptions
+from flightstack.launch.sitl import prepare
 from flightstack.launch.sitl_runs import sum_up
+from sim.scenarios.scenario import load as load_scenario
 
 
 @pytest.fixture
@@ -88,3 +91,17 @@ def test_runs_are_counted_and_what_did_not_fly_is_no_landing():
     assert found["touchdown_error_max_m"] == 0.06
     assert found["time_to_land_s"] is None
     assert found["rows"] == rows
+
+
+@pytest.mark.parametrize(("scenario", "config"), [("grid", "px4-crazyflie"), ("large", "px4-1kg")])
+def test_a_configuration_that_does_not_say_where_to_begin_begins_where_the_scenario_does(scenario, config):
+    given = load_scenario(scenario).onboard.takeoff.start_offset_m
+    assert load(path_of(config)).takeoff.start_offset_m is None
+    flown = prepare(RunOptions(scenario, flies=Flies.PX4)).onboard
+    assert flown.takeoff.start_offset_m == given
+    assert flown.vehicle == load(path_of(config)).vehicle
+
+
+def test_a_configuration_that_says_where_to_begin_is_flown_as_it_is():
+    flown = prepare(RunOptions("grid", config="crazyflie")).onboard
+    assert flown == load(path_of("crazyflie"))

@@ -49,6 +49,17 @@ def test_what_does_not_come_is_asked_for_five_times_and_is_missing():
     assert "no answer to 5 requests" in r.missing["COM_OF_LOSS_T"]
 
 
+def test_where_answers_are_lost_a_parameter_is_asked_for_fifteen_times():
+    r = reader("LOST_ONCE", "LOST_LONG")
+    r.step(0.0)
+    r.step(0.4)
+    r.take(value("LOST_ONCE", 1.0))  # to the second request
+    sent = [now for tick in range(41, 1000) for now in [tick * 0.01] if r.step(now)]
+    assert len(sent) == 13
+    assert r.done
+    assert "no answer to 15 requests in 6 s" in r.missing["LOST_LONG"]
+
+
 @pytest.mark.parametrize(
     ("error", "word"), [(1, "DOES_NOT_EXIST"), (3, "PERMISSION_DENIED"), (77, "error 77")]
 )
