@@ -60,6 +60,7 @@ def codec(
 
     Raises:
         UnknownSchemaError: no such type.
+        TypeError: a type with an array of fixed length of texts or messages.
     """
     compiler = _Compiler(frame_id)
     names = compiler.message(schema, "row")
@@ -92,7 +93,10 @@ def packer(schema: str, frame_id: str | None = MAP) -> Pack:
 
 
 class _Compiler:
-    """Source text of both functions, which give their local variables the same names."""
+    """Source text of both functions, which give their local variables the same names.
+
+    A name joins field names by two underscores, helpers follow three: ROS allows neither in a field's name.
+    """
 
     def __init__(self, frame_id: str | None) -> None:
         self.pack: list[str] = []
@@ -109,7 +113,7 @@ class _Compiler:
     def message(self, schema: str, value: str) -> str:
         """Treat all fields; their variables, which make up the value."""
         fields = fields_of(schema)
-        names = [f"{value}_{field.name}" for field in fields]
+        names = [f"{value}__{field.name}" for field in fields]
         joined = "".join(f"{name}, " for name in names)
         self.pack.append(f"{self._indent}({joined}) = {value}")
         for field, name in zip(fields, names, strict=True):
@@ -138,6 +142,10 @@ class _Compiler:
     def _field(self, field: Field, v: str) -> None:
         kind = field.kind
         numbers = _numbers(kind)
+        if field.length and kind not in CODES:
+            raise TypeError(
+                f"field {field.name}: an array of {kind}; arrays of fixed length hold numbers only"
+            )
         if field.length == 0:
             self._sequence(kind, numbers, v)
         elif kind == HEADER_TYPE:
@@ -150,7 +158,7 @@ class _Compiler:
             self._run(CODES[kind], v, [v])
         elif numbers:
             codes = numbers * (field.length or 1)
-            parts = [f"{v}_{n}" for n in range(len(codes))]
+            parts = [f"{v}___{n}" for n in range(len(codes))]
             self._run(codes, f"*{v}", parts, f"{v} = ({', '.join(parts)},)")
         else:
             values = self.message(kind, v)
@@ -158,48 +166,48 @@ class _Compiler:
 
     def _header(self, v: str) -> None:
         if self._frame is None:
-            self._line(self.pack, f"({v}_stamp, {v}_frame) = {v}")
-            self._time(f"{v}_stamp")
-            self._string(f"{v}_frame")
-            self._after.append(f"{v} = ({v}_stamp, {v}_frame)")
+            self._line(self.pack, f"({v}___stamp, {v}___frame) = {v}")
+            self._time(f"{v}___stamp")
+            self._string(f"{v}___frame")
+            self._after.append(f"{v} = ({v}___stamp, {v}___frame)")
             return
         self._time(v)
         frame, size = self._constant(self._frame), len(self._frame)
-        self._run("I", str(size), [f"{v}_size"])
-        check = f"if {v}_size != {size} or {v}_frame != {frame}: refuse('frame', {v}_frame, {frame})"
-        self._run([f"{size}s"], frame, [f"{v}_frame"], check)
+        self._run("I", str(size), [f"{v}___size"])
+        check = f"if {v}___size != {size} or {v}___frame != {frame}: refuse('frame', {v}___frame, {frame})"
+        self._run([f"{size}s"], frame, [f"{v}___frame"], check)
 
     def _time(self, v: str) -> None:
-        self._run("i", f"{v} // NS", [f"{v}_s"])
-        self._run("I", f"{v} % NS", [f"{v}_ns"], f"{v} = {v}_s * NS + {v}_ns")
+        self._run("i", f"{v} // NS", [f"{v}___s"])
+        self._run("I", f"{v} % NS", [f"{v}___ns"], f"{v} = {v}___s * NS + {v}___ns")
 
     def _string(self, v: str) -> None:
-        self._line(self.pack, f"{v}_raw = {v}.encode() + b'\\0'")
-        self._run("I", f"len({v}_raw)", [f"{v}_size"])
-        self._grow(f"{v}_raw")
-        self._line(self.unpack, f"{v} = text_at(data, at, {v}_size)")
-        self._line(self.unpack, f"at += {v}_size")
+        self._line(self.pack, f"{v}___raw = {v}.encode() + b'\\0'")
+        self._run("I", f"len({v}___raw)", [f"{v}___size"])
+        self._grow(f"{v}___raw")
+        self._line(self.unpack, f"{v} = text_at(data, at, {v}___size)")
+        self._line(self.unpack, f"at += {v}___size")
 
     def _sequence(self, kind: str, numbers: list[str], v: str) -> None:
         if numbers:
             self.large, size = True, struct.calcsize("<" + numbers[0])
-            self._run("I", f"len({v}) // {size * len(numbers)}", [f"{v}_count"])
+            self._run("I", f"len({v}) // {size * len(numbers)}", [f"{v}___count"])
             self._grow(f"bytes((4 - len(out)) % {size}) + {v} if {v} else b''")  # no element, no padding
-            self._line(self.unpack, f"at += (4 - at) % {size} if {v}_count else 0")
-            self._line(self.unpack, f"{v} = bytes_at(data, at, {v}_count * {size * len(numbers)})")
+            self._line(self.unpack, f"at += (4 - at) % {size} if {v}___count else 0")
+            self._line(self.unpack, f"{v} = bytes_at(data, at, {v}___count * {size * len(numbers)})")
             self._line(self.unpack, f"at += len({v})")
             return
-        self._run("I", f"len({v})", [f"{v}_count"])
+        self._run("I", f"len({v})", [f"{v}___count"])
         self._grow()
-        self._line(self.pack, f"for {v}_each in {v}:")
-        self._line(self.unpack, f"{v}_made = []")
-        self._line(self.unpack, f"for _ in range({v}_count):")
+        self._line(self.pack, f"for {v}___each in {v}:")
+        self._line(self.unpack, f"{v}___made = []")
+        self._line(self.unpack, f"for _ in range({v}___count):")
         self._indent += "    "
-        values = self.message(kind, f"{v}_each")
+        values = self.message(kind, f"{v}___each")
         self.flush()
-        self._line(self.unpack, f"{v}_made.append(({values}))")
+        self._line(self.unpack, f"{v}___made.append(({values}))")
         self._indent = self._indent[:-4]
-        self._line(self.unpack, f"{v} = tuple({v}_made)")
+        self._line(self.unpack, f"{v} = tuple({v}___made)")
 
     def _run(self, codes: Sequence[str], given: str, taken: list[str], after: str | None = None) -> None:
         self._codes += codes

@@ -14,6 +14,7 @@ from logs.derive.derive import Deriver
 from logs.derive.derive_recorder import Derivers
 from logs.derive.markers import PATH_POINTS, surface
 from logs.schema import schemas
+from logs.schema.cdr import codec
 from logs.schema.rows import ControllerStepRow
 
 STORE = schemas.typestore()
@@ -46,6 +47,8 @@ def test_every_message_is_what_the_generic_codec_writes():
         row = step(t_ns, own=(t_ns * 1e-9, 0.0, 1.0), own_valid=t_ns % 70_000_000 != 0)
         for topic, schema, data in deriver.step(row.stamp_ns, row):
             assert bytes(STORE.serialize_cdr(STORE.deserialize_cdr(data, schema), schema)) == data
+            pack, unpack = codec(schema, frame_id=None)
+            assert pack(unpack(data)) == data
             topics.add(topic)
     assert topics == {
         "/tf", "/tf_static", "/cf1/pose", "/cf1/odom", "/cf1/target/pose", "/cf1/cbf/markers",

@@ -133,6 +133,12 @@ def test_a_number_out_of_range_is_an_error():
         LoopTimingRow(0, -1, 0.0, 0.0, 0.0, 0.0, 0, 0).pack()
 
 
+def test_a_type_that_is_not_packed_here_is_refused_when_its_packer_is_made(monkeypatch):
+    monkeypatch.setitem(schemas._STANDARD, "some_msgs/msg/Names", "string[3] names")
+    with pytest.raises(TypeError, match="must hold numbers"):
+        cdr.codec("some_msgs/msg/Names")
+
+
 @pytest.mark.parametrize("name", [*schemas._OURS, *schemas._STANDARD])
 def test_fields_read_from_a_definition_are_those_of_the_generic_parser(name):
     expected = tuple(schemas._field(field, *node) for field, node in STORE.fielddefs[name][1])
