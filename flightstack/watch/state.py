@@ -113,7 +113,7 @@ class Watch:
 
     @property
     def connections(self) -> int:
-        """Open connections to other Zenoh sessions; 0 means that nobody answers, or refuses us."""
+        """Open connections to other Zenoh sessions; 0: no answer, or the peer refuses us."""
         return zenoh_link.transports(self._session)
 
     @property
@@ -132,7 +132,7 @@ class Watch:
     def _decode(self, unpack: Callable[[bytes], Any], payload: bytes) -> Any:
         try:
             return unpack(payload)
-        except ValueError:  # another version, or somebody else's key: counted and shown
+        except ValueError:  # another version, or a foreign publisher on this key: counted and shown
             self.refused += 1
             return None
 

@@ -20,7 +20,7 @@ TOPIC = "/diagnostics"
 PERIOD_NS = 1_000_000_000
 FILTER_BAD = 3  # ControllerStep: FILTER_INFEASIBLE and what is worse
 LATE_S = 0.002  # a tick later than this after its deadline, a fifth of 10 ms, is worth a look
-LOST_MAX = 0.02  # share of frames the vehicle numbered and nobody heard
+LOST_MAX = 0.02  # share of the vehicle's frames that are missing by their numbers
 SENDERS_MAX = 256  # of which sequence numbers are followed
 
 
@@ -84,7 +84,7 @@ class Health:
     def step(self, row: ControllerStepRow) -> None:
         """Take one controller step."""
         self._steps.append(row)
-        del self._steps[:-1000]  # without timings nobody asks for them
+        del self._steps[:-1000]  # without timings they are never taken
 
     def timing(self, log_time_ns: int, row: LoopTimingRow) -> list[tuple[str, str, bytes]]:
         """Take the timing of a tick; when a second is over, return its diagnostics.

@@ -25,10 +25,10 @@ _QOS = "[]"  # as rosbags writes it: nothing is known about the sender's quality
 
 
 class SafeStream:
-    """Unbuffered output that ends at a whole record, whatever the disk does.
+    """Unbuffered output that ends at a whole record even if the disk fails.
 
     The MCAP writer hands over whole records. One that does not fit is cut off again, so the file stays
-    readable up to the last whole one. ``tell`` goes on counting, since the writer needs it.
+    readable up to the last whole one. ``tell`` still counts after that, since the writer needs it.
 
     Attributes:
         failure: Why writing stopped; empty as long as it works.

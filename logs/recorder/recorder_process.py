@@ -1,7 +1,7 @@
 """The flight recorder's loop: clients come and go on a local socket, their records go into one file.
 
 A write is safe from a crash of the recorder at once, but the kernel may keep it for half a minute. A thread
-of its own brings the file to the disk, since that may take long on a memory card: the loop goes on reading.
+of its own brings the file to the disk, since that may take long on a memory card: the loop reads meanwhile.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from logs.recorder.feed_wire import Splitter, WireError
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import Recorder, Statistics
 
-# Wall time; `recording` sees to log time. A killed recorder loses this, what waits in sockets and what
+# Wall time; `recording` flushes by log time. A killed recorder loses this, what waits in sockets and what
 # the clients gather (0.1 s in lockstep); a power cut also the time the disk takes: half a second in all.
 FLUSH_PERIOD_S = 0.25
 READ_PERIOD_S = 0.004  # wall time; clients flush every tick, reading them in batches saves the processor
@@ -108,7 +108,7 @@ class RecorderProcess:
             if self._syncer.failure:
                 self._recorder.fail(self._syncer.failure)
             if self._recorder.failure:
-                break  # the clients notice at once and fly on; whoever watches this process does, too
+                break  # the clients see their sockets close, and fly on
             if self._stops and deadline_s == float("inf"):
                 deadline_s = now_s + GRACE_S
             enough = until_clients is not None and self._gone >= until_clients

@@ -21,8 +21,8 @@ from typing import Protocol
 from logs.schema.cdr import CDR_HEADER
 
 MAVLINK_PEERS = "mavlink_peers"  # metadata: name -> HOST:PORT
-NAMED_MAX = 99  # anybody may send to an open port: only so many are told apart,
-OTHERS = b"p99"  # and this is all the others
+NAMED_MAX = 99  # peers that get a name of their own, since any sender can reach an open port
+OTHERS = b"p99"  # the name that all further peers share
 
 _NS = 1_000_000_000  # nanoseconds in a second
 _V1, _V2 = 0xFE, 0xFD

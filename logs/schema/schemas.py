@@ -119,7 +119,7 @@ def _length(bound: str | None, count: str | None) -> int | None:
 
 
 def store_for(name: str) -> Typestore:
-    """Return the store, which knows this type if anybody does.
+    """Return the store, with a decoded MAVLink type registered if the name is one.
 
     Raises:
         UnknownSchemaError: A decoded MAVLink message that the dialect does not have.

@@ -33,7 +33,7 @@ from logs.tools.file import new_file
 
 JSON_TEXT = "json"  # kind of a column that holds a list
 HEAD = (("log_time_ns", "uint64"), ("publish_time_ns", "uint64"), ("sequence", "uint32"))
-ROWS_AT_ONCE = 10_000  # of Parquet: bounded memory, whatever the length of the flight
+ROWS_AT_ONCE = 10_000  # of Parquet: bounded memory for flights of any length
 _NOT_ARROW = {JSON_TEXT: "string", "float32": "float32", "float64": "float64", "bool": "bool_",
               "byte": "uint8", "char": "uint8", "octet": "uint8", "wstring": "string"}  # fmt: skip
 RECEIVED, SENT = 0, 3  # low bits of the time

@@ -1,13 +1,13 @@
 """The verdict on a flight.
 
 Judging begins with the first controller step in phase APPROACH and looks at the simulator's true states,
-whatever the controller believed:
+not at the controller's estimate:
 
 * landed: first contact is with the pad within its radius, and 2 s after the motors stop the vehicle rests on
-  the pad while the target goes on driving;
+  the pad while the target still drives;
 * crashed: contact before touchdown with ground, robot body or pad edge, or a tumble;
 * aborted: the phase machine gave up by itself and said so (phase ABORT);
-* timeout: everything else, also a miss that nobody declared and a log that ends too early;
+* timeout: everything else, also a miss without a declared abort and a log that ends too early;
 * violation: h < -5 mm while d exceeds the pad's radius, in a run that began with h >= 0.
 
 A declared abort that has flown clear ends the judging of h: after the first true state behind it that is
