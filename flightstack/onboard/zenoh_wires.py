@@ -15,6 +15,7 @@ from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.publish_ros2 import LiveRos2
+from logs.schema.rows import ControllerStepRow
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class ZenohWires:
                 texts += alarm.poll(now_s)
         return texts
 
-    def show(self, tick: Tick, out: Outputs, step: bytes, health: bytes | None) -> None:
+    def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
         """Show a tick to ROS 2, if that is wanted; arguments as of ``LiveRos2.show``."""
         if self._shown is not None:
             self._shown.show(tick, out, step, health)

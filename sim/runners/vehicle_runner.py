@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.server.profile import FlightMode
-from logs.schema.codec import Severity
+from logs.schema.events import Severity
 from sim.autopilot.autopilot import Autopilot
 from sim.plant.vehicle_types import Truth
 from sim.runners.deck import DeckState

@@ -13,6 +13,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 BENCH = (
     "campaign_speed",
+    "codec",
     "control_step",
     "fuzz_vehicle",
     "lockstep",

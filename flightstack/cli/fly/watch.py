@@ -113,9 +113,8 @@ class Source(NamedTuple):
 def _once(source: Source, as_json: bool, timeout_s: float) -> int:
     from rich.console import Console
 
-    from flightstack.watch.json_lines import snapshot
     from flightstack.watch.live import draw
-    from flightstack.watch.state import News
+    from flightstack.watch.state import News, snapshot
 
     seen = source.watch()
     until_s = time.monotonic() + timeout_s
@@ -132,7 +131,7 @@ def _once(source: Source, as_json: bool, timeout_s: float) -> int:
 
 
 def _stream(source: Source) -> None:
-    from flightstack.watch.json_lines import snapshot
+    from flightstack.watch.state import snapshot
 
     seen = source.watch()
     while not source.ended.yes:
@@ -149,7 +148,7 @@ def _drawing(view: str, config_file: Path | None, namespace: str) -> Callable[[S
         ValueError: Rerun is not installed, or the file to write is not allowed.
     """
     from flightstack.core.parameters.flight import load
-    from logs.reader.flight_config import shape
+    from logs.reader.flight_data import shape
 
     try:
         from logs.view.live import LiveRecording

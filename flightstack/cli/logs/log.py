@@ -59,8 +59,7 @@ def verdict(log_file: Path, as_json: bool) -> None:
     Exit status: 0 landed, 1 anything else that flew, 2 the LOG cannot be read.
     """
     from logs.reader.flight import load_flight
-    from logs.verdict.result import verdict_result
-    from logs.verdict.verdict import judge
+    from logs.verdict.verdict import judge, verdict_result
 
     flight = load_flight(log_file)
     values = verdict_result(flight, judge(flight))
@@ -156,7 +155,7 @@ def recover(log_file: Path, out: Path, force: bool) -> None:
 def export(log_file: Path, topic: str | None, kind: str, out: Path, force: bool) -> None:
     """Write one topic of a LOG as a file for other programs."""
     from logs.tools import export as tools_export
-    from logs.tools.tlog import export_tlog
+    from logs.tools.export import export_tlog
 
     opened = _open(log_file)
     if kind == "tlog":

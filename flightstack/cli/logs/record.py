@@ -69,8 +69,7 @@ def report(log: Path, other: Path | None, out: Path | None, as_json: bool) -> No
         from flightstack.cli.logs.log import show_verdict
         from logs.reader.flight import load_flight
         from logs.report.report import write_page
-        from logs.verdict.result import verdict_result
-        from logs.verdict.verdict import judge
+        from logs.verdict.verdict import judge, verdict_result
 
         flight = load_flight(log)
         verdict = judge(flight)

@@ -84,9 +84,9 @@ def replay(
     Exit status: 0 equal (or shown, with --set alone), 1 different, 2 the log proves nothing.
     """
     from flightstack.verify.certificate import problems
+    from logs.replay.read import changed
     from logs.replay.replay import FlightInputs, ReplayError
     from logs.replay.replay import replay as run
-    from logs.replay.set import changed
 
     if live:
         if check or settings or as_json:
