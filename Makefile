@@ -1,4 +1,4 @@
-# Two commands: `make fly` and `make test`. Both make their own virtual environment in .venv.
+# `make fly`, `make test` and `make quick` make their own virtual environment in .venv.
 PYTHON ?= python3
 VENV := .venv
 # or each of the hundreds of processes of the tests would compile the sources anew
@@ -7,18 +7,28 @@ BIN := $(VENV)/bin
 # not compiled: Python does that by itself with what is imported, a tenth of what is installed
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: fly test bench clean
+.PHONY: fly test quick bench clean
 
 fly: $(VENV)/.fly
 	$(BIN)/flightstack sitl --scenario paper_moving_1
 
+# what `make test` and `make quick` have in common
+define CHECK
+$(BIN)/ruff check .
+$(BIN)/ruff format --check .
+$(BIN)/lint-imports --no-logo --no-cache
+@# the simulator's loops are compiled once, and not by each worker
+$(BIN)/python -m sim.runners.warm_up & $(BIN)/mypy && wait $$!
+endef
+
 test: $(VENV)/.test
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/lint-imports --no-logo --no-cache
-	@# the simulator's loops are compiled once, and not by each worker
-	$(BIN)/python -m sim.runners.warm_up & $(BIN)/mypy && wait $$!
+	$(CHECK)
 	$(BIN)/python -m pytest -n auto --dist loadgroup -q
+
+# the unit tests without those marked slow, each within a bound of processor time (tests/quick.py)
+quick: $(VENV)/.test
+	$(CHECK)
+	$(BIN)/python -m pytest -n auto --dist loadgroup -q --quick -m "not slow" tests/unit
 
 bench: $(VENV)/.test
 	$(BIN)/python -m tests.benchmarks

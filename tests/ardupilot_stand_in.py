@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from flightstack.common.strict_toml import dumps, to_table
-from sim.autopilot.personality import PERSONALITIES
+from sim.autopilot.profiles import PROFILES
 from sim.scenarios.scenario import load
 
 PORT, PORTS_APART = 5760, 10
@@ -39,7 +39,7 @@ def scenario_file(folder: Path) -> Path:
 
 def known_parameters(defaults: Path) -> list[str]:
     """Words of ``vehicle`` for the parameters that it has."""
-    has = {p.name for p in PERSONALITIES["ardupilot"].parameters(1) if p.low < p.high}
+    has = {p.name for p in PROFILES["ardupilot"].parameters(1) if p.low < p.high}
     pairs = [line.split() for line in defaults.read_text().splitlines()]
     return [word for name, value in pairs if name in has for word in ("--parameter", f"{name}={value}")]
 

@@ -13,6 +13,9 @@ from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
 from flightstack.core.parameters.flight import path_of
 from tests.flight_suite.room import PERSONALITIES
 from tests.pauses import pytest_runtest_protocol as pytest_runtest_protocol
+from tests.quick import mark_slow
+from tests.quick import pytest_runtest_call as pytest_runtest_call
+from tests.quick import pytest_runtest_setup as pytest_runtest_setup
 
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -24,6 +27,7 @@ hypothesis.settings.load_profile("any machine")
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     add = parser.addoption
+    add("--quick", action="store_true", help="fail a test that is slow and not marked so")
     add("--flights", type=int, default=1, metavar="N", help="fly each flight of a real client N times")
     add("--vehicle", metavar="URL", help="fly this vehicle and no other: only the tests that can are run")
     add("--px4", type=Path, metavar="PLACE", help="fly this PX4 SITL, by px4-sim, and no other vehicle")
@@ -49,6 +53,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "slow: needs more processor time than `make quick` allows a test")
     config.addinivalue_line("markers", "vehicle: flies our simulated vehicle, or the one of --vehicle")
     config.addinivalue_line("markers", "arms: not run on a vehicle that was given without --arm-ok")
     config.addinivalue_line("markers", "simulated: needs the simulated room")
@@ -64,6 +69,7 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 @pytest.hookimpl(tryfirst=True)  # before the workers look at the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """A vehicle that was given is flown by the tests made for it, and armed only where that was allowed."""
+    mark_slow(items)
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
         if config.getoption("--flights") == 1:  # they mostly wait: one worker does, while others compute

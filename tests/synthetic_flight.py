@@ -17,15 +17,8 @@ from flightstack.core.safety.projection import project
 from flightstack.core.types import Phase
 from logs.recorder.mcap_file import McapFile
 from logs.schema import schemas
-from logs.schema.codec import (
-    ControllerStepRow,
-    LoopTimingRow,
-    TrueStateRow,
-    pack_controller_step,
-    pack_log,
-    pack_loop_timing,
-    pack_true_state,
-)
+from logs.schema.events import pack_log
+from logs.schema.rows import ControllerStepRow, LoopTimingRow, TrueStateRow
 
 DT_S = 0.01
 RATE_HZ = 100
@@ -137,6 +130,7 @@ def _landing() -> Rows:
                 go and filtered != nominal, True, True, 0.005, 0.01 + 0.01 * rng.random(), seen_p, v, 0.0,
                 pad, pad_v, heading, h, gradient, dh_dt, nominal, filtered if go else NAN3, command,
                 sum(g * u for g, u in zip(gradient, command, strict=True)) - bound, 1e-10, 40, tick, 0,
+                False, False, NAN3, math.nan,
             )
         )  # fmt: skip
         truth_h = BARRIER.h(e)
@@ -191,9 +185,9 @@ def write_log(path: Path, rows: Rows, *, complete: bool = True, namespace: str =
     odometry = log.channel(f"/{namespace}/target/odom", schemas.ODOMETRY)
     rosout = log.channel("/rosout", schemas.LOG)
     messages = (
-        [(r.stamp_ns, steps, r.tick, pack_controller_step(r)) for r in rows.steps]
-        + [(r.stamp_ns, truth, r.tick, pack_true_state(r)) for r in rows.truth]
-        + [(r.stamp_ns, timing, r.tick, pack_loop_timing(r)) for r in rows.timing]
+        [(r.stamp_ns, steps, r.tick, r.pack()) for r in rows.steps]
+        + [(r.stamp_ns, truth, r.tick, r.pack()) for r in rows.truth]
+        + [(r.stamp_ns, timing, r.tick, r.pack()) for r in rows.timing]
         + [(at, odometry, n, payload) for n, (at, payload) in enumerate(rows.odometry)]
         + [(at, rosout, 0, pack_log(at, level, "onboard", text)) for at, level, text in rows.events]
     )

@@ -1,4 +1,4 @@
-"""Why a Crazyflie must not be armed now: one table, read from top to bottom, each line with what to do."""
+"""What is known of a Crazyflie, and why it must not be armed now: one table, each line with what to do."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from bridge.crazyflie.rules import LOST_S
 from bridge.crazyflie.types import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Power
+from bridge.frames import yaw_from_quaternion
+from bridge.mavlink.server.profile import POSITION_SOURCE
+from bridge.mavlink.server.telemetry import Battery
 
 STATE_AGE_MAX_S = 0.3  # s; thirty packets missing
 HEALTH_AGE_MAX_S = 1.0  # s; ten packets missing
@@ -122,3 +126,55 @@ def _mocap(seen: Seen) -> str | None:
 CHECKS: tuple[Callable[[Seen], str | None], ...] = (
     _protocol, _state, _supervisor, _battery, _controller, _estimator, _mocap, _position,
 )  # fmt: skip
+
+
+class Known:
+    """The newest that is known of a Crazyflie, and whether that is fresh and good enough.
+
+    Attributes:
+        link: the firmware on the other side.
+        state: newest state; its age is for the reader to judge.
+        health: newest quality of the estimate, and battery.
+        mocap_problem: why there are no good poses from outside, None: there are, or none are needed.
+    """
+
+    def __init__(self, *, mocap: bool) -> None:
+        self.link = Link()
+        self.state: CrazyflieState | None = None
+        self.health: Health | None = None
+        self.mocap_problem: str | None = "mocap: no pose yet" if mocap else None
+
+    def alive(self, now_s: float) -> bool:
+        """Whether it is heard; while it is not, no telemetry is sent."""
+        heard = self.state is not None and now_s - self.state.at_s <= LOST_S
+        return heard and self.link.protocol is not None
+
+    def problems(self, now_s: float) -> list[str]:
+        """Reasons against arming, now."""
+        return problems(self._seen(now_s))
+
+    def position_known(self, now_s: float) -> bool:
+        """Whether its estimate of position may be flown by."""
+        return position_known(self._seen(now_s))
+
+    def fresh_state(self, now_s: float) -> CrazyflieState | None:
+        """The newest state, None when it is too old to fly by."""
+        state = self.state
+        return state if state is not None and now_s - state.at_s <= STATE_AGE_MAX_S else None
+
+    def yaw_rad(self) -> float | None:
+        """Heading, counter-clockwise from east; None: no state yet."""
+        return yaw_from_quaternion(self.state.quaternion) if self.state is not None else None
+
+    def sensors_healthy(self, now_s: float) -> int:
+        """The position, while it may be flown by."""
+        return POSITION_SOURCE if self.position_known(now_s) else 0
+
+    @property
+    def battery(self) -> Battery:
+        """Battery, by the firmware."""
+        voltage_v = self.state.battery_v if self.state is not None else 0.0
+        return Battery(voltage_v, self.health.battery_percent if self.health is not None else -1)
+
+    def _seen(self, now_s: float) -> Seen:
+        return Seen(now_s, self.link, self.state, self.health, self.mocap_problem)

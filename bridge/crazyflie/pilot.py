@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from bridge.crazyflie.modes import Mode
 from bridge.crazyflie.rules import BLIND_LANDING_MAX_S, STANDING_S, TAKEOFF_M, TAKEOFF_MAX_S
 from bridge.crazyflie.types import CrazyflieState, Velocity
 from bridge.frames import wrap_angle, yaw_from_quaternion
+from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.types import ZERO, Vec3
 
 GAIN_1_S = 1.5  # 1/s; a third of the firmware's velocity loop (position_controller_pid.c), so no overshoot
@@ -126,7 +126,7 @@ class Pilot:
         return now_s - self._since_s <= BLIND_LANDING_MAX_S
 
     def step(
-        self, mode: Mode, state: CrazyflieState | None, now_s: float, *, standing: bool, placed: bool
+        self, mode: FlightMode, state: CrazyflieState | None, now_s: float, *, standing: bool, placed: bool
     ) -> tuple[Velocity | None, Done | None]:
         """Velocity to send, and whether the mode is done.
 
@@ -138,21 +138,21 @@ class Pilot:
             placed: its position is known; a landing goes straight down without.
         """
         if state is None:
-            if mode is Mode.LAND:
+            if mode is FlightMode.LAND:
                 return (Velocity((0.0, 0.0, -DESCENT_M_S), 0.0) if self.goes_on(now_s) else None), None
             return (None if standing else Velocity(ZERO, 0.0)), None
         if self._anchor is None:
-            self._anchor = Anchor.here(state, self.takeoff_z_m if mode is Mode.TAKEOFF else None)
+            self._anchor = Anchor.here(state, self.takeoff_z_m if mode is FlightMode.TAKEOFF else None)
         anchor = self._anchor
         turn_rad_s = yaw_rate(anchor.yaw_rad, state)
-        if mode is Mode.LAND:
+        if mode is FlightMode.LAND:
             if anchor.down(state, now_s) and now_s - self._since_s > LANDING_MIN_S:
                 return None, Done.LANDED
             velocity = anchor.descend(state) if placed else (0.0, 0.0, -DESCENT_M_S)
             return Velocity(velocity, turn_rad_s), None
         done: Done | None = None
-        if mode is Mode.TAKEOFF and anchor.arrived(state):
+        if mode is FlightMode.TAKEOFF and anchor.arrived(state):
             done = Done.ARRIVED
-        elif mode is Mode.TAKEOFF and now_s - self._since_s > TAKEOFF_MAX_S:
+        elif mode is FlightMode.TAKEOFF and now_s - self._since_s > TAKEOFF_MAX_S:
             done = Done.STUCK
         return Velocity(anchor.hold(state), turn_rad_s), done

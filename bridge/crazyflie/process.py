@@ -16,12 +16,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from bridge.crazyflie.owner import Sender
+from bridge.crazyflie.node import COMPONENT_ID, SYSTEM_ID, Node
 from bridge.crazyflie.poses import PoseFeed, PosesLike
 from bridge.crazyflie.rules import Rules
-from bridge.crazyflie.server.server import COMPONENT_ID, SYSTEM_ID, Node
 from bridge.crazyflie.types import Arrived, Packet
 from bridge.mavlink.endpoint import Endpoint, Peer, parse_peer, parse_url
+from bridge.mavlink.server.owner import Sender
 from bridge.mavlink.signing.key import load_key
 from bridge.stop import Stop
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bridge.crazyflie.owner import SILENCE_S
-
 SILENT_S = 0.5  # s without state: said; the flight stack calls its own state lost after 0.2 s
 LOST_S = 1.0  # s without state: no heartbeat any more
 RECONNECT_S = 3.0  # s without state: the firmware has stopped by itself; the link is opened anew
 BLIND_LANDING_MAX_S = 12.0  # s; from 3 m at the landing's speed
 CLIENT_SILENT_S = 3.0  # s without any client's heartbeat
-STREAM_S = SILENCE_S  # s; a set-point older than that is no stream
+STREAM_S = 1.0  # s without set-points until control is free and OFFBOARD has no stream; PX4's COM_OF_LOSS_T
 LEVEL_OUT_S = 0.5  # s after which the firmware's watchdog acts (supervisor.c)
 OWN_PERIOD_S = 0.02  # s between two set-points of the bridge's own modes
 STANDING_S = 1.0  # s of being told to sink without sinking

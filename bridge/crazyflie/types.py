@@ -134,7 +134,7 @@ class CrazyflieState:
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     quaternion: Quat  # w, x, y, z, of FLU in ENU
-    rates_flu_rad_s: Vec3
+    angular_velocity_flu_rad_s: Vec3
     info: Info
     battery_v: float
 

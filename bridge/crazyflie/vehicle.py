@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import math
 
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
 from bridge.crazyflie import rules as limits
 from bridge.crazyflie.arming import Arming
-from bridge.crazyflie.checks import ESTIMATOR, KALMAN, stuck
-from bridge.crazyflie.known import Known
-from bridge.crazyflie.modes import CODES, Mode
-from bridge.crazyflie.owner import Owner, Right, Sender
+from bridge.crazyflie.checks import ESTIMATOR, KALMAN, Known, stuck
 from bridge.crazyflie.pilot import Done, Ground, Pilot, yaw_rate
-from bridge.crazyflie.texts import CRITICAL, INFO, WARNING, Texts
 from bridge.crazyflie.types import (
     ArmReply,
     Connected,
@@ -31,26 +29,32 @@ from bridge.crazyflie.types import (
     SetParam,
     Velocity,
 )
-from flightstack.core.types import Vec3
+from bridge.mavlink.server.owner import ControlOwner, Right, Sender
+from bridge.mavlink.server.profile import AIRBORNE_STATE, FlightMode
+from bridge.mavlink.server.setpoints import Setpoint
+from bridge.mavlink.server.texts import Texts
+from flightstack.core.types import ZERO, Vec3
 
+INFO, WARNING = dialect.MAV_SEVERITY_INFO, dialect.MAV_SEVERITY_WARNING
+CRITICAL = dialect.MAV_SEVERITY_CRITICAL
 _ENDS = "the bridge ends"
 
 
 class Vehicle(Known):
-    """Call ``take`` and the commands as things come, then ``step``, then take ``packets`` and ``texts``.
+    """Call the methods as things come, then ``step``, then take ``packets`` and ``texts``.
 
     Attributes:
         mode: meaningful also while disarmed.
         failsafe: the mode was not asked for.
-        home_z_m: height of the place it was armed at last.
+        home_enu_m: the origin, at the height of the place it was armed at last.
     """
 
     def __init__(self, rules: limits.Rules) -> None:
         self.rules = rules
-        self.mode, self.failsafe = Mode.HOLD, False
-        self.home_z_m = 0.0
+        self.mode, self.failsafe = FlightMode.HOLD, False
+        self.home_enu_m: Vec3 = ZERO
         super().__init__(mocap=rules.mocap)
-        self.texts, self.owner = Texts(), Owner()
+        self.texts, self.owner = Texts(), ControlOwner()
         self._arming = Arming()
         self._packets: list[Packet] = []
         self._pilot = Pilot()
@@ -83,7 +87,7 @@ class Vehicle(Known):
     @property
     def landed_state(self) -> int:
         """MAV_LANDED_STATE."""
-        return 1 if self.standing else CODES[self.mode].landed_state
+        return 1 if self.standing else AIRBORNE_STATE[self.mode]
 
     def take_packets(self) -> list[Packet]:
         """What goes to the Crazyflie, in order."""
@@ -158,7 +162,7 @@ class Vehicle(Known):
 
     def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
         """Why this sender may not do something now; disarmed, everybody may."""
-        return self.owner.forbids(sender, right, now_s) if self.armed else None
+        return self.owner.forbids(sender, right, now_s, limits.STREAM_S) if self.armed else None
 
     def arm(self, now_s: float) -> str | None:
         """Ask the supervisor; ``armed`` or a text shows what became of it."""
@@ -167,9 +171,9 @@ class Vehicle(Known):
         found = self.problems(now_s)
         if self._ends or found or self.state is None:
             return f"Arming refused: {_ENDS if self._ends else found[0] if found else 'no state'}"
-        if self.mode is Mode.LAND:
-            self._enter(Mode.HOLD, now_s)
-        self.home_z_m = self.state.position_enu_m[2]
+        if self.mode is FlightMode.LAND:
+            self._enter(FlightMode.HOLD, now_s)
+        self.home_enu_m = (0.0, 0.0, self.state.position_enu_m[2])
         self._moved, self._ground = False, Ground()
         self._pilot.begin(now_s)
         packets = self._arming.ask(self.state, now_s)
@@ -207,67 +211,57 @@ class Vehicle(Known):
         """
         if self._ends:
             return f"Take-off refused: {_ENDS}"
-        home_m = self.home_z_m if self.armed or self.state is None else self.state.position_enu_m[2]
+        home_m = self.home_enu_m[2] if self.armed or self.state is None else self.state.position_enu_m[2]
         height_m = home_m + limits.TAKEOFF_M if height_m is None else height_m
         low, high = limits.HEIGHT_RANGE_M
         if not low <= height_m - home_m <= high:
             return f"Take-off refused: {height_m - home_m:.3g} m above home, {low:g} to {high:g}"
         if not self.standing and self.state is not None:
             height_m = max(height_m, self.state.position_enu_m[2])  # it never descends for that
-        if self.mode is Mode.TAKEOFF and height_m == self._pilot.takeoff_z_m:
+        if self.mode is FlightMode.TAKEOFF and height_m == self._pilot.takeoff_z_m:
             return None
         self._pilot.takeoff_z_m = height_m
-        self._enter(Mode.TAKEOFF, now_s)
+        self._enter(FlightMode.TAKEOFF, now_s)
         return None
 
     def land(self, now_s: float) -> None:
         """Go down where it is; nothing can refuse that."""
         if self.armed:
-            self._enter(Mode.LAND, now_s)
+            self._enter(FlightMode.LAND, now_s)
 
     def end(self, now_s: float) -> None:
         """Land because the bridge ends: from now on nothing arms it or takes it out of the landing."""
         self._ends = True
         self.land(now_s)
 
-    def set_mode(self, mode: Mode, now_s: float) -> str | None:
+    def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
         """Change the mode."""
-        if mode is Mode.TAKEOFF:
+        if mode is FlightMode.TAKEOFF:
             return self.take_off(None, now_s)
-        if mode is Mode.LAND:
+        if mode is FlightMode.LAND:
             self.land(now_s)
             return None
         if self._ends:
             return f"Mode {mode.value} refused: {_ENDS}"
-        if mode is Mode.OFFBOARD and now_s - self._stream_s > limits.STREAM_S:
+        if mode is FlightMode.OFFBOARD and now_s - self._stream_s > limits.STREAM_S:
             return "Mode offboard refused: no set-points"
-        if mode is Mode.OFFBOARD and not self.position_known(now_s):
+        if mode is FlightMode.OFFBOARD and not self.position_known(now_s):
             return "Mode offboard refused: no position estimate"
         self._enter(mode, now_s)
         return None
 
-    def take_setpoint(
-        self,
-        velocity_enu_m_s: Vec3,
-        yaw_rad: float | None,
-        yaw_rate_rad_s: float,
-        sender: Sender,
-        now_s: float,
-    ) -> str | None:
-        """Pass a velocity on, once, when it is armed and in OFFBOARD.
+    def refuse_setpoint(self, reason: str, now_s: float) -> None:
+        """Say why a set-point is refused."""
+        self.texts.refuse(reason, now_s, "set-point")
 
-        Args:
-            velocity_enu_m_s: finite; what is longer than the limit is shortened.
-            yaw_rad: heading to turn to; None: turn with the rate.
-            yaw_rate_rad_s: counter-clockwise.
-            sender: whose.
-            now_s: now.
-        """
-        reason = self.owner.admit(sender, now_s)
+    def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
+        """Pass a velocity on, once, when it is armed and in OFFBOARD; a longer one is cut to the limit."""
+        velocity_enu_m_s, yaw_rad, yaw_rate_rad_s = setpoint
+        reason = self.owner.admit(sender, now_s, limits.STREAM_S)
         if reason is not None:
-            return f"Set-point dropped: {reason}"
+            return reason
         self._stream_s, self._stream_end_said = now_s, False
-        if not (self.armed and self.mode is Mode.OFFBOARD):
+        if not (self.armed and self.mode is FlightMode.OFFBOARD):
             return None
         speed_m_s = math.hypot(*velocity_enu_m_s)
         if speed_m_s > self.rules.speed_max_m_s:
@@ -298,7 +292,7 @@ class Vehicle(Known):
         elif now_s - self._idle_since_s > limits.IDLE_S:
             self._motors_off(now_s, "Disarmed: it does not fly", forced=False)
         if self.armed:
-            (self._fly_offboard if self.mode is Mode.OFFBOARD else self._fly_own)(now_s)
+            (self._fly_offboard if self.mode is FlightMode.OFFBOARD else self._fly_own)(now_s)
 
     # Flying
 
@@ -308,18 +302,20 @@ class Vehicle(Known):
 
     def _fly_own(self, now_s: float) -> None:
         """Take-off, hold or landing: set-points of the bridge's own."""
-        if self.standing and self.mode is Mode.LAND:
+        if self.standing and self.mode is FlightMode.LAND:
             self._motors_off(now_s, "Disarmed", forced=False)
             return
-        if (self.standing and self.mode is Mode.HOLD) or now_s - self._own_s < limits.OWN_PERIOD_S - 1e-4:
+        if (
+            self.standing and self.mode is FlightMode.HOLD
+        ) or now_s - self._own_s < limits.OWN_PERIOD_S - 1e-4:
             return
         self._own_s = now_s
-        if self.mode is not Mode.LAND and now_s - self._client_s > limits.CLIENT_SILENT_S:
+        if self.mode is not FlightMode.LAND and now_s - self._client_s > limits.CLIENT_SILENT_S:
             self._fall_back(f"No client for {limits.CLIENT_SILENT_S:g} s", now_s)
             return
         state = self.fresh_state(now_s)
         placed = state is None or self.position_known(now_s)
-        if not placed and self.mode is not Mode.LAND:
+        if not placed and self.mode is not FlightMode.LAND:
             self._fall_back("No position estimate", now_s)
             return
         velocity, done = self._pilot.step(self.mode, state, now_s, standing=self.standing, placed=placed)
@@ -330,7 +326,7 @@ class Vehicle(Known):
             self._fall_back("Take-off height not reached", now_s)
             return
         if done is Done.ARRIVED:
-            self._change(Mode.HOLD)
+            self._change(FlightMode.HOLD)
         if velocity is not None:
             self._command(velocity)
 
@@ -351,24 +347,24 @@ class Vehicle(Known):
         if silence_s > limits.SILENT_S and not self._silence_said:
             self._silence_said = True
             self.texts.say(CRITICAL, f"Radio silent for {limits.SILENT_S:g} s")
-        silent = silence_s > limits.LOST_S and self.mode in (Mode.HOLD, Mode.TAKEOFF)
+        silent = silence_s > limits.LOST_S and self.mode in (FlightMode.HOLD, FlightMode.TAKEOFF)
         if silent and self.armed and not self.standing:
             self._fall_back("Radio silent", now_s)
-        landing_blind = self.armed and self.mode is Mode.LAND and self._pilot.goes_on(now_s)
+        landing_blind = self.armed and self.mode is FlightMode.LAND and self._pilot.goes_on(now_s)
         if silence_s > limits.RECONNECT_S and not landing_blind:
             self._packets.append(Order.RECONNECT)
             self.lost(Lost(f"nothing heard for {limits.RECONNECT_S:g} s"), now_s)
 
     # Changes
 
-    def _enter(self, mode: Mode, now_s: float, *, failsafe: bool = False) -> None:
+    def _enter(self, mode: FlightMode, now_s: float, *, failsafe: bool = False) -> None:
         self.failsafe = failsafe
-        if mode is self.mode and mode is Mode.LAND:
+        if mode is self.mode and mode is FlightMode.LAND:
             return  # it goes on
         self._change(mode)
         self._pilot.begin(now_s)
 
-    def _change(self, mode: Mode) -> None:
+    def _change(self, mode: FlightMode) -> None:
         if mode is not self.mode:
             self.texts.say(INFO, f"Mode {mode.value}")
         self.mode = mode
@@ -376,10 +372,10 @@ class Vehicle(Known):
     def _fall_back(self, reason: str, now_s: float) -> None:
         if self.standing:
             self.texts.say(WARNING, f"{reason}: stays on the ground")
-            self._enter(Mode.HOLD, now_s)
+            self._enter(FlightMode.HOLD, now_s)
             return
         self.texts.say(CRITICAL, f"{reason}: landing")
-        self._enter(Mode.LAND, now_s, failsafe=True)
+        self._enter(FlightMode.LAND, now_s, failsafe=True)
 
     def _motors_off(self, now_s: float, text: str, *, forced: bool) -> None:
         self._packets += self._arming.off(now_s, forced=forced)
@@ -396,5 +392,5 @@ class Vehicle(Known):
     def _ended(self) -> None:
         self._moved = self.failsafe = False
         self.owner.release()
-        if self.mode is not Mode.OFFBOARD:
-            self.mode = Mode.HOLD
+        if self.mode is not FlightMode.OFFBOARD:
+            self.mode = FlightMode.HOLD

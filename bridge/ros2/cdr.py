@@ -116,7 +116,7 @@ def decode_odometry(payload: bytes) -> Odometry:
 
 
 def decode_pose_and_twist(payload: bytes) -> tuple[int, str, str, tuple[float, ...]]:
-    """Parse what the controller needs, at half the cost: most of the covariances is skipped.
+    """Parse the fields that the controller needs; it costs half, since most covariances are skipped.
 
     Returns:
         Stamp in nanoseconds, frame, child frame, and 17 numbers as on the wire: position, orientation
@@ -144,7 +144,7 @@ def _unpack(payload: bytes, doubles: struct.Struct) -> tuple[int, str, str, tupl
 
 
 def check_header(payload: bytes) -> None:
-    """Refuse what does not begin as CDR, little endian.
+    """Refuse a payload without the header of little-endian CDR.
 
     Raises:
         OdometryError: it does not.

@@ -24,7 +24,7 @@ _HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 
 class TopicKey(NamedTuple):
-    """What a key of rmw_zenoh says."""
+    """The parts of a key of rmw_zenoh."""
 
     domain: int
     topic: str  # with its leading slash
@@ -33,7 +33,7 @@ class TopicKey(NamedTuple):
 
 
 class Node(NamedTuple):
-    """A ROS 2 node as the graph shows it."""
+    """A ROS 2 node in the graph."""
 
     domain: int
     session: str  # id of the Zenoh session, as Zenoh prints it
@@ -69,7 +69,7 @@ def check_domain(domain: int) -> int:
 
 
 def dds_type(type_name: str) -> str:
-    """Name of a message type as DDS has it: ``nav_msgs::msg::dds_::Odometry_``.
+    """Name of a message type in DDS: ``nav_msgs::msg::dds_::Odometry_``.
 
     Raises:
         ValueError: not ``package/msg/Name``.
@@ -94,7 +94,7 @@ def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
 
 
 def any_type_key(domain: int, topic: str) -> str:
-    """Key expression of a topic whatever its type, to be able to say that it has another one.
+    """Key expression of a topic with any type, to detect a topic with a wrong type.
 
     Raises:
         ValueError: a part is malformed.
@@ -127,7 +127,7 @@ def bridge_key(topic: str) -> str:
 
 
 def node_token(node: Node) -> str:
-    """Liveliness token by which ``ros2 node list`` knows a node.
+    """Liveliness token of a node, for ``ros2 node list``.
 
     Raises:
         ValueError: a name is malformed.
@@ -136,7 +136,7 @@ def node_token(node: Node) -> str:
 
 
 def publisher_token(node: Node, number: int, topic: str, type_name: str, type_hash: str, qos: str) -> str:
-    """Liveliness token by which ``ros2 topic list`` knows a publisher.
+    """Liveliness token of a publisher, for ``ros2 topic list``.
 
     Args:
         node: whose it is.

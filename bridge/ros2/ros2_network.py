@@ -1,4 +1,4 @@
-"""How to reach the ROS 2 nodes: a Zenoh router, or a Zenoh configuration, and their domain."""
+"""The connection to ROS 2 nodes: a Zenoh router or a Zenoh configuration, and the nodes' domain."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FILES = (".json5", ".json", ".yaml", ".yml")  # what Zenoh reads
 
 @dataclass(frozen=True, slots=True)
 class Ros2Network:
-    """Where the ROS 2 nodes are.
+    """Address and domain of the ROS 2 nodes.
 
     Attributes:
         where: endpoint of their router (``rmw_zenohd``, zenoh-bridge-ros2dds), or a Zenoh configuration file.

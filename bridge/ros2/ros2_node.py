@@ -1,4 +1,4 @@
-"""This process as a ROS 2 node: seen by ``ros2 node list``, its topics readable by any ROS 2 node.
+"""This process as a ROS 2 node: ``ros2 node list`` shows it, and any ROS 2 node can read its topics.
 
 For rmw_zenoh a node is a liveliness token, a publisher another, and a sample is CDR with an attachment.
 """
@@ -60,7 +60,7 @@ class Ros2Node:
         return publisher
 
     def close(self) -> None:
-        """Take everything back; the graph forgets us at once."""
+        """Undeclare node and publishers; they disappear from the graph at once."""
         for token in reversed(self._tokens):
             token.undeclare()
         for publisher in self._publishers:
@@ -68,7 +68,7 @@ class Ros2Node:
 
 
 class Ros2Publisher:
-    """Puts serialised messages as rmw_zenoh does."""
+    """Sends serialised messages in the form of rmw_zenoh."""
 
     def __init__(self, publisher: zenoh_link.Publisher, identity: bytes) -> None:
         self._publisher, self._identity = publisher, identity
@@ -76,7 +76,7 @@ class Ros2Publisher:
 
     @property
     def matched(self) -> bool:
-        """Whether somebody listens."""
+        """Whether there is a subscriber."""
         return zenoh_link.is_matched(self._publisher)
 
     def put(self, payload: bytes, time_ns: int) -> None:

@@ -40,7 +40,7 @@ _LARGEST = 1e9  # m, m/s, rad/s: beyond this a number is damage, not a measureme
 
 
 class RawSample(NamedTuple):
-    """One sample as it came, for the controller and, verbatim, for the log."""
+    """One received sample, for the controller and, unchanged, for the log."""
 
     payload: bytes
     attachment: bytes | None
@@ -49,7 +49,7 @@ class RawSample(NamedTuple):
 
 
 class SampleSource(Protocol):
-    """Whatever odometry comes from."""
+    """A source of odometry samples."""
 
     def poll(self) -> list[RawSample]:
         """Take all samples that have arrived, oldest first; never blocks."""
@@ -125,7 +125,7 @@ class OdometryPublisher:
 
     @property
     def matched(self) -> bool:
-        """Whether a subscriber is known; samples put before that are lost."""
+        """Whether there is a subscriber; samples that are put before are lost."""
         return zenoh_link.is_matched(self._publisher)
 
     def encode(

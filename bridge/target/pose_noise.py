@@ -1,4 +1,4 @@
-"""What a sender says of its own accuracy, against what the flight was told to expect of it.
+"""Compares the covariances that a sender reports with the configured noise.
 
 Covariances of ROS messages: 6 x 6, row by row, x y z then roll pitch yaw; all zero means unknown
 (nav_msgs/msg/Odometry, REP 103), and a first element of -1 that there is none (sensor_msgs practice).
@@ -17,7 +17,7 @@ _UNUSED_M2 = 1e3  # diff_drive_controller and others write 1e6 where nothing is 
 
 
 class MeasurementNoise(NamedTuple):
-    """Standard deviations of a sample, the larger of x and y; ``None`` where the sender does not say."""
+    """Standard deviations of a sample, the larger of x and y; ``None`` if the sender does not report it."""
 
     position_m: float | None
     velocity_m_s: float | None
@@ -31,13 +31,13 @@ def noise_of(pose_covariance: Sequence[float], twist_covariance: Sequence[float]
 
 
 def sigma_of(variance_x: float, variance_y: float) -> float | None:
-    """The larger standard deviation of x and y, ``None`` where the sender does not say."""
+    """Return the larger standard deviation of x and y, ``None`` if the sender does not report it."""
     known = 0.0 < variance_x < _UNUSED_M2 and 0.0 < variance_y < _UNUSED_M2  # False for NaN
     return math.sqrt(max(variance_x, variance_y)) if known else None
 
 
 def worse_than_told(noise: MeasurementNoise, link: TargetLink) -> str:
-    """A sentence if the sender says that it is worse than the configuration has it, else nothing."""
+    """Return a warning if the sender reports more noise than the configuration, else nothing."""
     found: list[str] = []
     for sigma, told, name, unit in (
         (noise.position_m, link.position_noise_m, "position_noise_m", "m"),

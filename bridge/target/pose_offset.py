@@ -1,4 +1,4 @@
-"""From the frame that is tracked to the landing spot: a fixed offset in the axes of the tracked frame.
+"""Moves a pose from the tracked frame to the landing spot: a fixed offset in the axes of the tracked frame.
 
 A robot's odometry is that of a point between its wheels; the pad is somewhere above.
 """
@@ -12,12 +12,12 @@ from flightstack.core.types import Vec3
 
 
 def shift_pose(pose: Pose, offset_m: Vec3) -> Pose:
-    """The pose of the point ``offset_m`` away, in the axes of the pose; its covariance is left as it is."""
+    """Return the pose of the point at ``offset_m`` in the axes of the pose; the covariance is unchanged."""
     return pose._replace(position_m=_shift(pose.position_m, world_from_body(pose.orientation_wxyz, offset_m)))
 
 
 def shift_odometry(payload: bytes, offset_m: Vec3) -> bytes:
-    """Serialised odometry of the point ``offset_m`` away, in the axes of the child frame.
+    """Return serialised odometry of the point at ``offset_m`` in the axes of the child frame.
 
     The velocity is that of a rigid body, v + w x r. Covariances are left as they are.
 

@@ -1,4 +1,4 @@
-"""A velocity for targets that send poses alone: poses in, ``nav_msgs/msg/Odometry`` out.
+"""Estimates the velocity of targets that send poses only: poses in, ``nav_msgs/msg/Odometry`` out.
 
 The velocity is that of the stack's own target estimator (position and velocity measured) with the
 velocity measured so badly that it says nothing. Nothing goes on before the estimate has settled, none of

@@ -1,4 +1,4 @@
-"""Where the target's motion comes from: a Zenoh key, or a ROS 2 topic of one of four message types.
+"""The source of the target's motion: a Zenoh key, or a ROS 2 topic of one of four message types.
 
 ``KEY`` is a key as it stands, ``ros2:/TOPIC`` a topic of rmw_zenoh, ``ros2dds:/TOPIC`` one behind
 zenoh-bridge-ros2dds. Whatever comes leaves as serialised ``nav_msgs/msg/Odometry``, the one form that is
@@ -39,7 +39,7 @@ class Dialect(Enum):
 
 
 class TargetType(Enum):
-    """Message types that tell where a target is."""
+    """Message types that hold the pose of a target."""
 
     ODOMETRY = "odometry"
     POSE = "pose"
@@ -74,7 +74,7 @@ ROS_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class TargetSpec:
-    """What ``--target`` and its options say."""
+    """The source that ``--target`` and its options name."""
 
     text: str  # as given
     dialect: Dialect
@@ -91,7 +91,7 @@ class TargetSpec:
         domain: int = 0,
         offset_m: Vec3 = ZERO,
     ) -> TargetSpec:
-        """Understand ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``.
+        """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``.
 
         Raises:
             ValueError: a topic or domain that ROS 2 does not allow, or an offset out of range.
@@ -114,11 +114,11 @@ class TargetSpec:
 
     @property
     def fixed_key(self) -> str:
-        """Key expression of the transforms that are said once for good: ``/tf_static`` beside ``/tf``."""
+        """Key expression of the fixed transforms, which are sent once: ``/tf_static`` beside ``/tf``."""
         return replace(self, name=f"{self.name}_static").key
 
     def described(self) -> dict[str, str]:
-        """For the log: where its odometry came from, and what was done to it."""
+        """Text for the log: source and processing of the odometry."""
         x, y, z = self.offset_m
         return {"target": self.text, "target_type": self.type.value, "target_offset_m": f"{x:g} {y:g} {z:g}"}
 
@@ -174,7 +174,7 @@ class TargetSource:
         }[spec.type]
 
     def poll(self) -> list[RawSample]:
-        """Take all that has come, oldest first, as odometry; never blocks."""
+        """Take all samples that have arrived, oldest first, as odometry; never blocks."""
         if self._fixed is not None:
             self._take(self._fixed, self._fixed_transforms)
         return self._take(self._subscriber, self._convert)
@@ -212,7 +212,7 @@ class TargetSource:
             self._fixed.undeclare()
 
     def _is_wanted(self, key: str) -> bool:
-        """Whether a key of the topic is of the type that we read."""
+        """Return whether a key of the topic has the message type that we read."""
         found, wanted = parse_topic_key(key), ROS_TYPES[self._spec.type]
         if found is None:
             self._refuse(f"{self._spec.text}: the key {key} is not one of rmw_zenoh")
@@ -240,7 +240,7 @@ class TargetSource:
         return [payload if self._spec.offset_m == ZERO else shift_odometry(payload, self._spec.offset_m)]
 
     def _look_at(self, payload: bytes) -> None:
-        """Say what of a sample does not fit the configuration; whoever is wrong here stays so."""
+        """Report each difference between a sample and the configuration once; a sender does not change it."""
         try:
             odometry = decode_odometry(payload)
         except OdometryError:

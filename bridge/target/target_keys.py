@@ -1,4 +1,4 @@
-"""Looks for keys on Zenoh that a target might be under, for a person whose target does not come."""
+"""Finds Zenoh keys that may be a target's, to name them when the configured target sends nothing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LIKELY = (
 
 
 class KeySearch:
-    """Subscribes to what is named like odometry, a pose or tf, from its first ``keys`` until ``stop``.
+    """Subscribes to keys with names of odometry, a pose or tf, from the first ``keys`` until ``stop``.
 
     While it does, all samples of such keys travel to this process: use it only where nothing flies.
 
@@ -41,7 +41,7 @@ class KeySearch:
         return tuple(sorted(self._found))
 
     def stop(self) -> None:
-        """End the search and forget what was found; may be called at any time."""
+        """End the search and forget its results; may be called at any time."""
         for subscriber in self._subscribers:
             subscriber.undeclare()
         self._subscribers, self._found = [], {}

@@ -58,7 +58,7 @@ class TransformChain:
         return poses
 
     def _carrier(self) -> tuple[str, Pose | None]:
-        """The nearest frame above, or itself, that is not fixed to another, and the place in it."""
+        """Return the nearest frame above, or itself, that is not fixed to another, and the pose in it."""
         frame, place = self._child, None
         for _ in range(DEPTH_MAX):
             fixed = self._fixed.get(frame)
@@ -96,7 +96,7 @@ class TransformChain:
 
 
 def _without_slash(transform: Transform) -> tuple[str, Pose]:
-    """Tf of ROS 1 began names with a slash."""
+    """Return the name without the leading slash of ROS 1's tf."""
     pose = transform.pose
     return transform.child_frame_id.removeprefix("/"), pose._replace(frame_id=pose.frame_id.removeprefix("/"))
 
@@ -119,7 +119,7 @@ def _compose(above: Pose, pose: Pose) -> Pose:
 
 
 def _product(a: Quat, b: Quat) -> Quat:
-    """First the turn ``b``, then ``a`` (Hamilton)."""
+    """Return the rotation ``b`` followed by ``a`` (Hamilton product)."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (

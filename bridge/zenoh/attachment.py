@@ -31,7 +31,7 @@ def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
 
 
 def parse_attachment(data: bytes | None) -> tuple[int, int] | None:
-    """Sequence number and source time in Unix nanoseconds; None when it is absent or something else."""
+    """Return sequence number and source time in Unix nanoseconds; None if absent or of another form."""
     if data is None:
         return None
     if len(data) == _NEW.size:

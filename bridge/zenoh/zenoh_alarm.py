@@ -1,4 +1,4 @@
-"""Says when a Zenoh session has nobody at its other end: Zenoh itself dials on without a word.
+"""Reports when a Zenoh session has no connection: Zenoh itself retries without a message.
 
 A refused certificate, a wrong password and a machine that is switched off look the same from here.
 """
@@ -32,7 +32,7 @@ class ConnectionAlarm:
         self._said_router = role is not zenoh_link.Role.PEER
 
     def poll(self, now_s: float) -> list[str]:
-        """Sentences about what has changed; ``now_s`` never goes back."""
+        """Return messages about changes since the last call; ``now_s`` never goes back."""
         if not self._whom or now_s < self._next_s:
             return []
         self._next_s = now_s + LOOK_EVERY_S
@@ -46,7 +46,8 @@ class ConnectionAlarm:
             self._said_router = True
             texts.append(
                 f"Zenoh: {self._whom} is a router, and we are its peer: it passes on nothing from its other "
-                "peers, such as ROS 2 nodes; be a client, with mode client in --zenoh-config (docs/zenoh.md)"
+                "peers, such as ROS 2 nodes; be a client, with mode client in --zenoh-config "
+                "(docs/how_to/zenoh.md)"
             )
         return texts
 

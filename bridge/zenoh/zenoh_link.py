@@ -1,4 +1,4 @@
-"""Zenoh sessions that talk to whom they were told and nobody else, polled from the owner's loop.
+"""Zenoh sessions that connect to the given endpoints only and are polled from the owner's loop.
 
 No scouting and no gossip unless a configuration file asks for it, and no callbacks: a callback runs in
 another thread, swallows exceptions, and keeps the process from ending when the session is not closed.
@@ -29,7 +29,7 @@ _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 
 
 
 class Role(Enum):
-    """What a session is to others (``mode`` of a Zenoh configuration)."""
+    """The role of a session (``mode`` of a Zenoh configuration)."""
 
     PEER = "peer"  # speaks with those it dialled and those who dialled it, and passes nothing on
     CLIENT = "client"  # speaks through a router, with all of its clients and peers
@@ -116,7 +116,7 @@ def open_session(
 
 
 def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | None, role: Role) -> Any:
-    """Zenoh's own configuration: what was asked for, then the file's, then our defaults."""
+    """Return Zenoh's configuration: the arguments first, then the file, then our defaults."""
     untouched = zenoh.Config()
     try:
         config = zenoh.Config.from_file(str(file)) if file else zenoh.Config()
@@ -177,12 +177,12 @@ def remote_subscriber(session: Session, key: str, capacity: int = 256) -> Subscr
 
 
 def fifo_subscriber(session: Session, key: str, capacity: int = 1024) -> Subscriber:
-    """Declare a subscriber that loses nothing: when full it holds up the connection (lockstep)."""
+    """Declare a subscriber that loses nothing: when it is full the sender waits (lockstep)."""
     return session.declare_subscriber(_key(key), zenoh.handlers.FifoChannel(capacity))
 
 
 def kept_subscriber(session: Session, key: str, capacity: int = 256) -> Subscriber:
-    """Declare a ring subscriber that is also sent what publishers keep for who comes late.
+    """Declare a ring subscriber that also receives what publishers cache for late subscribers.
 
     ROS 2's *transient local*: rmw_zenoh and zenoh-bridge-ros2dds keep it in advanced publishers.
     """
@@ -195,7 +195,7 @@ def kept_subscriber(session: Session, key: str, capacity: int = 256) -> Subscrib
 
 
 def liveliness_token(session: Session, key: str) -> Any:
-    """Declare a token that others see for as long as this session lives and they reach it.
+    """Declare a token that others see while this session is open and connected to them.
 
     Raises:
         ValueError: the key is not allowed.
@@ -212,19 +212,19 @@ def drain(subscriber: Subscriber) -> list[Sample]:
 
 
 def is_matched(publisher: Publisher) -> bool:
-    """Tell whether a subscriber is known; what is put before that is lost."""
+    """Return whether there is a subscriber; samples that are put before are lost."""
     return bool(publisher.matching_status.matching)  # the status object itself is always true
 
 
 def transports(session: Session) -> int:
-    """Number of open connections to other sessions; 0 long after opening means refused or not there."""
+    """Return the number of open connections; 0 long after opening means refused or unreachable."""
     return len(session.info.transports())
 
 
 def dialled(
     connect: Sequence[str] = (), *, config_file: Path | None = None, role: Role = Role.PEER
 ) -> tuple[Role, list[str]]:
-    """What ``open_session`` with these arguments is, and whom it connects to.
+    """Return the role of ``open_session`` with these arguments, and the endpoints it connects to.
 
     Raises:
         ValueError: the file is malformed.
@@ -237,7 +237,7 @@ def dialled(
 
 
 def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) -> list[str]:
-    """Endpoints where ``open_session`` with these arguments listens to a network without any rule.
+    """Return the endpoints on which ``open_session`` listens to a network without access rules.
 
     Raises:
         ValueError: the file is malformed.
@@ -252,7 +252,7 @@ def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) 
 
 
 def knows_router(session: Session) -> bool:
-    """Tell whether one of the connections is to a router."""
+    """Return whether one of the connections is to a router."""
     return any(True for _ in session.info.routers_zid())
 
 

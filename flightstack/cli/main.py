@@ -1,10 +1,10 @@
-"""The command ``flightstack``: verbs only, the work is elsewhere."""
+"""The command ``flightstack``: it finds the verb that is called; the other packages do the work."""
 
 from __future__ import annotations
 
 import os
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
@@ -16,49 +16,74 @@ WRONG_INPUT = 2
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
-# where each verb is; a process of a flight loads its own alone
-VERBS = {
-    "bridge": "flightstack.cli.real.bridge:bridge",
-    "campaign": "flightstack.cli.prove.campaign:campaign",
-    "check": "flightstack.cli.prove.check:check",
-    "compare": "flightstack.cli.logs.log:diff",
-    "config": "flightstack.cli.real.config:config",
-    "fly": "flightstack.cli.fly.fly:fly",
-    "identify": "flightstack.cli.prove.identify:identify",
-    "key": "flightstack.cli.real.key:key",
-    "log": "flightstack.cli.logs.log:log",
-    "onboard": "flightstack.cli.fly.onboard:onboard",
-    "preflight": "flightstack.cli.fly.preflight:preflight",
-    "px4-sim": "flightstack.cli.real.px4_sim:px4_sim",
-    "record": "flightstack.cli.logs.record:record",
-    "replay": "flightstack.cli.prove.replay:replay",
-    "report": "flightstack.cli.logs.record:report",
-    "router": "flightstack.cli.zenoh:router",
-    "scenarios": "flightstack.cli.fly.simulator:scenarios",
-    "sitl": "flightstack.cli.fly.sitl:sitl",
-    "target": "flightstack.cli.fly.simulator:target",
-    "vehicle": "flightstack.cli.fly.simulator:vehicle",
-    "view": "flightstack.cli.logs.view:view",
-    "watch": "flightstack.cli.fly.watch:watch",
+
+
+class Verb(NamedTuple):
+    """A verb: its module and function, loaded only when it is called, and its line in ``--help``."""
+
+    place: str
+    help: str
+
+
+# in the groups of ``--help``, which are the folders of this package
+GROUPS = {
+    "Fly": {
+        "sitl": Verb("fly.sitl:sitl", "Fly a scenario in software, with everything it needs."),
+        "fly": Verb("fly.fly:fly", "Fly a real vehicle onto a real target."),
+        "preflight": Verb("fly.preflight:preflight", "Check the vehicle's safety parameters."),
+        "onboard": Verb("fly.onboard:onboard", "Run the onboard process alone."),
+        "vehicle": Verb("fly.simulator:vehicle", "Run the simulated Crazyflie alone."),
+        "target": Verb("fly.simulator:target", "Run the simulated ground robot alone."),
+        "watch": Verb("fly.watch:watch", "Show a flight while it flies."),
+        "scenarios": Verb("fly.simulator:scenarios", "List the scenarios, or print one."),
+    },
+    "Prove": {
+        "check": Verb("prove.check:check", "Prove a configuration before flight."),
+        "campaign": Verb("prove.campaign:campaign", "Fly many seeds; give rates with bounds."),
+        "replay": Verb("prove.replay:replay", "Run a log through today's controller."),
+        "identify": Verb("prove.identify:identify", "Identify velocity loop and noise from logs."),
+    },
+    "Logs": {
+        "report": Verb("logs.record:report", "Write the report of a log."),
+        "compare": Verb("logs.log:diff", "Compare two logs message by message."),
+        "view": Verb("logs.view:view", "Show a log in 3-D."),
+        "log": Verb("logs.log:log", "Inspect, judge, cut, repair, export logs."),
+        "record": Verb("logs.record:record", "Run the recorder alone."),
+    },
+    "Real things": {
+        "config": Verb("real.config:config", "List the configurations, or print one."),
+        "bridge": Verb("real.bridge:bridge", "Connect a Crazyflie or motion capture."),
+        "px4-sim": Verb("real.px4_sim:px4_sim", "Simulate the vehicle for PX4's autopilot."),
+        "router": Verb("real.router:router", "Run a Zenoh router."),
+        "key": Verb("real.key:key", "Make a MAVLink signing key."),
+    },
 }
+VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}
 
 
 class Verbs(click.Group):
     """Loads a verb when it is called, and turns wrong input into one clear line and exit status 2."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names of all verbs."""
+        """Names of all verbs, in the order of their groups."""
         del ctx
-        return sorted(VERBS)
+        return list(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The verb of this name, None if there is none."""
         del ctx
         if cmd_name not in VERBS:
             return None
-        module, _, name = VERBS[cmd_name].partition(":")
-        verb: click.Command = getattr(import_module(module), name)
+        module, _, name = VERBS[cmd_name].place.partition(":")
+        verb: click.Command = getattr(import_module(f"flightstack.cli.{module}"), name)
         return verb
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the verbs in their groups."""
+        del ctx
+        for title, verbs in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, verb.help) for name, verb in verbs.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the verb."""
@@ -72,7 +97,7 @@ class Verbs(click.Group):
 @click.group(cls=Verbs, context_settings=CONTEXT)
 @click.version_option(package_name="crazyflie-flightstack", message="flightstack %(version)s")
 def main() -> None:
-    """Land a Crazyflie on a moving target: safely, over MAVLink and Zenoh, everything recorded."""
+    """Land a Crazyflie safely on a moving target, over MAVLink and Zenoh, and record everything."""
 
 
 if __name__ == "__main__":

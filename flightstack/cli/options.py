@@ -83,7 +83,7 @@ def config(required: bool = True, help: str = "Configuration (TOML)") -> Callabl
 
 
 seed = click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all chance."
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Random seed."
 )
 lockstep = click.option(
     "--lockstep", is_flag=True, help="Simulated time, as fast as possible, deterministic."
@@ -101,7 +101,7 @@ no_record = click.option("--no-record", is_flag=True, help="Record nothing.")
 out = click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for log and report; default: a new one in runs/.",
+    help="Folder for log and report; default: a new folder in runs/.",
 )
 as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object as the last line.")
 with_report = click.option(
@@ -129,24 +129,24 @@ signing_key = click.option(
     "--signing-key",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Sign MAVLink with this key and hear nothing unsigned (see `key`).",
+    help="Sign MAVLink with this key and ignore unsigned frames (see `key`).",
 )
 allow_unsigned = click.option(
-    "--allow-unsigned", is_flag=True, help="Listen to a network without a key: anybody there can fly it."
+    "--allow-unsigned", is_flag=True, help="Listen on a network without a key: everybody there can fly it."
 )
 autopilot = click.option(
     "--autopilot",
     type=click.Choice(CHOICES),
     default=AUTO,
     show_default=True,
-    help="What flies the vehicle; auto: by its heartbeat (docs/autopilots.md).",
+    help="Autopilot of the vehicle; auto: the heartbeat says which (docs/how_to/autopilots.md).",
 )
 personality = click.option(
     "--personality",
     type=click.Choice(PERSONALITIES),
     default=PERSONALITIES[0],
     show_default=True,
-    help="Which autopilot the simulated vehicle plays.",
+    help="Autopilot that the simulated vehicle imitates.",
 )
 parameters = click.option(
     "--parameter",
@@ -162,24 +162,24 @@ speed = click.option(
     default=1.0,
     show_default=True,
     metavar="X",
-    help="Stack time against real time, for a simulator that runs as fast; never for a real vehicle.",
+    help="Stack time against real time, for a simulator of the same speed; never for a real vehicle.",
 )
 clock = click.option(
     "--clock",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Live by the clock of `px4-sim --clock FILE` instead of the wall's; never for a real vehicle.",
+    help="Use the clock of `px4-sim --clock FILE` instead of the wall clock; never for a real vehicle.",
 )
 duration = click.option(
     "--duration",
     "duration_s",
     type=click.FloatRange(min=0.1),
     metavar="S",
-    help="End after so many seconds of stack time.",
+    help="End after this time in seconds of stack time.",
 )
 view = click.option(
     "--view", is_flag=False, flag_value="native", metavar="[native|web|FILE.rrd]",
-    help="The scene in 3-D while it flies: in a window of Rerun, in a browser, or in a file (docs/live.md).",
+    help="The scene in 3-D during flight: in a window of Rerun, a browser, or a file (docs/how_to/live.md).",
 )  # fmt: skip
 
 
@@ -194,5 +194,5 @@ def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
         return error
     return ValueError(
         f"`{what}` needs Rerun: pip install 'crazyflie-flightstack[view]'; "
-        "or open the log itself in another viewer (docs/viewing.md)"
+        "or open the log itself in another viewer (docs/how_to/viewing.md)"
     )

@@ -1,9 +1,7 @@
-"""Options of every verb that speaks Zenoh, and the verb ``router``."""
+"""Options of every verb that uses Zenoh."""
 
 from __future__ import annotations
 
-import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,15 +30,15 @@ zenoh_config = click.option(
     "--zenoh-config",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Zenoh configuration (JSON5): routers, TLS, passwords, access (docs/zenoh.md).",
+    help="Zenoh configuration (JSON5): routers, TLS, passwords, access (docs/how_to/zenoh.md).",
 )
 target_key = click.option(
     "--target", "target_key", default="cf1/target/odom", show_default=True, metavar="KEY",
-    help="Where the target's motion is: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/ros2.md).",
+    help="Source of the target: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/ros2.md).",
 )  # fmt: skip
 target_type = click.option(
     "--target-type", type=click.Choice(TARGET_TYPES), default=TARGET_TYPES[0], show_default=True,
-    help="Its message type; of all but odometry the velocity is estimated.",
+    help="Message type of the target; for all types but odometry the velocity is estimated.",
 )  # fmt: skip
 target_offset = click.option(
     "--target-offset", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
@@ -67,42 +65,7 @@ def ros2(verb: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def ros2_network(where: str | None, domain: int) -> Ros2Network | None:
-    """What ``--ros2`` and ``--ros-domain`` say."""
+    """Return the network that ``--ros2`` and ``--ros-domain`` name, None without ``--ros2``."""
     from bridge.ros2.ros2_network import Ros2Network
 
     return Ros2Network(where, domain) if where is not None else None
-
-
-@click.command()
-@click.option(
-    "--listen", multiple=True, metavar="ENDPOINT",
-    help="Endpoint to listen on; default: the configuration's, or tcp/127.0.0.1:7447; repeatable.",
-)  # fmt: skip
-@connect
-@zenoh_config
-def router(listen: tuple[str, ...], connect: tuple[str, ...], zenoh_config: Path | None) -> None:
-    """Run a Zenoh router: the place where robot, companion, watchers and ROS 2 nodes meet.
-
-    Does the work of zenohd or rmw_zenohd where neither is installed; ends with Ctrl-C or SIGTERM.
-    """
-    from bridge.zenoh import zenoh_link
-
-    ends = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # for Zenoh's threads too, or it would end there
-    role = zenoh_link.Role.ROUTER
-    try:
-        if (
-            zenoh_config is not None
-            and zenoh_link.dialled(config_file=zenoh_config, role=role)[0] is not role
-        ):
-            raise ValueError(f'{zenoh_config}: mode "router" is needed, or none')
-        session = zenoh_link.open_session(listen, connect, config_file=zenoh_config, role=role)
-    except zenoh_link.ZenohLinkError as error:
-        click.echo(f"flightstack: {error}", err=True)
-        sys.exit(1)
-    try:
-        click.echo("ready")
-        signal.sigwait(ends)
-    finally:
-        session.close()
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ends)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simulated clocks
 
 
-PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/lockstep.md
+PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/how_it_works/lockstep.md
 RUN_AHEAD_TICKS = 20  # how far the target may be ahead of the onboard process's credit
 _DAY_NS = 86_400_000_000_000
 NO_GO = -1  # the target may not drive yet

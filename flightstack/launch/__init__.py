@@ -1,1 +1,1 @@
-"""Starts and supervises the processes of one flight, and tells its result."""
+"""Starts and supervises the processes of one flight, and prints its result."""

@@ -1,4 +1,4 @@
-"""One real flight: recorder, onboard process and live view; vehicle and target are somebody else's."""
+"""One flight of ``fly``: starts recorder, onboard process and live view; vehicle and target run already."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from flightstack.onboard.recording import describe, end_recorder, log_in, new_fo
 
 @dataclass(frozen=True)
 class FlyOptions:
-    """What ``flightstack fly`` was asked for.
+    """The options of ``flightstack fly``.
 
     Attributes:
         name: of the configuration.
@@ -46,7 +46,7 @@ class FlyOptions:
 
 
 def run(config: FlightConfig, options: FlyOptions, console: Console) -> Flown:
-    """Fly until the onboard process has ended, recorder first and last.
+    """Fly until the onboard process has ended; the recorder starts first and ends last.
 
     Raises:
         ConfigError: wrong input.

@@ -32,7 +32,7 @@ LAND_MAX_S = (
 
 @dataclass(frozen=True)
 class Shown:
-    """What the live view shows.
+    """The data of the live view.
 
     Attributes:
         endpoint: Zenoh endpoint of the onboard process.
@@ -46,7 +46,7 @@ class Shown:
 
 
 class Launcher:
-    """Holds the children, so that they are ended whatever happens; a context manager.
+    """Context manager that owns the child processes and ends all of them on exit.
 
     Attributes:
         children: running processes of this flight, in the order in which they were started.
@@ -93,7 +93,7 @@ class Launcher:
         shutil.rmtree(self._sockets, ignore_errors=True)
 
     def endpoint(self) -> str:
-        """Zenoh endpoint of loopback on a port kept free for this flight.
+        """Return a Zenoh endpoint on loopback, on a port that is reserved for this flight.
 
         Raises:
             LaunchError: there is no free port.
@@ -119,7 +119,7 @@ class Launcher:
         return recorder
 
     def view(self, where: str, endpoint: str, config: Path, namespace: str = NAMESPACE) -> None:
-        """Start the view in 3-D, which only listens; nothing waits for it once it is there.
+        """Start the view in 3-D and wait until it is ready. It only listens; the flight never waits for it.
 
         Args:
             where: of the option ``--view``.
@@ -135,7 +135,7 @@ class Launcher:
         self.console.print(f"view: {shown_at}", style="dim", soft_wrap=True, markup=False)
 
     def end_all(self) -> None:
-        """End every child, the recorder last, so that it closes the log behind the others."""
+        """End every child; the recorder ends last, so that the log holds the end of the others."""
         for child in reversed(self.children):
             child.end(self._end_max_s(child.name))
         self.children.clear()
@@ -155,7 +155,7 @@ class Launcher:
         shown: Shown | None,
         teller: Child | None = None,
     ) -> str | None:
-        """Watch until the onboard process ends; the problem, if there was one.
+        """Watch until the onboard process ends; return the problem, or None.
 
         Args:
             onboard: the onboard process.
@@ -205,7 +205,7 @@ class Launcher:
         self.interrupted = True
 
     def _hand_on(self, number: int, frame: FrameType | None) -> None:
-        """Give a signal to the onboard process, which knows what to do in flight."""
+        """Pass a signal on to the onboard process, which handles it according to its phase."""
         del frame
         for child in self.children:
             if isinstance(child, Child) and child.name == "onboard" and child.alive():
@@ -224,7 +224,7 @@ class Launcher:
             self.console.print(text, style=style, highlight=False, markup=False)
 
     def _let_it_land(self, teller: Child | None, until: float) -> None:
-        """Without the onboard process the vehicle lands by itself: wait until it says so.
+        """Wait until the vehicle has landed by itself after the onboard process ended.
 
         What it has said so far has not been read: one that never armed, or stands already, is known at once.
         """

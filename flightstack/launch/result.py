@@ -1,4 +1,4 @@
-"""The result of a flight: judged from its log, reported, and said in a table or as one JSON object."""
+"""The result of a flight: judges its log, writes the report, prints a table or one JSON object."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from rich.console import Console
 
 from flightstack.launch.verdict_table import verdict_table
 from logs.reader.flight import load_flight
+from logs.reader.flight_data import Flight
 from logs.reader.reader import LogError
-from logs.report.report import ReportError, write_report
-from logs.verdict.verdict import Verdict, judge
+from logs.report.report import ReportError, write_page
+from logs.verdict.verdict import Verdict, judge, verdict_result
 
 _VERDICT = tuple(field.name for field in fields(Verdict))
 
 
 @dataclass(frozen=True)
 class Flown:
-    """What a flight left behind.
+    """What remains of a flight: its log and its problems.
 
     Attributes:
         about: what was flown, the first keys of ``--json``.
@@ -45,7 +46,7 @@ class Flown:
 
 
 def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
-    """Judge a flight, write its report, print what was reached.
+    """Judge a flight, write its report, print the result.
 
     Returns:
         Exit status: 0 landed, 1 anything else.
@@ -63,40 +64,45 @@ def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool
 
 
 def conclude_values(flown: Flown, *, with_report: bool) -> dict[str, object]:
-    """Judge a flight and write its report; the keys of ``--json``."""
-    values = values_of(flown)
+    """Judge a flight and write its report; the keys of ``--json``, ``None`` for what is not known.
+
+    Without a log the outcome is the one that the onboard process reported, and nothing is measured.
+    """
     report = flown.folder / "report.html" if flown.log is not None else None
-    if flown.log is not None and with_report and values["judged_from"] is not None:
+    flight = _flight(flown)
+    if flight is None:
+        outcome = "landed" if flown.log is None and flown.code == 0 else None
+        return {
+            **flown.about,
+            **dict.fromkeys((*_VERDICT, "realtime_factor")),
+            "outcome": outcome,
+            "reason": flown.last_line,
+            "log": str(flown.log) if flown.log is not None else None,
+            "report": str(report) if report is not None else None,
+        }
+    verdict = judge(flight)
+    if with_report:
         try:
-            write_report(flown.log, report)
+            write_page(flight, verdict, report)
         except ReportError as error:  # the flight counts all the same
             print(f"flightstack: {error}", file=sys.stderr)
-    log = str(flown.log) if flown.log is not None else None
-    return {**values, "log": log, "report": str(report) if report is not None else None}
+    flown_s = float(flight.steps.t_s[-1] - flight.steps.t_s[0]) if flight.steps is not None else 0.0
+    factor = flown_s / flown.wall_s if flown.wall_s > 0.0 else None
+    return verdict_result(flight, verdict, report, flown.about, factor)
+
+
+def _flight(flown: Flown) -> Flight | None:
+    """The flight in the log; a log that cannot be used is named on standard error."""
+    try:
+        return load_flight(flown.log) if flown.log is not None else None
+    except LogError as error:
+        print(f"flightstack: no result: {flown.problem or flown.last_line} {error}", file=sys.stderr)
+        return None
 
 
 def landed(values: Mapping[str, object], flown: Flown) -> bool:
-    """Whether it landed, and no process failed."""
+    """Return whether the vehicle landed and no process failed."""
     return values["outcome"] == "landed" and flown.problem is None
-
-
-def values_of(flown: Flown) -> dict[str, object]:
-    """The keys of ``--json`` up to the files; of what nothing is known, None.
-
-    Without a log the outcome is what the onboard process says, and nothing is measured.
-    """
-    try:
-        flight = load_flight(flown.log) if flown.log is not None else None
-    except LogError as error:
-        print(f"flightstack: no result: {flown.problem or flown.last_line} {error}", file=sys.stderr)
-        flight = None
-    if flight is None:
-        told = "landed" if flown.log is None and flown.code == 0 else None
-        nothing = dict.fromkeys((*_VERDICT, "realtime_factor"))
-        return {**flown.about, **nothing, "outcome": told, "reason": flown.last_line}
-    flown_s = float(flight.steps.t_s[-1] - flight.steps.t_s[0]) if flight.steps is not None else 0.0
-    factor = flown_s / flown.wall_s if flown.wall_s > 0.0 else None
-    return {**flown.about, **judge(flight).to_json_dict(), "realtime_factor": factor}
 
 
 def _paths(console: Console, values: Mapping[str, object], *, with_report: bool) -> None:

@@ -1,4 +1,4 @@
-"""What ``flightstack sitl`` was asked for."""
+"""The options of ``flightstack sitl``."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from bridge.ros2.ros2_network import Ros2Network
 from flightstack.common.strict_toml import ConfigError
 
 PX4_PERSONALITY = "px4"  # default of the simulated vehicle
+_SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and ArduPilot only"
 
 
 class Flies(Enum):
-    """What flies; the value is the option of ``sitl`` that names its program."""
+    """The autopilot that flies; the value is the option of ``sitl`` that names its program."""
 
     OWN = ""  # the simulated vehicle with its own autopilot
     PX4 = "--px4"  # PX4 on the simulated vehicle
@@ -71,24 +72,24 @@ class RunOptions:
     speed: float = 1.0
 
     def check(self) -> None:
-        """Refuse what does not go together.
+        """Refuse options that cannot be combined.
 
         Raises:
             ConfigError: which options, and why.
         """
         own = self.flies is Flies.OWN
         for name, given, allowed, why in (
-            ("--lockstep", self.lockstep, own, "needs the simulated vehicle; --speed makes PX4 faster"),
+            ("--lockstep", self.lockstep, own, f"{_SIMULATED}; use --speed to fly PX4 faster"),
             (
                 "--signing-key",
                 self.signing_key is not None,
                 own,
-                "is not known to a PX4 or ArduPilot in software",
+                "is not given to a PX4 or ArduPilot in software",
             ),
-            ("--personality", self.personality != PX4_PERSONALITY, own, "is of the simulated vehicle"),
-            ("--speed", self.speed != 1.0, not own, "is of PX4 and ArduPilot; --lockstep is faster"),
-            ("--instance", self.instance is not None, not own, "is of PX4 and ArduPilot"),
-            ("--mocap", self.mocap, self.flies is Flies.PX4, "is what --px4 can have instead of satellites"),
+            ("--personality", self.personality != PX4_PERSONALITY, own, _SIMULATED),
+            ("--speed", self.speed != 1.0, not own, f"{_REAL}; --lockstep is faster"),
+            ("--instance", self.instance is not None, not own, _REAL),
+            ("--mocap", self.mocap, self.flies is Flies.PX4, "works with --px4 only, instead of satellites"),
         ):
             if given and not allowed:
                 raise ConfigError(f"{name} with {self.flies.value or 'the simulated vehicle'}: {name} {why}")

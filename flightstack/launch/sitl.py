@@ -1,4 +1,4 @@
-"""One run: starts vehicle, target, onboard process and recorder, watches them, judges what they recorded."""
+"""One run of ``sitl``: starts vehicle, target, onboard process and recorder, and watches them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from flightstack.launch.vehicles import (
 from flightstack.onboard.recording import describe, log_in, new_folder
 from flightstack.verify.certificate import problems
 from sim.autopilot.geo import ORIGIN_WGS84
-from sim.autopilot.personality import PERSONALITIES
+from sim.autopilot.profiles import PROFILES
 from sim.scenarios.scenario import Scenario, path_of
 from sim.scenarios.scenario import load as load_scenario
 
@@ -35,7 +35,7 @@ LOCKSTEP_SLOWEST = 0.2  # share of real time below which a lockstep run is given
 
 
 def onboard_of(scenario: str) -> FlightConfig:
-    """The onboard process's part of a scenario, by name or file.
+    """Return the configuration of the onboard process from a scenario, by name or file.
 
     Raises:
         ConfigError: there is none, or it is wrong.
@@ -44,7 +44,7 @@ def onboard_of(scenario: str) -> FlightConfig:
 
 
 def prepare(options: RunOptions) -> Scenario:
-    """Load and check the scenario, with the configuration that fits what flies.
+    """Load and check the scenario, with the configuration for the chosen autopilot.
 
     Raises:
         ConfigError: it must not fly.
@@ -55,7 +55,7 @@ def prepare(options: RunOptions) -> Scenario:
         scenario = replace(scenario, onboard=_begun_as(scenario, load_config(path_of_config(name))))
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)
-    if PERSONALITIES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
+    if PROFILES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
         there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
         scenario = replace(scenario, onboard=replace(scenario.onboard, vehicle=there))
     if options.duration_s is not None:
@@ -98,7 +98,7 @@ def run(options: RunOptions, console: Console) -> Flown:
 
 
 def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Flown:
-    """Start everybody after those he connects to; then watch until the flight ends."""
+    """Start each process after those it connects to; then watch until the flight ends."""
     folder, duration_s = launcher.folder, scenario.duration_max_s
     lockstep = ["--lockstep"] if options.lockstep else []
     target_at, onboard_at = launcher.endpoint(), launcher.endpoint()
@@ -142,7 +142,7 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     )  # fmt: skip
     wall_s = time.monotonic() - started
     launcher.end_all()
-    if problem is None and recorder.process.returncode != 0:  # it may be behind the flight
+    if problem is None and recorder.process.returncode != 0:  # it may end after the flight
         problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
     about = {"scenario": scenario.name, "seed": options.seed, "filter": scenario.onboard.filter}
     code, said = onboard.process.returncode, launcher.last_line

@@ -1,4 +1,4 @@
-"""Many runs of one scenario over the real wires, one after the other, and what came of them."""
+"""Several runs of one scenario over the real wires, one after the other, and their summary."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def fly_all(options: RunOptions, runs: int, console: Console, *, as_json: bool, 
 
 
 def sum_up(rows: Sequence[Row], runs: int) -> dict[str, object]:
-    """Counts and medians of many runs.
+    """Return counts and medians of several runs.
 
     Args:
         rows: the values of each run, with ``landed``.

@@ -1,4 +1,4 @@
-"""What ``sitl`` can let fly: our simulated vehicle, PX4 on it, PX4 and ArduPilot with physics of their own.
+"""The vehicles of ``sitl``: the simulated vehicle, PX4 on it, PX4 and ArduPilot with their own physics.
 
 Every vehicle starts its processes and names the options by which the onboard process finds it. Vehicles with
 physics of their own know no pad: they land on the floor, on the spot below which the robot drives, and count
@@ -19,7 +19,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
 from sim.autopilot.geo import ORIGIN_WGS84
-from sim.autopilot.personality import PERSONALITIES, PX4
+from sim.autopilot.profiles import PROFILES, PX4
 from sim.plant import params
 from sim.px4.airframe import SAFE_PARAMETERS, parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
@@ -49,10 +49,10 @@ class Flying:
 
 
 class Vehicle(Protocol):
-    """Something that ``sitl`` can let fly."""
+    """A vehicle that ``sitl`` can fly."""
 
     def adapt(self, scenario: Scenario) -> Scenario:
-        """The scenario with what this vehicle needs of it."""
+        """Return the scenario with the changes that this vehicle needs."""
 
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start it and wait until it can be flown.
@@ -69,17 +69,17 @@ class Vehicle(Protocol):
 
 
 class OwnVehicle:
-    """Our simulated vehicle with the autopilot it plays."""
+    """The simulated vehicle with the autopilot that it imitates."""
 
     def adapt(self, scenario: Scenario) -> Scenario:
-        """Nothing: the scenario is made for it."""
+        """Return the scenario unchanged: it is made for this vehicle."""
         return scenario
 
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start it; see ``Vehicle.start``."""
         lockstep = ["--lockstep"] if options.lockstep else []
         key = ["--signing-key", str(options.signing_key)] if options.signing_key is not None else []
-        values = PERSONALITIES[options.personality].set_before_flight
+        values = PROFILES[options.personality].set_before_flight
         child = launcher.start(
             "vehicle", *common_words(launcher, options), *lockstep, *key,
             "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),
@@ -87,7 +87,7 @@ class OwnVehicle:
             *(word for name, value in values.items() for word in ("--parameter", f"{name}={value:g}")),
         )  # fmt: skip
         url = child.wait_ready().replace("udpin", "udpout")
-        # a heartbeat does not tell our own vehicle from what it plays
+        # the heartbeat of the simulated vehicle is that of the autopilot it imitates
         own = options.autopilot == AUTO and options.personality == PX4.name
         autopilot = OWN_SITL.name if own else options.autopilot
         return Flying(["--vehicle", url, *key, "--autopilot", autopilot], [child], child)
@@ -95,7 +95,7 @@ class OwnVehicle:
 
 @dataclass
 class _Px4Child:
-    """PX4 among the children of a launcher, with the number that moves its ports."""
+    """PX4 as a child process of a launcher, with its instance number, which selects its ports."""
 
     program: Px4Program
     claim: InstanceClaim | None  # to be given back; None: the number was given
@@ -118,7 +118,7 @@ class _Px4Child:
 
 
 class _Px4Start:
-    """PX4 about to be started: its number is known before, since the simulator listens where it connects."""
+    """PX4 before its start; its instance number is chosen first, since the simulator's port depends on it."""
 
     def __init__(self, options: RunOptions) -> None:
         self._options, self._binary = options, _program_of(options)
@@ -144,7 +144,7 @@ class Px4OnPlant:
     """PX4 on our simulated vehicle."""
 
     def adapt(self, scenario: Scenario) -> Scenario:
-        """Nothing: it stands below a hover start."""
+        """Return the scenario unchanged: the vehicle stands on the floor below a hover start."""
         return scenario
 
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
@@ -185,7 +185,7 @@ class ArduPilotWithItsOwnPhysics:
         return around_the_start(scenario)
 
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
-        """Start it; it is ready when it is heard, for which the onboard process waits."""
+        """Start it; the onboard process waits for its heartbeat."""
         del target_at
         number = options.instance or 0
         folder = launcher.folder / "ardupilot"
@@ -235,7 +235,7 @@ VEHICLES: Mapping[Flies, Vehicle] = {
 
 
 def configuration_for(flies: Flies, scenario: Scenario) -> str | None:
-    """Name of the configuration that fits a vehicle best; None: the scenario's own."""
+    """Return the name of the configuration for a vehicle; None: the scenario's own."""
     if flies is Flies.ARDUPILOT:
         return "ardupilot-1kg"
     if flies is Flies.PX4_SIH:
@@ -250,22 +250,22 @@ def common_words(launcher: Launcher, options: RunOptions) -> list[str]:
 
 
 def longest_s(scenario: Scenario) -> float:
-    """Longest that a flight may take, s: until the time is over, and then to abort."""
+    """Return the longest time of a flight, s: its duration and the time for an abort."""
     return scenario.duration_max_s + scenario.onboard.retreat.abort_time_max_s
 
 
 def others_s(scenario: Scenario) -> float:
-    """How long the simulator's processes run, s: past the end of the onboard process."""
+    """Return how long the simulator's processes run, s: longer than the onboard process."""
     return longest_s(scenario) + 10.0
 
 
 def speed_words(speed: float) -> list[str]:
-    """The option ``--speed``, where it is not real time."""
+    """Return the option ``--speed``, or nothing in real time."""
     return ["--speed", f"{speed:g}"] if speed != 1.0 else []
 
 
 def around_the_start(scenario: Scenario) -> Scenario:
-    """The scenario in coordinates that begin where the vehicle stands."""
+    """Return the scenario in coordinates whose origin is the place of the vehicle."""
     start, target = scenario.start, scenario.target
     x_m, y_m = target.position_m
     if start.kind is StartKind.GROUND:
@@ -279,7 +279,10 @@ def around_the_start(scenario: Scenario) -> Scenario:
 
 
 def _on_the_floor(scenario: Scenario) -> list[str]:
-    """On the floor its own height is zero, not its feet's: the landing spot is put below by them."""
+    """Return the option that puts the landing spot on the floor.
+
+    This vehicle's height is zero where it stands, not the height of its reference point over its feet.
+    """
     down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
     return ["--target-offset", "0", "0", f"{-down_m:g}"]
 

@@ -1,4 +1,4 @@
-"""A verdict in the terminal."""
+"""A verdict as a table in the terminal."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ROWS = (
 
 
 def verdict_table(values: Mapping[str, Any], reason: str) -> Group:
-    """Return the values of ``logs.verdict.result.verdict_result`` as a table; "-" for what is not known."""
+    """Return the values of ``logs.verdict.verdict.verdict_result`` as a table; "-" for what is not known."""
     told = {name: values[name] for name in _ABOUT if values.get(name) is not None}
     title = ", ".join(f"{name} {value}" for name, value in told.items())
     table = Table()

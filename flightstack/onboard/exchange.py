@@ -1,4 +1,4 @@
-"""What a tick takes from its links and gives back to them, apart from sockets and clocks.
+"""The inputs that a tick takes from its links, and the outputs it gives them, without sockets and clocks.
 
 Live flight and replay do it here, so that a replay of the wire is a replay of what flew.
 """
@@ -15,7 +15,7 @@ from flightstack.core.types import Inputs, Operator, TargetSample
 
 
 class Taken(NamedTuple):
-    """What ``Controller.step`` is given, and what could not be decoded."""
+    """The arguments of ``Controller.step``, and the errors of samples that could not be decoded."""
 
     inputs: Inputs
     command_failed: bool
@@ -42,7 +42,7 @@ def take(link: VehicleLink, odometry: Sequence[bytes], operator: Operator, now_s
 
 
 def answer(link: VehicleLink, out: Outputs, now_s: float, *, lockstep: bool) -> bytes:
-    """Send what was decided; returns the frame that ends a lockstep tick, else nothing."""
+    """Send the outputs of a tick; return the frame that ends a lockstep tick, else None."""
     if out.setpoint is not None:
         link.send_setpoint(out.setpoint, now_s)
     link.command(out.request, now_s)

@@ -1,7 +1,7 @@
-"""Lockstep seen from the onboard process: the vehicle names the tick, the target counts its samples.
+"""Lockstep on the side of the onboard process: the vehicle sends the tick, the target counts its samples.
 
 Order between MAVLink and Zenoh is never assumed: a tick begins when the vehicle has asked for it by TIMESYNC
-and the target has said, tick by tick, how many samples belong to it (docs/lockstep.md).
+and the target has said, tick by tick, how many samples belong to it (docs/how_it_works/lockstep.md).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class LockstepWires:
         self.target_gone = False
 
     def vehicle(self) -> int | None:
-        """Simulated time of the next tick, ns; ``None`` when the vehicle is gone or the process is to end."""
+        """Return the simulated time of the next tick, ns; ``None`` if vehicle or process end."""
         link = self._link
         limit_s = FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S
         until = time.monotonic() + limit_s
@@ -80,7 +80,7 @@ class LockstepWires:
         return released
 
     def _complete(self, tick: int) -> bool:
-        """The marker of this tick has come, and all samples it counts."""
+        """Return whether the marker of this tick has arrived, and all samples that it counts."""
         for sample in zenoh_link.drain(self._markers):
             number, count = PAIR.unpack(sample.payload.to_bytes())
             self._counts[number] = count
@@ -89,6 +89,6 @@ class LockstepWires:
         return tick in self._counts and self._received + len(self._pool) >= self._counts[tick]
 
     def announce_start(self, tick: int) -> None:
-        """Tell the target when it may drive: later than anything it may have run ahead to."""
+        """Tell the target when it may drive: after the last tick that it may already have computed."""
         self.go_tick = tick + RUN_AHEAD_TICKS + 1
         self._credit.put(PAIR.pack(tick, self.go_tick))

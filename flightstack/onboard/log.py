@@ -13,10 +13,10 @@ from flightstack.core.controller import Outputs
 from flightstack.core.memory import State
 from flightstack.onboard.exchange import Taken
 from flightstack.onboard.state_text import StateText
-from logs.schema.codec import LoopTimingRow, pack_controller_step, pack_log, pack_loop_timing, pack_mavlink
-from logs.schema.codec_input import pack_controller_input, pack_controller_state
-from logs.schema.codec_log import CONTROLLER, ONBOARD
-from logs.schema.mavlink_peers import PeerNames
+from logs.schema.codec_mavlink import PeerNames, pack_mavlink
+from logs.schema.controller_rows import TickInputs, pack_controller_input, step_row
+from logs.schema.events import CONTROLLER, ONBOARD, pack_log
+from logs.schema.rows import ControllerStateRow, ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import (
     CONTROLLER_INPUT,
     CONTROLLER_STATE,
@@ -26,7 +26,6 @@ from logs.schema.schemas import (
     MAVLINK,
     ODOMETRY,
 )
-from logs.schema.step_row import step_row
 
 STATUS_HZ = 20.0  # of the live topics
 STATE_HZ = 1.0  # of the snapshots a replay can begin at
@@ -70,6 +69,7 @@ class OnboardLog:
         self._rosout = feed.channel("/rosout", LOG)
         self._frames: list[tuple[Direction, bytes, bytes]] = []  # last: name of the peer
         self._peer_names = PeerNames(feed)
+        self._packed_step = b""  # of the last tick
         self._asked = b""  # last TIMESYNC that came
         self._sequence = 0
         self._flush_every = 10 if lockstep else 1  # ticks; fewer wake-ups of the recorder, 0.1 s of flight
@@ -105,8 +105,8 @@ class OnboardLog:
         """Write an event of /rosout."""
         self._feed.write(self._rosout, unix_ns, unix_ns, 0, pack_log(unix_ns, level, name, text))
 
-    def step(self, tick: Tick, taken: Taken, out: Outputs, state: State) -> bytes:
-        """Write the frames, inputs, events and decisions of a tick; the step's message is returned.
+    def step(self, tick: Tick, taken: Taken, out: Outputs, state: State) -> ControllerStepRow:
+        """Write the frames, inputs, events and decisions of a tick; return the decisions.
 
         Args:
             tick: the tick.
@@ -121,31 +121,28 @@ class OnboardLog:
             self._feed.write(
                 self._mavlink[direction], unix_ns, unix_ns, self._sequence, pack_mavlink(unix_ns, frame, peer)
             )
-        given = pack_controller_input(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)
-        self._feed.write(self._input, unix_ns, unix_ns, tick.number, given)
+        given = TickInputs(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)
+        self._feed.write(self._input, unix_ns, unix_ns, tick.number, pack_controller_input(given))
         for event in out.events:
             self.event(unix_ns, event.level, event.text, CONTROLLER)
-        payload = pack_controller_step(step_row(tick, out))
-        self._feed.write(self._step, unix_ns, unix_ns, tick.number, payload)
+        row = step_row(tick, out)
+        self._packed_step = row.pack()
+        self._feed.write(self._step, unix_ns, unix_ns, tick.number, self._packed_step)
         if tick.number % self._state_every == 0:
-            snapshot = pack_controller_state(
-                unix_ns, tick.number, self._state_text.layout, self._state_text.dumps(state)
-            )
-            self._feed.write(self._state, unix_ns, unix_ns, tick.number, snapshot)
-        return payload
+            text = self._state_text
+            snapshot = ControllerStateRow(unix_ns, tick.number, text.layout, text.dumps(state))
+            self._feed.write(self._state, unix_ns, unix_ns, tick.number, snapshot.pack())
+        return row
 
-    def timing(
-        self, tick: Tick, out: Outputs, exec_s: float, overruns: int, dropped: int, step: bytes
-    ) -> None:
-        """Write how the wall clock kept the tick; show both to live subscribers now and then."""
+    def timing(self, tick: Tick, out: Outputs, exec_s: float, overruns: int, dropped: int) -> None:
+        """Write the timing of the tick; publish it and the last step, at ``STATUS_HZ``."""
         solve_s = out.barrier.result.solve_s if out.barrier is not None else 0.0
-        row = LoopTimingRow(
+        payload = LoopTimingRow(
             tick.unix_ns, tick.number, tick.period_s, tick.lateness_s, exec_s, solve_s, overruns, dropped
-        )
-        payload = pack_loop_timing(row)
+        ).pack()
         self._feed.write(self._timing, tick.unix_ns, tick.unix_ns, tick.number, payload)
         if tick.number % self._every == 0 or out.finished:
-            self._live_step.put(step)
+            self._live_step.put(self._packed_step)
             self._live_timing.put(payload)
         if tick.number % self._flush_every == 0:
             self._feed.flush()

@@ -1,4 +1,4 @@
-"""The pre-flight check of the onboard process: what the flight needs, and what is said and logged of it."""
+"""The pre-flight check of the onboard process: the needs of the flight, and the texts for person and log."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE)
 
 
 def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
-    """What a flight of this configuration needs of its autopilot.
+    """Return what a flight of this configuration needs from its autopilot.
 
     Args:
         config: what is to be flown.
@@ -32,7 +32,7 @@ def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
 
 
 def line_plan(baud: int | None, config: FlightConfig, *, signed: bool) -> LinePlan:
-    """Rates at which the flight of this configuration fits into a line.
+    """Return the rates at which the flight of this configuration fits into a serial line.
 
     Args:
         baud: of a serial line, None of other links.
@@ -89,7 +89,7 @@ def check(
 
 
 def lines(report: Report) -> Iterator[str]:
-    """What a person should read."""
+    """Return the text for a person."""
     if report.profile is not None:
         version = f", release {report.version}" if report.version is not None else ", release not told"
         yield f"preflight: {report.profile.title}{version}"
@@ -104,7 +104,7 @@ def lines(report: Report) -> Iterator[str]:
 
 
 def verdict(report: Report) -> str | None:
-    """Why it must not arm, None when it may."""
+    """Return why the vehicle must not arm, None if it may."""
     if report.problem is not None:
         return report.problem
     names = [finding.name for finding in report.blocking]
@@ -117,7 +117,7 @@ def verdict(report: Report) -> str | None:
 
 
 def record(report: Report) -> dict[str, str]:
-    """For the log's metadata."""
+    """Return the findings for the log's metadata."""
     found = {
         f.name: f"{'missing' if f.value is None else repr(f.value)} {f.level.value}" for f in report.findings
     }

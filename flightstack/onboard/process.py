@@ -179,11 +179,11 @@ class Onboard:
         self.report = self.waiting.step(out, self.controller.memory, len(raw), taken.problems, tick.now_s)
         if self.report is not None and not self.options.lockstep:
             self.log.event(tick.unix_ns, WARN, self.report)
-        payload = self.log.step(tick, taken, out, self.controller.state)
-        self.log.timing(tick, out, exec_s, overruns, self.feed.dropped, payload)
+        row = self.log.step(tick, taken, out, self.controller.state)
+        self.log.timing(tick, out, exec_s, overruns, self.feed.dropped)
         reason, battery = self.controller.memory.reason, link.state.battery
         health = self.health.show(tick, out, reason, battery, overruns, self.feed.dropped)
-        self.wires.show(tick, out, payload, health)
+        self.wires.show(tick, out, row, health)
         return out, exec_s
 
     def _describe(self) -> None:

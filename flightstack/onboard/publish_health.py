@@ -8,7 +8,7 @@ from bridge.mavlink.client.vehicle_state import Battery
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
-from logs.schema.codec_health import HealthRow, pack_health
+from logs.schema.rows import HealthRow
 from logs.schema.schemas import HEALTH
 
 HEALTH_HZ = 5.0
@@ -30,7 +30,7 @@ class LiveHealth:
         """Publish now and then, and at the end; returns what was published."""
         if tick.number % self._every != 0 and not out.finished:
             return None
-        payload = pack_health(health_row(tick, out, reason, battery, overruns, dropped))
+        payload = health_row(tick, out, reason, battery, overruns, dropped).pack()
         self._publisher.put(payload)
         return payload
 

@@ -6,14 +6,15 @@ It has a Zenoh session of its own, so nothing on the ROS 2 side touches the wire
 from __future__ import annotations
 
 import math
-import struct
 
 from bridge.ros2.ros2_node import Ros2Node, Ros2Publisher
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from logs.derive.derive import STEP_SUFFIX, Deriver
-from logs.schema.codec_log import pack_string
+from logs.schema.cdr import packer
+from logs.schema.events import pack_string
+from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import (
     CONTROLLER_STEP,
     HEALTH,
@@ -29,8 +30,6 @@ from logs.schema.schemas import (
 FLOAT64 = "std_msgs/msg/Float64"
 PLAIN_HZ = 20.0  # of h, phase and step; the topics made for viewers have their own rates
 NODE = "flightstack_onboard"
-_FLOAT64 = struct.Struct("<4sd")
-_CDR = b"\x00\x01\x00\x00"
 _DERIVED = {
     "/pose": POSE_STAMPED,
     "/odom": ODOMETRY,
@@ -61,19 +60,20 @@ class LiveRos2:
         self._derive = Deriver(space + STEP_SUFFIX)
         self._derived = {space + name: self._publisher(space + name, kind) for name, kind in _DERIVED.items()}
         self._derived["/tf"] = self._publisher("/tf", TF_MESSAGE)
+        self._pack_float = packer(FLOAT64)
         self._h = self._publisher(space + "/h", FLOAT64)
         self._phase = self._publisher(space + "/phase", STRING)
         self._step = self._publisher(space + STEP_SUFFIX, CONTROLLER_STEP)
         self._health = self._publisher(space + "/health", HEALTH)
         self._every = max(1, round(rate_hz / PLAIN_HZ))
 
-    def show(self, tick: Tick, out: Outputs, step: bytes, health: bytes | None) -> None:
+    def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
         """Publish what is due.
 
         Args:
             tick: the tick.
             out: what was decided in it.
-            step: its serialised controller step.
+            step: the same as a row of the log.
             health: serialised, when it is due.
         """
         now_ns = tick.unix_ns
@@ -85,9 +85,9 @@ class LiveRos2:
             self._health.put(health, now_ns)
         if tick.number % self._every == 0 or out.finished:
             h_m = out.barrier.h_m if out.barrier is not None else math.nan
-            self._h.put(_FLOAT64.pack(_CDR, h_m), now_ns)
+            self._h.put(self._pack_float((h_m,)), now_ns)
             self._phase.put(pack_string(out.phase.name), now_ns)
-            self._step.put(step, now_ns)
+            self._step.put(step.pack(), now_ns)
 
     def close(self) -> None:
         """Leave the graph."""

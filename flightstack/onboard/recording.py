@@ -1,4 +1,4 @@
-"""A flight's folder, its recorder, and what the log says of the run: what was flown, by which code, where."""
+"""A flight's folder, its recorder, and the log's metadata about the run: scenario, code, machine."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
 
 
 def new_folder(name: str) -> Path:
-    """Make a folder in ``runs`` for what a flight leaves behind.
+    """Make a folder in ``runs`` for the files of a flight.
 
     Raises:
         ConfigError: too many of this name and second.
@@ -63,14 +63,14 @@ def start_recorder(socket: Path, log: Path) -> Child:
 
 
 def end_recorder(recorder: Child) -> str | None:
-    """End a recorder behind its clients, bounded; the problem, if the log is not whole."""
+    """End a recorder after its clients, in bounded time; return the problem if the log is not complete."""
     if recorder.end(CLOSE_TIME_MAX_S) == 0:
         return None
     return f"record did not end in order: {recorder.errors() or 'no reason given'}"
 
 
 class OwnRecorder:
-    """The recorder of an onboard process that was given none: a child process; a context manager.
+    """Context manager with the recorder of an onboard process without ``--recorder``: a child process.
 
     Attributes:
         problem: why the log is not whole; known when the context has ended.

@@ -1,4 +1,4 @@
-"""What a flight waits for, in words for a person: each cause with the setting that decides about it. Pure.
+"""The causes for which a flight waits, as texts for a person, each with the setting that limits it. Pure.
 
 ``missing`` judges what the links have shown; ``countdown`` says what ends a phase, and when.
 """
@@ -16,7 +16,7 @@ _FLYING = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
 
 
 class VehicleSeen(NamedTuple):
-    """What the vehicle link has shown.
+    """What the vehicle link has received so far.
 
     Attributes:
         heartbeat_age_s: of the newest heartbeat; None: there was none.
@@ -40,7 +40,7 @@ class VehicleSeen(NamedTuple):
 
 
 class TargetSeen(NamedTuple):
-    """What the target's link has shown.
+    """What the target's link has received so far.
 
     Attributes:
         name: key or topic, as given.
@@ -58,7 +58,7 @@ class TargetSeen(NamedTuple):
 
 
 def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[str, ...]:
-    """Return what keeps the flight from beginning, one sentence each; empty when nothing is known to.
+    """Return the known causes that keep the flight from beginning, one sentence each.
 
     Args:
         vehicle: what its link has shown.
@@ -145,7 +145,7 @@ _BOUNDS: Mapping[Phase, _Bound] = {
 
 
 def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
-    """Say what ends the phase, when at the latest, and by which setting; empty for one without such an end.
+    """Return what ends the phase, the latest time, and the setting; empty for a phase without a limit.
 
     Args:
         config: of the flight.

@@ -15,6 +15,7 @@ from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.publish_ros2 import LiveRos2
+from logs.schema.rows import ControllerStepRow
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,8 @@ class ZenohWires:
         )  # fmt: skip
         self.search = KeySearch(where)
         self._texts = [
-            f"Zenoh listens on {endpoint} without rules: whoever reaches it can send a target (docs/zenoh.md)"
+            f"Zenoh listens on {endpoint} without rules: every process that reaches this endpoint "
+            "can send a target (docs/how_to/zenoh.md)"
             for endpoint in zenoh_link.open_to_all(plan.listen, config_file=plan.config_file)
         ]
         self._lockstep, self.target = plan.lockstep, plan.target
@@ -92,7 +94,7 @@ class ZenohWires:
                 texts += alarm.poll(now_s)
         return texts
 
-    def show(self, tick: Tick, out: Outputs, step: bytes, health: bytes | None) -> None:
+    def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
         """Show a tick to ROS 2, if that is wanted; arguments as of ``LiveRos2.show``."""
         if self._shown is not None:
             self._shown.show(tick, out, step, health)

@@ -1,1 +1,1 @@
-"""The certificate: what the filter promises for these numbers, and whether its program has a solution."""
+"""The certificate: proves what the filter guarantees for a configuration, and that it is feasible."""

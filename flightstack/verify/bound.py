@@ -25,7 +25,7 @@ class Span(NamedTuple):
     high: float
 
     def middle(self) -> float:
-        """Where to cut; an unbounded interval is cut at a multiple of its lower end."""
+        """Point at which to cut; an unbounded interval is cut at a multiple of its lower end."""
         if math.isinf(self.high):
             return 2.0 * self.low + 1.0
         return 0.5 * (self.low + self.high)
@@ -95,7 +95,7 @@ def most(
 
 
 def _weight(span: Span, whole: Span) -> float:
-    """Share of the coordinate's range that a cell still has; unbounded cells are cut first."""
+    """Return the cell's share of the coordinate's range; unbounded cells are cut first."""
     if math.isinf(span.high):
         return math.inf
     return span.width() / (whole.width() if math.isfinite(whole.high) else 1.0)
@@ -111,5 +111,5 @@ def _corners(domain: Cell) -> list[tuple[float, ...]]:
 
 
 def wider(span: Span) -> Span:
-    """The span with room for rounding errors of what it was computed from."""
+    """Return the span, widened by the rounding errors of the numbers it was computed from."""
     return Span(span.low - ROUNDING * (1.0 + abs(span.low)), span.high + ROUNDING * (1.0 + abs(span.high)))

@@ -1,8 +1,9 @@
-"""Is this configuration good for everything it declares? Proved before take-off, over the whole envelope.
+"""Proves before take-off that a configuration is safe for everything it declares, over the whole envelope.
 
-``checks`` proves or refutes each claim of docs/robust_filter.md at its worst point; ``problems`` are those
-without which the set cannot work, and the onboard process refuses. Each filter names the function that makes
-its checks. The paper's filter has the paper's checks alone: it promises nothing of a vehicle that lags.
+``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point.
+``problems`` are the refuted claims without which no landing is possible: the onboard process refuses such a
+configuration. Each filter names the function that makes its checks. The paper's filter has the paper's checks
+alone: it promises nothing for a vehicle that lags.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Checks for any filter: contact is told from a descent, and a vehicle that does not follow is noticed."""
+"""Checks for any filter: contact differs from a descent, and a vehicle that does not follow is detected."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from flightstack.verify.types import Check
 
 
 def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
-    """Sinking as told is faster than what counts as standing."""
+    """Check that a commanded descent is faster than the speed that counts as standing."""
     found = config.contact.speed_m_s
     return Check(
         "contact.speed_m_s",
-        "a vehicle that sinks as told is not taken for one that stands",
+        "a vehicle that descends as commanded is not taken for one that stands",
         descent_m_s - found,
         "m/s",
         f"found {found:g}, {key} is {descent_m_s:g}",
@@ -20,7 +20,7 @@ def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
 
 
 def reaches_touchdown(config: FlightConfig) -> Check:
-    """The height of the paper's touchdown rule lies above the pad."""
+    """Check that the height of the paper's touchdown rule lies above the pad."""
     found, stands_m = config.touchdown.height_m, config.touchdown.feet_below_reference_m
     return Check(
         "touchdown.height_m",
@@ -33,13 +33,16 @@ def reaches_touchdown(config: FlightConfig) -> Check:
 
 
 def notices(config: FlightConfig) -> Check:
-    """A vehicle that stands still although it is told to fly lags behind by its speed times the memory."""
+    """Check that the tracking lag of a vehicle that does not move reaches its limit.
+
+    Its tracking lag converges to the commanded speed times the memory.
+    """
     found, most_s = config.checks.follow_lag_max_s, config.checks.follow_memory_s
     return Check(
         "checks.follow_lag_max_s",
-        "a vehicle that does not move although told to at full speed is noticed",
+        "a vehicle that does not move at a full-speed command is detected",
         most_s - found,
         "s",
-        f"found {found:g}, after long the sum is that of {most_s:g} s",
+        f"found {found:g}, the tracking lag converges to {most_s:g} s of flight",
         "raise checks.follow_memory_s or lower checks.follow_lag_max_s",
     )

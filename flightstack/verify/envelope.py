@@ -1,4 +1,4 @@
-"""Everything the certificate has to hold for: how target, vehicle and estimates may be at their worst."""
+"""The envelope of the certificate: the worst target, vehicle and estimates that a configuration declares."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Extremes:
 
 
 def extremes(config: FlightConfig) -> Extremes:
-    """Work out the worst values from what is declared."""
+    """Compute the worst values of the declared envelope."""
     barrier, robust, loop = config.barrier.build(), config.robust, config.velocity_loop
     strategy = RobustFilter(config, barrier)
     envelope, pad_radius_m = config.envelope, config.touchdown.pad_radius_m
@@ -94,7 +94,7 @@ def extremes(config: FlightConfig) -> Extremes:
 
 
 def _margin_m(strategy: RobustFilter, motion: TargetMotion) -> float:
-    """Margin the filter takes at this uncertainty; asked of the filter itself."""
+    """Return the margin of the filter at this uncertainty, computed by the filter itself."""
     target = TargetState(0.0, ZERO, ZERO, 0.0, motion.position_sigma_m, motion.position_sigma_z_m)
     return strategy.barrier(Snapshot(Inputs(), target, True, True, True, None)).margin_m
 

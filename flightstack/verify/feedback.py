@@ -1,6 +1,6 @@
-"""Does the loop with fed-back velocity and disturbance come to rest, for every vehicle declared?
+"""Checks that the loop with fed-back velocity and disturbance is stable for every declared vehicle.
 
-``linear`` writes it down as x' = A x, with the vehicle's own loop as in ``velocity_axis.py``, the position
+``linear`` writes it down as x' = A x, with the vehicle's own loop as in ``velocity_tracking.py``, the position
 loop over the pad around it, and the delay as a first-order Padé element. A depends on the vehicle linearly
 through W = w^2 and D = 2 z w. So over a small piece of the spread, with (W, D) in a rectangle, a quadratic
 Lyapunov function that decays at the rectangle's four corners decays in all of it (a convex hull of matrices):
@@ -27,7 +27,7 @@ MIN_DECAY_1_S = 0.1  # of what is proven: half of an error is gone in seven seco
 
 
 def linear(config: FlightConfig, faster: float, damped: float | None = None) -> F64:
-    """The loop's matrix, for a vehicle whose velocity loop is ``faster`` than the one declared.
+    """Return the loop's matrix for a vehicle whose velocity loop is ``faster`` than the declared one.
 
     Its D is ``damped`` times the declared one's, by default as its w.
 
@@ -63,7 +63,7 @@ def linear(config: FlightConfig, faster: float, damped: float | None = None) -> 
 
 
 def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float, float]:
-    """Rate at which every loop between these factors is proven to come to rest, and where it is least.
+    """Return the proven decay rate of every loop between these factors, and the factor of the lowest rate.
 
     Returns:
         The rate in 1/s, not positive if some vehicle's loop cannot be proven to; and the factor.
@@ -90,7 +90,7 @@ def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float
 
 
 def _decays(config: FlightConfig, centre: F64, rate_1_s: float, low: float, high: float) -> bool:
-    """Whether one quadratic function decays at this rate in the whole rectangle of (W, D)."""
+    """Return whether one quadratic function decays at this rate in the whole rectangle of (W, D)."""
     # the sum of squares of the modes at the middle
     modes = np.linalg.inv(np.linalg.eig(centre).eigenvectors)
     shape: F64 = (modes.conj().T @ modes).real
@@ -104,7 +104,7 @@ def _decays(config: FlightConfig, centre: F64, rate_1_s: float, low: float, high
 
 
 def comes_to_rest(config: FlightConfig) -> list[Check]:
-    """The declared vehicle's loop comes to rest, and that of each vehicle of the spread."""
+    """Check that the loop is stable for the declared vehicle and for each vehicle of the spread."""
     spread = config.envelope.lag_spread
     remedy = (
         "lower velocity_feedback.error_rate_1_s, velocity_feedback.observer_rate_1_s or "
@@ -115,7 +115,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
     return [
         Check(
             "velocity feedback",
-            "what is fed back brings the declared vehicle to rest",
+            "the feedback loop is stable for the declared vehicle",
             told - MIN_DECAY_1_S,
             "1/s",
             f"decays at {told:.3g} 1/s at least, {MIN_DECAY_1_S:g} are needed",
@@ -123,7 +123,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         ),
         Check(
             "velocity feedback, spread",
-            "and so it does each vehicle of the spread",
+            "the feedback loop is stable for each vehicle of the spread",
             least - MIN_DECAY_1_S,
             "1/s",
             f"decays at {least:.3g} 1/s at least, with a velocity loop {where:.3g} times as fast as declared",

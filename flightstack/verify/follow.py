@@ -1,14 +1,14 @@
-"""How far from the middle can a vehicle with fed-back velocity be, that has followed its target for long?
+"""Bounds the distance from the middle of a vehicle with fed-back velocity that follows its target.
 
-The loop x' = A x + B i of ``certificate_feedback.linear``, seen from the target, has two inputs that may turn
-against it at any moment: the target's acceleration, and the error q of the velocity wanted, which errs with
-the estimated velocity and, times the gain, with the position. An output differs from 0 by at most the inputs'
-bounds times the integrals over the absolute impulse responses. What is wanted is taken to keep within the
-feedback's own limits.
+The loop x' = A x + B i of ``feedback.linear``, seen from the target, has two inputs, of any sign at any
+time: the target's acceleration, and the error q of the commanded velocity, which contains the error of the
+estimated velocity and the gain times that of the position. The absolute value of an output is at most the
+inputs' bounds times the integrals over the absolute impulse responses. The command is assumed to stay within
+the feedback's limits.
 
-Of vehicles between two factors one is the middle. What the others fly differently is a third input of the
-middle's loop, (W - W0) (u - v) - (D - D0) a, bounded by what those two gains let u - v and a be, itself
-included (small gain theorem). Pieces of the spread for which that is much, or no bound, are halved.
+The vehicles between two factors are compared with the one in the middle. The difference is a third input of
+the middle's loop, (W - W0) (u - v) - (D - D0) a. Its bound follows from the bounds of u - v and a, which
+contain it (small gain theorem). A piece of the spread with a large or no bound is halved.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _TARGET, _ERROR, _OTHER = range(3)  # inputs
 
 
 def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """Largest distance from the middle while the target is followed, and for which vehicle.
+    """Return the largest distance from the middle while the target is followed, and its vehicle.
 
     Returns:
         The distance in m, infinite if none is proven; and how many times as fast as declared that vehicle's
@@ -52,13 +52,13 @@ def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 
 
 def _reach_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
-    """The farthest any vehicle of a piece may get, negative; and how far the middle one may."""
+    """Return the largest distance of any vehicle of a piece, negative, and that of the middle one."""
     own_m, beside_m = _piece_m(config, x, low, high)
     return -(own_m + beside_m), own_m
 
 
 def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
-    """What the vehicle in the middle of a piece does, and what others in it may do beyond."""
+    """Bounds of the vehicle in the middle of a piece, and the additional distance of the others in it."""
     middle, loop = 0.5 * (low + high), config.velocity_loop
     inputs, outputs, through = _ports(config, middle)
     gains = _gains(linear(config, middle), inputs, outputs)
@@ -81,7 +81,7 @@ def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tupl
 
 
 def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
-    """Columns of the inputs, rows of the outputs, and what of an input is in an output at once.
+    """Return columns of the inputs, rows of the outputs, and the direct feed-through of inputs to outputs.
 
     The smoothed derivative s' = (r' - s) / T holds q', which has no bound: the state is s - q / T.
     """
@@ -103,7 +103,7 @@ def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
 
 
 def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
-    """Integrals over the absolute impulse responses, outputs x inputs; None for a loop that does not rest.
+    """Return integrals over the absolute impulse responses, outputs x inputs; None for an unstable loop.
 
     Between two steps a response differs from the straight line by at most h^3 / 12 of its second derivative,
     in the integral. After the last step it begins anew, with what is left.
@@ -133,7 +133,7 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
 
 
 def _exp(matrix: F64) -> F64:
-    """Exponential of a small matrix: its series, the rest beyond double precision."""
+    """Return the exponential of a small matrix by its series; the remainder is below double precision."""
     total = term = np.eye(len(matrix))
     for order in range(1, 30):
         term = term @ matrix / order

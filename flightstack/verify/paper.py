@@ -23,7 +23,7 @@ ANYWHERE = Span(0.0, math.inf)  # distances
 def shortfall(
     shape: Shape, box_m_s: Vec3, target_speed_m_s: float, target_climb_m_s: float, d: Span = ANYWHERE
 ) -> Most:
-    """Largest rate at which h is lost with the best velocity of the box, m/s; over (distance, angle)."""
+    """Return the largest rate at which h falls with the best velocity of the box, m/s; (distance, angle)."""
     vx, vy, vz = box_m_s
 
     def lost(slope: Span, angle: Span) -> float:
@@ -65,11 +65,11 @@ def feasible(config: FlightConfig, shape: Shape, target_climb_m_s: float) -> Che
 
 
 def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
-    """One tick uses up at most half of h."""
+    """Check that the filter lets h fall by at most half of it in a tick."""
     most_1_s = 0.5 * config.loop.rate_hz
     return Check(
         f"sampling, {key}",
-        "a tick is short against the rate at which h is used up",
+        "a tick is short against the rate at which h may fall",
         most_1_s - rate_1_s,
         "1/s",
         f"found {rate_1_s:g}, at {config.loop.rate_hz} Hz at most {most_1_s:g}",
@@ -78,11 +78,11 @@ def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
 
 
 def peak_clears_pad(config: FlightConfig) -> Check:
-    """The boundary still rises over the pad."""
+    """Check that the boundary rises with distance everywhere over the pad."""
     barrier, pad = config.barrier.build(), config.touchdown.pad_radius_m
     return Check(
         "barrier's peak",
-        "the boundary rises all over the pad",
+        "the boundary rises with distance everywhere over the pad",
         barrier.peak_distance_m - 0.5 * pad,
         "m",
         f"its peak at {barrier.peak_distance_m:.3g} m, the pad's radius {pad:g} m",
@@ -91,7 +91,7 @@ def peak_clears_pad(config: FlightConfig) -> Check:
 
 
 def gains(config: FlightConfig, gain_1_s: Vec3, key: str) -> Check:
-    """The position loop is slow against a tick, on every axis."""
+    """Check that the position loop is slow against a tick, on every axis."""
     most_1_s = 0.5 * config.loop.rate_hz
     axis = max(range(3), key=lambda i: gain_1_s[i])
     return Check(
@@ -105,12 +105,12 @@ def gains(config: FlightConfig, gain_1_s: Vec3, key: str) -> Check:
 
 
 def slews(config: FlightConfig, slew_m_s2: Vec3, key: str) -> Check:
-    """The limit of a command's change is one: below what the box allows from tick to tick anyway."""
+    """Check that the slew limit has an effect: it is below the change that the box allows in a tick."""
     most_m_s2 = [2.0 * limit * config.loop.rate_hz for limit in config.limits.velocity_max_m_s]
     axis = min(range(3), key=lambda i: most_m_s2[i] - slew_m_s2[i])
     return Check(
         f"{key}[{axis}]",
-        "the limit of acceleration limits",
+        "the slew limit is lower than the change that the box allows in a tick",
         most_m_s2[axis] - slew_m_s2[axis],
         "m/s^2",
         f"found {slew_m_s2[axis]:g}, no limit at {config.loop.rate_hz} Hz; at most {most_m_s2[axis]:g}",

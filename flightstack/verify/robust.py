@@ -1,6 +1,7 @@
-"""Checks of the robust filter outside the pad: is the barrier held by a vehicle that lags and errs?
+"""Checks of the robust filter outside the pad: a vehicle with lag and errors holds the barrier.
 
-docs/robust_filter.md derives every line. Speeds that lower h, by the side of the boundary's peak:
+docs/how_it_works/robust_filter.md derives every line.
+Speeds that lower h, by the side of the boundary's peak:
 
 - outside, where the boundary rises inwards: closing on the target as fast as box and target allow;
 - inside, where it rises outwards: leaving the middle, no faster than the target can drive away.
@@ -22,11 +23,11 @@ HELD_M = 0.005  # m below the boundary outside the pad that no verdict calls a v
 
 
 def rate(config: FlightConfig, x: Extremes) -> Check:
-    """h is used up slower than the vehicle's vertical velocity settles."""
+    """Check that the filter lets h fall more slowly than the vehicle's vertical velocity settles."""
     most_1_s = 1.0 / x.lag_z_s if x.lag_z_s > 0.0 else math.inf
     return Check(
         "robust.rate_1_s",
-        "h is used up slower than the vertical velocity settles, spread included",
+        "h may fall more slowly than the vertical velocity settles, for each vehicle of the spread",
         most_1_s - config.robust.rate_1_s,
         "1/s",
         f"found {config.robust.rate_1_s:g}, the slowest vehicle lags {x.lag_z_s:.3g} s: below {most_1_s:.3g}",
@@ -35,7 +36,7 @@ def rate(config: FlightConfig, x: Extremes) -> Check:
 
 
 def recovers(config: FlightConfig, x: Extremes) -> Check:
-    """From h < 0 the best velocity raises h although it is flown with an error."""
+    """Check that from h < 0 the best velocity raises h in spite of the tracking error."""
     worst = shortfall(x.shape, config.limits.velocity_max_m_s, x.target_speed_m_s, x.target_climb_m_s)
     room = -worst.bound - config.robust.tracking_error_m_s
     deep_m = x.barrier.peak_height_m + x.shape.margin_m.high
@@ -51,12 +52,12 @@ def recovers(config: FlightConfig, x: Extremes) -> Check:
 
 
 def demand(x: Extremes, slope: Span) -> float:
-    """Vertical velocity needed at most to keep h at a slope, whatever the horizontal loop does, m/s."""
+    """Return the largest vertical velocity needed to keep h at a slope, for any horizontal velocity, m/s."""
     return max(0.0, -slope.low) * x.box_speed_m_s + max(0.0, slope.high) * x.target_speed_m_s
 
 
 def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign: float = 1.0) -> float:
-    """How fast that velocity may grow (sign 1) or fall (sign -1) by motion over the boundary, m/s^2."""
+    """Return how fast that velocity rises (sign 1) or falls (sign -1) by motion over the boundary, m/s^2."""
     slope, bend = shape.slope(d), shape.curvature_1_m(d)
     ax, ay, _ = config.robust.acceleration_max_m_s2
     inside = x.slip_m_s if sign > 0.0 else x.box_speed_m_s  # it may come in fast, which lets the demand fall
@@ -72,7 +73,7 @@ def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign
 
 
 def outside(x: Extremes, function: Callable[[Span], float]) -> Most:
-    """Largest value of a function of the distance anywhere outside the pad."""
+    """Return the largest value of a function of the distance outside the pad."""
 
     def upper(cell: Cell) -> float:
         return function(cell[0])
@@ -81,13 +82,13 @@ def outside(x: Extremes, function: Callable[[Span], float]) -> Most:
 
 
 def climb(config: FlightConfig, x: Extremes) -> Check:
-    """The vertical axis alone can hold the barrier against the horizontal speed there is."""
+    """Check that the vertical axis alone can hold the barrier against any present horizontal velocity."""
     vz = config.limits.velocity_max_m_s[2]
     worst = outside(x, lambda d: demand(x, x.shape.slope(d)))
     needed = worst.bound + x.target_climb_m_s + config.robust.tracking_error_m_s
     return Check(
         "climb",
-        "the vertical axis holds the barrier alone, while the horizontal speed still is what it was",
+        "the vertical axis alone holds the barrier while the horizontal velocity has not changed yet",
         vz - needed,
         "m/s",
         f"at {worst.at[0]:.3g} m it may need {needed:.3g} m/s, the box has {vz:g}",
@@ -97,7 +98,7 @@ def climb(config: FlightConfig, x: Extremes) -> Check:
 
 
 def slew(config: FlightConfig, x: Extremes) -> Check:
-    """What the vertical axis needs does not grow faster than it may change."""
+    """Check that the needed vertical velocity rises no faster than the vertical velocity may change."""
     rate_1_s, az = config.robust.rate_1_s, config.robust.acceleration_max_m_s2[2]
 
     def growth(d: Span) -> float:
@@ -108,17 +109,17 @@ def slew(config: FlightConfig, x: Extremes) -> Check:
     worst = outside(x, growth)
     return Check(
         "acceleration",
-        "the vertical velocity needed grows no faster than it may change, while the target is followed",
+        "while the target is followed, the needed vertical velocity changes no faster than the limit",
         az - worst.bound,
         "m/s^2",
-        f"at {worst.at[0]:.3g} m it may grow with {worst.bound:.3g} m/s^2, allowed are {az:g}",
+        f"at {worst.at[0]:.3g} m it may change with {worst.bound:.3g} m/s^2, allowed are {az:g}",
         "raise robust.acceleration_max_m_s2[2], or lower its horizontal part or limits.velocity_max_m_s",
         Need.PROOF,
     )
 
 
 def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
-    """What h loses at most by its condition being met at ticks only.
+    """Return the largest loss of h because the condition holds at ticks only.
 
     A demand that grows with g costs g T^2 / 2 a tick, and the rate r brings it back: g T / (2 r) if it grew
     for ever. It cannot: it is bounded, so that it grows and falls in turn, at the worst as a saw-tooth with
@@ -136,7 +137,7 @@ def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
 
 
 def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """How far below zero h may fall outside the pad, and where.
+    """Return the lowest h outside the pad, and its distance.
 
     What the margin lacks there (it fades towards the pad, and is sized for the slope at the pad's edge), plus
     what is lost between two ticks and between two samples of the target.
@@ -156,7 +157,7 @@ def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 
 
 def holds(config: FlightConfig, x: Extremes) -> Check:
-    """With all errors at their declared worst the barrier is still held outside the pad."""
+    """Check that the barrier holds outside the pad with all errors at their declared worst."""
     depth, where = depth_m(config, x)
     return Check(
         "h outside the pad",
@@ -171,7 +172,7 @@ def holds(config: FlightConfig, x: Extremes) -> Check:
 
 
 def estimator(config: FlightConfig, x: Extremes) -> Check:
-    """The target's estimator believes that the target can do what is declared."""
+    """Check that the target estimator's noise model covers the declared acceleration."""
     link, factor = config.target, config.robust.sigma_factor
     # white jerk of density j makes a standard deviation j sqrt(t) of acceleration; within a second
     rooms = (
@@ -181,7 +182,7 @@ def estimator(config: FlightConfig, x: Extremes) -> Check:
     key = ("jerk_xy_m_s3_sqrthz", "jerk_z_m_s3_sqrthz")[rooms[1] < rooms[0]]
     return Check(
         "estimator",
-        "within a second the estimator believes in any acceleration that is declared, if samples tell of it",
+        "the estimator's jerk noise reaches each declared acceleration within a second",
         min(rooms),
         "m/s^2",
         f"target.{key} {getattr(link, key):g}, {factor:g} standard deviations of it are covered",

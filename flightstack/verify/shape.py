@@ -39,11 +39,11 @@ class Shape:
         return _sum(_range(self.barrier.slope, d, 2.0 / self.barrier.alpha_1_m), self._fade_slope(d))
 
     def curvature_1_m(self, d: Span) -> Span:
-        """Range of the slope's derivative, 1/m: what a radial motion bends the boundary by."""
+        """Range of the slope's derivative, 1/m: the curvature for a radial motion."""
         return _sum(_range(self._bend_1_m, d, 3.0 / self.barrier.alpha_1_m), self._fade_curvature_1_m(d))
 
     def turn_1_m(self, d: Span) -> float:
-        """Largest slope/d, 1/m, at least 0: what a tangential motion bends the boundary by.
+        """Largest slope/d, 1/m, at least 0: the curvature for a tangential motion.
 
         Where they are positive, b'/d and f'/d fall with d, so the near end has the largest.
         """

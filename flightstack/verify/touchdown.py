@@ -1,7 +1,7 @@
-"""Checks of the robust landing's end: can it get down, in time, and on the pad?
+"""Checks of the end of a robust landing: the vehicle descends, in time, onto the pad.
 
-Horizontal motion over the pad, by a comparison system (docs/robust_filter.md): with y the distance from the
-middle and z how far the velocity is off the velocity wanted,
+Horizontal motion over the pad, by a comparison system (docs/how_it_works/robust_filter.md): with y the
+distance from the middle and z the difference between the velocity and the commanded velocity,
 
     y' <= -K y + z + q,      z' <= -z / tau + rho (a + K (K y + z + q)),
 
@@ -29,7 +29,7 @@ DAMPING_MIN = 0.5  # of the position loop around the lagging velocity loop
 
 
 def follows(config: FlightConfig, x: Extremes) -> list[Check]:
-    """The box is faster than the target, sideways and up."""
+    """Check that the box is faster than the target, horizontally and upwards."""
     vx, vy, vz = config.limits.velocity_max_m_s
     down = config.robust.descent_m_s + x.target_climb_m_s
     noise = config.robust.sigma_factor * config.target.velocity_noise_m_s
@@ -54,7 +54,7 @@ def follows(config: FlightConfig, x: Extremes) -> list[Check]:
         ),
         Check(
             "checks.target_speed_max_m_s",
-            "samples of the target at its fastest are believed",
+            "samples of the fastest target pass the check of their speed",
             config.checks.target_speed_max_m_s - seen,
             "m/s",
             f"found {config.checks.target_speed_max_m_s:g}, the target shows up to {seen:.3g}",
@@ -64,7 +64,7 @@ def follows(config: FlightConfig, x: Extremes) -> list[Check]:
 
 
 def reach(config: FlightConfig, x: Extremes) -> list[Check]:
-    """The boundary with its margin lets the vehicle down to where the touchdown begins."""
+    """Check that the boundary with its margin does not block the descent to the commit height."""
     robust = config.robust
     d = robust.commit_radius_m
     fade = 1.0 - math.exp(-((d / robust.fade_radius_m) ** 2))
@@ -75,18 +75,18 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
     return [
         Check(
             "commit height",
-            "the boundary with its margin lets the vehicle down to where it may go on in one go",
+            "the boundary with its margin does not block the descent to the commit height",
             robust.commit_height_m - hover,
             "m",
-            f"at commit_radius {d:g} m it may hover at {hover:.3g} m, below {robust.commit_height_m:g} m",
+            f"at commit_radius {d:g} m it ends at {hover:.3g} m, commit_height: {robust.commit_height_m:g} m",
             "raise robust.commit_height_m, or lower robust.commit_radius_m or robust.tracking_error_m_s",
         ),
         Check(
             "wait height",
-            "it waits below the height from which it may go down",
+            "the vehicle waits below the commit height",
             robust.commit_height_m - robust.wait_height_m - x.height_error_m,
             "m",
-            f"waits at {robust.wait_height_m:g} m, may go down from {robust.commit_height_m:g} m",
+            f"it waits at {robust.wait_height_m:g} m, the commit height is {robust.commit_height_m:g} m",
             "raise robust.commit_height_m or lower robust.wait_height_m",
         ),
         Check(
@@ -109,7 +109,7 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
 
 
 def descent_time_s(config: FlightConfig, x: Extremes) -> float:
-    """Longest time from the decision to contact."""
+    """Return the longest time from the commit to contact."""
     robust = config.robust
     way = robust.commit_height_m - config.touchdown.feet_below_reference_m + x.height_error_m
     speed = robust.descent_m_s - robust.tracking_error_m_s
@@ -117,7 +117,7 @@ def descent_time_s(config: FlightConfig, x: Extremes) -> float:
 
 
 def in_time(config: FlightConfig, x: Extremes) -> Check:
-    """The descent is over before its time limit."""
+    """Check that the last descent ends before its time limit."""
     time_s, most_s = descent_time_s(config, x), config.touchdown.timeout_s
     return Check(
         "descent time",
@@ -130,7 +130,7 @@ def in_time(config: FlightConfig, x: Extremes) -> Check:
 
 
 def damping(config: FlightConfig, x: Extremes) -> Check:
-    """The position loop does not swing with the slowest vehicle, even without the set-point's lead."""
+    """Check that the position loop is damped for the slowest vehicle, even without the set-point's lead."""
     gain = config.robust.gain_over_pad_1_s
     found = 0.5 / math.sqrt(gain * x.lag_xy_s) if x.lag_xy_s > 0.0 else math.inf
     return Check(
@@ -145,7 +145,7 @@ def damping(config: FlightConfig, x: Extremes) -> Check:
 
 
 def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """Largest distance from the middle during the last descent, and when, m and s; over all lags there are.
+    """Return the largest distance from the middle in the last descent, m, and its time, s, over all lags.
 
     The spread is cut into pieces; a piece takes the slowest decay and the largest rho in it.
     """
@@ -193,17 +193,15 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
 
 
 def drift(config: FlightConfig, x: Extremes) -> Check:
-    """From the decision to go down the vehicle stays over the pad until contact."""
+    """Check that the vehicle stays over the pad from the commit to contact."""
     if config.velocity_feedback.horizontal:
         farthest, vehicle = follow_m(config, x)
-        claim = "a target that it has followed cannot get away from under it, whatever it does"
-        worst = (
-            f"{1000.0 * farthest:.3g} mm from the middle, a velocity loop {vehicle:.3g} times as fast as told"
-        )
+        claim = "after the commit the vehicle touches the pad, for any motion of a target that it followed"
+        worst = f"{1000.0 * farthest:.3g} mm from the middle, a velocity loop {vehicle:.3g} times as fast"
         remedy = "lower envelope.lag_spread or envelope.target_acceleration_max_m_s2"
     else:
         farthest, when_s = drift_m(config, x)
-        claim = "once it goes down it touches the pad, whatever the target does"
+        claim = "after the commit the vehicle touches the pad, for any motion of the target"
         worst = f"{1000.0 * farthest:.3g} mm from the middle after {when_s:.2f} s"
         remedy = "lower robust.commit_speed_m_s or robust.commit_radius_m"
     return Check(
@@ -212,13 +210,13 @@ def drift(config: FlightConfig, x: Extremes) -> Check:
         x.pad_radius_m - farthest,
         "m",
         f"{worst}; the pad has {1000.0 * x.pad_radius_m:g} mm",
-        f"{remedy}; it will go around more often instead",
+        f"{remedy}; the vehicle then goes around more often",
         Need.PROOF,
     )
 
 
 def altitude(config: FlightConfig, x: Extremes) -> Check:
-    """Above the target there is air to climb into."""
+    """Check that the vehicle can climb clear of the target below the highest altitude."""
     margin_m = config.retreat.climb_margin_m
     top = x.barrier.peak_height_m + margin_m + CLIMB_OVER * margin_m
     room = config.limits.altitude_max_m - max(top, x.barrier.peak_height_m + x.shape.margin_m.high)

@@ -1,4 +1,4 @@
-"""One item of the certificate: what is claimed, how much room is left at the worst point, what to change."""
+"""One item of the certificate: the claim, the room left at its worst point, and the remedy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import Enum
 
 
 class Need(Enum):
-    """What hangs on a check."""
+    """What a check is needed for."""
 
     FLIGHT = "flight"  # without it the set cannot work: the onboard process refuses it
     PROOF = "proof"  # without it nothing is promised of the worst case; it may still fly
@@ -38,7 +38,7 @@ class Check:
 
     @property
     def proven(self) -> bool:
-        """Whether the claim holds; a room that is not a number proves nothing."""
+        """Whether the claim holds; a room that is NaN proves nothing."""
         return not math.isnan(self.room) and self.room >= 0.0
 
     @property

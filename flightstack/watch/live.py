@@ -13,9 +13,8 @@ from rich.text import Text
 
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import FilterStatus, Landed, Mode, Phase
-from flightstack.watch.state import News, Watch
-from logs.schema.codec import ControllerStepRow, LoopTimingRow
-from logs.schema.codec_health import HealthRow
+from flightstack.watch.state import News, Watch, name_of
+from logs.schema.rows import ControllerStepRow, HealthRow, LoopTimingRow
 
 REFRESH_HZ = 8.0
 _STYLE = {
@@ -35,7 +34,7 @@ _LOUD = "bold white on red"
 
 
 class LiveView:
-    """Draws a ``Watch``; nothing depends on it."""
+    """Draws a ``Watch``; the flight does not depend on it."""
 
     def __init__(
         self,
@@ -60,7 +59,7 @@ class LiveView:
 
 
 def draw(watch: Watch, title: str, whom: str = "") -> Panel:
-    """One picture of what is known, and of how old it is."""
+    """Return the view of the known values and their ages."""
     style = "none" if watch.news is News.FRESH else "red"
     parts: list[RenderableType] = [banner(watch, whom)]
     if watch.step is not None:
@@ -79,7 +78,7 @@ def banner(watch: Watch, whom: str) -> Text:
         tick = watch.step.tick if watch.step is not None else 0
         return Text(f"live, tick {tick}{refused}", style="dim")
     if watch.over:
-        phase = _name(Phase, watch.step.phase) if watch.step is not None else ""
+        phase = name_of(Phase, watch.step.phase) if watch.step is not None else ""
         return Text(f"the flight is over: {phase}, {watch.age_s:.0f} s ago{refused}", style="bold")
     lost = f"no data for {watch.age_s:.1f} s"
     if watch.connections == 0:
@@ -98,7 +97,7 @@ def _head(step: ControllerStepRow, fresh: bool) -> Table:
     style = _STYLE[Phase(step.phase)] if step.phase in Phase._value2member_map_ else ""
     head = Table.grid(padding=(0, 3))
     head.add_row(
-        Text(f" {_name(Phase, step.phase)} ", style=f"reverse {style}" if fresh else "reverse dim"),
+        Text(f" {name_of(Phase, step.phase)} ", style=f"reverse {style}" if fresh else "reverse dim"),
         Text(f"e_z {_value(e[2], '+.3f')} m"),
         Text(f"d {_value(math.hypot(e[0], e[1]), '.3f')} m"),
         Text(f"h {_value(step.h_m, '+.3f')} m", style=_dim("bold red" if unsafe else "bold green", fresh)),
@@ -130,14 +129,14 @@ def _velocities(step: ControllerStepRow, fresh: bool) -> Table:
         ("flown", step.own_velocity_enu_m_s),
     ):
         table.add_row(name, *(_value(v, "+.3f") for v in values))
-    status = _name(FilterStatus, step.filter_status).lower().replace("_", " ")
+    status = name_of(FilterStatus, step.filter_status).lower().replace("_", " ")
     acting = "barrier acts" if step.barrier_active else "barrier idle"
     table.add_row("filter", status, acting, "")
     return table
 
 
 def _health(health: HealthRow, fresh: bool) -> Table:
-    """Ages and states; what the onboard process itself holds for lost is red."""
+    """Ages and states; those that the onboard process counts as lost are red."""
     grid = Table.grid(padding=(0, 3))
     grid.add_row(
         _age("own state", health.own_age_s, health.own_valid, fresh),
@@ -149,8 +148,8 @@ def _health(health: HealthRow, fresh: bool) -> Table:
     armed = "ARMED" if health.armed else "disarmed"
     battery = f"battery {_value(health.battery_v, '.2f')} V {_value(100.0 * health.battery_share, '.0f')} %"
     grid.add_row(
-        Text(f"{armed}, {_name(Mode, health.mode).lower()}"),
-        Text(_name(Landed, health.landed).lower().replace("_", " ")),
+        Text(f"{armed}, {name_of(Mode, health.mode).lower()}"),
+        Text(name_of(Landed, health.landed).lower().replace("_", " ")),
         Text(battery),
         Text(health.reason),
         style="none" if fresh else "dim",
@@ -180,7 +179,3 @@ def _value(value: float, how: str) -> str:
 
 def _dim(style: str, fresh: bool) -> str:
     return style if fresh else "dim"
-
-
-def _name(kind: type[Phase | FilterStatus | Mode | Landed], number: int) -> str:
-    return kind(number).name if number in kind._value2member_map_ else str(number)

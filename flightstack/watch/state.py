@@ -1,4 +1,4 @@
-"""What a watcher knows of a flight on another machine, and how old that is by the watcher's own clock.
+"""The newest data of a flight on another machine, and their age by the watcher's own clock.
 
 A sample counts as news only if its tick is another one than before: a sender that repeats itself is as
 silent as one that says nothing.
@@ -9,21 +9,22 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable
-from enum import Enum
+from collections.abc import Callable, Sequence
+from enum import Enum, IntEnum
 from typing import Any
 
 from bridge.zenoh import zenoh_link
-from logs.schema.codec import ControllerStepRow, LoopTimingRow, unpack_controller_step, unpack_loop_timing
-from logs.schema.codec_health import HealthRow, unpack_health
+from flightstack.core.types import FilterStatus, Landed, Mode, Phase
+from logs.schema.rows import ControllerStepRow, HealthRow, LoopTimingRow
 
 STALE_S = 1.0  # s; the slowest of the keys comes every 0.2 s
 _TIMINGS = 20  # a second of them, for the mean period
+_NOT_HEALTH = ("stamp_ns", "tick", "finished")  # the step has them
 _RING = 8  # samples kept between two looks
 
 
 class News(Enum):
-    """How good what we have is."""
+    """State of the data: whether they are fresh."""
 
     NEVER = "no data yet"
     FRESH = "fresh"
@@ -79,17 +80,17 @@ class Watch:
         """Take what has come."""
         self.new_steps, self.new_timings = [], []
         for payload in self._payloads("controller/step"):
-            step = self._decode(unpack_controller_step, payload)
+            step = self._decode(ControllerStepRow.unpack, payload)
             if step is not None and (self.step is None or step.tick != self.step.tick):
                 self.step, self._step_s = step, self._clock()
                 self.new_steps.append(step)
         for payload in self._payloads("loop/timing"):
-            timing = self._decode(unpack_loop_timing, payload)
+            timing = self._decode(LoopTimingRow.unpack, payload)
             if timing is not None:
                 self.timings.append(timing)
                 self.new_timings.append(timing)
         for payload in self._payloads("health"):
-            health = self._decode(unpack_health, payload)
+            health = self._decode(HealthRow.unpack, payload)
             if health is not None and (self.health is None or health.tick != self.health.tick):
                 self.health, self._health_s = health, self._clock()
 
@@ -112,7 +113,7 @@ class Watch:
 
     @property
     def connections(self) -> int:
-        """Open connections to other Zenoh sessions; 0 means that nobody answers, or refuses us."""
+        """Number of open Zenoh connections; 0 means that the other end is unreachable or refuses."""
         return zenoh_link.transports(self._session)
 
     @property
@@ -131,6 +132,55 @@ class Watch:
     def _decode(self, unpack: Callable[[bytes], Any], payload: bytes) -> Any:
         try:
             return unpack(payload)
-        except ValueError:  # another version, or somebody else's key: counted and shown
+        except ValueError:  # another version, or a foreign publisher on this key: counted and shown
             self.refused += 1
             return None
+
+
+def snapshot(watch: Watch) -> dict[str, Any]:
+    """Newest values for scripts: ``None`` for what is not known; ``fresh`` tells whether they are current."""
+    step, health = watch.step, watch.health
+    values: dict[str, Any] = {
+        "fresh": watch.news is News.FRESH,
+        "news": watch.news.value,
+        "age_s": round(watch.age_s, 3),
+        "connections": watch.connections,
+        "refused": watch.refused,
+    }
+    if step is not None:
+        e_m = [p - q for p, q in zip(step.own_position_enu_m, step.target_position_enu_m, strict=True)]
+        values |= {
+            "tick": step.tick,
+            "stamp_ns": step.stamp_ns,
+            "phase": name_of(Phase, step.phase),
+            "h_m": _number(step.h_m),
+            "e_m": _vector(e_m),
+            "nominal_enu_m_s": _vector(step.nominal_enu_m_s),
+            "filtered_enu_m_s": _vector(step.filtered_enu_m_s),
+            "setpoint_enu_m_s": _vector(step.command_enu_m_s) if step.setpoint_sent else None,
+            "barrier_active": step.barrier_active,
+            "filter_status": name_of(FilterStatus, step.filter_status),
+            "finished": step.finished,
+        }
+    if health is not None:
+        values["health"] = {"fresh": watch.health_fresh, **_plain(health)}
+    return values
+
+
+def name_of(kind: type[IntEnum], number: int) -> str:
+    """Name of an enumeration's value; a number that this version does not know stays a number."""
+    return kind(number).name if number in kind._value2member_map_ else str(number)
+
+
+def _plain(health: HealthRow) -> dict[str, Any]:
+    values = {name: value for name, value in health._asdict().items() if name not in _NOT_HEALTH}
+    plain = {name: _number(value) if isinstance(value, float) else value for name, value in values.items()}
+    return plain | {"mode": name_of(Mode, health.mode), "landed": name_of(Landed, health.landed)}
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _vector(values: Sequence[float]) -> list[float] | None:
+    return list(values) if all(map(math.isfinite, values)) else None

@@ -9,14 +9,16 @@ its heading, ``target_pad`` the pad without heading, in which the barrier stands
 from __future__ import annotations
 
 import math
-import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
+from bridge.ros2.cdr import NO_COVARIANCE
+from flightstack.core.types import ZERO, Vec3
 from logs.derive.diagnostics import Health
 from logs.derive.markers import Scene
-from logs.schema.codec import CDR_HEADER, ControllerStepRow, Vec3, unpack_controller_step
-from logs.schema.codec_log import pack_string
+from logs.schema.cdr import packer
+from logs.schema.events import pack_string
+from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import MARKER_ARRAY, ODOMETRY, POSE_STAMPED, STRING, TF_MESSAGE, TWIST_STAMPED
 
 PERIOD_NS = 20_000_000  # 50 Hz: as fast as a screen shows it
@@ -25,14 +27,11 @@ STATIC_PERIOD_NS = 5_000_000_000  # repeated, so that a viewer that jumps into t
 STEP_SUFFIX = "/controller/step"
 
 Derived = tuple[str, str, bytes]  # topic, schema, CDR
+Vec4 = tuple[float, float, float, float]
 
-_NS = 1_000_000_000
-_POSE = struct.Struct("<4siII4s7d")
-_TWIST = struct.Struct("<4siII4s6d")
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 # The NED axes seen from ENU: half a turn about the horizontal line between east and north.
 _NED_IN_ENU = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
-_ORIGIN = (0.0, 0.0, 0.0)
 
 
 class Deriver:
@@ -56,11 +55,9 @@ class Deriver:
         self._markers = space + "/cbf/markers"
         self._run_topic, self._run_text = space + "/run", b""
         self._health = health
-        self._own_tf = _TransformLayout((self._base,))
-        self._target_tf = _TransformLayout(("target", "target_pad"))
-        self._both_tf = _TransformLayout((self._base, "target", "target_pad"))
-        self._static_tf = _TransformLayout(("map_ned",))
-        self._odometry = _OdometryLayout(self._base)
+        # made here, since the first of a type takes milliseconds
+        self._pack_tf, self._pack_odometry = packer(TF_MESSAGE), packer(ODOMETRY)
+        self._pack_pose, self._pack_twist = packer(POSE_STAMPED), packer(TWIST_STAMPED)
         self._scene = Scene(self._base)
         self._slots: dict[int, int] = {}
 
@@ -69,7 +66,7 @@ class Deriver:
 
         Args:
             run: metadata of the run; empty for a real flight.
-            shape: barrier and pad where the run does not name them (``flight_config.shape``).
+            shape: barrier and pad where the run does not name them (``flight_data.shape``).
 
         Raises:
             ValueError: A shape that is not a number.
@@ -77,49 +74,49 @@ class Deriver:
         self._scene.configure({**shape, **run})
         self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in run.items()))
 
-    def step(self, log_time_ns: int, payload: bytes) -> list[Derived]:
-        """Return what one controller step shows; empty between the periods.
-
-        Raises:
-            ValueError: The payload is not a controller step.
-        """
-        due = self._due(PERIOD_NS, log_time_ns)
-        if not due and self._health is None:
-            return []
-        row = unpack_controller_step(payload)
+    def step(self, log_time_ns: int, row: ControllerStepRow) -> list[Derived]:
+        """Return what one controller step shows; empty between the periods."""
         if self._health is not None:
             self._health.step(row)
-        if not due:
+        if not self._due(PERIOD_NS, log_time_ns):
             return []
-        stamp = divmod(row.stamp_ns, _NS)
+        stamp_ns = row.stamp_ns
         made: list[Derived] = []
         if self._due(STATIC_PERIOD_NS, log_time_ns):
-            made.append(("/tf_static", TF_MESSAGE, self._static_tf.pack(stamp, (_ORIGIN + _NED_IN_ENU,))))
+            made.append(
+                ("/tf_static", TF_MESSAGE, self._transforms(stamp_ns, [("map_ned", ZERO, _NED_IN_ENU)]))
+            )
             if self._run_text:
                 made.append((self._run_topic, STRING, self._run_text))
-        own = row.own_position_enu_m + _heading(row.own_yaw_rad)
-        target = row.target_position_enu_m + _heading(row.target_yaw_rad)
-        pad = row.target_position_enu_m + _NO_ROTATION
-        if row.own_valid and row.target_valid:
-            made.append(("/tf", TF_MESSAGE, self._both_tf.pack(stamp, (own, target, pad))))
-        elif row.own_valid:
-            made.append(("/tf", TF_MESSAGE, self._own_tf.pack(stamp, (own,))))
-        elif row.target_valid:
-            made.append(("/tf", TF_MESSAGE, self._target_tf.pack(stamp, (target, pad))))
-        if row.own_valid:
-            made.append((self._pose, POSE_STAMPED, _POSE.pack(CDR_HEADER, *stamp, 4, b"map\x00", *own)))
-            made.append((self._odom, ODOMETRY, self._odometry.pack(stamp, own, _body_velocity(row))))
+        own = row.own_position_enu_m, _heading(row.own_yaw_rad)
+        target = row.target_position_enu_m, _heading(row.target_yaw_rad)
+        shown = [(self._base, *own)] if row.own_valid else []
         if row.target_valid:
-            pose = _POSE.pack(CDR_HEADER, *stamp, 4, b"map\x00", *target)
-            made.append((self._target_pose, POSE_STAMPED, pose))
-        made.append((self._nominal, TWIST_STAMPED, _twist(stamp, row.nominal_enu_m_s)))
-        made.append((self._filtered, TWIST_STAMPED, _twist(stamp, row.filtered_enu_m_s)))
+            shown += [("target", *target), ("target_pad", row.target_position_enu_m, _NO_ROTATION)]
+        if shown:
+            made.append(("/tf", TF_MESSAGE, self._transforms(stamp_ns, shown)))
+        if row.own_valid:
+            made.append((self._pose, POSE_STAMPED, self._pack_pose((stamp_ns, own))))
+            # The turn rates are not part of a controller step.
+            twist = (_body_velocity(row), ZERO)
+            odometry = (stamp_ns, self._base, (own, NO_COVARIANCE), (twist, NO_COVARIANCE))
+            made.append((self._odom, ODOMETRY, self._pack_odometry(odometry)))
+        if row.target_valid:
+            made.append((self._target_pose, POSE_STAMPED, self._pack_pose((stamp_ns, target))))
+        velocities = [(self._nominal, row.nominal_enu_m_s), (self._filtered, row.filtered_enu_m_s)]
         if row.setpoint_sent:
-            made.append((self._command, TWIST_STAMPED, _twist(stamp, row.command_enu_m_s)))
+            velocities.append((self._command, row.command_enu_m_s))
+        for topic, velocity_enu_m_s in velocities:
+            twist = (velocity_enu_m_s, ZERO)
+            made.append((topic, TWIST_STAMPED, self._pack_twist((stamp_ns, twist))))
         self._scene.add(log_time_ns, row)
         if self._due(MARKER_PERIOD_NS, log_time_ns):
             made.append((self._markers, MARKER_ARRAY, self._scene.pack(row)))
         return made
+
+    def _transforms(self, stamp_ns: int, children: Sequence[tuple[str, Vec3, Vec4]]) -> bytes:
+        """Transforms of children of ``map``: name, position, orientation x, y, z, w."""
+        return self._pack_tf(([(stamp_ns, name, (position_m, turn)) for name, position_m, turn in children],))
 
     def _due(self, period_ns: int, log_time_ns: int) -> bool:
         slot = log_time_ns // period_ns
@@ -127,47 +124,6 @@ class Deriver:
             return False
         self._slots[period_ns] = slot
         return True
-
-
-class _TransformLayout:
-    """A TFMessage of fixed children of ``map``."""
-
-    def __init__(self, children: tuple[str, ...]) -> None:
-        layout, at = "<4sI", 4
-        self._names: list[tuple[int, bytes, int, bytes]] = []
-        for child in children:
-            name = child.encode() + b"\x00"
-            at += 16 + 4 + len(name)  # stamp and "map", length and name; all begin aligned to 4
-            padding = -at & 7
-            layout += f"iII4sI{len(name)}s{padding}x7d"
-            at += padding + 56
-            self._names.append((4, b"map\x00", len(name), name))
-        self._struct = struct.Struct(layout)
-
-    def pack(self, stamp: tuple[int, int], poses: tuple[tuple[float, ...], ...]) -> bytes:
-        """Return the message; ``poses`` are (x, y, z, qx, qy, qz, qw) in the order of the children."""
-        values: list[object] = [CDR_HEADER, len(poses)]
-        for names, pose in zip(self._names, poses, strict=True):
-            values += stamp
-            values += names
-            values += pose
-        return self._struct.pack(*values)
-
-
-class _OdometryLayout:
-    """A nav_msgs/Odometry in ``map`` with unknown (zero) covariances."""
-
-    def __init__(self, child: str) -> None:
-        self._name = child.encode() + b"\x00"
-        padding = -(16 + 4 + len(self._name)) & 7
-        self._struct = struct.Struct(f"<4siII4sI{len(self._name)}s{padding}x7d288x6d288x")
-
-    def pack(self, stamp: tuple[int, int], pose: tuple[float, ...], velocity_flu_m_s: Vec3) -> bytes:
-        """Return the message; the turn rates are not part of a controller step and stay zero."""
-        name = self._name
-        return self._struct.pack(
-            CDR_HEADER, *stamp, 4, b"map\x00", len(name), name, *pose, *velocity_flu_m_s, 0.0, 0.0, 0.0
-        )
 
 
 def _heading(yaw_rad: float) -> tuple[float, float, float, float]:
@@ -179,7 +135,3 @@ def _body_velocity(row: ControllerStepRow) -> Vec3:
     x, y, z = row.own_velocity_enu_m_s
     cos_yaw, sin_yaw = math.cos(row.own_yaw_rad), math.sin(row.own_yaw_rad)
     return (cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z)
-
-
-def _twist(stamp: tuple[int, int], velocity_enu_m_s: Vec3) -> bytes:
-    return _TWIST.pack(CDR_HEADER, *stamp, 4, b"map\x00", *velocity_enu_m_s, 0.0, 0.0, 0.0)

@@ -9,8 +9,8 @@ from flightstack.common.strict_toml import ConfigError
 from logs.derive.derive import STEP_SUFFIX, Derived, Deriver
 from logs.derive.diagnostics import FrameCounter, Health
 from logs.derive.mavlink_decoded import FrameDecoder
-from logs.reader.flight_config import ATTACHMENT, read_config, shape
-from logs.schema.codec import unpack_loop_timing
+from logs.reader.flight_data import ATTACHMENT, read_config, shape
+from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import CONTROLLER_STEP, LOOP_TIMING, MAVLINK
 
 TIMING_SUFFIX = "/loop/timing"
@@ -60,10 +60,11 @@ class Derivers:
             if topic not in self._steps:
                 self._steps[topic] = Deriver(topic, self._health_of(topic.removesuffix(STEP_SUFFIX)))
                 self._steps[topic].configure(self._run, self._shape)
-            return self._steps[topic].step
+            step = self._steps[topic].step
+            return lambda log_time_ns, payload: step(log_time_ns, ControllerStepRow.unpack(payload))
         if schema == LOOP_TIMING:
             health = self._health_of(topic.removesuffix(TIMING_SUFFIX))
-            return lambda log_time_ns, payload: health.timing(log_time_ns, unpack_loop_timing(payload))
+            return lambda log_time_ns, payload: health.timing(log_time_ns, LoopTimingRow.unpack(payload))
         if schema == MAVLINK:
             if topic not in self._frames:
                 self._frames[topic] = _Frames(topic)

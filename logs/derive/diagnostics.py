@@ -7,23 +7,21 @@ wall-clock measurements, so two runs of one seed differ here.
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from logs.schema.codec import CDR_HEADER, ControllerStepRow, LoopTimingRow
-from logs.schema.codec_build import align, string
+from logs.schema.cdr import packer
 from logs.schema.codec_mavlink import PEER_CHARACTERS
+from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import DIAGNOSTIC_ARRAY
 
 TOPIC = "/diagnostics"
 PERIOD_NS = 1_000_000_000
 FILTER_BAD = 3  # ControllerStep: FILTER_INFEASIBLE and what is worse
 LATE_S = 0.002  # a tick later than this after its deadline, a fifth of 10 ms, is worth a look
-LOST_MAX = 0.02  # share of frames the vehicle numbered and nobody heard
+LOST_MAX = 0.02  # share of the vehicle's frames that are missing by their numbers
 SENDERS_MAX = 256  # of which sequence numbers are followed
-_NS = 1_000_000_000
 
 
 class Level(IntEnum):
@@ -79,13 +77,14 @@ class Health:
         self._steps: list[ControllerStepRow] = []
         self._timings: list[LoopTimingRow] = []
         self._slot: int | None = None
+        self._pack = packer(DIAGNOSTIC_ARRAY, frame_id="")
         self._accepted = self._rejected = self._overruns = self._dropped = 0
         self.incoming, self.outgoing = FrameCounter(), FrameCounter()
 
     def step(self, row: ControllerStepRow) -> None:
         """Take one controller step."""
         self._steps.append(row)
-        del self._steps[:-1000]  # without timings nobody asks for them
+        del self._steps[:-1000]  # without timings they are never taken
 
     def timing(self, log_time_ns: int, row: LoopTimingRow) -> list[tuple[str, str, bytes]]:
         """Take the timing of a tick; when a second is over, return its diagnostics.
@@ -103,7 +102,8 @@ class Health:
         statuses = self._statuses()
         self._steps.clear()
         self._timings.clear()
-        return [(TOPIC, DIAGNOSTIC_ARRAY, pack_diagnostics(log_time_ns, self._name, statuses))]
+        array = [(s.level, s.name, s.message, self._name, tuple(s.values.items())) for s in statuses]
+        return [(TOPIC, DIAGNOSTIC_ARRAY, self._pack((log_time_ns, array)))]
 
     def _statuses(self) -> list[Status]:
         steps, name = self._steps, self._name
@@ -194,21 +194,3 @@ def _worst(values: Any) -> float:
 
 def _n(value: float) -> str:
     return f"{value:.6g}"
-
-
-def pack_diagnostics(stamp_ns: int, hardware: str, statuses: Sequence[Status]) -> bytes:
-    """Return a ``diagnostic_msgs/msg/DiagnosticArray`` in CDR."""
-    out = bytearray(struct.pack("<iI", *divmod(stamp_ns, _NS)))
-    string(out, "")  # frame_id
-    align(out, 4)
-    out += struct.pack("<I", len(statuses))
-    for status in statuses:
-        out.append(status.level)
-        for text in (status.name, status.message, hardware):
-            string(out, text)
-        align(out, 4)
-        out += struct.pack("<I", len(status.values))
-        for pair in status.values.items():
-            for text in pair:
-                string(out, text)
-    return CDR_HEADER + bytes(out)

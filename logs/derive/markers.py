@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from flightstack.core.safety.barrier import Barrier
-from logs.schema.codec import CDR_HEADER, ControllerStepRow, Vec3
-from logs.schema.codec_build import align, string
+from flightstack.core.types import Vec3
+from logs.schema.cdr import packer
+from logs.schema.rows import ControllerStepRow
+from logs.schema.schemas import MARKER_ARRAY
 
 ARROW, CUBE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 3, 4, 11  # visualization_msgs/msg/Marker
 LIFETIME_S = 0.5  # two and a half periods of 5 Hz: a picture that is not repeated disappears
@@ -32,7 +34,12 @@ NOMINAL_COLOR: Color = (1.0, 0.5, 0.05, 1.0)
 FILTERED_COLOR: Color = (0.17, 0.63, 0.17, 1.0)
 COMMAND_COLOR: Color = (0.58, 0.40, 0.74, 1.0)
 
-
+_NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
+_ADD = 0  # action
+_LIFETIME_NS = round(LIFETIME_S * 1e9)
+# colors, texture_resource, texture (header, format, data), uv_coordinates, text, mesh_resource,
+# mesh_file (name, data), mesh_use_embedded_materials
+_NO_COLORS_TEXTURE_AND_MESH = (b"", "", ((0, ""), "", b""), b"", "", "", ("", b""), False)
 _NO_VELOCITY: Vec3 = (math.nan, math.nan, math.nan)
 
 
@@ -87,6 +94,7 @@ class Scene:
         self._target_path = Path()
         self._surface: Marker | None = None
         self._pad = _pad(PAD_RADIUS_M)
+        self._pack = packer(MARKER_ARRAY, frame_id=None)
 
     def configure(self, run: Mapping[str, str]) -> None:
         """Take barrier and pad from the metadata of the run; without them there is no surface.
@@ -124,7 +132,7 @@ class Scene:
             for number, (velocity_m_s, color) in enumerate(arrows):
                 if math.isfinite(sum(velocity_m_s)):  # else the filter did not run, or nothing was sent
                     markers.append(_arrow(number, row.own_position_enu_m, velocity_m_s, color))
-        return pack_markers(row.stamp_ns, [marker for marker in markers if marker is not None])
+        return self._pack(([_values(row.stamp_ns, marker) for marker in markers if marker is not None],))
 
 
 def surface(barrier: Barrier) -> bytes:
@@ -155,45 +163,14 @@ def surface(barrier: Barrier) -> bytes:
     return struct.pack(f"<{len(corners)}d", *corners)
 
 
-_MARKER_FIXED = struct.Struct("<3i")  # id, type, action (0 = add)
-_MARKER_BODY = struct.Struct("<10d4fiI?3x")  # pose, scale, color, lifetime, frame_locked, padding
-_LIFETIME = divmod(round(LIFETIME_S * 1e9), 1_000_000_000)
-
-
-def pack_markers(stamp_ns: int, markers: Sequence[Marker]) -> bytes:
-    """Return a visualization_msgs/MarkerArray in CDR."""
-    stamp = struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000))
-    out = bytearray(struct.pack("<I", len(markers)))
-    for marker in markers:
-        align(out, 4)
-        out += stamp
-        string(out, marker.frame_id)
-        string(out, marker.ns)
-        align(out, 4)
-        out += _MARKER_FIXED.pack(marker.number, marker.kind, 0)
-        align(out, 8)
-        # frame_locked: the viewer moves the picture with its frame between two of ours
-        out += _MARKER_BODY.pack(
-            *marker.position, 0.0, 0.0, 0.0, 1.0, *marker.scale, *marker.color, *_LIFETIME, True
-        )
-        out += struct.pack("<I", len(marker.points) // 24)
-        if marker.points:
-            align(out, 8)
-            out += marker.points
-        out += _NO_COLORS_TO_STAMP
-        string(out, "")  # texture.header.frame_id
-        string(out, "")  # texture.format
-        align(out, 4)
-        out += bytes(8)  # texture.data, uv_coordinates: none
-        for _ in range(3):  # text, mesh_resource, mesh_file.filename
-            string(out, "")
-        align(out, 4)
-        out += bytes(5)  # mesh_file.data: none; mesh_use_embedded_materials: false
-    return CDR_HEADER + bytes(out)
-
-
-# colors: none; texture_resource: empty text, padded; texture.header.stamp: zero
-_NO_COLORS_TO_STAMP = struct.pack("<IIB3xiI", 0, 1, 0, 0, 0)
+def _values(stamp_ns: int, marker: Marker) -> tuple[object, ...]:
+    """Values of a ``visualization_msgs/msg/Marker``."""
+    return (
+        (stamp_ns, marker.frame_id), marker.ns, marker.number, marker.kind, _ADD,
+        (marker.position, _NO_ROTATION), marker.scale, marker.color, _LIFETIME_NS,
+        True,  # frame_locked: the viewer moves the picture with its frame between two of ours
+        marker.points, *_NO_COLORS_TEXTURE_AND_MESH,
+    )  # fmt: skip
 
 
 def _pad(radius_m: float) -> Marker:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from logs.schema.codec_mavlink import PEER_CHARACTERS, FrameError
 from logs.schema.mavlink_types import Type, of
 
-TOPICS_MAX = 512  # anybody may invent systems: no more topics than this are opened
+TOPICS_MAX = 512  # bound on topics, since a sender can invent system ids
 _HEADER_BYTES = 20  # encapsulation, stamp, frame_id of three characters: the fields begin aligned to 8
 _NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame whose peer is not known
 # Offsets in the raw record of ``codec_mavlink``.

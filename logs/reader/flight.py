@@ -17,11 +17,19 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
-from logs.reader.flight_config import ATTACHMENT, read_config
-from logs.reader.flight_data import Event, Flight, Steps, TargetOdometry, Timing, Truth
+from logs.reader.flight_data import (
+    ATTACHMENT,
+    Event,
+    Flight,
+    Steps,
+    TargetOdometry,
+    Timing,
+    Truth,
+    read_config,
+)
 from logs.reader.flight_decode import columns
 from logs.reader.reader import LogError, LogFile, Message
-from logs.schema.codec import unpack_log
+from logs.schema.rows import LogRow
 from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE
 
 __all__ = ["Event", "Flight", "Steps", "TargetOdometry", "Timing", "Truth", "load_flight"]
@@ -125,12 +133,12 @@ def _events(messages: Sequence[Message], origin_ns: int, problems: list[str]) ->
     events: list[Event] = []
     for message in messages:
         try:
-            row = unpack_log(message.data)
+            row = LogRow.unpack(message.data)
         except ValueError as error:
             problems.append(f"event: {error}")
             continue
         t_s = (message.log_time_ns - origin_ns) * 1e-9
-        events.append(Event(t_s, row.level, row.name, row.message))
+        events.append(Event(t_s, row.level, row.name, row.msg))
     return tuple(sorted(events, key=lambda event: event.t_s))
 
 

@@ -7,6 +7,7 @@ number that was not known at a tick is NaN; nothing is ever filled with zeros.
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,46 +15,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Phase, Vec3
+from logs.schema.rows import ControllerStepColumns, LoopTimingColumns, TrueStateColumns
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+ATTACHMENT = "onboard.toml"  # name in the log
 
 
-@dataclass(frozen=True)
-class Steps:
+class Steps(ControllerStepColumns):
     """Controller steps, n of them; vectors are (n, 3). Fields as in ``ControllerStep.msg``."""
-
-    t_s: Floats
-    tick: Ints
-    phase: Ints
-    filter_status: Ints
-    gate: Ints
-    setpoint_sent: Bools
-    barrier_active: Bools
-    own_valid: Bools
-    target_valid: Bools
-    own_age_s: Floats
-    target_age_s: Floats
-    own_position_enu_m: Floats
-    own_velocity_enu_m_s: Floats
-    target_position_enu_m: Floats
-    target_velocity_enu_m_s: Floats
-    h_m: Floats
-    gradient: Floats
-    dh_dt_m_s: Floats
-    nominal_enu_m_s: Floats
-    filtered_enu_m_s: Floats
-    command_enu_m_s: Floats
-    slack_m_s: Floats
-    iterations: Ints
-    target_accepted: Ints
-    target_rejected: Ints
-    link_valid: Bools
-    wanted_enu_m_s: Floats
 
     @cached_property
     def both_valid(self) -> Bools:
@@ -80,27 +55,8 @@ class Steps:
         return np.where(self.both_valid[:, None], velocity_m_s, np.nan)
 
 
-@dataclass(frozen=True)
-class Truth:
+class Truth(TrueStateColumns):
     """The simulator's true states, n of them; vectors are (n, 3). Fields as in ``TrueState.msg``."""
-
-    t_s: Floats
-    tick: Ints
-    position_enu_m: Floats
-    velocity_enu_m_s: Floats
-    orientation: Floats  # (n, 4) x, y, z, w; body FLU to world ENU
-    pad_position_enu_m: Floats
-    pad_velocity_enu_m_s: Floats
-    pad_yaw_rad: Floats
-    h_m: Floats
-    h_min_m: Floats
-    h_min_outside_pad_m: Floats
-    contacts: Ints
-    first_touch_relative_position_enu_m: Floats
-    first_touch_relative_velocity_enu_m_s: Floats
-    first_touch_time_s: Floats
-    motors_running: Bools
-    battery_v: Floats
 
     @cached_property
     def e_m(self) -> Floats:
@@ -122,18 +78,8 @@ class Truth:
         return self.velocity_enu_m_s - self.pad_velocity_enu_m_s - carried
 
 
-@dataclass(frozen=True)
-class Timing:
+class Timing(LoopTimingColumns):
     """Wall-clock behaviour of the loop, n ticks. Fields as in ``LoopTiming.msg``, seconds."""
-
-    t_s: Floats
-    tick: Ints
-    period_s: Floats
-    lateness_s: Floats
-    exec_s: Floats
-    solve_s: Floats
-    overruns: Ints
-    feed_dropped: Ints
 
 
 @dataclass(frozen=True)
@@ -238,3 +184,25 @@ def _rate(values: Floats, t_s: Floats) -> Floats:
         return np.full(len(t_s), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.gradient(values, t_s)
+
+
+def read_config(data: bytes) -> FlightConfig:
+    """Read the attachment.
+
+    Raises:
+        ConfigError: not a configuration of this version.
+    """
+    try:
+        return from_table(FlightConfig, tomllib.loads(data.decode()))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"not TOML: {error}") from error
+
+
+def shape(config: FlightConfig) -> dict[str, str]:
+    """Barrier and pad under the names that the metadata of a simulated run have, m and 1/m."""
+    barrier = config.barrier.build()
+    return {
+        "barrier_alpha_1_m": repr(barrier.alpha_1_m),
+        "barrier_beta_m": repr(barrier.beta_m),
+        "pad_radius_m": repr(config.touchdown.pad_radius_m),
+    }

@@ -14,16 +14,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Nodetype
 
 from logs.reader.reader import LogError
-from logs.schema.schemas import typestore
-
-_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian (OMG DDSI-RTPS 10.5)
-_SCALARS = {
-    "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2",
-    "int32": "<i4", "uint32": "<u4", "int64": "<i8", "uint64": "<u8", "float32": "<f4", "float64": "<f8",
-}  # fmt: skip
+from logs.schema.cdr import CDR_HEADER, CODES
+from logs.schema.schemas import UnknownSchemaError, fields_of
 
 
 @dataclass
@@ -42,7 +36,7 @@ class Layout:
     formats: list[str] = field(default_factory=list)
     offsets: list[int] = field(default_factory=list)
     strings: list[tuple[str, int, int]] = field(default_factory=list)
-    size: int = len(_HEADER)
+    size: int = len(CDR_HEADER)
 
     def dtype(self) -> np.dtype[np.void]:
         """Return the layout as a structured numpy type."""
@@ -57,13 +51,13 @@ def layout(schema: str, first: bytes) -> Layout:
     Raises:
         LogError: the type is unknown, has sequences, or the example is not such a message.
     """
-    if schema not in typestore().fielddefs:
-        raise LogError(f"message type {schema!r} is not known; allowed are ROS 2 standard types and ours")
-    if first[:4] != _HEADER:
+    if first[:4] != CDR_HEADER:
         raise LogError(f"{schema}: begins with {first[:4].hex(' ')}; only little-endian plain CDR is read")
     result = Layout()
     try:
         _walk(schema, "", first, result)
+    except UnknownSchemaError as error:
+        raise LogError(str(error)) from error
     except struct.error as error:
         raise LogError(f"{schema}: {len(first)} bytes are too short for this type") from error
     if result.size != len(first):
@@ -133,7 +127,7 @@ def columns(schema: str, payloads: Sequence[bytes], wanted: Iterable[str]) -> Co
 
 
 def _fits(found: Layout, data: bytes) -> bool:
-    if len(data) != found.size or data[:4] != _HEADER:
+    if len(data) != found.size or data[:4] != CDR_HEADER:
         return False
     return all(int.from_bytes(data[at : at + 4], "little") == length for _, at, length in found.strings)
 
@@ -149,38 +143,27 @@ def _block(records: NDArray[Any], found: Layout, name: str, schema: str) -> NDAr
 
 
 def _walk(schema: str, prefix: str, data: bytes, out: Layout) -> None:
-    for name, node in typestore().fielddefs[schema][1]:
-        _place(prefix + name, node, data, out)
-
-
-def _place(name: str, node: Any, data: bytes, out: Layout) -> None:
-    kind, detail = node
-    kind = Nodetype(kind)
-    if kind is Nodetype.NAME:
-        _walk(detail, name + ".", data, out)
-    elif kind is Nodetype.BASE and detail[0] == "string":
-        at = _aligned(out.size, 4)
-        (length,) = struct.unpack_from("<I", data, at)
-        out.strings.append((name, at, length))
-        out.size = at + 4 + length
-    elif kind is Nodetype.BASE:
-        _number(name, detail[0], None, out)
-    elif kind is Nodetype.ARRAY and Nodetype(detail[0][0]) is Nodetype.BASE:
-        _number(name, detail[0][1][0], detail[1], out)
-    else:
-        raise LogError(f"field {name} has no fixed size; this type is not for bulk decoding")
-
-
-def _number(name: str, scalar: str, count: int | None, out: Layout) -> None:
-    size = np.dtype(_SCALARS[scalar]).itemsize
-    at = _aligned(out.size, size)
-    out.names.append(name)
-    out.formats.append(_SCALARS[scalar] if count is None else f"{count}{_SCALARS[scalar]}")
-    out.offsets.append(at)
-    out.size = at + size * (count or 1)
+    for field_ in fields_of(schema):
+        name, kind, length = prefix + field_.name, field_.kind, field_.length
+        if kind in CODES and length != 0:
+            size = struct.calcsize("<" + CODES[kind])
+            at = _aligned(out.size, size)
+            out.names.append(name)
+            out.formats.append(f"{length or ''}<{CODES[kind]}")
+            out.offsets.append(at)
+            out.size = at + size * (length or 1)
+        elif kind == "string" and length is None:
+            at = _aligned(out.size, 4)
+            (size,) = struct.unpack_from("<I", data, at)
+            out.strings.append((name, at, size))
+            out.size = at + 4 + size
+        elif length is None:
+            _walk(kind, name + ".", data, out)
+        else:
+            raise LogError(f"field {name} has no fixed size; this type is not for bulk decoding")
 
 
 def _aligned(at: int, size: int) -> int:
     """Next multiple of ``size``, counted from the end of the CDR header."""
-    body = at - len(_HEADER)
-    return len(_HEADER) + body + (-body % size)
+    body = at - len(CDR_HEADER)
+    return len(CDR_HEADER) + body + (-body % size)

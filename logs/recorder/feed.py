@@ -137,7 +137,7 @@ class Feed:
             self._drain(PATIENCE_S)
 
     def close(self) -> None:
-        """Send the rest within a bounded time, say goodbye, and let go of the socket."""
+        """Send the rest within a bounded time, then the goodbye, and close the socket."""
         if self._sock is None:
             return
         if self.alive:

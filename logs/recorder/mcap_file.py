@@ -25,10 +25,10 @@ _QOS = "[]"  # as rosbags writes it: nothing is known about the sender's quality
 
 
 class SafeStream:
-    """Unbuffered output that ends at a whole record, whatever the disk does.
+    """Unbuffered output that ends at a whole record even if the disk fails.
 
     The MCAP writer hands over whole records. One that does not fit is cut off again, so the file stays
-    readable up to the last whole one. ``tell`` goes on counting, since the writer needs it.
+    readable up to the last whole one. ``tell`` still counts after that, since the writer needs it.
 
     Attributes:
         failure: Why writing stopped; empty as long as it works.
@@ -126,7 +126,7 @@ class McapFile:
         self._stream.failure = self._stream.failure or why
 
     def descriptor(self) -> int:
-        """Return the descriptor of the open file, for :class:`logs.recorder.recorder_sync.Syncer`."""
+        """Return the descriptor of the open file, for :class:`logs.recorder.recorder_process.Syncer`."""
         return self._stream.descriptor()
 
     def channel(self, topic: str, schema: str) -> int:

@@ -81,5 +81,5 @@ def _record(recorder: Recorder, key: str, encoding: str, payload: bytes, attachm
         return
     try:
         recorder.message(*known, log_time_ns, publish_time_ns, sequence & 0xFFFFFFFF, payload)
-    except ValueError:  # an unknown type, or a time nobody can mean
+    except ValueError:  # an unknown type, or a time before 1970
         recorder.statistics.skipped += 1

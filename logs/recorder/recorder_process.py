@@ -1,4 +1,8 @@
-"""The flight recorder's loop: clients come and go on a local socket, their records go into one file."""
+"""The flight recorder's loop: clients come and go on a local socket, their records go into one file.
+
+A write is safe from a crash of the recorder at once, but the kernel may keep it for half a minute. A thread
+of its own brings the file to the disk, since that may take long on a memory card: the loop reads meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,16 @@ import os
 import selectors
 import socket
 import stat
+import threading
 import time
 from pathlib import Path
 from typing import Protocol
 
 from logs.recorder.feed_wire import Splitter, WireError
 from logs.recorder.mcap_file import McapFile
-from logs.recorder.recorder_sync import Syncer
 from logs.recorder.recording import Recorder, Statistics
 
-# Wall time; `recording` sees to log time. A killed recorder loses this, what waits in sockets and what
+# Wall time; `recording` flushes by log time. A killed recorder loses this, what waits in sockets and what
 # the clients gather (0.1 s in lockstep); a power cut also the time the disk takes: half a second in all.
 FLUSH_PERIOD_S = 0.25
 READ_PERIOD_S = 0.004  # wall time; clients flush every tick, reading them in batches saves the processor
@@ -104,7 +108,7 @@ class RecorderProcess:
             if self._syncer.failure:
                 self._recorder.fail(self._syncer.failure)
             if self._recorder.failure:
-                break  # the clients notice at once and fly on; whoever watches this process does, too
+                break  # the clients see their sockets close, and fly on
             if self._stops and deadline_s == float("inf"):
                 deadline_s = now_s + GRACE_S
             enough = until_clients is not None and self._gone >= until_clients
@@ -233,3 +237,63 @@ def _remove_stale(path: Path) -> None:
             probe.connect(str(path))
         except ConnectionRefusedError:
             path.unlink(missing_ok=True)
+
+
+class Syncer:
+    """Calls ``fdatasync`` on one open file whenever asked and idle.
+
+    Attributes:
+        count: Calls so far.
+        worst_s: Wall time of the longest one.
+        failure: What the disk refused to keep; empty as long as all is well.
+    """
+
+    def __init__(self, descriptor: int, path: Path) -> None:
+        """Start the thread; the name of the file in its directory is brought to the disk at once.
+
+        Raises:
+            OSError: The disk does not keep even the name.
+        """
+        _sync_directory(path.parent)
+        self._descriptor = os.dup(descriptor)  # the file may be closed before the last wait
+        self._wanted = threading.Event()
+        self._closing = False
+        self.count = 0
+        self.worst_s = 0.0
+        self.failure = ""
+        self._thread = threading.Thread(target=self._work, name="sync", daemon=True)
+        self._thread.start()
+
+    def ask(self) -> None:
+        """Have everything written so far on the disk soon; never waits."""
+        self._wanted.set()
+
+    def close(self) -> None:
+        """Wait for the disk a last time, with everything written so far, and end the thread."""
+        self._closing = True
+        self._wanted.set()
+        self._thread.join()
+        os.close(self._descriptor)
+
+    def _work(self) -> None:
+        closing = False
+        while not closing:
+            self._wanted.wait()
+            self._wanted.clear()
+            closing = self._closing  # read before the call, so that the last call comes after close()
+            begun_s = time.monotonic()
+            try:
+                os.fdatasync(self._descriptor)
+            except OSError as error:
+                self.failure = error.strerror or str(error)
+                return
+            self.count += 1
+            self.worst_s = max(self.worst_s, time.monotonic() - begun_s)
+
+
+def _sync_directory(directory: Path) -> None:
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from logs.derive.derive_recorder import Derive, Derivers
 from logs.recorder.feed_wire import Kind, Record
 from logs.recorder.mcap_file import McapFile
-from logs.schema.codec_log import Severity, pack_log
+from logs.schema.events import Severity, pack_log
 from logs.schema.schemas import LOG, UnknownSchemaError
 
 # A chunk holds no more log time than this: in lockstep that runs faster than the wall clock.
@@ -29,7 +29,7 @@ class Statistics:
     messages: int = 0  # in the file, derived ones included
     derived: int = 0
     clients: int = 0
-    invalid: int = 0  # records nobody could make sense of
+    invalid: int = 0  # records that could not be interpreted
     refused: int = 0  # messages after the disk was full
     skipped: int = 0  # samples of unknown encoding
     unfinished_bytes: int = 0  # of records cut by a crash of their sender
@@ -76,7 +76,7 @@ class Recorder:
 
         Args:
             client: Any number that stands for the connection.
-            record: As it came off the wire. Nonsense is counted, never raised.
+            record: As received. A record that cannot be interpreted is counted; nothing is raised.
         """
         state = self._clients.get(client)
         if state is None:

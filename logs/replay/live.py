@@ -1,7 +1,7 @@
 """Plays a log back onto the wires: the target's odometry on Zenoh, the vehicle's frames on UDP.
 
 Payloads and frames go out as they were recorded, to the byte. Only what came from target and vehicle is
-played, never what was sent to them: nobody is commanded by a replay.
+played, never what was sent to them: a replay commands no vehicle.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Wires:
         return " and ".join(found)
 
     def idle(self) -> None:
-        """Take what came, so that its senders are known; who asks is told that this is a recording."""
+        """Receive frames to learn their senders; answer requests for the version as a recording."""
         if self._endpoint is None:
             return
         for received in self._endpoint.receive():
@@ -172,7 +172,7 @@ def play(path: Path | str, options: LiveOptions, say: Callable[[str], None] = pr
     """Play a log; how many ticks went out.
 
     Raises:
-        ReplayError: nothing to play or nobody to play to.
+        ReplayError: nothing to play, or no listener.
         ValueError: an option that is not understood.
         OSError: an address that cannot be opened.
     """

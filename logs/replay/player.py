@@ -101,7 +101,7 @@ class Player:
 
 
 def no_keys(timeout_s: float) -> str:
-    """Wait; for where nobody can press a key."""
+    """Wait without a keyboard; no key is ever pressed."""
     time.sleep(timeout_s)
     return ""
 

@@ -6,19 +6,20 @@ read once, from its start to its end or its break, and only one tick is held in 
 
 from __future__ import annotations
 
+import copy
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from logs.reader.reader import LogError, LogFile
-from logs.schema.codec_input import ControllerInputRow, ControllerStateRow
-from logs.schema.codec_input import unpack_controller_input as unpack_input
-from logs.schema.codec_input import unpack_controller_state as unpack_state
-from logs.schema.codec_log import CONTROLLER, ONBOARD, LogRow, unpack_log
 from logs.schema.codec_mavlink import unpack_mavlink
+from logs.schema.controller_rows import TickInputs, unpack_controller_input
+from logs.schema.events import CONTROLLER, ONBOARD
+from logs.schema.rows import ControllerStateRow, LogRow
 from logs.schema.schemas import CONTROLLER_INPUT
 
 CONFIG = "onboard.toml"  # attachment
@@ -46,7 +47,7 @@ class TickRecord:
     """
 
     unix_ns: int
-    given: ControllerInputRow | None = None
+    given: TickInputs | None = None
     step: bytes | None = None
     state: ControllerStateRow | None = None
     events: list[LogRow] = field(default_factory=list)
@@ -130,7 +131,7 @@ class FlightInputs:
         for message in self.log.messages({given, step, state, odometry, SOURCE, SINK, ROSOUT}):
             topic, data = message.topic, message.data
             try:
-                said = unpack_log(data) if topic == ROSOUT else None
+                said = LogRow.unpack(data) if topic == ROSOUT else None
                 if said is not None and said.name not in (ONBOARD, CONTROLLER):
                     continue
                 if tick is None or message.log_time_ns != tick.unix_ns:
@@ -142,11 +143,11 @@ class FlightInputs:
                 if said is not None:
                     (tick.events if said.name == CONTROLLER else tick.said).append(said)
                 elif topic == given:
-                    tick.given = unpack_input(data)
+                    tick.given = unpack_controller_input(data)
                 elif topic == step:
                     tick.step = data
                 elif topic == state:
-                    snapshot = unpack_state(data)
+                    snapshot = ControllerStateRow.unpack(data)
                     if (
                         snapshot.stamp_ns == tick.unix_ns
                     ):  # else an older one, given again where a log was cut
@@ -162,3 +163,37 @@ class FlightInputs:
                 ) from error
         if tick is not None:
             yield tick
+
+
+def changed(table: dict[str, Any], settings: Sequence[str]) -> FlightConfig:
+    """Return the configuration of ``table`` with each ``section.key=value`` set.
+
+    Args:
+        table: plain TOML data; left as it is.
+        settings: values in TOML; a word that is none is taken as text, so that ``filter=paper`` does.
+
+    Raises:
+        ConfigError: not of this form, an unknown key, or a value that is not allowed.
+    """
+    table = copy.deepcopy(table)
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        *sections, name = key.strip().split(".")
+        if not equals or not name or not all(sections):
+            raise ConfigError(
+                f"--set {setting}: KEY=VALUE is needed, for example barrier.alpha_1_m=1.2 or filter=paper"
+            )
+        inner = table
+        for section in sections:
+            inner = inner.setdefault(section, {})
+            if not isinstance(inner, dict):
+                raise ConfigError(f"--set {setting}: {section} is a value and has no keys of its own")
+        inner[name] = _value(text.strip())
+    return from_table(FlightConfig, table)
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text

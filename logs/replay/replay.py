@@ -23,11 +23,10 @@ from flightstack.onboard.state_text import StateText, StateTextError
 from logs.replay.compare import Difference, Tally, fields_of, values_of
 from logs.replay.read import ROSOUT, FlightInputs, ReplayError, TickRecord
 from logs.replay.wire import WireReplay
-from logs.schema.codec import pack_controller_step, unpack_controller_step
-from logs.schema.codec_input import ControllerInputRow, ControllerStateRow
-from logs.schema.codec_log import CONTROLLER, LogRow
+from logs.schema.controller_rows import TickInputs, step_row
+from logs.schema.events import CONTROLLER
+from logs.schema.rows import ControllerStateRow, ControllerStepRow, LogRow
 from logs.schema.schemas import CONTROLLER_STEP
-from logs.schema.step_row import step_row
 
 __all__ = ["Difference", "FlightInputs", "PhaseChange", "ReplayError", "Result", "replay"]
 
@@ -176,7 +175,7 @@ class _Run:
             self.result.wire.add(wired)
         self._compare(record, given, out)
 
-    def _begin(self, record: TickRecord, given: ControllerInputRow) -> bool:
+    def _begin(self, record: TickRecord, given: TickInputs) -> bool:
         """Whether this tick can be replayed; a snapshot makes the next one."""
         if given.tick == 0:
             self.result.start = "tick 0"
@@ -211,11 +210,11 @@ class _Run:
         self.result.start = f"the state after tick {snapshot.tick}"
         self.result.notes.append("the log lacks its beginning: wire not replayed")
 
-    def _compare(self, record: TickRecord, given: ControllerInputRow, out: Outputs) -> None:
+    def _compare(self, record: TickRecord, given: TickInputs, out: Outputs) -> None:
         result, tick = self.result, given.tick
         assert record.step is not None
         row = step_row(Tick(tick, given.now_s, given.stamp_ns, 0.0, 0.0), out)
-        replayed = pack_controller_step(row)
+        replayed = row.pack()
         topic = self.flight.topic("controller/step")
         found = [Difference(topic, tick, *each) for each in fields_of(CONTROLLER_STEP, record.step, replayed)]
         events = [LogRow(given.stamp_ns, e.level, CONTROLLER, e.text, "", "", 0) for e in out.events]
@@ -232,7 +231,7 @@ class _Run:
             recorded = row
         else:
             try:
-                recorded = unpack_controller_step(record.step)
+                recorded = ControllerStepRow.unpack(record.step)
             except ValueError:  # named above; it cannot be looked into
                 return
             self._command_change(tick, recorded.command_enu_m_s, row.command_enu_m_s)

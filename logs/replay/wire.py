@@ -25,7 +25,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.exchange import answer, take
 from logs.replay.compare import Difference, values_of
 from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
-from logs.schema.codec_input import ControllerInputRow
+from logs.schema.controller_rows import TickInputs
 
 _VEHICLE: Peer = ("recorded", 0)
 _SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # the other lines are about the socket
@@ -90,7 +90,7 @@ class WireReplay:
             endpoint=self._endpoint,
         )
 
-    def take(self, record: TickRecord, given: ControllerInputRow) -> list[Difference]:
+    def take(self, record: TickRecord, given: TickInputs) -> list[Difference]:
         """Decode what came and compare it with the recorded inputs."""
         self._heard = self._link.heard
         self._endpoint.sent.clear()
@@ -105,11 +105,11 @@ class WireReplay:
         found += values_of(given.command_failed, taken.command_failed, "command_failed")
         differences = [Difference("wire, inputs", given.tick, *each) for each in found]
         said = taken.problems + [f"vehicle: {text}" for _, text in self._link.take_texts()]
-        recorded = [row.message for row in record.said if row.message.startswith(_SAID_BY_THE_WIRE)]
+        recorded = [row.msg for row in record.said if row.msg.startswith(_SAID_BY_THE_WIRE)]
         differences += [Difference(ROSOUT, given.tick, *each) for each in values_of(recorded, said, "wire")]
         return differences
 
-    def answer(self, record: TickRecord, given: ControllerInputRow, out: Outputs) -> list[Difference]:
+    def answer(self, record: TickRecord, given: TickInputs, out: Outputs) -> list[Difference]:
         """Send what was decided and compare it with the recorded frames."""
         answer(self._link, out, given.now_s, lockstep=self._lockstep)
         if not self._heard:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,13 @@ import numpy as np
 from flightstack.common.strict_toml import to_table
 from logs.reader.flight import load_flight
 from logs.reader.flight_data import Flight, Floats
-from logs.report.derived import Side, estimate_errors
-from logs.report.faults import fault_spans
-from logs.report.page import header, need_plotly, page, section
-from logs.report.tables import definitions, events_table, headline, table
+from logs.report.derived import Side, estimate_errors, fault_spans
+from logs.report.page import block, header, need_libraries, page, paragraph, section, table, warnings_box
+from logs.report.tables import definitions, events_table, headline
 from logs.verdict.verdict import judge
 
+_SETTINGS = "Run, versions and configuration."
+_WIDE = "wide events"  # style of the tables of events
 _BAR = (
     '<div class="bar"><span>All times:</span><button data-range="landing">Landing</button>'
     '<button data-range="whole">Whole flight</button></div>'
@@ -35,7 +35,7 @@ def write_comparison(log_a: Path, log_b: Path, out: Path | None = None) -> Path:
         LogError: a log cannot be used.
         ReportError: the plotting library is not installed.
     """
-    need_plotly()
+    need_libraries()
     sides = (_side("A", log_a), _side("B", log_b))
     target = log_b.with_name("comparison.html") if out is None else out
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -53,6 +53,7 @@ def _side(name: str, log: Path) -> Side:
 def render(a: Side, b: Side) -> str:
     """Return the page as text."""
     from logs.report.overlay import overlays
+    from logs.report.report import warnings
 
     worse = max((headline(s.verdict)[1] for s in (a, b)), key=("good", "fair", "bad").index)
     title = f"{_scenario(a)} and {_scenario(b)}, compared"
@@ -61,15 +62,16 @@ def render(a: Side, b: Side) -> str:
     figures = [section(p.key, p.title, p.paper, p.note, p.figure) for p in overlays(a, b)]
     body = (
         header(title, outcomes, worse, names),
-        _problems(a, b),
-        f'<section id="numbers"><h2>Key numbers</h2><div class="wide">{_numbers(a, b)}</div>',
-        f"{definitions()}</section>",
-        '<section id="settings"><h2>What was set differently</h2><p class="note">Run, versions and '
-        f'configuration.</p><div class="wide">{_settings(a.flight, b.flight)}</div></section>',
+        warnings_box([f"{s.name}: {text}" for s in (a, b) for text in warnings(s.flight, s.verdict)]),
+        block("numbers", "Key numbers", "", _numbers(a, b) + definitions()),
+        block("settings", "What was set differently", _SETTINGS, _settings(a.flight, b.flight)),
         _BAR,
         *figures,
         '<div class="columns">',
-        *(f"<section><h2>Events of {s.name}</h2>{_events(s.flight)}</section>" for s in (a, b)),
+        *(
+            block(f"events-{s.name}", f"Events of {s.name}", "", events_table(s.flight), _WIDE)
+            for s in (a, b)
+        ),
         "</div>",
     )
     return page(title, "".join(body))
@@ -83,16 +85,6 @@ def _told(side: Side) -> str:
     run = side.flight.metadata.get("run", {})
     told = [f"{key} {run[key]}" for key in ("seed", "filter", "mode") if key in run]
     return ", ".join([f"{side.name}: {side.flight.path}", *told])
-
-
-def _problems(*sides: Side) -> str:
-    from logs.report.report import warnings
-
-    texts = [f"{s.name}: {text}" for s in sides for text in warnings(s.flight, s.verdict)]
-    if not texts:
-        return ""
-    items = "".join(f"<li>{escape(text)}</li>" for text in texts)
-    return f'<section class="warning"><h2>Mind when reading</h2><ul>{items}</ul></section>'
 
 
 def _p99(values: Floats, scale: float) -> float | None:
@@ -167,7 +159,7 @@ def _settings(a: Flight, b: Flight) -> str:
         left, right = of_a.get(key, "–"), of_b.get(key, "–")
         if left != right:
             rows.append((key, left, right))
-    return table(("setting", "A", "B"), rows) if rows else "<p>Nothing that the logs tell of.</p>"
+    return table(("setting", "A", "B"), rows) if rows else paragraph("Nothing that the logs tell of.")
 
 
 def _all_settings(flight: Flight) -> dict[str, str]:
@@ -184,7 +176,3 @@ def _flatten(prefix: str, values: object, found: dict[str, str]) -> None:
             _flatten(f"{prefix}.{key}", value, found)
     else:
         found[prefix] = str(values)
-
-
-def _events(flight: Flight) -> str:
-    return f'<div class="wide events">{events_table(flight)}</div>'

@@ -1,4 +1,4 @@
-"""What follows from the recorded numbers: the margin of the filter, errors of the estimates, tilt."""
+"""Values derived from the recorded ones: margin of the filter, errors of the estimates, tilt, faults."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 _RAN = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE)
 _NEAR_S = 0.02  # a true state farther in time than two ticks is not that of the step
+BEGINS, ENDS = "Fault: ", "Fault over: "
+_RELAYED = "vehicle: "  # the onboard process repeats what the vehicle says
+_ENOUGH = 200  # a page with more is not read
 
 
 def held_margin_m(flight: Flight) -> Floats | None:
@@ -95,3 +98,29 @@ class Side(NamedTuple):
     flight: Flight
     verdict: Verdict
     streams: list[Stream]
+
+
+class FaultSpan(NamedTuple):
+    """One fault; times as in the flight, ``over`` is False for one that lasted to the end of the log."""
+
+    text: str
+    begin_s: float
+    end_s: float
+    over: bool
+
+
+def fault_spans(flight: Flight) -> list[FaultSpan]:
+    """Faults in the order of their beginning; the same told by two processes counts once."""
+    begun: dict[str, float] = {}
+    found: list[FaultSpan] = []
+    for event in flight.events:
+        text = event.text.removeprefix(_RELAYED)
+        if text.startswith(BEGINS):
+            begun.setdefault(text.removeprefix(BEGINS), event.t_s)
+        elif text.startswith(ENDS):
+            name = text.removeprefix(ENDS)
+            begin_s = begun.pop(name, None)
+            if begin_s is not None:
+                found.append(FaultSpan(name, begin_s, event.t_s, over=True))
+    found += [FaultSpan(name, begin_s, flight.duration_s, over=False) for name, begin_s in begun.items()]
+    return sorted(found, key=lambda span: span.begin_s)[:_ENOUGH]

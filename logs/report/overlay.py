@@ -9,8 +9,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from logs.reader.flight_data import Flight, Floats, phase_name
-from logs.report.derived import Side, estimate_errors
-from logs.report.faults import fault_spans
+from logs.report.derived import Side, estimate_errors, fault_spans
 from logs.report.figures import Panel
 from logs.report.series import AXES, value_range
 from logs.report.space import relative_tracks

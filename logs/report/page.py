@@ -1,16 +1,18 @@
-"""A page of ours around any content: look, drawing library, time axes that move together; no network needed.
+"""HTML pages of reports: parts with their texts escaped, one drawing library, no network needed.
 
-For other pages of this look, as a campaign's: ``page("Title", body)`` with sections made by ``section`` and
-tables by ``report_tables.table``.
+For other pages of this look, as a campaign's: ``page("Title", body)`` with a body of the parts made here. The
+parts are macros of ``parts.html``; what they return counts as HTML, any other text is escaped.
 """
 
 from __future__ import annotations
 
 import base64
 import gzip
+from collections.abc import Sequence
 from functools import cache
-from html import escape
 from importlib.resources import files
+from pathlib import Path
+from typing import Any
 
 _LEVEL = 9  # of gzip; the library is packed once a process
 
@@ -24,65 +26,82 @@ def page(title: str, body: str) -> str:
 
     Args:
         title: plain text.
-        body: HTML, made of ``header``, ``section`` and the like.
+        body: HTML made of the parts below.
     """
-    parts = (files("logs.report") / "report_template.html").read_text(encoding="utf-8").split("@@")
-    values = {"TITLE": escape(title), "BODY": body, "PLOTLY": plotly_source()}
-    parts[1::2] = [values[name] for name in parts[1::2]]  # text, NAME, text, NAME, ..., text
-    return "".join(parts)
+    template = _templates().get_template("report_template.html")
+    text: str = template.render(title=title, body=body, plotly=plotly_source())
+    return text
 
 
 def header(title: str, badge: str, style: str, sub: str) -> str:
-    """Title with a badge (``style`` good, fair or bad) and a line below; all plain text."""
-    return (
-        f'<header><h1>{escape(title)}</h1><span class="badge {style}">{escape(badge)}</span></header>'
-        f'<p class="sub">{escape(sub)}</p>'
-    )
+    """Title with a badge (``style`` good, fair or bad) and a line below."""
+    return _part("header", title, badge, style, sub)
 
 
-def section(key: str, title: str, paper: str, note: str, figure: object | None) -> str:
-    """One figure with its title and note, as HTML; a figure that could not be drawn says so."""
-    reference = f'<span class="paper">paper {escape(paper)}</span>' if paper else ""
-    body = ""
-    if figure is not None:
-        # a "<" in a name could end the script element
-        data = figure.to_json().replace("<", "\\u003c")  # type: ignore[attr-defined]
-        body = (
-            f'<div class="figure" id="figure-{key}"></div>'
-            f'<script type="application/json" id="figure-{key}-data">{data}</script>'
-        )
-    note = note if figure is not None else f"Not drawn: the log has no usable data for this figure. {note}"
-    return (
-        f'<section id="{key}"><h2>{escape(title)}{reference}</h2><p class="note">{escape(note)}</p>'
-        f"{body}</section>\n"
-    )
+def section(key: str, title: str, paper: str, note: str, figure: Any | None) -> str:
+    """One figure with its title and note; a figure that could not be drawn says so."""
+    # a "<" in a name could end the script element
+    data = html(figure.to_json().replace("<", "\\u003c")) if figure is not None else None
+    return _part("section", key, title, paper, note, data)
+
+
+def block(key: str, title: str, note: str, content: str, style: str = "wide") -> str:
+    """A section with any content and a note above it."""
+    return _part("block", key, title, note, content, style)
 
 
 def details(title: str, text: str, name: str = "") -> str:
     """Long text that opens on demand; with a file ``name`` it can be saved."""
-    save = ""
-    if name:
-        data = base64.b64encode(text.encode()).decode("ascii")
-        save = (
-            f'<p><a download="{escape(name, quote=True)}" href="data:application/octet-stream;base64,{data}">'
-            f"Save as {escape(name)}</a></p>"
-        )
-    return f"<details><summary>{escape(title)}</summary>{save}<pre>{escape(text)}</pre></details>"
+    return _part("details", title, text, name, base64.b64encode(text.encode()).decode("ascii"))
 
 
-def need_plotly() -> None:
-    """Check that figures can be drawn.
+def warnings_box(texts: Sequence[str]) -> str:
+    """What a reader has to know before trusting the page; empty without texts."""
+    return _part("warnings", texts)
+
+
+def table(
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    numbers: Sequence[int] = (),
+    row_class: int | None = None,
+) -> str:
+    """Rows of text; columns ``numbers`` are set to the right, column ``row_class`` is the style of a row."""
+    return _part("table", head, rows, numbers, row_class)
+
+
+def repeat_box(**values: Any) -> str:
+    """Commands that repeat a flight; the names are those of the macro ``repeat``."""
+    return _part("repeat", **values)
+
+
+def html(text: str) -> str:
+    """Text that is HTML already and is not escaped."""
+    from markupsafe import Markup
+
+    return Markup(text)
+
+
+def paragraph(text: str) -> str:
+    """A paragraph of plain text."""
+    return html("<p>{}</p>").format(text)
+
+
+def need_libraries() -> None:
+    """Check that pages can be made.
 
     Raises:
-        ReportError: the plotting library is not installed.
+        ReportError: the plotting or the template library is not installed.
     """
     try:
+        import jinja2  # noqa: F401
         import plotly.graph_objects  # noqa: F401
     except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith("plotly"):
+        missing = (error.name or "").partition(".")[0]
+        if missing not in ("plotly", "jinja2"):
             raise
         raise ReportError(
-            'the page needs plotly, which is not installed: pip install "crazyflie-flightstack[report]"'
+            f'the page needs {missing}, which is not installed: pip install "crazyflie-flightstack[report]"'
         ) from error
 
 
@@ -91,3 +110,15 @@ def plotly_source() -> str:
     """The drawing library, packed: gzip in base64, a third of its size; the page unpacks it."""
     packed = gzip.compress((files("plotly") / "package_data" / "plotly.min.js").read_bytes(), _LEVEL, mtime=0)
     return base64.b64encode(packed).decode("ascii")
+
+
+@cache
+def _templates() -> Any:
+    from jinja2 import Environment, FileSystemLoader
+
+    return Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True)
+
+
+def _part(macro: str, *values: Any, **named: Any) -> str:
+    made: str = getattr(_templates().get_template("parts.html").module, macro)(*values, **named)
+    return made

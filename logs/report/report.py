@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from html import escape
+import shlex
 from pathlib import Path
 
 import numpy as np
 
 from logs.reader.flight import load_flight
 from logs.reader.flight_data import Flight
-from logs.report.page import ReportError, details, header, need_plotly, page, plotly_source, section
-from logs.report.repeat import repeat_section
+from logs.report.page import (
+    ReportError,
+    block,
+    details,
+    header,
+    html,
+    need_libraries,
+    page,
+    paragraph,
+    plotly_source,
+    repeat_box,
+    section,
+    warnings_box,
+)
 from logs.report.tables import (
     ages_table,
     definitions,
@@ -30,6 +42,7 @@ __all__ = ["ReportError", "plotly_source", "render", "section", "write_page", "w
 
 _H_TOLERANCE_M = 1e-6  # the barrier we draw has to be the one the simulator judged by
 _FILES = (("onboard.toml", "Configuration of the onboard process"), ("scenario.toml", "Scenario, whole"))
+_SCENARIO = "scenario.toml"
 _FAULTS = "Injected on purpose; in the figures a red strip on top."
 _EVENTS = "Times since the landing began; each is a link."
 BAR = (
@@ -76,7 +89,7 @@ def render(flight: Flight, verdict: Verdict) -> str:
     Raises:
         ReportError: the plotting library is not installed.
     """
-    need_plotly()
+    need_libraries()
     from logs.report.figures import panels
     from logs.report.links import load_streams
 
@@ -86,40 +99,37 @@ def render(flight: Flight, verdict: Verdict) -> str:
     badge, style = headline(verdict)
     timeline, *drawn = panels(flight, verdict, streams)
     figures = {p.key: section(p.key, p.title, p.paper, p.note, p.figure) for p in (timeline, *drawn)}
-    figures["age"] += _block(
+    figures["age"] += block(
         "links", "Links", "Counted from the recorded traffic.", links_table(streams) + ages_table(flight)
     )
-    sources = "".join(
+    sources = [
         details(what, flight.attachments[name].decode(errors="replace"), name)
         for name, what in _FILES
         if name in flight.attachments
-    )
+    ]
     body = (
         header(title, badge, style, _subtitle(run, verdict)),
-        _warnings(flight, verdict),
-        _block("result", "Result", _source(verdict), result_table(flight, verdict) + definitions()),
+        warnings_box(warnings(flight, verdict)),
+        block("result", "Result", _source(verdict), result_table(flight, verdict) + definitions()),
         BAR,
         figures.pop("timeline"),
         '<div class="columns">',
-        _block("phases", "Phases", "Each with the reason it began.", phases_table(flight)),
-        _block("faults", "Faults", _FAULTS, faults_table(flight)),
+        block("phases", "Phases", "Each with the reason it began.", phases_table(flight)),
+        block("faults", "Faults", _FAULTS, faults_table(flight)),
         "</div>",
         *figures.values(),
-        _block("events", "Events", _EVENTS, events_table(flight), "wide events"),
+        block("events", "Events", _EVENTS, events_table(flight), "wide events"),
         repeat_section(flight),
         '<div class="columns">',
-        _block("run", "Run", "", run_table(flight)),
-        _block("versions", "Versions", "", versions_table(flight)),
+        block("run", "Run", "", run_table(flight)),
+        block("versions", "Versions", "", versions_table(flight)),
         "</div>",
-        f"<section><h2>Configuration</h2>{sources or '<p>The log holds none.</p>'}</section>",
-        f"<footer>{escape(f'Log: {flight.path.name}. Frames: east, north, up; SI units.')}</footer>",
+        "<section><h2>Configuration</h2>",
+        *(sources or [paragraph("The log holds none.")]),
+        "</section>",
+        html("<footer>Log: {}. Frames: east, north, up; SI units.</footer>").format(flight.path.name),
     )
     return page(title, "".join(body))
-
-
-def _block(key: str, title: str, note: str, content: str, style: str = "wide") -> str:
-    said = f'<p class="note">{escape(note)}</p>' if note else ""
-    return f'<section id="{key}"><h2>{escape(title)}</h2>{said}<div class="{style}">{content}</div></section>'
 
 
 def _subtitle(run: dict[str, str], verdict: Verdict) -> str:
@@ -159,9 +169,28 @@ def warnings(flight: Flight, verdict: Verdict) -> list[str]:
     return texts
 
 
-def _warnings(flight: Flight, verdict: Verdict) -> str:
-    texts = warnings(flight, verdict)
-    if not texts:
-        return ""
-    items = "".join(f"<li>{escape(text)}</li>" for text in texts)
-    return f'<section class="warning"><h2>Mind when reading</h2><ul>{items}</ul></section>'
+def command(run: dict[str, str], scenario: str) -> str:
+    """Command that flies a run again, from its metadata and the name or file of its scenario."""
+    parts = ["flightstack", "sitl", "--scenario", scenario, "--seed", run["seed"]]
+    if "filter" in run:
+        parts += ["--filter", run["filter"]]
+    if run.get("mode") == "lockstep":
+        parts.append("--lockstep")
+    return shlex.join(parts)
+
+
+def repeat_section(flight: Flight) -> str:
+    """The section with the commands; what cannot be repeated says why."""
+    run = flight.metadata.get("run", {})
+    again = shlex.join(["flightstack", "replay", flight.path.name, "--check"])
+    whole = flight.attachments.get(_SCENARIO)
+    if whole is None or "seed" not in run:
+        return repeat_box(replay=again)
+    return repeat_box(
+        replay=again,
+        command=command(run, _SCENARIO),
+        revision=flight.metadata.get("made", {}).get("git_revision", ""),
+        lockstep=run.get("mode") == "lockstep",
+        scenario=details("The scenario as it was flown", whole.decode(errors="replace"), _SCENARIO),
+        by_name=command(run, run["scenario"]) if "scenario" in run else "",
+    )

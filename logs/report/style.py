@@ -13,7 +13,7 @@ import plotly.graph_objects as go
 
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Flight, Floats, phase_name
-from logs.report.faults import fault_spans
+from logs.report.derived import fault_spans
 
 TRUE = "#0072B2"  # blue
 ESTIMATED = "#56B4E9"  # sky blue

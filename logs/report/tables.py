@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
 import numpy as np
 
 from logs.reader.flight_data import Bools, Flight, Floats, phase_name
-from logs.report.faults import fault_spans
+from logs.report.derived import fault_spans
 from logs.report.links import Stream
-from logs.schema.codec_log import Severity
+from logs.report.page import html, paragraph, table
+from logs.schema.events import Severity
 from logs.verdict.types import ESTIMATE, SOURCES, Outcome, Verdict
 
 _SAME_TICK_S = 0.011  # an event of the tick in which a phase began
@@ -49,10 +49,6 @@ _DEFINITIONS = (
 )  # fmt: skip
 
 
-class Html(str):
-    """Text of a cell that is HTML already."""
-
-
 def headline(verdict: Verdict) -> tuple[str, str]:
     """Outcome in words, and the style class of its badge."""
     text, style = _HEADLINES[verdict.outcome]
@@ -87,39 +83,39 @@ def run_table(flight: Flight) -> str:
     run = flight.metadata.get("run", {})
     rows = [(name, run[key]) for key, name in _RUN_NAMES.items() if key in run]
     rows += [(key.replace("_", " "), value) for key, value in run.items() if key not in _RUN_NAMES]
-    return table(("run", "value"), rows) if rows else "<p>The log does not say what was flown.</p>"
+    return table(("run", "value"), rows) if rows else paragraph("The log does not say what was flown.")
 
 
 def versions_table(flight: Flight) -> str:
     """What it was flown with."""
     rows = [(key.replace("_", " "), value or "–") for key, value in flight.metadata.get("made", {}).items()]
     rows += [(f"records lost by {who}", n) for who, n in flight.metadata.get("losses", {}).items()]
-    return table(("made with", "value"), rows) if rows else "<p>The log does not name versions.</p>"
+    return table(("made with", "value"), rows) if rows else paragraph("The log does not name versions.")
 
 
 def events_table(flight: Flight) -> str:
     """Events in order, times since the landing began; each time links to it in the figures."""
     if not flight.events:
-        return "<p>No events in this log.</p>"
+        return paragraph("No events in this log.")
     zero = flight.landing_start_s or 0.0
     rows = [
         (at_link(e.t_s - zero), _severity(e.level), e.source, e.text) for e in flight.events[:_EVENTS_MAX]
     ]
     more = len(flight.events) - len(rows)
-    rest = f"<p>{more} later events are in the log only.</p>" if more > 0 else ""
-    return table(("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1) + rest
+    shown = table(("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1)
+    return shown + paragraph(f"{more} later events are in the log only.") if more > 0 else shown
 
 
-def at_link(t_s: float) -> Html:
+def at_link(t_s: float) -> str:
     """A time that links to itself in the figures."""
-    return Html(f'<a href="#t={t_s:.2f}">{_number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}"}</a>')
+    return html(f'<a href="#t={t_s:.2f}">{_number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}"}</a>')
 
 
 def phases_table(flight: Flight) -> str:
     """Phases in order with their length and the reason that the controller gave."""
     spans = flight.phase_spans()
     if not spans:
-        return "<p>No controller steps in this log.</p>"
+        return paragraph("No controller steps in this log.")
     zero = flight.landing_start_s or 0.0
     rows = []
     for phase, begin_s, end_s in spans:
@@ -141,7 +137,9 @@ def faults_table(flight: Flight) -> str:
         for f in spans
     ]
     return (
-        table(("from [s]", "to [s]", "fault"), rows, numbers=(0, 1)) if rows else "<p>None was told of.</p>"
+        table(("from [s]", "to [s]", "fault"), rows, numbers=(0, 1))
+        if rows
+        else paragraph("None was told of.")
     )
 
 
@@ -153,7 +151,7 @@ def links_table(streams: Sequence[Stream]) -> str:
         for s in streams
     ]  # fmt: skip
     head = ("stream", "messages", "rate [Hz]", "lost", "longest gap [ms]")
-    return table(head, rows, numbers=(1, 2, 3, 4)) if rows else "<p>No traffic in this log.</p>"
+    return table(head, rows, numbers=(1, 2, 3, 4)) if rows else paragraph("No traffic in this log.")
 
 
 def ages_table(flight: Flight) -> str:
@@ -181,7 +179,8 @@ def _age_row(name: str, age_s: Floats, limit_s: float | None, bad: Bools) -> tup
 
 def definitions() -> str:
     """What the words of the verdict mean, to open on demand."""
-    return f"<details><summary>Definitions</summary>{table(('word', 'meaning'), _DEFINITIONS)}</details>"
+    shown = table(("word", "meaning"), _DEFINITIONS)
+    return html("<details><summary>Definitions</summary>{}</details>").format(shown)
 
 
 def _severity(level: int) -> str:
@@ -194,29 +193,3 @@ def _number(value: float | None, digits: int) -> str:
 
 def _scaled(value: float | None, factor: float, digits: int) -> str:
     return _number(None if value is None else value * factor, digits)
-
-
-def table(
-    head: tuple[str, ...],
-    rows: Sequence[tuple[str, ...]],
-    numbers: tuple[int, ...] = (),
-    row_class: int | None = None,
-) -> str:
-    """Rows of text as HTML, escaped; columns in ``numbers`` are set to the right."""
-    lines = ["<table><thead><tr>"]
-    lines += [f"<th{_right(i, numbers)}>{escape(text)}</th>" for i, text in enumerate(head)]
-    lines.append("</tr></thead><tbody>")
-    for row in rows:
-        style = f' class="{escape(row[row_class], quote=True)}"' if row_class is not None else ""
-        cells = "".join(f"<td{_right(i, numbers)}>{_cell(text)}</td>" for i, text in enumerate(row))
-        lines.append(f"<tr{style}>{cells}</tr>")
-    lines.append("</tbody></table>")
-    return "".join(lines)
-
-
-def _cell(text: str) -> str:
-    return text if isinstance(text, Html) else escape(text)
-
-
-def _right(column: int, numbers: tuple[int, ...]) -> str:
-    return ' class="number"' if column in numbers else ""

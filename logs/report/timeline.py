@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from flightstack.core.safety.gate import GateVerdict
 from logs.reader.flight_data import Bools, Flight, Floats, phase_name
-from logs.report.faults import fault_spans
+from logs.report.derived import fault_spans
 from logs.report.style import (
     BOUNDARY,
     COMMAND,
@@ -21,7 +21,7 @@ from logs.report.style import (
     zero_s,
 )
 from logs.report.style import layout as common
-from logs.schema.codec_log import Severity
+from logs.schema.events import Severity
 
 _EVENTS_MAX = 500
 _LEVEL_COLOR = {Severity.WARN: NOMINAL, Severity.ERROR: BOUNDARY, Severity.FATAL: BOUNDARY}

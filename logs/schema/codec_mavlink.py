@@ -3,11 +3,26 @@
 Frame layouts: MAVLink serialization guide. Version 2: 0xFD, length, incompatibility flags, compatibility
 flags, sequence, system, component, message id (3 bytes), payload, checksum (2), signature (13) if flag 1 is
 set. Version 1: 0xFE, length, sequence, system, component, message id, payload, checksum.
+
+Written by hand, since the record is made of the frame's own bytes: a packer made from the definition takes a
+fifth longer, and frames are most of what a log holds.
+
+Every record names the peer of the frame in its ``frame_id``: short names, which a metadata record explains.
+They count the peers in the order in which they appeared, so that two runs of one seed give them the same
+names although their ports differ.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
+from typing import Protocol
+
+from logs.schema.cdr import CDR_HEADER
+
+MAVLINK_PEERS = "mavlink_peers"  # metadata: name -> HOST:PORT
+NAMED_MAX = 99  # peers that get a name of their own, since any sender can reach an open port
+OTHERS = b"p99"  # the name that all further peers share
 
 _NS = 1_000_000_000  # nanoseconds in a second
 _V1, _V2 = 0xFE, 0xFD
@@ -24,7 +39,6 @@ _HEAD_NOBODY = struct.Struct("<4siIIB8B3xIH2xI4x")
 _HEAD_NOBODY_EMPTY = struct.Struct("<4siIIB8B3xIH2xI")
 PEER_CHARACTERS = 3
 _U32 = struct.Struct("<I")
-_CDR = b"\x00\x01\x00\x00"
 _NAMED = bytes((PEER_CHARACTERS + 1,))  # first byte of the length of a frame_id that is there
 _WORDS_AT = _HEAD.size
 _UNSIGNED = _U32.pack(0)
@@ -41,7 +55,7 @@ def pack_mavlink(stamp_ns: int, frame: bytes, peer: bytes = b"") -> bytes:
     Args:
         stamp_ns: When the frame was received or sent.
         frame: The whole frame as on the wire, with a valid checksum.
-        peer: Whom it came from or went to, three characters (:class:`logs.schema.mavlink_peers.PeerNames`);
+        peer: Whom it came from or went to, three characters (:class:`PeerNames`);
             empty: not known.
 
     Raises:
@@ -71,8 +85,8 @@ def pack_mavlink(stamp_ns: int, frame: bytes, peer: bytes = b"") -> bytes:
     else:
         layout, name = (_HEAD_NOBODY if length else _HEAD_NOBODY_EMPTY), (1, 0)
     head = layout.pack(
-        _CDR, stamp_ns // _NS, stamp_ns % _NS, *name, _FRAMING_OK, frame[0], length, *flags_to_component,
-        message_id, frame[end] | frame[end + 1] << 8, (length + 7) >> 3,
+        CDR_HEADER, stamp_ns // _NS, stamp_ns % _NS, *name, _FRAMING_OK, frame[0], length,
+        *flags_to_component, message_id, frame[end] | frame[end + 1] << 8, (length + 7) >> 3,
     )  # fmt: skip
     padding = bytes(-length & 7)
     if signature:
@@ -100,7 +114,7 @@ def unpack_mavlink(data: bytes) -> tuple[int, bytes]:
     signature = data[signature_at : signature_at + signature_length]
     payload = data[payload_at : payload_at + length]
     if (
-        header != _CDR
+        header != CDR_HEADER
         or name_length != (PEER_CHARACTERS + 1 if named else 1)
         or words != (length + 7) >> 3
         or len(signature) != signature_length
@@ -126,3 +140,28 @@ def _not_a_frame(frame: bytes) -> FrameError:
     return FrameError(
         f"not one whole MAVLink frame: {len(frame)} bytes beginning with {bytes(frame[:12]).hex()}"
     )
+
+
+class MetadataSink(Protocol):
+    """Where names are explained."""
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+
+
+class PeerNames:
+    """Names peers as they appear: ``p00``, ``p01``, ..."""
+
+    def __init__(self, sink: MetadataSink) -> None:
+        self._sink = sink
+        self._names: dict[tuple[str, int], bytes] = {}
+
+    def __call__(self, peer: tuple[str, int]) -> bytes:
+        """Return the name of a peer (host, port), three characters; a new one is written down."""
+        name = self._names.get(peer)
+        if name is None:
+            if len(self._names) >= NAMED_MAX:
+                return OTHERS
+            name = self._names[peer] = b"p%02d" % len(self._names)
+            self._sink.metadata(MAVLINK_PEERS, {name.decode(): f"{peer[0]}:{peer[1]}"})
+        return name

@@ -7,9 +7,12 @@ for. One store serves writer, reader and comparison.
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from importlib.resources import files
+from typing import Any, NamedTuple
 
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -42,7 +45,26 @@ _OURS = {
     HEALTH: "Health.msg",
     MAVLINK: "Mavlink.msg",
 }
+# Standard types that our own are made of, so that no process waits for the whole store when it starts.
+_STANDARD = {
+    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "geometry_msgs/msg/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/msg/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    STRING: "string data",
+    LOG: "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
+    "uint32 line",
+}
+_FIELD = re.compile(r"(?P<kind>[\w/]+)(\[(?P<bound><=)?(?P<count>\d*)\])? +(?P<name>[a-z]\w*) *(#.*)?")
 _SEPARATOR = "=" * 80
+
+
+class Field(NamedTuple):
+    """One field of a message definition."""
+
+    name: str
+    kind: str  # "float64", "string", or the full name of a message type
+    length: int | None  # of an array; None: a single value, 0: a sequence
 
 
 class UnknownSchemaError(ValueError):
@@ -58,8 +80,46 @@ def typestore() -> Typestore:
     return store
 
 
+@cache
+def fields_of(name: str) -> tuple[Field, ...]:
+    """Return the fields of a message type, in order.
+
+    Raises:
+        UnknownSchemaError: No such type.
+    """
+    text = _own_text(name) if name in _OURS else _STANDARD.get(name)
+    if text is None:
+        return tuple(_field(field, *node) for field, node in _known(name).fielddefs[name][1])
+    found = [match for line in text.splitlines() if (match := _FIELD.fullmatch(line.rstrip()))]
+    return tuple(
+        Field(each["name"], _full(each["kind"]), _length(each["bound"], each["count"])) for each in found
+    )
+
+
+def _field(name: str, node: Nodetype, detail: Any) -> Field:
+    """A field as ``rosbags`` describes it."""
+    if node is Nodetype.NAME:
+        return Field(name, detail, None)
+    if node is Nodetype.BASE:
+        return Field(name, detail[0], None)
+    inner, count = detail
+    return Field(name, _field(name, *inner).kind, count if node is Nodetype.ARRAY else 0)
+
+
+def _full(kind: str) -> str:
+    """``std_msgs/Header`` as ``std_msgs/msg/Header``."""
+    package, separator, name = kind.partition("/")
+    return f"{package}/msg/{name}" if separator else kind
+
+
+def _length(bound: str | None, count: str | None) -> int | None:
+    if count is None:
+        return None
+    return 0 if bound or not count else int(count)
+
+
 def store_for(name: str) -> Typestore:
-    """Return the store, which knows this type if anybody does.
+    """Return the store, with a decoded MAVLink type registered if the name is one.
 
     Raises:
         UnknownSchemaError: A decoded MAVLink message that the dialect does not have.

@@ -17,8 +17,8 @@ import numpy as np
 
 from logs.reader.reader import LogError, LogFile, Message
 from logs.recorder.recording import LOSSES, RECORDER, RECORDER_NAME
-from logs.schema.codec_log import unpack_log
-from logs.schema.mavlink_peers import MAVLINK_PEERS
+from logs.schema.codec_mavlink import MAVLINK_PEERS
+from logs.schema.rows import LogRow
 from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING
 from logs.tools.edit import LOG_TOOL
 
@@ -103,7 +103,7 @@ def _by_topic(log: LogFile) -> dict[str, list[Message]]:
 def _wall_clock(message: Message) -> bool:
     if message.schema in WALL_CLOCK_SCHEMAS:
         return True
-    return message.schema == LOG and unpack_log(message.data).name in WALL_CLOCK_EVENTS
+    return message.schema == LOG and LogRow.unpack(message.data).name in WALL_CLOCK_EVENTS
 
 
 def _topic(topic: str, a: list[Message], b: list[Message]) -> Iterator[Difference]:

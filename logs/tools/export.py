@@ -1,21 +1,149 @@
-"""One topic of a log as a table for other programs: CSV, or Parquet with the extra ``export``."""
+"""Logs for other programs: a topic as CSV or Parquet (extra ``export``), the MAVLink frames as tlog.
+
+A table has one column a number, named as in the message definition: ``own_position_enu_m.x`` is a nested
+field, ``rotor_rpm[2]`` an element of an array of fixed length. A list whose length varies stays one column of
+JSON text, so that the columns never depend on the data. The columns come from the definitions inside the log,
+so logs of other programs and of older versions are read as they were written.
+
+A tlog holds each raw frame behind its time, eight bytes, big-endian, microseconds since 1970. MAVProxy keeps
+the number of the link in the two low bits of the time, 3 for frames it sent itself (mavproxy_link.py).
+"""
 
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from logs.reader.reader import LogFile
-from logs.tools.file import new_file
-from logs.tools.flatten import HEAD, JSON_TEXT, Table
+import numpy as np
+from mcap.records import Channel, Schema
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
-ROWS_AT_ONCE = 10_000  # of Parquet: bounded memory, whatever the length of the flight
+from logs.reader.reader import LogFile
+from logs.schema.codec_mavlink import FrameError, unpack_mavlink
+from logs.schema.schemas import MAVLINK
+from logs.tools.file import new_file
+
+JSON_TEXT = "json"  # kind of a column that holds a list
+HEAD = (("log_time_ns", "uint64"), ("publish_time_ns", "uint64"), ("sequence", "uint32"))
+ROWS_AT_ONCE = 10_000  # of Parquet: bounded memory for flights of any length
 _NOT_ARROW = {JSON_TEXT: "string", "float32": "float32", "float64": "float64", "bool": "bool_",
               "byte": "uint8", "char": "uint8", "octet": "uint8", "wstring": "string"}  # fmt: skip
+RECEIVED, SENT = 0, 3  # low bits of the time
+SENT_SUFFIX = "_sink"  # MAVROS: mavlink_sink is what goes to the vehicle
+
+_Description = Any  # rosbags: (Nodetype, arguments)
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column.
+
+    Attributes:
+        name: Dotted name of the field.
+        kind: ROS primitive type, for example ``float64``; or ``JSON_TEXT``.
+        path: Attribute names and indices from the message to the value.
+    """
+
+    name: str
+    kind: str
+    path: tuple[str | int, ...]
+
+    def value(self, message: Any) -> Any:
+        """Return the value as a plain Python object."""
+        for step in self.path:
+            message = message[step] if isinstance(step, int) else getattr(message, step)
+        if self.kind == JSON_TEXT:
+            return json.dumps(_plain(message))
+        return message.item() if isinstance(message, np.generic) else message
+
+
+class Table:
+    """One topic of a log as rows.
+
+    Attributes:
+        columns: Behind the three of ``HEAD``.
+    """
+
+    def __init__(self, log: LogFile, topic: str) -> None:
+        """Find the topic and its type.
+
+        Raises:
+            ValueError: No such topic, more than one type on it, or an encoding other than CDR with ros2msg.
+        """
+        self._log, self._topic = log, topic
+        schema = _schema_of(log, topic)
+        self._type = schema.name
+        self._store = get_typestore(Stores.EMPTY)
+        self._store.register(get_types_from_msg(schema.data.decode(), schema.name))
+        self.columns = list(_columns(self._store, (Nodetype.NAME, schema.name), "", ()))
+
+    def rows(self) -> Iterator[list[Any]]:
+        """Yield one row a message, in the order of the file."""
+        for message in self._log.messages([self._topic]):
+            decoded = self._store.deserialize_cdr(message.data, self._type)
+            head = [message.log_time_ns, message.publish_time_ns, message.sequence]
+            yield head + [column.value(decoded) for column in self.columns]
+
+
+def _schema_of(log: LogFile, topic: str) -> Schema:
+    schemas: dict[int, Schema] = {}
+    channels: dict[str, dict[int, Channel]] = {}
+    for record in log.records():
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels.setdefault(record.topic, {})[record.id] = record
+    found = channels.get(topic, {})
+    if not found:
+        known = ", ".join(sorted(channels)) or "none"
+        raise ValueError(f"no topic {topic!r} in {log.path}; it holds {known}")
+    types = {schemas[c.schema_id].name for c in found.values() if c.schema_id in schemas}
+    ways = {(c.message_encoding, getattr(schemas.get(c.schema_id), "encoding", "")) for c in found.values()}
+    if len(types) != 1 or ways != {("cdr", "ros2msg")}:
+        raise ValueError(
+            f"{topic} holds {', '.join(sorted(types)) or 'no known type'}, encoded as "
+            f"{', '.join(sorted('/'.join(w) for w in ways))}; one type in cdr/ros2msg can be exported"
+        )
+    return schemas[next(iter(found.values())).schema_id]
+
+
+def _columns(
+    store: Typestore, description: _Description, name: str, path: tuple[str | int, ...]
+) -> Iterator[Column]:
+    kind, arguments = description
+    if kind == Nodetype.BASE:
+        yield Column(name, str(arguments[0]), path)
+    elif kind == Nodetype.NAME:
+        for field, inner in store.fielddefs[arguments][1]:
+            yield from _columns(store, inner, f"{name}.{field}" if name else field, (*path, field))
+    elif kind == Nodetype.ARRAY:
+        inner, length = arguments
+        for i in range(length):
+            yield from _columns(store, inner, f"{name}[{i}]", (*path, i))
+    else:
+        yield Column(name, JSON_TEXT, path)
+
+
+def _plain(value: Any) -> Any:
+    """Return a decoded value as what JSON knows; numbers that it does not know become text."""
+    if isinstance(value, np.ndarray | list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    fields = getattr(value, "__dataclass_fields__", None)
+    if fields is not None:
+        return {f: _plain(getattr(value, f)) for f in fields if f != "__msgtype__"}
+    return value
 
 
 class MissingExtraError(ValueError):
@@ -77,3 +205,30 @@ def _pyarrow() -> tuple[ModuleType, ModuleType]:
             "or take --format csv"
         ) from error
     return pyarrow, pyarrow.parquet
+
+
+def export_tlog(log: LogFile, out: Path, *, topic: str | None = None, force: bool = False) -> int:
+    """Write the recorded frames of both directions, or of one topic; return their number.
+
+    Raises:
+        ValueError: The log holds no MAVLink frame, or one that contradicts itself.
+        OSError: ``out`` exists, or cannot be written.
+    """
+    frames = 0
+    with new_file(out, force=force) as part:
+        with part.open("wb") as stream:
+            for message in log.messages(None if topic is None else [topic]):
+                if message.schema != MAVLINK:
+                    continue
+                try:
+                    _, frame = unpack_mavlink(message.data)
+                except FrameError as error:
+                    raise ValueError(f"{message.topic}, sequence {message.sequence}: {error}") from error
+                direction = SENT if message.topic.endswith(SENT_SUFFIX) else RECEIVED
+                time_us = message.log_time_ns // 1000 & ~3 | direction
+                stream.write(time_us.to_bytes(8, "big") + frame)
+                frames += 1
+        if not frames:
+            where = f"topic {topic}" if topic else "it"
+            raise ValueError(f"{log.path}: {where} holds no MAVLink frame ({MAVLINK}); see `log info`")
+    return frames

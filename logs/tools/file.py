@@ -30,7 +30,7 @@ def new_file(path: Path, *, force: bool) -> Iterator[Path]:
         with part.open("rb") as stream:
             os.fsync(stream.fileno())
         part.chmod(0o666 & ~_umask())
-        _refuse(path, force)  # somebody may have made it meanwhile
+        _refuse(path, force)  # another process may have made it meanwhile
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)

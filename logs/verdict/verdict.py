@@ -1,13 +1,13 @@
 """The verdict on a flight.
 
 Judging begins with the first controller step in phase APPROACH and looks at the simulator's true states,
-whatever the controller believed:
+not at the controller's estimate:
 
 * landed: first contact is with the pad within its radius, and 2 s after the motors stop the vehicle rests on
-  the pad while the target goes on driving;
+  the pad while the target still drives;
 * crashed: contact before touchdown with ground, robot body or pad edge, or a tumble;
 * aborted: the phase machine gave up by itself and said so (phase ABORT);
-* timeout: everything else, also a miss that nobody declared and a log that ends too early;
+* timeout: everything else, also a miss without a declared abort and a log that ends too early;
 * violation: h < -5 mm while d exceeds the pad's radius, in a run that began with h >= 0.
 
 A declared abort that has flown clear ends the judging of h: after the first true state behind it that is
@@ -22,14 +22,52 @@ vehicle's own estimate; ``judged_from`` says which.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 from logs.reader.flight_data import Flight
 from logs.verdict.estimate import judge_estimate
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Outcome, Verdict
 
-__all__ = ["Outcome", "Verdict", "judge"]
+__all__ = ["Outcome", "Verdict", "judge", "verdict_result"]
 
 
 def judge(flight: Flight) -> Verdict:
     """Judge a flight by its true states, or by the estimate if the log has none."""
     return judge_estimate(flight) if flight.truth is None else judge_truth(flight, flight.truth)
+
+
+def verdict_result(
+    flight: Flight,
+    verdict: Verdict,
+    report: Path | None = None,
+    about: Mapping[str, object] | None = None,
+    realtime_factor: float | None = None,
+) -> dict[str, Any]:
+    """Return the result of a flight as plain values for JSON: the keys of ``flightstack sitl --json``.
+
+    Args:
+        flight: the log.
+        verdict: on it.
+        report: its page, if one was written.
+        about: what was flown; default: what the log says, ``None`` where it says nothing.
+        realtime_factor: stack time over wall time, known to the launcher of the processes.
+    """
+    if about is None:
+        run = flight.metadata.get("run", {})
+        seed = run.get("seed", "")
+        filter_flown = flight.config.filter if flight.config is not None else None
+        about = {
+            "scenario": run.get("scenario"),
+            "seed": int(seed) if seed.isdigit() else None,
+            "filter": run.get("filter", filter_flown),
+        }
+    return {
+        **about,
+        **verdict.to_json_dict(),
+        "realtime_factor": realtime_factor,
+        "log": str(flight.path),
+        "report": str(report) if report is not None else None,
+    }

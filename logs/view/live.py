@@ -13,10 +13,9 @@ import rerun as rr
 
 from flightstack.common.processes import END_TIME_MAX_S, Port
 from flightstack.core.types import Phase
-from logs.schema.codec import ControllerStepRow, LoopTimingRow
-from logs.schema.codec_log import CONTROLLER, LogRow, Severity
-from logs.view.blueprint import blueprint
-from logs.view.canvas import Canvas
+from logs.schema.events import CONTROLLER, Severity
+from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow
+from logs.view.canvas import Canvas, blueprint
 from logs.view.read import Seen
 from logs.view.view import draw, viewer_program
 
@@ -35,7 +34,7 @@ class LiveRecording:
 
     Args:
         where: ``NATIVE``, ``WEB`` or a file that ends with ``.rrd``.
-        run: what is known of the run, with barrier and pad (``flight_config.shape``) if they are.
+        run: what is known of the run, with barrier and pad (``flight_data.shape``) if they are.
         name: of the recording.
 
     Raises:
@@ -128,7 +127,7 @@ class LiveRecording:
                 events.append((row.stamp_ns, LogRow(row.stamp_ns, level, CONTROLLER, name, "", "", 0)))
         if events and reason:
             at_ns, last = events[-1]
-            events[-1] = (at_ns, last._replace(message=f"{last.message}: {reason}"))
+            events[-1] = (at_ns, last._replace(msg=f"{last.msg}: {reason}"))
         return events
 
 

@@ -10,18 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.common.strict_toml import ConfigError
-from logs.reader.flight_config import ATTACHMENT, read_config, shape
+from logs.reader.flight_data import ATTACHMENT, read_config, shape
 from logs.reader.reader import LogError, LogFile
-from logs.schema.codec import (
-    ControllerStepRow,
-    LogRow,
-    LoopTimingRow,
-    TrueStateRow,
-    unpack_controller_step,
-    unpack_log,
-    unpack_loop_timing,
-    unpack_true_state,
-)
+from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, TRUE_STATE
 
 Floats = NDArray[np.float64]
@@ -64,14 +55,14 @@ def read(path: Path) -> Seen:
     for message in log.messages():
         try:
             if message.schema == CONTROLLER_STEP:
-                seen.steps.append((message.log_time_ns, unpack_controller_step(message.data)))
+                seen.steps.append((message.log_time_ns, ControllerStepRow.unpack(message.data)))
                 seen.namespace = message.topic.removesuffix("/controller/step").strip("/")
             elif message.schema == LOOP_TIMING:
-                seen.timings.append((message.log_time_ns, unpack_loop_timing(message.data)))
+                seen.timings.append((message.log_time_ns, LoopTimingRow.unpack(message.data)))
             elif message.schema == TRUE_STATE:
-                seen.truths.append((message.log_time_ns, unpack_true_state(message.data)))
+                seen.truths.append((message.log_time_ns, TrueStateRow.unpack(message.data)))
             elif message.schema == LOG:
-                seen.events.append((message.log_time_ns, unpack_log(message.data)))
+                seen.events.append((message.log_time_ns, LogRow.unpack(message.data)))
         except ValueError as error:
             raise LogError(f"{path}: {message.topic}: {error}; recorded by another version?") from error
     seen.problem = log.why_broken

@@ -20,8 +20,7 @@ from logs.derive.markers import (
     surface,
 )
 from logs.derive.markers import Path as BoundedPath
-from logs.view.blueprint import WORLD
-from logs.view.canvas import Canvas
+from logs.view.canvas import WORLD, Canvas
 from logs.view.read import Floats, Seen, column, every, times
 
 SCENE_PERIOD_NS = 20_000_000  # 50 Hz
@@ -80,7 +79,7 @@ def truth(canvas: Canvas, seen: Seen) -> None:
         return
     scene = [seen.truths[i] for i in every(seen.truths, SCENE_PERIOD_NS)]
     moved = rr.Transform3D.columns(
-        translation=column(scene, "position_enu_m"), quaternion=column(scene, "orientation_xyzw")
+        translation=column(scene, "position_enu_m"), quaternion=column(scene, "orientation")
     )
     canvas.columns(f"{WORLD}/true_vehicle", times(scene), moved)
     body = rr.Boxes3D(half_sizes=[BODY_HALF_M], colors=[rgba(TRUE_COLOR)])

@@ -16,9 +16,8 @@ import rerun as rr
 
 from flightstack.core.types import Phase
 from logs.derive.markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
-from logs.schema.codec_log import Severity
-from logs.view.blueprint import AXES, EVENTS, PHASE, RUN, blueprint
-from logs.view.canvas import Canvas
+from logs.schema.events import Severity
+from logs.view.canvas import AXES, EVENTS, PHASE, RUN, Canvas, blueprint
 from logs.view.read import Floats, Ints, Seen, column, read, times
 from logs.view.scene import TRUE_COLOR, VELOCITIES, rgba, scene, truth, velocities
 
@@ -152,7 +151,7 @@ def _phases(canvas: Canvas, seen: Seen) -> None:
 def _events(canvas: Canvas, seen: Seen) -> None:
     canvas.style(RUN, rr.TextDocument(_run_text(seen), media_type="text/markdown"))
     if seen.events:
-        texts = [f"{row.name}: {row.message}" for _, row in seen.events]
+        texts = [f"{row.name}: {row.msg}" for _, row in seen.events]
         levels = [_LEVELS.get(row.level, "INFO") for _, row in seen.events]
         canvas.columns(EVENTS, times(seen.events), rr.TextLog.columns(text=texts, level=levels))
 

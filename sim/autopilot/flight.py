@@ -3,38 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import yaw_from_quaternion
+from bridge.mavlink.server.owner import ControlOwner, Right, Sender
+from bridge.mavlink.server.parameters import Parameters
+from bridge.mavlink.server.profile import AIRBORNE_STATE, POSITION_SOURCE, FlightMode
+from bridge.mavlink.server.setpoints import Setpoint
+from bridge.mavlink.server.telemetry import Battery
+from bridge.mavlink.server.texts import Texts
 from flightstack.core.types import ZERO, Vec3
-from sim.autopilot.battery import Charge
 from sim.autopilot.ground import Standing
-from sim.autopilot.guided import GUIDED, Situation, why_no_takeoff
-from sim.autopilot.modes import AIRBORNE_STATE, FlightMode, VehicleLike
-from sim.autopilot.owner import ControlOwner, Right, Sender
-from sim.autopilot.parameters import Parameters
-from sim.autopilot.personality import PX4, Personality
+from sim.autopilot.guided import GUIDED, why_no_takeoff
 from sim.autopilot.pilot import Event, Goal, Pilot
-from sim.autopilot.setpoints import Setpoint
-from sim.autopilot.texts import Texts
-from sim.autopilot.watches import HEIGHT_RANGE_M, STREAM_LOST, Action, Alarm, Watches
+from sim.autopilot.profiles import PX4, SimulatedProfile
+from sim.autopilot.vehicle_like import VehicleLike
+from sim.autopilot.watches import ACTION_MODES, HEIGHT_RANGE_M, STREAM_LOST, STRENGTH, Action, Alarm, Watches
 
 _ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself
-_HOME_REACH_M = 100.0  # m from the room's origin
 
-_FAILSAFE_MODES: Mapping[Action, FlightMode] = MappingProxyType(
-    {Action.HOLD: FlightMode.HOLD, Action.RETURN: FlightMode.RETURN, Action.LAND: FlightMode.LAND}
-)
-_DOING: Mapping[Action, str] = MappingProxyType(
-    {Action.HOLD: "holding", Action.RETURN: "returning", Action.LAND: "landing"}
-)
-# A mode that already does what a fail-safe wants, or more.
-_STRENGTH: Mapping[FlightMode, Action] = MappingProxyType(
-    {FlightMode.RETURN: Action.RETURN, FlightMode.LAND: Action.LAND}
-)
 _MODES_TO_LEAVE = frozenset({FlightMode.LAND, FlightMode.RETURN})  # no arming in these, as in PX4
 
 
@@ -47,9 +35,11 @@ class Flight:
         texts: what it says.
         pilot: flies the mode.
         watches: slow fail-safes, with the battery.
-        personality: which autopilot it is.
+        profile: which autopilot it plays.
         origin_known: where the local coordinates lie on earth.
     """
+
+    arming = False  # the firmware answers at once
 
     def __init__(
         self,
@@ -57,28 +47,39 @@ class Flight:
         parameters: Parameters,
         period_s: float,
         trim_enu_m_s: Vec3 = ZERO,
-        personality: Personality = PX4,
+        profile: SimulatedProfile = PX4,
     ) -> None:
         self.vehicle = vehicle
-        self.personality = personality
+        self.profile = profile
         self.mode = FlightMode.HOLD
         self.failsafe = False
         self.texts = Texts()
         x, y, _ = vehicle.estimate().position_enu_m
-        self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s, repeats=personality.guided)
-        self.watches = Watches(parameters, vehicle, personality.station_id)
+        self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s, repeats=profile.guided)
+        self.watches = Watches(parameters, vehicle, profile.station_id)
         self._parameters = parameters
         self._ground = Standing(vehicle)
         self._owner = ControlOwner()
         self._setpoint_s = -math.inf
         self._was_armed = vehicle.armed
         self._flew = vehicle.armed and not self._ground.now  # since arming
-        self.origin_known = self._flew or not personality.needs_origin
+        self.origin_known = self._flew or not profile.needs_origin
         self._arrived = False  # at the end of the present take-off
         self._control_s: float | None = None
         self._period_s = period_s
         self._armed_s = 0.0
         self._estimate_seen_s = 0.0
+
+    @property
+    def armed(self) -> bool:
+        """Motors may run."""
+        return self.vehicle.armed
+
+    @property
+    def battery(self) -> Battery:
+        """Battery, with PX4's estimate of its charge."""
+        gauge = self.watches.battery
+        return Battery(self.vehicle.battery_v, round(100 * gauge.remaining), gauge.level)
 
     @property
     def standing(self) -> bool:
@@ -111,14 +112,20 @@ class Flight:
         """Armed and off the ground."""
         return self.vehicle.armed and not self.standing
 
-    def problems(self) -> list[str]:
+    def sensors_healthy(self, _now_s: float) -> int:
+        """The position, and the fence: healthy also when none is set, or MAVProxy calls a breach."""
+        outside = self.watches.outside(self.vehicle.estimate().position_enu_m, self.home_enu_m)
+        fence = 0 if outside else dialect.MAV_SYS_STATUS_GEOFENCE
+        return (POSITION_SOURCE if self.positioned else 0) | int(fence)
+
+    def problems(self, _now_s: float) -> list[str]:
         """Reasons why the vehicle would not arm now; empty when ready."""
         found = []
         if self.vehicle.locked:
             found.append("firmware is locked, restart it (command 246)")
         if not self.positioned:
             found.append("no position estimate")
-        if self.watches.battery.level >= Charge.CRITICAL:
+        if self.watches.battery.critical:
             found.append(f"battery at {100 * self.watches.battery.remaining:.0f} %")
         return found
 
@@ -132,9 +139,9 @@ class Flight:
         """Arm; nothing moves before a mode says so."""
         if self.vehicle.armed:
             return None
-        problems = self.problems()
-        if self.mode in _MODES_TO_LEAVE or (self.personality.guided and self.mode is not FlightMode.OFFBOARD):
-            problems.append(f"mode is {self.personality.label(self.mode)}")
+        problems = self.problems(now_s)
+        if self.mode in _MODES_TO_LEAVE or (self.profile.guided and self.mode is not FlightMode.OFFBOARD):
+            problems.append(f"mode is {self.profile.label(self.mode)}")
         reason = problems[0] if problems else self.vehicle.arm()
         if reason is not None:
             return f"Arming refused: {reason}"
@@ -143,7 +150,7 @@ class Flight:
         self.say(dialect.MAV_SEVERITY_INFO, "Armed")
         return None
 
-    def disarm(self, *, force: bool) -> str | None:
+    def disarm(self, _now_s: float, *, force: bool) -> str | None:
         """Disarm; in the air only by force."""
         if not self.vehicle.armed:
             self.vehicle.disarm(force)  # also clears the firmware's memory of a crash
@@ -167,21 +174,20 @@ class Flight:
         self.say(dialect.MAV_SEVERITY_INFO, "Firmware restarted")
         return None
 
-    def take_off(self, height_m: float | None) -> str | None:
+    def take_off(self, height_m: float | None, _now_s: float) -> str | None:
         """Climb and hold there; when disarmed, as soon as it is armed. It never descends for that.
 
         Args:
             height_m: local height, 0.1 to 20 m above home; None: MIS_TAKEOFF_ALT above where it stands.
         """
-        estimate = self.vehicle.estimate()
         if not self.positioned:
             return "Take-off refused: no position estimate"
-        z, home_m = estimate.position_enu_m[2], self.home_enu_m[2]
-        if self.personality.guided:
-            label, aim_m = self.personality.label(self.mode), self.pilot.takeoff_height_m
-            now = Situation(self.mode, label, self.vehicle.armed, self.standing, aim_m, z)
-            if (refused := why_no_takeoff(now, height_m)) is not None:
-                return refused
+        z, home_m = self.vehicle.estimate().position_enu_m[2], self.home_enu_m[2]
+        if self.profile.guided:
+            label, aim_m = self.profile.label(self.mode), self.pilot.takeoff_height_m
+            why = why_no_takeoff(self.mode, label, self.armed, self.standing, height_m, aim_m, z)
+            if why is not None:
+                return why
         taking_off = self.mode is FlightMode.TAKEOFF
         if height_m is None:
             if taking_off:
@@ -199,19 +205,19 @@ class Flight:
         self._enter(FlightMode.TAKEOFF)
         return None
 
-    def land(self) -> None:
-        """Land where it is; nothing can refuse that. On the ground there is nothing to do."""
-        if self.vehicle.armed or self.personality.guided:
+    def land(self, _now_s: float) -> None:
+        """Land where it is. On the ground there is nothing to do."""
+        if self.vehicle.armed or self.profile.guided:
             self._enter(FlightMode.LAND)
 
     def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
         """Change the mode."""
         if mode is FlightMode.TAKEOFF:
-            return self.take_off(None)
+            return self.take_off(None, now_s)
         if mode is FlightMode.LAND:
-            self.land()
+            self.land(now_s)
             return None
-        if self.personality.guided:
+        if self.profile.guided:
             return self._set_guided_mode(mode, now_s)
         if not self.vehicle.estimate().valid:
             return f"Mode {mode.value} refused: no position estimate"
@@ -225,7 +231,7 @@ class Flight:
     def _set_guided_mode(self, mode: FlightMode, now_s: float) -> str | None:
         """Change the mode freely while disarmed; in flight only with a position."""
         if self.vehicle.armed and not self.positioned:
-            return f"Mode change to {self.personality.label(mode)} failed: requires position"
+            return f"Mode change to {self.profile.label(mode)} failed: requires position"
         if mode is FlightMode.OFFBOARD and self.mode in GUIDED:
             return None  # one and the same on the wire: nothing changes
         self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
@@ -233,12 +239,6 @@ class Flight:
             self.pilot.halt()
             self._setpoint_s = now_s
         return None
-
-    def set_origin(self) -> None:
-        """Take note that the origin of the local coordinates has been told."""
-        if not self.origin_known:
-            self.origin_known = True
-            self.say(dialect.MAV_SEVERITY_INFO, "EKF origin set")
 
     def reposition(self, goal: Goal) -> str | None:
         """Fly to a point near home and hold there."""
@@ -253,18 +253,10 @@ class Flight:
             self._enter(FlightMode.HOLD, restart=True, goal=goal)
         return None
 
-    def set_home(self, point_enu_m: Vec3) -> str | None:
-        """Move home; local coordinates stay as they are."""
-        distance_m = max(map(abs, point_enu_m))
-        if distance_m > _HOME_REACH_M:
-            return f"Home refused: {distance_m:.4g} m from the origin, at most {_HOME_REACH_M:g}"
-        self.pilot.home_enu_m = point_enu_m
-        return None
-
     def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
         """Take a valid set-point; it is flown in OFFBOARD only, but keeps the stream alive in all modes."""
         reason = self._owner.admit(sender, now_s, self._parameters["COM_OF_LOSS_T"])
-        if self.personality.guided:
+        if self.profile.guided:
             if self.mode not in GUIDED:
                 return reason  # ignored without a word
             if reason is None:
@@ -275,9 +267,9 @@ class Flight:
         return reason
 
     def refuse_setpoint(self, reason: str, now_s: float) -> None:
-        """Say why a set-point is none; who stops for that does."""
+        """Say why a set-point is refused; in ArduPilot's GUIDED it stops the vehicle."""
         self.texts.refuse(reason, now_s, "set-point")
-        if self.personality.guided and self.mode is FlightMode.OFFBOARD:
+        if self.profile.guided and self.mode is FlightMode.OFFBOARD:
             self.pilot.halt()
 
     def yaw_rad(self) -> float:
@@ -285,7 +277,7 @@ class Flight:
         return yaw_from_quaternion(self.vehicle.estimate().quaternion)
 
     def say(self, severity: int, text: str) -> None:
-        """Tell whoever listens."""
+        """Add the text of an event."""
         self.texts.say(severity, text)
 
     def control(self, now_s: float) -> None:
@@ -310,7 +302,7 @@ class Flight:
         if armed and standing:
             self._disarm_idle(now_s)
             armed = vehicle.armed
-        if armed and standing and self.mode is FlightMode.OFFBOARD and self.personality.guided:
+        if armed and standing and self.mode is FlightMode.OFFBOARD and self.profile.guided:
             self.pilot.stop()  # what stands does not follow set-points
         elif armed:
             event = self.pilot.fly(self.mode, estimate, standing, dt_s)
@@ -318,7 +310,7 @@ class Flight:
                 self._follow(event, now_s)
 
     def _follow(self, event: Event, now_s: float) -> None:
-        if event is Event.ARRIVED and self.personality.guided:
+        if event is Event.ARRIVED and self.profile.guided:
             self._arrived = True  # and goes on holding that height
         elif event is Event.ARRIVED:
             self._enter(FlightMode.HOLD)
@@ -334,8 +326,8 @@ class Flight:
         self.failsafe = failsafe
         if mode is self.mode and not restart:
             return
-        label = self.personality.label(mode)
-        if label != self.personality.label(self.mode):
+        label = self.profile.label(mode)
+        if label != self.profile.label(self.mode):
             self.say(dialect.MAV_SEVERITY_INFO, f"Mode {label}")
         self.mode, self._arrived = mode, False
         self.pilot.begin(goal)
@@ -345,7 +337,7 @@ class Flight:
         self.pilot.stop()
         self._owner.release()
         self._was_armed = self._flew = False
-        if self.personality.guided:  # the mode stays
+        if self.profile.guided:  # the mode stays
             if self.mode is FlightMode.TAKEOFF:
                 self._enter(FlightMode.OFFBOARD)
         elif self.mode is not FlightMode.OFFBOARD:  # that one ends with its stream, as the companion expects
@@ -357,7 +349,7 @@ class Flight:
 
     def _failsafes(self, now_s: float) -> None:
         if self.mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
-            if self.personality.guided:
+            if self.profile.guided:
                 self.pilot.halt()
             elif self.vehicle.armed:
                 limit_s = self._parameters["COM_OF_LOSS_T"]
@@ -379,11 +371,12 @@ class Flight:
             return
         if self.standing or not self.vehicle.estimate().valid:
             action = Action.LAND  # which disarms what stands, and needs no position
-        if _STRENGTH.get(self.mode, Action.NONE) >= action:
+        if STRENGTH.get(self.mode, Action.NONE) >= action:
             self.say(dialect.MAV_SEVERITY_CRITICAL, text)
             return
-        self.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {_DOING[action]}")
-        self._enter(_FAILSAFE_MODES[action], failsafe=True, restart=True)
+        mode, doing = ACTION_MODES[action]
+        self.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {doing}")
+        self._enter(mode, failsafe=True, restart=True)
 
     def _disarm_idle(self, now_s: float) -> None:
         if not self._flew:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.autopilot.modes import VehicleLike
+from sim.autopilot.vehicle_like import VehicleLike
 
 _CONTACT_S = 0.3  # s of unbroken contact until the vehicle counts as standing; bounces are shorter
 _NO_CONTACT_S = 0.1  # s without contact until it counts as flying again

@@ -2,48 +2,33 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from sim.autopilot.modes import FlightMode
+from bridge.mavlink.server.profile import FlightMode
 
 GUIDED = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
 
 
-class Situation(NamedTuple):
-    """What the answer to a take-off command depends on.
-
-    Attributes:
-        mode: of the vehicle.
-        label: ArduPilot's name of that mode.
-        armed: whether it is.
-        standing: on the ground.
-        takeoff_height_m: local height that a take-off under way aims at.
-        z_m: local height of the vehicle.
-    """
-
-    mode: FlightMode
-    label: str
-    armed: bool
-    standing: bool
-    takeoff_height_m: float | None
-    z_m: float
-
-
-def why_no_takeoff(now: Situation, height_m: float | None) -> str | None:
+def why_no_takeoff(
+    mode: FlightMode, name: str, armed: bool, standing: bool, height_m: float | None, aim_m: float, z_m: float
+) -> str | None:
     """Why GUIDED does not take off now, None if it does (ArduPilot mode_guided.cpp, takeoff.cpp).
 
     Args:
-        now: the vehicle.
+        mode: of the vehicle.
+        name: ArduPilot's name of that mode.
+        armed: whether it is.
+        standing: on the ground.
         height_m: local height asked for.
+        aim_m: local height of a take-off under way.
+        z_m: local height of the vehicle.
     """
-    if now.mode is FlightMode.TAKEOFF and height_m == now.takeoff_height_m and now.standing:
+    if mode is FlightMode.TAKEOFF and height_m == aim_m and standing:
         return None  # the command again
-    if now.mode not in GUIDED:
-        return f"Take-off refused: mode is {now.label}, GUIDED is needed"
-    if not now.armed:
+    if mode not in GUIDED:
+        return f"Take-off refused: mode is {name}, GUIDED is needed"
+    if not armed:
         return "Take-off refused: not armed"
-    if not now.standing:
+    if not standing:
         return "Take-off refused: in the air"
-    if height_m is None or height_m <= now.z_m:
+    if height_m is None or height_m <= z_m:
         return "Take-off refused: a height above the vehicle is needed"
     return None

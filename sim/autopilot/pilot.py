@@ -1,6 +1,6 @@
 """Flies one mode: velocity set-points for hold, take-off, landing, return and offboard.
 
-Modes themselves, arming and fail-safes are in ``autopilot_flight``; nothing here decides about them.
+Modes themselves, arming and fail-safes are in ``sim.autopilot.flight``; nothing here decides about them.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from bridge.frames import yaw_from_quaternion
+from bridge.mavlink.server.parameters import Parameters
+from bridge.mavlink.server.profile import FlightMode
+from bridge.mavlink.server.setpoints import Setpoint
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.control import OwnLimits, PositionHold
-from sim.autopilot.modes import EstimateLike, FlightMode, VehicleLike
-from sim.autopilot.parameters import Parameters
-from sim.autopilot.setpoints import Setpoint, clip
+from sim.autopilot.vehicle_like import CheckedEstimate, VehicleLike
 
 _ARRIVED_M = 0.05  # m, half the Crazyflie's size: height reached
 _ARRIVED_XY_M = 0.10  # m, home reached
@@ -85,7 +86,7 @@ class Pilot:
         self._version = -1  # of the parameters that the limits below are from
         self._limits = OwnLimits(1.0, 1.0, 0.0, 0.0, 0.0)
         self._clip = (0.0, 0.0, 0.0)  # m/s: over ground, up, down
-        self._fly: dict[FlightMode, Callable[[EstimateLike, bool, float], Event | None]] = {
+        self._fly: dict[FlightMode, Callable[[CheckedEstimate, bool, float], Event | None]] = {
             FlightMode.HOLD: self._fly_hold,
             FlightMode.TAKEOFF: self._fly_takeoff,
             FlightMode.LAND: self._fly_land,
@@ -118,7 +119,7 @@ class Pilot:
         self.velocity_setpoint_enu_m_s = None
         self._engaged = False
 
-    def fly(self, mode: FlightMode, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+    def fly(self, mode: FlightMode, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         """Fly one step; only while armed."""
         if self._version != self._parameters.version:
             self._read_limits()
@@ -133,7 +134,7 @@ class Pilot:
             min(down, p["MPC_LAND_SPEED"]),
         )  # fmt: skip
 
-    def _engage(self, estimate: EstimateLike) -> bool:
+    def _engage(self, estimate: CheckedEstimate) -> bool:
         """Take over a vehicle in motion; True the first time in a mode."""
         if self._engaged:
             return False
@@ -146,7 +147,7 @@ class Pilot:
         self.velocity_setpoint_enu_m_s = velocity_enu_m_s
         self._vehicle.set_velocity(velocity_enu_m_s, self._yaw_rad)
 
-    def _fly_hold(self, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+    def _fly_hold(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
             # Sent again and again: for the firmware silence after a flight is a lost link, which locks it.
             self.stop()
@@ -164,7 +165,7 @@ class Pilot:
             self._command(self._hold.sink(0.0, dt_s))
         return None
 
-    def _fly_takeoff(self, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+    def _fly_takeoff(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         self._engage(estimate)
         goal_m = self.takeoff_height_m
         self._hold.aim(goal_m)
@@ -178,14 +179,14 @@ class Pilot:
         """Hold where the take-off ended, with what it has learnt."""
         self._engaged = True
 
-    def _fly_land(self, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+    def _fly_land(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
             return Event.LANDED
         self._engage(estimate)
         self._descend(estimate, dt_s)
         return None
 
-    def _descend(self, estimate: EstimateLike, dt_s: float) -> None:
+    def _descend(self, estimate: CheckedEstimate, dt_s: float) -> None:
         down_m_s = -self._limits.speed_down_m_s
         if estimate.valid:
             position = estimate.position_enu_m
@@ -193,7 +194,7 @@ class Pilot:
         else:
             self._command(self._hold.sink(down_m_s, dt_s))
 
-    def _fly_return(self, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+    def _fly_return(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
             return Event.LANDED
         position, home, p = estimate.position_enu_m, self.home_enu_m, self._parameters
@@ -223,7 +224,7 @@ class Pilot:
     def _next(self, leg: _Leg) -> None:
         self._leg, self._leg_s = leg, 0.0
 
-    def _fly_offboard(self, estimate: EstimateLike, standing: bool, dt_s: float) -> Event | None:
+    def _fly_offboard(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         del standing
         setpoint = self._setpoint
         if setpoint is None:  # the stream's check comes first
@@ -243,10 +244,21 @@ class Pilot:
         return None if velocity == wanted else Event.CLIPPED
 
 
-def _at_height(estimate: EstimateLike, height_m: float) -> bool:
+def _at_height(estimate: CheckedEstimate, height_m: float) -> bool:
     error_m = height_m - estimate.position_enu_m[2]
     return abs(error_m) < _ARRIVED_M and abs(estimate.velocity_enu_m_s[2]) < _ARRIVED_M_S
 
 
-def _slow(estimate: EstimateLike) -> bool:
+def _slow(estimate: CheckedEstimate) -> bool:
     return math.hypot(*estimate.velocity_enu_m_s[:2]) < _ARRIVED_M_S
+
+
+def clip(velocity_enu_m_s: Vec3, xy_m_s: float, up_m_s: float, down_m_s: float) -> Vec3:
+    """Shorten a velocity to the vehicle's limits; the direction over ground stays."""
+    x, y, z = velocity_enu_m_s
+    if x * x + y * y <= xy_m_s * xy_m_s and -down_m_s <= z <= up_m_s:
+        return velocity_enu_m_s
+    speed_m_s = math.hypot(x, y)
+    if speed_m_s > xy_m_s:
+        x, y = x * xy_m_s / speed_m_s, y * xy_m_s / speed_m_s
+    return (x, y, min(max(z, -down_m_s), up_m_s))

@@ -1,6 +1,10 @@
-"""Slow fail-safes: battery, ground station, geofence. Each speaks once when its condition begins.
+"""Slow fail-safes: battery, ground station, geofence. Each acts once, when its condition begins.
 
-So whoever is in charge may go on after a fail-safe has acted, as in PX4; what acts and how is a parameter.
+So a client can fly on after a fail-safe has acted, as with PX4; parameters say which action is taken.
+
+The battery's charge is that of PX4 battery.cpp: the cell's voltage, plus what the load takes at this
+throttle, between the voltages of an empty and a full cell. Both are smoothed, or every climb would look like
+an empty battery.
 """
 
 from __future__ import annotations
@@ -13,14 +17,17 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.mavlink.server.parameters import Parameters
+from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.types import Vec3
-from sim.autopilot.battery import BatteryGauge, Charge
-from sim.autopilot.modes import VehicleLike
-from sim.autopilot.parameters import Parameters
+from sim.autopilot.vehicle_like import VehicleLike
 
 HEIGHT_RANGE_M = (0.1, 20.0)  # m above home of take-off and reposition; the room is lower
 _REACH_M = 50.0  # m from home that it may be sent to by itself
 _PERIOD_S = 0.1  # s; nothing here is faster
+
+_SMOOTH_S = 1.0  # s, time constant
+_BETTER = 0.03  # of charge above a threshold until the level gets better again
 
 
 class Action(IntEnum):
@@ -31,6 +38,15 @@ class Action(IntEnum):
     HOLD = 2
     RETURN = 3
     LAND = 4
+
+
+class Charge(IntEnum):
+    """How bad it is; the values are those of MAV_BATTERY_CHARGE_STATE."""
+
+    OK = 1
+    LOW = 2
+    CRITICAL = 3
+    EMERGENCY = 4
 
 
 # Values of PX4's parameters (failsafe.cpp, commander_params.c); what is missing is refused when it is set.
@@ -57,11 +73,80 @@ BATTERY: Mapping[tuple[Charge, int], Action] = MappingProxyType(
 )
 
 
+# Mode of an action, and how a text calls it.
+ACTION_MODES: Mapping[Action, tuple[FlightMode, str]] = MappingProxyType(
+    {
+        Action.HOLD: (FlightMode.HOLD, "holding"),
+        Action.RETURN: (FlightMode.RETURN, "returning"),
+        Action.LAND: (FlightMode.LAND, "landing"),
+    }
+)
+# A mode that already does what a fail-safe wants, or more.
+STRENGTH: Mapping[FlightMode, Action] = MappingProxyType(
+    {FlightMode.RETURN: Action.RETURN, FlightMode.LAND: Action.LAND}
+)
+_THRESHOLDS = (
+    (Charge.EMERGENCY, "BAT_EMERGEN_THR"),
+    (Charge.CRITICAL, "BAT_CRIT_THR"),
+    (Charge.LOW, "BAT_LOW_THR"),
+)
+
+
 class Alarm(NamedTuple):
     """A condition that has just begun, and what is to be done."""
 
     action: Action
     text: str
+
+
+class BatteryGauge:
+    """Charge left and its level; while armed the level only gets worse, as in PX4 (failsafe.cpp).
+
+    Attributes:
+        remaining: 0 to 1.
+        level: against BAT_LOW_THR, BAT_CRIT_THR and BAT_EMERGEN_THR.
+    """
+
+    def __init__(self, parameters: Parameters, voltage_v: float, throttle: float) -> None:
+        self._parameters = parameters
+        self._voltage_v, self._throttle = voltage_v, throttle
+        self.remaining, self.level = 1.0, Charge.OK
+        self.step(voltage_v, throttle, 0.0, armed=False)
+
+    def step(self, voltage_v: float, throttle: float, dt_s: float, *, armed: bool) -> Charge | None:
+        """Take a measurement.
+
+        Args:
+            voltage_v: of the one cell, under load.
+            throttle: mean of the motors' commands, 0 to 1.
+            dt_s: time since the last one.
+            armed: whether the level may only get worse.
+
+        Returns:
+            The level when it has just become worse.
+        """
+        share = 1.0 - math.exp(-dt_s / _SMOOTH_S)
+        self._voltage_v += share * (voltage_v - self._voltage_v)
+        self._throttle += share * (throttle - self._throttle)
+        p = self._parameters
+        empty_v, full_v = p["BAT1_V_EMPTY"], p["BAT1_V_CHARGED"]
+        rest_v = self._voltage_v + p["BAT1_V_LOAD_DROP"] * self._throttle
+        self.remaining = min(max((rest_v - empty_v) / max(full_v - empty_v, 0.01), 0.0), 1.0)
+        before = self.level
+        better = before if armed else self._judge(self.remaining - _BETTER)
+        self.level = max(self._judge(self.remaining), min(before, better))
+        return self.level if self.level > before else None
+
+    @property
+    def critical(self) -> bool:
+        """Whether the charge is too low to take off."""
+        return self.level >= Charge.CRITICAL
+
+    def _judge(self, remaining: float) -> Charge:
+        for level, name in _THRESHOLDS:
+            if remaining < self._parameters[name]:
+                return level
+        return Charge.OK
 
 
 class Watches:
@@ -86,7 +171,7 @@ class Watches:
     def heartbeat(self, type_: int, system_id: int, now_s: float) -> bool:
         """Take note of somebody's HEARTBEAT; True when a ground station is back after a loss.
 
-        Which count is the personality's: those of type GCS (PX4), or of one system id (ArduPilot).
+        The profile says which heartbeats count: those of type GCS (PX4), or of one system id (ArduPilot).
         """
         if self._station_id is None:
             counts = type_ == dialect.MAV_TYPE_GCS

@@ -69,7 +69,7 @@ class Cluster:
         self._client.close()
 
     def fly(self, seeds: Iterable[int]) -> Iterator[Row]:
-        """Yield the rows of these seeds as they come, in any order; never more given out than is bounded."""
+        """Yield the rows of these seeds as they arrive, in any order; the number in flight is bounded."""
         from distributed import as_completed
 
         waiting = iter(seeds)

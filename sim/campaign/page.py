@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.report.page import details, header, need_plotly, page, section
-from logs.report.tables import table
+from logs.report.page import block, details, header, need_libraries, page, section, table
 from logs.verdict.types import VIOLATION_LIMIT_M
 from sim.campaign.rows import CELL_M, D_CELLS, E_Z_CELLS, E_Z_LOW_M, Row, cell_map
 from sim.campaign.summary import lines
@@ -51,7 +50,7 @@ def render(wanted: Plan, flown: Flown) -> str:
     Raises:
         ReportError: the plotting library is not installed.
     """
-    need_plotly()
+    need_libraries()
     title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter}"
     return page(title, _body(title, wanted, flown))
 
@@ -65,17 +64,16 @@ def _body(title: str, wanted: Plan, flown: Flown) -> str:
     lacking = f" · {flown.missing} landings are missing" if flown.missing else ""
     upper = f"{100.0 * told['upper_95_violation_rate']:.3g} %"
     worst = [(str(w["seed"]), w["why"], w["command"]) for w in told["worst"]]
+    note = (
+        f"Judged from true states at every physics step. With 95 % confidence less than {upper} of landings "
+        "violate the barrier (Clopper-Pearson); what is not known counts as a violation."
+    )
+    alone = "Each command flies one of them alone, over the real wires, to the same end."
     return "".join(
         (
             header(title, badge, style, f"{wanted.scenario.description} · {seeds}{lacking}"),
-            '<section><h2>Result</h2><p class="note">Judged from true states at every physics step. '
-            f"With 95 % confidence less than {upper} of landings violate the barrier "
-            "(Clopper-Pearson); what is not known counts as a violation.</p>",
-            table(("result", "value"), lines(told), numbers=(1,)),
-            "</section><section><h2>Worst seeds</h2>",
-            '<p class="note">Each command flies one of them alone, over the real wires, to the same end.</p>',
-            table(("seed", "why", "command"), worst, numbers=(0,)),
-            "</section>",
+            block("result", "Result", note, table(("result", "value"), lines(told), numbers=(1,))),
+            block("worst", "Worst seeds", alone, table(("seed", "why", "command"), worst, numbers=(0,))),
             *_figures(wanted, flown.rows),
             f"<section>{details('Scenario', wanted.scenario_toml, 'scenario.toml')}</section>",
         )

@@ -90,7 +90,7 @@ class Row:
         return self.outcome == Outcome.LANDED
 
     def untimed(self) -> Row:
-        """The row without the time it took: equal for equal seeds."""
+        """The row without its wall time: equal for equal seeds."""
         return replace(self, wall_s=None)
 
 
@@ -212,7 +212,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def write_rows(path: Path, rows: Iterable[Row]) -> None:
-    """Write all rows, by seed, in place of what is there: whole or not at all."""
+    """Replace the file by all rows, ordered by seed, atomically."""
     beside = path.with_suffix(".tmp")
     with beside.open("w", newline="") as file:
         file.write(_HEADER)
@@ -223,7 +223,7 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
 
 
 class RowsFile:
-    """Appends rows; what ``add`` was given survives any crash after it."""
+    """Appends rows; rows survive any crash after ``add`` has returned."""
 
     def __init__(self, path: Path) -> None:
         """Open, cutting off a line that was not finished."""

@@ -47,7 +47,7 @@ OnRow = Callable[[Row], None]
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be flown.
+    """The campaign to fly.
 
     Attributes:
         scenario_name: as it was given; goes into the commands.
@@ -89,7 +89,7 @@ def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None
 
 @dataclass(frozen=True)
 class Flown:
-    """What a call left behind.
+    """The result of a call.
 
     Attributes:
         rows: all rows of the folder, by seed.
@@ -132,7 +132,7 @@ def known_rows(wanted: Plan, folder: Path) -> list[Row]:
 
 
 def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row: OnRow) -> Flown:
-    """Fly what is missing and sum up; an interrupt ends it in order, with what was flown kept.
+    """Fly the missing landings and write the summary; an interrupt keeps the rows flown so far.
 
     Args:
         wanted: what to fly.
@@ -190,7 +190,7 @@ def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> I
 
 
 def _identity(wanted: Plan) -> dict[str, Any]:
-    """What all rows of a folder have in common."""
+    """Return the data that all rows of a folder share."""
     return {
         "scenario": wanted.scenario_toml,
         **_filter(wanted.scenario.onboard.filter),
@@ -212,7 +212,7 @@ def _filter(name: str) -> dict[str, str]:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """Ctrl-C interrupts at once, or after the next row where the exception was lost on its way."""
+    """Let Ctrl-C interrupt at once, or after the next row if a library swallowed the exception."""
     came: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:

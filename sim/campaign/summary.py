@@ -67,7 +67,7 @@ def _at_most(events: int, runs: int, p: float) -> float:
 
 @dataclass(frozen=True)
 class Counts:
-    """How often what happened."""
+    """Number of landings with each outcome."""
 
     runs: int
     landed: int
@@ -150,7 +150,7 @@ def _badness(row: Row) -> tuple[float, float, float, int]:
 
 
 def why(row: Row) -> str:
-    """Say what makes a row worth a look, in one line."""
+    """Return in one line why a row is among the worst."""
     if row.landed and row.violation is False:
         return f"landed {100.0 * (row.touchdown_error_m or 0.0):.1f} cm from the centre"
     told = f"{row.outcome}: {row.reason}"

@@ -1,4 +1,4 @@
-"""What the robust filter must show in each tier: limits as a table, and a check of rows against them."""
+"""The limits of the robust filter in each tier, as a table, and the check of rows against them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Tier(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What is asked of a campaign. Crashes and misses that nobody declared are never allowed.
+    """Limits of a campaign. Crashes and undeclared misses are never allowed.
 
     Attributes:
         landed_min: share.
@@ -49,7 +49,7 @@ LIMITS: dict[Tier, Limits] = {
 
 
 def misses(tier: Tier, rows: Sequence[Row], paper: Sequence[Row] | None) -> list[str]:
-    """Return what a campaign misses of its tier, in words; empty when it meets all.
+    """Return the limits that a campaign does not meet, in words; empty when it meets all.
 
     Args:
         tier: whose limits.

@@ -31,7 +31,7 @@ def prepared(scenario_toml: str) -> Scenario:
 
 
 def fly_seed(scenario_toml: str, seed: int) -> Row:
-    """Fly one landing; an exception becomes a row, since the other seeds are to be flown all the same."""
+    """Fly one landing; an exception becomes a row, so that the other seeds are flown."""
     with _ALONE:
         scenario = prepared(scenario_toml)
         try:
@@ -43,7 +43,7 @@ def fly_seed(scenario_toml: str, seed: int) -> Row:
 
 
 def fly_seed_as(code: str, scenario_toml: str, seed: int) -> Row:
-    """Do the same somewhere else, where the code must be the same.
+    """Fly one landing on another machine; refuse if its code differs.
 
     Raises:
         RuntimeError: it is not.
@@ -56,7 +56,7 @@ def fly_seed_as(code: str, scenario_toml: str, seed: int) -> Row:
 
 @lru_cache(maxsize=1)
 def code_fingerprint() -> str:
-    """Hash of the code that flies: rows of two versions must not be mixed."""
+    """Return the hash of the code that flies; rows of different versions must not be mixed."""
     digest = hashlib.sha256()
     for package in _PACKAGES:
         folder = Path(str(files(package)))

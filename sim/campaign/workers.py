@@ -1,4 +1,4 @@
-"""Worker processes of a campaign: seeds go out, rows come back; a worker that dies costs nothing but time.
+"""Worker processes of a campaign: they get seeds and return rows; the seed of a dead worker is flown again.
 
 Workers are spawned, never forked, each with a pipe of its own: a shared queue could be left locked by one
 that is killed. A worker holds one seed at a time, so that nothing is queued without bound and it is known
@@ -95,7 +95,7 @@ class Workers:
 
     @property
     def pids(self) -> list[int]:
-        """Process ids, for those who want to disturb them."""
+        """Process ids of the workers, for tests that kill them."""
         return [worker.process.pid for worker in self._workers if worker.process.pid is not None]
 
     def fly(self, seeds: Iterable[int]) -> Iterator[Row]:

@@ -1,4 +1,4 @@
-"""Battery: voltage under load, and the rotor speed it still allows."""
+"""Battery: voltage under load, and the highest rotor speed at this voltage."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ class Imu:
         self._tape = Tape(seed, "imu.noise", r.noise)
 
     def settle(self, velocity: Vec3, specific_force: Vec3) -> None:
-        """Start as if it had measured this for long (specific force in the body frame)."""
+        """Set the filters to their steady state for this specific force (body frame)."""
         r = self.record
         r.velocity[:] = velocity
         r.accel[:] = np.array(specific_force) + r.accel_bias

@@ -1,4 +1,4 @@
-"""Numbers of a simulated vehicle, from its TOML file, and what the seed spreads of them."""
+"""Parameters of a simulated vehicle, from its TOML file, and their random spread by the seed."""
 
 from __future__ import annotations
 

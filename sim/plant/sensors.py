@@ -23,7 +23,7 @@ BLOCK = 1024  # numbers drawn at a time; single draws from numpy cost twenty tim
 
 
 def stream(seed: int, purpose: str) -> np.random.Generator:
-    """Random stream of one purpose. Streams of different purposes are independent, whatever others draw."""
+    """Random stream of one purpose; streams of different purposes are independent of each other."""
     return np.random.default_rng(np.random.SeedSequence([seed & (1 << 64) - 1, zlib.crc32(purpose.encode())]))
 
 

@@ -22,7 +22,7 @@ from flightstack.core.types import Inputs, Operator
 from flightstack.onboard.exchange import answer, take
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Verdict
-from sim.autopilot.server.server import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.clock import StopSignal, TickGrid
 from sim.runners.landing_notes import Notes, Seen, VehicleNotes
 from sim.runners.landing_target import DirectTarget

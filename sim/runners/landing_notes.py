@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import chain
 from typing import Any
@@ -20,12 +20,8 @@ from logs.recorder.feed import Feed
 from sim.plant import vehicle_types
 from sim.runners.vehicle_log import VehicleLog
 
-# floats that a log holds under the same names
-_COPIED = (
-    "position_enu_m", "velocity_enu_m_s", "pad_position_enu_m", "pad_velocity_enu_m_s", "pad_yaw_rad",
-    "h_m", "h_min_m", "h_min_outside_pad_m", "first_touch_relative_position_enu_m",
-    "first_touch_relative_velocity_enu_m_s", "first_touch_time_s", "battery_v",
-)  # fmt: skip
+# names that the vehicle's true state shares with the log's
+_SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in vehicle_types.Truth._fields)
 
 
 @dataclass(frozen=True)
@@ -106,7 +102,7 @@ class Notes:
 
     def _arrays(self) -> Truth:
         of = dict(zip(vehicle_types.Truth._fields, zip(*self._truth, strict=True), strict=True))
-        columns = {name: _rows(of[name]) for name in _COPIED}
+        columns = {name: _rows(of[name]) for name in _SHARED}
         ticks, times_ns = zip(*self._truth_ticks, strict=True)
         return Truth(
             t_s=_seconds(times_ns),

@@ -6,7 +6,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from logs.recorder.feed import Feed
 from logs.schema import schemas
-from logs.schema.codec import Severity, pack_log
+from logs.schema.events import Severity, pack_log
 
 _LEVELS: dict[int, Severity] = {
     dialect.MAV_SEVERITY_EMERGENCY: Severity.FATAL,

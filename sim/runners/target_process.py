@@ -35,7 +35,8 @@ from flightstack.common.pacing import (
 from flightstack.common.simulation_clock import Clock, Follower, chosen_clock
 from flightstack.core.types import Phase
 from logs.recorder.feed import FeedError
-from logs.schema.codec import Severity, unpack_controller_step
+from logs.schema.events import Severity
+from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, StopSignal, TickGrid, wait_until
 from sim.robot.target import TargetMeasurement
 from sim.robot.target_motion import TargetMotion
@@ -336,6 +337,6 @@ def log_faults(robot: Robot, log: EventLog) -> None:
 def phase_of(payload: bytes) -> int | None:
     """Phase in a serialised ControllerStep, None if it is something else."""
     try:
-        return unpack_controller_step(payload).phase
+        return ControllerStepRow.unpack(payload).phase
     except ValueError:
         return None

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from logs.recorder.feed import Feed
 from logs.schema import schemas
-from logs.schema.codec import Severity, TrueStateRow, pack_true_state
+from logs.schema.events import Severity
+from logs.schema.rows import TrueStateRow
 from sim.plant.vehicle_types import Truth
 from sim.runners.log import EventLog
 from sim.vehicle.vehicle import CONTACT_GROUND, CONTACT_PAD, CONTACT_PAD_EDGE, CONTACT_ROBOT, CONTACT_TUMBLED
@@ -33,7 +34,7 @@ class VehicleLog(EventLog):
         """Write the true state, and contacts that are news as events."""
         stamp_ns = self.epoch_ns + now_ns
         w, x, y, z = truth.quaternion
-        row = (
+        row = TrueStateRow(
             stamp_ns, tick, truth.position_enu_m, truth.velocity_enu_m_s, (x, y, z, w),
             truth.angular_velocity_flu_rad_s, truth.rotor_rpm, truth.pad_position_enu_m,
             truth.pad_velocity_enu_m_s, truth.pad_yaw_rad, truth.h_m, truth.h_min_m,
@@ -41,7 +42,7 @@ class VehicleLog(EventLog):
             truth.first_touch_relative_velocity_enu_m_s, truth.first_touch_time_s, truth.motors_running,
             truth.battery_v, truth.wind_enu_m_s,
         )  # fmt: skip
-        self.feed.write(self._truth, stamp_ns, stamp_ns, tick, pack_true_state(TrueStateRow(*row)))
+        self.feed.write(self._truth, stamp_ns, stamp_ns, tick, row.pack())
         if truth.contacts:
             self._contacts(now_ns, truth.contacts)
 

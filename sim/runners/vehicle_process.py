@@ -15,8 +15,8 @@ from bridge.mavlink.transport.address import parse_udp_url
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.recorder.feed import Feed, FeedError
-from sim.autopilot.personality import PERSONALITIES, PX4
-from sim.autopilot.server.server import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.autopilot.profiles import PROFILES, PX4
 from sim.clock import NoAnswerError, StopSignal, TickGrid
 from sim.runners.deck import LockstepDeck, RealTimeDeck
 from sim.runners.lockstep import LockstepLoop
@@ -69,7 +69,7 @@ def vehicle_main(
         peers: ``HOST:PORT`` of those who get telemetry before they speak; real time only.
         allow_unsigned: listen to a network without a key.
         zenoh_config: Zenoh configuration to begin with.
-        personality: which autopilot it plays, a name of ``PERSONALITIES``.
+        personality: which autopilot it plays, a name of ``PROFILES``.
         parameters: of that autopilot, set before it starts.
 
     Returns:
@@ -107,7 +107,7 @@ def vehicle_main(
                 rate_hz,
                 epoch_ns=epoch_ns,
                 trim_enu_m_s=vehicle.trim_velocity_enu_m_s,
-                personality=PERSONALITIES[personality],
+                profile=PROFILES[personality],
             )
             for name, value in parameters.items():
                 autopilot.parameters.preset(name, value)

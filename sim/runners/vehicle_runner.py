@@ -9,9 +9,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Endpoint, Received
-from logs.schema.codec import Severity
-from sim.autopilot.modes import FlightMode
-from sim.autopilot.server.server import Autopilot
+from bridge.mavlink.server.profile import FlightMode
+from logs.schema.events import Severity
+from sim.autopilot.autopilot import Autopilot
 from sim.plant.vehicle_types import Truth
 from sim.runners.deck import DeckState
 from sim.runners.vehicle_log import VehicleLog

@@ -89,7 +89,7 @@ def sense(vehicle: Cell[VehicleRecord]) -> None:
 
 @jitted
 def cushion(v: VehicleRecord) -> None:
-    """Find what the ground effect does to the thrusts."""
+    """Compute the ground-effect factors of the four thrusts."""
     p, d = v.body.position, v.deck.position
     if v.rotors.thrust_n > 0.0:
         axes = rotation_axes(v.body.quaternion)

@@ -1,4 +1,4 @@
-"""Motion capture for compiled code: what chance does to each sample is drawn ahead, here, in plain Python.
+"""Motion capture for compiled code: the random numbers of each sample are drawn in advance, in plain Python.
 
 When sample k is measured, when it arrives, its noise and whether it is lost depend on the seed alone, not on
 the flight. So all that is left to do in flight is to add the true pose. The numbers and their order are those
@@ -26,7 +26,7 @@ VALUES = 4  # x, y, z (ENU, m), yaw (rad)
 
 
 class MocapRecord(Record):
-    """Samples in the order of measurement: arrived ones first, then those under way, then future ones."""
+    """Samples in the order of measurement: arrived samples, then delayed ones, then future ones."""
 
     measured_ms: Annotated[I64, ROWS]
     arrives_ms: Annotated[I64, ROWS]  # or LOST
@@ -78,7 +78,7 @@ def _measure_pose(mocap: Cell[MocapRecord], body: Cell[BodyRecord], now_ms: int)
 
 
 class MocapTape:
-    """Fills the rows, and hands out samples while they are diverted.
+    """Fills the rows, and returns samples by ``take`` while a fault diverts them.
 
     Args:
         link: rate, noise, delay, loss, drop-outs.
@@ -107,7 +107,7 @@ class MocapTape:
         return int(self._measured_ms[-1])
 
     def top_up(self) -> None:
-        """See to it that there are rows for the next half a second, and at most for ten minutes."""
+        """Fill rows for at least the next half second, and for ten minutes at most."""
         if self._measuring[0] < ROWS // 2:
             return
         done = int(self._arriving[0])
@@ -132,7 +132,7 @@ class MocapTape:
         self._values[first:], self._noise_left = np.split(self._noise_left, [len(counts)])
 
     def divert(self, diverted: bool) -> None:
-        """Leave arriving samples to ``take``, or no longer."""
+        """Set whether arriving samples go to ``take`` instead of the estimator."""
         self._cell["diverted"][0] = diverted
 
     def take(self, now_ms: int) -> list[tuple[float, ...]]:

@@ -1,4 +1,4 @@
-"""World, rotors, battery, wind and deck of one vehicle, whoever flies it, and what a judge sees of them."""
+"""World, rotors, battery, wind and deck of one vehicle with any autopilot, and its true states."""
 
 from __future__ import annotations
 
@@ -84,12 +84,12 @@ class Physics:
         return bool(now_ms - self.ground_ms[0] <= GAP_MS)
 
     def judge_from_here(self) -> None:
-        """Begin the judging; what was touched before is forgotten."""
+        """Begin the judged part of the flight; earlier contacts are forgotten."""
         self.judging[0] = True
         self._touch_ms[0] = NONE_MS
 
     def airborne(self, now_ms: int) -> bool:
-        """Out of contact for so long that it has left the ground."""
+        """Whether it has been out of contact long enough to count as off the ground."""
         return bool(now_ms - max(self.pad_ms[0], self.ground_ms[0]) > AIRBORNE_AFTER_MS)
 
     def judge_once_airborne(self, now_ms: int) -> None:

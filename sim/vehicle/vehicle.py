@@ -142,14 +142,14 @@ class VehicleSim:
         self._physics.judge_once_airborne(self._ms)
 
     def _supply(self) -> None:
-        """Draw ahead what compiled code takes."""
+        """Draw random numbers in advance for the compiled code."""
         self._imu.top_up()
         self._wind.top_up()
         self._mocap.top_up()
         self._supplied_ms = min(self._ms + SUPPLY_MS, self._mocap.drawn_until_ms)
 
     def _fail(self) -> int:
-        """Let faults begin and end, and the own state and motion capture go their faulty way.
+        """Begin and end faults, and apply those of vehicle state and motion capture.
 
         Returns:
             When to call it next, in ms.
@@ -273,7 +273,7 @@ class VehicleSim:
         return stands and bool(self._ms - self._physics.since_ms[0] >= LANDED_AFTER_MS)
 
     def estimate(self) -> Estimate:
-        """Return what has reached the autopilot of what the estimator believes."""
+        """Return the newest estimate that has reached the autopilot."""
         believed = self._believed()
         if self.faults.quiet:
             return believed
@@ -288,7 +288,7 @@ class VehicleSim:
 
 
 def warm_up(scenario: Scenario) -> None:
-    """Have everything that a flight calls compiled, or loaded from the cache, before time begins to count.
+    """Compile everything that a flight calls, or load it from the cache, before a flight begins.
 
     Takes about 10 s the first time on a machine, some milliseconds later.
     """

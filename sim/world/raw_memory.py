@@ -1,4 +1,4 @@
-"""A C library's memory as arrays, made from an address: in compiled code that costs nothing.
+"""Arrays on the memory of a C library, made from an address, at no cost in compiled code.
 
 An array handed to compiled code costs 0.2 us a call instead, and a tuple of them twice that. Nothing looks
 after the memory: who passes an address on must keep its owner alive.
@@ -38,13 +38,13 @@ def _pointer(typing_context: Any, address: Any) -> Any:
 
 @jitted
 def doubles(address: int, count: int) -> F64:
-    """Array of the doubles that stand there."""
+    """Array of the doubles at an address."""
     return carray(_pointer(address), (count,), np.float64)  # type: ignore[no-any-return]
 
 
 @jitted
 def ints(address: int, count: int) -> I32:
-    """Array of the 32-bit integers that stand there."""
+    """Array of the 32-bit integers at an address."""
     return carray(_pointer(address), (count,), np.int32)  # type: ignore[no-any-return]
 
 

@@ -1,4 +1,4 @@
-"""Whether the vehicle can touch anything: bounds of the shapes that need no search.
+"""Decides whether the vehicle can touch anything, by bounds of the shapes, without a collision search.
 
 The vehicle is taken as a ball, the robot as an upright cylinder about the pad's axis, whatever its heading.
 """
@@ -24,7 +24,7 @@ class ReachRecord(Record):
 
 @jitted
 def apart(reach: ReachRecord, vehicle: F64, deck: F64) -> bool:
-    """Whether vehicle and floor, and vehicle and robot, cannot touch. Never true of what is not a number.
+    """Return whether vehicle and floor, and vehicle and robot, cannot touch; False for NaN.
 
     Args:
         reach: bounds.

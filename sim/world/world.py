@@ -81,7 +81,7 @@ class DeckRecord(Record):
 
 
 class MemoryRecord(Record):
-    """Addresses of what MuJoCo and we exchange every step; good as long as the ``World`` they are from."""
+    """Addresses of the data that MuJoCo and this module exchange; valid while their ``World`` exists."""
 
     qpos: int
     qvel: int

@@ -1,4 +1,4 @@
-"""What makes MuJoCo's Euler step of the vehicle's rotation one of second order."""
+"""Corrections that make MuJoCo's Euler step of the vehicle's rotation second order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def gyroscopic(inertia: F64, x: float, y: float, z: float) -> tuple[float, float
 def midpoint_torque(
     inertia: F64, rates: F64, torque: tuple[float, float, float]
 ) -> tuple[float, float, float]:
-    """Torque with which MuJoCo's step does what the implicit midpoint rule does with ``torque``."""
+    """Return the torque with which MuJoCo's step equals the implicit midpoint rule with ``torque``."""
     half = 0.5 * STEP_S
     gx, gy, gz = before = gyroscopic(inertia, rates[0], rates[1], rates[2])
     for _ in range(3):  # each gains a factor of rate times half a step, 0.01 at most

@@ -16,7 +16,7 @@ from bridge.mavlink.client.link import VehicleLink
 from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.core.controller import Controller
 from flightstack.core.safety.qp_filter import SafetyFilter
-from sim.autopilot.server.server import Autopilot
+from sim.autopilot.autopilot import Autopilot
 from sim.runners import landing
 from sim.runners.landing import land
 from sim.runners.landing_notes import Notes

@@ -1,4 +1,4 @@
-"""Flies the grid of faults, all 196 cells, and writes docs/fault_grid.md."""
+"""Flies the grid of faults, all 196 cells, and writes docs/reference/fault_grid.md."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.fault_grid.run import SEED, Result, fly, scenario
 from tests.fault_grid.table import GRID, H_MIN_M, WITHIN_S, Need
 from tests.fault_grid.words import End, Moment, Part, Way
 
-PAGE = Path(__file__).parents[2] / "docs" / "fault_grid.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "fault_grid.md"
 _HEAD = f"""# Grid of faults
 
 What becomes of a flight when one part fails for good, in one way, at one moment: 7 parts, 7 ways, 4 moments,

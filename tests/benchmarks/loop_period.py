@@ -11,7 +11,7 @@ from pathlib import Path
 
 from flightstack.common.pacing import RealTimePacer, ask_for_priority
 from logs.reader.reader import LogFile
-from logs.schema.codec import unpack_loop_timing
+from logs.schema.rows import LoopTimingRow
 
 
 def bare_loop(ticks: int = 1500) -> tuple[float, int]:
@@ -31,7 +31,7 @@ def main() -> None:
             capture_output=True, timeout=300, check=False,
         )  # fmt: skip
         log = LogFile(Path(folder) / "flight.mcap")
-        rows = [unpack_loop_timing(m.data) for m in log.messages(["/cf1/loop/timing"])]
+        rows = [LoopTimingRow.unpack(m.data) for m in log.messages(["/cf1/loop/timing"])]
     periods = [row.period_s for row in rows[1:]]
     mean = statistics.fmean(periods)
     spread = statistics.pstdev(periods) / mean

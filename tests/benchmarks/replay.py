@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from logs.replay.replay import ReplayError, replay
-from logs.schema.codec_input import pack_controller_input
+from logs.schema.controller_rows import TickInputs, pack_controller_input
 from sim.scenarios.scenario import names
 from tests.benchmarks.control_step import inputs
 
@@ -54,7 +54,7 @@ def pack_us() -> float:
     given, took = inputs(1), []
     for tick in range(20_000):
         started = time.perf_counter_ns()
-        pack_controller_input(1_577_836_800_000_000_000, tick, tick * 0.01, given, False)
+        pack_controller_input(TickInputs(1_577_836_800_000_000_000, tick, tick * 0.01, given, False))
         took.append((time.perf_counter_ns() - started) / 1e3)
     return statistics.median(took)
 

@@ -1,4 +1,4 @@
-"""The four tiers with both filters, many seeds each; writes docs/results.md from the campaigns' summaries.
+"""The four tiers with both filters, many seeds each; writes docs/reference/results.md from the summaries.
 
 ``python -m tests.benchmarks tier_results [--robust N] [--paper N] [--out DIR] [--write-only]``
 """
@@ -13,7 +13,7 @@ from sim.campaign.summary import summary
 from sim.campaign.tiers import LIMITS, Tier, misses
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "results.md"
+PAGE = ROOT / "docs" / "reference" / "results.md"
 TIERS = ("lab", "field", "storm", "deck")
 FILTERS = ("robust", "paper")
 

@@ -5,8 +5,8 @@ import struct
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from bridge.crazyflie.node import Node
 from bridge.crazyflie.rules import Rules
-from bridge.crazyflie.server.server import Node
 from bridge.crazyflie.types import (
     ArmReply,
     Arrived,

@@ -147,8 +147,8 @@ class Recording:
         controller, log = flight.controller, self._log
 
         def step(tick: Tick, taken: Taken, out: Outputs) -> None:
-            payload = log.step(tick, taken, out, controller.state)
-            log.timing(tick, out, 0.0, 0, self._feed.dropped, payload)
+            log.step(tick, taken, out, controller.state)
+            log.timing(tick, out, 0.0, 0, self._feed.dropped)
 
         flight.on_step = step
 

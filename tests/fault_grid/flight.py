@@ -24,7 +24,7 @@ from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import Operator, Phase
 from flightstack.onboard.exchange import Taken, answer, take
 from logs.reader.flight_data import Truth
-from sim.autopilot.server.server import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.clock import StopSignal, TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
 from sim.robot.target import TargetMeasurement

@@ -1,4 +1,4 @@
-"""What a run found, as text and as the table of docs/safety_core.md."""
+"""What a run found, as text and as the table of docs/how_it_works/safety_core.md."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.mutation import equivalent
 from tests.mutation.run import Outcome, Result
 from tests.mutation.targets import ROOT, TARGETS
 
-DOCUMENT = ROOT / "docs" / "safety_core.md"
+DOCUMENT = ROOT / "docs" / "how_it_works" / "safety_core.md"
 BEGIN, END = "<!-- mutation table: python -m tests.mutation -->", "<!-- end of the mutation table -->"
 NOTICED = (Outcome.KILLED, Outcome.TIMEOUT)
 

@@ -198,7 +198,7 @@ PX4 = Profile(
     ),
 )
 
-OWN_SITL = replace(  # our simulated vehicle takes PX4's personality unless told otherwise
+OWN_SITL = replace(  # our simulated vehicle plays PX4 unless told otherwise
     PX4,
     name="sitl",
     title="own simulator, OFFBOARD",

@@ -1,4 +1,4 @@
-"""The verb ``fly``: a whole real flight, by one command."""
+"""The verb ``fly``: a whole flight of a real vehicle by one command."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import click
 from flightstack.cli import options as shared
 from flightstack.cli.fly.onboard import flight_options
 
-# said to the onboard process by us, not by the person
+# options of the onboard process that `fly` sets itself
 _OURS = ("config_file", "no_record")
 
 
@@ -26,12 +26,12 @@ def fly(
     context: click.Context, /, config_file: Path, no_record: bool, out: Path | None, as_json: bool,
     with_report: bool, view: str | None, **plugged: Any,
 ) -> None:  # fmt: skip
-    r"""Fly a real vehicle onto a real target: checks before flight, recorder, live view, landing, report.
+    r"""Fly a real vehicle onto a real target: check it, record, show the flight, land, write a report.
 
-    Ctrl-C asks for an abort (fly clear, land), and so does a terminal that closes; a second Ctrl-C ends the
-    onboard process at once; Ctrl-\ stops the motors.
+    Ctrl-C, or closing the terminal, aborts: the vehicle flies clear and lands. A second Ctrl-C makes it land
+    where it is and ends the onboard process. Ctrl-\ stops the motors.
 
-    Exit status: 0 landed, 1 anything else, 2 wrong input.
+    Exit status: 0 landed, 1 not landed, 2 wrong input.
     """
     from rich.console import Console
 
@@ -63,7 +63,7 @@ def fly(
 
 
 def _words(context: click.Context) -> list[str]:
-    """The words of the onboard process: its options as they were given here."""
+    """Return the command line of the onboard process: its options as they were given to ``fly``."""
     from flightstack.cli.fly.onboard import onboard
 
     known = {option.name for option in onboard.params} - set(_OURS)

@@ -1,4 +1,4 @@
-"""The verb ``onboard``: the process that flies."""
+"""The verb ``onboard``: the onboard process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FLIGHT = (
 
 
 def flight_options(verb: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of every verb that flies any vehicle: where it is plugged in."""
+    """Options of the verbs that fly any vehicle: vehicle, target, configuration, links."""
     for option in reversed(_FLIGHT):
         verb = option(verb)
     return verb
@@ -35,10 +35,10 @@ def flight_options(verb: Callable[..., Any]) -> Callable[..., Any]:
 @shared.speed
 @shared.clock
 def onboard(config_file: Path, recorder: Path | None, no_record: bool, **plugged: Any) -> None:
-    """Run the onboard process against any vehicle and target; `fly` adds a live view and a report.
+    """Run the onboard process with any vehicle and target; `fly` adds a live view and a report.
 
-    Records to a log of its own in runs/, unless --recorder or --no-record say otherwise. Ctrl-C asks for an
-    abort (fly clear, land), and so does a terminal that closes; a second Ctrl-C ends the process at once.
+    It records to a log in runs/ unless --recorder or --no-record is given. Ctrl-C, or closing the terminal,
+    aborts: the vehicle flies clear and lands. A second Ctrl-C makes it land where it is and ends the process.
     """
     from bridge.target.ros2_target import TargetType
     from flightstack.common.processes import LaunchError

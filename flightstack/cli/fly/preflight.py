@@ -1,4 +1,4 @@
-"""The verb ``preflight``: is this vehicle set up for this flight? It reads, and never changes anything."""
+"""The verb ``preflight``: checks the vehicle's parameters for a flight. It never changes one."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ _PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # its co
 @shared.vehicle_url
 @shared.autopilot
 @shared.config(
-    required=False, help="Configuration to be flown; default: the paper's limits, nothing accepted"
+    required=False, help="Configuration of the flight; default: the paper's limits, no parameter accepted"
 )
 @shared.system_id
 @click.option(
     "--wait", "wait_s", type=click.FloatRange(0.1, 600.0), default=10.0, show_default=True, metavar="S",
-    help="How long to wait for its heartbeat.",
+    help="Longest wait for the vehicle's heartbeat.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @shared.signing_key
@@ -43,9 +43,9 @@ def preflight(
     vehicle_url: str, autopilot: str, config_file: Path | None, system_id: int, wait_s: float, as_json: bool,
     signing_key: Path | None, allow_unsigned: bool,
 ) -> None:  # fmt: skip
-    """Read the vehicle's parameters that matter for safety and say what is unsafe, why, and what to set.
+    """Read the vehicle's safety parameters and print what is unsafe, why, and what to set.
 
-    Nothing is changed on the vehicle. Exit status: 0 it may arm, 1 it must not, 2 wrong input.
+    Nothing is changed on the vehicle. Exit status: 0 it may arm, 1 it must not arm, 2 wrong input.
     """
     config = load(config_file) if config_file is not None else _PAPER
     endpoint = Endpoint(

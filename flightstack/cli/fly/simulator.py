@@ -44,7 +44,7 @@ def vehicle(
     signing_key: Path | None, allow_unsigned: bool, zenoh_config: Path | None, personality: str,
     parameters: dict[str, float],
 ) -> None:  # fmt: skip
-    """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's truth on Zenoh."""
+    """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's true pose on Zenoh."""
     from sim.runners.vehicle_process import vehicle_main
     from sim.scenarios.scenario import load
 
@@ -76,10 +76,10 @@ def target(
     recorder: Path | None, rate_hz: int, lockstep: bool, duration_s: float | None, zenoh_config: Path | None,
     ros2_where: str | None, ros_domain: int, speed: float, clock: Path | None,
 ) -> None:  # fmt: skip
-    """Run the ground robot: drives the scenario's path and publishes its odometry on Zenoh."""
+    """Run the simulated ground robot: it drives the scenario's path and publishes its odometry on Zenoh."""
     from sim.compiled.jit import OFF
 
-    # A hundred short steps a second, and nothing else of the simulator: numba takes far longer to load.
+    # The robot needs only a hundred short steps a second: loading numba would take longer than it saves.
     os.environ.setdefault(OFF, "1")
     from sim.runners.target_process import target_main
     from sim.scenarios.scenario import load

@@ -32,7 +32,7 @@ _PROGRAM = click.Path(exists=True, path_type=Path)
 @shared.autopilot
 @click.option(
     "--listen", multiple=True, metavar="ENDPOINT",
-    help="Zenoh endpoint where others may watch, besides the one of loopback that is printed; repeatable.",
+    help="Additional Zenoh endpoint for watchers; one on loopback is always there and printed; repeatable.",
 )  # fmt: skip
 @shared.config(required=False, help="Configuration instead of the scenario's, or of the one for an autopilot")
 @click.option(
@@ -42,22 +42,22 @@ _PROGRAM = click.Path(exists=True, path_type=Path)
 @click.option("--ardupilot", type=_PROGRAM, help="Fly this ArduCopter (SITL program) with its own physics.")
 @click.option(
     "--px4-instance", "--instance", "instance", type=click.IntRange(0, 9), metavar="N",
-    help="Number that moves the ports of PX4 or ArduPilot; default: a free one, 0 for ArduPilot.",
+    help="Instance number, which selects the ports of PX4 or ArduPilot; default: a free one, ArduPilot 0.",
 )  # fmt: skip
 @click.option("--mocap", is_flag=True, help="Give PX4 the scenario's motion capture instead of satellites.")
 @shared.speed
 @click.option(
     "--runs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N",
-    help="Fly N times, with seeds from --seed on, and sum up.",
+    help="Fly N times, with the seeds from --seed on, and print a summary.",
 )  # fmt: skip
 def sitl(
     filter_name: str | None, as_json: bool, with_report: bool, px4: Path | None, px4_sih: Path | None,
     ardupilot: Path | None, ros2_where: str | None, ros_domain: int, runs: int, config_file: Path | None,
     **given: Any,
 ) -> None:  # fmt: skip
-    """Fly a scenario in software: vehicle, target, onboard process and recorder, all over the real wires.
+    """Fly a scenario in software: vehicle, target, onboard process and recorder, over the real wires.
 
-    Exit status: 0 landed, 1 anything else that flew, 2 wrong input.
+    Exit status: 0 landed, 1 flown but not landed, 2 wrong input.
     """
     from rich.console import Console
 
@@ -90,7 +90,11 @@ def sitl(
 
 
 def _chosen(programs: dict[Flies, Path | None]) -> tuple[Flies, Path | None]:
-    """What flies, and its program."""
+    """Return which autopilot flies, and its program.
+
+    Raises:
+        click.UsageError: more than one program was given.
+    """
     found = [(flies, program) for flies, program in programs.items() if program is not None]
     if len(found) > 1:
         raise click.UsageError(f"only one of {', '.join(flies.value for flies in programs)} can be flown")

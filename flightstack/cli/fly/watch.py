@@ -1,4 +1,4 @@
-"""The verb ``watch``: a flight on another machine, in the terminal or as JSON."""
+"""The verb ``watch``: shows a flight of this or another machine, in the terminal, in 3-D or as JSON."""
 
 from __future__ import annotations
 
@@ -24,37 +24,39 @@ if TYPE_CHECKING:
 FRESH, NOTHING = 0, 1
 LOOK_S = 0.05  # between two looks
 DRAW_S = 0.1  # between two pieces of the view in 3-D
-NICER = 10  # steps of priority that a view in 3-D gives way to the flight
-DEFAULT = "tcp/127.0.0.1:7448"  # where docs and README let the onboard process listen
+NICER = 10  # niceness of a view in 3-D: the flight's processes go first
+DEFAULT = "tcp/127.0.0.1:7448"  # endpoint of the onboard process in README and docs
 
 
 @click.command()
 @click.option(
     "--connect", multiple=True, metavar="ENDPOINT",
     help=f"Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: {DEFAULT}, or "
-    "what the configuration says.",
+    "the endpoint of --zenoh-config.",
 )  # fmt: skip
 @zenoh_config
 @click.option(
     "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."
 )
-@click.option("--once", is_flag=True, help="Show one fresh picture and end; exit status 1 if none comes.")
 @click.option(
-    "--json", "as_json", is_flag=True, help="One JSON object a line: one with --once, else two a second."
+    "--once", is_flag=True, help="Show the state once and end; exit status 1 if no fresh data come."
+)
+@click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object a line, two a second (--once: one)."
 )
 @click.option(
     "--timeout", "timeout_s", type=click.FloatRange(min=0.1, max=3600.0), default=5.0, show_default=True,
-    metavar="S", help="How long --once waits.",
+    metavar="S", help="Longest wait of --once.",
 )  # fmt: skip
 @shared.view
-@shared.config(required=False, help="Configuration of the flight: --view draws barrier and pad by it")
+@shared.config(required=False, help="Configuration of the flight, for the barrier and the pad in --view")
 def watch(
     connect: tuple[str, ...], zenoh_config: Path | None, namespace: str, once: bool, as_json: bool,
     timeout_s: float, view: str | None, config_file: Path | None,
 ) -> None:  # fmt: skip
-    """Watch a flight: phase, h, set-points, ages, battery, loop timing; Ctrl-C ends it.
+    """Show a flight while it flies: phase, h, set-points, ages, battery, loop timing. Ctrl-C ends it.
 
-    Only listens. Exit status: 0 in order, 1 with --once when nothing fresh came, 2 for wrong input.
+    It only listens. Exit status: 0 normal end, 1 no fresh data with --once, 2 wrong input.
     """
     from bridge.zenoh import zenoh_link
 
@@ -73,7 +75,7 @@ def watch(
             sys.exit(_once(source, as_json, timeout_s))
         draws(source) if draws else _stream(source) if as_json else _live(source)
     except BrokenPipeError:
-        pass  # who read it has gone
+        pass  # the program that read the output has ended
     finally:
         session.close()
         for number, handler in previous.items():
@@ -81,7 +83,7 @@ def watch(
 
 
 class Ended:
-    """Whether SIGINT or SIGTERM came, SIGINT also to a shell's background job, which else ignores it."""
+    """Whether SIGINT or SIGTERM came; a shell's background job ignores SIGINT by default, this does not."""
 
     def __init__(self) -> None:
         self.yes = False
@@ -93,7 +95,7 @@ class Ended:
 
 
 class Source(NamedTuple):
-    """Where the flight is."""
+    """The Zenoh session through which the flight is watched."""
 
     session: Session
     role: Role
@@ -102,7 +104,7 @@ class Source(NamedTuple):
     ended: Ended
 
     def watch(self) -> Watch:
-        """Begin to listen."""
+        """Subscribe to the flight's keys."""
         from flightstack.watch.state import Watch
 
         return Watch(self.session, self.namespace, role=self.role)
@@ -111,9 +113,8 @@ class Source(NamedTuple):
 def _once(source: Source, as_json: bool, timeout_s: float) -> int:
     from rich.console import Console
 
-    from flightstack.watch.json_lines import snapshot
     from flightstack.watch.live import draw
-    from flightstack.watch.state import News
+    from flightstack.watch.state import News, snapshot
 
     seen = source.watch()
     until_s = time.monotonic() + timeout_s
@@ -130,7 +131,7 @@ def _once(source: Source, as_json: bool, timeout_s: float) -> int:
 
 
 def _stream(source: Source) -> None:
-    from flightstack.watch.json_lines import snapshot
+    from flightstack.watch.state import snapshot
 
     seen = source.watch()
     while not source.ended.yes:
@@ -140,14 +141,14 @@ def _stream(source: Source) -> None:
 
 
 def _drawing(view: str, config_file: Path | None, namespace: str) -> Callable[[Source], None]:
-    """Open the view before anything else, and return what draws in it until it is ended.
+    """Open the view, and return the function that draws in it until the user ends it.
 
     Raises:
         ConfigError: the configuration is wrong.
         ValueError: Rerun is not installed, or the file to write is not allowed.
     """
     from flightstack.core.parameters.flight import load
-    from logs.reader.flight_config import shape
+    from logs.reader.flight_data import shape
 
     try:
         from logs.view.live import LiveRecording
@@ -157,8 +158,11 @@ def _drawing(view: str, config_file: Path | None, namespace: str) -> Callable[[S
     if config_file is not None:
         run |= shape(load(config_file))
     else:
-        click.echo("flightstack: the pad is drawn as a Crazyflie's, the barrier not; give --config", err=True)
-    os.nice(NICER)  # of the viewer, too, which it starts
+        click.echo(
+            "flightstack: without --config there is no barrier, and the pad is drawn in a Crazyflie's size",
+            err=True,
+        )
+    os.nice(NICER)  # the viewer that Rerun starts inherits it
     recording = LiveRecording(view, run, namespace)
     click.echo(f"ready {recording.address}")
 

@@ -1,4 +1,4 @@
-"""The verbs ``log ...``: look into flight logs, compare, cut, repair and export them."""
+"""The verbs ``log ...``: inspect, judge, compare, cut, repair and export flight logs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _out(command: Callable[..., None]) -> Callable[..., None]:
 
 @click.group()
 def log() -> None:
-    """Look into flight logs, judge, compare, cut, repair, export them; a broken LOG is read up to its break.
+    """Inspect, judge, compare, cut, repair and export flight logs. A broken LOG is read up to the break.
 
     Exit status: 0 done, 1 the LOG is broken (what is before the break was used) or differs, 2 wrong input.
     """
@@ -40,7 +40,7 @@ def log() -> None:
 @_log
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def info(log_file: Path, as_json: bool) -> None:
-    """Show duration, topics, metadata and attachments of a LOG, and whether it is whole."""
+    """Show duration, topics, metadata and attachments of a LOG, and whether it is complete."""
     from logs.tools import info as tools_info
 
     found = tools_info.gather(_open(log_file))
@@ -54,13 +54,12 @@ def info(log_file: Path, as_json: bool) -> None:
     "--json", "as_json", is_flag=True, help="Print one JSON object, with the keys of `sitl --json`."
 )
 def verdict(log_file: Path, as_json: bool) -> None:
-    """Judge the flight in a LOG: by true states, or, of a real flight, by the vehicle's own estimate.
+    """Judge the flight in a LOG from true states, or a real flight from the vehicle's own estimate.
 
     Exit status: 0 landed, 1 anything else that flew, 2 the LOG cannot be read.
     """
     from logs.reader.flight import load_flight
-    from logs.verdict.result import verdict_result
-    from logs.verdict.verdict import judge
+    from logs.verdict.verdict import judge, verdict_result
 
     flight = load_flight(log_file)
     values = verdict_result(flight, judge(flight))
@@ -103,15 +102,15 @@ def diff(log_a: Path, log_b: Path) -> None:
 @_log
 @click.option(
     "--from", "begin_s", type=click.FloatRange(min=0.0), default=0.0, metavar="S",
-    help="Begin so many seconds after the first message.",
+    help="Begin this time after the first message.",
 )  # fmt: skip
 @click.option(
     "--to", "end_s", type=click.FloatRange(min=0.0), metavar="S",
-    help="End so many seconds after the first message; default: at the end.",
+    help="End this time after the first message; default: the end of the log.",
 )  # fmt: skip
 @_out
 def cut(log_file: Path, begin_s: float, end_s: float | None, out: Path, force: bool) -> None:
-    """Write a span of a LOG; slow and latched topics are given again at its start."""
+    """Write a time span of a LOG; slow and latched topics are repeated at its start."""
     from logs.tools import edit as tools_edit
 
     edited = tools_edit.cut(_open(log_file), begin_s, end_s, out, force=force)
@@ -127,7 +126,7 @@ def cut(log_file: Path, begin_s: float, end_s: float | None, out: Path, force: b
 )  # fmt: skip
 @_out
 def filter_(log_file: Path, patterns: tuple[str, ...], out: Path, force: bool) -> None:
-    """Write only some topics of a LOG; metadata and attachments stay."""
+    """Write selected topics of a LOG; metadata and attachments are kept."""
     from logs.tools import edit as tools_edit
 
     edited = tools_edit.select(_open(log_file), patterns, out, force=force)
@@ -138,7 +137,7 @@ def filter_(log_file: Path, patterns: tuple[str, ...], out: Path, force: bool) -
 @_log
 @_out
 def recover(log_file: Path, out: Path, force: bool) -> None:
-    """Make a whole file of a broken LOG: all messages before the break, a new index; exit status 0."""
+    """Repair a broken LOG: write all messages before the break and a new index."""
     from logs.tools import edit as tools_edit
 
     edited = tools_edit.recover(_open(log_file), out, force=force)
@@ -154,9 +153,9 @@ def recover(log_file: Path, out: Path, force: bool) -> None:
 )  # fmt: skip
 @_out
 def export(log_file: Path, topic: str | None, kind: str, out: Path, force: bool) -> None:
-    """Write a topic of a LOG for other programs."""
+    """Write one topic of a LOG as a file for other programs."""
     from logs.tools import export as tools_export
-    from logs.tools.tlog import export_tlog
+    from logs.tools.export import export_tlog
 
     opened = _open(log_file)
     if kind == "tlog":
@@ -179,8 +178,8 @@ def _open(path: Path) -> LogFile:
 
 
 def _end(out: Path, text: str, problem: str) -> Any:
-    """Say what was written; with a broken log also that it was broken."""
+    """Print what was written, and whether the log was broken."""
     click.echo(f"{out}: {text}")
     if problem:
-        click.echo(f"flightstack: the log is broken, this is what lies before the break: {problem}", err=True)
+        click.echo(f"flightstack: the log is broken; the part before the break was used: {problem}", err=True)
     sys.exit(BROKEN if problem else DONE)

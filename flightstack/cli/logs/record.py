@@ -1,4 +1,4 @@
-"""The verbs ``record`` and ``report``: a log, and what it shows."""
+"""The verbs ``record`` and ``report``: they write a log, and the report of a log."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from flightstack.cli.zenoh import zenoh_config
     "socket_path",
     required=True,
     type=click.Path(path_type=Path),
-    help="Socket to serve; the other verbs take it as --recorder.",
+    help="Socket to listen on; the other verbs take it as --recorder.",
 )
 @click.option(
     "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="MCAP file to write."
 )
 @click.option(
-    "--until-clients", type=click.IntRange(min=1), help="End after so many clients have come and gone."
+    "--until-clients", type=click.IntRange(min=1), help="End when this number of clients have disconnected."
 )
 @_connect
 @zenoh_config
@@ -32,13 +32,13 @@ from flightstack.cli.zenoh import zenoh_config
     "keys",
     multiple=True,
     metavar="EXPR",
-    help="Zenoh keys to record besides, e.g. 'cf1/**'; repeatable.",
+    help="Additional Zenoh keys to record, e.g. 'cf1/**'; repeatable.",
 )
 def record(
     socket_path: Path, out: Path, until_clients: int | None, connect: tuple[str, ...], keys: tuple[str, ...],
     zenoh_config: Path | None,
 ) -> None:  # fmt: skip
-    """Record what the other processes send, until ended; the log is readable at any time."""
+    """Record what the other processes send, until Ctrl-C; the log is readable at any time."""
     from logs.recorder.recorder import record_main
 
     sys.exit(
@@ -69,8 +69,7 @@ def report(log: Path, other: Path | None, out: Path | None, as_json: bool) -> No
         from flightstack.cli.logs.log import show_verdict
         from logs.reader.flight import load_flight
         from logs.report.report import write_page
-        from logs.verdict.result import verdict_result
-        from logs.verdict.verdict import judge
+        from logs.verdict.verdict import judge, verdict_result
 
         flight = load_flight(log)
         verdict = judge(flight)

@@ -20,15 +20,15 @@ SHOWN, BROKEN = 0, 1
     help="Write a Rerun recording instead of opening a window.",
 )  # fmt: skip
 @click.option(
-    "--web", is_flag=True, help="Serve Rerun to a browser of this machine, for one without a display."
+    "--web", is_flag=True, help="Serve Rerun to a browser of this machine, instead of opening a window."
 )
 @click.option(
     "--layouts", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
-    help="Write layouts for Foxglove and PlotJuggler there, with the topics of this LOG, and nothing else.",
+    help="Only write layouts for Foxglove and PlotJuggler there, with the topics of this LOG.",
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 def view(log_file: Path, save: Path | None, web: bool, layouts: Path | None, force: bool) -> None:
-    """Show a LOG in Rerun: the scene in 3-D, curves and events (docs/viewing.md), until it is closed.
+    """Show a LOG in Rerun: the scene in 3-D, curves and events (docs/how_to/viewing.md).
 
     Needs the extra `view`, except for --layouts. Exit status: 0 shown or written, 1 the same of a broken LOG,
     2 wrong input or no window.
@@ -64,4 +64,4 @@ def view(log_file: Path, save: Path | None, web: bool, layouts: Path | None, for
 
 def _warn(problem: str) -> None:
     if problem:
-        click.echo(f"flightstack: the log is broken, this is what lies before: {problem}", err=True)
+        click.echo(f"flightstack: the log is broken; the part before the break is shown: {problem}", err=True)

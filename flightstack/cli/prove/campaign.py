@@ -1,4 +1,4 @@
-"""The verb ``campaign``: many seeded landings, their summary and its page."""
+"""The verb ``campaign``: flies many seeds of a scenario and writes rows, summary and page."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _TIERS = ("lab", "field", "storm", "deck")
 @click.option("--cluster", metavar="ADDRESS", help="Fly on a Dask cluster, e.g. tcp://10.0.0.2:8786.")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path),
-    help="Folder; one that holds a part of this campaign is gone on with. Default: a new one in runs/.",
+    help="Folder; a campaign that it already holds in part is continued. Default: a new folder in runs/.",
 )  # fmt: skip
 @click.option("--require", type=click.Choice(_TIERS), help="Check the limits of a tier; status 1 on a miss.")
 @click.option(
     "--against", type=click.Path(exists=True, file_okay=False, path_type=Path), metavar="DIR",
-    help="Campaign with the paper's filter, for --require's limit on the time.",
+    help="Campaign with the paper's filter: --require compares the landing time with it.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object as the last line.")
 @click.option(
@@ -85,7 +85,7 @@ def campaign(
 
 
 class _Bar:
-    """Progress with outcomes so far."""
+    """Progress bar with the number of each outcome so far."""
 
     def __init__(self, console: Console, wanted: Plan) -> None:
         self._progress = Progress(
@@ -123,13 +123,13 @@ def _new_folder(wanted: Plan) -> Path:
 def _tell(
     console: Console, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
 ) -> int:
-    """Page, table or JSON; the exit status."""
+    """Write the page, print table or JSON; return the exit status."""
     from sim.campaign.run import PAGE, ROWS
 
     if flown.missing:
         click.echo(
-            f"flightstack: {flown.missing} of {wanted.runs} landings are missing; the same call with "
-            f"--out {folder} goes on",
+            f"flightstack: {flown.missing} of {wanted.runs} landings are missing; the same command with "
+            f"--out {folder} flies them",
             err=True,
         )
     if flown.summary is None:
@@ -170,7 +170,7 @@ def _table(wanted: Plan, told: dict[str, Any]) -> Table:
 
 
 def _check(flown: Flown, require: str, against: Path | None) -> int:
-    """Check a tier's limits; print what is missed."""
+    """Check a tier's limits; print each limit that is not met."""
     from sim.campaign.rows import read_rows
     from sim.campaign.run import ROWS
     from sim.campaign.tiers import Tier, misses

@@ -26,12 +26,12 @@ PROVEN, NOT_PROVEN = 0, 1
 @shared.safety_filter("Check it for this safety filter; default: the configuration's")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def check(config: str, filter_name: str | None, as_json: bool) -> None:
-    """Prove before flight that CONFIG keeps its promises over all it declares.
+    """Prove before flight that the filter's guarantees hold for everything that CONFIG declares.
 
-    CONFIG is a configuration of `onboard` or a scenario, by name or as a file. Each line shows the worst
-    point and how much room is left there (docs/robust_filter.md).
+    CONFIG is a configuration of `onboard` or a scenario, by name or as a file. Each line shows a claim, its
+    worst point, and the distance to its limit there (docs/how_it_works/robust_filter.md).
 
-    Exit status: 0 all proven, 1 something is not, 2 wrong input.
+    Exit status: 0 all claims proven, 1 at least one not proven, 2 wrong input.
     """
     from flightstack.verify.certificate import checks
 
@@ -47,7 +47,7 @@ def check(config: str, filter_name: str | None, as_json: bool) -> None:
 
 
 def _load(name_or_file: str) -> FlightConfig:
-    """Configuration of a name, file or scenario."""
+    """Load a configuration, or that of a scenario, by name or file."""
     path = path_of(name_or_file) if name_or_file in names() else Path(name_or_file)
     if path.is_file():
         table = read_toml(path)

@@ -1,4 +1,4 @@
-"""The verb ``identify``: the robust filter's assumptions, measured in flight logs."""
+"""The verb ``identify``: measures in flight logs what the robust filter assumes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NS = 1e-9  # s
 
 
 class Found(NamedTuple):
-    """Everything that was found; ``None`` where the logs do not show it, with the reason in ``missing``."""
+    """All identified numbers; ``None`` if the logs do not show one, with the reason in ``missing``."""
 
     horizontal: Loop
     vertical: Loop
@@ -86,7 +86,7 @@ def gather(flights: list[Flight]) -> Found:
 
 
 def _try(what: str, missing: list[str], find: Any) -> Any:
-    """Result, or ``None`` with the reason kept: these are worth having, the loop is what is asked for."""
+    """Return the result, or ``None`` and keep the reason: only the velocity loop is required."""
     try:
         return find()
     except ValueError as error:
@@ -95,7 +95,7 @@ def _try(what: str, missing: list[str], find: Any) -> Any:
 
 
 def _segments(steps: Steps) -> tuple[list[Segment], list[Segment], list[Segment]]:
-    """Stretches of flight under our set-points without a gap, for each axis."""
+    """Return, for each axis, the spans without gaps in which the vehicle follows our set-points."""
     from flightstack.identify.velocity_loop import Segment
 
     good = steps.setpoint_sent & steps.own_valid & np.isin(steps.phase, FLYING)
@@ -123,14 +123,14 @@ def _own_noise_m(steps: list[Steps]) -> float:
 
 
 def _fresh(steps: Steps, phases: tuple[Phase, ...]) -> Any:
-    """(n,) whether the own state is good and new at a tick; a slow link repeats it."""
+    """Return (n,) whether the vehicle state is valid and new in a tick; a slow link repeats it."""
     known = steps.own_valid & np.isin(steps.phase, phases) & np.isfinite(steps.own_position_enu_m).all(1)
     moved = np.any(np.diff(steps.own_position_enu_m, axis=0) != 0.0, axis=1)
     return known & np.concatenate(([True], moved))
 
 
 def _target(flights: list[Flight]) -> list[tuple[Floats, Floats, Floats, Floats]]:
-    """Stamp, arrival, position and velocity of the samples of each log, in the order they were measured."""
+    """Return stamp, arrival, position and velocity of each log's samples, in the order of measurement."""
     rows = []
     for flight in flights:
         target = flight.target
@@ -160,7 +160,7 @@ def _motion(flights: list[Flight]) -> Motion:
 
 
 def _tracking_error_m_s(steps: list[Steps]) -> float:
-    """95 % of how much lower than wanted the vehicle flies while the filter guards it."""
+    """Return the 95 % quantile of the vertical velocity error (commanded minus flown) in filtered ticks."""
     filtered = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
     short = []
     for s in steps:

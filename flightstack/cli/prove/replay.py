@@ -1,4 +1,4 @@
-"""The verb ``replay``: is the flight still decided as it was, what if, and once more onto the wires."""
+"""The verb ``replay``: compares today's decisions with a log, tries other settings, or plays a log."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
 
 @click.command()
 @click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--check", is_flag=True, help="Compare bit by bit; what happens without other options, too.")
+@click.option("--check", is_flag=True, help="Compare bit by bit; this is also the default.")
 @click.option(
     "--set",
     "settings",
@@ -29,24 +29,26 @@ EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
     help="Show what another configuration would have commanded, e.g. barrier.alpha_1_m=1.2; repeatable.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--live", is_flag=True, help="Play what came from target and vehicle onto the wires again.")
+@click.option("--live", is_flag=True, help="Send the recorded messages of target and vehicle again.")
 @click.option(
-    "--vehicle-url", metavar="URL", help="Be the vehicle there: udpin:HOST:PORT or udpout:HOST:PORT."
+    "--vehicle-url",
+    metavar="URL",
+    help="MAVLink URL of the played vehicle: udpin:HOST:PORT, udpout:HOST:PORT.",
 )
 @click.option(
-    "--target-key", metavar="KEY", help="Zenoh key of the target's odometry; default: the recorded."
+    "--target-key", metavar="KEY", help="Zenoh key of the target's odometry; default: the recorded key."
 )
 @click.option(
     "--connect", multiple=True, metavar="ENDPOINT", help="Zenoh endpoint to connect to; repeatable."
 )
 @click.option("--listen", multiple=True, metavar="ENDPOINT", help="Zenoh endpoint to listen on; repeatable.")
-@click.option("--view", is_flag=True, help="Publish the recorded decisions, too, for viewers.")
+@click.option("--view", is_flag=True, help="Also publish the recorded decisions, for viewers.")
 @click.option(
     "--rate",
     type=click.FloatRange(min=0.01, max=100.0),
     default=1.0,
     show_default=True,
-    help="Seconds of the log in a second; below 1 the stack refuses the target as late.",
+    help="Seconds of the log played in a second; below 1 the stack refuses the target's samples as late.",
 )
 @click.option(
     "--start",
@@ -54,10 +56,10 @@ EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
     type=click.FloatRange(min=0.0),
     default=0.0,
     metavar="S",
-    help="Begin so many seconds after the log does.",
+    help="Begin this time after the start of the log.",
 )
 @click.option("--loop", is_flag=True, help="Begin again at the end, until Ctrl-C or --duration.")
-@click.option("--pause", is_flag=True, help="Begin paused. On a terminal: space or Enter go on, s one tick.")
+@click.option("--pause", is_flag=True, help="Begin paused. Keys: space or Enter continue, s plays one tick.")
 @click.option(
     "--wait",
     "wait_s",
@@ -65,7 +67,7 @@ EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
     default=10.0,
     show_default=True,
     metavar="S",
-    help="Wait so long for somebody to play to; 0: do not wait.",
+    help="Longest wait for a receiver; 0: do not wait.",
 )
 @click.option(
     "--duration", "duration_s", type=click.FloatRange(min=0.1), metavar="S", help="End after S seconds."
@@ -73,7 +75,7 @@ EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
 @click.option(
     "--signing-key", type=click.Path(path_type=Path), metavar="FILE", help="Sign the vehicle's frames."
 )
-@click.option("--allow-unsigned", is_flag=True, help="Be the vehicle on a network without a key.")
+@click.option("--allow-unsigned", is_flag=True, help="Play the vehicle on a network without a key.")
 def replay(
     log: Path, check: bool, settings: tuple[str, ...], as_json: bool, live: bool, **where: Any
 ) -> None:  # fmt: skip
@@ -82,13 +84,13 @@ def replay(
     Exit status: 0 equal (or shown, with --set alone), 1 different, 2 the log proves nothing.
     """
     from flightstack.verify.certificate import problems
+    from logs.replay.read import changed
     from logs.replay.replay import FlightInputs, ReplayError
     from logs.replay.replay import replay as run
-    from logs.replay.set import changed
 
     if live:
         if check or settings or as_json:
-            raise click.UsageError("--live plays; --check, --set and --json are for a replay without wires")
+            raise click.UsageError("--live plays a log; it cannot be combined with --check, --set and --json")
         _live(log, where)
         return
     try:
@@ -147,7 +149,7 @@ def _tally(name: str, tally: Tally, *, shown: bool = True) -> list[str]:
 
 
 def _what_if(result: Result, settings: Sequence[str]) -> list[str]:
-    lines = [f"with {', '.join(settings)}, vehicle and target going on as recorded:"]
+    lines = [f"with {', '.join(settings)}; vehicle and target move as recorded:"]
     if result.command_first is None:
         lines.append("  every set-point is the same")
     else:

@@ -1,4 +1,4 @@
-"""The verbs ``bridge ...``: wires between the stack and other worlds, each a process of its own."""
+"""The verbs ``bridge ...``: each connects the stack to another system, in a process of its own."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ POSE_TYPES = ("pose", "pose-covariance")
 
 _signing_key = click.option(
     "--signing-key", type=click.Path(path_type=Path), metavar="FILE",
-    help="Sign MAVLink with this key and hear nothing unsigned (see `key`).",
+    help="Sign MAVLink with this key and ignore unsigned frames (see `key`).",
 )  # fmt: skip
 _allow_unsigned = click.option(
-    "--allow-unsigned", is_flag=True, help="Listen to a network without a key: anybody there can fly it."
+    "--allow-unsigned", is_flag=True, help="Listen on a network without a key: everybody there can fly it."
 )
 _duration = click.option(
-    "--duration", "duration_s", type=click.FloatRange(min=0.1), metavar="S", help="End after so many seconds."
+    "--duration", "duration_s", type=click.FloatRange(min=0.1), metavar="S", help="End after S seconds."
 )
 
 
 def _poses(verb: Callable[..., Any]) -> Callable[..., Any]:
-    """Options that say which poses are good."""
+    """Options that define which poses are accepted."""
     options = (
         click.option(
             "--pose-type", type=click.Choice(POSE_TYPES), default=POSE_TYPES[0], show_default=True,
@@ -43,7 +43,7 @@ def _poses(verb: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option(
             "--pose-speed-max", "pose_speed_m_s", type=click.FloatRange(0.1, 50.0), default=5.0,
-            show_default=True, metavar="M/S", help="A pose that would need more is a jump, and refused.",
+            show_default=True, metavar="M/S", help="A pose that needs a higher speed is refused as a jump.",
         ),
         click.option(
             "--ros-domain", type=click.IntRange(0, ROS_DOMAIN_MAX), default=0, show_default=True,
@@ -63,13 +63,13 @@ def _limits(frame_id: str | None, pose_speed_m_s: float) -> Limits:
 
 @click.group()
 def bridge() -> None:
-    """Bridges: a stock Crazyflie as a MAVLink vehicle, poses of motion capture to a vehicle."""
+    """Connect a stock Crazyflie as a MAVLink vehicle, or send poses of motion capture to a vehicle."""
 
 
 @bridge.command()
 @click.option(
     "--uri", required=True, metavar="URI",
-    help="Crazyflie as cflib has it: radio://0/80/2M/E7E7E7E7E7, usb://0, udp://HOST:PORT.",
+    help="Crazyflie's address in cflib: radio://0/80/2M/E7E7E7E7E7, usb://0, udp://HOST:PORT.",
 )  # fmt: skip
 @click.option(
     "--url", default="udpin:127.0.0.1:14580", show_default=True,
@@ -81,7 +81,7 @@ def bridge() -> None:
 )  # fmt: skip
 @click.option(
     "--speed-max", "speed_max_m_s", type=click.FloatRange(0.05, 5.0), default=1.0, show_default=True,
-    metavar="M/S", help="Longest velocity that is passed on; longer ones are cut.",
+    metavar="M/S", help="Highest speed of a set-point; a faster one is scaled down to it.",
 )  # fmt: skip
 @click.option(
     "--land-on-silence", is_flag=True,
@@ -89,11 +89,11 @@ def bridge() -> None:
 )  # fmt: skip
 @click.option(
     "--cache", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
-    help="Keep the Crazyflie's tables there, for a faster second connection.",
+    help="Store the Crazyflie's tables there, for a faster second connection.",
 )  # fmt: skip
 @click.option(
     "--mocap", "mocap_key", metavar="KEY",
-    help="Pass on poses from there: a Zenoh key, ros2:/TOPIC or ros2dds:/TOPIC (docs/mocap.md).",
+    help="Send it poses from there: a Zenoh key, ros2:/TOPIC or ros2dds:/TOPIC (docs/how_to/mocap.md).",
 )  # fmt: skip
 @_poses
 @plugs
@@ -107,10 +107,10 @@ def crazyflie(
     connect: tuple[str, ...], listen: tuple[str, ...], zenoh_config: Path | None,
     signing_key: Path | None, allow_unsigned: bool, duration_s: float | None,
 ) -> None:  # fmt: skip
-    """Show a stock Crazyflie as a MAVLink vehicle with PX4's modes (docs/crazyflie.md).
+    """Make a stock Crazyflie a MAVLink vehicle with PX4's modes (docs/how_to/crazyflie.md).
 
-    Ctrl-C, or a terminal that closes, lands it first when it is in the air; a second Ctrl-C ends at once, and
-    the motors stop.
+    Ctrl-C, or closing the terminal, lands a flying Crazyflie before the bridge ends. A second Ctrl-C ends the
+    bridge at once, and the motors stop.
     """
     from bridge.crazyflie import process
     from bridge.crazyflie.rules import Rules
@@ -142,7 +142,7 @@ def crazyflie(
 @bridge.command()
 @click.option(
     "--key", "pose_key", required=True, metavar="KEY",
-    help="Where the poses are: a Zenoh key, ros2:/TOPIC (rmw_zenoh) or ros2dds:/TOPIC (docs/mocap.md).",
+    help="Source of the poses: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/mocap.md).",
 )  # fmt: skip
 @click.option(
     "--vehicle", "vehicle_url", required=True, metavar="URL",
@@ -150,7 +150,7 @@ def crazyflie(
 )  # fmt: skip
 @click.option(
     "--origin", nargs=3, type=float, metavar="LAT LON ALT",
-    help="Place on earth of the room's zero, degrees and m; ArduPilot has no position without one.",
+    help="Position on earth of the room's origin, degrees and m; ArduPilot needs one for its position.",
 )  # fmt: skip
 @click.option(
     "--system-id", type=click.IntRange(1, 255), default=1, show_default=True,
@@ -167,7 +167,7 @@ def mocap(
     ros_domain: int, connect: tuple[str, ...], listen: tuple[str, ...], zenoh_config: Path | None,
     signing_key: Path | None, allow_unsigned: bool, duration_s: float | None,
 ) -> None:  # fmt: skip
-    """Pass poses of motion capture to a PX4 or ArduPilot vehicle, checked (docs/mocap.md)."""
+    """Check poses of motion capture and send them to a PX4 or ArduPilot vehicle (docs/how_to/mocap.md)."""
     from bridge.mavlink.client.origin import Origin
     from bridge.mocap import process
     from bridge.mocap.source import parse_spec

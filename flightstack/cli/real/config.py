@@ -19,5 +19,5 @@ def config(name: str | None) -> None:
 
 
 def _first_line(text: str) -> str:
-    """What its first comment says it is for."""
+    """Return the first comment of a configuration, which says what it is for."""
     return text.partition("\n")[0].removeprefix("#").strip()

@@ -1,4 +1,4 @@
-"""The verb ``key``: makes a key that signs MAVLink."""
+"""The verb ``key``: makes a MAVLink signing key."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 @click.command()
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 def key(file: Path) -> None:
-    """Make a MAVLink signing key in a new FILE that its owner alone can read (docs/security.md)."""
+    """Write a new MAVLink signing key to FILE, readable by its owner only (docs/how_to/security.md)."""
     from bridge.mavlink.signing.key import make_key
 
     make_key(file)

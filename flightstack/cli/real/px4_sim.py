@@ -1,4 +1,4 @@
-"""The verb ``px4-sim``: the simulated vehicle as the physics of PX4's software in the loop."""
+"""The verb ``px4-sim``: simulates the vehicle for PX4's software in the loop."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from flightstack.cli.zenoh import plugs
 )  # fmt: skip
 @click.option(
     "--silent-max", "silent_max_s", type=click.FloatRange(min=1.0), default=10.0, show_default=True,
-    metavar="S", help="Give up when PX4 has not answered for so long.",
+    metavar="S", help="End when PX4 has not answered for S seconds.",
 )  # fmt: skip
 @click.option(
-    "--once", is_flag=True, help="End when the first PX4 has gone, instead of waiting for the next."
+    "--once", is_flag=True, help="End when the first PX4 disconnects, instead of waiting for the next."
 )
 @click.option(
     "--parameters", "form", type=click.Choice(("env", "airframe", "console")),
@@ -49,9 +49,9 @@ def px4_sim(
     zenoh_config: Path | None, namespace: str, recorder: Path | None, duration_s: float | None,
     allow_unsigned: bool,
 ) -> None:  # fmt: skip
-    """Be the simulator of a PX4 SITL: vehicle, rotors, wind and moving deck here, the autopilot there.
+    """Simulate body, rotors, wind and moving deck for PX4, which runs as the autopilot (SITL).
 
-    PX4 connects over TCP, and both go on in lockstep. Exit status: 0 ended in order, 1 PX4 fell silent,
+    PX4 connects over TCP, and both run in lockstep. Exit status: 0 normal end, 1 PX4 stopped answering,
     2 wrong input.
     """
     from sim.plant import params

@@ -1,6 +1,6 @@
 """How a flight begins and ends: take-off, touchdown, contact, and the way back up; sizes of vehicle and pad.
 
-Defaults are a Crazyflie's on a pad of 20 cm; docs/autopilots.md says what else is the vehicle's.
+Defaults are a Crazyflie's on a pad of 20 cm; docs/how_to/autopilots.md says what else is the vehicle's.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """What the robust filter assumes of vehicle, target and links; every assumption is a number with a unit.
 
-docs/robust_filter.md derives the margin from them. The vehicle's numbers are identified from a log.
+docs/how_it_works/robust_filter.md derives the margin from them.
+The vehicle's numbers are identified from a log.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@
 
 The apex: at d = 0 the gradient has no direction. The slope is multiplied by the smoothing factor
 ``d / sqrt(d^2 + smoothing^2)``, which only shortens the gradient. Within a few ``smoothing`` of the axis
-the filter therefore sees less slope than the cone has; h itself is never smoothed. See docs/method.md.
+the filter therefore sees less slope than the cone has; h itself is never smoothed.
+See docs/how_it_works/method.md.
 
 Shape from geometry (eq. 7): the boundary peaks at distance ``d* = 1/alpha`` with height ``e* = beta/e``.
 """
@@ -102,7 +103,7 @@ class Barrier:
         The prediction is that of ``evaluate``, whose gradient is short by c = d / r, r the smoothed length.
         A motion that changes d by D and goes R outwards misses by ``b'(d) (D - c R) + b'' D^2 / 2`` at most.
         D - c R is largest where the motion ends at the distance r, if it reaches that; b'' at 3 / alpha
-        (docs/robust_filter.md).
+        (docs/how_it_works/robust_filter.md).
 
         Args:
             e_m: relative position the motion begins at.

@@ -143,7 +143,7 @@ class Gate:
         """The next h by the kinematic model is what the constraint of eq. 11 promised, without derivatives.
 
         The promise is linear; a result of the filter that keeps it may miss by the boundary's bend and by the
-        slope that the gradient leaves out at the apex, and by no more (docs/robust_filter.md).
+        slope that the gradient leaves out at the apex, and by no more (docs/how_it_works/robust_filter.md).
         """
         if check.status not in _RESULTS:
             return False

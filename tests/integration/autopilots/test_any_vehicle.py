@@ -1,7 +1,7 @@
 """The tests that fly anything: our simulated vehicle by default, any other by ``--vehicle URL --target KEY``.
 
 Each step ends at a limit of height, distance or time with the vehicle being brought down. On a vehicle that
-was given, nothing arms without ``--arm-ok``; see docs/hardware.md.
+was given, nothing arms without ``--arm-ok``; see docs/how_to/hardware.md.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from tests.integration.runs import COMMAND, WALL_MAX_S, flightstack
 from tests.integration.sim_processes import ROOT
 
 PERSONALITIES = ("px4", "ardupilot")
-PAGE = ROOT / "docs" / "autopilots.md"
+PAGE = ROOT / "docs" / "how_to" / "autopilots.md"
 
 
 def landed(tmp_path, *arguments):

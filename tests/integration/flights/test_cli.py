@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from flightstack.cli.main import VERBS
+from flightstack.cli.main import GROUPS, VERBS
 from tests.integration.runs import flightstack
 
 
@@ -59,11 +59,21 @@ def test_help_of_each_verb(verb):
     assert len(result.out.splitlines()) >= 5
 
 
-def test_help_lists_every_verb_with_a_line():
-    lines = flightstack("--help").out.partition("Commands:\n")[2].splitlines()
-    told = {line.split()[0]: line.split()[1:] for line in lines if line[2:3].strip()}
-    assert list(told) == sorted(VERBS)
-    assert all(told.values())
+def test_help_lists_every_verb_with_a_line_in_the_group_of_its_folder():
+    found, title = {}, ""
+    for line in flightstack("--help").out.splitlines():
+        if line.endswith(":") and not line.startswith(" "):
+            title = line.removesuffix(":")
+        elif title in GROUPS and line.strip():
+            name, *words = line.split()
+            assert words, name
+            assert words[-1].endswith("."), name  # whole: neither cut nor continued on another line
+            found.setdefault(title, []).append(name)
+    assert found == {title: list(verbs) for title, verbs in GROUPS.items()}
+    folders = {
+        title: {verb.place.partition(".")[0] for verb in verbs.values()} for title, verbs in GROUPS.items()
+    }
+    assert folders == {"Fly": {"fly"}, "Prove": {"prove"}, "Logs": {"logs"}, "Real things": {"real"}}
 
 
 def test_a_verb_loads_nothing_of_the_others():

@@ -1,4 +1,4 @@
-"""Every cell of the grid of faults ends as its table demands, and docs/fault_grid.md says so."""
+"""Every cell of the grid of faults ends as its table demands, and docs/reference/fault_grid.md says so."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two hundred seeds of each tier meet its limits; more of them stand in docs/results.md."""
+"""Two hundred seeds of each tier meet its limits; more of them stand in docs/reference/results.md."""
 
 import json
 

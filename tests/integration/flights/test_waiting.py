@@ -17,7 +17,7 @@ from logs.reader.reader import LogFile
 from tests.integration.runs import COMMAND, WALL_MAX_S, flightstack
 from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, free_port
 from tests.integration.wires.test_signed import signing
-from tests.unit import ros2_helpers as ros
+from tests.unit.target import ros2_helpers as ros
 
 pytestmark = pytest.mark.xdist_group("real-time")
 
@@ -178,6 +178,6 @@ def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(
 
 def messages(log):
     """Texts of /rosout."""
-    from logs.schema.codec_log import unpack_log
+    from logs.schema.rows import LogRow
 
-    return [unpack_log(message.data).message for message in LogFile(log).messages({"/rosout"})]
+    return [LogRow.unpack(message.data).msg for message in LogFile(log).messages({"/rosout"})]

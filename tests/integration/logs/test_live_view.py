@@ -14,7 +14,6 @@ from rerun.chunk import RrdReader
 from bridge.zenoh import zenoh_link
 from flightstack.cli.main import main
 from flightstack.common.processes import Port
-from logs.schema.codec import pack_controller_step, pack_loop_timing
 from logs.view.live import LiveRecording
 from tests.integration.runs import COMMAND, flightstack
 from tests.integration.sim_processes import ROOT, wait_for
@@ -89,8 +88,8 @@ def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching)
     puts, (child, out) = sender[0], watching
     size = out.stat().st_size
     for row, timing in zip(ROWS[:40], landing().timing, strict=False):
-        puts["controller/step"].put(pack_controller_step(row))
-        puts["loop/timing"].put(pack_loop_timing(timing))
+        puts["controller/step"].put(row.pack())
+        puts["loop/timing"].put(timing.pack())
         time.sleep(0.02)  # the pace of a flight; nothing is waited for
     wait_for(lambda: out.stat().st_size > size + 20_000, "a recording that grows while it flies")
     child.send_signal(signal.SIGINT)
@@ -110,7 +109,7 @@ def test_a_viewer_that_hangs_holds_up_nobody(sender, watching):
     puts, (child, _) = sender[0], watching
     os.kill(child.pid, signal.SIGSTOP)
     try:
-        payload, took_s = pack_controller_step(ROWS[50]), []
+        payload, took_s = ROWS[50].pack(), []
         for _ in range(PUTS):
             begin_s = time.thread_time()
             puts["controller/step"].put(payload)

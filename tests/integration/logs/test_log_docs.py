@@ -1,4 +1,4 @@
-"""docs/logs.md: its table is a recorded log, and its commands run as they stand there."""
+"""docs/reference/logs.md: its table is a recorded log, and its commands run as they stand there."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.integration.runs import WALL_MAX_S, flightstack
 
 DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # the page's one line for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")
-PAGE = ROOT / "docs/logs.md"
+PAGE = ROOT / "docs/reference/logs.md"
 pytestmark = pytest.mark.xdist_group("log docs")  # they share a flight
 
 

@@ -16,9 +16,13 @@ from tests.integration.runs import WALL_MAX_S
 from tests.unit.target.ros2_helpers import on_free_ports
 
 ROOT = Path(__file__).parents[3]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").rglob("*.md"), key=lambda p: (p.parent.name != "start", p)),
+]
 BIN = Path(os.sys.executable).parent
 APART = ("target", "vehicle", "fly")
+RUN_HERE = ("scenarios", "sitl", "report", "compare", "replay", "check", "campaign", "python")
 
 
 def commands():
@@ -32,14 +36,15 @@ def commands():
 
 def verb(command):
     words = shlex.split(command)
-    return words[1] if words[0].endswith("flightstack") else words[0]
+    return words[1] if words[0].endswith("flightstack") else Path(words[0]).name
 
 
 def run(command, cwd):
     """Run one command in a folder whose .venv is the one the tests run in."""
     if not (cwd / ".venv").exists():
         (cwd / ".venv").symlink_to(BIN.parent)
-        (cwd / "docs").symlink_to(ROOT / "docs")
+        for folder in ("docs", "examples"):
+            (cwd / folder).symlink_to(ROOT / folder)
     return subprocess.run(
         shlex.split(command), cwd=cwd, capture_output=True, text=True, timeout=WALL_MAX_S, check=False
     )
@@ -54,7 +59,7 @@ def test_the_readme_has_the_commands_it_promises():
 def test_the_commands_that_fly_report_and_compare(tmp_path):
     ran = 0
     for command in commands():
-        if verb(command) not in ("scenarios", "sitl", "report", "compare", "replay", "check", "campaign"):
+        if verb(command) not in RUN_HERE:
             continue
         done = run(command, tmp_path)
         assert done.returncode == 0, (command, done.stdout, done.stderr)

@@ -291,7 +291,7 @@ def test_plotjuggler_layout_names_topics_and_fields_that_are_there(log):
 
 
 def test_the_commands_of_the_page_run(log, tmp_path):
-    page = (ROOT / "docs/viewing.md").read_text()
+    page = (ROOT / "docs/how_to/viewing.md").read_text()
     lines = re.findall(r"^\.venv/bin/(flightstack view .*)$", page, re.MULTILINE)
     (tmp_path / "runs/first").mkdir(parents=True)
     (tmp_path / "runs/first/flight.mcap").symlink_to(log)

@@ -17,11 +17,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import Port
 from flightstack.core.types import Phase
-from flightstack.watch.json_lines import snapshot
 from flightstack.watch.live import draw
-from flightstack.watch.state import STALE_S, News, Watch
-from logs.schema.codec import pack_controller_step, pack_loop_timing
-from logs.schema.codec_health import HealthRow, pack_health, unpack_health
+from flightstack.watch.state import STALE_S, News, Watch, snapshot
+from logs.schema.rows import HealthRow
 from logs.schema.schemas import HEALTH, schema_text
 from tests.integration.sim_processes import ROOT
 from tests.synthetic_flight import landing
@@ -94,8 +92,8 @@ def step(number=0, **values):
 
 
 def test_health_reads_back_here_and_in_any_ros_tool():
-    data = pack_health(HEALTHY)
-    assert unpack_health(data) == HEALTHY
+    data = HEALTHY.pack()
+    assert HealthRow.unpack(data) == HEALTHY
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(schema_text(HEALTH).partition("=" * 80)[0], HEALTH))
     read = store.deserialize_cdr(data, HEALTH)
@@ -107,7 +105,7 @@ def test_health_reads_back_here_and_in_any_ros_tool():
 @pytest.mark.parametrize("cut", [0, 3, 20, 60, 110, -1])
 def test_a_health_that_is_cut_short_is_refused(cut):
     with pytest.raises(ValueError, match="Health"):
-        unpack_health(pack_health(HEALTHY)[:cut])
+        HealthRow.unpack(HEALTHY.pack()[:cut])
 
 
 def test_old_data_is_shown_as_old_and_never_as_new():
@@ -116,9 +114,9 @@ def test_old_data_is_shown_as_old_and_never_as_new():
         clock.now_s += 3.2
         assert "no data for 3.2 s" in shown(watch)
         row = step()
-        sender.puts["controller/step"].put(pack_controller_step(row))
-        sender.puts["health"].put(pack_health(HEALTHY))
-        sender.puts["loop/timing"].put(pack_loop_timing(landing().timing[5]))
+        sender.puts["controller/step"].put(row.pack())
+        sender.puts["health"].put(HEALTHY.pack())
+        sender.puts["loop/timing"].put(landing().timing[5].pack())
         until(watch, lambda: watch.step and watch.health and watch.timings, "nothing came")
         assert watch.news is News.FRESH
         text = shown(watch)
@@ -152,22 +150,22 @@ def test_who_dials_a_router_as_its_peer_is_told_why_nothing_comes():
 
 def test_a_sender_that_repeats_itself_is_stale():
     with opened() as (sender, watch, clock):
-        payload = pack_controller_step(step())
+        payload = step().pack()
         sender.puts["controller/step"].put(payload)
         until(watch, lambda: watch.step, "nothing came")
         clock.now_s += STALE_S + 1.0
         sender.puts["controller/step"].put(payload)
-        sender.puts["loop/timing"].put(pack_loop_timing(landing().timing[5]))
+        sender.puts["loop/timing"].put(landing().timing[5].pack())
         until(watch, lambda: watch.timings, "nothing came")  # sent after the repeated step
         assert watch.news is News.STALE
-        sender.puts["controller/step"].put(pack_controller_step(step(1)))
+        sender.puts["controller/step"].put(step(1).pack())
         until(watch, lambda: watch.news is News.FRESH, "a new step is news")
 
 
 def test_what_is_not_ours_is_counted_and_shown():
     with opened() as (sender, watch, _):
         sender.puts["controller/step"].put(b"something else")
-        sender.puts["health"].put(pack_health(HEALTHY)[:50])
+        sender.puts["health"].put(HEALTHY.pack()[:50])
         until(watch, lambda: watch.refused == 2, "not counted")
         assert watch.step is None
         assert "2 samples not understood" in shown(watch)
@@ -177,10 +175,8 @@ def test_phases_and_numbers_nobody_knows_are_shown_all_the_same():
     with opened() as (sender, watch, _):
         none = (math.nan,) * 3
         odd = step(phase=77, h_m=math.nan, filter_status=99, own_position_enu_m=none)
-        sender.puts["controller/step"].put(pack_controller_step(odd))
-        sender.puts["health"].put(
-            pack_health(HEALTHY._replace(mode=50, battery_v=math.nan, target_age_s=math.nan))
-        )
+        sender.puts["controller/step"].put(odd.pack())
+        sender.puts["health"].put(HEALTHY._replace(mode=50, battery_v=math.nan, target_age_s=math.nan).pack())
         until(watch, lambda: watch.step and watch.health, "nothing came")
         text, values = shown(watch), snapshot(watch)
         assert "77" in text
@@ -193,7 +189,7 @@ def test_phases_and_numbers_nobody_knows_are_shown_all_the_same():
 
 def test_the_end_of_a_flight_is_told():
     with opened() as (sender, watch, clock):
-        sender.puts["controller/step"].put(pack_controller_step(step(phase=Phase.LANDED, finished=True)))
+        sender.puts["controller/step"].put(step(phase=Phase.LANDED, finished=True).pack())
         until(watch, lambda: watch.step, "nothing came")
         sender.session.close()
         clock.now_s += 5.0
@@ -261,9 +257,8 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
             cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=True,
         )  # fmt: skip
         assert json.loads(once.stdout)["tick"] > now["tick"]
-        example = (
-            (ROOT / "docs" / "live.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
-        )
+        page = (ROOT / "docs" / "how_to" / "live.md").read_text(encoding="utf-8")
+        example = page.split("```python\n")[1].split("```")[0]
         read = subprocess.run(
             [sys.executable, "-c", example, port.endpoint],
             cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=True,

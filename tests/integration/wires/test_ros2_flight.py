@@ -29,7 +29,7 @@ PAD_M = 0.2  # of the pad above the floor
 
 def commands():
     """The page's commands, on free ports."""
-    page = (ROOT / "docs" / "ros2.md").read_text()
+    page = (ROOT / "docs" / "how_to" / "ros2.md").read_text()
     block = re.search(r"^```bash\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[1].replace("\\\n", " ")
     lines = on_free_ports(block).splitlines()
     return {shlex.split(line)[1]: shlex.split(line)[2:] for line in lines}

@@ -12,7 +12,7 @@ import pytest
 from bridge.target.odometry import decode_odometry
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import ZERO, Phase
-from logs.schema.codec import ControllerStepRow, pack_controller_step
+from logs.schema.rows import ControllerStepRow
 from tests.integration.sim_processes import PATIENCE_S, free_port, process, terminate, wait_for
 
 PAIR = struct.Struct("<qq")
@@ -167,36 +167,7 @@ def test_port_that_is_taken_is_an_error_with_a_reason() -> None:
 
 
 def controller_step(phase: Phase) -> bytes:
-    return pack_controller_step(
-        ControllerStepRow(
-            0,
-            0,
-            int(phase),
-            0,
-            0,
-            0,
-            True,
-            False,
-            True,
-            True,
-            0.0,
-            0.0,
-            ZERO,
-            ZERO,
-            0.0,
-            ZERO,
-            ZERO,
-            0.0,
-            0.0,
-            ZERO,
-            0.0,
-            ZERO,
-            ZERO,
-            ZERO,
-            0.0,
-            0.0,
-            0,
-            0,
-            0,
-        )
-    )
+    return ControllerStepRow(
+        0, 0, int(phase), 0, 0, 0, True, False, True, True, 0.0, 0.0, ZERO, ZERO, 0.0, ZERO, ZERO, 0.0,
+        0.0, ZERO, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 0, 0, 0, True, False, ZERO, 0.0,
+    ).pack()  # fmt: skip

@@ -1,4 +1,4 @@
-"""The configurations of docs/zenoh.md in use: certificates, passwords, rules, and a router that dies."""
+"""The configurations of docs/how_to/zenoh.md in use: certificates, passwords, rules, a router that dies."""
 
 import itertools
 import json
@@ -20,15 +20,15 @@ from logs.reader.reader import LogFile
 from tests.unit.target.ros2_helpers import PATIENCE_S, free_endpoint, odometry, rmw_session, until
 
 ROOT = Path(__file__).parents[3]
-FILES = ROOT / "docs" / "zenoh"
+FILES = ROOT / "docs" / "how_to" / "zenoh"
 USERS = {"robot": "change me", "companion": "to land", "watcher": "to see"}
 TARGET, STEP = "cf1/target/odom", "cf1/controller/step"
-BACK_MAX_S = 0.5  # docs/zenoh.md: after the router's return
+BACK_MAX_S = 0.5  # docs/how_to/zenoh.md: after the router's return
 
 
 def recipe():
     """The commands that the page gives for making certificates."""
-    page = (ROOT / "docs" / "zenoh.md").read_text()
+    page = (ROOT / "docs" / "how_to" / "zenoh.md").read_text()
     return re.search(r"^```bash\n(mkdir.*?)^```", page, re.MULTILINE | re.DOTALL)[1]
 
 
@@ -238,7 +238,7 @@ def test_every_configuration_of_the_page_is_understood(at_home, name):
     role, endpoints = zenoh_link.dialled(config_file=FILES / name)
     assert role is (Role.ROUTER if "router" in name else Role.CLIENT if "client" in name else Role.PEER)
     assert bool(endpoints) == (name.startswith(("client", "peer_")))
-    assert f"zenoh/{name}" in (ROOT / "docs" / "zenoh.md").read_text()
+    assert f"zenoh/{name}" in (ROOT / "docs" / "how_to" / "zenoh.md").read_text()
 
 
 def test_the_verb_router_wants_a_router_and_a_free_port(at_home):
@@ -248,7 +248,7 @@ def test_the_verb_router_wants_a_router_and_a_free_port(at_home):
             cwd=ROOT, capture_output=True, text=True, timeout=60.0, check=False,
         )  # fmt: skip
 
-    done = run("--zenoh-config", "docs/zenoh/client.json5")
+    done = run("--zenoh-config", "docs/how_to/zenoh/client.json5")
     assert (done.returncode, 'mode "router" is needed' in done.stderr) == (2, True)
     endpoint = free_endpoint()
     session = zenoh_link.open_session([endpoint])

@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.endpoint import Endpoint
+from bridge.mavlink.server.profile import PX4_CODES, FlightMode
 from bridge.mavlink.signing.key import SigningKey
 from bridge.mavlink.signing.signing import Signer
-from sim.autopilot.modes import CODES, FlightMode
 from tests.unit.autopilot.autopilot_fakes import COMPANION, NAN, Rig, setpoint
 
 GROUND_STATIONS = (245, 255)
@@ -26,7 +26,7 @@ _STREAMS = (
 PER_TICK = 20  # datagrams
 HEIGHT_M = 0.5
 PATIENCE_S = 10.0
-LAND = CODES[FlightMode.LAND]
+LAND = PX4_CODES[FlightMode.LAND]
 _SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4,
           "float": 4, "int64_t": 8, "uint64_t": 8, "double": 8}  # fmt: skip
 _WORDS = [
@@ -74,7 +74,7 @@ _PARAMETERS = (
     b"COM_OBL_RC_ACT",
     b"MAV_SYS_ID",
 )
-_CODES = {CODES[mode][:2] for mode in FlightMode}
+_CODES = {PX4_CODES[mode][:2] for mode in FlightMode}
 
 
 def _offsets(cls) -> dict[str, int]:

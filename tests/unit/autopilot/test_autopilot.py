@@ -7,8 +7,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot.modes import FlightMode
-from sim.autopilot.server.server import Autopilot
+from bridge.mavlink.server.profile import FlightMode
+from sim.autopilot.autopilot import Autopilot
 from tests.unit.autopilot.autopilot_fakes import (
     HOLD,
     NAN,
@@ -69,13 +69,6 @@ def test_take_off_heights_out_of_range_are_refused(height_m: float) -> None:
     assert "Take-off refused" in rig.texts()[-1]
 
 
-def test_command_int_does_the_same_as_command_long() -> None:
-    rig = Rig()
-    arm = mav.MAVLink_command_int_message(1, 1, 0, 400, 0, 0, 1.0, 0.0, NAN, NAN, 0, 0, NAN)
-    assert rig.handle(arm)[0].result == mav.MAV_RESULT_ACCEPTED
-    assert rig.vehicle.armed
-
-
 def test_repeated_commands_are_accepted_and_change_nothing() -> None:
     rig = Rig()
     assert rig.command(400, 0.0) == mav.MAV_RESULT_ACCEPTED  # disarmed already
@@ -92,42 +85,6 @@ def test_repeated_commands_are_accepted_and_change_nothing() -> None:
     for _ in range(3):
         assert rig.command(21) == mav.MAV_RESULT_ACCEPTED
     assert rig.texts() == ["Mode hold", "Mode offboard", "Mode land"]
-
-
-@pytest.mark.parametrize(("number", "result"), [(31000, 3), (252, 3), (241, 3)])
-def test_unknown_commands_are_unsupported(number: int, result: int) -> None:
-    rig = Rig()
-    assert rig.command(number) == result
-    assert rig.texts() == [f"Command {number} is not supported"]
-
-
-@pytest.mark.parametrize("param", [NAN, 2.0, -1.0])
-def test_arm_command_that_says_neither_is_unsupported(param: float) -> None:
-    rig = Rig()
-    assert rig.command(400, param) == mav.MAV_RESULT_UNSUPPORTED
-    assert not rig.vehicle.armed
-
-
-@pytest.mark.parametrize("target", [(2, 1), (1, 50), (0, 1), (0, 0)])
-def test_commands_for_others_are_not_even_answered(target: tuple[int, int]) -> None:
-    rig = Rig()
-    assert rig.command(400, 1.0, target=target) is None
-    assert not rig.vehicle.armed
-
-
-def test_component_zero_means_us_and_system_zero_may_ask_who_is_there() -> None:
-    rig = Rig()
-    assert rig.command(400, 1.0, target=(1, 0)) == mav.MAV_RESULT_ACCEPTED
-    assert rig.command(512, 148.0, target=(0, 0)) == mav.MAV_RESULT_ACCEPTED
-
-
-def test_disarming_in_the_air_needs_force() -> None:
-    rig = Rig().fly()
-    assert rig.command(400, 0.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED
-    assert rig.texts()[-1] == "Disarming refused: not landed"
-    assert rig.vehicle.armed
-    assert rig.command(400, 0.0, 21196.0) == mav.MAV_RESULT_ACCEPTED
-    assert not rig.vehicle.armed
 
 
 def test_forced_arming_does_not_skip_the_checks() -> None:
@@ -238,12 +195,3 @@ def test_hold_takes_over_a_moving_vehicle_without_a_step() -> None:
     assert rig.vehicle.setpoint == pytest.approx((0.0, 0.4, 0.0), abs=0.02)
     rig.run(8.0)
     assert math.hypot(*rig.vehicle.state.velocity_enu_m_s) < 0.02
-
-
-def test_set_mode_message_and_modes_that_do_not_exist() -> None:
-    rig = Rig().fly()
-    assert rig.handle(mav.MAVLink_set_mode_message(1, 1, 0x06040000)) == []
-    assert rig.mode is FlightMode.LAND
-    assert rig.command(176, 1.0, 3.0, 0.0) == mav.MAV_RESULT_DENIED
-    assert rig.command(176, 0.0, 4.0, 3.0) == mav.MAV_RESULT_DENIED
-    assert rig.mode is FlightMode.LAND

@@ -7,10 +7,9 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.geo import ORIGIN_WGS84
-from sim.autopilot.modes import FlightMode
-from sim.autopilot.parameters import Parameters
-from sim.autopilot.personality import ARDUPILOT, PERSONALITIES
+from sim.autopilot.profiles import ARDUPILOT, PROFILES, PX4
 from tests.unit.autopilot.autopilot_fakes import COMPANION, NAN, FakeVehicle, Rig, setpoint
 
 ACCEPTED, FAILED, DENIED = mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_FAILED, mav.MAV_RESULT_DENIED
@@ -285,10 +284,10 @@ def command_long(number: int, *params: float):
     return mav.MAVLink_command_long_message(1, 1, number, 0, *params, *[0.0] * (7 - len(params)))
 
 
-def test_every_parameter_of_a_personality_stands_for_ones_that_exist() -> None:
-    own = Parameters(1)
-    for who in PERSONALITIES.values():
-        values = Parameters(1, who.parameters(1), bytewise=who.bytewise)
+def test_every_parameter_of_a_profile_stands_for_ones_that_exist() -> None:
+    own = PX4.new_parameters(1)
+    for who in PROFILES.values():
+        values = who.new_parameters(1)
         for row in who.parameters(1):
             if row.stands_for:
                 assert all(own.entry(name) for name in row.names)
@@ -320,7 +319,7 @@ def test_the_station_is_who_has_the_id_of_sysid_mygcs_and_its_silence_lands() ->
 
 
 def test_presets_that_cannot_be_are_refused_with_what_can() -> None:
-    values = Parameters(1, ARDUPILOT.parameters(1), bytewise=False)
+    values = ARDUPILOT.new_parameters(1)
     values.preset("GUID_TIMEOUT", 0.5)
     assert values["COM_OF_LOSS_T"] == 0.5
     for name, value, words in (

@@ -1,155 +1,21 @@
-"""The command table as a whole: both encodings, repeats, frames, and what single commands do."""
+"""What the commands of the simulated vehicle do."""
 
 from __future__ import annotations
 
-import copy
-import functools
 import math
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.geo import degrees_e7, x_of, y_of
-from sim.autopilot.modes import FlightMode
-from tests.unit.autopilot.autopilot_fakes import HOLD, NAN, OFFBOARD, RATE_HZ, Rig, set_int, set_real
+from tests.unit.autopilot.autopilot_fakes import NAN, RATE_HZ, Rig, set_int, set_real
+from tests.unit.mavlink.server.served import as_int
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
 NEAR = tuple(v / 1e7 for v in degrees_e7(1.0, 2.0))  # latitude, longitude
 NAN7 = (NAN,) * 7
 # Parameters worth trying for each command; every command of the table must be here.
-CASES: dict[int, list[tuple[float, ...]]] = {
-    20: [NAN7],
-    21: [NAN7, (0.0,) * 7],
-    22: [NAN7, (*NAN7[:6], 0.7), (*NAN7[:6], 100.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.6)],
-    176: [OFFBOARD, HOLD, (1.0, 4.0, 5.0), (1.0, 4.0, 2.0), (1.0, 4.0, 6.0), (1.0, 3.0), (0.0, 4.0, 3.0)],
-    179: [(1.0,), (0.0, NAN, NAN, NAN, *NEAR, 0.25), (0.0,), (0.0, NAN, NAN, NAN, 10.0, 10.0, 0.0)],
-    185: [(1.0,), (0.0,), NAN7],
-    192: [
-        (-1.0, 1.0),
-        (-1.0, 1.0, 0.0, NAN, *NEAR, 1.5),
-        (0.3, 1.0, 0.0, 0.5, *NEAR, NAN),
-        (-1.0, 1.0, 0.0, NAN, NAN, NAN, 1.2),
-        (-1.0, 0.0),
-        (-1.0, 1.0, 0.0, NAN, 10.0, 10.0, 1.0),
-        (-1.0, 1.0, 0.0, NAN, NEAR[0], NAN, 1.0),
-    ],
-    246: [(0.0,), (1.0,), (2.0,), NAN7],
-    400: [(1.0, 0.0), (0.0, 0.0), (0.0, 21196.0), (1.0, 21196.0), (0.5,), NAN7],
-    401: [NAN7],
-    410: [NAN7],
-    420: [(101.0, 1.0, 2.0), (101.5, 1.0), (101.0, 1.0, -1.0), NAN7],
-    510: [(32.0,), (0.0,), NAN7],
-    511: [(32.0, 50_000.0), (331.0, -1.0), (30.0, 0.0), (30.0,), (0.0, 1e6), (32.5, 1e6), NAN7],
-    512: [(148.0,), (0.0,), (435.0,), (300.0,), NAN7],
-    519: [(1.0,)],
-    520: [(1.0,), (0.0,)],
-    521: [(1.0,)],
-}
-SITUATIONS = {
-    "disarmed": Rig,
-    "disarmed with a home": lambda: set_home(Rig()),
-    "flying": lambda: Rig().fly(),
-    "offboard": lambda: Rig().offboard(),
-}
-
-
-def set_home(rig: Rig) -> Rig:
-    assert rig.command(179, 0.0, NAN, NAN, NAN, *NEAR, 0.25) == ACCEPTED
-    return rig
-
-
-@functools.cache
-def prepared(situation: str) -> Rig:
-    rig = SITUATIONS[situation]()
-    assert set_int(rig, "SYS_FAILURE_EN", 1) == (0 if rig.vehicle.armed else 1)
-    rig.autopilot.parameters._values["SYS_FAILURE_EN"] = 1.0
-    rig.texts()
-    rig.run(1.0 if rig.vehicle.armed and rig.mode is FlightMode.HOLD else 0.0)
-    rig.telemetry.clear()
-    return rig
-
-
-def fresh(situation: str) -> Rig:
-    return copy.deepcopy(prepared(situation))
-
-
-def as_long(number: int, params: tuple[float, ...]):
-    values = (*params, *NAN7[len(params) :])
-    return mav.MAVLink_command_long_message(1, 1, number, 0, *values)
-
-
-def as_int(number: int, params: tuple[float, ...], frame: int = 0):
-    p1, p2, p3, p4, p5, p6, p7 = (*params, *NAN7[len(params) :])
-    x, y = (2**31 - 1 if math.isnan(p) else round(p * 1e7) for p in (p5, p6))
-    return mav.MAVLink_command_int_message(1, 1, frame, number, 0, 0, p1, p2, p3, p4, x, y, p7)
-
-
-def state(rig: Rig) -> list[object]:
-    pilot, flight = rig.autopilot.flight.pilot, rig.autopilot.flight
-    goal = pilot.goal and (
-        *[round(v, 4) for v in pilot.goal.point_enu_m],
-        pilot.goal.yaw_rad,
-        pilot.goal.speed_m_s,
-    )
-    streams = [rig.autopilot._streams.interval_us(i) for i in (30, 32, 331)]
-    home = [round(v, 4) for v in flight.home_enu_m]
-    vehicle = (rig.vehicle.armed, rig.vehicle.reboots, dict(rig.vehicle.failures))
-    return [flight.mode, goal, round(pilot.takeoff_height_m, 6), streams, home, vehicle]
-
-
-def outcome(rig: Rig, message) -> tuple[list[object], list[object]]:
-    replies = rig.handle(message)
-    return [replies[0].result, *[r.get_type() for r in replies[1:]]], state(rig)
-
-
-def test_every_command_of_the_table_has_cases() -> None:
-    assert set(CASES) == set(Rig().autopilot.commands.table)
-
-
-@pytest.mark.parametrize("situation", SITUATIONS)
-@pytest.mark.parametrize("number", CASES)
-def test_both_encodings_give_the_same_result_and_state(number: int, situation: str) -> None:
-    for params in CASES[number]:
-        first, second = fresh(situation), fresh(situation)
-        long = outcome(first, as_long(number, params))
-        assert outcome(second, as_int(number, params)) == long, params
-        assert first.texts() == second.texts(), params
-
-
-@pytest.mark.parametrize("situation", SITUATIONS)
-@pytest.mark.parametrize("number", CASES)
-def test_a_command_that_comes_again_changes_nothing_and_is_answered_alike(
-    number: int, situation: str
-) -> None:
-    for params in CASES[number]:
-        rig = fresh(situation)
-        result, after = outcome(rig, as_long(number, params))
-        again, later = outcome(rig, as_long(number, params))
-        if number == 185 and result == [ACCEPTED]:
-            assert again == [DENIED]  # PX4 terminates only what is armed
-        else:
-            assert again == result, params
-        if number != 246:  # a second restart is one more
-            assert later == after, params
-
-
-@pytest.mark.parametrize("situation", SITUATIONS)
-def test_every_refusal_gives_a_reason(situation: str) -> None:
-    for number, cases in CASES.items():
-        for params in cases:
-            rig = fresh(situation)
-            result = rig.handle(as_long(number, params))[0].result
-            assert bool(rig.texts()) or result == ACCEPTED, (number, params)
-
-
-@pytest.mark.parametrize("number", [22, 179, 192])
-def test_places_in_other_frames_are_denied(number: int) -> None:
-    rig = Rig().fly()
-    params = (1.0, 1.0, NAN, NAN, *NEAR, 1.0)
-    for frame in (1, 2, 8, 10, 200):
-        assert rig.handle(as_int(number, params, frame))[0].result == DENIED
-        assert f"frame {frame}" in rig.texts()[-1]
-        rig.run(1.0)
 
 
 def test_heights_above_home_and_above_the_sea() -> None:
@@ -275,7 +141,7 @@ def test_reboot_unlocks_disarmed_and_is_denied_armed() -> None:
     assert rig.command(400, 1.0) == REJECTED
     assert rig.command(246, 1.0) == ACCEPTED
     assert rig.vehicle.reboots == 1
-    assert rig.autopilot._streams.interval_us(32) == round(1e6 / RATE_HZ)
+    assert rig.autopilot.streams.interval_us(32) == round(1e6 / RATE_HZ)
     assert rig.command(400, 1.0) == ACCEPTED
     assert rig.command(246, 1.0) == DENIED
     assert rig.texts()[-1] == "Reboot refused: armed"
@@ -297,21 +163,6 @@ def test_failures_need_the_parameter_and_say_why_not() -> None:
         "Failure: system battery off",
         "Failure refused: gyro: only motors fail",
     ]
-
-
-@pytest.mark.parametrize(
-    ("main", "sub", "word"),
-    [(1, 0, "stick"), (3, 0, "stick"), (7, 2, "stick"), (4, 4, "missions"), (9, 9, "none")],
-)
-def test_modes_there_are_not_are_denied_with_a_reason(main: int, sub: int, word: str) -> None:
-    rig = Rig()
-    assert rig.command(176, 1.0, float(main), float(sub)) == DENIED
-    assert word in rig.texts()[-1]
-    rig.handle(mav.MAVLink_set_mode_message(1, 1, main << 16 | sub << 24))
-    rig.run(1.0)
-    rig.handle(mav.MAVLink_set_mode_message(1, 1, main << 16 | sub << 24))
-    assert word in rig.texts()[-1]
-    assert rig.mode is FlightMode.HOLD
 
 
 def test_prearm_checks_tell_all_problems() -> None:

@@ -1,4 +1,4 @@
-"""docs/mavlink.md says what the code does: its tables against the code's own."""
+"""docs/reference/mavlink.md says what the code does: its tables against the code's own."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot.parameters import INT32, table
-from sim.autopilot.personality import DEFAULT_HZ, EVERY_TICK
-from sim.autopilot.server.messages import REQUESTABLE
-from sim.autopilot.server.status import ON_REQUEST
+from bridge.mavlink.server.parameters import INT32
+from bridge.mavlink.server.profile import EVERY_TICK
+from sim.autopilot.parameters import px4_parameters
+from sim.autopilot.profiles import DEFAULT_HZ
+from sim.autopilot.telemetry import BUILDERS
 from sim.autopilot.watches import FENCE, STATION_LOST, STREAM_LOST, Action
 from tests.unit.autopilot.autopilot_fakes import Rig
 
-TEXT = (Path(__file__).parents[3] / "docs" / "mavlink.md").read_text(encoding="utf-8")
+TEXT = (Path(__file__).parents[3] / "docs" / "reference" / "mavlink.md").read_text(encoding="utf-8")
 
 
 def rows(section: str) -> list[list[str]]:
@@ -31,7 +32,7 @@ def rows(section: str) -> list[list[str]]:
 def rate(message_id: int) -> str:
     if message_id == mav.MAVLINK_MSG_ID_HEARTBEAT:
         return "1 Hz, at once on a change; not settable"
-    if message_id in ON_REQUEST:
+    if message_id not in BUILDERS:
         return "on request; not settable"
     if message_id in EVERY_TICK:
         return "every tick"
@@ -39,7 +40,7 @@ def rate(message_id: int) -> str:
 
 
 def test_messages() -> None:
-    wanted = [[str(i), mav.mavlink_map[i].msgname, rate(i)] for i in sorted(REQUESTABLE)]
+    wanted = [[str(i), mav.mavlink_map[i].msgname, rate(i)] for i in sorted(Rig().autopilot.messages)]
     assert rows("What it sends") == wanted
 
 
@@ -61,12 +62,12 @@ def test_parameters() -> None:
             p.allowed,
             "always" if p.in_flight else "disarmed",
         ]
-        for p in table(1)
+        for p in px4_parameters(1)
         if p.low < p.high
     ]
     assert rows("Parameters") == wanted
     fixed = TEXT.split("and fixed:\n", 1)[1].split(".", 1)[0].replace("\n", " ").split(", ")
-    assert fixed == [p.name for p in table(1) if p.low == p.high]
+    assert fixed == [p.name for p in px4_parameters(1) if p.low == p.high]
 
 
 def test_fail_safe_actions() -> None:

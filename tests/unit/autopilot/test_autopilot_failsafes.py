@@ -7,10 +7,10 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot.battery import BatteryGauge, Charge
-from sim.autopilot.modes import FlightMode
-from sim.autopilot.parameters import INT32, Parameters
-from sim.autopilot.watches import BATTERY, FENCE, STATION_LOST, STREAM_LOST
+from bridge.mavlink.server.parameters import INT32
+from bridge.mavlink.server.profile import FlightMode
+from sim.autopilot.profiles import PX4
+from sim.autopilot.watches import BATTERY, FENCE, STATION_LOST, STREAM_LOST, BatteryGauge, Charge
 from sim.plant.battery import BatteryModel
 from sim.plant.params import load
 from tests.unit.autopilot.autopilot_fakes import GROUND_STATION, NAN, OFFBOARD, Rig, set_int, set_real
@@ -19,14 +19,14 @@ STATION = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
 
 
 def voltage_at(remaining: float) -> float:
-    p = Parameters(1)
+    p = PX4.new_parameters(1)
     return p["BAT1_V_EMPTY"] + remaining * (p["BAT1_V_CHARGED"] - p["BAT1_V_EMPTY"])
 
 
 def rig_with(**parameters: float) -> Rig:
     rig = Rig()
     for name, value in parameters.items():
-        if Parameters(1).entry(name).type == INT32:
+        if PX4.new_parameters(1).entry(name).type == INT32:
             assert set_int(rig, name, int(value)) == value
         else:
             assert set_real(rig, name, value) == pytest.approx(value)
@@ -71,7 +71,7 @@ def test_battery_that_drains_warns_once_a_level_and_shows_it() -> None:
 
 
 def test_load_does_not_look_like_an_empty_battery_and_noise_not_like_a_new_alarm() -> None:
-    gauge = BatteryGauge(Parameters(1), 4.0, 0.0)
+    gauge = BatteryGauge(PX4.new_parameters(1), 4.0, 0.0)
     at_rest = gauge.remaining
     for _ in range(100):
         gauge.step(4.0 - 0.25, 0.67, 0.1, armed=True)
@@ -119,7 +119,7 @@ def test_actions_that_do_not_exist_are_refused(value: int) -> None:
 
 
 def test_every_allowed_action_has_a_meaning() -> None:
-    p = Parameters(1)
+    p = PX4.new_parameters(1)
     assert set(p.entry("COM_OBL_RC_ACT").choices) == set(STREAM_LOST)
     assert set(p.entry("NAV_DLL_ACT").choices) == set(STATION_LOST)
     assert set(p.entry("GF_ACTION").choices) == set(FENCE)
@@ -219,5 +219,5 @@ def test_charge_of_the_simulated_cell_is_read_right_in_hover() -> None:
     cell.record.used_a_s = used * params.charge_a_s
     cell.step((hover_rpm,) * 4, 0.01)
     throttle = hover_rpm / cell.rpm_max
-    gauge = BatteryGauge(Parameters(1), cell.voltage_v, throttle)
+    gauge = BatteryGauge(PX4.new_parameters(1), cell.voltage_v, throttle)
     assert gauge.remaining == pytest.approx(1.0 - used, abs=0.03)

@@ -20,8 +20,8 @@ from bridge.mocap.messages import WANTS
 from flightstack.cli.real.bridge import bridge
 
 DOCS = Path(__file__).parents[3] / "docs"
-CRAZYFLIE = (DOCS / "crazyflie.md").read_text()
-MOCAP = (DOCS / "mocap.md").read_text()
+CRAZYFLIE = (DOCS / "how_to" / "crazyflie.md").read_text()
+MOCAP = (DOCS / "how_to" / "mocap.md").read_text()
 
 
 def options(verb):

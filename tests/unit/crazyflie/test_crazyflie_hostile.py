@@ -10,39 +10,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.crazyflie.types import Order
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
+from tests.unit.mavlink.server.hostile import hostile
 
-SPECIAL = (0.0, 1.0, -1.0, math.nan, math.inf, -math.inf, 3.4e38, -3.4e38, 21196.0, 4.0, 6.0, 0.5)
-SIZES = {
-    "uint8_t": 8, "uint16_t": 16, "uint32_t": 32, "uint64_t": 64, "int8_t": 7, "int16_t": 15, "int32_t": 31,
-    "int64_t": 63, "char": 8,
-}  # fmt: skip
+IDS = (11, 75, 76, 84, 0, 111, 4)
 
 
-def value(kind, length, chance):
-    if kind == "char":
-        return bytes(chance.randrange(256) for _ in range(max(1, length)))
-    one = (
-        (lambda: chance.choice(SPECIAL) if chance.random() < 0.7 else chance.uniform(-1e3, 1e3))
-        if kind in ("float", "double")
-        else (lambda: chance.choice((0, 1, 1, 2, 191, 255, chance.getrandbits(SIZES[kind]))))
-    )
-    limit = None if kind in ("float", "double") else (1 << SIZES[kind]) - 1
-    draw = one if limit is None else (lambda: min(one(), limit))
-    return [draw() for _ in range(length)] if length > 1 else draw()
-
-
-def message(chance):
-    ids = [11, 75, 76, 84, 0, 111, 4, *mav.mavlink_map]
-    cls = mav.mavlink_map[chance.choice(ids[: chance.choice((7, len(ids)))])]
-    kinds = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
-    lengths = dict(zip(cls.ordered_fieldnames, cls.lengths, strict=True))
-    made = cls(*[value(kinds[name], lengths[name], chance) for name in cls.fieldnames])
-    for name, own in (("target_system", 1), ("target_component", 1)):
-        if hasattr(made, name) and chance.random() < 0.8:
-            setattr(made, name, own)
-    if hasattr(made, "command") and chance.random() < 0.9:
-        made.command = chance.choice((400, 22, 21, 176, 185, 512, 511, 510, 410, 401))
-    return made
+def message(chance, bench):
+    id_ = chance.choice(IDS if chance.random() < 0.5 else tuple(mav.mavlink_map))
+    return hostile(chance, id_, list(bench.node.commands.table))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -51,7 +26,7 @@ def test_no_message_stops_it(seed):
     bench = Bench().offboard()
     for i in range(1500):
         sender = chance.choice((CLIENT, OTHER, GROUND, (0, 0), (255, 255)))
-        bench.node.handle(message(chance), sender, bench.now_s)
+        bench.node.handle(message(chance, bench), sender, bench.now_s)
         if i % 5 == 0:
             bench.step()
     bench.stream = None
@@ -67,7 +42,7 @@ def test_disarmed_nothing_but_an_arming_lets_a_packet_out():
     bench = Bench().ready()
     bench.sent.clear()
     for _ in range(1500):
-        wild = message(chance)
+        wild = message(chance, bench)
         if getattr(wild, "command", 0) in (400, 185):
             continue
         bench.node.handle(wild, CLIENT, bench.now_s)
@@ -79,7 +54,7 @@ def test_a_stranger_can_neither_fly_it_nor_switch_its_motors_off():
     chance = random.Random(8)
     bench = Bench().offboard((0.1, 0.0, 0.0))
     for _ in range(1000):
-        wild = message(chance)
+        wild = message(chance, bench)
         if getattr(wild, "command", 0) == 21 or wild.get_type() == "SET_MODE":
             continue  # landing is for everybody
         if getattr(wild, "command", 0) == 176 and getattr(wild, "param2", 0.0) == 4.0:

@@ -36,7 +36,7 @@ def test_pitch_rate_is_turned_the_right_way_round():
     state = decode_state(StateBlock(0, values), 7, 1.0)
     assert state.position_enu_m == (1.5, 1.5, 1.5)
     assert state.velocity_enu_m_s == (-0.25, -0.25, -0.25)
-    assert state.rates_flu_rad_s == (0.1, -0.1, 0.1)
+    assert state.angular_velocity_flu_rad_s == (0.1, -0.1, 0.1)
     assert state.info == Info.ARMED | Info.CAN_FLY
     assert state.battery_v == 3.999
 

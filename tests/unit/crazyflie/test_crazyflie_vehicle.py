@@ -4,9 +4,9 @@ import random
 
 import pytest
 
-from bridge.crazyflie.modes import Mode
 from bridge.crazyflie.rules import LOST_S, RECONNECT_S, Rules
 from bridge.crazyflie.types import Order
+from bridge.mavlink.server.profile import FlightMode
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
@@ -118,18 +118,6 @@ def test_plain_disarm_in_the_air_is_refused_and_after_a_landing_by_set_points_no
     assert bench.result(400, 0.0) == 0
     bench.run(0.2)
     assert not bench.firmware.plant.motors
-
-
-def test_one_sender_has_control_and_anybody_may_land_it():
-    bench = Bench().offboard((0.1, 0.0, 0.0))
-    bench.setpoint((0.0, 0.5, 0.0), sender=OTHER)
-    bench.run(0.05)
-    assert all(p.velocity_enu_m_s[0] == 0.0 for t, p in bench.velocities()[-5:])
-    assert any("1/191 has control" in text for text in bench.texts)
-    assert bench.result(176, 1.0, 4.0, 3.0, sender=OTHER) == 1
-    assert bench.result(400, 0.0, 21196.0, sender=OTHER) == 1
-    assert bench.result(21, sender=OTHER) == 0
-    assert bench.vehicle.mode.value == "land"
 
 
 def test_lands_when_no_client_is_left():
@@ -263,7 +251,7 @@ def test_a_take_off_that_ends_on_the_ground_says_why():
     bench.run(0.5)
     bench.command(22)
     bench.run(0.5)
-    assert bench.vehicle.mode is Mode.HOLD
+    assert bench.vehicle.mode is FlightMode.HOLD
     assert bench.vehicle.standing
     assert "No position estimate: stays on the ground" in bench.texts
 
@@ -276,7 +264,7 @@ def test_nothing_takes_it_out_of_the_landing_of_a_bridge_that_ends():
     bench.run(0.5)
     assert bench.result(176, 1.0, 6.0) == 1
     assert bench.result(22) == 1
-    assert bench.vehicle.mode is Mode.LAND
+    assert bench.vehicle.mode is FlightMode.LAND
     bench.until(lambda: not bench.vehicle.busy)
     assert bench.firmware.plant.on_surface
     bench.ready()

@@ -1,4 +1,4 @@
-"""docs/hardware.md says what the suite of any vehicle does: its table of limits, its options, its steps."""
+"""docs/how_to/hardware.md says what the suite of any vehicle does: table of limits, options, steps."""
 
 import argparse
 from pathlib import Path
@@ -8,7 +8,7 @@ from bridge.mavlink.profiles.autopilots import PROFILES
 from tests.conftest import pytest_addoption
 from tests.flight_suite.limits import LIMITS
 
-TEXT = (Path(__file__).parents[3] / "docs" / "hardware.md").read_text()
+TEXT = (Path(__file__).parents[3] / "docs" / "how_to" / "hardware.md").read_text()
 COLUMNS = {
     "`--autopilot`": lambda name, _: f"`{name}`",
     "waits for rest": lambda _, one: f"{one.settle_s:g} s",

@@ -50,7 +50,7 @@ def off_home(truth) -> float:
 
 
 def table_row(what: What, kind: Kind) -> str:
-    """The cell's row in docs/faults.md."""
+    """The cell's row in docs/reference/faults.md."""
     cell = TABLE[what][kind]
     columns = " | ".join(_shown(number) for number in (cell.value, cell.period))
     return f"| `{what.value}` | `{kind.value}` | {cell.effect} | {columns} |"

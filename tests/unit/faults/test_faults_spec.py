@@ -105,7 +105,7 @@ def test_texts_say_what_and_how_much():
     assert wrong.text == "own state wrong (0, 0.5, 0) m, 0.1 rad"
 
 
-DOC = (Path(__file__).parents[3] / "docs" / "faults.md").read_text()
+DOC = (Path(__file__).parents[3] / "docs" / "reference" / "faults.md").read_text()
 
 
 def test_every_example_of_the_document_is_a_scenario():

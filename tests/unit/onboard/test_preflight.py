@@ -13,10 +13,9 @@ from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, P
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.preflight import lines, needs_of, record, verdict
-from sim.autopilot.parameters import Parameters
-from sim.autopilot.personality import ARDUPILOT as PLAYS_ARDUPILOT
-from sim.autopilot.personality import PX4 as PLAYS_PX4
-from sim.autopilot.server.server import Autopilot
+from sim.autopilot.autopilot import Autopilot
+from sim.autopilot.profiles import ARDUPILOT as PLAYS_ARDUPILOT
+from sim.autopilot.profiles import PX4 as PLAYS_PX4
 from sim.scenarios import scenario
 from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle
 
@@ -124,7 +123,7 @@ def test_what_a_person_accepted_does_not_keep_it_from_arming():
 @pytest.mark.parametrize("who", [PLAYS_PX4, PLAYS_ARDUPILOT], ids=lambda who: who.name)
 def test_the_simulators_own_parameters_are_safe_for_every_scenario(name, who):
     """So a lockstep flight, whose vehicle is always the simulator, need not ask."""
-    values = Parameters(1, who.parameters(1), bytewise=who.bytewise)
+    values = who.new_parameters(1)
     for parameter, value in who.set_before_flight.items():
         values.preset(parameter, value)
     shown = {p.name: p.outside(values[p.names[0]]) for p in who.parameters(1)}
@@ -153,9 +152,9 @@ def test_accepted_names_are_checked():
 class Vehicle:
     """The simulated autopilot on a socket, answered for by a thread until it is closed."""
 
-    def __init__(self, personality=PLAYS_PX4, *, mute=(), heartbeat=None):
+    def __init__(self, profile=PLAYS_PX4, *, mute=(), heartbeat=None):
         self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1)
-        self.autopilot = Autopilot(FakeVehicle(), RATE_HZ, personality=personality)
+        self.autopilot = Autopilot(FakeVehicle(), RATE_HZ, profile=profile)
         self.asked = []
         self._mute, self._heartbeat = mute, heartbeat
         self._over = threading.Event()

@@ -12,7 +12,7 @@ from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_alarm import PATIENCE_S
 from flightstack.core.parameters.flight import load, path_of
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
-from tests.unit import ros2_helpers as ros
+from tests.unit.target import ros2_helpers as ros
 from tests.unit.target.ros2_helpers import until
 
 ROOT = Path(__file__).parents[3]
@@ -95,7 +95,7 @@ def run(*words):
 
 
 ONBOARD = ("onboard", "--vehicle", "udpout:127.0.0.1:9", "--config", "crazyflie")
-CLIENT = ("--zenoh-config", "docs/zenoh/client.json5")
+CLIENT = ("--zenoh-config", "docs/how_to/zenoh/client.json5")
 
 
 @pytest.mark.parametrize(

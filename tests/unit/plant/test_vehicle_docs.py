@@ -1,11 +1,11 @@
-"""docs/vehicle.md says what the simulator does: tables equal a fresh computation, figures are there."""
+"""docs/how_it_works/vehicle.md says what the simulator does: fresh tables, figures present."""
 
 import re
 
 import pytest
 
-from tests.benchmarks.vehicle_figures import DOCS, PAGE, written_tables
-from tests.benchmarks.vehicle_tables import COMPARISONS, tables
+from tests.benchmarks.vehicle.figures import DOCS, PAGE, written_tables
+from tests.benchmarks.vehicle.tables import COMPARISONS, tables
 
 pytestmark = pytest.mark.xdist_group("vehicle docs")  # one worker computes the tables
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
@@ -48,7 +48,7 @@ def test_the_simulator_agrees_with_theory(fresh, name, percent):
 
 
 def test_figures_are_there_small_and_all_shown():
-    shown = set(re.findall(r"\]\(figures/(vehicle_\w+\.svg)\)", PAGE.read_text()))
+    shown = set(re.findall(r"\]\(\.\./figures/(vehicle_\w+\.svg)\)", PAGE.read_text()))
     files = {path.name: path for path in (DOCS / "figures").glob("vehicle_*")}
     assert shown == set(files)
     for path in files.values():

@@ -16,7 +16,7 @@ from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
 from sim.scenarios.scenario import Airframe
 
 DOCS = Path(__file__).parents[3] / "docs"
-PAGE = (DOCS / "px4_sim.md").read_text()
+PAGE = (DOCS / "how_to" / "px4_sim.md").read_text()
 
 
 def table():

@@ -13,7 +13,7 @@ from bridge.target.pose_offset import shift_odometry, shift_pose
 from bridge.target.ros2_target import OFFSET_MAX_M, TargetSource, TargetSpec, TargetType
 from bridge.zenoh.zenoh_link import dropping_publisher, open_session
 from flightstack.core.parameters.robust import TargetLink
-from tests.unit import ros2_helpers as ros
+from tests.unit.target import ros2_helpers as ros
 
 OFFSET = (-0.032, 0.0, 0.2)
 STAMP = 1_700_000_000_000_000_000

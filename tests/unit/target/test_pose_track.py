@@ -56,7 +56,7 @@ def test_the_velocity_of_a_clean_circle_is_right_and_turned_into_the_world():
 
 @pytest.mark.parametrize(("rate_hz", "millimetres"), [(100, 1), (50, 5), (20, 5)])
 def test_the_error_is_as_large_as_the_page_says(rate_hz, millimetres):
-    page = " ".join((Path(__file__).parents[3] / "docs" / "ros2.md").read_text().split())
+    page = " ".join((Path(__file__).parents[3] / "docs" / "how_to" / "ros2.md").read_text().split())
     said_m_s = float(re.search(rf"([0-9.]+) m/s at {rate_hz} Hz and {millimetres} mm", page)[1])
     sigma_m = 1e-3 * millimetres
     track = PoseTrack(TargetLink(position_noise_m=sigma_m), "base")

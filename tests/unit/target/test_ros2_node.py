@@ -12,7 +12,7 @@ from bridge.ros2.ros2_network import Ros2Network
 from bridge.ros2.ros2_node import Ros2Node
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
-from tests.unit import ros2_helpers as ros
+from tests.unit.target import ros2_helpers as ros
 from tests.unit.target.ros2_helpers import until
 
 ODOMETRY = ROS_TYPES[TargetType.ODOMETRY]

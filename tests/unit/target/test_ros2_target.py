@@ -17,7 +17,7 @@ from bridge.target.odometry import sample_from_cdr
 from bridge.target.ros2_target import ROS_TYPES, Dialect, TargetSource, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink
-from tests.unit import ros2_helpers as ros
+from tests.unit.target import ros2_helpers as ros
 from tests.unit.target.ros2_helpers import until
 
 FRAME, CHILD = "odom", "base_footprint"  # TurtleBot3's burger.yaml

@@ -21,7 +21,7 @@ OTHERS = ("cf1/controller/step", "camera/image")
 @pytest.fixture
 def pair():
     """Two sessions of which the second dials the first, at a port that was free a moment ago."""
-    from tests.unit import ros2_helpers as ros
+    from tests.unit.target import ros2_helpers as ros
 
     endpoint = ros.free_endpoint()
     there = zenoh_link.open_session(listen=[endpoint])

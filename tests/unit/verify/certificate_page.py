@@ -1,4 +1,4 @@
-"""The tables of docs/robust_filter.md, from the code; run as a module it writes them into the page.
+"""The tables of docs/how_it_works/robust_filter.md, from the code; run as a module, writes them there.
 
 python -m tests.unit.verify.certificate_page
 """
@@ -13,7 +13,7 @@ from flightstack.verify.robust import between_ticks_m, demand, depth_m, outside
 from flightstack.verify.touchdown import descent_time_s, drift_m
 from sim.scenarios import scenario
 
-PAGE = Path(__file__).parents[3] / "docs" / "robust_filter.md"
+PAGE = Path(__file__).parents[3] / "docs" / "how_it_works" / "robust_filter.md"
 TIERS = ("lab", "field", "storm", "deck")
 BEGIN, END = "<!-- table: {} -->", "<!-- end -->"
 

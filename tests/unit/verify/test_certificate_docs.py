@@ -1,4 +1,4 @@
-"""docs/robust_filter.md says what the code does: its tables and every number in its text."""
+"""docs/how_it_works/robust_filter.md says what the code does: its tables and every number in its text."""
 
 import math
 import re

@@ -58,7 +58,7 @@ def inputs(w):
 
 
 def expected_rules(phase, w):
-    """What docs/method.md says of the phases, as conditions on arrays; the first that holds counts."""
+    """The phase rules of docs/how_it_works/method.md on arrays; the first that holds counts."""
     again = w.recovered & w.retries_left
     match phase:
         case Phase.WAIT:

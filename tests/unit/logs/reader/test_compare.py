@@ -7,7 +7,10 @@ import pytest
 from logs.reader.reader import LogError
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import LOSSES, RECORDER_NAME
-from logs.schema import codec, schemas
+from logs.schema import schemas
+from logs.schema.codec_mavlink import pack_mavlink
+from logs.schema.events import pack_log
+from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.tools.compare import ABSENT, compare
 
 ZERO = (0.0, 0.0, 0.0)
@@ -15,15 +18,15 @@ STEP_TOPIC = "/cf1/controller/step"
 
 
 def step(tick, **changes):
-    row = codec.ControllerStepRow(
+    row = ControllerStepRow(
         tick, tick, 3, 2, 1, 0, True, False, True, True, 0.0, 0.0, (1.0, 2.0, 3.0), ZERO, 0.0, ZERO, ZERO,
-        0.0, float("nan"), ZERO, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 1, 1, 0,
+        0.0, float("nan"), ZERO, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 1, 1, 0, True, False, ZERO, 0.0,
     )  # fmt: skip
-    return codec.pack_controller_step(row._replace(**changes))
+    return row._replace(**changes).pack()
 
 
 def timing(tick, exec_s):
-    return codec.pack_loop_timing(codec.LoopTimingRow(tick, tick, 0.01, 0.0, exec_s, 0.0, 0, 0))
+    return LoopTimingRow(tick, tick, 0.01, 0.0, exec_s, 0.0, 0, 0).pack()
 
 
 def steps(*replaced):
@@ -72,7 +75,7 @@ def test_order_in_the_file_says_nothing(differ):
 def test_wall_clock_is_declared_and_left_out(differ):
     extra = [
         ("/cf1/loop/timing", schemas.LOOP_TIMING, 1, 1, 1, timing(1, 0.123)),
-        ("/rosout", schemas.LOG, 1, 1, 1, codec.pack_log(1, 30, RECORDER_NAME, "onboard dropped 3")),
+        ("/rosout", schemas.LOG, 1, 1, 1, pack_log(1, 30, RECORDER_NAME, "onboard dropped 3")),
     ]
     run = (("seed", "1"), ("started", "today"), ("realtime_factor", "33"))
     assert differ(steps() + extra, run=run) == []
@@ -110,14 +113,14 @@ def test_missing_message(differ):
 
 
 def test_missing_topic(differ):
-    extra = ("/rosout", schemas.LOG, 1, 1, 1, codec.pack_log(1, 20, "onboard", "phase LAND"))
+    extra = ("/rosout", schemas.LOG, 1, 1, 1, pack_log(1, 20, "onboard", "phase LAND"))
     assert differ([*steps(), extra]) == ["/rosout count: 0 != 1"]
 
 
 def test_arrays_of_other_length(tmp_path):
     logs = []
     for name, length in (("a", 8), ("b", 16)):
-        frame = codec.pack_mavlink(1, bytes([0xFD, length]) + bytes(8 + length) + b"ab")
+        frame = pack_mavlink(1, bytes([0xFD, length]) + bytes(8 + length) + b"ab")
         message = ("/uas1/mavlink_sink", schemas.MAVLINK, 1, 1, 1, frame)
         logs.append(write(tmp_path / name, [*steps(), message]))
     assert [str(d) for d in compare(*logs)] == [

@@ -9,7 +9,7 @@ from flightstack.core.parameters.ends import Contact, Touchdown
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
-from logs.verdict.estimate_touchdown import find_touchdown
+from logs.verdict.estimate import find_touchdown
 from logs.verdict.verdict import Outcome, judge
 from tests.synthetic_flight import landing, write_log
 

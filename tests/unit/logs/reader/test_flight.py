@@ -15,7 +15,6 @@ from logs.reader.flight_decode import columns
 from logs.reader.reader import LogError, LogFile
 from logs.recorder.mcap_file import McapFile
 from logs.schema import schemas
-from logs.schema.codec import pack_controller_step
 from tests.synthetic_flight import landing, write_log
 
 
@@ -43,7 +42,7 @@ def test_arrays_hold_what_was_written(log):
         for name in ("contacts", "motors_running", "h_min_outside_pad_m", "pad_yaw_rad", "battery_v"):
             assert getattr(flight.truth, name)[index] == getattr(true, name)
         assert tuple(flight.truth.pad_position_enu_m[index]) == true.pad_position_enu_m
-        assert tuple(flight.truth.orientation[index]) == true.orientation_xyzw
+        assert tuple(flight.truth.orientation[index]) == true.orientation
         assert flight.timing.solve_s[index] == timing.solve_s
     assert len(flight.target.t_s) == len(rows.odometry)
     assert set(flight.target.frame_id) == {"map"}
@@ -148,7 +147,7 @@ def test_barrier_from_the_configuration_if_the_run_names_none(log):
     writer = McapFile(log)
     rows = landing()
     channel = writer.channel("/cf1/controller/step", schemas.CONTROLLER_STEP)
-    writer.write(channel, EPOCH_NS, EPOCH_NS, 0, pack_controller_step(rows.steps[0]))
+    writer.write(channel, EPOCH_NS, EPOCH_NS, 0, rows.steps[0].pack())
     text = b"[barrier]\npeak_height_m = 0.5\npeak_distance_m = 2.0\n"
     text += b"[limits]\nvelocity_max_m_s = [0.3, 0.3, 0.4]\n"
     writer.attachment("onboard.toml", "application/toml", EPOCH_NS, text)

@@ -14,7 +14,8 @@ from flightstack.cli.main import main
 from logs.derive.derive import Deriver
 from logs.reader.reader import LogFile
 from logs.recorder.mcap_file import McapFile
-from logs.schema import codec, schemas
+from logs.schema import schemas
+from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow
 from logs.tools.compare import compare
 from logs.tools.info import gather
 from tests.unit.logs.reader.test_reader import EPOCH_NS, payloads, record
@@ -149,7 +150,7 @@ def test_every_byte_offset_of_a_small_log(tmp_path):
     file.metadata("run", {"seed": "1"})
     ends = {}  # size of the file -> messages that must be there
     for tick in range(6):
-        file.write(channel, EPOCH_NS + tick, 5, tick, codec.pack_loop_timing(TIMING._replace(tick=tick)))
+        file.write(channel, EPOCH_NS + tick, 5, tick, TIMING._replace(tick=tick).pack())
         if tick % 2:
             file.flush()
             ends[small.stat().st_size] = tick + 1
@@ -178,7 +179,7 @@ def test_every_byte_offset_of_a_small_log(tmp_path):
     assert counts == {0, 2, 4, 6}
 
 
-TIMING = codec.LoopTimingRow(EPOCH_NS, 0, 0.01, 0.0, 0.0, 0.0, 0, 0)
+TIMING = LoopTimingRow(EPOCH_NS, 0, 0.01, 0.0, 0.0, 0.0, 0, 0)
 
 
 def test_flipped_bytes_never_break_a_tool(whole, tmp_path):
@@ -211,7 +212,7 @@ def test_cut_shows_what_held_at_its_start(tool, whole, tmp_path):
     assert {m[0] for m in repeated} == few & {r[0] for r in earlier}
     assert {m[1] for m in repeated} == {begin}
     (event,) = [m for m in repeated if m[0] == "/rosout"]
-    assert codec.unpack_log(event[3]).message == "tick 100"  # the last one before the cut
+    assert LogRow.unpack(event[3]).msg == "tick 100"  # the last one before the cut
     assert rows(out)[: len(repeated)] == repeated  # at the start of the file
     assert [m for m in rows(out) if m not in repeated] == inside
     assert len(messages) == len(inside) + len(repeated)
@@ -226,14 +227,14 @@ def test_every_publisher_of_static_transforms_is_kept_by_a_cut(tool, tmp_path):
     file = McapFile(path)
     static = file.channel("/tf_static", schemas.TF_MESSAGE)
     fast = file.channel("/t", schemas.LOOP_TIMING)
-    step = next(payloads(0, EPOCH_NS))[1]
+    step = ControllerStepRow.unpack(next(payloads(0, EPOCH_NS))[1])
     one = {topic: data for topic, _, data in Deriver("/cf1/controller/step").step(0, step)}
     other = one["/tf_static"].replace(b"map_ned", b"map_abc")
     assert other != one["/tf_static"]
     file.write(static, 0, 0, 0, one["/tf_static"])
     file.write(static, 1, 1, 0, other)
     for i in range(100):
-        file.write(fast, i * SECOND_NS // 100, 0, i, codec.pack_loop_timing(TIMING))
+        file.write(fast, i * SECOND_NS // 100, 0, i, TIMING.pack())
     file.close()
     assert tool("cut", path, "--from", 0.5, "--out", out)[0] == 0
     kept = [m.data for m in LogFile(out).messages(["/tf_static"])]

@@ -21,7 +21,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.cli.main import main
 from logs.recorder.mcap_file import McapFile
-from logs.schema import codec, schemas
+from logs.schema import schemas
+from logs.schema.cdr import codec
+from logs.schema.codec_mavlink import pack_mavlink
 from tests.unit.logs.reader.test_reader import EPOCH_NS, record
 
 TICKS = 300
@@ -187,7 +189,7 @@ def frames(tmp_path_factory):
         ):
             frame = message.pack(sender)
             sender.seq = (sender.seq + 1) % 256
-            file.write(channel, now_ns, now_ns, i, codec.pack_mavlink(now_ns, frame))
+            file.write(channel, now_ns, now_ns, i, pack_mavlink(now_ns, frame))
             written.append((now_ns // 1000, link, frame))
     file.close()
     return path, written

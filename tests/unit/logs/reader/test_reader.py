@@ -12,7 +12,10 @@ from logs.reader.reader import LogError, LogFile, open_log
 from logs.recorder.feed_wire import Kind, Record, encode_json
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import Recorder
-from logs.schema import codec, schemas
+from logs.schema import schemas
+from logs.schema.codec_mavlink import pack_mavlink
+from logs.schema.events import Severity, pack_log
+from logs.schema.rows import ControllerStepRow, LoopTimingRow, TrueStateRow
 
 EPOCH_NS = 1_577_836_800_000_000_000
 ZERO = (0.0, 0.0, 0.0)
@@ -30,20 +33,20 @@ CHANNELS = {
 
 def payloads(tick, now_ns):
     p = (0.01 * tick, 0.0, 1.0)
-    step = codec.ControllerStepRow(
+    step = ControllerStepRow(
         now_ns, tick, 3, 2, 1, 0, True, False, True, True, 0.0, 0.0, p, ZERO, 0.0, ZERO, ZERO, 0.0,
-        0.5, ZERO, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 1, 1, 0,
+        0.5, ZERO, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 1, 1, 0, True, False, NAN, math.nan,
     )  # fmt: skip
-    truth = codec.TrueStateRow(
+    truth = TrueStateRow(
         now_ns, tick, p, ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, (1.0, 2.0, 3.0, 4.0), ZERO, ZERO, 0.0,
         0.5, 0.4, math.inf, 3, NAN, NAN, math.nan, True, 3.8, ZERO,
     )  # fmt: skip
-    yield 1, codec.pack_controller_step(step)
-    yield 2, codec.pack_loop_timing(codec.LoopTimingRow(now_ns, tick, 0.01, 0.0, 0.0, 0.0, 0, 0))
-    yield 3, codec.pack_true_state(truth)
-    yield 4, codec.pack_mavlink(now_ns, FRAME)
+    yield 1, step.pack()
+    yield 2, LoopTimingRow(now_ns, tick, 0.01, 0.0, 0.0, 0.0, 0, 0).pack()
+    yield 3, truth.pack()
+    yield 4, pack_mavlink(now_ns, FRAME)
     if tick % 100 == 0:
-        yield 5, codec.pack_log(now_ns, codec.Severity.INFO, "onboard", f"tick {tick}")
+        yield 5, pack_log(now_ns, Severity.INFO, "onboard", f"tick {tick}")
 
 
 def record(path, ticks=300, close=True):

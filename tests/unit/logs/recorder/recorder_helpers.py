@@ -4,13 +4,13 @@ import os
 import time
 
 from flightstack.common.pacing import EPOCH_NS
-from logs.schema import codec
+from logs.schema.rows import LoopTimingRow
 
 DEADLINE_S = 30.0  # a test that waits this long has failed
 
 
 def timing(tick):
-    return codec.pack_loop_timing(codec.LoopTimingRow(EPOCH_NS + tick, tick, 0.01, 0.0, 0.0, 0.0, 0, 0))
+    return LoopTimingRow(EPOCH_NS + tick, tick, 0.01, 0.0, 0.0, 0.0, 0, 0).pack()
 
 
 def wait_until(condition, what):

@@ -11,8 +11,11 @@ from hypothesis import strategies as st
 
 from flightstack.core.safety.barrier import Barrier
 from logs.derive.derive import Deriver
+from logs.derive.derive_recorder import Derivers
 from logs.derive.markers import PATH_POINTS, surface
-from logs.schema import codec, schemas
+from logs.schema import schemas
+from logs.schema.cdr import codec
+from logs.schema.rows import ControllerStepRow
 
 STORE = schemas.typestore()
 EPOCH_NS = 1_577_836_800_000_000_000
@@ -21,17 +24,18 @@ RUN = {"barrier_alpha_1_m": "1.0", "barrier_beta_m": "1.5", "pad_radius_m": "0.1
 
 def step(t_ns=0, own=(1.0, 2.0, 3.0), velocity=(0.3, 0.0, -0.1), yaw=0.0, **changes):
     zero = (0.0, 0.0, 0.0)
-    row = codec.ControllerStepRow(
+    row = ControllerStepRow(
         EPOCH_NS + t_ns, t_ns // 10_000_000, 3, 2, 1, 0, True, True, True, True, 0.01, 0.02,
         own, velocity, yaw, (0.5, -0.5, 0.2), (0.1, 0.0, 0.0), math.pi / 2,
         0.4, zero, 0.0, (0.2, 0.0, -0.2), (0.1, 0.0, -0.1), zero, 0.0, 0.0, 1, 2, 3,
+        False, False, (math.nan,) * 3, math.nan,
     )  # fmt: skip
     return row._replace(**changes)
 
 
 def derive(row, deriver=None):
     deriver = deriver or Deriver("/cf1/controller/step")
-    made = deriver.step(row.stamp_ns, codec.pack_controller_step(row))
+    made = deriver.step(row.stamp_ns, row)
     return {topic: STORE.deserialize_cdr(data, schema) for topic, schema, data in made}
 
 
@@ -41,8 +45,10 @@ def test_every_message_is_what_the_generic_codec_writes():
     topics = set()
     for t_ns in range(0, 2_000_000_000, 10_000_000):
         row = step(t_ns, own=(t_ns * 1e-9, 0.0, 1.0), own_valid=t_ns % 70_000_000 != 0)
-        for topic, schema, data in deriver.step(row.stamp_ns, codec.pack_controller_step(row)):
+        for topic, schema, data in deriver.step(row.stamp_ns, row):
             assert bytes(STORE.serialize_cdr(STORE.deserialize_cdr(data, schema), schema)) == data
+            pack, unpack = codec(schema, frame_id=None)
+            assert pack(unpack(data)) == data
             topics.add(topic)
     assert topics == {
         "/tf", "/tf_static", "/cf1/pose", "/cf1/odom", "/cf1/target/pose", "/cf1/cbf/markers",
@@ -205,10 +211,10 @@ def test_paths_stay_bounded_and_keep_the_start():
 
 def test_not_a_step_is_an_error():
     with pytest.raises(ValueError, match="ControllerStep"):
-        Deriver("/cf1/controller/step").step(0, b"x")
+        Derivers().declare("/cf1/controller/step", schemas.CONTROLLER_STEP)(0, b"x")
 
 
 def test_other_name_spaces():
     deriver = Deriver("/lab/cf7/controller/step")
-    topics = {t for t, _, _ in deriver.step(0, codec.pack_controller_step(step()))}
+    topics = {t for t, _, _ in deriver.step(0, step())}
     assert {"/lab/cf7/pose", "/tf"} <= topics

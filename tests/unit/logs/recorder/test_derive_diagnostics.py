@@ -8,7 +8,9 @@ import pytest
 
 from logs.derive.derive_recorder import Derivers
 from logs.derive.diagnostics import SENDERS_MAX, FrameCounter, Health
-from logs.schema import codec, schemas
+from logs.schema import schemas
+from logs.schema.codec_mavlink import pack_mavlink
+from logs.schema.rows import LoopTimingRow
 from tests.unit.logs.recorder.test_derive import step
 
 EPOCH_NS = 1_577_836_800_000_000_000
@@ -18,7 +20,7 @@ OK, WARN, ERROR, STALE = 0, 1, 2, 3
 
 
 def frame(sequence, system=1, peer=b"p00"):
-    return codec.pack_mavlink(1, bytes([0xFD, 1, 0, 0, sequence, system, 1, 0, 0, 0, 7, 1, 2]), peer)
+    return pack_mavlink(1, bytes([0xFD, 1, 0, 0, sequence, system, 1, 0, 0, 0, 7, 1, 2]), peer)
 
 
 def second(row=None, timing=None, frames=(), sent=0, ticks=100):
@@ -33,7 +35,7 @@ def second(row=None, timing=None, frames=(), sent=0, ticks=100):
         t_ns = EPOCH_NS + tick * DT_NS
         if tick < ticks:
             health.step(row(tick) if row else step(tick * DT_NS, link_valid=True))
-        timed = codec.LoopTimingRow(t_ns, tick, 0.01, 1e-4, 1e-3, 2e-4, 0, 0)
+        timed = LoopTimingRow(t_ns, tick, 0.01, 1e-4, 1e-3, 2e-4, 0, 0)
         made += health.timing(t_ns, timing(tick, timed) if timing else timed)
     ((topic, schema, data),) = made
     assert (topic, schema) == ("/diagnostics", schemas.DIAGNOSTIC_ARRAY)
@@ -125,10 +127,8 @@ def test_a_recorder_counts_frames_for_the_name_space_of_the_run():
     for tick in range(101):
         t_ns = EPOCH_NS + tick * DT_NS
         frames(t_ns, frame(tick))
-        steps(t_ns, codec.pack_controller_step(step(tick * DT_NS)))
-        found += timings(
-            t_ns, codec.pack_loop_timing(codec.LoopTimingRow(t_ns, tick, 0.01, 0.0, 0.0, 0.0, 0, 0))
-        )
+        steps(t_ns, step(tick * DT_NS).pack())
+        found += timings(t_ns, LoopTimingRow(t_ns, tick, 0.01, 0.0, 0.0, 0.0, 0, 0).pack())
     (array,) = [STORE.deserialize_cdr(data, schema) for _, schema, data in found]
     values = {v.key: v.value for s in array.status if s.name == "cf1: vehicle link" for v in s.values}
     assert values["frames_in"] == "101"

@@ -15,9 +15,17 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.wide_messages import MESSAGES
 from logs.derive.mavlink_decoded import TOPICS_MAX, FrameDecoder
-from logs.schema import codec, mavlink_types, schemas
-from logs.schema.codec_mavlink import FrameError, peer_of
-from logs.schema.mavlink_peers import MAVLINK_PEERS, NAMED_MAX, OTHERS, PeerNames
+from logs.schema import mavlink_types, schemas
+from logs.schema.codec_mavlink import (
+    MAVLINK_PEERS,
+    NAMED_MAX,
+    OTHERS,
+    FrameError,
+    PeerNames,
+    pack_mavlink,
+    peer_of,
+    unpack_mavlink,
+)
 
 LINK = mav.MAVLink(None, srcSystem=1, srcComponent=1)
 PARSER = everything.MAVLink(None)
@@ -38,7 +46,7 @@ def framed(number, payload, sequence=0, system=1, component=1):
 def decoded(frame, peer=b"p00"):
     """(topic, schema, fields) of the one message made of a frame."""
     decoder = FrameDecoder("/cf1/mavlink_source")
-    ((topic, schema, data),) = decoder.step(0, codec.pack_mavlink(STAMP_NS, frame, peer))
+    ((topic, schema, data),) = decoder.step(0, pack_mavlink(STAMP_NS, frame, peer))
     store = schemas.store_for(schema)
     message = store.deserialize_cdr(data, schema)
     assert bytes(store.serialize_cdr(message, schema)) == data
@@ -97,7 +105,7 @@ def test_nan_and_old_frames():
 
 def test_what_the_dialect_does_not_know_is_left_to_the_raw_topic():
     frame = b"\xfd\x01\x00\x00\x00\x01\x01\xff\xff\xff\x00ab"
-    assert FrameDecoder("/cf1/mavlink_source").step(0, codec.pack_mavlink(1, frame)) == []
+    assert FrameDecoder("/cf1/mavlink_source").step(0, pack_mavlink(1, frame)) == []
     with pytest.raises(FrameError, match="cut short"):
         FrameDecoder("/cf1/mavlink_source").step(0, b"\x00\x01\x00\x00")
 
@@ -108,11 +116,11 @@ def test_topics_are_bounded_and_named_after_the_run():
     for system in range(1, 256):
         for component in (1, 2, 3):
             frame = framed(0, bytes(8) + b"\x03", system=system, component=component)
-            topics |= {t for t, _, _ in decoder.step(0, codec.pack_mavlink(1, frame, b"p00"))}
+            topics |= {t for t, _, _ in decoder.step(0, pack_mavlink(1, frame, b"p00"))}
     assert len(topics) == TOPICS_MAX
     assert "/uas1/mavlink/sys1/comp1/HEARTBEAT" in topics
     decoder.configure({"namespace": "lab/cf7"})
-    ((topic, _, _),) = decoder.step(0, codec.pack_mavlink(1, framed(0, bytes(8) + b"\x03"), b"p00"))
+    ((topic, _, _),) = decoder.step(0, pack_mavlink(1, framed(0, bytes(8) + b"\x03"), b"p00"))
     assert topic == "/lab/cf7/mavlink/sys1/comp1/HEARTBEAT"
 
 
@@ -141,14 +149,14 @@ def test_frames_name_their_peer():
     assert sink.written == {"p00": "127.0.0.1:14550", "p01": "10.0.0.2:14551"}
     frame = framed(0, bytes(8) + b"\x03")
     for peer in (b"p01", b""):
-        data = codec.pack_mavlink(STAMP_NS, frame, peer)
-        assert codec.unpack_mavlink(data) == (STAMP_NS, frame)
+        data = pack_mavlink(STAMP_NS, frame, peer)
+        assert unpack_mavlink(data) == (STAMP_NS, frame)
         assert peer_of(data) == peer.decode()
         raw = schemas.typestore().deserialize_cdr(data, schemas.MAVLINK)
         assert raw.header.frame_id == peer.decode()
         assert bytes(schemas.typestore().serialize_cdr(raw, schemas.MAVLINK)) == data
     with pytest.raises(FrameError, match="3 characters"):
-        codec.pack_mavlink(1, frame, b"somebody")
+        pack_mavlink(1, frame, b"somebody")
     for port in range(200):
         last = names(("10.0.0.9", port))
     assert last == OTHERS

@@ -15,14 +15,16 @@ from logs.recorder.feed_wire import HEADER, Kind, Splitter, encode, encode_json
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recorder import RecorderError, RecorderProcess, problems
 from logs.recorder.recording import Recorder
-from logs.schema import codec, schemas
+from logs.schema import schemas
+from logs.schema.events import Severity
+from logs.schema.rows import LogRow, LoopTimingRow
 
 DEADLINE_S = 30.0  # a test that waits this long has failed
 EPOCH_NS = 1_577_836_800_000_000_000
 
 
 def timing(tick):
-    return codec.pack_loop_timing(codec.LoopTimingRow(EPOCH_NS + tick, tick, 0.01, 0.0, 0.0, 0.0, 0, 0))
+    return LoopTimingRow(EPOCH_NS + tick, tick, 0.01, 0.0, 0.0, 0.0, 0, 0).pack()
 
 
 class InThread:
@@ -121,9 +123,9 @@ def test_crash_in_the_middle_of_a_record(tmp_path):
     assert log.complete
     message, event = log.messages()
     assert message.data == timing(0)
-    row = codec.unpack_log(event.data)
-    assert (event.topic, row.level) == ("/rosout", codec.Severity.ERROR)
-    assert row.message == "onboard ended without a goodbye; 40 bytes of an unfinished record lost"
+    row = LogRow.unpack(event.data)
+    assert (event.topic, row.level) == ("/rosout", Severity.ERROR)
+    assert row.msg == "onboard ended without a goodbye; 40 bytes of an unfinished record lost"
     assert recorder.statistics.unfinished_bytes == 40
     assert log.metadata()["recorder"]["unfinished_bytes"] == "40"
     assert "1 clients ended without a goodbye" in problems(recorder.statistics)[0]
@@ -157,7 +159,7 @@ def test_nonsense_is_counted_and_harms_nobody_else(tmp_path):
     assert log.complete
     assert recorder.statistics.invalid == 11
     assert [m.data for m in log.messages({"/t"})] == [timing(1)]
-    texts = "\n".join(codec.unpack_log(m.data).message for m in log.messages({"/rosout"}))
+    texts = "\n".join(LogRow.unpack(m.data).msg for m in log.messages({"/rosout"}))
     assert "channel 5, which was never declared" in texts
     assert "unknown message type 'no_msgs/msg/Nothing'" in texts
 
@@ -303,7 +305,7 @@ def test_drops_reported_by_a_client_are_in_the_log(tmp_path):
     recorder.gone(1, 0)
     counts = recorder.finish()
     log = LogFile(tmp_path / "x.mcap")
-    texts = [codec.unpack_log(m.data).message for m in log.messages({"/rosout"})]
+    texts = [LogRow.unpack(m.data).msg for m in log.messages({"/rosout"})]
     assert texts == [f"onboard dropped {n} records so far: the recorder did not keep up" for n in (3, 8)]
     assert log.metadata()["losses"] == {"onboard": "8"}
     assert problems(counts) == ["onboard dropped 8 records, the recorder did not keep up"]

@@ -20,8 +20,9 @@ from logs.reader.reader import LogFile
 from logs.recorder.feed import Feed
 from logs.recorder.mcap_file import McapFile, SafeStream
 from logs.recorder.recorder import RecorderProcess, problems
-from logs.recorder.recorder_sync import Syncer
-from logs.schema import codec, schemas
+from logs.recorder.recorder_process import Syncer
+from logs.schema import schemas
+from logs.schema.codec_mavlink import pack_mavlink
 from tests.unit.logs.recorder.recorder_helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
 
 RECORD = (
@@ -147,7 +148,7 @@ def test_full_disk_ends_the_recorder_and_stalls_nobody(tmp_path):
     process, path, out = start(tmp_path, file_limit=200_000)
     client = Feed.connect(str(path), "onboard", lossless=True)
     channel = client.channel("/t", schemas.MAVLINK)
-    frame = codec.pack_mavlink(1, bytes([0xFD, 250]) + bytes(8) + os.urandom(250) + b"ab")
+    frame = pack_mavlink(1, bytes([0xFD, 250]) + bytes(8) + os.urandom(250) + b"ab")
     longest_s, sent = 0.0, 0
     while client.alive:
         begun_s = time.monotonic()

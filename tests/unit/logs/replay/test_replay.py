@@ -16,14 +16,8 @@ from logs.reader.reader import LogFile
 from logs.replay.compare import fields_of
 from logs.replay.replay import ReplayError, replay
 from logs.schema import schemas
-from logs.schema.codec import unpack_controller_step
-from logs.schema.codec_input import (
-    pack_controller_input,
-    pack_controller_state,
-    unpack_controller_input,
-    unpack_controller_state,
-)
-from logs.schema.codec_log import pack_log, unpack_log
+from logs.schema.controller_rows import pack_controller_input, unpack_controller_input
+from logs.schema.rows import ControllerStateRow, ControllerStepRow, LogRow
 from logs.schema.schemas import CONTROLLER_STEP
 from tests.golden.keep import write_kept
 from tests.point_mass import World, each_sample
@@ -76,9 +70,7 @@ def step_fields():
 
 
 def pack_controller_step_example():
-    from logs.schema.codec import pack_controller_step
-
-    return pack_controller_step(landing().steps[0])
+    return landing().steps[0].pack()
 
 
 @pytest.mark.parametrize(("name", "offset"), step_fields())
@@ -114,17 +106,17 @@ def test_minus_zero_and_other_nans_are_differences(step):
 @pytest.mark.parametrize(
     ("change", "field"),
     [
-        (lambda row: pack_log(row.stamp_ns, row.level, row.name, row.message + "!"), "events[0].message"),
-        (lambda row: pack_log(row.stamp_ns, row.level ^ 2, row.name, row.message), "events[0].level"),
-        (lambda row: pack_log(row.stamp_ns ^ 1, row.level, row.name, row.message), "events[0].stamp_ns"),
-        (lambda row: pack_log(row.stamp_ns, row.level, "somebody", row.message), "events.length"),
-        (lambda row: pack_log(row.stamp_ns, row.level, row.name, row.message, line=1), "events[0].line"),
+        (lambda row: row._replace(msg=row.msg + "!"), "events[0].msg"),
+        (lambda row: row._replace(level=row.level ^ 2), "events[0].level"),
+        (lambda row: row._replace(stamp_ns=row.stamp_ns ^ 1), "events[0].stamp_ns"),
+        (lambda row: row._replace(name="somebody"), "events.length"),
+        (lambda row: row._replace(line=1), "events[0].line"),
     ],
 )
 def test_a_changed_event_is_found(recorded, tmp_path, change, field):
     def first_event(message):
-        row = unpack_log(message.data) if message.topic == "/rosout" else None
-        return change(row) if row and "-> APPROACH" in row.message else message.data
+        row = LogRow.unpack(message.data) if message.topic == "/rosout" else None
+        return change(row).pack() if row and "-> APPROACH" in row.msg else message.data
 
     result = replay(rewritten(recorded, tmp_path / "changed.mcap", change=first_event))
     assert [(d.topic, d.field) for d in result.outputs.first] == [("/rosout", field)]
@@ -160,7 +152,7 @@ def test_changed_inputs_change_what_comes_out(recorded, tmp_path):
         own = row.inputs.own
         x, y, z = own.position_enu_m
         own = OwnState(own.arrival_s, own.source_time_s, (x + 1e-12, y, z), own.velocity_enu_m_s, own.yaw_rad)
-        return pack_controller_input(*row[:3], with_(row.inputs, own=own), row.command_failed)
+        return pack_controller_input(row._replace(inputs=with_(row.inputs, own=own)))
 
     result = replay(rewritten(recorded, tmp_path / "changed.mcap", change=at(INPUT, moved)))
     assert not result.equal
@@ -254,10 +246,10 @@ def test_what_log_cut_leaves_replays(recorded, tmp_path, start_s, first):
 
 def test_a_wrong_snapshot_is_found_by_what_follows(recorded, tmp_path):
     def slower(data):
-        row = unpack_controller_state(data)
+        row = ControllerStateRow.unpack(data)
         text = row.state.replace('"commanding":true', '"commanding":false')
         assert text != row.state
-        return pack_controller_state(row.stamp_ns, row.tick, row.layout, text)
+        return row._replace(state=text).pack()
 
     changed = rewritten(
         recorded,
@@ -272,8 +264,8 @@ def test_a_snapshot_of_another_layout_is_refused_or_left_out(recorded, tmp_path)
     def renamed(message):
         if message.topic != STATE:
             return message.data
-        row = unpack_controller_state(message.data)
-        return pack_controller_state(row.stamp_ns, row.tick, row.layout + ",new:float", row.state)
+        row = ControllerStateRow.unpack(message.data)
+        return row._replace(layout=row.layout + ",new:float").pack()
 
     whole = replay(rewritten(recorded, tmp_path / "whole.mcap", change=renamed))
     assert whole.equal
@@ -287,7 +279,7 @@ def test_refused_samples_and_faults_replay(tmp_path):
     world = World(CONFIG, position=(-0.35, 0.1, 0.75))
     world.fault, world.fault_from_s, world.fault_to_s = each_sample(position_enu_m=(9.0, 9.0, 0.2)), 0.5, 1.2
     path = record(tmp_path / "fault.mcap", world, 4.0)
-    steps = [unpack_controller_step(m.data) for m in LogFile(path).messages({STEP})]
+    steps = [ControllerStepRow.unpack(m.data) for m in LogFile(path).messages({STEP})]
     assert steps[-1].target_rejected > 50
     assert Phase.HOLD in {row.phase for row in steps}
     result = replay(path)

@@ -17,15 +17,14 @@ from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import Operator, TargetSample
 from flightstack.onboard.state_text import StateText, StateTextError
-from logs.schema.codec import pack_controller_step
-from logs.schema.step_row import step_row
+from logs.schema.controller_rows import step_row
 from tests.point_mass import World, each_sample
 from tests.unit.config.test_bad_input import TARGET_FAULTS
+from tests.unit.logs.recorder.test_rows import BITS, FLOATS, TEXTS
 from tests.unit.logs.replay.replay_helpers import CONFIG
-from tests.unit.logs.replay.test_replay_codec import bits, floats, texts
 
 TEXT = StateText(State)
-PLAIN = {float: floats, bool: st.booleans(), int: st.integers(0, 2**40), str: texts}
+PLAIN = {float: FLOATS, bool: st.booleans(), int: st.integers(0, 2**40), str: TEXTS}
 
 
 def any_of(hint):
@@ -69,7 +68,7 @@ FAULTS = {
 
 def step_bytes(tick, now_s, out):
     events = tuple(out.events)
-    return pack_controller_step(step_row(Tick(tick, now_s, tick, 0.0, 0.0), out)), events
+    return step_row(Tick(tick, now_s, tick, 0.0, 0.0), out).pack(), events
 
 
 @settings(max_examples=25, deadline=None)
@@ -176,7 +175,7 @@ def test_a_type_that_cannot_be_written_is_refused_at_the_start(cls):
         StateText(cls)
 
 
-@given(bits)
+@given(BITS)
 def test_floats_without_a_word_in_json_keep_their_bits(number):
     state = Controller(CONFIG).state
     state.memory.phase_since_s = number

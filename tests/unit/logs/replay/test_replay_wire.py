@@ -12,9 +12,10 @@ from logs.reader.reader import LogFile
 from logs.replay.read import SINK, SOURCE, FlightInputs, TickRecord
 from logs.replay.replay import replay
 from logs.replay.wire import WireReplay
-from logs.schema.codec_input import ControllerInputRow
-from logs.schema.codec_log import ONBOARD, LogRow
 from logs.schema.codec_mavlink import pack_mavlink, unpack_mavlink
+from logs.schema.controller_rows import TickInputs
+from logs.schema.events import ONBOARD
+from logs.schema.rows import LogRow
 from tests.golden.flights import path_of
 from tests.golden.keep import write_kept
 from tests.unit.logs.replay.replay_helpers import CONFIG
@@ -112,7 +113,7 @@ def test_a_frame_of_an_unknown_message_is_passed_over_and_what_it_was_is_missed(
 
 
 def tick_of(odometry, said):
-    given = ControllerInputRow(0, 0, 0.0, Inputs(), False)
+    given = TickInputs(0, 0, 0.0, Inputs(), False)
     return TickRecord(
         0, given=given, odometry=odometry, said=[LogRow(0, 30, ONBOARD, t, "", "", 0) for t in said]
     )

@@ -1,4 +1,4 @@
-"""The tables of docs/autopilots.md, from the code; run as a module it writes them into the page.
+"""The tables of docs/how_to/autopilots.md, from the code; run as a module it writes them into the page.
 
 python -m tests.unit.mavlink.client.autopilots_page
 """
@@ -11,15 +11,15 @@ from bridge.mavlink.preflight.report import Level, Needs
 from bridge.mavlink.preflight.rules import RULES
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
 from bridge.mavlink.profiles.profile import Reading
+from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.core.types import Mode, Request
 from flightstack.onboard.preflight import line_plan, needs_of
-from sim.autopilot.modes import FlightMode
-from sim.autopilot.personality import PERSONALITIES
+from sim.autopilot.profiles import PROFILES as SIMULATED
 from sim.scenarios import scenario
 from tests.unit.verify.certificate_page import BEGIN, END, split
 
-PAGE = Path(__file__).parents[4] / "docs" / "autopilots.md"
+PAGE = Path(__file__).parents[4] / "docs" / "how_to" / "autopilots.md"
 PROFILES = (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)
 EXAMPLE = "lab"  # scenario whose command box the wanted values are for
 
@@ -114,9 +114,9 @@ def rules(name):
     return _table(["parameter", "wanted", "otherwise", "why"], rows)
 
 
-def personalities():
+def played():
     """What the simulated vehicle plays."""
-    who = list(PERSONALITIES.values())
+    who = list(SIMULATED.values())
 
     def mode(p, wanted):
         return str(p.custom_mode(p.codes[wanted]))
@@ -163,7 +163,7 @@ def line_rates():
 
 
 def tables():
-    found = {"profiles": profiles(), "personalities": personalities(), "line rates": line_rates()}
+    found = {"profiles": profiles(), "played": played(), "line rates": line_rates()}
     return found | {f"rules {name}": rules(name) for name in RULES if RULES[name]}
 
 

@@ -25,7 +25,7 @@ from bridge.mavlink.profiles.autopilots import (
 from bridge.mavlink.profiles.profile import Encoding, Reading
 from flightstack.cli import options as cli_options
 from flightstack.core.types import Landed, Mode, Request
-from sim.autopilot.personality import PERSONALITIES as SIMULATED
+from sim.autopilot.profiles import PROFILES as SIMULATED
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     HEIGHT,
     commands,

@@ -1,4 +1,4 @@
-"""docs/autopilots.md says what the code does: its tables against the code's own."""
+"""docs/how_to/autopilots.md says what the code does: its tables against the code's own."""
 
 import re
 

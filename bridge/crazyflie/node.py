@@ -1,0 +1,204 @@
+"""The MAVLink vehicle that clients see in front of a Crazyflie: it plays PX4, messages in and out.
+
+Pure: no socket, no clock, no thread. Telemetry is made from new states only, so an old one is never sent as
+if it were new. A Crazyflie that is not heard sends no heartbeat, only the text that says so.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.crazyflie.rules import Rules
+from bridge.crazyflie.state import LATE_MAX_S, STATE_PERIOD_MS, BootClock, decode_health, decode_state
+from bridge.crazyflie.types import (
+    ArmReply,
+    Arrived,
+    Connected,
+    HealthBlock,
+    Lost,
+    ParamValue,
+    StateBlock,
+)
+from bridge.crazyflie.vehicle import Vehicle
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.profiles.autopilot_version import CRAZYFLIE_MARK
+from bridge.mavlink.server import telemetry
+from bridge.mavlink.server.commands import ACCEPTED, DENIED, REJECTED, Answer, Command, Entry, Reply
+from bridge.mavlink.server.owner import Right, Sender
+from bridge.mavlink.server.parameters import Parameters, fixed
+from bridge.mavlink.server.profile import PX4_CODES, FlightMode, ServerProfile
+from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server
+from bridge.mavlink.server.telemetry import Builder, Snapshot
+
+__all__ = ["COMPONENT_ID", "PROFILE", "SYSTEM_ID", "Node"]
+
+READINESS_S = 1.0  # s between two looks at whether it could be armed
+_RATE_HZ = 1000.0 / STATE_PERIOD_MS  # of new states
+_M = dialect
+PROFILE = ServerProfile(
+    name="crazyflie",
+    mark=CRAZYFLIE_MARK,
+    sensors=_M.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | _M.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | _M.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | _M.MAV_SYS_STATUS_SENSOR_BATTERY,
+    codes={mode: code for mode, code in PX4_CODES.items() if mode is not FlightMode.RETURN},
+    rates_hz={
+        _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+        _M.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
+        _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+        _M.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
+        _M.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
+    },
+)
+_NOTHING: frozenset[int] = frozenset()
+# A position is sent only while the estimate may be flown by, as PX4 does.
+_NEED_POSITION = frozenset({_M.MAVLINK_MSG_ID_LOCAL_POSITION_NED})
+_GAP_S = 0.05  # s, five packets: after so long without a state, only what is not a part of it is sent
+_OF_STATE = _NEED_POSITION | {_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION}
+
+
+def _home_position(s: Snapshot[Vehicle]) -> Message:
+    return telemetry.home_position(s, 0, 0)  # its place on earth is not known
+
+
+BUILDERS: dict[int, Builder[Vehicle]] = {
+    _M.MAVLINK_MSG_ID_ATTITUDE: telemetry.attitude,
+    _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: telemetry.attitude_quaternion,
+    _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: telemetry.local_position_ned,
+    _M.MAVLINK_MSG_ID_SYS_STATUS: telemetry.sys_status,
+    _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: telemetry.extended_sys_state,
+    _M.MAVLINK_MSG_ID_BATTERY_STATUS: telemetry.battery_status,
+    _M.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
+}
+
+
+class Node(Server[Vehicle]):
+    """Call ``take`` and ``handle`` as things come, then ``step``; send what they return.
+
+    Attributes:
+        late: states that had been held up too long to be sent.
+        clock: the firmware's clock.
+    """
+
+    def __init__(self, rules: Rules, system_id: int = SYSTEM_ID) -> None:
+        self.late = 0
+        self.clock = BootClock()
+        self._streamed: list[Message] = []  # made from new states, not sent yet
+        self._readiness_due_s, self._readiness = READINESS_S, ""
+        parameters = Parameters(
+            (
+                fixed("MAV_SYS_ID", system_id),
+                fixed("MAV_COMP_ID", COMPONENT_ID),
+                fixed("MAV_TYPE", dialect.MAV_TYPE_QUADROTOR),
+            )
+        )
+        super().__init__(Vehicle(rules), PROFILE, parameters, _RATE_HZ, BUILDERS, system_id=system_id)
+        self._events: dict[type, Callable[[Any, float], None]] = {
+            Connected: self.vehicle.connected,
+            Lost: self.vehicle.lost,
+            ArmReply: self.vehicle.arm_reply,
+            ParamValue: self.vehicle.param,
+            StateBlock: self._on_state,
+            HealthBlock: self._on_health,
+        }
+
+    def take(self, arrived: Arrived, at_s: float) -> None:
+        """An event of the link; ``at_s`` is its arrival on the bridge's clock."""
+        self._events[type(arrived.event)](arrived.event, at_s)
+
+    def step(self, now_s: float) -> tuple[list[Message], list[Reply]]:
+        """Fly, and return the telemetry for everybody and late acknowledgements of arming."""
+        vehicle = self.vehicle
+        vehicle.step(now_s)
+        if now_s >= self._readiness_due_s and not vehicle.armed:
+            self._readiness_due_s = now_s + READINESS_S
+            self._tell_readiness(now_s)
+        messages = self.telemetry(now_s)
+        if vehicle.arming:
+            return messages, []
+        return messages, self.commands.finish(ACCEPTED if vehicle.armed else REJECTED)
+
+    def snapshot(self, now_s: float) -> Snapshot[Vehicle] | None:
+        """State of the Crazyflie; None while it is not heard."""
+        vehicle = self.vehicle
+        if vehicle.state is None or not vehicle.alive(now_s):
+            return None
+        known = vehicle.position_known(now_s)
+        return Snapshot(vehicle, self.profile, vehicle.state, known, now_s, vehicle.state.boot_ms / 1000.0)
+
+    def streamed(self, snapshot: Snapshot[Vehicle]) -> list[Message]:
+        """Messages made from the states since the last call, or of the condition while no state comes."""
+        messages, self._streamed = self._streamed, []
+        return messages + self.stream(snapshot) if self._gap(snapshot.now_s) else messages
+
+    def hidden(self, now_s: float) -> frozenset[int]:
+        """Position is hidden while it is not known, and all of a state that is not new."""
+        if self._gap(now_s):
+            return _OF_STATE
+        return _NOTHING if self.vehicle.position_known(now_s) else _NEED_POSITION
+
+    def boot_ns(self, now_s: float) -> int | None:
+        """The firmware's clock, once a state has come."""
+        return self.clock.now_ns(now_s) if self.clock.running else None
+
+    def own_commands(self) -> dict[int, Entry]:
+        """The emergency stop, which is also for a Crazyflie that seems to be disarmed."""
+        return {dialect.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND)}
+
+    def on_heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        """Take note of a client; another vehicle is none."""
+        del sender
+        if message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
+            self.vehicle.client(now_s)
+        return []
+
+    def on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        """Its sender is a client, besides."""
+        self.vehicle.client(now_s)
+        return super().on_setpoint(message, sender, now_s)
+
+    def on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        """Its sender is a client, besides."""
+        self.vehicle.client(now_s)
+        return super().on_command(message, sender, now_s)
+
+    def _gap(self, now_s: float) -> bool:
+        state = self.vehicle.state
+        return state is None or now_s - state.at_s > _GAP_S
+
+    def _terminate(self, command: Command) -> Answer:
+        if not (command.given(1) or 0.0) > 0.5:
+            return Answer(DENIED, "Termination refused: param1 must be 1")
+        self.vehicle.emergency_stop(command.now_s)
+        return Answer()
+
+    def _tell_readiness(self, now_s: float) -> None:
+        """Say what keeps it from arming, when that changes; a number in it that changes does not count."""
+        found = self.vehicle.problems(now_s)
+        text = f"Not ready: {found[0]}" if found else "Ready to arm"
+        kind = re.sub(r"[-+.\d]+", "", text)
+        if kind != self._readiness:
+            self._readiness = kind
+            self.vehicle.texts.say(dialect.MAV_SEVERITY_INFO, text)
+
+    def _on_state(self, block: StateBlock, at_s: float) -> None:
+        timed = self.clock.take(block.time_ms, at_s)
+        if timed is None or self.vehicle.link.protocol is None:  # out of order, or the link is being set up
+            return
+        boot_ms, late_s = timed
+        if late_s > LATE_MAX_S:
+            self.late += 1
+            return
+        state = decode_state(block, boot_ms, at_s - late_s)  # as old as it is, not as it came
+        self.vehicle.take_state(state, at_s)
+        snapshot = self.snapshot(state.at_s)  # this clock is as even as the Crazyflie's
+        if snapshot is not None:
+            self._streamed += self.stream(snapshot)
+
+    def _on_health(self, block: HealthBlock, at_s: float) -> None:
+        self.vehicle.health = decode_health(block, at_s)

@@ -1,0 +1,218 @@
+"""Parameters of a vehicle: reading, listing and writing by MAVLink's parameter protocol."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.decoding import Message
+
+INT32 = dialect.MAV_PARAM_TYPE_INT32
+REAL32 = dialect.MAV_PARAM_TYPE_REAL32
+_FLOAT = struct.Struct("<f")
+_INT = struct.Struct("<i")
+_LIST_AT_ONCE = 20  # values of a list in one tick, as many as PX4 sends at once on UDP
+_OUT_OF_RANGE = dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE  # the dialect has none for a wrong type
+_READ_ONLY = dialect.MAV_PARAM_ERROR_READ_ONLY
+NOT_NOW = dialect.MAV_PARAM_ERROR_PERMISSION_DENIED
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter: default, allowed range (both ends allowed), and whether it may change in flight."""
+
+    name: str  # at most 16 characters
+    type: int  # MAV_PARAM_TYPE; PX4 has INT32 and REAL32 alone
+    default: float
+    low: float
+    high: float
+    in_flight: bool = False
+    choices: tuple[int, ...] = ()  # when only some values of the range mean something
+    stands_for: tuple[str, ...] = ()  # names inside the vehicle; empty: its own
+    scale: float = 1.0  # of the value on the wire to that inside
+    meanings: Mapping[int, int] = field(default_factory=dict)  # value on the wire to that inside
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names inside the vehicle."""
+        return self.stands_for or (self.name,)
+
+    def inside(self, value: float) -> float:
+        """Value on the wire to value inside."""
+        return self.meanings[int(value)] if self.meanings else value / self.scale
+
+    def outside(self, value: float) -> float:
+        """Value inside to value on the wire."""
+        if self.meanings:
+            return next(wire for wire, meaning in self.meanings.items() if meaning == value)
+        return value * self.scale
+
+    @property
+    def allowed(self) -> str:
+        """Allowed values in words."""
+        if self.choices:
+            return ", ".join(map(str, self.choices))
+        return f"{self.low:g} to {self.high:g}" if self.low < self.high else f"{self.low:g}"
+
+    def accepts(self, value: float) -> bool:
+        """Whether a value is allowed."""
+        # Single precision: the end of a range must not refuse its own neighbour.
+        slack = 1e-6 * max(1.0, abs(self.low), abs(self.high))
+        if not (math.isfinite(value) and self.low - slack <= value <= self.high + slack):
+            return False
+        return not self.choices or value in self.choices
+
+
+def real(name: str, default: float, low: float, high: float, *, in_flight: bool = False) -> Parameter:
+    """A real number."""
+    return Parameter(name, REAL32, default, low, high, in_flight)
+
+
+def integer(name: str, default: int, low: int, high: int) -> Parameter:
+    """A whole number."""
+    return Parameter(name, INT32, default, low, high)
+
+
+def one_of(name: str, default: int, *choices: int) -> Parameter:
+    """A whole number, one of some, in rising order."""
+    return Parameter(name, INT32, default, choices[0], choices[-1], choices=choices)
+
+
+def fixed(name: str, value: float, type_: int = INT32) -> Parameter:
+    """A parameter that only says something."""
+    return Parameter(name, type_, value, value, value)
+
+
+class Refused(NamedTuple):
+    """A write that was not done."""
+
+    error: int  # MAV_PARAM_ERROR
+    reason: str
+
+
+class Parameters:
+    """The values in force; read as ``parameters["COM_OF_LOSS_T"]``, whatever they are called on the wire.
+
+    Attributes:
+        version: changes with every write.
+        left_to_list: values of a list that are still to be sent.
+    """
+
+    def __init__(
+        self, rows: Iterable[Parameter], inside: Iterable[Parameter] = (), *, bytewise: bool = True
+    ) -> None:
+        """Set the defaults.
+
+        Args:
+            rows: parameters on the wire; they are listed by name.
+            inside: parameters inside the vehicle, where those on the wire stand for them.
+            bytewise: an integer travels as its bits in the float field, as with PX4; else as its value.
+        """
+        self._table = tuple(sorted(rows, key=lambda parameter: parameter.name))
+        self._bytewise = bytewise
+        self._index = {parameter.name: i for i, parameter in enumerate(self._table)}
+        self._values = {parameter.name: parameter.default for parameter in inside}
+        for parameter in self._table:
+            self._values |= dict.fromkeys(parameter.names, parameter.inside(parameter.default))
+        self.version = 0
+        self.left_to_list = self._next = 0
+
+    def __getitem__(self, name: str) -> float:
+        """Value of a parameter.
+
+        Raises:
+            KeyError: there is none of that name.
+        """
+        return self._values[name]
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    def entry(self, name: str) -> Parameter:
+        """Type and range of a parameter.
+
+        Raises:
+            KeyError: there is none of that name.
+        """
+        return self._table[self._index[name]]
+
+    def find(self, name: str, index: int) -> str | None:
+        """Name of the parameter asked for by name (index -1) or by index; None if there is none."""
+        if index >= 0:
+            return self._table[index].name if index < len(self._table) else None
+        return name if name in self._index else None
+
+    def message(self, name: str) -> Message:
+        """PARAM_VALUE of a parameter."""
+        index = self._index[name]
+        parameter = self._table[index]
+        value = parameter.outside(self._values[parameter.names[0]])
+        if parameter.type == INT32 and self._bytewise:
+            (value,) = _FLOAT.unpack(_INT.pack(int(value)))
+        return dialect.MAVLink_param_value_message(
+            name.encode(), value, parameter.type, len(self._table), index
+        )
+
+    def preset(self, name: str, value: float) -> None:
+        """Set a parameter before anything flies; what is fixed stays.
+
+        Args:
+            name: on the wire.
+            value: on the wire, in its unit.
+
+        Raises:
+            ValueError: no such parameter, or a value that is not allowed; the text says what is.
+        """
+        if name not in self._index:
+            raise ValueError(f"parameter {name!r} is not known: allowed is {', '.join(self._index)}")
+        parameter = self.entry(name)
+        if not parameter.accepts(value) or (parameter.type != REAL32 and value != int(value)):
+            raise ValueError(f"parameter {name}: found {value:g}, allowed is {parameter.allowed}")
+        self._values |= dict.fromkeys(parameter.names, parameter.inside(value))
+        self.version += 1
+
+    def list_all(self) -> None:
+        """Begin to send every value; a client that asks meanwhile gets all of them too."""
+        self.left_to_list = len(self._table)
+
+    def listing(self) -> list[Message]:
+        """PARAM_VALUE of the next ones of a list; empty when none is on its way."""
+        count = min(_LIST_AT_ONCE, self.left_to_list)
+        names = [self._table[(self._next + i) % len(self._table)].name for i in range(count)]
+        self.left_to_list -= count
+        self._next = (self._next + count) % len(self._table) if self.left_to_list else 0
+        return [self.message(name) for name in names]
+
+    def set(self, name: str, wire_value: float, type_: int, *, armed: bool) -> Refused | None:
+        """Write a parameter from PARAM_SET.
+
+        Args:
+            name: a known name.
+            wire_value: the message's float field.
+            type_: MAV_PARAM_TYPE of the message.
+            armed: whether the vehicle is armed.
+
+        Returns:
+            Why it was refused, None when it was written.
+        """
+        parameter = self._table[self._index[name]]
+        if self._bytewise and type_ != parameter.type:
+            return Refused(_OUT_OF_RANGE, f"{name}: ignored, type {type_} instead of {parameter.type}")
+        bits = self._bytewise and type_ == INT32
+        value = float(_INT.unpack(_FLOAT.pack(wire_value))[0]) if bits else wire_value
+        if not self._bytewise and parameter.type != REAL32 and math.isfinite(value):
+            value = float(math.trunc(value + math.copysign(0.01, value)))  # as ArduPilot's AP_Param
+        if not parameter.accepts(value):
+            error = _OUT_OF_RANGE if parameter.low < parameter.high else _READ_ONLY
+            return Refused(error, f"{name}: {value:.6g}, allowed {parameter.allowed}")
+        if armed and not parameter.in_flight:
+            return Refused(NOT_NOW, f"{name}: only while disarmed")
+        inside = parameter.inside(min(max(value, parameter.low), parameter.high))
+        self._values |= dict.fromkeys(parameter.names, inside)
+        self.version += 1
+        return None

@@ -1,0 +1,247 @@
+"""One MAVLink vehicle for other programs: messages and times in, messages out.
+
+Pure: no socket, no clock, no randomness. Behaviour follows PX4 1.16 (``Commander.cpp``,
+``mavlink_receiver.cpp``, ``streams/*.hpp``), except where the code says so, or where the profile differs.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, Generic
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.server.commands import Commands, Entry
+from bridge.mavlink.server.owner import Right, Sender
+from bridge.mavlink.server.parameters import Parameters
+from bridge.mavlink.server.profile import FlightMode, ServerProfile
+from bridge.mavlink.server.services import Handler, Services
+from bridge.mavlink.server.setpoints import read_setpoint
+from bridge.mavlink.server.streams import Streams
+from bridge.mavlink.server.telemetry import Builder, Snapshot, V, autopilot_version, heartbeat
+from bridge.mavlink.server.texts import Text, TextWire
+from bridge.mavlink.server.vehicle_commands import VehicleCommands
+
+SYSTEM_ID = 1
+COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot nowhere else
+_HEARTBEAT_S = 1.0
+_LOG_MAX = 1024  # texts kept for a log that nobody takes
+_BROADCAST = frozenset(  # the only commands PX4 obeys when sent to system 0
+    {
+        dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
+        dialect.MAV_CMD_REQUEST_MESSAGE,
+        dialect.MAV_CMD_REQUEST_PROTOCOL_VERSION,
+    }
+)
+_NOTHING: frozenset[int] = frozenset()
+
+
+class Server(ABC, Generic[V]):
+    """One autopilot on the wire; a subclass adds what is its vehicle's own.
+
+    Attributes:
+        vehicle: the vehicle.
+        profile: which autopilot it plays.
+        parameters: values in force.
+        streams: rates of the telemetry.
+        messages: ids of the messages that can be asked for.
+        commands: handlers of COMMAND_LONG and COMMAND_INT.
+        system_id: MAVLink system id; the component id is always 1.
+    """
+
+    def __init__(
+        self,
+        vehicle: V,
+        profile: ServerProfile,
+        parameters: Parameters,
+        rate_hz: float,
+        builders: Mapping[int, Builder[V]],
+        *,
+        system_id: int = SYSTEM_ID,
+    ) -> None:
+        """Set up.
+
+        Args:
+            vehicle: the vehicle.
+            profile: which autopilot it plays.
+            parameters: of the vehicle.
+            rate_hz: highest rate of any message.
+            builders: messages that can be streamed, in the order of a datagram.
+            system_id: MAVLink system id, 1 to 255.
+        """
+        self.vehicle, self.profile, self.parameters = vehicle, profile, parameters
+        self.system_id = system_id
+        self.streams = Streams(rate_hz, builders, profile)
+        requestable: dict[int, Builder[V]] = {
+            **builders,
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
+            dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
+        }
+        self.messages = frozenset(requestable)
+        common = VehicleCommands(vehicle, profile, self.streams, requestable, self.snapshot)
+        table: dict[int, Entry] = {**common.table, **self.own_commands()}
+        self.commands = Commands(table, vehicle.texts, vehicle.forbids, profile)
+        self._handlers: dict[int, Handler] = {
+            dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self.on_setpoint,
+            dialect.MAVLINK_MSG_ID_COMMAND_LONG: self.on_command,
+            dialect.MAVLINK_MSG_ID_COMMAND_INT: self.on_command,
+            dialect.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
+            dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: self.on_heartbeat,
+            **Services(vehicle, parameters, self.streams, profile).handlers,
+            **self.own_handlers(),
+        }
+        self._heartbeat_due_s = -math.inf
+        self._shown: object = None  # condition shown last
+        self._landed_shown = vehicle.landed_state
+        self._texts_to_log: list[Text] = []
+        self._wire = TextWire()
+
+    # What a subclass has of its own
+
+    @abstractmethod
+    def snapshot(self, now_s: float) -> Snapshot[V] | None:
+        """State of the vehicle now; None while it is not known, and then no telemetry is sent."""
+
+    @abstractmethod
+    def on_heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        """Take note of a heartbeat of another program."""
+
+    def own_commands(self) -> dict[int, Entry]:
+        """Commands besides those of every vehicle, or in their place."""
+        return {}
+
+    def own_handlers(self) -> dict[int, Handler]:
+        """Handlers of other messages, by id."""
+        return {}
+
+    def condition(self, snapshot: Snapshot[V]) -> object:
+        """A value that changes with everything that HEARTBEAT and SYS_STATUS show at once."""
+        vehicle = snapshot.vehicle
+        return vehicle.mode, vehicle.armed, vehicle.failsafe, snapshot.valid
+
+    def hidden(self, now_s: float) -> frozenset[int]:
+        """Ids of messages that are not sent now."""
+        del now_s
+        return _NOTHING
+
+    def boot_ns(self, now_s: float) -> int | None:
+        """Boot clock of the vehicle, ns; None: not known."""
+        return round(now_s * 1e9)
+
+    # What the process calls
+
+    @property
+    def handled(self) -> frozenset[int]:
+        """Ids of the messages that are acted on."""
+        return frozenset(self._handlers)
+
+    def handle(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
+        """Act on one message.
+
+        Args:
+            message: decoded, with a valid checksum; all else may be wrong with it.
+            sender: system and component id of its header.
+            now_s: time.
+
+        Returns:
+            Answers for this sender.
+        """
+        handler = self._handlers.get(message.get_msgId())  # some messages have a field named id
+        if handler is None or sender == (self.system_id, COMPONENT_ID) or not self._for_us(message):
+            return []
+        return handler(message, sender, now_s)
+
+    def telemetry(self, now_s: float) -> list[Message]:
+        """Messages for everybody that are due: heartbeat, texts, streams, values of a parameter list."""
+        snapshot = self.snapshot(now_s)
+        messages = self._announced(snapshot, now_s) if snapshot is not None else []
+        if self.vehicle.texts.waiting:
+            texts = self.vehicle.texts.take()
+            for text in texts:
+                messages += self._wire.messages(text)
+            self._texts_to_log = [*self._texts_to_log, *texts][-_LOG_MAX:]
+        if snapshot is not None:
+            messages += self.streamed(snapshot)
+            if self.parameters.left_to_list:
+                messages += self.parameters.listing()
+        return messages
+
+    def streamed(self, snapshot: Snapshot[V]) -> list[Message]:
+        """Messages of the streams for the present telemetry."""
+        return self.stream(snapshot)
+
+    def stream(self, snapshot: Snapshot[V]) -> list[Message]:
+        """Make the messages of the streams that are due."""
+        self.streams.hide(self.hidden(snapshot.now_s))
+        return self.streams.due(snapshot)
+
+    def take_texts(self) -> list[Text]:
+        """Take the texts said since the last call, for the log."""
+        texts, self._texts_to_log = self._texts_to_log, []
+        return texts
+
+    def _announced(self, snapshot: Snapshot[V], now_s: float) -> list[Message]:
+        """HEARTBEAT when it is due; what changed is shown at once."""
+        shown, landed_state = self.condition(snapshot), self.vehicle.landed_state
+        messages = []
+        if shown != self._shown or now_s >= self._heartbeat_due_s:
+            messages.append(heartbeat(snapshot))
+            self._heartbeat_due_s = now_s + _HEARTBEAT_S - 1e-6
+            if shown != self._shown:
+                self.streams.hasten(dialect.MAVLINK_MSG_ID_SYS_STATUS)
+            self._shown = shown
+        if landed_state != self._landed_shown:
+            self._landed_shown = landed_state
+            self.streams.hasten(dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE)
+        return messages
+
+    def _for_us(self, message: Any) -> bool:
+        """Whether it is addressed to us or to all; messages without an address are for all."""
+        system = getattr(message, "target_system", 0)
+        return system in (0, self.system_id) and getattr(message, "target_component", 0) in (0, COMPONENT_ID)
+
+    def on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        """SET_POSITION_TARGET_LOCAL_NED, which has no answer but the text of a refusal."""
+        vehicle = self.vehicle
+        setpoint = read_setpoint(message, vehicle.yaw_rad, self.profile.frames)
+        if isinstance(setpoint, str):
+            vehicle.refuse_setpoint(setpoint, now_s)
+            return []
+        refused = vehicle.take_setpoint(setpoint, sender, now_s)
+        if refused is not None:
+            vehicle.texts.refuse(refused, now_s, "set-point")
+        return []
+
+    def on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        """COMMAND_LONG and COMMAND_INT."""
+        if message.target_system == 0 and message.command not in _BROADCAST:
+            return []
+        return self.commands.run(message, sender, now_s)
+
+    def _on_set_mode(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        """SET_MODE, which has no answer but the text."""
+        if message.target_system != self.system_id:
+            return []
+        vehicle, profile = self.vehicle, self.profile
+        pair = profile.pair_of(message.custom_mode)
+        mode = profile.mode_of(*pair)
+        if mode is None:
+            reason: str | None = profile.why_no_mode(*pair)
+        else:
+            right = Right.ANYBODY if mode is FlightMode.LAND else Right.OWNER
+            reason = vehicle.forbids(sender, right, now_s)
+            reason = vehicle.set_mode(mode, now_s) if reason is None else f"Mode refused: {reason}"
+        if reason is not None:
+            vehicle.texts.refuse(reason, now_s)
+        return []
+
+    def _on_timesync(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        del sender
+        boot_ns = self.boot_ns(now_s) if message.tc1 == 0 else None  # another tc1: an answer
+        if boot_ns is None:
+            return []
+        return [dialect.MAVLink_timesync_message(max(1, boot_ns), message.ts1)]  # 0 would ask back

@@ -1,0 +1,187 @@
+"""Parameters, ping, and the protocols that no vehicle here has: those are refused at once.
+
+Silence would let clients wait and try again for seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.server.owner import Right, Sender
+from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
+from bridge.mavlink.server.profile import ServerProfile
+from bridge.mavlink.server.streams import Streams
+from bridge.mavlink.server.telemetry import VehiclePort
+
+Handler = Callable[[Any, Sender, float], list[Message]]
+
+# FILE_TRANSFER_PROTOCOL payload (mavlink.io, services/ftp).
+_FTP_NAK = 129
+_FTP_FAIL = 1
+_FTP_BYTES = 251
+_FTP_HEADER = 12  # bytes: sequence (2), session, opcode, size, requested opcode, burst, padding, offset (4)
+# Mission, fence and rally points; of these there are none, other types are not known.
+_TYPES = frozenset(
+    {dialect.MAV_MISSION_TYPE_MISSION, dialect.MAV_MISSION_TYPE_FENCE, dialect.MAV_MISSION_TYPE_RALLY}
+)
+_ALL = dialect.MAV_MISSION_TYPE_ALL
+_ITEM_REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
+_ITEMS = (
+    dialect.MAVLINK_MSG_ID_MISSION_ITEM,
+    dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+    dialect.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST,
+)
+_REFUSED_SETPOINTS = {
+    dialect.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: "attitude",
+    dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: "global position",
+}
+
+
+class Services:
+    """Handlers by message id; each returns the answer to the sender."""
+
+    def __init__(
+        self, vehicle: VehiclePort, parameters: Parameters, streams: Streams[Any], profile: ServerProfile
+    ) -> None:
+        self._vehicle, self._parameters, self._streams = vehicle, parameters, streams
+        self._groups = profile.data_streams
+        m = dialect
+        self.handlers: dict[int, Handler] = {
+            m.MAVLINK_MSG_ID_PING: _ping,
+            m.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: self._parameter_list,
+            m.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._parameter_read,
+            m.MAVLINK_MSG_ID_PARAM_SET: self._parameter_set,
+            m.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _mission_list,
+            m.MAVLINK_MSG_ID_MISSION_COUNT: _mission_count,
+            m.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _mission_clear,
+            **dict.fromkeys((*_ITEM_REQUESTS, *_ITEMS), _mission_refused),
+            m.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _log_list,
+            m.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _file_transfer,
+            **dict.fromkeys(_REFUSED_SETPOINTS, self._refuse_setpoint),
+        }
+        if profile.data_streams:
+            self.handlers[m.MAVLINK_MSG_ID_REQUEST_DATA_STREAM] = self._data_stream
+
+    def _parameter_list(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        del message, sender, now_s
+        self._parameters.list_all()  # goes out with the telemetry of the next ticks
+        return []
+
+    def _parameter_read(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        del now_s
+        name = self._parameters.find(_text(message.param_id), message.param_index)
+        return [_no_parameter(message, sender)] if name is None else [self._parameters.message(name)]
+
+    def _parameter_set(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        name = self._parameters.find(_text(message.param_id), -1)
+        if name is None:
+            return [_no_parameter(message, sender)]
+        forbidden = self._vehicle.forbids(sender, Right.OWNER, now_s)
+        if forbidden is not None:
+            refused: Refused | None = Refused(NOT_NOW, f"{name} refused: {forbidden}")
+        else:
+            refused = self._parameters.set(
+                name, message.param_value, message.param_type, armed=self._vehicle.armed
+            )
+        in_force = self._parameters.message(name)
+        if refused is None:
+            return [in_force]
+        self._vehicle.texts.refuse(refused.reason, now_s)
+        # The error first: MAVSDK takes a value that differs for a lost write and sends it five times more.
+        return [_parameter_error(name.encode(), -1, refused.error, sender), in_force]
+
+    def _data_stream(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        """REQUEST_DATA_STREAM, start only."""
+        del sender
+        if message.start_stop and message.req_message_rate:
+            interval_us = 1e6 / message.req_message_rate
+            for message_id in self._groups.get(message.req_stream_id, ()):
+                if not self._streams.rarer(message_id, interval_us):
+                    self._streams.set_interval(message_id, interval_us, now_s)
+        return []
+
+    def _refuse_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+        del sender
+        kind = _REFUSED_SETPOINTS[message.get_msgId()]
+        self._vehicle.texts.refuse(f"Set-point dropped: {kind}, only local velocity", now_s)
+        return []
+
+
+def _no_parameter(message: Any, sender: Sender) -> Message:
+    """PX4 1.16 says nothing here, and clients wait for seconds (mavlink.io, services/parameter)."""
+    index = getattr(message, "param_index", -1)
+    name = _text(message.param_id).encode("ascii", "replace")
+    return _parameter_error(name, index, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST, sender)
+
+
+def _parameter_error(name: bytes, index: int, error: int, sender: Sender) -> Message:
+    return dialect.MAVLink_param_error_message(*sender, name, index, error)
+
+
+def _text(field: str | bytes) -> str:
+    raw = field.encode("latin-1", "replace") if isinstance(field, str) else bytes(field)
+    return raw.partition(b"\x00")[0].decode("ascii", "replace")
+
+
+def _ping(message: Any, sender: Sender, now_s: float) -> list[Message]:
+    del now_s
+    if message.target_system != 0 or message.target_component != 0:
+        return []  # an answer
+    return [dialect.MAVLink_ping_message(message.time_usec, message.seq, *sender)]
+
+
+def _mission_list(message: Any, sender: Sender, now_s: float) -> list[Message]:
+    """MISSION_REQUEST_LIST: empty."""
+    del now_s
+    if message.mission_type not in _TYPES:
+        return _ack(message, sender, dialect.MAV_MISSION_UNSUPPORTED)
+    return [dialect.MAVLink_mission_count_message(*sender, 0, message.mission_type)]
+
+
+def _mission_count(message: Any, sender: Sender, now_s: float) -> list[Message]:
+    """MISSION_COUNT, the beginning of an upload: only an empty one is taken."""
+    del now_s
+    known = message.mission_type in _TYPES and not message.count
+    return _ack(message, sender, dialect.MAV_MISSION_ACCEPTED if known else dialect.MAV_MISSION_UNSUPPORTED)
+
+
+def _mission_clear(message: Any, sender: Sender, now_s: float) -> list[Message]:
+    """MISSION_CLEAR_ALL: it is empty."""
+    del now_s
+    known = message.mission_type in _TYPES or message.mission_type == _ALL
+    return _ack(message, sender, dialect.MAV_MISSION_ACCEPTED if known else dialect.MAV_MISSION_UNSUPPORTED)
+
+
+def _mission_refused(message: Any, sender: Sender, now_s: float) -> list[Message]:
+    """Items: none can be read, and none was asked for."""
+    del now_s
+    wanted = message.get_msgId() in _ITEM_REQUESTS
+    result = dialect.MAV_MISSION_INVALID_SEQUENCE if wanted else dialect.MAV_MISSION_UNSUPPORTED
+    return _ack(message, sender, result)
+
+
+def _log_list(message: Any, sender: Sender, now_s: float) -> list[Message]:
+    """LOG_REQUEST_LIST: no logs on board."""
+    del message, sender, now_s
+    return [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)]
+
+
+def _file_transfer(message: Any, sender: Sender, now_s: float) -> list[Message]:
+    """FILE_TRANSFER_PROTOCOL: NAK."""
+    del now_s
+    asked = bytes(message.payload)
+    sequence = (int.from_bytes(asked[:2], "little") + 1) & 0xFFFF
+    reply = bytearray(_FTP_BYTES)
+    reply[:2] = sequence.to_bytes(2, "little")
+    reply[2:6] = bytes((asked[2], _FTP_NAK, 1, asked[3]))
+    reply[_FTP_HEADER] = _FTP_FAIL
+    return [dialect.MAVLink_file_transfer_protocol_message(0, *sender, reply)]
+
+
+def _ack(message: Any, sender: Sender, result: int) -> list[Message]:
+    return [dialect.MAVLink_mission_ack_message(*sender, result, message.mission_type)]

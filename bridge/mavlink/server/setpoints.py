@@ -1,0 +1,68 @@
+"""Velocity set-points from the wire: which are accepted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from bridge.frames import enu_from_ned, flu_from_frd, quaternion_from_yaw, world_from_body, yaw_enu_from_ned
+from flightstack.core.types import Vec3
+
+SPEED_MAX_M_S = 5.0  # m/s; far above what any controller of this stack may ask for
+YAW_RATE_MAX_RAD_S = 6.0  # rad/s
+
+# POSITION_TARGET_TYPEMASK: a set bit means "ignore". Bit 9 is about the acceleration, which is unused.
+_POSITION = 0b000000111
+_VELOCITY = 0b000111000
+_ACCELERATION = 0b111000000
+_YAW = 1 << 10
+_YAW_RATE = 1 << 11
+
+
+class Setpoint(NamedTuple):
+    """A velocity to fly, with the heading to go with it."""
+
+    velocity_enu_m_s: Vec3
+    yaw_rad: float | None  # heading to hold; None: see the rate
+    yaw_rate_rad_s: float  # counter-clockwise; 0 holds the present heading
+
+
+def read_setpoint(
+    message: Any, yaw_rad: Callable[[], float | None], frames: Mapping[int, bool]
+) -> Setpoint | str:
+    """Turn SET_POSITION_TARGET_LOCAL_NED into a set-point, or into the reason why it is refused.
+
+    Args:
+        message: the message; a body frame is turned by the heading only (as PX4 and ArduPilot do).
+        yaw_rad: gives the present heading of the vehicle, counter-clockwise from east; None: not known.
+        frames: accepted MAV_FRAME; True for a body frame.
+    """
+    mask = message.type_mask
+    if mask & _POSITION != _POSITION or mask & _ACCELERATION != _ACCELERATION or mask & _VELOCITY:
+        return f"Set-point dropped: mask {mask}, only velocity (2503)"
+    v = (message.vx, message.vy, message.vz)
+    if not math.isfinite(sum(v)):
+        return "Set-point dropped: velocity not finite"
+    if v[0] * v[0] + v[1] * v[1] + v[2] * v[2] > SPEED_MAX_M_S**2:
+        return f"Set-point dropped: above {SPEED_MAX_M_S:g} m/s"
+    turned = frames.get(message.coordinate_frame)
+    if turned is None:
+        known = " or ".join(map(str, frames))
+        return f"Set-point dropped: frame {message.coordinate_frame}, only {known}"
+    if turned:
+        heading_rad = yaw_rad()
+        if heading_rad is None:
+            return "Set-point dropped: body frame, but the heading is not known"
+        velocity = world_from_body(quaternion_from_yaw(heading_rad), flu_from_frd(v))
+    else:
+        velocity = enu_from_ned(v)
+    if not mask & _YAW:
+        if not math.isfinite(message.yaw):
+            return "Set-point dropped: yaw not finite"
+        return Setpoint(velocity, yaw_enu_from_ned(message.yaw), 0.0)
+    if not mask & _YAW_RATE:
+        if not abs(message.yaw_rate) <= YAW_RATE_MAX_RAD_S:  # also refuses NaN
+            return f"Set-point dropped: yaw rate above {YAW_RATE_MAX_RAD_S:g} rad/s"
+        return Setpoint(velocity, None, -message.yaw_rate)
+    return Setpoint(velocity, None, 0.0)

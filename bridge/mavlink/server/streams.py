@@ -1,0 +1,116 @@
+"""Which telemetry is due when; one table of rates for all peers, as one PX4 port has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Generic
+
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.server.profile import EVERY_TICK, ServerProfile
+from bridge.mavlink.server.telemetry import Builder, Snapshot, V
+
+_OFF = float("inf")
+_INTERVAL_MAX_S = 2000.0  # s; MESSAGE_INTERVAL counts microseconds in 32 bits, which end at 2147 s
+
+
+@dataclass(slots=True)
+class _Stream(Generic[V]):
+    build: Builder[V]
+    interval_s: float  # infinite: off
+    due_s: float
+
+
+class Streams(Generic[V]):
+    """Intervals of all messages, and the messages that are due."""
+
+    def __init__(self, rate_hz: float, builders: Mapping[int, Builder[V]], profile: ServerProfile) -> None:
+        """Set the default rates.
+
+        Args:
+            rate_hz: highest rate of any message, so that no request can cause a flood.
+            builders: messages that can be streamed, by id. A datagram has them in this order, after
+                attitude and position.
+            profile: has the default rates.
+        """
+        self._period_s = 1.0 / rate_hz
+        self._hidden: frozenset[int] = frozenset()
+        self._default_s = dict.fromkeys(profile.every_tick, self._period_s)
+        self._default_s |= {id_: max(self._period_s, 1.0 / hz) for id_, hz in profile.rates_hz.items()}
+        order = (*EVERY_TICK, *(id_ for id_ in builders if id_ not in EVERY_TICK))
+        self._streams = {id_: _Stream(builders[id_], self._default_s.get(id_, _OFF), 0.0) for id_ in order}
+        self._busy: list[_Stream[V]] = []  # at every tick
+        self._lazy: list[_Stream[V]] = []  # more rarely
+        self._lazy_due_s = 0.0  # the first of those
+        for stream in self._streams.values():
+            if stream.interval_s == _OFF:
+                stream.due_s = _OFF
+        self._sort()
+
+    def known(self, message_id: int) -> bool:
+        """Whether there is a stream of this message."""
+        return message_id in self._streams
+
+    def interval_us(self, message_id: int) -> int:
+        """Interval as in MESSAGE_INTERVAL: microseconds, -1 off."""
+        interval_s = self._streams[message_id].interval_s
+        return -1 if interval_s == _OFF else round(interval_s * 1e6)
+
+    def set_interval(self, message_id: int, interval_us: float, now_s: float) -> None:
+        """Change a rate: microseconds, 0 for the default, negative for off."""
+        interval_s = self._interval_s(message_id, interval_us)
+        stream = self._streams[message_id]
+        if interval_s != stream.interval_s:
+            stream.interval_s = interval_s
+            stream.due_s = now_s if interval_s < _OFF else _OFF
+            self._sort()
+
+    def rarer(self, message_id: int, interval_us: float) -> bool:
+        """Whether ``set_interval`` would lower the present rate."""
+        return self._interval_s(message_id, interval_us) > self._streams[message_id].interval_s
+
+    def _interval_s(self, message_id: int, interval_us: float) -> float:
+        if interval_us < 0.0:
+            return _OFF
+        if interval_us == 0.0:
+            return self._default_s.get(message_id, _OFF)
+        return min(max(self._period_s, interval_us * 1e-6), _INTERVAL_MAX_S)
+
+    def reset(self, now_s: float) -> None:
+        """Set the default rates, as after a reboot."""
+        for message_id in self._streams:
+            self.set_interval(message_id, 0.0, now_s)
+
+    def hide(self, message_ids: frozenset[int]) -> None:
+        """Send none of these messages from now on, and all others at their rates."""
+        if message_ids != self._hidden:
+            self._hidden = message_ids
+            self._sort()
+
+    def hasten(self, message_id: int) -> None:
+        """Make a message due at once, unless it is off."""
+        stream = self._streams[message_id]
+        if stream.interval_s < _OFF:
+            stream.due_s = self._lazy_due_s = 0.0
+
+    def due(self, snapshot: Snapshot[V]) -> list[Message]:
+        """Make the messages that are due."""
+        messages = [stream.build(snapshot) for stream in self._busy]
+        now_s = snapshot.now_s
+        limit_s = now_s + 0.5 * self._period_s  # nearer to this tick than to the next
+        if self._lazy_due_s > limit_s:
+            return messages
+        for stream in self._lazy:
+            if stream.due_s <= limit_s:
+                messages.append(stream.build(snapshot))
+                stream.due_s += stream.interval_s
+                if stream.due_s <= now_s:  # messages that were missed are not made up for
+                    stream.due_s = now_s + stream.interval_s
+        self._lazy_due_s = min((stream.due_s for stream in self._lazy), default=_OFF)
+        return messages
+
+    def _sort(self) -> None:
+        streams = [stream for id_, stream in self._streams.items() if id_ not in self._hidden]
+        self._busy = [stream for stream in streams if stream.interval_s <= self._period_s]
+        self._lazy = [stream for stream in streams if stream.interval_s > self._period_s]
+        self._lazy_due_s = 0.0

@@ -1,0 +1,225 @@
+"""Messages that every vehicle sends, each made from a snapshot; and the vehicle as the server sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, Protocol, TypeVar
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.frames import Quat, euler_from_quaternion, frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.server.owner import Right, Sender
+from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode, ServerProfile
+from bridge.mavlink.server.setpoints import Setpoint
+from bridge.mavlink.server.texts import Texts
+from flightstack.core.types import Vec3
+
+
+class EstimateLike(Protocol):
+    """State of the vehicle by its on-board estimator."""
+
+    @property
+    def position_enu_m(self) -> Vec3:
+        """Position of the centre of mass."""
+
+    @property
+    def velocity_enu_m_s(self) -> Vec3:
+        """Velocity."""
+
+    @property
+    def quaternion(self) -> Quat:
+        """Attitude w, x, y, z of FLU in ENU."""
+
+    @property
+    def angular_velocity_flu_rad_s(self) -> Vec3:
+        """Angular velocity in body axes."""
+
+
+class Battery(NamedTuple):
+    """Battery of one cell."""
+
+    voltage_v: float
+    percent: int  # -1: not known
+    charge_state: int = dialect.MAV_BATTERY_CHARGE_STATE_UNDEFINED
+
+
+class VehiclePort(Protocol):
+    """A vehicle as the server sees it. Methods that can refuse return the reason, None when done."""
+
+    texts: Texts
+    mode: FlightMode  # meaningful also while disarmed
+    failsafe: bool  # the mode was not asked for but forced by a failure
+
+    @property
+    def armed(self) -> bool:
+        """Motors may run."""
+
+    @property
+    def arming(self) -> bool:
+        """Whether arming has been asked for and its result is not known yet."""
+
+    @property
+    def landed_state(self) -> int:
+        """MAV_LANDED_STATE."""
+
+    @property
+    def battery(self) -> Battery:
+        """Battery."""
+
+    @property
+    def home_enu_m(self) -> Vec3:
+        """Home, local."""
+
+    def sensors_healthy(self, now_s: float, /) -> int:
+        """MAV_SYS_STATUS_SENSOR bits in good order, besides those of the profile."""
+
+    def problems(self, now_s: float, /) -> list[str]:
+        """Reasons why the vehicle would not arm now; empty when ready."""
+
+    def yaw_rad(self) -> float | None:
+        """Heading, counter-clockwise from east; None: not known."""
+
+    def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
+        """Why this sender may not do something now; on the ground and disarmed every sender may."""
+
+    def arm(self, now_s: float) -> str | None:
+        """Arm."""
+
+    def disarm(self, now_s: float, /, *, force: bool) -> str | None:
+        """Disarm; in the air only by force."""
+
+    def take_off(self, height_m: float | None, now_s: float, /) -> str | None:
+        """Climb to a local height and hold there; None: to the default height."""
+
+    def land(self, now_s: float, /) -> None:
+        """Land where it is; this cannot be refused."""
+
+    def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
+        """Change the mode."""
+
+    def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
+        """Take a valid set-point; it is flown in OFFBOARD only, but keeps the stream alive in all modes."""
+
+    def refuse_setpoint(self, reason: str, now_s: float) -> None:
+        """Take note of a set-point that is refused, and say why."""
+
+
+V = TypeVar("V", bound=VehiclePort)
+
+
+@dataclass(slots=True)
+class Snapshot(Generic[V]):
+    """One moment of a vehicle; all its telemetry is made from this."""
+
+    vehicle: V
+    profile: ServerProfile
+    estimate: EstimateLike
+    valid: bool  # position and velocity may be flown by
+    now_s: float  # time that the rates of the streams count in
+    boot_s: float  # boot clock of the vehicle
+    epoch_ns: int = 0  # Unix time of the boot clock's zero
+
+    @property
+    def boot_ms(self) -> int:
+        """Boot clock, ms."""
+        return round(self.boot_s * 1000) & 0xFFFFFFFF
+
+    @property
+    def boot_us(self) -> int:
+        """Boot clock, us."""
+        return round(self.boot_s * 1e6)
+
+
+Builder = Callable[[Snapshot[V]], Message]
+
+
+def heartbeat(s: Snapshot[V]) -> Message:
+    """HEARTBEAT with the profile's modes, and PX4's states (PX4 streams/HEARTBEAT.hpp)."""
+    vehicle, profile = s.vehicle, s.profile
+    code, armed = profile.codes[vehicle.mode], vehicle.armed
+    if armed:
+        state = dialect.MAV_STATE_CRITICAL if vehicle.failsafe else dialect.MAV_STATE_ACTIVE
+    else:
+        state = dialect.MAV_STATE_UNINIT if vehicle.problems(s.now_s) else dialect.MAV_STATE_STANDBY
+    return dialect.MAVLink_heartbeat_message(
+        dialect.MAV_TYPE_QUADROTOR,
+        profile.autopilot,
+        code.base | (dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0),
+        profile.custom_mode(code),
+        state,
+        3,
+    )
+
+
+def local_position_ned(s: Snapshot[V]) -> Message:
+    """LOCAL_POSITION_NED."""
+    x, y, z = ned_from_enu(s.estimate.position_enu_m)
+    vx, vy, vz = ned_from_enu(s.estimate.velocity_enu_m_s)
+    return dialect.MAVLink_local_position_ned_message(s.boot_ms, x, y, z, vx, vy, vz)
+
+
+def attitude(s: Snapshot[V]) -> Message:
+    """ATTITUDE."""
+    rates = frd_from_flu(s.estimate.angular_velocity_flu_rad_s)
+    euler = euler_from_quaternion(ned_frd_from_enu_flu(s.estimate.quaternion))
+    return dialect.MAVLink_attitude_message(s.boot_ms, *euler, *rates)
+
+
+def attitude_quaternion(s: Snapshot[V]) -> Message:
+    """ATTITUDE_QUATERNION."""
+    rates = frd_from_flu(s.estimate.angular_velocity_flu_rad_s)
+    return dialect.MAVLink_attitude_quaternion_message(
+        s.boot_ms, *ned_frd_from_enu_flu(s.estimate.quaternion), *rates
+    )
+
+
+def home_position(s: Snapshot[V], latitude_e7: int, longitude_e7: int) -> Message:
+    """HOME_POSITION at a place on earth, 1e-7 degrees."""
+    home = s.vehicle.home_enu_m
+    q = [1.0, 0.0, 0.0, 0.0]
+    return dialect.MAVLink_home_position_message(
+        latitude_e7, longitude_e7, round(1000 * home[2]), *ned_from_enu(home), q, 0.0, 0.0, 0.0, s.boot_us
+    )
+
+
+def sys_status(s: Snapshot[V]) -> Message:
+    """SYS_STATUS."""
+    vehicle, present = s.vehicle, s.profile.sensors | POSITION_SOURCE
+    health = s.profile.sensors | vehicle.sensors_healthy(s.now_s)
+    ready = 0 if vehicle.problems(s.now_s) else dialect.MAV_SYS_STATUS_PREARM_CHECK
+    battery = vehicle.battery
+    return dialect.MAVLink_sys_status_message(
+        present, present, health | ready, 0, _millivolts(battery), -1, battery.percent, 0, 0, 0, 0, 0, 0
+    )
+
+
+def extended_sys_state(s: Snapshot[V]) -> Message:
+    """EXTENDED_SYS_STATE."""
+    return dialect.MAVLink_extended_sys_state_message(
+        dialect.MAV_VTOL_STATE_UNDEFINED, s.vehicle.landed_state
+    )
+
+
+def battery_status(s: Snapshot[V]) -> Message:
+    """BATTERY_STATUS."""
+    battery = s.vehicle.battery
+    voltages = [_millivolts(battery)] + [0xFFFF] * 9  # one cell; the rest are not there
+    unknown = dialect.MAV_BATTERY_FUNCTION_UNKNOWN
+    return dialect.MAVLink_battery_status_message(
+        0, unknown, dialect.MAV_BATTERY_TYPE_LIPO, 0x7FFF, voltages, -1, -1, -1, battery.percent, 0,
+        battery.charge_state,
+    )  # fmt: skip
+
+
+def autopilot_version(s: Snapshot[V]) -> Message:
+    """AUTOPILOT_VERSION."""
+    who, zeros = s.profile, [0] * 8
+    return dialect.MAVLink_autopilot_version_message(
+        who.capabilities, who.version, 0, 0, 0, list(who.mark), zeros, zeros, 0, 0, 0
+    )
+
+
+def _millivolts(battery: Battery) -> int:
+    return min(max(round(1000 * battery.voltage_v), 0), 0xFFFE)

@@ -1,0 +1,96 @@
+"""STATUSTEXT of a vehicle: events and reasons of refusals, bounded in number and rate."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.decoding import Message
+
+_CHUNK = 50  # characters of one STATUSTEXT
+_WAITING_MAX = 64  # texts until the next tick takes them
+_SAME_GAP_S = 1.0  # s between two refusals on the same topic; a wrong stream is wrong 100 times a second
+_BURST = 20  # refusals on different topics at once; a ground station asks for a dozen things at its start
+_PER_S = 5.0  # 1/s, refusals after that
+_TOPICS_MAX = 64
+
+
+class Text(NamedTuple):
+    """A text for a person."""
+
+    severity: int  # MAV_SEVERITY
+    text: str
+
+
+class Texts:
+    """Texts that wait to be sent. Events are kept up to 64, refusals come at a bounded rate.
+
+    Attributes:
+        waiting: not taken yet.
+    """
+
+    def __init__(self) -> None:
+        self.waiting: list[Text] = []
+        self._said_s: dict[str, float] = {}
+        self._credit = float(_BURST)
+        self._credit_s = -math.inf
+        self._hidden = 0
+
+    def say(self, severity: int, text: str) -> None:
+        """Add the text of an event."""
+        if len(self.waiting) < _WAITING_MAX:
+            self.waiting.append(Text(severity, text))
+
+    def refuse(
+        self, text: str, now_s: float, topic: str = "", severity: int = dialect.MAV_SEVERITY_WARNING
+    ) -> None:
+        """Add the reason of a refusal, unless the same was said in the last second.
+
+        Args:
+            text: the reason.
+            now_s: time.
+            topic: refusals of one topic count as the same; the text itself when left out.
+            severity: MAV_SEVERITY.
+        """
+        topic = topic or text
+        if now_s - self._said_s.get(topic, -math.inf) < _SAME_GAP_S:
+            return
+        self._credit = min(_BURST, self._credit + max(0.0, now_s - self._credit_s) * _PER_S)
+        self._credit_s = now_s
+        if self._credit < 1.0:
+            self._hidden += 1
+            return
+        self._credit -= 1.0
+        if self._hidden:
+            self.say(dialect.MAV_SEVERITY_WARNING, f"{self._hidden} refusals not shown")
+            self._hidden = 0
+        if len(self._said_s) >= _TOPICS_MAX:
+            del self._said_s[min(self._said_s, key=self._said_s.__getitem__)]
+        self._said_s[topic] = now_s
+        self.say(severity, text)
+
+    def take(self) -> list[Text]:
+        """Take the texts added since the last call."""
+        texts, self.waiting = self.waiting, []
+        return texts
+
+
+class TextWire:
+    """Turns texts into STATUSTEXT, long ones in chunks."""
+
+    def __init__(self) -> None:
+        self._id = 0
+
+    def messages(self, text: Text) -> list[Message]:
+        """STATUSTEXT of one text."""
+        raw = text.text.encode("ascii", "replace")
+        if len(raw) <= _CHUNK:
+            return [dialect.MAVLink_statustext_message(text.severity, raw)]
+        self._id = self._id % 0xFFFF + 1  # 0 would mean "not in chunks"
+        # A chunk shorter than 50 ends the text; a full last one is followed by an empty one.
+        return [
+            dialect.MAVLink_statustext_message(text.severity, raw[at : at + _CHUNK], self._id, at // _CHUNK)
+            for at in range(0, len(raw) + 1, _CHUNK)
+        ]

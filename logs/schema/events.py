@@ -1,0 +1,33 @@
+"""Events of ``/rosout``, ``rcl_interfaces/msg/Log``, and plain texts."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from logs.schema.cdr import packer
+from logs.schema.rows import LogRow
+from logs.schema.schemas import STRING
+
+ONBOARD, CONTROLLER = "onboard", "controller"  # sources of events; the controller's are part of its decisions
+
+_pack_string = packer(STRING)
+
+
+class Severity(IntEnum):
+    """Levels of ``rcl_interfaces/msg/Log``."""
+
+    DEBUG = 10
+    INFO = 20
+    WARN = 30
+    ERROR = 40
+    FATAL = 50
+
+
+def pack_log(stamp_ns: int, level: int, name: str, text: str) -> bytes:
+    """Return an event as CDR; ``name`` is the part of the stack that it comes from."""
+    return LogRow(stamp_ns, level, name, text, "", "", 0).pack()
+
+
+def pack_string(text: str) -> bytes:
+    """Return a ``std_msgs/msg/String`` as CDR."""
+    return _pack_string((text,))

@@ -1,0 +1,82 @@
+"""Rows of the log: a named tuple for each message type, made from its definition.
+
+A row has the fields of its ``.msg`` file, whose comments give units and frames; the header is its stamp,
+``stamp_ns``, integer nanoseconds (Unix time, or simulated time from 2020-01-01 on in lockstep).
+``row.pack()`` gives the message as CDR, ``Row.unpack(data)`` the row. The columns are the same fields for
+numpy: arrays of shape (n,), or (n, 3) for a vector and (n, 4) for a quaternion.
+
+The types for mypy stand in ``rows.pyi``. After a change of a definition ``python -m logs.schema.stubs`` makes
+it anew; a test fails as long as it differs.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from dataclasses import make_dataclass
+from typing import Any
+
+from logs.schema.cdr import CODES, HEADER_TYPE, TIME_TYPES, codec
+from logs.schema.schemas import (
+    CONTROLLER_INPUT,
+    CONTROLLER_STATE,
+    CONTROLLER_STEP,
+    HEALTH,
+    LOG,
+    LOOP_TIMING,
+    TRUE_STATE,
+    Field,
+    fields_of,
+)
+
+ROWS = (
+    CONTROLLER_STEP,
+    CONTROLLER_INPUT,
+    CONTROLLER_STATE,
+    LOOP_TIMING,
+    TRUE_STATE,
+    HEALTH,
+    LOG,
+)
+COLUMNS = (CONTROLLER_STEP, LOOP_TIMING, TRUE_STATE)
+
+
+def class_name(schema: str, end: str) -> str:
+    """Name of the class of a message type, for example ``ControllerStepRow``."""
+    return schema.rpartition("/")[2] + end
+
+
+def value_name(field: Field) -> str:
+    """Name of a field in a row."""
+    if field.kind == HEADER_TYPE:
+        return "stamp_ns"
+    return f"{field.name}_ns" if field.kind in TIME_TYPES else field.name
+
+
+def column_type(field: Field) -> str:
+    """Name of the type of a field's array."""
+    code = CODES.get(field.kind, "d")
+    return {"?": "Bools", "d": "Floats", "f": "Floats"}.get(code, "Ints")
+
+
+def column_fields(schema: str) -> list[tuple[str, str]]:
+    """Names and types of the arrays of a message type; ``t_s``, the log time, takes the header's place."""
+    numbers = [field for field in fields_of(schema) if field.kind != HEADER_TYPE]
+    return [("t_s", "Floats"), *((field.name, column_type(field)) for field in numbers)]
+
+
+def _row(schema: str) -> Any:
+    name = class_name(schema, "Row")
+    made: Any = namedtuple(name, map(value_name, fields_of(schema)), module=__name__)
+    made.__doc__ = f"Fields, units and constants as in ``{schema}``."
+    made.pack, unpack = codec(schema, make=made._make)
+    made.unpack = staticmethod(unpack)
+    return made
+
+
+def _columns(schema: str) -> Any:
+    name, module = class_name(schema, "Columns"), {"__module__": __name__}
+    return make_dataclass(name, column_fields(schema), frozen=True, namespace=module)
+
+
+globals().update({class_name(schema, "Row"): _row(schema) for schema in ROWS})
+globals().update({class_name(schema, "Columns"): _columns(schema) for schema in COLUMNS})

@@ -1,0 +1,144 @@
+"""Commands that the simulated vehicle alone has, with PX4's results (Commander.cpp)."""
+
+from __future__ import annotations
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.frames import yaw_enu_from_ned
+from bridge.mavlink.server.commands import (
+    DENIED,
+    REJECTED,
+    UNSUPPORTED,
+    Answer,
+    Command,
+    Entry,
+    answer,
+    integer,
+)
+from bridge.mavlink.server.owner import Right
+from bridge.mavlink.server.parameters import Parameters
+from bridge.mavlink.server.profile import FlightMode
+from bridge.mavlink.server.streams import Streams
+from flightstack.core.types import Vec3
+from sim.autopilot.flight import Flight
+from sim.autopilot.geo import x_of, y_of
+from sim.autopilot.pilot import Goal
+
+_HOME_REACH_M = 100.0  # m from the room's origin
+_CHANGE_MODE = 1  # MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+_UNITS = dialect.enums["FAILURE_UNIT"]
+_KINDS = dialect.enums["FAILURE_TYPE"]
+
+
+class SimCommands:
+    """Handlers of the commands.
+
+    Attributes:
+        table: MAV_CMD to handler.
+    """
+
+    def __init__(self, flight: Flight, parameters: Parameters, streams: Streams[Flight]) -> None:
+        self._flight = flight
+        self._parameters = parameters
+        self._streams = streams
+        m, owner = dialect, Right.OWNER
+        self.table: dict[int, Entry] = {
+            m.MAV_CMD_NAV_RETURN_TO_LAUNCH: Entry(self._return, owner),
+            m.MAV_CMD_DO_SET_HOME: Entry(self._set_home, owner, place=True),
+            m.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND),
+            m.MAV_CMD_DO_REPOSITION: Entry(self._reposition, owner, place=True),
+            m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: Entry(self._reboot, owner),
+            m.MAV_CMD_INJECT_FAILURE: Entry(self._inject_failure, owner),
+        }
+
+    def _return(self, command: Command) -> Answer:
+        return answer(self._flight.set_mode(FlightMode.RETURN, command.now_s))
+
+    def _terminate(self, command: Command) -> Answer:
+        if not (command.given(1) or 0.0) > 0.5:
+            return Answer(DENIED, "Termination refused: param1 must be 1")
+        if not self._flight.armed:
+            return Answer(DENIED, "Termination refused: not armed")
+        return answer(self._flight.disarm(command.now_s, force=True))
+
+    def _set_home(self, command: Command) -> Answer:
+        if (command.given(1) or 0.0) > 0.5:
+            estimate = self._flight.vehicle.estimate()
+            if not estimate.valid:
+                return Answer(REJECTED, "Home refused: no position estimate")
+            point: Vec3 | None = estimate.position_enu_m
+        else:
+            point = self._point(command)
+        if point is None:
+            return Answer(DENIED, "Home refused: latitude, longitude and altitude are needed")
+        distance_m = max(map(abs, point))
+        if distance_m > _HOME_REACH_M:
+            reason = f"Home refused: {distance_m:.4g} m from the origin, at most {_HOME_REACH_M:g}"
+            return Answer(REJECTED, reason)
+        self._flight.pilot.home_enu_m = point  # local coordinates stay as they are
+        self._streams.hasten(dialect.MAVLINK_MSG_ID_HOME_POSITION)
+        return Answer()
+
+    def _reposition(self, command: Command) -> Answer:
+        if integer(command.given(2)) != _CHANGE_MODE:
+            return Answer(UNSUPPORTED, "Reposition refused: only with flag 1, change mode")
+        latitude, longitude, height_m = command.given(5), command.given(6), command.given(7)
+        if latitude is None and longitude is None and height_m is None:
+            return answer(self._flight.set_mode(FlightMode.HOLD, command.now_s))
+        if (latitude is None) != (longitude is None):
+            return Answer(DENIED, "Reposition refused: latitude and longitude only together")
+        here = self._flight.pilot.goal.point_enu_m if self._flight.pilot.goal else self._here()
+        x, y, z = here
+        if latitude is not None and longitude is not None:
+            x, y = x_of(longitude), y_of(latitude)
+        if height_m is not None:
+            z = command.local_z_m(height_m, self._flight.home_enu_m)
+        yaw, speed_m_s = command.given(4), command.given(1)
+        goal = Goal(
+            (x, y, z),
+            None if yaw is None else yaw_enu_from_ned(yaw),
+            speed_m_s if speed_m_s is not None and speed_m_s > 0.0 else None,
+        )
+        return answer(self._flight.reposition(goal))
+
+    def _reboot(self, command: Command) -> Answer:
+        what = integer(command.given(1))
+        if what == 0:
+            return Answer()  # "do nothing", for example when only the companion shall restart
+        if what != 1:
+            return Answer(DENIED, "Reboot refused: param1 must be 1, nothing else can be done")
+        reason = self._flight.reboot()
+        if reason is None:
+            self._streams.reset(command.now_s)
+        return answer(reason, DENIED)
+
+    def _inject_failure(self, command: Command) -> Answer:
+        unit, kind = integer(command.given(1)), integer(command.given(2))
+        instance = integer(command.given(3) or 0.0)
+        if not self._parameters["SYS_FAILURE_EN"]:
+            return Answer(DENIED, "Failure refused: SYS_FAILURE_EN is 0")
+        if unit is None or kind is None or instance is None or instance < 0:
+            return Answer(DENIED, "Failure refused: unit, type and instance are whole numbers")
+        reason = self._flight.vehicle.inject_failure(unit, kind, instance)
+        if reason is None:
+            text = f"Failure: {_name(_UNITS, unit)} {_name(_KINDS, kind)}"
+            self._flight.say(dialect.MAV_SEVERITY_NOTICE, f"{text} {instance}" if instance else text)
+            return Answer()
+        return Answer(UNSUPPORTED, f"Failure refused: {reason}")
+
+    def _here(self) -> Vec3:
+        return self._flight.vehicle.estimate().position_enu_m
+
+    def _point(self, command: Command) -> Vec3 | None:
+        latitude, longitude, height_m = command.given(5), command.given(6), command.given(7)
+        if latitude is None or longitude is None or height_m is None:
+            return None
+        return (x_of(longitude), y_of(latitude), command.local_z_m(height_m, self._flight.home_enu_m))
+
+
+def _name(names: dict[int, object], number: int) -> str:
+    entry = names.get(number)
+    if entry is None:
+        return str(number)
+    name = str(getattr(entry, "name", number)).removeprefix("FAILURE_UNIT_").removeprefix("FAILURE_TYPE_")
+    return name.lower().replace("_", " ")

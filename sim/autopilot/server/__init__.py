@@ -1,1 +1,0 @@
-"""The MAVLink side of the simulated autopilot."""

@@ -1,0 +1,138 @@
+"""Telemetry of the simulated autopilot: what it sends besides the messages of every vehicle."""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.frames import (
+    frd_from_flu,
+    ned_frd_from_enu_flu,
+    ned_from_enu,
+    yaw_from_quaternion,
+    yaw_ned_from_enu,
+)
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.server import telemetry as common
+from bridge.mavlink.server.telemetry import Builder, Snapshot
+from flightstack.core.types import Vec3
+from sim.autopilot.flight import Flight
+from sim.autopilot.geo import degrees_e7
+
+_NAN = math.nan
+_UNKNOWN_COVARIANCE = (_NAN,) + (0.0,) * 20  # NaN first: not known
+_ESTIMATOR_FLAGS = (
+    dialect.ESTIMATOR_ATTITUDE
+    | dialect.ESTIMATOR_VELOCITY_HORIZ
+    | dialect.ESTIMATOR_VELOCITY_VERT
+    | dialect.ESTIMATOR_POS_HORIZ_REL
+    | dialect.ESTIMATOR_POS_HORIZ_ABS
+    | dialect.ESTIMATOR_POS_VERT_ABS
+)
+_PWM_MIN_US, _PWM_SPAN_US = 1000, 1000  # us; what PX4's SITL reports for an idle and a full motor
+
+
+def _home_position(s: Snapshot[Flight]) -> Message:
+    x, y, _ = s.vehicle.home_enu_m
+    return common.home_position(s, *degrees_e7(x, y))
+
+
+def _global_position_int(s: Snapshot[Flight]) -> Message:
+    x, y, z = s.estimate.position_enu_m
+    above_home_mm = round(1000 * (z - s.vehicle.home_enu_m[2]))
+    velocity_cm_s = (round(100 * v) for v in ned_from_enu(s.estimate.velocity_enu_m_s))
+    heading = round(100 * _heading_deg(s)) % 36000
+    return dialect.MAVLink_global_position_int_message(
+        s.boot_ms, *degrees_e7(x, y), round(1000 * z), above_home_mm, *velocity_cm_s, heading
+    )
+
+
+def _gps_raw_int(s: Snapshot[Flight]) -> Message:
+    x, y, z = s.estimate.position_enu_m
+    fix = dialect.GPS_FIX_TYPE_3D_FIX if s.valid else dialect.GPS_FIX_TYPE_NO_FIX
+    vx, vy, _ = s.estimate.velocity_enu_m_s
+    course = round(100 * math.degrees(math.atan2(vx, vy))) % 36000
+    return dialect.MAVLink_gps_raw_int_message(
+        s.boot_us, fix, *degrees_e7(x, y), round(1000 * z), 10, 10,
+        round(100 * math.hypot(vx, vy)), course, 12,
+    )  # fmt: skip
+
+
+def _vfr_hud(s: Snapshot[Flight]) -> Message:
+    vx, vy, vz = s.estimate.velocity_enu_m_s
+    speed, height = math.hypot(vx, vy), s.estimate.position_enu_m[2]
+    return dialect.MAVLink_vfr_hud_message(speed, speed, round(_heading_deg(s)) % 360, 0, height, vz)
+
+
+def _altitude(s: Snapshot[Flight]) -> Message:
+    z = s.estimate.position_enu_m[2]
+    above_home_m = z - s.vehicle.home_enu_m[2]
+    return dialect.MAVLink_altitude_message(s.boot_us, z, z, z, above_home_m, _NAN, _NAN)
+
+
+def _odometry(s: Snapshot[Flight]) -> Message:
+    # The velocity is in the world's axes: so PX4 1.16's own ODOMETRY was measured (frame_id = child_frame_id
+    # = 1), since its estimator's velocity is NED (PX4 streams/ODOMETRY.hpp, EKF2.cpp).
+    e = s.estimate
+    return dialect.MAVLink_odometry_message(
+        s.boot_us, dialect.MAV_FRAME_LOCAL_NED, dialect.MAV_FRAME_LOCAL_NED,
+        *ned_from_enu(e.position_enu_m), list(ned_frd_from_enu_flu(e.quaternion)),
+        *ned_from_enu(e.velocity_enu_m_s), *frd_from_flu(e.angular_velocity_flu_rad_s),
+        _UNKNOWN_COVARIANCE, _UNKNOWN_COVARIANCE, 0, dialect.MAV_ESTIMATOR_TYPE_AUTOPILOT,
+    )  # fmt: skip
+
+
+def _position_target_local_ned(s: Snapshot[Flight]) -> Message:
+    wanted: Vec3 = s.vehicle.pilot.velocity_setpoint_enu_m_s or (_NAN, _NAN, _NAN)
+    nan = (_NAN, _NAN, _NAN)
+    return dialect.MAVLink_position_target_local_ned_message(
+        s.boot_ms, dialect.MAV_FRAME_LOCAL_NED, 3527, *nan, *ned_from_enu(wanted), *nan, _NAN, _NAN
+    )
+
+
+def _gps_global_origin(s: Snapshot[Flight]) -> Message:
+    return dialect.MAVLink_gps_global_origin_message(*degrees_e7(0.0, 0.0), 0, s.boot_us)
+
+
+def _estimator_status(s: Snapshot[Flight]) -> Message:
+    flags = _ESTIMATOR_FLAGS if s.valid else dialect.ESTIMATOR_ATTITUDE
+    return dialect.MAVLink_estimator_status_message(
+        s.boot_us, flags, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.01
+    )
+
+
+def _servo_output_raw(s: Snapshot[Flight]) -> Message:
+    pulses_us = [_PWM_MIN_US + round(_PWM_SPAN_US * c) for c in s.vehicle.vehicle.motor_commands]
+    return dialect.MAVLink_servo_output_raw_message(s.boot_us & 0xFFFFFFFF, 0, *pulses_us, 0, 0, 0, 0)
+
+
+def _system_time(s: Snapshot[Flight]) -> Message:
+    return dialect.MAVLink_system_time_message(s.epoch_ns // 1000 + s.boot_us, s.boot_ms)
+
+
+# What can be streamed, in the order of a datagram.
+BUILDERS: dict[int, Builder[Flight]] = {
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: common.sys_status,
+    dialect.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
+    dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _servo_output_raw,
+    dialect.MAVLINK_MSG_ID_BATTERY_STATUS: common.battery_status,
+    dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator_status,
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: common.extended_sys_state,
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw_int,
+    dialect.MAVLINK_MSG_ID_ATTITUDE: common.attitude,
+    dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: common.attitude_quaternion,
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: common.local_position_ned,
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position_int,
+    dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _gps_global_origin,
+    dialect.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
+    dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _position_target_local_ned,
+    dialect.MAVLINK_MSG_ID_ALTITUDE: _altitude,
+    dialect.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
+    dialect.MAVLINK_MSG_ID_ODOMETRY: _odometry,
+}
+
+
+def _heading_deg(s: Snapshot[Flight]) -> float:
+    """Heading clockwise from north, 0 to 360."""
+    return math.degrees(yaw_ned_from_enu(yaw_from_quaternion(s.estimate.quaternion))) % 360.0

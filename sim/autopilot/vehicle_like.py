@@ -1,0 +1,73 @@
+"""The vehicle as its simulated autopilot sees it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from bridge.mavlink.server.telemetry import EstimateLike
+from flightstack.core.types import Vec3
+
+
+class CheckedEstimate(EstimateLike, Protocol):
+    """State by the on-board estimator, and whether it is good."""
+
+    @property
+    def valid(self) -> bool:
+        """Whether the numbers may be flown by."""
+
+
+class VehicleLike(Protocol):
+    """The vehicle; ``sim.vehicle.vehicle.VehicleSim`` is one."""
+
+    @property
+    def battery_v(self) -> float:
+        """Voltage of the one cell."""
+
+    @property
+    def armed(self) -> bool:
+        """Motors may run."""
+
+    @property
+    def locked(self) -> bool:
+        """The firmware's supervisor has locked the motors until a restart."""
+
+    @property
+    def on_pad(self) -> bool:
+        """In contact with the top of the pad."""
+
+    @property
+    def on_ground(self) -> bool:
+        """In contact with the ground."""
+
+    @property
+    def landed(self) -> bool:
+        """At rest on something."""
+
+    @property
+    def motor_commands(self) -> tuple[float, float, float, float]:
+        """Commands of the motors M1 to M4, 0 to 1 of the highest speed there is now."""
+
+    def arm(self) -> str | None:
+        """Arm; the reason if refused."""
+
+    def disarm(self, force: bool) -> str | None:
+        """Disarm; the reason if refused."""
+
+    def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
+        """Hand a velocity set-point to the firmware."""
+
+    def stop_setpoint(self) -> None:
+        """Tell the firmware that no set-point holds any more."""
+
+    def estimate(self) -> CheckedEstimate:
+        """State by the estimator now."""
+
+    def reboot(self) -> str | None:
+        """Restart the firmware, which also unlocks it; the reason if refused."""
+
+    def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
+        """Let something fail: numbers of FAILURE_UNIT and FAILURE_TYPE, instance 0 for all.
+
+        Returns:
+            None when it took effect, else why not.
+        """

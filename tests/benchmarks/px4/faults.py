@@ -1,0 +1,184 @@
+"""What becomes of a flight of a real PX4 when something fails: the fault table of docs/how_to/px4_sim.md.
+
+``python -m tests.benchmarks px4_faults [SPEED] [FOLDER] [WORD]``: at so many times real time (default 1;
+below 1 on a busy machine), logs in that folder, only the faults whose name holds the word.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
+
+from flightstack.common.processes import LaunchError
+from flightstack.core.parameters.flight import path_of
+from sim.px4.program import Px4Program
+from tests.flight_suite.radio import Radio
+from tests.px4_flight import Px4Flight, Px4Flying, flying
+from tests.px4_program import PX4_PLACE, px4_place
+
+CONFIG = path_of("px4-1kg")
+PHASE_MAX_S = 90.0  # s of stack time until the phase of the fault
+DOWN_MAX_S = 180.0  # s of stack time from the fault until its motors are off
+REST_M_S = 0.1  # it stands: PX4's own vertical velocity is below it
+FLOOR_M = 0.25  # it stands on the floor, not on the robot (0.62 m): feet at 0.12 m, and drift of its height
+
+Act = Callable[[Px4Flying, Radio], None]
+
+
+class Fault(NamedTuple):
+    """What fails, and in which phase of the flight."""
+
+    name: str
+    phase: str
+    act: Act
+
+
+class Result(NamedTuple):
+    """How it ended."""
+
+    place: str
+    down_s: float | None  # stack time from the fault until the motors were off
+    phases: str
+    reason: str
+
+
+def _sleep(one: Px4Flying, seconds: float) -> None:
+    """So much stack time."""
+    one.until(lambda: False, seconds)
+
+
+def _kill_onboard(one: Px4Flying, radio: Radio) -> None:
+    assert one.onboard is not None
+    one.onboard.process.kill()
+
+
+def _interrupt(one: Px4Flying, radio: Radio) -> None:
+    one.interrupt()
+
+
+def _terminate(one: Px4Flying, radio: Radio) -> None:
+    assert one.onboard is not None
+    one.onboard.process.terminate()
+
+
+def _kill_target(one: Px4Flying, radio: Radio) -> None:
+    one.target.process.kill()
+
+
+def _kill_recorder(one: Px4Flying, radio: Radio) -> None:
+    one.recorder.process.kill()
+
+
+def _pause(seconds: float) -> Act:
+    def act(one: Px4Flying, radio: Radio) -> None:
+        os.killpg(one.px4.process.pid, signal.SIGSTOP)
+        _sleep(one, seconds)
+        os.killpg(one.px4.process.pid, signal.SIGCONT)
+
+    return act
+
+
+def _cut(seconds: float) -> Act:
+    def act(one: Px4Flying, radio: Radio) -> None:
+        radio.cut()
+        _sleep(one, seconds)
+        radio.mend()
+
+    return act
+
+
+_KILLED_IN = ("TAKEOFF", "APPROACH", "LAND", "TOUCHDOWN")
+FAULTS = [
+    *(Fault("onboard process killed", phase, _kill_onboard) for phase in _KILLED_IN),
+    Fault("onboard process told to end (SIGTERM)", "APPROACH", _terminate),
+    Fault("Ctrl-C", "TAKEOFF", _interrupt),
+    Fault("Ctrl-C", "APPROACH", _interrupt),
+    Fault("target lost for good", "APPROACH", _kill_target),
+    Fault("PX4 paused 1 s", "APPROACH", _pause(1.0)),
+    Fault("PX4 paused 5 s", "APPROACH", _pause(5.0)),
+    Fault("link cut 1 s", "APPROACH", _cut(1.0)),
+    Fault("link cut 5 s", "APPROACH", _cut(5.0)),
+    Fault("recorder killed", "APPROACH", _kill_recorder),
+]
+
+
+def fly(place: Path, fault: Fault, speed: float, folder: Path) -> Result:
+    """One flight with the fault.
+
+    Raises:
+        LaunchError: a process did not start, or the flight did not come to the phase.
+    """
+    flight = Px4Flight("large", CONFIG, folder, 1, speed=speed)
+    with ExitStack() as stack:
+        radios: list[Radio] = []
+
+        def by_radio(px4: Px4Program) -> str:
+            radio = Radio(f"udpout:127.0.0.1:{px4.onboard_local_port}", px4.onboard_port)
+            radios.append(stack.enter_context(radio))
+            return radio.url
+
+        one = stack.enter_context(flying(place, flight, by_radio))
+        one.take_off()
+        if not one.until(lambda: one.in_phase(fault.phase) and one.armed, PHASE_MAX_S):
+            raise LaunchError(f"it did not come to {fault.phase}: {one.told[-3:]}")
+        _sleep(one, 0.0 if fault.phase == "TOUCHDOWN" else 1.0)
+        before = len(one.told)
+        fault.act(one, radios[0])
+        began_s = time.monotonic()
+        down = one.until(lambda: one.disarmed, DOWN_MAX_S)
+        down_s = (time.monotonic() - began_s) * speed if down else None
+        one.until(one.ended, 5.0)
+        after = [line.split("-> ")[1].split(":")[0] for line in one.told[before:] if "-> " in line]
+        said = one.told[-1] if one.ended() and one.told[before:] else ""
+        return Result(_place(one), down_s, " ".join(after), said)
+
+
+def _place(one: Px4Flying) -> str:
+    """Where it is, by PX4's own estimate and by the simulator's contacts."""
+    said = one.px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
+    found = {words[0]: words[1] for words in map(str.split, said) if len(words) > 1}
+    if abs(float(found["vz:"])) > REST_M_S:
+        return "IN THE AIR"
+    if -float(found["z:"]) < FLOOR_M:
+        return "on the floor"
+    touched = any(line.startswith("touched the pad") for line in one.said)
+    return "on the pad" if touched else "IN THE AIR"
+
+
+def main() -> None:
+    """Fly and print."""
+    place = px4_place()
+    if place is None:
+        print(f"no PX4 here: {PX4_PLACE} names none; nothing flown")
+        return
+    given = dict(enumerate(sys.argv[1:]))
+    speed, word = float(given.get(0, "1")), given.get(2, "")
+    folder = Path(given[1]) if 1 in given else Path(tempfile.mkdtemp(prefix="px4-faults-"))
+    print(f"logs: {folder}", flush=True)
+    print("| fault | in | ends | motors off after | phases after it | said |", flush=True)
+    print("|---|---|---|---|---|---|", flush=True)
+    for number, fault in enumerate(FAULTS):
+        if word not in fault.name:
+            continue
+        try:
+            result = fly(place, fault, speed, folder / str(number))
+        except LaunchError as error:
+            print(f"| {fault.name} | {fault.phase} | not flown: {error} |", flush=True)
+            continue
+        print(_row(fault, result), flush=True)
+
+
+def _row(fault: Fault, result: Result) -> str:
+    down = f"{result.down_s:.0f} s" if result.down_s is not None else "STAYS ARMED"
+    return f"| {fault.name} | {fault.phase} | {result.place} | {down} | {result.phases} | {result.reason} |"
+
+
+if __name__ == "__main__":
+    main()

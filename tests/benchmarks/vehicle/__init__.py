@@ -1,0 +1,1 @@
+"""The simulated vehicle against published numbers and linear analysis, and its speed."""

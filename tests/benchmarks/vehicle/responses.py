@@ -1,0 +1,138 @@
+"""The flights of ``runs`` next to the linear models; flown once for tables and figures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.plant.ground_effect import GroundEffect
+from sim.scenarios.scenario import VelocityLoop
+from tests import linear_analysis as analysis
+from tests.benchmarks.vehicle import linear as pid
+from tests.benchmarks.vehicle import runs as runs
+from tests.unit.vehicle.vehicle_sim_helpers import QUIET
+
+F64 = npt.NDArray[np.float64]
+C128 = npt.NDArray[np.complex128]
+PAPER, PID = VelocityLoop.PAPER, VelocityLoop.PID
+STEP_M_S, TURN_RAD, RELEASE_RAD = 0.2, 0.3, math.radians(10.0)
+STEPS_S = {"roll": 0.8, "velocity": 3.0, "yaw": 5.0}
+LAGS = {False: analysis.PARAMS.rotor.lag_s, True: analysis.slow_lag_s()}
+NAMES = {False: "nominal motors", True: "slow motors"}
+ROTOR = analysis.PARAMS.rotor
+WEIGHT_N = analysis.MASS * analysis.G
+GUST_RMS_M_S, GUST_STEP_S, GUST_S = 0.6, 0.005, 3600.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """A response every 2 ms, simulated and linear, both divided by the step; poles of the linear model."""
+
+    t: F64
+    simulated: F64
+    linear: F64
+    poles: C128 | None
+
+    @property
+    def modes(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Natural frequency (rad/s) and damping ratio of the oscillation, simulated and linear.
+
+        One oscillation and one decay are fitted to the simulated response; of the model's poles counts the
+        nearest.
+        """
+        assert self.poles is not None
+        found = next(p for p in analysis.prony_poles(self.simulated, analysis.DT, 3) if p.imag > 1.0)
+        nearest = self.poles[np.argmin(np.abs(self.poles - found))]
+        simulated, linear = ((float(abs(p)), float(-p.real / abs(p))) for p in (found, nearest))
+        return simulated, linear
+
+
+def _step(every_ms: F64, linear: F64, poles: C128 | None = None) -> Step:
+    """Make a step of a record of every millisecond."""
+    simulated = every_ms[1::2]
+    return Step(analysis.DT * np.arange(1, len(simulated) + 1), simulated, linear, poles)
+
+
+@cache
+def hover() -> runs.Run:
+    """Hover until the battery is empty."""
+    return runs.hover_until_empty(430.0)
+
+
+@cache
+def roll(loop: VelocityLoop, slow: bool) -> Step:
+    """Let go at 10 degrees."""
+    seconds = STEPS_S["roll"]
+    rolled = runs.roll_release(loop, RELEASE_RAD, seconds, slow=slow).roll / RELEASE_RAD
+    if loop is PID:
+        steps = round(seconds / analysis.DT)
+        return _step(rolled, pid.roll(LAGS[slow]).response(steps, start=1.0, wanted=0.0))
+    model = analysis.roll_loop(LAGS[slow])
+    return _step(rolled, 1.0 - model.response(seconds), model.poles())  # only the error counts
+
+
+@cache
+def velocity(loop: VelocityLoop, slow: bool, axis: int, *, late: bool = False) -> Step:
+    """Velocity step; half the difference of both directions, which leaves biases and curvature out.
+
+    ``late``: with the motion capture's 10 ms of delay, which the linear models leave out.
+    """
+    seconds = STEPS_S["velocity"]
+    ways = [
+        runs.velocity_step(
+            loop,
+            tuple(s * STEP_M_S * (i == axis) for i in range(3)),
+            seconds,
+            slow=slow,
+            mocap=QUIET if late else runs.PROMPT,
+        )
+        for s in (1.0, -1.0)
+    ]
+    moved = (ways[0].velocity - ways[1].velocity)[:, axis] / (2.0 * STEP_M_S)
+    if loop is PID:
+        make = pid.vertical if axis == 2 else pid.horizontal
+        return _step(moved, make(LAGS[slow]).response(round(seconds / analysis.DT)))
+    model = (analysis.vertical_loop if axis == 2 else analysis.horizontal_loop)(LAGS[slow])
+    return _step(moved, model.response(seconds), model.poles())
+
+
+@cache
+def yaw(slow: bool) -> Step:
+    """Yaw step of the paper's gains."""
+    turned = runs.yaw_step(PAPER, TURN_RAD, STEPS_S["yaw"], slow=slow).yaw / TURN_RAD
+    model = analysis.yaw_loop(LAGS[slow])
+    return _step(turned, model.response(STEPS_S["yaw"]), model.poles())
+
+
+@cache
+def landing(speed_m_s: float, drop: bool, driving: bool) -> runs.Run:
+    """A touch-down by contact, or by motors off 5 cm up."""
+    return runs.touchdown(
+        speed_m_s, motors_off_below_m=0.05 if drop else None, target=runs.DRIVING if driving else None
+    )
+
+
+def touch_index(run: runs.Run) -> int:
+    """Index of the first step in contact with the pad."""
+    return int(np.argmax(run.pad_contact))
+
+
+def rise_s(t: F64, y: F64, end: float) -> float:
+    """Time from 10 to 90 % of the final value."""
+    low, high = (float(t[np.argmax(y >= share * end)]) for share in (0.1, 0.9))
+    return high - low
+
+
+@cache
+def gusts() -> F64:
+    """An hour of wind."""
+    return runs.gusts(GUST_S, GUST_STEP_S, GUST_RMS_M_S)
+
+
+def increase(height_m: float, gain: float = 1.0) -> float:
+    """T/T0 - 1 of the simulated rotor over a wide surface."""
+    return GroundEffect(ROTOR, gain, 0.1).increase(height_m)

@@ -1,0 +1,212 @@
+"""The flights behind docs/how_it_works/vehicle.md: same seed, same parameters, always the same numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sim.plant.params import STEP_S, Plant, load
+from sim.plant.rotors import Rotors
+from sim.plant.wind import WindModel
+from sim.robot.target import TargetModel
+from sim.scenarios.scenario import (
+    OdometryLink,
+    PathKind,
+    Start,
+    StartKind,
+    TargetSpec,
+    VehicleSpec,
+    VelocityLoop,
+    Wind,
+)
+from sim.vehicle.vehicle import CONTACT_PAD, Truth, VehicleSim
+from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario
+
+F64 = npt.NDArray[np.float64]
+SEED = 1
+PROMPT = OdometryLink(100.0)  # motion capture without delay, as the linear models have it
+PARAMS = load()
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was recorded every millisecond; ENU, SI."""
+
+    t: F64
+    position: F64  # (n, 3)
+    velocity: F64
+    roll: F64
+    yaw: F64
+    rpm: F64  # (n, 4)
+    cushion: F64  # ground-effect factor, mean of the four
+    relative: F64  # vehicle minus pad, (n, 3)
+    relative_velocity: F64
+    pad_contact: npt.NDArray[np.bool_]
+    battery_v: F64
+
+
+def make(height_m: float = 3.0, *, target: TargetSpec | None = None, **vehicle: object) -> VehicleSim:
+    """A vehicle in hover above the pad, motion capture without noise."""
+    spec = VehicleSpec(**{"mocap": QUIET, **vehicle})
+    start = Start(StartKind.HOVER, offset_m=(0.0, 0.0, height_m))
+    return VehicleSim(scenario(start=start, vehicle=spec, target=target or TargetSpec()), SEED)
+
+
+def _row(sim: VehicleSim, truth: Truth) -> tuple[object, ...]:
+    w, x, y, z = truth.quaternion
+    e = [a - b for a, b in zip(truth.position_enu_m, truth.pad_position_enu_m, strict=True)]
+    v = [a - b for a, b in zip(truth.velocity_enu_m_s, truth.pad_velocity_enu_m_s, strict=True)]
+    return (
+        truth.time_s, truth.position_enu_m, truth.velocity_enu_m_s,
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+        truth.rotor_rpm, sim._rotors.record.cushion.mean(), e, v,
+        bool(truth.contacts & CONTACT_PAD), truth.battery_v,
+    )  # fmt: skip
+
+
+def record(
+    sim: VehicleSim, seconds: float, each: Callable[[int], bool] | None = None, *, every_ms: int = 1
+) -> Run:
+    """Run and record; ``each`` is called every 10 ms before them and ends the run when it returns True."""
+    rows = []
+    begin = sim.truth().time_s
+    for ms in range(0, round(seconds * 1000.0), every_ms):
+        if ms % 10 == 0 and each is not None and each(ms):
+            break
+        sim.advance(every_ms)
+        rows.append(_row(sim, sim.truth()))
+    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    columns[0] = columns[0] - begin
+    return Run(*columns)
+
+
+def hold(sim: VehicleSim, velocity: tuple[float, float, float], yaw: float = 0.0) -> Callable[[int], bool]:
+    """Send this set-point every 10 ms."""
+
+    def send(ms: int) -> bool:
+        sim.set_velocity(velocity, yaw)
+        return False
+
+    return send
+
+
+def hover_until_empty(seconds: float) -> Run:
+    """Hover, recorded every 10 ms."""
+    sim = make()
+    return record(sim, seconds, hold(sim, (0.0, 0.0, 0.0)), every_ms=10)
+
+
+def motor_step(slow: bool, from_rpm: float, to_rpm: float, seconds: float) -> tuple[F64, F64]:
+    """Time and speed of a rotor whose command jumps."""
+    rotors = Rotors(PARAMS.rotor, Plant(), slow, STEP_S)
+    rotors.rpm = (from_rpm,) * 4
+    speeds = [from_rpm]
+    for _ in range(round(seconds / STEP_S)):
+        rotors.step((to_rpm,) * 4, None, 0.0, 0.0)
+        speeds.append(rotors.rpm[0])
+    return np.arange(len(speeds)) * STEP_S, np.array(speeds)
+
+
+def velocity_step(
+    loop: VelocityLoop,
+    velocity: tuple[float, float, float],
+    seconds: float,
+    *,
+    slow: bool = False,
+    mocap: OdometryLink = PROMPT,
+) -> Run:
+    """From hover to a velocity set-point at time zero, which the radio does not delay."""
+    sim = make(velocity_loop=loop, slow_motors=slow, mocap=mocap, setpoint_delay_s=0.0)
+    record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
+    return record(sim, seconds, hold(sim, velocity))
+
+
+def yaw_step(loop: VelocityLoop, yaw_rad: float, seconds: float, *, slow: bool = False) -> Run:
+    """From hover to a yaw set-point at time zero, which the radio does not delay."""
+    sim = make(velocity_loop=loop, slow_motors=slow, mocap=PROMPT, setpoint_delay_s=0.0)
+    record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
+    return record(sim, seconds, hold(sim, (0.0, 0.0, 0.0), yaw_rad))
+
+
+def roll_release(loop: VelocityLoop, roll_rad: float, seconds: float, *, slow: bool = False) -> Run:
+    """Let go at a roll angle while the firmware levels out, which it does when set-points are late.
+
+    Then roll is held at zero whatever the velocity. The estimate begins right.
+    """
+    sim = make(velocity_loop=loop, slow_motors=slow)
+    record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
+    while "levelling" not in sim.state_text:
+        sim.advance(1)
+    quaternion = (math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad), 0.0, 0.0)
+    sim._world.set_vehicle(sim._world.position, quaternion)
+    sim._settle()
+    return record(sim, seconds)
+
+
+def touchdown(
+    speed_m_s: float, *, motors_off_below_m: float | None = None, target: TargetSpec | None = None
+) -> Run:
+    """Come down on the pad from 25 cm at the pad's horizontal velocity.
+
+    Args:
+        speed_m_s: of the descent.
+        motors_off_below_m: stop set-point below this height over the pad; None: half a second after contact.
+        target: pad that drives, if not the standing one.
+    """
+    spec = target or TargetSpec()
+    deck = TargetModel(spec, SEED)
+    for _ in range(300):  # it is at speed when time begins
+        deck.step(0.01, True)
+    sim = make(0.25, target=spec)
+    pad = deck.pose.position_enu_m
+    sim._world.set_vehicle((pad[0], pad[1], pad[2] + 0.25), velocity=deck.velocity_enu_m_s)
+    sim._settle()
+    off = False
+
+    def each(ms: int) -> bool:
+        nonlocal off
+        sim.set_deck(deck.pose.position_enu_m, deck.pose.yaw_rad, deck.velocity_enu_m_s, deck.yaw_rate_rad_s)
+        vx, vy, vz = deck.velocity_enu_m_s
+        deck.step(0.01, True)
+        height = sim._world.position[2] - sim._world.deck_position[2]
+        off = off or sim.landed or (motors_off_below_m is not None and height < motors_off_below_m)
+        if off:
+            sim.stop_setpoint()
+        else:
+            sim.set_velocity((vx, vy, vz - speed_m_s), 0.0)
+        return False
+
+    return record(sim, 2.5, each)
+
+
+DRIVING = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)  # paper, scenario 2
+
+
+def supervisor_times(stop: bool, seconds: float) -> dict[str, int]:
+    """When the supervisor changes its state, ms after the last set-point; ``stop``: stop is streamed then."""
+    sim = make(setpoint_delay_s=0.0)
+    record(sim, 0.53, hold(sim, (0.0, 0.0, 0.0)))  # the last one at 0.52 s, when the supervisor runs
+    times: dict[str, int] = {}
+    for ms in range(round(1000.0 * seconds)):
+        if stop and ms % 10 == 0:
+            sim.stop_setpoint()
+        before = sim.state_text
+        sim.advance(1)
+        if sim.state_text != before:
+            times[sim.state_text.partition(":")[0]] = ms + 10
+    return times
+
+
+def gusts(seconds: float, step_s: float, rms_m_s: float) -> F64:
+    """Wind over time, (n, 3)."""
+    wind = WindModel(Wind(0.0, rms_m_s), PARAMS.wind, SEED, step_s)
+    out = []
+    for _ in range(round(seconds / step_s)):
+        wind.step()
+        out.append(wind.now_enu_m_s)
+    return np.array(out)

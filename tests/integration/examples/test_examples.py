@@ -1,0 +1,170 @@
+"""The programs of ``examples/`` run as a user runs them, and import what the page of the interface lists."""
+
+import ast
+import math
+import re
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bridge.target.odometry import OdometrySubscriber
+from bridge.zenoh.zenoh_link import open_session
+from logs.reader.flight import load_flight
+from tests.integration.runs import WALL_MAX_S
+from tests.integration.sim_processes import PATIENCE_S, free_port, wait_for
+from tests.unit.target.ros2_helpers import ODOMETRY, decode
+
+ROOT = Path(__file__).parents[3]
+EXAMPLES = ROOT / "examples"
+PAGE = (ROOT / "docs" / "reference" / "python.md").read_text()
+ROOMS = {"flightstack", "bridge", "sim", "logs"}
+
+
+def run(name, *words, cwd=ROOT):
+    """Run an example to its end; returns what it printed."""
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / name, *map(str, words)],
+        cwd=cwd, capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@contextmanager
+def running(name, *words):
+    """An example that runs until Ctrl-C."""
+    child = subprocess.Popen([sys.executable, EXAMPLES / name, *words], cwd=ROOT, stderr=subprocess.PIPE)
+    try:
+        yield child
+        child.send_signal(signal.SIGINT)
+        _, said = child.communicate(timeout=PATIENCE_S)
+        assert (child.returncode, said) == (0, b"")
+    finally:
+        if child.poll() is None:
+            child.kill()
+            child.communicate(timeout=PATIENCE_S)
+
+
+def imports():
+    """(module, name) of this project that the examples import."""
+    found = set()
+    for file in EXAMPLES.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            assert not isinstance(node, ast.Import) or not {a.name.split(".")[0] for a in node.names} & set(
+                ROOMS
+            )
+            if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in ROOMS:
+                found |= {(node.module, alias.name) for alias in node.names}
+    return found
+
+
+def test_the_page_lists_what_the_examples_import_and_nothing_else():
+    listed = re.findall(r"^\| `([\w.]+)` \| `(\w+)` \| .+ \|$", PAGE, re.MULTILINE)
+    assert len(listed) == len(set(listed))
+    assert set(listed) == imports()
+    for module, name in listed:
+        assert getattr(import_module(module), name).__doc__, f"{module}.{name}: help() says nothing"
+
+
+def test_every_example_is_in_the_page_and_run_by_a_test():
+    names = {path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".toml")}
+    assert len(names) >= 4
+    assert {name for name in names if f"`examples/{name}`" not in PAGE} == set()
+    tests = "".join(path.read_text() for path in (ROOT / "tests" / "integration").rglob("test_*.py"))
+    assert {name for name in names if f'"{name}"' not in tests and f"examples/{name}" not in tests} == set()
+
+
+def test_a_landing_lands_and_equals_itself():
+    out = run("landing.py", "lab", 3)
+    assert re.search(r"^landed: touched \d\.\d cm from the centre", out, re.MULTILINE)
+    assert [line.split()[-1] for line in out.splitlines()[:5]] == [
+        "WAIT", "APPROACH", "LAND", "TOUCHDOWN", "LANDED"
+    ]  # fmt: skip
+    assert run("landing.py", "lab", 3) == out
+
+
+def test_the_scenario_is_proven_lands_and_its_log_becomes_arrays(flown, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "flightstack.cli.main", "check", EXAMPLES / "own_scenario.toml"],
+        capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    flight = flown(str(EXAMPLES / "own_scenario.toml"))
+    assert (flight.code, flight.json["outcome"]) == (0, "landed"), flight.err
+    out = run("log_to_numpy.py", flight.log, tmp_path / "flight.npz")
+    steps = load_flight(flight.log).steps
+    assert f"{len(steps.t_s)} steps" in out
+    with np.load(tmp_path / "flight.npz") as saved:
+        assert np.array_equal(saved["h_m"], steps.h_m, equal_nan=True)
+        assert saved["command_enu_m_s"].shape == (len(steps.t_s), 3)
+        assert len(saved["true_h_m"]) > len(steps.t_s) // 2
+
+
+@pytest.mark.xdist_group("real-time")
+def test_the_target_drives_a_circle_and_says_so():
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    samples = []
+    with running("publish_target.py", "--key", "demo/odom", "--speed", "0.5", "--listen", endpoint):
+        session = open_session([], [endpoint])
+        try:
+            subscriber = OdometrySubscriber(session, "demo/odom")
+
+            def enough():
+                samples.extend(subscriber.poll())
+                return len(samples) >= 60
+
+            wait_for(enough, "60 samples")
+        finally:
+            session.close()
+    messages = [decode(ODOMETRY, sample.payload) for sample in samples]  # by a codec that is not ours
+    assert {b.sequence - a.sequence for a, b in pairwise(samples)} == {1}
+    times_s = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages]
+    places = [(m.pose.pose.position.x, m.pose.pose.position.y) for m in messages]
+    assert {(m.header.frame_id, m.child_frame_id) for m in messages} == {("map", "target")}
+    for x, y in places:
+        assert math.hypot(x, y - 1.0) == pytest.approx(1.0)
+    way_m = sum(math.dist(a, b) for a, b in pairwise(places))
+    assert way_m / (times_s[-1] - times_s[0]) == pytest.approx(0.5, rel=0.02)
+    last = messages[-1]
+    heading_rad = 2.0 * math.atan2(last.pose.pose.orientation.z, last.pose.pose.orientation.w)
+    assert (math.sin(heading_rad), 1.0 - math.cos(heading_rad)) == pytest.approx(places[-1])
+    assert last.twist.twist.linear.x == pytest.approx(0.5)
+
+
+@pytest.mark.xdist_group("real-time")
+def test_the_target_is_landed_on(tmp_path):
+    zenoh, url = f"tcp/127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
+    flightstack = [sys.executable, "-m", "flightstack.cli.main"]
+    vehicle = subprocess.Popen(
+        [*flightstack, "vehicle", "--scenario", "paper_static_2", "--url", f"udpin:{url}"],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert vehicle.stdout.readline().startswith("ready")
+        with running("publish_target.py", "--key", "demo/odom", "--speed", "0", "--listen", zenoh):
+            words = [
+                "--vehicle",
+                f"udpout:{url}",
+                "--target",
+                "demo/odom",
+                "--connect",
+                zenoh,
+                "--config",
+                "crazyflie",
+            ]
+            done = subprocess.run(
+                [*flightstack, "fly", *words, "--no-report", "--json", "--out", tmp_path],
+                capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
+            )  # fmt: skip
+    finally:
+        vehicle.terminate()
+        vehicle.communicate(timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert '"outcome": "landed"' in done.stdout.splitlines()[-1]

@@ -1,0 +1,68 @@
+"""``--quick``: a test that needs more processor time than a quick run allows is broken off and skipped.
+
+``make quick`` runs the unit tests that are not marked ``slow``, as those of ``SLOW`` are. The bound keeps it
+quick when somebody adds a slow test and forgets the marker: the reason of the skip tells to mark it.
+``make test`` runs all tests whole. Processor time depends less on the load of the machine than wall time.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Generator
+from pathlib import Path
+from types import FrameType
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+CPU_MAX_S = 2.5  # s for a test, and for its fixtures
+# modules and folders below tests/unit that fly many seconds, prove whole envelopes or wait for processes
+SLOW = (
+    "autopilot/test_fuzz_vehicle.py",
+    "core/mission/test_phases_exhaustive.py",
+    "crazyflie/test_crazyflie_vehicle.py",
+    "logs/recorder/test_recorder_process.py",
+    "logs/replay/test_replay_golden.py",
+    "logs/replay/test_replay_live.py",
+    "plant/test_physics_*.py",
+    "plant/test_vehicle_docs.py",
+    "vehicle/test_landing.py",
+    "verify/test_*.py",
+)
+
+
+def mark_slow(items: list[pytest.Item]) -> None:
+    """Mark the tests of the slow modules."""
+    slow = {path for pattern in SLOW for path in (ROOT / "tests" / "unit").glob(pattern)}
+    for item in items:
+        if item.path in slow:
+            item.add_marker(pytest.mark.slow)
+
+
+def _break_off(number: int, frame: FrameType | None) -> None:
+    del number, frame
+    pytest.skip(f"needs more than {CPU_MAX_S:g} s of processor time: mark it slow; `make test` runs it whole")
+
+
+def _bounded(item: pytest.Item) -> Generator[None, object, object]:
+    if not item.config.getoption("--quick"):
+        return (yield)
+    previous = signal.signal(signal.SIGPROF, _break_off)
+    signal.setitimer(signal.ITIMER_PROF, CPU_MAX_S)
+    try:
+        return (yield)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, previous)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None, object, object]:
+    """Bound the fixtures of a test."""
+    return (yield from _bounded(item))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    """Bound a test."""
+    return (yield from _bounded(item))

@@ -1,0 +1,52 @@
+"""Every test of the server tries each of its users."""
+
+from __future__ import annotations
+
+import copy
+import functools
+
+import pytest
+
+from tests.unit.mavlink.server.served import USERS, Served
+
+
+@functools.cache
+def prepared(user: str, situation: str) -> Served:
+    """A user of the server in a situation; to be copied, not to be used."""
+    made = USERS[user]()
+    if situation != "disarmed":
+        getattr(made, situation)()
+    made.texts()
+    made.forget()
+    return made
+
+
+@pytest.fixture(params=USERS)
+def user(request) -> str:
+    return request.param
+
+
+@pytest.fixture
+def fresh(user):
+    """Gives a user of the server in a situation: ``disarmed``, ``homed``, ``fly`` or ``offboard``."""
+
+    def make(situation: str) -> Served:
+        return copy.deepcopy(prepared(user, situation))
+
+    return make
+
+
+@pytest.fixture
+def numbers(user) -> frozenset[int]:
+    """MAV_CMD of the commands that it has."""
+    return frozenset(prepared(user, "disarmed").server.commands.table)
+
+
+@pytest.fixture
+def served(fresh) -> Served:
+    return fresh("disarmed")
+
+
+@pytest.fixture
+def flown(fresh) -> Served:
+    return fresh("offboard")

@@ -1,0 +1,204 @@
+"""The users of the MAVLink server behind one interface, so that one suite of tests tries both."""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from bridge.mavlink.server.profile import FlightMode
+from bridge.mavlink.server.server import Server
+from tests.crazyflie_firmware.bench import Bench
+from tests.unit.autopilot.autopilot_fakes import Rig, setpoint
+
+NAN = math.nan
+NAN7 = (NAN,) * 7
+COMPANION, STRANGER, GROUND_STATION, MAVSDK = (1, 191), (7, 190), (255, 190), (245, 190)
+ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)  # MAV_RESULT
+OFFBOARD, HOLD, LAND = (1.0, 6.0, 0.0), (1.0, 4.0, 3.0), (1.0, 4.0, 6.0)
+KILL = (0.0, 21196.0)  # parameters of a forced disarm
+TICK_S = 0.01
+
+
+def as_long(number: int, params: tuple[float, ...], target: tuple[int, int] = (1, 1)):
+    """COMMAND_LONG; parameters that are missing are left out."""
+    return mav.MAVLink_command_long_message(*target, number, 0, *params, *NAN7[len(params) :])
+
+
+def as_int(number: int, params: tuple[float, ...], frame: int = 0):
+    """The same as COMMAND_INT."""
+    p1, p2, p3, p4, p5, p6, p7 = (*params, *NAN7[len(params) :])
+    x, y = (2**31 - 1 if math.isnan(p) else round(p * 1e7) for p in (p5, p6))
+    return mav.MAVLink_command_int_message(1, 1, frame, number, 0, 0, p1, p2, p3, p4, x, y, p7)
+
+
+class Served:
+    """A vehicle behind a server.
+
+    Attributes:
+        server: the server.
+        telemetry: messages for everybody, all since the start.
+        silence_s: time without set-points after which control is free.
+    """
+
+    server: Server
+    telemetry: list
+    silence_s: float
+
+    @property
+    def now_s(self) -> float:
+        raise NotImplementedError
+
+    @property
+    def velocity_enu_m_s(self) -> tuple[float, float, float]:
+        """Velocity handed to the vehicle last."""
+        raise NotImplementedError
+
+    def tick(self) -> None:
+        """10 ms."""
+        raise NotImplementedError
+
+    def fly(self) -> Served:
+        """Arm, take off and hold."""
+        raise NotImplementedError
+
+    def homed(self) -> Served:
+        """Disarmed, with a home of its own."""
+        raise NotImplementedError
+
+    def state(self) -> list[object]:
+        """All that commands change."""
+        intervals_us = [self.server.streams.interval_us(i) for i in (30, 32, 1)]
+        return [self.mode, self.armed, intervals_us, self.server.vehicle.home_enu_m]
+
+    @property
+    def mode(self) -> FlightMode:
+        return self.server.vehicle.mode
+
+    @property
+    def armed(self) -> bool:
+        return self.server.vehicle.armed
+
+    def handle(self, message, sender=COMPANION) -> list:
+        return self.server.handle(message, sender, self.now_s)
+
+    def command(self, number: int, *params: float, sender=COMPANION, target=(1, 1)) -> int | None:
+        """MAV_RESULT of a command, None when it is not answered."""
+        replies = self.handle(as_long(number, params, target), sender)
+        acks = [r for r in replies if r.get_type() == "COMMAND_ACK"]
+        assert all((a.target_system, a.target_component, a.command) == (*sender, number) for a in acks)
+        return acks[0].result if acks else None
+
+    def run(self, duration_s: float, velocity_ned=None, sender=COMPANION) -> None:
+        for _ in range(round(duration_s / TICK_S)):
+            if velocity_ned is not None:
+                self.handle(setpoint(*velocity_ned), sender)
+            self.tick()
+
+    def offboard(self) -> Served:
+        self.fly()
+        self.run(0.1, (0.0, 0.0, 0.0))
+        assert self.command(176, *OFFBOARD) == ACCEPTED
+        self.run(0.1, (0.1, 0.0, 0.0))
+        self.texts()
+        return self
+
+    def forget(self) -> None:
+        """Begin the telemetry anew."""
+        self.telemetry.clear()
+
+    def texts(self) -> list[str]:
+        """Texts since the last call."""
+        self.tick()
+        return [text.text for text in self.server.take_texts()]
+
+    def seen(self, message_id: int) -> list:
+        return [m for m in self.telemetry if m.get_msgId() == message_id]
+
+
+class Simulated(Served):
+    """The simulated autopilot as PX4, on a fake vehicle."""
+
+    silence_s = 0.5
+
+    def __init__(self) -> None:
+        self.rig = Rig()
+        self.server = self.rig.autopilot
+        self.server.parameters.preset("SYS_FAILURE_EN", 1.0)
+        self.rig.run(TICK_S)
+
+    @property
+    def telemetry(self) -> list:
+        return self.rig.telemetry
+
+    @property
+    def now_s(self) -> float:
+        return self.rig.now_s
+
+    @property
+    def velocity_enu_m_s(self) -> tuple[float, float, float]:
+        return self.rig.vehicle.setpoint
+
+    def tick(self) -> None:
+        self.rig.run(TICK_S)
+
+    def fly(self) -> Simulated:
+        self.rig.fly()
+        return self
+
+    def homed(self) -> Simulated:
+        assert self.command(179, 0.0, NAN, NAN, NAN, 47.39776, 8.545607, 0.25) == ACCEPTED
+        return self
+
+    def state(self) -> list[object]:
+        pilot, vehicle = self.rig.autopilot.flight.pilot, self.rig.vehicle
+        goal = pilot.goal and (
+            *[round(v, 4) for v in pilot.goal.point_enu_m],
+            pilot.goal.yaw_rad,
+            pilot.goal.speed_m_s,
+        )
+        home = [round(v, 4) for v in pilot.home_enu_m]
+        rest = [goal, home, round(pilot.takeoff_height_m, 6), vehicle.reboots, dict(vehicle.failures)]
+        return [*super().state()[:-1], *rest]
+
+
+class Bridged(Served):
+    """The Crazyflie bridge, on the stand-in's firmware."""
+
+    silence_s = 1.0
+
+    def __init__(self) -> None:
+        self.bench = Bench().ready()
+        self.server, self.telemetry = self.bench.node, []
+
+    @property
+    def now_s(self) -> float:
+        return self.bench.now_s
+
+    @property
+    def velocity_enu_m_s(self) -> tuple[float, float, float]:
+        return self.bench.velocities()[-1][1].velocity_enu_m_s
+
+    def tick(self) -> None:
+        self.bench.step()
+        self.telemetry += [message for _, message in self.bench.out]
+        self.bench.out.clear()
+
+    def fly(self) -> Bridged:
+        self.bench.hover()
+        self.bench.out.clear()
+        return self
+
+    def homed(self) -> Bridged:
+        self.bench.hover().command(21)
+        self.bench.until(lambda: not self.bench.vehicle.armed).run(1.0)
+        return self
+
+    def forget(self) -> None:
+        super().forget()
+        self.bench.out.clear()
+        self.bench.firmware.setpoints.clear()
+        self.bench.sent[:] = self.bench.velocities()[-1:]
+
+
+USERS: dict[str, type[Served]] = {"px4": Simulated, "crazyflie": Bridged}

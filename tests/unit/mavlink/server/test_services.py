@@ -1,0 +1,198 @@
+"""Telemetry, parameters and the small protocols."""
+
+from __future__ import annotations
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from bridge.mavlink.client.texts import TextAssembler
+from bridge.mavlink.codec.decoding import decode
+from bridge.mavlink.codec.framing import split_frames
+from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.server.texts import Text, TextWire
+from tests.unit.mavlink.server.served import ACCEPTED, COMPANION, DENIED, FAILED, NAN, as_long
+
+
+def test_heartbeat_comes_once_a_second_and_at_once_on_a_change(served) -> None:
+    served.run(3.0)
+    beats = served.seen(mav.MAVLINK_MSG_ID_HEARTBEAT)
+    assert len(beats) == 3
+    assert (beats[0].autopilot, beats[0].base_mode, beats[0].custom_mode) == (12, 29, 0x03040000)
+    assert beats[0].system_status == mav.MAV_STATE_STANDBY
+    served.run(0.33)
+    before = len(served.seen(mav.MAVLINK_MSG_ID_HEARTBEAT))
+    served.command(400, 1.0)
+    served.run(0.02)
+    (beat,) = served.seen(mav.MAVLINK_MSG_ID_HEARTBEAT)[before:]
+    assert beat.base_mode == 157
+    assert beat.system_status == mav.MAV_STATE_ACTIVE
+
+
+def test_position_and_attitude_come_at_100_hz(served) -> None:
+    served.run(1.0)
+    positions = served.seen(mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
+    assert len(positions) == len(served.seen(mav.MAVLINK_MSG_ID_ATTITUDE)) == 100
+    times_ms = [m.time_boot_ms for m in positions]
+    assert times_ms[-1] - times_ms[0] == pytest.approx(990, abs=2)
+
+
+def test_what_clients_wait_for_is_there_in_the_first_two_seconds(served) -> None:
+    served.run(2.0)
+    status = served.seen(mav.MAVLINK_MSG_ID_SYS_STATUS)[-1]
+    wanted = 1 | 2 | 4 | 32 | mav.MAV_SYS_STATUS_PREARM_CHECK  # gyro, accelerometer, magnetometer, GPS
+    assert status.onboard_control_sensors_health & wanted == wanted
+    for name in ("HOME_POSITION", "BATTERY_STATUS", "EXTENDED_SYS_STATE", "ATTITUDE_QUATERNION"):
+        assert served.seen(getattr(mav, f"MAVLINK_MSG_ID_{name}")), name
+
+
+def test_message_intervals_are_bounded_by_the_loop_and_can_be_switched_off(served) -> None:
+    assert served.command(511, 31.0, 1.0) == ACCEPTED  # asks for 1 MHz
+    assert served.command(511, 32.0, 50_000.0) == ACCEPTED
+    assert served.command(511, 30.0, -1.0) == ACCEPTED
+    ack, interval = served.handle(as_long(510, (32.0,)))
+    assert (ack.result, interval.interval_us) == (ACCEPTED, 50_000)
+    served.run(0.1)
+    before = {id_: len(served.seen(id_)) for id_ in (30, 31, 32)}
+    served.run(1.0)
+    counts = {id_: len(served.seen(id_)) - before[id_] for id_ in (30, 31, 32)}
+    assert counts == {30: 0, 31: 100, 32: 20}
+    assert served.command(511, 30.0, 0.0) == ACCEPTED
+    before[30] = len(served.seen(30))
+    served.run(0.1)
+    assert len(served.seen(30)) - before[30] == 10
+    assert served.command(511, 0.0, 1000.0) == FAILED  # heartbeat
+    assert served.command(511, 12345.0, 1000.0) == FAILED
+    assert served.command(511, NAN, 1000.0) == FAILED
+
+
+def test_messages_on_request(served) -> None:
+    for id_ in served.server.messages:
+        ack, message = served.handle(as_long(512, (float(id_),)))
+        assert (ack.get_type(), ack.result, message.get_msgId()) == ("COMMAND_ACK", ACCEPTED, id_)
+    assert {0, 1, 30, 31, 32, 147, 148, 242, 245} <= served.server.messages
+    assert served.command(512, 435.0) == DENIED  # AVAILABLE_MODES: a promise would hang QGC
+    assert served.command(512, NAN) == DENIED
+    assert served.command(520, 1.0) == ACCEPTED
+    assert served.command(410) == ACCEPTED
+
+
+def values(served) -> list:
+    return served.seen(mav.MAVLINK_MSG_ID_PARAM_VALUE)
+
+
+def test_parameters_can_be_listed_and_read(served) -> None:
+    served.handle(mav.MAVLink_param_request_list_message(1, 1))
+    served.run(0.5)
+    listed = values(served)
+    assert [p.param_index for p in listed] == list(range(listed[0].param_count))
+    assert all(len(p.param_id) <= 16 for p in listed)
+    by_name = served.handle(mav.MAVLink_param_request_read_message(1, 1, b"MAV_SYS_ID", -1))[0]
+    by_index = served.handle(mav.MAVLink_param_request_read_message(1, 1, b"", by_name.param_index))[0]
+    assert by_index.param_id == by_name.param_id
+    for name, index in ((b"NO_SUCH_THING", -1), (b"", 9999)):
+        (missing,) = served.handle(mav.MAVLink_param_request_read_message(1, 1, name, index))
+        assert (missing.get_type(), missing.error) == ("PARAM_ERROR", mav.MAV_PARAM_ERROR_DOES_NOT_EXIST)
+        assert (missing.param_index, (missing.target_system, missing.target_component)) == (index, COMPANION)
+
+
+def test_a_fixed_parameter_is_not_written(served) -> None:
+    write = mav.MAVLink_param_set_message(1, 1, b"MAV_SYS_ID", 2.8e-45, mav.MAV_PARAM_TYPE_INT32)
+    error, in_force = served.handle(write)  # the error first: MAVSDK repeats a write it sees undone
+    assert error.error == mav.MAV_PARAM_ERROR_READ_ONLY
+    assert in_force.param_value == pytest.approx(1.4e-45)  # 1, bytewise
+    assert served.texts() == ["MAV_SYS_ID: 2, allowed 1"]
+
+
+def test_a_second_list_while_one_is_on_its_way_misses_nothing(served) -> None:
+    served.handle(mav.MAVLink_param_request_list_message(1, 1))
+    served.run(0.01)
+    before = len(values(served))
+    served.handle(mav.MAVLink_param_request_list_message(1, 1), (255, 190))
+    served.run(0.5)
+    second = values(served)[before:]
+    assert sorted(v.param_index for v in second) == list(range(second[0].param_count))
+
+
+def test_time_and_ping_are_answered(served) -> None:
+    served.run(1.0)
+    (sync,) = served.handle(mav.MAVLink_timesync_message(0, 77))
+    boot_ms = served.seen(mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED)[-1].time_boot_ms
+    assert (sync.tc1, sync.ts1) == (pytest.approx(boot_ms * 1e6, abs=3e7), 77)
+    assert served.handle(mav.MAVLink_timesync_message(5, 77)) == []
+    (ping,) = served.handle(mav.MAVLink_ping_message(1, 2, 0, 0))
+    assert (ping.target_system, ping.target_component, ping.seq) == (*COMPANION, 2)
+
+
+def test_missions_logs_and_files_are_refused_at_once(served) -> None:
+    def first(message):
+        return served.handle(message)[0]
+
+    for type_ in (0, 1, 2):
+        count = first(mav.MAVLink_mission_request_list_message(1, 1, type_))
+        assert (count.count, count.mission_type) == (0, type_)
+        ack = first(mav.MAVLink_mission_count_message(1, 1, 0, type_))
+        assert (ack.type, ack.mission_type) == (mav.MAV_MISSION_ACCEPTED, type_)
+    for type_ in (0, 1, 2, 255):
+        ack = first(mav.MAVLink_mission_clear_all_message(1, 1, type_))
+        assert (ack.type, ack.target_system, ack.target_component) == (0, *COMPANION)
+    item = mav.MAVLink_mission_item_int_message(1, 1, 0, 3, 16, 0, 1, 0.0, 0.0, 0.0, 0.0, 0, 0, 1.0, 0)
+    for refused in (
+        mav.MAVLink_mission_count_message(1, 1, 3, 0),
+        mav.MAVLink_mission_request_list_message(1, 1, 7),
+        item,
+    ):
+        assert first(refused).type == mav.MAV_MISSION_UNSUPPORTED
+    for wanted in (
+        mav.MAVLink_mission_request_message(1, 1, 0),
+        mav.MAVLink_mission_request_int_message(1, 1, 3),
+    ):
+        assert first(wanted).type == mav.MAV_MISSION_INVALID_SEQUENCE
+    assert first(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF)).num_logs == 0
+    nak = first(mav.MAVLink_file_transfer_protocol_message(0, 1, 1, [7, 0, 3, 4, 0, *[0] * 246]))
+    assert list(nak.payload[:6]) == [8, 0, 3, 129, 1, 4]
+    assert nak.payload[12] == 1
+
+
+def test_other_set_points_are_refused_with_a_reason(flown) -> None:
+    zeros = [0.0, 0.0, 0.0]
+    flown.handle(mav.MAVLink_set_attitude_target_message(0, 1, 1, 0, [1.0, *zeros], *zeros, 0.5))
+    flown.handle(
+        mav.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, 0, 0, 0, *zeros, *zeros, 0.0, 0.0, 0.0)
+    )
+    kinds = ("attitude", "global position")
+    assert flown.texts() == [f"Set-point dropped: {kind}, only local velocity" for kind in kinds]
+
+
+def test_old_stream_requests_do_not_starve_the_companion(served) -> None:
+    served.run(0.1)
+    for stream in range(13):
+        assert served.handle(mav.MAVLink_request_data_stream_message(1, 1, stream, 4, 1), (255, 0)) == []
+        assert served.handle(mav.MAVLink_request_data_stream_message(1, 0, stream, 0, 0), (255, 0)) == []
+    before = len(served.seen(mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED))
+    served.run(1.0)
+    assert len(served.seen(mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED)) - before == 100
+
+
+def test_messages_from_itself_and_of_no_interest_do_nothing(served) -> None:
+    assert served.handle(as_long(400, (1.0,)), (1, 1)) == []
+    assert served.handle(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
+    for number in range(300):  # its field is named like the message's number in pymavlink
+        assert served.handle(mav.MAVLink_statustext_message(6, b"hello", number)) == []
+    assert not served.armed
+
+
+def test_everything_it_says_can_be_serialised(flown) -> None:
+    flown.run(2.5, (0.1, -0.1, 0.0))
+    link = mav.MAVLink(None, 1, 1)
+    asked = [m for id_ in flown.server.messages for m in flown.handle(as_long(512, (float(id_),)))]
+    for message in [*flown.telemetry, *asked]:
+        (frame,) = split_frames(message.pack(link))
+        assert decode(frame).get_msgId() == message.get_msgId()
+
+
+@pytest.mark.parametrize("length", [1, 49, 50, 51, 100, 101, 180])
+def test_long_texts_come_through(length: int) -> None:
+    text, assembler, parser = "x" * length, TextAssembler(), mav.MAVLink(None)
+    chunks = [parser.decode(bytearray(pack(m, 0, 1, 1))) for m in TextWire().messages(Text(4, text))]
+    assert [c.chunk_seq for c in chunks] == list(range(len(chunks)))
+    assert [t for chunk in chunks for t in assembler.add(chunk)] == [(4, text)]
