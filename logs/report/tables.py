@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from flightstack.core.mission.transition import parse
 from logs.reader.flight_data import Bools, Flight, Floats, phase_name
 from logs.report.derived import fault_spans
 from logs.report.links import Stream
@@ -126,7 +127,8 @@ def phases_table(flight: Flight) -> str:
 
 
 def _began(text: str, at_s: float, name: str, begin_s: float) -> bool:
-    return f"-> {name}: " in text and abs(at_s - begin_s) < _SAME_TICK_S
+    change = parse(text)
+    return change is not None and change.after.name == name and abs(at_s - begin_s) < _SAME_TICK_S
 
 
 def faults_table(flight: Flight) -> str:
