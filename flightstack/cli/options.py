@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
+from flightstack.core.parameters.filters import ALLOWED
 
 PERSONALITIES = ("px4", "ardupilot")
 
@@ -44,6 +45,29 @@ def _configuration(context: click.Context, option: click.Parameter, given: str |
     from flightstack.core.parameters.flight import path_of
 
     return path_of(given) if given is not None else None
+
+
+def _filter_name(context: click.Context, option: click.Parameter, given: str | None) -> str | None:
+    """Name of a safety filter that there is."""
+    del context, option
+    if given is not None:
+        from flightstack.core.parameters.filters import look_here
+        from flightstack.core.strategies.strategy import strategy_class
+
+        look_here(given)
+        strategy_class(given)
+    return given
+
+
+def safety_filter(help: str) -> Callable[[Any], Any]:
+    """``--filter``."""
+    return click.option(
+        "--filter",
+        "filter_name",
+        metavar="NAME",
+        callback=_filter_name,
+        help=f"{help}: {ALLOWED}.",
+    )
 
 
 def config(required: bool = True, help: str = "Configuration (TOML)") -> Callable[[Any], Any]:

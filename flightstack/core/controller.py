@@ -1,6 +1,6 @@
 """One tick of the flight stack: ``step(inputs, now) -> outputs``; no I/O, no clock, no randomness.
 
-newest inputs -> phase machine -> position loop (u') -> CBF program (u*) -> gate -> velocity
+newest inputs -> mission machine -> position loop (u') -> CBF program (u*) -> gate -> velocity
 
 Live flight, lockstep simulation, campaigns and log replay all call this.
 """
@@ -10,16 +10,17 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from flightstack.core.memory import AbortWay, Memory, State
-from flightstack.core.mission.conditions import View, gather, view
-from flightstack.core.mission.guidance import Situation, Wish, wish
-from flightstack.core.mission.phases import Condition, Rule, next_phase
-from flightstack.core.mission.reasons import Known, reason
+from flightstack.core.memory import State
+from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
+from flightstack.core.mission.machine import Mission
+from flightstack.core.mission.transition import Transition
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.barrier import ActiveBarrier
 from flightstack.core.safety.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
 from flightstack.core.safety.position_loop import limit, slew
-from flightstack.core.safety.qp_filter import FilterResult, SafetyFilter
-from flightstack.core.strategies.law import LAWS, Held
+from flightstack.core.safety.qp_filter import FilterResult
+from flightstack.core.snapshot import Snapshot, snapshot
+from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetTrack, Verdict
 from flightstack.core.types import (
@@ -28,7 +29,6 @@ from flightstack.core.types import (
     Inputs,
     Landed,
     Mode,
-    Operator,
     OwnState,
     Phase,
     Request,
@@ -36,8 +36,6 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
-ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
 # s of a take-off in which the autopilot alone decides how fast it rises: mode and arming, COM_SPOOLUP_TIME
 # of 1 s and MPC_TKO_RAMP_T of 3 s; PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
 RISE_FREE_S = 7.0
@@ -51,15 +49,6 @@ class Event(NamedTuple):
 
 
 INFO, WARN, ERROR = 20, 30, 40
-TRIED = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
-_NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
-TRY_AGAIN = frozenset({Phase.APPROACH, Phase.TAKEOFF})
-
-
-# without these it can't be flown clear
-_NOT_FLOWN_BY_US = (
-    Condition.OWN_LOST | Condition.LINK_LOST | Condition.COMMAND_FAILED | Condition.NOT_FOLLOWING
-)
 
 
 class Barriers(NamedTuple):
@@ -67,7 +56,7 @@ class Barriers(NamedTuple):
 
     Attributes:
         h_m: the barrier, paper eq. 9.
-        gradient: of the barrier the filter holds, with its margin.
+        gradient: of the active barrier, with its margin.
         dh_dt_m_s: the same by time.
         nominal: u'.
         result: u*.
@@ -81,19 +70,41 @@ class Barriers(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What a tick decided, and all it was decided from."""
+    """What a tick decided, and all it was decided from.
+
+    Attributes:
+        phase: after this tick.
+        request: mode of the vehicle.
+        setpoint: to be sent; ``None``: none.
+        gate: why it may or may not go out.
+        seen: the inputs, judged.
+        barrier: barrier and filter; ``None`` unless vehicle and target are known.
+        wanted: velocity wanted, before the correction for the vehicle's lag.
+        transition: change of phase in this tick.
+        events: what a person should read, the change of phase among it.
+        finished: the flight is over.
+        target_accepted: samples of the target so far.
+        target_rejected: the same, refused.
+    """
 
     phase: Phase
     request: Request
     setpoint: ApprovedSetpoint | None
     gate: GateVerdict
-    seen: View
+    seen: Snapshot
     barrier: Barriers | None
     wanted: Vec3 | None
+    transition: Transition | None
     events: tuple[Event, ...]
     finished: bool
     target_accepted: int
     target_rejected: int
+
+
+def _level(transition: Transition) -> int:
+    if transition.after is Phase.ABORT:
+        return ERROR
+    return WARN if transition.after is Phase.HOLD else INFO
 
 
 def _follows_in_the_air(status: VehicleStatus | None) -> bool:
@@ -109,32 +120,36 @@ class Controller:
     def __init__(self, config: FlightConfig) -> None:
         self.config = config
         self.barrier = config.barrier.build()
-        self.memory = Memory()
         self.track = TargetTrack(config.checks)
         self.plausibility = Plausibility(config)
-        self._law = LAWS[config.filter](config, self.barrier)
-        self._filter = SafetyFilter(self._law.rate_1_s)
+        self._strategy = strategy_of(config)
+        self._mission = Mission(config, self.barrier, self._strategy, self.track, self.plausibility)
+        self.memory = self._mission.memory
+        self._filter = self._strategy.program()
         self._period_s = 1.0 / config.loop.rate_hz
         limits = config.limits
         self._gate = Gate(
-            self._law.rate_1_s,
+            self._strategy.rate_1_s,
             limits.velocity_max_m_s,
             limits.altitude_max_m,
             self._period_s,
         )
-        step = tuple(a * self._period_s for a in self._law.acceleration_max_m_s2)
+        step = tuple(a * self._period_s for a in self._strategy.acceleration_max_m_s2)
         self._slew_step: Vec3 = (step[0], step[1], step[2])
 
     @property
     def state(self) -> State:
         """What it remembers; still in use, so to be written down before the next step."""
-        law = self._law
-        return State(self.memory, self.track.memory, law.motion, law.tracking, self.plausibility.memory)
+        strategy = self._strategy
+        return State(
+            self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory
+        )
 
     def restore(self, state: State) -> None:
         """Go on from a state that was written down."""
-        self.memory, self.track.memory = state.memory, state.track
-        self._law.motion, self._law.tracking = state.motion, state.tracking
+        self.memory = self._mission.memory = state.memory
+        self.track.memory = state.track
+        self._strategy.motion, self._strategy.tracking = state.motion, state.tracking
         self.plausibility.memory = state.plausibility
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
@@ -145,37 +160,29 @@ class Controller:
             now_s: stack clock.
             command_failed: the bridge gave up on a requested mode.
         """
-        memory, law, plausibility = self.memory, self._law, self.plausibility
+        memory, strategy, plausibility = self.memory, self._strategy, self.plausibility
         if inputs.own is not None and not inputs.own.is_finite:  # it would stay in every memory
             inputs = Inputs(None, inputs.status, inputs.target_samples, inputs.operator)
         self.track.memory.settled = memory.phase is not Phase.WAIT
         events = self._take_samples(inputs)
-        target = law.target(self.track, now_s)
+        target = strategy.target(self.track, now_s)
         if inputs.own is not None:
             plausibility.take(inputs.own)
             flown = memory.commanding and plausibility.believes(now_s)
             wanted = self._flown(inputs.own, inputs.status, now_s) if plausibility.believes(now_s) else None
             plausibility.follow(wanted, inputs.own.velocity_enu_m_s)
-            own = law.own(inputs.own)
+            own = strategy.vehicle(inputs.own)
             inputs = Inputs(own, inputs.status, inputs.target_samples, inputs.operator)
-            law.observe(own.velocity_enu_m_s, commanding=flown)
+            strategy.observe(own.velocity_enu_m_s, commanding=flown)
         believed, follows = plausibility.believes(now_s), plausibility.follows
-        seen = view(self.config, inputs, target, now_s, believed=believed, follows=follows)
-        if target is not None and seen.target_ok:
-            memory.target_position_enu_m = target.position_enu_m
-            memory.target_velocity_enu_m_s = target.velocity_enu_m_s
-        if memory.yaw_rad is None and inputs.own is not None:
-            memory.yaw_rad = inputs.own.yaw_rad
-        word = gather(self.config, self.barrier, memory, seen, command_failed, now_s)
-        rule = next_phase(memory.phase, word)
-        if rule is not None:
-            events.append(self._enter(rule, word, seen, now_s))
-        elif memory.phase is Phase.ABORT:
-            events += self._abort_otherwise(inputs.operator)
-        asked = wish(Situation(self.config, self.barrier, memory, seen))
-        held = self._law.held(seen)
-        barrier = self._evaluate(asked, seen, held)
-        gate, setpoint, wanted = self._command(asked, seen, barrier, held)
+        seen = snapshot(self.config, inputs, target, now_s, believed=believed, follows=follows)
+        transition = self._mission.step(seen, command_failed=command_failed, now_s=now_s)
+        if transition is not None:
+            events.append(Event(_level(transition), transition.text))
+        asked = nominal_command(Situation(self.config, self.barrier, memory, seen, strategy))
+        active = strategy.barrier(seen)
+        barrier = self._evaluate(asked, seen, active)
+        gate, setpoint, wanted = self._command(asked, seen, barrier, active)
         return Outputs(
             phase=memory.phase,
             request=asked.request,
@@ -184,8 +191,9 @@ class Controller:
             seen=seen,
             barrier=barrier,
             wanted=wanted,
+            transition=transition,
             events=tuple(events),
-            finished=self._finished(inputs, now_s),
+            finished=self._mission.finished(inputs.status, now_s),
             target_accepted=self.track.accepted,
             target_rejected=self.track.rejected,
         )
@@ -195,7 +203,7 @@ class Controller:
         for sample in inputs.target_samples:
             verdict = self.track.accept(sample)
             if verdict is Verdict.ACCEPTED:
-                self._law.take(sample)
+                self._strategy.take(sample)
             else:
                 events.append(Event(WARN, f"target sample refused: {verdict.value}"))
         return events
@@ -216,76 +224,31 @@ class Controller:
         free = now_s - memory.phase_since_s <= RISE_FREE_S
         return (x, y, rises_m_s if free else max(up_m_s, rises_m_s))
 
-    def _abort_otherwise(self, operator: Operator) -> list[Event]:
-        """A person may still ask for more than the abort does."""
-        memory = self.memory
-        if operator is Operator.EMERGENCY_STOP and memory.abort_way is not AbortWay.MOTORS_OFF:
-            memory.abort_way = AbortWay.MOTORS_OFF
-            return [Event(ERROR, "ABORT: emergency stop (motors off)")]
-        if operator is Operator.LAND and memory.abort_way is AbortWay.FLY_CLEAR:
-            memory.abort_way = AbortWay.LAND_HERE
-            return [Event(ERROR, "ABORT: ended by the operator (land here)")]
-        return []
-
-    def _enter(self, rule: Rule, word: int, seen: View, now_s: float) -> Event:
-        memory, phase = self.memory, rule.to
-        known = Known(self.config.checks, seen, self.plausibility, self.track.memory.refusal, now_s)
-        why = reason(rule, word, known)
-        text = f"{memory.phase.name} -> {phase.name}: {why}"
-        if memory.phase in TRIED and phase in TRY_AGAIN:
-            memory.retries += 1
-        if phase is Phase.APPROACH and memory.started_s == math.inf:
-            memory.started_s = now_s
-        if phase is Phase.ABORT:
-            memory.abort_way = self._abort_way(word, seen.inputs.operator)
-            text += f" ({memory.abort_way.name.lower().replace('_', ' ')})"
-        if phase is Phase.TOUCHDOWN:  # what an earlier descent had begun to see
-            memory.contact_since_s = memory.stopped_since_s = math.inf
-        memory.phase, memory.phase_since_s, memory.reason = phase, now_s, why
-        return Event(ERROR if phase is Phase.ABORT else WARN if phase is Phase.HOLD else INFO, text)
-
-    def _abort_way(self, word: int, operator: Operator) -> AbortWay:
-        c, memory = Condition, self.memory
-        if word & c.EMERGENCY:
-            return AbortWay.MOTORS_OFF
-        if not word & c.WAS_ARMED:
-            return AbortWay.HANDS_OFF
-        if not word & c.ARMED:  # disarmed in the air: one of the two is not true
-            return AbortWay.HANDS_OFF if word & c.STANDING else AbortWay.LAND_HERE
-        if word & c.STANDING:  # what stands is not flown clear
-            return AbortWay.LAND_HERE
-        if word & c.WAS_EXTERNAL and not word & c.EXTERNAL and not word & c.LINK_LOST:
-            return AbortWay.HANDS_OFF
-        if operator is Operator.LAND or word & _NOT_FLOWN_BY_US or memory.target_position_enu_m is None:
-            return AbortWay.LAND_HERE
-        if memory.phase is Phase.TOUCHDOWN and memory.contact:
-            return AbortWay.LAND_HERE
-        return AbortWay.FLY_CLEAR
-
-    def _evaluate(self, asked: Wish, seen: View, held: Held) -> Barriers | None:
+    def _evaluate(self, asked: NominalCommand, seen: Snapshot, active: ActiveBarrier) -> Barriers | None:
         """Barrier and filter; the values are computed whenever they can be, the filter only for landing."""
-        if seen.e_m is None or seen.target is None:
+        at = seen.relative
+        if at is None:
             return None
-        held_m, gradient, dh_dt = held.evaluate(seen.e_m, seen.target.velocity_enu_m_s)
-        h_m = self.barrier.h(seen.e_m)
+        active_m, gradient, dh_dt = active.evaluate(at.e_m, at.target.velocity_enu_m_s)
+        h_m = self.barrier.h(at.e_m)
         nominal = asked.velocity if asked.velocity is not None else ZERO
         if not asked.filtered or asked.velocity is None or not (seen.own_ok and seen.target_ok):
             idle = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
             return Barriers(h_m, gradient, dh_dt, nominal, idle)
         lower, upper = self._box(seen)
-        climb_m_s = self._law.climb_m_s(held_m, gradient, self._base(seen), seen)
+        climb_m_s = self._strategy.climb_m_s(active_m, gradient, self._base(seen), at)
         if climb_m_s > lower[2]:
             lower = (lower[0], lower[1], min(climb_m_s, upper[2]))
-        result = self._filter.solve(nominal, held_m, gradient, dh_dt, lower, upper)
+        result = self._filter.solve(nominal, active_m, gradient, dh_dt, lower, upper)
         return Barriers(h_m, gradient, dh_dt, nominal, result)
 
-    def _base(self, seen: View) -> Vec3:
+    def _base(self, seen: Snapshot) -> Vec3:
         """Where the slew limit starts: the last command, or the present velocity when none was in force."""
         if self.memory.commanding or self.memory.lifting or seen.inputs.own is None:
             return self.memory.command
         return limit(seen.inputs.own.velocity_enu_m_s, self.config.limits.velocity_max_m_s)
 
-    def _box(self, seen: View) -> tuple[Vec3, Vec3]:
+    def _box(self, seen: Snapshot) -> tuple[Vec3, Vec3]:
         """Admissible velocities of this tick: the box of eq. 11 cut by what the slew limit can reach."""
         (bx, by, bz), (sx, sy, sz) = self._base(seen), self._slew_step
         mx, my, mz = self.config.limits.velocity_max_m_s
@@ -295,7 +258,7 @@ class Controller:
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def _command(
-        self, asked: Wish, seen: View, barrier: Barriers | None, held: Held
+        self, asked: NominalCommand, seen: Snapshot, barrier: Barriers | None, active: ActiveBarrier
     ) -> tuple[GateVerdict, ApprovedSetpoint | None, Vec3 | None]:
         memory, own = self.memory, seen.inputs.own
         if asked.velocity is None:
@@ -304,12 +267,12 @@ class Controller:
         check = None
         if asked.filtered and barrier is not None and seen.e_m is not None and seen.target is not None:
             wanted = barrier.result.velocity_enu_m_s
-            check = BarrierCheck(held, seen.e_m, seen.target.velocity_enu_m_s, barrier.result.status)
+            check = BarrierCheck(active, seen.e_m, seen.target.velocity_enu_m_s, barrier.result.status)
         else:
             most = self.config.limits.velocity_max_m_s
             wanted = slew(self._base(seen), limit(asked.velocity, most), self._slew_step)
         least_z_m_s = self._least_z_m_s(seen)
-        setpoint = self._law.setpoint(self._base(seen), wanted, seen, least_z_m_s)
+        setpoint = self._strategy.setpoint(self._base(seen), wanted, seen, least_z_m_s)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
         verdict, approved = self._gate.check(
             wanted,
@@ -322,7 +285,7 @@ class Controller:
         )
         if approved is None:
             approved = self._gate.stop(yaw_rad, own_fresh=seen.own_ok)
-            memory.command = self._law.tracking.setpoint_m_s = ZERO
+            memory.command = self._strategy.tracking.setpoint_m_s = ZERO
         else:
             memory.command = wanted
         climbs = memory.phase is Phase.TAKEOFF and not memory.climbed
@@ -331,26 +294,11 @@ class Controller:
         memory.lifting = approved is not None and following and climbs
         return verdict, approved, wanted
 
-    def _least_z_m_s(self, seen: View) -> float:
+    def _least_z_m_s(self, seen: Snapshot) -> float:
         """Lowest vertical velocity that a set-point may lead to if it stays the last one.
 
         So near to the pad nothing but the pad stops a vehicle whose companion has died.
         """
         if self.memory.phase is not Phase.TOUCHDOWN or seen.target is None:
             return -math.inf
-        return seen.target.velocity_enu_m_s[2] - self._law.contact_speed_max_m_s
-
-    def _finished(self, inputs: Inputs, now_s: float) -> bool:
-        memory, status = self.memory, inputs.status
-        in_phase_s = now_s - memory.phase_since_s
-        if memory.phase is Phase.LANDED:
-            return in_phase_s >= LANDED_SETTLE_S
-        if memory.phase is not Phase.ABORT:
-            return False
-        over = status is None or self._down(status, now_s)
-        return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > self.config.retreat.abort_time_max_s
-
-    def _down(self, status: VehicleStatus, now_s: float) -> bool:
-        """Whether the vehicle stands with its motors off, as far as it says."""
-        fresh = now_s - status.arrival_s <= self.config.checks.status_age_max_s
-        return status.landed in _NOT_FLYING and not (status.armed and fresh)
+        return seen.target.velocity_enu_m_s[2] - self._strategy.contact_speed_max_m_s

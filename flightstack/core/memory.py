@@ -1,6 +1,7 @@
 """What the controller remembers from tick to tick; everything else is computed anew.
 
 Plain values only, of the types ``state_text`` can write: that is how the state gets into the log and back.
+The names of classes and fields are part of the log: a log with other names is not replayed.
 """
 
 from __future__ import annotations
@@ -13,26 +14,26 @@ from flightstack.core.types import ZERO, OwnState, Phase, TargetSample, Vec3
 
 
 class AbortWay(IntEnum):
-    """How an abort ends the flight."""
+    """How an abort ends the flight: the phases within phase ABORT."""
 
     NONE = 0
     MOTORS_OFF = 1  # emergency stop
-    HANDS_OFF = 2  # somebody else has the vehicle, or it never flew
-    LAND_HERE = 3  # we don't know where we are or where the target is: the vehicle lands by itself
+    HANDS_OFF = 2  # somebody else controls the vehicle, or it never flew
+    LAND_HERE = 3  # the position of vehicle or target is not known: the autopilot's own landing
     FLY_CLEAR = 4  # climb, fly clear of the target, then land
 
 
 @dataclass(slots=True)
 class Memory:
-    """Of the phase machine and the commands."""
+    """Of the mission machine and the commands."""
 
     phase: Phase = Phase.WAIT
     phase_since_s: float = 0.0
     started_s: float = inf  # when the landing began
-    bad_since_s: float = inf  # start of the present input loss
+    bad_since_s: float = inf  # not used; logs name it in the layout of the state
     good_since_s: float = inf  # since when all inputs have been good
     contact_since_s: float = inf
-    stopped_since_s: float = inf  # told to sink and not sinking
+    stopped_since_s: float = inf  # commanded to sink and not sinking
     contact: bool = False  # stands on the pad
     own_ok_s: float = -inf  # when the own state could be flown by, last
     was_armed: bool = False
@@ -80,7 +81,7 @@ class MotionMemory:
     acceleration_enu_m_s2: Vec3 = ZERO
     yaw_rad: float | None = None  # measured last, None if it is not known
     turn_rate_rad_s: float = 0.0  # at which velocity and acceleration turn
-    surprise: float = 1.0  # squares of what x and y missed by, over what was expected; 1 on average
+    surprise: float = 1.0  # normalised innovation squared of x and y; 1 on average
     covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of x and of y: they have the same
     covariance_z: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -103,7 +104,7 @@ class PlausibilityMemory:
     last: OwnState | None = None  # newest that was measured anew
     drift_m: Vec3 = ZERO  # where no velocity took it
     distrusted: bool = False
-    missed_m: Vec3 = ZERO  # what was wanted and not flown
+    missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity
 
 
 @dataclass(slots=True)

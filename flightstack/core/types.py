@@ -1,4 +1,4 @@
-"""The words of the stack: what goes into a controller step and what comes out.
+"""Types of the stack: inputs and outputs of a controller step.
 
 Everything is ENU, metres, seconds, radians. Times named ``*_s`` are on the stack's own clock unless the
 name says otherwise. A value that is absent is ``None``, never zero.
@@ -15,17 +15,17 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 
 class Phase(IntEnum):
-    """Phases of a flight; the transitions are a table in ``phases.py``."""
+    """Phases of a flight; the transitions are tables in ``mission/phases.py``."""
 
-    WAIT = 0
-    TAKEOFF = 1
-    APPROACH = 2
-    LAND = 3
-    TOUCHDOWN = 4
-    LANDED = 5
-    HOLD = 6
-    CLIMB = 7
-    ABORT = 8
+    WAIT = 0  # for inputs, on the ground or found in the air
+    TAKEOFF = 1  # to where the landing begins
+    APPROACH = 2  # to the target, filtered
+    LAND = 3  # the same inside the descending cone over the pad; not the autopilot's landing
+    TOUCHDOWN = 4  # straight down to contact, then motors off
+    LANDED = 5  # the heartbeat says that the motors are off after a touchdown
+    HOLD = 6  # an input is lost
+    CLIMB = 7  # above the target, which stays lost
+    ABORT = 8  # ends the flight in a way of ``AbortWay``
 
 
 class FilterStatus(IntEnum):
@@ -33,13 +33,13 @@ class FilterStatus(IntEnum):
 
     NOT_RUN = 0
     SOLVED = 1
-    CLOSED_FORM = 2  # solver failed or its result did not pass the check; exact projection used
+    CLOSED_FORM = 2  # solver failed, or its result did not pass the check: the exact projection is the result
     INFEASIBLE = 3  # nothing in the box meets the barrier; fastest way to raise h used
-    REJECTED = 4  # inputs not finite; no result
+    REJECTED = 4  # inputs of the program are not finite: there is no result
 
 
 class Request(IntEnum):
-    """What the stack wants of the vehicle's mode, held as a level until the heartbeat shows it.
+    """Mode that the stack requests of the vehicle, held as a level until the heartbeat shows it.
 
     The bridge turns a level into commands with bounded retries; the controller never sees MAVLink.
     """
@@ -47,23 +47,23 @@ class Request(IntEnum):
     NONE = 0
     TAKEOFF = 1  # armed and climbing to the take-off height under the autopilot's own control
     EXTERNAL = 2  # armed and following our velocity set-points
-    LAND = 3  # the autopilot's own landing, where it is
+    LAND = 3  # the autopilot's own landing, at its present place
     MOTORS_OFF = 4  # forced disarm
 
 
 class Mode(IntEnum):
-    """Flight mode of the vehicle, reduced to what the stack needs to know."""
+    """Flight mode that the vehicle reports, reduced to what the stack needs to know."""
 
     UNKNOWN = 0
     EXTERNAL = 1
     TAKEOFF = 2
     HOLD = 3
-    LAND = 4
+    LAND = 4  # the autopilot's own landing
     OTHER = 5
 
 
 class Landed(IntEnum):
-    """Landed state as the vehicle reports it (MAV_LANDED_STATE)."""
+    """Landed state that the vehicle reports (MAV_LANDED_STATE); the verdict of a log judges by more."""
 
     UNKNOWN = 0
     ON_GROUND = 1
@@ -78,7 +78,7 @@ class Operator(IntEnum):
     NONE = 0
     ABORT = 1
     EMERGENCY_STOP = 2
-    LAND = 3  # where it is, by the vehicle's own landing: the stack is about to end
+    LAND = 3  # abort by the autopilot's own landing: the stack is about to end
 
 
 @dataclass(frozen=True, slots=True)

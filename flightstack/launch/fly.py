@@ -73,12 +73,12 @@ def run(config: FlightConfig, options: FlyOptions, console: Console) -> Flown:
         onboard.wait_ready()
         for endpoint in (at, *options.listen):
             console.print(f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True)
-        title = f"{options.name}  {options.vehicle}  filter {config.filter.value}"
+        title = f"{options.name}  {options.vehicle}  filter {config.filter}"
         shown = Shown(at, title, options.namespace) if options.live and console.is_terminal else None
         started = time.monotonic()
         problem = launcher.watch(onboard, [recorder] if recorder is not None else [], None, shown)
         wall_s = time.monotonic() - started
         if recorder is not None:
             problem = end_recorder(recorder) or problem
-    about = {"scenario": None, "seed": None, "config": options.name, "filter": config.filter.value}
+    about = {"scenario": None, "seed": None, "config": options.name, "filter": config.filter}
     return Flown(about, folder, log, wall_s, onboard.process.returncode, launcher.last_line, problem)

@@ -18,6 +18,8 @@ from rich.console import Console
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import on_hangup
 from flightstack.common.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port, Running
+from flightstack.core.mission.transition import parse
+from flightstack.core.types import Phase
 from flightstack.onboard.recording import start_recorder
 from flightstack.watch.live import REFRESH_HZ, LiveView
 
@@ -212,7 +214,8 @@ class Launcher:
     def _say(self, lines: list[str]) -> None:
         for line in lines:
             self.last_line = line
-            self.aborted = self.aborted or "-> ABORT" in line
+            change = parse(line)
+            self.aborted = self.aborted or (change is not None and change.after is Phase.ABORT)
             if self._tells:
                 self._print(line)
 

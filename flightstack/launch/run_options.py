@@ -9,7 +9,6 @@ from pathlib import Path
 from bridge.mavlink.profiles.autopilots import AUTO
 from bridge.ros2.ros2_network import Ros2Network
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.parameters.flight import FilterKind
 
 PX4_PERSONALITY = "px4"  # default of the simulated vehicle
 _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and ArduPilot only"
@@ -31,7 +30,7 @@ class RunOptions:
     Attributes:
         scenario: by name or file.
         seed: of all chance.
-        filter: safety filter; None: the configuration's.
+        filter: name of the safety filter; None: the configuration's.
         lockstep: simulated time instead of real time.
         duration_s: after which it ends; None: the scenario's.
         out: folder; None: a new one in ``runs``.
@@ -53,7 +52,7 @@ class RunOptions:
 
     scenario: str
     seed: int = 0
-    filter: FilterKind | None = None
+    filter: str | None = None
     lockstep: bool = False
     duration_s: float | None = None
     out: Path | None = None

@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from flightstack.common.strict_toml import ConfigError, dumps, to_table
+from flightstack.core.parameters.filters import short_name
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.flight import load as load_config
 from flightstack.core.parameters.flight import path_of as path_of_config
@@ -85,7 +86,9 @@ def run(options: RunOptions, console: Console) -> Flown:
         LaunchError: a process did not start.
     """
     scenario = prepare(options)
-    folder = options.out or new_folder(f"{scenario.name}-seed{options.seed}-{scenario.onboard.filter.value}")
+    folder = options.out or new_folder(
+        f"{scenario.name}-seed{options.seed}-{short_name(scenario.onboard.filter)}"
+    )
     log = log_in(folder)
     scenario_file, config_file = folder / "scenario.toml", folder / "onboard.toml"
     scenario_file.write_text(dumps(to_table(scenario)))
@@ -130,7 +133,7 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     limit_s = (
         longest_s(scenario) / (LOCKSTEP_SLOWEST if options.lockstep else min(1.0, options.speed)) + GRACE_S
     )
-    title = f"{scenario.name}  seed {options.seed}  filter {scenario.onboard.filter.value}"
+    title = f"{scenario.name}  seed {options.seed}  filter {scenario.onboard.filter}"
     live = options.live and launcher.console.is_terminal and not options.lockstep
     started = time.monotonic()
     problem = launcher.watch(
@@ -141,7 +144,7 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     launcher.end_all()
     if problem is None and recorder.process.returncode != 0:  # it may end after the flight
         problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
-    about = {"scenario": scenario.name, "seed": options.seed, "filter": scenario.onboard.filter.value}
+    about = {"scenario": scenario.name, "seed": options.seed, "filter": scenario.onboard.filter}
     code, said = onboard.process.returncode, launcher.last_line
     return Flown(about, folder, log, wall_s, code, said, problem, launcher.interrupted)
 

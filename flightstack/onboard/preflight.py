@@ -12,7 +12,7 @@ from bridge.mavlink.preflight.report import Level, Needs
 from bridge.mavlink.preflight.talk import Report, examine
 from bridge.mavlink.profiles.autopilots import profile
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.strategies.law import LAWS
+from flightstack.core.strategies.strategy import strategy_of
 
 _SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE)
 
@@ -25,7 +25,7 @@ def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
         system_id: of the vehicle.
     """
     limits = config.limits
-    acceleration_m_s2 = LAWS[config.filter](config, config.barrier.build()).acceleration_max_m_s2
+    acceleration_m_s2 = strategy_of(config).acceleration_max_m_s2
     return Needs(
         limits.velocity_max_m_s, limits.altitude_max_m, config.takeoff.height_m, acceleration_m_s2, system_id
     )

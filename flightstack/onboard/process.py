@@ -339,10 +339,9 @@ def _done(onboard: Onboard, out: Outputs, now_s: float, signals: Signals) -> End
     return ended._replace(reason=f"{ended.reason}: {'; '.join(lacking)}")
 
 
-def _say_events(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
-    for event in out.events:
-        if "->" in event.text:
-            say(f"{tick.now_s:8.2f} s  {event.text}")
+def _say_phase(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
+    if out.transition is not None and out.transition.after is not out.transition.before:
+        say(out.transition.told(tick.now_s))
 
 
 def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
@@ -356,7 +355,7 @@ def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
         tick = pacer.wait()
         onboard.link.poll(tick.now_s)
         out, _ = onboard.tick(tick, onboard.odometry.poll(), signals, pacer.overruns)
-        _say_events(out, tick, say)
+        _say_phase(out, tick, say)
         if onboard.report is not None:
             say(f"{tick.now_s:8.2f} s  {onboard.report}")
         ended = _done(onboard, out, tick.now_s, signals)
@@ -381,7 +380,7 @@ def _lockstep(onboard: Onboard, signals: Signals, say: Callable[[str], None]) ->
         tick = clock.tick(sim_ns)
         out, _ = onboard.tick(tick, wires.target(tick.number), signals, 0)
         wires.reply = onboard.reply
-        _say_events(out, tick, say)
+        _say_phase(out, tick, say)
         if wires.go_tick < 0 and onboard.controller.memory.started_s <= tick.now_s:
             wires.announce_start(tick.number)
         ended = _done(onboard, out, tick.now_s, signals)

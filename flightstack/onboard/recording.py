@@ -129,7 +129,7 @@ def describe(
     shape, limits = config.barrier.build(), config.limits.velocity_max_m_s
     feed = Feed.connect(str(recorder), "launcher", lossless=True)
     told = {
-        "filter": config.filter.value,
+        "filter": config.filter,
         "mode": "real-time",
         "rate_hz": str(config.loop.rate_hz),
         "barrier_alpha_1_m": repr(shape.alpha_1_m),

@@ -2,12 +2,15 @@
 
 ``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point.
 ``problems`` are the refuted claims without which no landing is possible: the onboard process refuses such a
-configuration. The paper's filter has the paper's checks alone: it promises nothing for a vehicle that lags.
+configuration. Each filter names the function that makes its checks. The paper's filter has the paper's
+checks alone: it promises nothing for a vehicle that lags.
 """
 
 from __future__ import annotations
 
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.parameters.filters import referred
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.strategy import strategy_class
 from flightstack.verify import ends, feedback, paper, robust, touchdown
 from flightstack.verify.bound import Span
 from flightstack.verify.envelope import extremes
@@ -24,12 +27,17 @@ def checks(config: FlightConfig) -> list[Check]:
     """Every check of the configuration's filter.
 
     Raises:
+        ConfigError: there is no such filter, or it refuses the configuration.
         ValueError: a parameter makes a bound that is not a number.
     """
-    return _CHECKS[config.filter](config)
+    strategy = strategy_class(config.filter)
+    strategy.check_config(config)
+    found: list[Check] = referred(strategy.certificate)(config)
+    return found
 
 
-def _paper(config: FlightConfig) -> list[Check]:
+def paper_checks(config: FlightConfig) -> list[Check]:
+    """Checks of the paper's filter."""
     shape = Shape(config.barrier.build(), Span(0.0, 0.0), 1.0)
     return [
         paper.feasible(config, shape, config.envelope.target_climb_max_m_s),
@@ -43,7 +51,8 @@ def _paper(config: FlightConfig) -> list[Check]:
     ]
 
 
-def _robust(config: FlightConfig) -> list[Check]:
+def robust_checks(config: FlightConfig) -> list[Check]:
+    """Checks of the robust filter."""
     x, fed_back = extremes(config), config.velocity_feedback.horizontal
     return [
         paper.feasible(config, x.shape, x.target_climb_m_s),
@@ -66,6 +75,3 @@ def _robust(config: FlightConfig) -> list[Check]:
         *(feedback.comes_to_rest(config) if fed_back else [touchdown.damping(config, x)]),
         touchdown.drift(config, x),
     ]
-
-
-_CHECKS = {FilterKind.PAPER: _paper, FilterKind.ROBUST: _robust}

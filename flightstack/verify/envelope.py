@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from flightstack.core.mission.conditions import View
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.safety.barrier import Barrier
-from flightstack.core.safety.robust_barrier import RobustBarrier
-from flightstack.core.strategies.law import RobustLaw
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.estimator import TargetEstimator, TargetMotion
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Inputs
@@ -64,10 +63,10 @@ class Extremes:
 def extremes(config: FlightConfig) -> Extremes:
     """Compute the worst values of the declared envelope."""
     barrier, robust, loop = config.barrier.build(), config.robust, config.velocity_loop
-    law = RobustLaw(config, barrier)
+    strategy = RobustFilter(config, barrier)
     envelope, pad_radius_m = config.envelope, config.touchdown.pad_radius_m
     errors = estimate_errors(config.target, envelope.target_rate_hz, config.checks.target_age_max_s)
-    fresh, near, far = (_margin_m(law, motion) for motion in errors)
+    fresh, near, far = (_margin_m(strategy, motion) for motion in errors)
     usual, own_m = errors.usual, config.own.position_noise_m
     vx, vy, _ = config.limits.velocity_max_m_s
     acceleration = envelope.target_acceleration_max_m_s2
@@ -94,12 +93,10 @@ def extremes(config: FlightConfig) -> Extremes:
     )
 
 
-def _margin_m(law: RobustLaw, motion: TargetMotion) -> float:
+def _margin_m(strategy: RobustFilter, motion: TargetMotion) -> float:
     """Return the margin of the filter at this uncertainty, computed by the filter itself."""
     target = TargetState(0.0, ZERO, ZERO, 0.0, motion.position_sigma_m, motion.position_sigma_z_m)
-    held = law.held(View(Inputs(), target, True, True, True, None))
-    assert isinstance(held, RobustBarrier)
-    return held.margin_m
+    return strategy.barrier(Snapshot(Inputs(), target, True, True, True, None)).margin_m
 
 
 class Errors(NamedTuple):

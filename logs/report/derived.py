@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from flightstack.core.strategies.law import LAWS
+from flightstack.core.strategies.strategy import packaged_strategy_of
 from flightstack.core.types import FilterStatus
 from logs.reader.flight_data import Flight, Floats
 from logs.verdict.types import Verdict
@@ -26,14 +26,17 @@ def held_margin_m(flight: Flight) -> Floats | None:
     """(n,) margin on h that the filter held at each step, m; NaN where it did not run.
 
     The step holds the slack s of the constraint at u*: s = g u* + rate * h_held + dh/dt. So h_held follows,
-    and the margin is h - h_held. ``None`` without steps or configuration.
+    and the margin is h - h_held. ``None`` without steps, without configuration,
+    and for a filter that is not part of the package.
     """
     steps, config = flight.steps, flight.config
     if steps is None or config is None:
         return None
-    rate_1_s = LAWS[config.filter](config, config.barrier.build()).rate_1_s
+    strategy = packaged_strategy_of(config)
+    if strategy is None:
+        return None
     flow = np.einsum("ij,ij->i", steps.gradient, steps.filtered_enu_m_s)
-    held_m = (steps.slack_m_s - flow - steps.dh_dt_m_s) / rate_1_s
+    held_m = (steps.slack_m_s - flow - steps.dh_dt_m_s) / strategy.rate_1_s
     margin_m = np.where(np.isin(steps.filter_status, _RAN), steps.h_m - held_m, np.nan)
     return margin_m if np.isfinite(margin_m).any() else None
 

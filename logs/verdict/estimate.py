@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.core.parameters.ends import Contact, Touchdown
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.strategy import packaged_strategy_of
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Flight, Floats, Ints, Steps
 from logs.verdict.types import (
@@ -179,9 +180,8 @@ def feet_and_gap_m(config: FlightConfig | None) -> tuple[float, float]:
 def _height_max_m(config: FlightConfig | None) -> float:
     """Height of the reference above the pad below which a contact may be; higher it is braking in flight."""
     height_m = sum(feet_and_gap_m(config)) + HEIGHT_ERROR_MAX_M
-    if config is not None and config.filter is FilterKind.ROBUST:
-        return max(height_m, config.robust.touch_height_m)
-    return height_m
+    strategy = packaged_strategy_of(config) if config is not None else None
+    return max(height_m, strategy.stopped_below_m) if strategy is not None else height_m
 
 
 def _runs(phase: Ints, begin: int) -> list[tuple[int, int]]:

@@ -58,7 +58,7 @@ def verdict_result(
     if about is None:
         run = flight.metadata.get("run", {})
         seed = run.get("seed", "")
-        filter_flown = flight.config.filter.value if flight.config is not None else None
+        filter_flown = flight.config.filter if flight.config is not None else None
         about = {
             "scenario": run.get("scenario"),
             "seed": int(seed) if seed.isdigit() else None,

@@ -51,7 +51,7 @@ def render(wanted: Plan, flown: Flown) -> str:
         ReportError: the plotting library is not installed.
     """
     need_libraries()
-    title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter.value}"
+    title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter}"
     return page(title, _body(title, wanted, flown))
 
 

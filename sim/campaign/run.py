@@ -8,6 +8,8 @@ of another scenario, other seeds or other code is refused.
 from __future__ import annotations
 
 import fcntl
+import hashlib
+import inspect
 import json
 import platform
 import signal
@@ -22,7 +24,7 @@ from types import FrameType
 from typing import Any
 
 from flightstack.common.strict_toml import ConfigError, dumps, to_table
-from flightstack.core.parameters.flight import FilterKind
+from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_rows
 from sim.campaign.summary import repeat_command, summary
@@ -67,18 +69,18 @@ class Plan:
     @property
     def command(self) -> str:
         """Command that repeats one seed, with ``{seed}``."""
-        return repeat_command(self.scenario_name, self.scenario.onboard.filter.value)
+        return repeat_command(self.scenario_name, self.scenario.onboard.filter)
 
 
-def plan(scenario_name: str, runs: int, first_seed: int, kind: FilterKind | None) -> Plan:
+def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None) -> Plan:
     """Load and check a scenario.
 
     Raises:
         ConfigError: it must not fly.
     """
     scenario = load(scenario_name)
-    if kind is not None:
-        scenario = scenario.with_filter(kind)
+    if filter_name is not None:
+        scenario = scenario.with_filter(filter_name)
     found = problems(scenario.onboard)
     if found:
         raise ConfigError(f"{scenario_name}: refused before take-off: " + "; ".join(found))
@@ -191,13 +193,21 @@ def _identity(wanted: Plan) -> dict[str, Any]:
     """Return the data that all rows of a folder share."""
     return {
         "scenario": wanted.scenario_toml,
-        "filter": wanted.scenario.onboard.filter.value,
+        **_filter(wanted.scenario.onboard.filter),
         "first seed": wanted.first_seed,
         "code": code_fingerprint(),
         "python": platform.python_version(),
         "machine": platform.machine(),
         **{name: metadata.version(name) for name in _PACKAGES},
     }
+
+
+def _filter(name: str) -> dict[str, str]:
+    """Name of the filter, and a hash of its source where it is not part of the package's code."""
+    if name in FILTERS:
+        return {"filter": name}
+    source = Path(inspect.getfile(named(name))).read_bytes()
+    return {"filter": name, "filter's code": hashlib.sha256(source).hexdigest()[:16]}
 
 
 @contextmanager

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Annotated
 
 from flightstack.common.strict_toml import ConfigError, Range, from_table, read_toml
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.parameters.filters import look_here
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Vec3
 from sim.scenarios.fault_spec import Fault
 
@@ -156,9 +157,13 @@ class Scenario:
         if self.start.kind is StartKind.GROUND and self.onboard.takeoff.start_offset_m is None:
             raise ConfigError("onboard.takeoff.start_offset_m: missing; a start on the ground needs it")
 
-    def with_filter(self, kind: FilterKind) -> Scenario:
-        """Return the same scenario flown with another safety filter."""
-        return replace(self, onboard=replace(self.onboard, filter=kind))
+    def with_filter(self, name: str) -> Scenario:
+        """Return the same scenario flown with another safety filter.
+
+        Raises:
+            ConfigError: no name of a filter, or the filter refuses the configuration.
+        """
+        return replace(self, onboard=replace(self.onboard, filter=name))
 
 
 def names() -> list[str]:
@@ -189,7 +194,9 @@ def load(name_or_file: str) -> Scenario:
     """
     path = path_of(name_or_file)
     try:
-        return from_table(Scenario, read_toml(path))
+        scenario = from_table(Scenario, read_toml(path))
     except ConfigError as error:
         text = str(error)
         raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+    look_here(scenario.onboard.filter)
+    return scenario

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from flightstack.core.memory import AbortWay
+from flightstack.core.mission.transition import parse
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Truth
 from logs.verdict.truth import LAND_AWAY_SPEED_MAX_M_S, Contact
@@ -94,7 +96,9 @@ def said(flown: Flown) -> str:
     """First change of the companion's phase into giving up, or the autopilot's fail-safe, after the fault."""
     since_s = flown.disturbed_at_s
     for event in flown.seen.events:
-        given_up = "-> HOLD" in event.text or "-> ABORT" in event.text or event.text.startswith("No ")
+        change = parse(event.text)
+        given_up = change is not None and change.before is not change.after in (Phase.HOLD, Phase.ABORT)
+        given_up = given_up or event.text.startswith("No ")
         if event.t_s > since_s and given_up:
             return event.text
     return ""
@@ -139,8 +143,10 @@ def h_min(flown: Flown) -> float:
     if start_s is None:
         return math.nan
     until_s = flown.disturbed_at_s + flown.failsafe_s if flown.failsafe else math.inf
-    abort = next((event for event in flown.seen.events if "-> ABORT" in event.text), None)
-    if abort is not None and "fly clear" in abort.text:
+    changes = ((event, parse(event.text)) for event in flown.seen.events)
+    aborts = ((event, change) for event, change in changes if change and change.after is Phase.ABORT)
+    abort, change = next(aborts, (None, None))
+    if change is not None and change.way is AbortWay.FLY_CLEAR:
         clear_m = flown.seen.config.checks.clearance_m
         away = truth.t_s[(truth.t_s > abort.t_s) & (truth.d_m > clear_m)]
         until_s = min(until_s, *away[:1])

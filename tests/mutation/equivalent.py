@@ -41,10 +41,14 @@ EQUIVALENT = (
         "the barrier is asked then, and what it allows is never negative",
     ),
     Equivalent(
-        "flightstack.core.safety.barrier", "Barrier.missed_m: boundary: moved_m <= gap -> ...", SAME_VALUE
+        "flightstack.core.safety.barrier",
+        "Barrier.linearisation_bound_m: boundary: moved_m <= gap -> ...",
+        SAME_VALUE,
     ),
     Equivalent(
-        "flightstack.core.safety.barrier", "Barrier.missed_m: boundary: moved_m < r + d -> ...", SAME_VALUE
+        "flightstack.core.safety.barrier",
+        "Barrier.linearisation_bound_m: boundary: moved_m < r + d -> ...",
+        SAME_VALUE,
     ),
     Equivalent(
         "flightstack.core.mission.phases", "Condition: arithmetic: 1 << 0 -> 1 >> 0", "shifted by nothing"

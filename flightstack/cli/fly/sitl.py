@@ -10,7 +10,6 @@ import click
 
 from flightstack.cli import options as shared
 from flightstack.cli.zenoh import ros2, ros2_network, zenoh_config
-from flightstack.core.parameters.flight import FilterKind
 from flightstack.launch.run_options import Flies
 
 _PROGRAM = click.Path(exists=True, path_type=Path)
@@ -19,12 +18,7 @@ _PROGRAM = click.Path(exists=True, path_type=Path)
 @click.command()
 @shared.scenario()
 @shared.seed
-@click.option(
-    "--filter",
-    "filter_name",
-    type=click.Choice([k.value for k in FilterKind]),
-    help="Safety filter; default: the configuration's.",
-)
+@shared.safety_filter("Safety filter; default: the configuration's")
 @shared.lockstep
 @shared.duration
 @shared.out
@@ -76,7 +70,7 @@ def sitl(
     flies, program = _chosen({Flies.PX4: px4, Flies.PX4_SIH: px4_sih, Flies.ARDUPILOT: ardupilot})
     options = RunOptions(
         **given,
-        filter=FilterKind(filter_name) if filter_name else None,
+        filter=filter_name,
         live=not as_json and runs == 1,
         ros2=ros2_network(ros2_where, ros_domain),
         config=str(config_file) if config_file is not None else None,

@@ -16,7 +16,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from flightstack.core.parameters.flight import FilterKind
+from flightstack.cli import options as shared
+from flightstack.core.parameters.filters import short_name
 
 if TYPE_CHECKING:
     from sim.campaign.run import Flown, Plan
@@ -31,10 +32,7 @@ _TIERS = ("lab", "field", "storm", "deck")
 @click.option(
     "--seed", "first_seed", type=click.IntRange(0, 2**62), default=0, show_default=True, help="First seed."
 )
-@click.option(
-    "--filter", "filter_name", type=click.Choice([k.value for k in FilterKind]),
-    help="Safety filter; default: the scenario's.",
-)  # fmt: skip
+@shared.safety_filter("Safety filter; default: the scenario's")
 @click.option(
     "--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one for each processor."
 )
@@ -68,7 +66,7 @@ def campaign(
     from sim.campaign.cluster import ClusterError
     from sim.campaign.workers import WorkersError
 
-    wanted = core.plan(scenario, runs, first_seed, FilterKind(filter_name) if filter_name else None)
+    wanted = core.plan(scenario, runs, first_seed, filter_name)
     folder = out or _new_folder(wanted)
     console = Console(stderr=as_json, highlight=False)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
@@ -94,7 +92,7 @@ class _Bar:
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
             TextColumn("{task.fields[told]}"), console=console, disable=not console.is_terminal,
         )  # fmt: skip
-        title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter.value}"
+        title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter}"
         self._task = self._progress.add_task(title, total=wanted.runs, told="")
         self._counts: Counter[str] = Counter()
 
@@ -116,7 +114,7 @@ class _Bar:
 
 def _new_folder(wanted: Plan) -> Path:
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
-    name = f"{stamp}-campaign-{wanted.scenario.name}-{wanted.scenario.onboard.filter.value}"
+    name = f"{stamp}-campaign-{wanted.scenario.name}-{short_name(wanted.scenario.onboard.filter)}"
     folder = Path("runs") / name
     folder.mkdir(parents=True)
     return folder
@@ -162,7 +160,7 @@ def _table(wanted: Plan, told: dict[str, Any]) -> Table:
     from sim.campaign.summary import lines
 
     table = Table(
-        title=f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter.value}", title_justify="left"
+        title=f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter}", title_justify="left"
     )
     table.add_column("result")
     table.add_column("value", justify="right")

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flightstack.cli import options as shared
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml
-from flightstack.core.parameters.flight import FilterKind, FlightConfig, load, names, path_of
+from flightstack.core.parameters.flight import FlightConfig, load, names, path_of
 
 if TYPE_CHECKING:
     from flightstack.verify.types import Check
@@ -22,12 +23,7 @@ PROVEN, NOT_PROVEN = 0, 1
 
 @click.command()
 @click.argument("config", metavar="CONFIG")
-@click.option(
-    "--filter",
-    "filter_name",
-    type=click.Choice([k.value for k in FilterKind]),
-    help="Check it for this safety filter; default: the configuration's.",
-)
+@shared.safety_filter("Check it for this safety filter; default: the configuration's")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def check(config: str, filter_name: str | None, as_json: bool) -> None:
     """Prove before flight that the filter's guarantees hold for everything that CONFIG declares.
@@ -41,7 +37,7 @@ def check(config: str, filter_name: str | None, as_json: bool) -> None:
 
     found = _load(config)
     if filter_name is not None:
-        found = replace(found, filter=FilterKind(filter_name))
+        found = replace(found, filter=filter_name)
     results = checks(found)
     if as_json:
         click.echo(json.dumps(_as_json(config, found, results)))
@@ -69,7 +65,7 @@ def _load(name_or_file: str) -> FlightConfig:
 def _as_json(name: str, config: FlightConfig, results: list[Check]) -> dict[str, object]:
     return {
         "config": name,
-        "filter": config.filter.value,
+        "filter": config.filter,
         "proven": all(result.proven for result in results),
         "flies": all(result.proven for result in results if result.need.value == "flight"),
         "checks": [
@@ -93,7 +89,7 @@ def _show(name: str, config: FlightConfig, results: list[Check]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=f"{name}, filter {config.filter.value}", title_justify="left")
+    table = Table(title=f"{name}, filter {config.filter}", title_justify="left")
     for heading in ("", "claim", "room", "worst point"):
         table.add_column(heading, justify="right" if heading == "room" else "left", overflow="fold")
     for result in results:

@@ -1,4 +1,7 @@
-"""What each phase wants: the vehicle's mode, and the velocity before safety filter and gate."""
+"""What each phase commands: the vehicle's mode, and the velocity before safety filter and gate.
+
+Pure: nothing is remembered here, and the memory of the mission is only read.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,26 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.mission.conditions import View, high_enough_m, start_point
-from flightstack.core.parameters.ends import TouchdownRule
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.mission.conditions import high_enough_m, start_point
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
-from flightstack.core.target.track import TargetState
-from flightstack.core.types import ZERO, Landed, Operator, OwnState, Phase, Request, Vec3
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.strategy import Strategy
+from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
 CLIMB_OVER = 0.5  # share of the climb margin by which the climb aims beyond what is high enough, to get there
 CLEAR_BELOW = 0.25  # share of it that a vehicle flying clear may lack of that height
-BRAKING = 0.5  # share of the wanted acceleration that brakes: the velocity lags, and the target may speed up
-TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 
 
-class Wish(NamedTuple):
-    """What a phase asks for. ``filtered``: the landing barrier applies and the target must be fresh."""
+class NominalCommand(NamedTuple):
+    """What a phase commands.
+
+    Attributes:
+        request: mode of the vehicle.
+        velocity: nominal velocity, ENU, m/s; ``None``: no set-point.
+        filtered: the landing barrier applies, and the target must be fresh.
+    """
 
     request: Request
     velocity: Vec3 | None = None
@@ -35,38 +42,35 @@ class Situation(NamedTuple):
     config: FlightConfig
     barrier: Barrier
     memory: Memory
-    seen: View
+    seen: Snapshot
+    strategy: Strategy
 
 
-def _wait(s: Situation) -> Wish:
+def _wait(s: Situation) -> NominalCommand:
     status = s.seen.inputs.status
     if status is not None and status.armed and status.landed is not Landed.ON_GROUND and s.seen.target_ok:
         # found in the air: take over, standing still, and never below the barrier of a pad that comes nearer
-        return Wish(Request.EXTERNAL, ZERO, filtered=s.config.filter is FilterKind.ROBUST)
-    return Wish(Request.NONE)
+        return NominalCommand(Request.EXTERNAL, ZERO, filtered=s.strategy.waits_filtered)
+    return NominalCommand(Request.NONE)
 
 
-def _takeoff(s: Situation) -> Wish:
+def _takeoff(s: Situation) -> NominalCommand:
     own, target, memory = s.seen.inputs.own, s.seen.target, s.memory
     if own is None or target is None:
-        return Wish(Request.TAKEOFF)
-    z, height_m = own.position_enu_m[2], s.config.takeoff.height_m
-    memory.ground_z_m = min(memory.ground_z_m, z)
-    climbed_m = z - memory.ground_z_m
-    if memory.was_armed and climbed_m > TAKEOFF_DONE * height_m:
-        memory.climbed = True
+        return NominalCommand(Request.TAKEOFF)
     if not memory.climbed:  # an autopilot that takes off by set-points flies this one, others by themselves
-        up = (height_m - climbed_m) * s.config.position_loop.gain_1_s[2]
+        climbed_m = own.position_enu_m[2] - memory.ground_z_m
+        up = (s.config.takeoff.height_m - climbed_m) * s.config.position_loop.gain_1_s[2]
         climb = limit((0.0, 0.0, max(0.0, up)), s.config.limits.velocity_max_m_s)
-        return Wish(Request.EXTERNAL if _flies_by_us(s) else Request.TAKEOFF, climb)
+        return NominalCommand(Request.EXTERNAL if _flies_by_us(s) else Request.TAKEOFF, climb)
     start = start_point(s.config, target)
     if start is None:
-        return Wish(Request.EXTERNAL, ZERO)
+        return NominalCommand(Request.EXTERNAL, ZERO)
     p = own.position_enu_m
     e = (p[0] - start[0], p[1] - start[1], p[2] - start[2])
     if abs(e[2]) > s.config.takeoff.level_first_m:
         e = (0.0, 0.0, e[2])
-    return Wish(Request.EXTERNAL, nominal_velocity(e, s.config.position_loop.gain_1_s, ZERO))
+    return NominalCommand(Request.EXTERNAL, nominal_velocity(e, s.config.position_loop.gain_1_s, ZERO))
 
 
 def _flies_by_us(s: Situation) -> bool:
@@ -76,173 +80,81 @@ def _flies_by_us(s: Situation) -> bool:
     return s.memory.was_external and not standing
 
 
-def _land(s: Situation) -> Wish:
-    target, e = s.seen.target, s.seen.e_m
-    if target is None or e is None:
-        return Wish(Request.EXTERNAL)
-    return Wish(Request.EXTERNAL, _LANDING[s.config.filter](s, target, e), filtered=True)
+def _land(s: Situation) -> NominalCommand:
+    at = s.seen.relative
+    if at is None:
+        return NominalCommand(Request.EXTERNAL)
+    velocity = s.strategy.approach_m_s(at, over_pad=s.memory.phase is Phase.LAND)
+    return NominalCommand(Request.EXTERNAL, velocity, filtered=True)
 
 
-def _land_paper(s: Situation, target: TargetState, e: Vec3) -> Vec3:
-    return nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
-
-
-def _land_robust(s: Situation, target: TargetState, e: Vec3) -> Vec3:
-    """To a place low above the pad's middle, where it waits until it may go down in one go."""
-    robust = s.config.robust
-    gain = robust.gain_1_s
-    over = robust.gain_over_pad_1_s if s.memory.phase is Phase.LAND else gain
-    above = e[2] - robust.wait_height_m - _ahead_m(s, target, e)
-    x, y, z = nominal_velocity((e[0], e[1], above), (over, over, gain), target.velocity_enu_m_s)
-    if above > 0.0:
-        pad_m_s = target.velocity_enu_m_s[2]
-        z = min(max(z, pad_m_s - robust.descent_max_m_s), pad_m_s - robust.descent_min_m_s)
-    return (x, y, z)
-
-
-def _ahead_m(s: Situation, target: TargetState, e: Vec3) -> float:
-    """Height of the boundary ahead that no velocity in the box may be quick enough for, once it is there.
-
-    Far out that is its ring, over which the way leads. Near the middle it is where the vehicle comes to
-    rest, if that is on the other side: the barrier sees an overshoot only when the middle has been
-    passed.
-    """
-    own, (ex, ey, _) = s.seen.inputs.own, e
-    assert own is not None
-    if math.hypot(ex, ey) > s.barrier.peak_distance_m:
-        return s.barrier.peak_height_m
-    v, t = own.velocity_enu_m_s, target.velocity_enu_m_s
-    vx, vy = v[0] - t[0], v[1] - t[1]
-    brakes_m_s2 = BRAKING * min(s.config.robust.acceleration_max_m_s2[:2])
-    rest_s = math.hypot(vx, vy) / (2.0 * brakes_m_s2)  # at this velocity, until as far as it comes
-    if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
-        return 0.0  # on this side
-    return s.barrier.height(math.hypot(ex + rest_s * vx, ey + rest_s * vy))
-
-
-_LANDING: dict[FilterKind, Callable[[Situation, TargetState, Vec3], Vec3]] = {
-    FilterKind.PAPER: _land_paper,
-    FilterKind.ROBUST: _land_robust,
-}
-
-
-def _touchdown(s: Situation) -> Wish:
+def _touchdown(s: Situation) -> NominalCommand:
     """Motors off by the rule; until then straight down, above the pad's middle.
 
     Within the pad's radius the cone is narrower than the pad and no longer what guards the landing.
     """
-    target, e = s.seen.target, s.seen.e_m
     if s.memory.contact:
-        return Wish(Request.MOTORS_OFF)
-    if target is None or e is None:
-        return Wish(Request.EXTERNAL)
-    return _DESCENT[s.config.filter](s, target, e)
+        return NominalCommand(Request.MOTORS_OFF)
+    at = s.seen.relative
+    if at is None:
+        return NominalCommand(Request.EXTERNAL)
+    velocity = s.strategy.descent_m_s(at)
+    if velocity is None:
+        return NominalCommand(Request.MOTORS_OFF)
+    return NominalCommand(Request.EXTERNAL, velocity)
 
 
-def _descend_paper(s: Situation, target: TargetState, e: Vec3) -> Wish:
-    if s.config.touchdown.rule is TouchdownRule.PAPER:
-        return Wish(Request.MOTORS_OFF)
-    x, y, _ = nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
-    return Wish(Request.EXTERNAL, (x, y, target.velocity_enu_m_s[2] - s.config.touchdown.descent_m_s))
-
-
-def _descend_robust(s: Situation, target: TargetState, e: Vec3) -> Wish:
-    if s.config.touchdown.rule is TouchdownRule.PAPER and e[2] < s.config.touchdown.height_m:
-        return Wish(Request.MOTORS_OFF)
-    gain = s.config.robust.gain_over_pad_1_s
-    x, y, _ = nominal_velocity(e, (gain, gain, gain), target.velocity_enu_m_s)
-    return Wish(Request.EXTERNAL, (x, y, target.velocity_enu_m_s[2] - s.config.robust.descent_m_s))
-
-
-_DESCENT: dict[FilterKind, Callable[[Situation, TargetState, Vec3], Wish]] = {
-    FilterKind.PAPER: _descend_paper,
-    FilterKind.ROBUST: _descend_robust,
-}
-
-
-def _landed(s: Situation) -> Wish:
+def _landed(s: Situation) -> NominalCommand:
     """Nothing; but an emergency stop is obeyed, in case the heartbeat did not tell the truth."""
     emergency = s.seen.inputs.operator is Operator.EMERGENCY_STOP
-    return Wish(Request.MOTORS_OFF if emergency else Request.NONE)
+    return NominalCommand(Request.MOTORS_OFF if emergency else Request.NONE)
 
 
-def _hold(s: Situation) -> Wish:
-    """Stand still; with an estimator: up, and on with a target that was followed until a moment ago.
-
-    Standing still in the cone of a target that drives on is leaving the cone sideways.
-    """
-    target, memory = s.seen.target, s.memory
-    if s.config.filter is FilterKind.PAPER or target is None or memory.started_s == math.inf:
-        return Wish(Request.EXTERNAL, ZERO)
-    x, y, z = target.velocity_enu_m_s
-    up = min(s.config.limits.velocity_max_m_s[2], max(0.0, z) + s.config.retreat.hold_climb_m_s)
-    return Wish(Request.EXTERNAL, limit((x, y, up), s.config.limits.velocity_max_m_s))
+def _hold(s: Situation) -> NominalCommand:
+    """As the filter holds; before the landing, or without a target, stand still."""
+    target = s.seen.target
+    if target is None or s.memory.started_s == math.inf:
+        return NominalCommand(Request.EXTERNAL, ZERO)
+    return NominalCommand(Request.EXTERNAL, s.strategy.hold_m_s(target))
 
 
-def _climb(s: Situation) -> Wish:
+def _climb(s: Situation) -> NominalCommand:
     own = s.seen.inputs.own
     if own is None:
-        return Wish(Request.EXTERNAL)
+        return NominalCommand(Request.EXTERNAL)
     # beyond the height it holds there until the target is back or the time is over
     aim_m = high_enough_m(s.config, s.barrier, s.memory) + CLIMB_OVER * s.config.retreat.climb_margin_m
     missing_m = aim_m - own.position_enu_m[2]
     up = max(0.0, min(s.config.limits.velocity_max_m_s[2], missing_m * s.config.position_loop.gain_1_s[2]))
-    return Wish(Request.EXTERNAL, (0.0, 0.0, up))
+    return NominalCommand(Request.EXTERNAL, (0.0, 0.0, up))
 
 
-def _fly_clear(s: Situation) -> Wish:
+def _fly_clear(s: Situation) -> NominalCommand:
     own, memory = s.seen.inputs.own, s.memory
     target = memory.target_position_enu_m
     if own is None or not s.seen.own_ok or target is None or memory.clear:
-        return Wish(Request.LAND)
+        return NominalCommand(Request.LAND)
     dx, dy = own.position_enu_m[0] - target[0], own.position_enu_m[1] - target[1]
     d = math.hypot(dx, dy)
-    retreat = s.config.retreat
-    lacking_m = CLEAR_BELOW * retreat.climb_margin_m
+    lacking_m = CLEAR_BELOW * s.config.retreat.climb_margin_m
     high = own.position_enu_m[2] >= high_enough_m(s.config, s.barrier, memory) - lacking_m
-    outside = d >= s.config.checks.clearance_m
-    stays_out = outside and _landing_distance_m(s, own, (dx, dy)) >= s.config.checks.clearance_m
-    if stays_out or own.arrival_s - memory.phase_since_s > retreat.clear_time_max_s:
-        memory.clear = True
-        return Wish(Request.LAND)
     vx, vy, vz = s.config.limits.velocity_max_m_s
     up = 0.0 if high else vz
-    if not (high or outside):
-        return Wish(Request.EXTERNAL, (0.0, 0.0, up))
+    if not (high or d >= s.config.checks.clearance_m):
+        return NominalCommand(Request.EXTERNAL, (0.0, 0.0, up))
     away = (dx / d, dy / d) if d > 1e-6 else (1.0, 0.0)
-    return Wish(Request.EXTERNAL, limit((away[0] * vx, away[1] * vy, up), (vx, vy, vz)))
+    return NominalCommand(Request.EXTERNAL, limit((away[0] * vx, away[1] * vy, up), (vx, vy, vz)))
 
 
-def _landing_distance_m(s: Situation, own: OwnState, away_m: tuple[float, float]) -> float:
-    """Least horizontal distance from the target in a landing that begins now.
-
-    The vehicle comes to rest by its velocity loop, then sinks straight down; the target drives on as it did
-    when it was seen last.
-    """
-    memory = s.memory
-    assert memory.target_velocity_enu_m_s is not None  # known since its position is
-    lag_s = s.config.velocity_loop.lag_xy_s
-    (vx, vy, _), (tx, ty, _) = own.velocity_enu_m_s, memory.target_velocity_enu_m_s
-    ground_z_m = memory.ground_z_m if memory.ground_z_m < math.inf else 0.0  # found in the air: the origin's
-    sinks_s = max(0.0, own.position_enu_m[2] - ground_z_m) / s.config.retreat.landing_speed_m_s
-    x, y = away_m[0] + vx * lag_s, away_m[1] + vy * lag_s
-    closing_m2_s, speed2_m2_s2 = x * tx + y * ty, tx * tx + ty * ty
-    if closing_m2_s <= 0.0:
-        return math.hypot(x, y)
-    passed = closing_m2_s < speed2_m2_s2 * sinks_s  # it comes by before the vehicle is down
-    nearest_s = closing_m2_s / speed2_m2_s2 if passed else sinks_s
-    return math.hypot(x - tx * nearest_s, y - ty * nearest_s)
-
-
-_ABORT: dict[AbortWay, Callable[[Situation], Wish]] = {
-    AbortWay.NONE: lambda _: Wish(Request.NONE),
-    AbortWay.MOTORS_OFF: lambda _: Wish(Request.MOTORS_OFF),
-    AbortWay.HANDS_OFF: lambda _: Wish(Request.NONE),
-    AbortWay.LAND_HERE: lambda _: Wish(Request.LAND),
+_ABORT: dict[AbortWay, Callable[[Situation], NominalCommand]] = {
+    AbortWay.NONE: lambda _: NominalCommand(Request.NONE),
+    AbortWay.MOTORS_OFF: lambda _: NominalCommand(Request.MOTORS_OFF),
+    AbortWay.HANDS_OFF: lambda _: NominalCommand(Request.NONE),
+    AbortWay.LAND_HERE: lambda _: NominalCommand(Request.LAND),
     AbortWay.FLY_CLEAR: _fly_clear,
 }
 
-_PHASES: dict[Phase, Callable[[Situation], Wish]] = {
+_PHASES: dict[Phase, Callable[[Situation], NominalCommand]] = {
     Phase.WAIT: _wait,
     Phase.TAKEOFF: _takeoff,
     Phase.APPROACH: _land,
@@ -255,6 +167,6 @@ _PHASES: dict[Phase, Callable[[Situation], Wish]] = {
 }
 
 
-def wish(situation: Situation) -> Wish:
-    """Ask the present phase what it wants."""
+def nominal_command(situation: Situation) -> NominalCommand:
+    """What the present phase commands."""
     return _PHASES[situation.memory.phase](situation)

@@ -1,20 +1,25 @@
-"""The phase machine as a table: in each phase the first rule whose conditions hold names the next phase.
+"""The mission as tables: in each phase the first rule whose conditions hold names the next phase.
 
-``Condition`` is a word of flags that the controller fills in each tick; a rule fires when all of ``when`` and
-none of ``unless`` are set. Nothing else decides about phases. No rule leaves LANDED or ABORT: starting
-again takes a new process, which is an operator's decision.
+``Condition`` flags are computed in each tick; a rule fires when all of ``when`` and none of ``unless`` are
+set. Nothing else decides about phases. The ways of an abort are phases within phase ABORT, with a table of
+their own: the rules of ``AbortWay.NONE`` choose the way when an abort begins. No rule leaves LANDED or ABORT:
+starting again takes a new process, which is an operator's decision.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Generic, TypeVar
 
+from flightstack.core.memory import AbortWay
 from flightstack.core.types import Phase
+
+To = TypeVar("To", Phase, AbortWay)
 
 
 class Condition(IntEnum):
-    """What the table may ask about the world: one bit each; a word is a plain int, for speed."""
+    """What the tables may ask about: one bit each. The flags of a tick are a plain int, for speed."""
 
     EMERGENCY = 1 << 0  # operator's emergency stop
     ABORT_ASKED = 1 << 1  # operator's abort
@@ -38,7 +43,10 @@ class Condition(IntEnum):
     LANDING_TIME_OVER = 1 << 19
     COMMAND_FAILED = 1 << 20  # the vehicle refused a command for good
     DRIFTED = 1 << 21  # about to leave the corridor above the pad while still above the cone
-    NOT_FOLLOWING = 1 << 22  # the vehicle does not fly what it is told
+    NOT_FOLLOWING = 1 << 22  # the vehicle does not fly the commanded velocity
+    LAND_ASKED = 1 << 23  # operator's abort by the vehicle's own landing
+    TARGET_KNOWN = 1 << 24  # some position of the target, however old
+    ON_PAD = 1 << 25  # contact in the touchdown
 
 
 C = Condition
@@ -46,14 +54,14 @@ NONE = 0
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class Rule(Generic[To]):
     """One row: go ``to`` when all of ``when`` and none of ``unless`` hold, because of ``reason``.
 
     ``about``: conditions besides ``when`` whose numbers a person wants to read with the reason.
     """
 
     when: int
-    to: Phase
+    to: To
     reason: str
     unless: int = NONE
     about: int = NONE
@@ -77,7 +85,7 @@ _INPUTS = (
     Rule(C.TARGET_LOST, Phase.HOLD, "target lost"),
 )
 
-TABLE: dict[Phase, tuple[Rule, ...]] = {
+TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
     Phase.WAIT: (
         *_OPERATOR,
         Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
@@ -134,9 +142,47 @@ TABLE: dict[Phase, tuple[Rule, ...]] = {
 }  # fmt: skip
 
 
-def next_phase(phase: Phase, conditions: int) -> Rule | None:
+_STOP = Rule(C.EMERGENCY, AbortWay.MOTORS_OFF, "emergency stop")
+_GROUNDS_TO_LAND = (
+    Rule(C.LAND_ASKED, AbortWay.LAND_HERE, "ended by the operator"),
+    Rule(C.OWN_LOST, AbortWay.LAND_HERE, "it does not know where it is"),
+    Rule(C.LINK_LOST, AbortWay.LAND_HERE, "the heartbeat is lost"),
+    Rule(C.COMMAND_FAILED, AbortWay.LAND_HERE, "the vehicle refused a command"),
+    Rule(C.NOT_FOLLOWING, AbortWay.LAND_HERE, "the vehicle does not fly the commanded velocity"),
+    Rule(NONE, AbortWay.LAND_HERE, "the target was never seen", unless=C.TARGET_KNOWN),
+    Rule(C.ON_PAD, AbortWay.LAND_HERE, "it has touched the pad"),
+)
+
+ABORT_TABLE: dict[AbortWay, tuple[Rule[AbortWay], ...]] = {
+    AbortWay.NONE: (
+        _STOP,
+        Rule(NONE, AbortWay.HANDS_OFF, "it never flew", unless=C.WAS_ARMED),
+        Rule(C.STANDING, AbortWay.HANDS_OFF, "it stands with its motors off", unless=C.ARMED),
+        Rule(NONE, AbortWay.LAND_HERE, "disarmed in the air: one of the two is not true", unless=C.ARMED),
+        Rule(C.STANDING, AbortWay.LAND_HERE, "never climb away when landed"),
+        Rule(C.WAS_EXTERNAL, AbortWay.HANDS_OFF, "mode changed", unless=C.EXTERNAL | C.LINK_LOST),
+        *_GROUNDS_TO_LAND,
+        Rule(NONE, AbortWay.FLY_CLEAR, "it flies, and knows where the target is"),
+    ),
+    AbortWay.MOTORS_OFF: (),
+    AbortWay.HANDS_OFF: (_STOP,),
+    AbortWay.LAND_HERE: (_STOP,),
+    AbortWay.FLY_CLEAR: (_STOP, _GROUNDS_TO_LAND[0]),
+}
+
+
+def next_phase(phase: Phase, conditions: int) -> Rule[Phase] | None:
     """First matching rule of the phase; ``None`` if the phase stays."""
-    for rule in TABLE[phase]:
+    return _first(TABLE[phase], conditions)
+
+
+def next_way(way: AbortWay, conditions: int) -> Rule[AbortWay] | None:
+    """First matching rule of a way of aborting; ``None`` if it stays."""
+    return _first(ABORT_TABLE[way], conditions)
+
+
+def _first(rules: tuple[Rule[To], ...], conditions: int) -> Rule[To] | None:
+    for rule in rules:
         if conditions & rule.when == rule.when and not conditions & rule.unless:
             return rule
     return None

@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from flightstack.core.mission.conditions import View
 from flightstack.core.mission.phases import Condition, Rule
 from flightstack.core.parameters.flight import Checks
+from flightstack.core.snapshot import Snapshot
 from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.types import Phase
 
 
 class Known(NamedTuple):
@@ -28,23 +29,23 @@ class Known(NamedTuple):
     """
 
     checks: Checks
-    seen: View
+    seen: Snapshot
     plausibility: Plausibility
     refusal: str
     now_s: float
 
 
-def reason(rule: Rule, word: int, known: Known) -> str:
+def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
     """Reason of a rule that fires, with the numbers of those of its conditions that hold.
 
     Args:
         rule: of the phase table.
-        word: conditions of this tick.
+        flags: conditions of this tick.
         known: this tick.
     """
-    asked = (rule.when | rule.about) & word
+    asked = (rule.when | rule.about) & flags
     told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
-    if not told and rule.about & ~word & Condition.READY:
+    if not told and rule.about & ~flags & Condition.READY:
         told = ["the vehicle does not say that it is ready to arm"]
     return f"{rule.reason}: {', '.join(told)}" if told else rule.reason
 
@@ -86,7 +87,8 @@ def _target(known: Known) -> str:
 def _follow(known: Known) -> str:
     checks, watched = known.checks, known.plausibility
     return (
-        f"it lags {watched.missed_m:.2f} m behind its set-points; {watched.missed_max_m:.2f} m are allowed "
+        f"it lags {watched.tracking_lag_m:.2f} m behind its set-points; "
+        f"{watched.tracking_lag_max_m:.2f} m are allowed "
         f"by checks.follow_lag_max_s, {checks.follow_lag_max_s:g}"
     )
 

@@ -38,7 +38,7 @@ class VelocityLoop:
     def rate_max_1_s(self, period_s: float) -> float:
         """Natural frequency below which the model, stepped with this period, is stable.
 
-        One step (velocity_axis.py) has the trace 2 - (wT)^2 - 2 z wT and the determinant 1 - 2 z wT: by
+        One step (velocity_tracking.py) has the trace 2 - (wT)^2 - 2 z wT and the determinant 1 - 2 z wT: by
         Jury's criterion it is stable for (wT)^2 + 4 z wT < 4.
         """
         return 2.0 * (math.hypot(self.damping, 1.0) - self.damping) / period_s
@@ -46,7 +46,7 @@ class VelocityLoop:
 
 @dataclass(frozen=True, slots=True)
 class VelocityFeedback:
-    """Horizontally the vehicle's whole state is fed back, not the lead: core/strategies/velocity_axis.py.
+    """Horizontally the vehicle's whole state is fed back, not the lead: core/strategies/velocity_tracking.py.
 
     For gusts. It needs the velocity loop identified, and room for tilt above the wind's share.
     """
@@ -77,7 +77,7 @@ class TargetLink:
     velocity_noise_m_s: Annotated[float, Range(1e-4, 1.0)] = 0.02
     jerk_xy_m_s3_sqrthz: Annotated[float, Range(0.01, 20.0)] = 0.6  # about 0.5 m/s^2 changing every second
     jerk_z_m_s3_sqrthz: Annotated[float, Range(0.01, 20.0)] = 0.02  # it drives on a floor; 0.6 on a ship
-    # times the jerk on x and y, while samples surprise the estimator; 1: always the same
+    # times the jerk on x and y, while innovations are larger than expected; 1: always the same
     jerk_growth_max: Annotated[float, Range(1.0, 100.0)] = 1.0
     acceleration_xy_m_s2: Annotated[float, Range(0.001, 10.0)] = 0.3  # before anything is known
     acceleration_time_s: Annotated[float, Range(0.05, 1000.0)] = 0.5  # in which that on x and y fades, unseen

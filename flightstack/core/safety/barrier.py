@@ -16,11 +16,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 from flightstack.core.types import Vec3
 
 E = math.e
 _BEND_MOST = math.exp(-3.0)  # of (x - 2) exp(-x), at x = 3
+
+
+class ActiveBarrier(Protocol):
+    """The barrier that a filter holds; positions are vehicle minus landing spot, ENU, m."""
+
+    def h(self, e_m: Vec3) -> float:
+        """Value in metres at a relative position."""
+
+    def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
+        """Most that h may lie below its linear prediction after a horizontal motion of this length."""
+
+    def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
+        """Value, gradient by the vehicle's position, and time derivative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +97,7 @@ class Barrier:
         """Barrier value in metres at the relative position ``e_m`` (eq. 9)."""
         return e_m[2] - self.height(math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]))
 
-    def missed_m(self, e_m: Vec3, moved_m: float) -> float:
+    def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
         """Most that h may lie below its linear prediction after a horizontal motion from ``e_m``.
 
         The prediction is that of ``evaluate``, whose gradient is short by c = d / r, r the smoothed length.

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
+from flightstack.core.safety.barrier import ActiveBarrier
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S
 from flightstack.core.types import FilterStatus, Vec3
 
@@ -56,20 +57,10 @@ class ApprovedSetpoint:
 _fill = object.__setattr__
 
 
-class HeldBarrier(Protocol):
-    """What the gate asks of a barrier."""
-
-    def h(self, e_m: Vec3) -> float:
-        """Value at a relative position."""
-
-    def missed_m(self, e_m: Vec3, moved_m: float) -> float:
-        """How far h may lie below what the gradient says, after a horizontal motion of this length."""
-
-
 class BarrierCheck(NamedTuple):
-    """What the gate needs to re-check the barrier held, besides what the filter says of its result."""
+    """What the gate needs to re-check the active barrier, besides what the filter says of its result."""
 
-    barrier: HeldBarrier
+    barrier: ActiveBarrier
     e_m: Vec3
     target_velocity_enu_m_s: Vec3
     status: FilterStatus
@@ -149,7 +140,7 @@ class Gate:
         return GateVerdict.APPROVED
 
     def _keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
-        """The next h by the kinematic model is what eq. 1 promised, evaluated without derivatives.
+        """The next h by the kinematic model is what the constraint of eq. 11 promised, without derivatives.
 
         The promise is linear; a result of the filter that keeps it may miss by the boundary's bend and by the
         slope that the gradient leaves out at the apex, and by no more (docs/how_it_works/robust_filter.md).
@@ -166,6 +157,6 @@ class Gate:
             return True  # nothing better is in the box
         missing_m = now * (1.0 - self.omega_1_s * t) - then - SOLVER_TOLERANCE_M_S * t
         # mostly there is nothing to allow for
-        return missing_m <= 0.0 or missing_m <= check.barrier.missed_m(
+        return missing_m <= 0.0 or missing_m <= check.barrier.linearisation_bound_m(
             check.e_m, math.hypot(vx - tx, vy - ty) * t
         )

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from osqp import ext_builtin as osqp
@@ -51,6 +51,15 @@ class FilterResult(NamedTuple):
     residual_m_s: float
     iterations: int
     solve_s: float
+
+
+class Program(Protocol):
+    """What makes the velocity wanted from the nominal one."""
+
+    def solve(
+        self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
+    ) -> FilterResult:
+        """Filter one nominal velocity; arguments as those of ``SafetyFilter.solve``."""
 
 
 class SafetyFilter:

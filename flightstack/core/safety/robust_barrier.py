@@ -33,14 +33,15 @@ class RobustBarrier:
         """Bound of the boundary's slope: the barrier's and the margin's steepest, that at w / sqrt(2)."""
         return self.barrier.slope_max + self.margin_m / self.fade_radius_m * math.sqrt(2.0 / math.e)
 
-    def missed_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Most that h may lie below its linear prediction; as ``Barrier.missed_m``.
+    def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
+        """Most that h may lie below its linear prediction; as ``Barrier.linearisation_bound_m``.
 
         The margin bends by 2 m / w^2 exp(-(d/w)^2) at most, most of all where the motion comes nearest.
         """
         near = max(0.0, math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]) - moved_m) / self.fade_radius_m
         share = moved_m / self.fade_radius_m
-        return self.barrier.missed_m(e_m, moved_m) + self.margin_m * share * share * math.exp(-near * near)
+        bend_m = self.margin_m * share * share * math.exp(-near * near)
+        return self.barrier.linearisation_bound_m(e_m, moved_m) + bend_m
 
     def h(self, e_m: Vec3) -> float:
         """Value in metres at the relative position ``e_m``."""

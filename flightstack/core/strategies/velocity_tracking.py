@@ -1,18 +1,169 @@
 """From the velocity wanted to the set-point that makes a lagging velocity loop fly it.
 
 The loop on board answers a set-point like a second-order low-pass: late, the paper's weakness, and wind, drag
-and a wrong weight push it off. How that is mended on one axis says ``velocity_axis.py``. The disturbance is
-clamped, as no model is perfect.
+and a wrong weight push it off. Two corrections for one axis take it for a second-order low-pass M with a
+disturbance, v = M(u) + d; with the acceleration a that the loop itself gives, and f = w d / (2 z) that the
+disturbance adds:
+
+    v' = a + f,      a' = w^2 (u - v) - 2 z w a
+
+``LeadAxis`` adds corrections to the velocity wanted, r (internal model control, with a lead instead of the
+inverse model). Of the vehicle it feeds back little but k (r - v), so it forgives a wrong model:
+
+    u = r + lag * r' + k (r - v) - d,      d = low-pass of (v - M(u))
+
+``FeedbackAxis`` feeds back all of the state, of which an observer knows what is not measured. It answers
+gusts sooner and does not swing, and has to know the vehicle's loop: the acceleration a* that mends the
+velocity at the rate l, reached at the rate m,
+
+    a* = r' + l (r - v) - f,      a' = m (a* - a),      u = v + (2 z w a + m (a* - a)) / w^2
+
+The disturbance is clamped, as no model is perfect.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 from flightstack.core.memory import TrackingMemory
 from flightstack.core.parameters.robust import VelocityFeedback, VelocityLoop
-from flightstack.core.strategies.velocity_axis import axes
+from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import ZERO, Vec3
+
+
+class Axis(Protocol):
+    """What is done on one axis, once a tick; m/s and m/s^2."""
+
+    def observe(self, v: float, u: float, m: float, dm: float, d: float) -> tuple[float, float, float]:
+        """Velocity by the model, its derivative, and the disturbance, a tick later.
+
+        Args:
+            v: velocity measured.
+            u: set-point in force.
+            m: velocity by the model.
+            dm: its derivative, without the disturbance.
+            d: disturbance.
+        """
+
+    def command(
+        self, b: float, r: float, v: float, s: float, m: float, dm: float, d: float, most: float
+    ) -> tuple[float, float]:
+        """Smoothed derivative of the velocity wanted, and set-point.
+
+        Args:
+            b: velocity wanted a tick ago.
+            r: velocity wanted now.
+            v: velocity measured.
+            s: smoothed derivative a tick ago.
+            m: velocity by the model.
+            dm: its derivative, without the disturbance.
+            d: disturbance.
+            most: bound of the set-point.
+        """
+
+
+class LeadAxis:
+    """Corrections added to the velocity wanted.
+
+    Args:
+        loop: the vehicle's velocity loop.
+        lag_s: its group delay at low frequency, on this axis.
+        rate_1_s: its natural frequency.
+        gain: k above.
+        error_max_m_s: of set-point against velocity: a loop that tilts hard loses lift.
+        period_s: of a tick.
+    """
+
+    def __init__(
+        self,
+        loop: VelocityLoop,
+        lag_s: float,
+        rate_1_s: float,
+        gain: float,
+        error_max_m_s: float,
+        period_s: float,
+    ) -> None:
+        self._lag_s, self._rate_1_s, self._gain, self._error_max_m_s = lag_s, rate_1_s, gain, error_max_m_s
+        self._damping, self._most_m_s = loop.damping, loop.disturbance_max_m_s
+        self._period_s = period_s
+        self._slope_share = min(1.0, period_s / loop.slope_time_s)
+        self._disturbance_share = min(1.0, period_s / loop.disturbance_time_s)
+
+    def observe(self, v: float, u: float, m: float, dm: float, d: float) -> tuple[float, float, float]:
+        """The model goes by the set-point alone; what the velocity differs by is low-passed."""
+        t, w, most_m_s = self._period_s, self._rate_1_s, self._most_m_s
+        dm += t * (w * w * (u - m) - 2.0 * self._damping * w * dm)
+        m += t * dm
+        d += self._disturbance_share * (v - m - d)
+        return m, dm, clip(d, -most_m_s, most_m_s)
+
+    def command(
+        self, b: float, r: float, v: float, s: float, m: float, dm: float, d: float, most: float
+    ) -> tuple[float, float]:
+        """The velocity wanted and its corrections."""
+        del m, dm
+        s += self._slope_share * ((r - b) / self._period_s - s)
+        u = r + self._lag_s * s + self._gain * (r - v) - d
+        return s, clip(clip(u, v - self._error_max_m_s, v + self._error_max_m_s), -most, most)
+
+
+class FeedbackAxis:
+    """Feedback of velocity, acceleration and disturbance.
+
+    Args:
+        loop: the vehicle's velocity loop.
+        feedback: how hard.
+        delay_s: age of the velocity measured; the state is carried on by it.
+        period_s: of a tick.
+    """
+
+    def __init__(
+        self, loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float
+    ) -> None:
+        self._rate_1_s, self._drag_1_s = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
+        self._push_1_s = loop.rate_xy_1_s / (2.0 * loop.damping)  # f / d
+        self._most_m_s, self._error_max_m_s = loop.disturbance_max_m_s, loop.error_max_m_s
+        self._feedback, self._delay_s, self._period_s = feedback, delay_s, period_s
+        self._slope_share = min(1.0, period_s / loop.slope_time_s)
+        # of what the model misses, to velocity and disturbance: both poles at the observer's rate
+        rate = feedback.observer_rate_1_s
+        self._to_velocity, self._to_disturbance = 2.0 * rate, rate * rate / self._push_1_s
+
+    def observe(self, v: float, u: float, m: float, dm: float, d: float) -> tuple[float, float, float]:
+        """The model goes by the velocity; what it misses corrects velocity and disturbance."""
+        t, w, f = self._period_s, self._rate_1_s, self._push_1_s * d
+        now = v + self._delay_s * (dm + f)
+        missed = v - m
+        m += t * (dm + f + self._to_velocity * missed)
+        dm += t * (w * w * (u - now) - self._drag_1_s * dm)
+        d += t * self._to_disturbance * missed
+        return m, dm, clip(d, -self._most_m_s, self._most_m_s)
+
+    def command(
+        self, b: float, r: float, v: float, s: float, m: float, dm: float, d: float, most: float
+    ) -> tuple[float, float]:
+        """The velocity itself, and what tilts as wanted."""
+        del v
+        feedback, f, w = self._feedback, self._push_1_s * d, self._rate_1_s
+        s += self._slope_share * ((r - b) / self._period_s - s)
+        now = m + self._delay_s * (dm + f)
+        wanted = s + feedback.error_rate_1_s * (r - now) - f
+        wanted = clip(wanted, -feedback.acceleration_max_m_s2, feedback.acceleration_max_m_s2)
+        u = now + (self._drag_1_s * dm + feedback.tilt_rate_1_s * (wanted - dm)) / (w * w)
+        return s, clip(clip(u, now - self._error_max_m_s, now + self._error_max_m_s), -most, most)
+
+
+def axes(
+    loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float
+) -> tuple[Axis, Axis, Axis]:
+    """What a configuration asks for; upwards always the lead, for there is no tilt in between."""
+    up = LeadAxis(loop, loop.lag_z_s, loop.rate_z_1_s, loop.gain_z, math.inf, period_s)
+    if feedback.horizontal:
+        level: Axis = FeedbackAxis(loop, feedback, delay_s, period_s)
+    else:
+        level = LeadAxis(loop, loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy, loop.error_max_m_s, period_s)
+    return level, level, up
 
 
 class VelocityTracking:

@@ -11,8 +11,8 @@ Manned Maneuvering Targets, IEEE Transactions on Aerospace and Electronic System
 a gap, an acceleration that lasted would make the target faster than any robot. The vertical one lasts: a deck
 heaves for seconds. The covariances of x and y are equal, so turning leaves them as they are.
 
-While the samples miss by more than expected, the jerk on x and y is raised, up to a factor: a robot that
-brakes is followed at once, and one that drives on is known better than by any one jerk.
+While the innovations of the samples are larger than expected, the jerk on x and y is raised, up to a factor:
+a robot that brakes is followed at once, and one that drives on is known better than by any one jerk.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ RESTART_S = 1.0  # s between two samples; checks.target_age_max_s is no longer, 
 
 TURN_TIME_S = 0.3  # low-pass of the yaw rate: differences of two measured yaws are noisy
 TURN_RATE_MAX_RAD_S = 3.0  # a TurtleBot3 turns at up to 2.84 (ROBOTIS, specifications)
-SURPRISE_TIME_S = 0.15  # low-pass of the squared misses; three samples at 20 Hz
+INNOVATION_TIME_S = 0.15  # low-pass of the normalised innovation squared; three samples at 20 Hz
 TURN_MAX_RAD = 0.5  # in one step; so far the series of _turned are exact to 1e-5
 
 
@@ -132,16 +132,16 @@ class TargetEstimator:
         memory.position_enu_m, memory.velocity_enu_m_s = (x[0], y[0], z[0]), (x[1], y[1], z[1])
         memory.acceleration_enu_m_s2 = (x[2], y[2], z[2])
         # the mean of four: position and velocity on x and on y, each 1 on average
-        missed = 0.25 * (weights[0] * (x[3] + y[3]) + weights[1] * (x[4] + y[4]))
-        memory.surprise += dt_s / (dt_s + SURPRISE_TIME_S) * (missed - memory.surprise)
+        innovation2 = 0.25 * (weights[0] * (x[3] + y[3]) + weights[1] * (x[4] + y[4]))
+        memory.surprise += dt_s / (dt_s + INNOVATION_TIME_S) * (innovation2 - memory.surprise)
 
     def _jerk2_xy(self) -> float:
-        """Square of the jerk on x and y, now: the jerk goes with the square of the surprise.
+        """Square of the jerk on x and y, now: the jerk goes with the squared low-pass of the innovations.
 
-        A surprise of 2, which chance seldom makes, is four times the jerk already.
+        A value of 2, which chance seldom makes, is four times the jerk already.
         """
-        surprise = self.memory.surprise
-        return self._xy.jerk2 * max(1.0, min(self._growth2_max, surprise * surprise * surprise * surprise))
+        nis = self.memory.surprise
+        return self._xy.jerk2 * max(1.0, min(self._growth2_max, nis * nis * nis * nis))
 
     def at(self, time_s: float) -> TargetMotion:
         """Carry the newest estimate to another time, on the sender's clock.

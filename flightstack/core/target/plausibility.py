@@ -1,4 +1,4 @@
-"""Whether the vehicle's own state can be true, and whether the vehicle flies what it is told.
+"""Whether the vehicle's own state can be true, and whether the vehicle flies the commanded velocity.
 
 A link that delivers fresh time stamps can still deliver nonsense. Three things are known without a second
 sensor:
@@ -36,14 +36,15 @@ class Plausibility:
         config: of the flight; ``checks`` holds the bounds.
 
     Attributes:
-        missed_max_m: bound of ``missed_m``, ``checks.follow_lag_max_s`` at the highest horizontal velocity.
+        tracking_lag_max_m: bound of ``tracking_lag_m``: ``checks.follow_lag_max_s`` at the highest horizontal
+            velocity.
     """
 
     def __init__(self, config: FlightConfig) -> None:
         self.memory = PlausibilityMemory()
         self._checks = config.checks
         vx, vy, _ = config.limits.velocity_max_m_s
-        self.missed_max_m = config.checks.follow_lag_max_s * max(vx, vy)
+        self.tracking_lag_max_m = config.checks.follow_lag_max_s * max(vx, vy)
         period_s = 1.0 / config.loop.rate_hz
         self._period_s, self._kept = period_s, math.exp(-period_s / config.checks.follow_memory_s)
 
@@ -53,8 +54,8 @@ class Plausibility:
         return math.hypot(*self.memory.drift_m)
 
     @property
-    def missed_m(self) -> float:
-        """How far the vehicle lags behind what it was told."""
+    def tracking_lag_m(self) -> float:
+        """Distance by which the vehicle lags behind the commanded velocity."""
         return math.hypot(*self.memory.missed_m)
 
     def take(self, own: OwnState) -> None:
@@ -96,8 +97,8 @@ class Plausibility:
 
     @property
     def follows(self) -> bool:
-        """Whether the vehicle flies what it is told."""
-        return self.missed_m <= self.missed_max_m
+        """Whether the vehicle flies the commanded velocity."""
+        return self.tracking_lag_m <= self.tracking_lag_max_m
 
     def _drift(self, last: OwnState, own: OwnState) -> None:
         dt_s = own.arrival_s - last.arrival_s

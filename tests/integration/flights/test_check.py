@@ -74,7 +74,7 @@ def test_the_papers_scenarios_pass_the_papers_checks(name):
 
 
 def test_the_documented_configuration_passes():
-    assert load(path_of("crazyflie")).filter.value == "paper"
+    assert load(path_of("crazyflie")).filter == "paper"
     assert run("check", "crazyflie").exit_code == 0
 
 

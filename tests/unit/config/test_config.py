@@ -5,9 +5,9 @@ import dataclasses
 import pytest
 
 from flightstack.common.strict_toml import ConfigError, dumps, from_table, to_table
-from flightstack.core.mission.conditions import View
-from flightstack.core.parameters.flight import FilterKind, FlightConfig, load, names, path_of
-from flightstack.core.strategies.law import RobustLaw
+from flightstack.core.parameters.flight import FlightConfig, load, names, path_of
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.types import Inputs
 from flightstack.verify.certificate import problems
 from sim.scenarios import scenario
@@ -162,7 +162,7 @@ def test_what_only_the_robust_filter_looks_at_does_not_refuse_the_papers():
     wrong = {"loop": {"rate_hz": 10}, "velocity_loop": {"rate_z_1_s": 50.0}, "robust": {"fade_radius_m": 1.0}}
     assert paper(**wrong).loop.rate_hz == 10
     with pytest.raises(ConfigError, match="velocity_loop"):
-        dataclasses.replace(paper(**wrong), filter=FilterKind.ROBUST)
+        dataclasses.replace(paper(**wrong), filter="robust")
 
 
 def test_no_margin_is_blown_up_by_more_than_half():
@@ -172,5 +172,7 @@ def test_no_margin_is_blown_up_by_more_than_half():
             robust={"fade_radius_m": pad_m, "tracking_error_m_s": 0.1, "rate_1_s": 1.0, "sigma_factor": 0.0},
             touchdown={"pad_radius_m": pad_m},
         )
-        held = RobustLaw(widest, widest.barrier.build()).held(View(Inputs(), None, True, True, True, None))
+        held = RobustFilter(widest, widest.barrier.build()).barrier(
+            Snapshot(Inputs(), None, True, True, True, None)
+        )
         assert 0.1 < held.margin_m < 0.16

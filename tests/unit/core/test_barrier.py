@@ -125,7 +125,7 @@ def missed(barrier, d, moved, angle):
 
 @given(shapes, places, ways, st.floats(0.0, math.tau))
 def test_no_motion_misses_the_linear_prediction_by_more_than_is_said(barrier, d, moved, angle):
-    bound = barrier.missed_m((d * math.cos(1.0), d * math.sin(1.0), 0.7), moved)
+    bound = barrier.linearisation_bound_m((d * math.cos(1.0), d * math.sin(1.0), 0.7), moved)
     assert bound >= 0.0
     for way in (angle, 0.0, math.pi):
         assert missed(barrier, d, moved, way) <= bound + 1e-12
@@ -136,12 +136,14 @@ def test_of_a_cone_some_motion_misses_by_all_that_is_said(d, moved):
     """A barrier so wide that it is a cone of slope 2; the three cases of the bound meet without a step."""
     barrier = Barrier(1e-6, 2e6)
     worst = max(missed(barrier, d, moved, math.pi * n / 2000) for n in range(2001))
-    bound = barrier.missed_m((d, 0.0, 0.0), moved)
+    bound = barrier.linearisation_bound_m((d, 0.0, 0.0), moved)
     assert worst <= bound + 1e-9
     assert worst == pytest.approx(bound, rel=1e-3, abs=1e-6)
     r = math.hypot(d, barrier.smoothing_m)
     for edge in (r - d, r + d):
-        before, after = (barrier.missed_m((d, 0.0, 0.0), edge * (1.0 + s)) for s in (-1e-9, 1e-9))
+        before, after = (
+            barrier.linearisation_bound_m((d, 0.0, 0.0), edge * (1.0 + s)) for s in (-1e-9, 1e-9)
+        )
         assert after == pytest.approx(before, rel=1e-6, abs=1e-9)
 
 
@@ -151,6 +153,6 @@ def test_beyond_the_peak_the_bend_at_three_times_its_distance_is_what_is_missed(
     worst = max(missed(barrier, d, moved, way) for way in (0.0, math.pi))
     bend = barrier.alpha_1_m**2 * barrier.beta_m * math.exp(-3.0)
     assert worst == pytest.approx(0.5 * bend * moved**2, rel=0.05)
-    assert barrier.missed_m((0.0, d, 0.0), moved) == pytest.approx(
+    assert barrier.linearisation_bound_m((0.0, d, 0.0), moved) == pytest.approx(
         0.5 * bend * moved**2 + abs(barrier.slope(d)) * 0.5 * moved**2 / d, rel=0.01
     )

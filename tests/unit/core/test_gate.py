@@ -56,7 +56,7 @@ class Plane(NamedTuple):
     def h(self, e_m):
         return e_m[2]
 
-    def missed_m(self, e_m, moved_m):
+    def linearisation_bound_m(self, e_m, moved_m):
         return self.bend_1_m * abs(e_m[0]) * moved_m
 
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from flightstack.common.strict_toml import from_table
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.parameters.filters import FILTERS
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import OwnState, Phase
 from tests.point_mass import World
 
@@ -22,7 +23,7 @@ def config(kind):
         FlightConfig,
         {
             "barrier": {"alpha_1_m": 1.0, "beta_m": 1.5},
-            "filter": kind.value,
+            "filter": kind,
             "limits": {"velocity_max_m_s": [0.4, 0.4, 0.5]},
         },
     )
@@ -62,7 +63,7 @@ def test_one_number_is_enough(field, axis, bad):
         assert not spoiled(other, field, axis, bad).is_finite  # nor do two of them cancel
 
 
-@pytest.mark.parametrize("kind", FilterKind)
+@pytest.mark.parametrize("kind", FILTERS)
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 @pytest.mark.parametrize(("field", "axis"), [("velocity_enu_m_s", 2), ("position_enu_m", 0), ("yaw_rad", 0)])
 def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, field, axis, bad):
@@ -86,7 +87,7 @@ def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, fi
 
 @pytest.mark.parametrize("bad", BAD)
 def test_a_flight_that_begins_with_it_takes_no_heading_from_it(bad):
-    world = World(config(FilterKind.ROBUST))
+    world = World(config("robust"))
     world.fault = lambda _, inputs: replace(inputs, own=replace(inputs.own, yaw_rad=bad))
     world.fault_from_s, world.fault_to_s = 0.0, 0.1
     world.run(0.1)

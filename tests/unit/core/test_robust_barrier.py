@@ -29,7 +29,7 @@ def test_without_a_margin_it_is_the_barrier_to_the_last_bit(barrier, radius, e, 
     assert robust.h(e) == barrier.h(e)
     assert robust.evaluate(e, velocity) == barrier.evaluate(e, velocity)
     assert robust.slope_max == barrier.slope_max
-    assert robust.missed_m(e, 0.02) == barrier.missed_m(e, 0.02)
+    assert robust.linearisation_bound_m(e, 0.02) == barrier.linearisation_bound_m(e, 0.02)
 
 
 @given(robusts, st.one_of(places, near))
@@ -121,8 +121,8 @@ def missed(robust, e, moved, angle):
     st.floats(0.0, 7.0),
 )
 def test_no_motion_misses_the_linear_prediction_by_more_than_is_said(robust, e, moved, angle):
-    bound = robust.missed_m(e, moved)
-    assert bound >= robust.barrier.missed_m(e, moved)
+    bound = robust.linearisation_bound_m(e, moved)
+    assert bound >= robust.barrier.linearisation_bound_m(e, moved)
     inward = math.atan2(-e[1], -e[0])
     for way in (angle, inward, inward + math.pi, inward + 0.5 * math.pi):
         assert missed(robust, e, moved, way) <= bound + 1e-12
@@ -134,7 +134,7 @@ def test_what_the_margin_bends_by_is_reached_across_its_slope(share):
     robust, moved = RobustBarrier(flat, margin, radius), 1e-3
     e = (share * radius, 0.0, 1.0)
     bound = margin * (moved / radius) ** 2 * math.exp(-((max(0.0, share - moved / radius)) ** 2))
-    assert robust.missed_m(e, moved) == pytest.approx(bound, rel=1e-9)
+    assert robust.linearisation_bound_m(e, moved) == pytest.approx(bound, rel=1e-9)
     assert missed(robust, e, moved, 0.5 * math.pi) == pytest.approx(bound, rel=0.08)
 
 

@@ -11,13 +11,16 @@ import flightstack
 from flightstack.common.strict_toml import from_table
 from flightstack.core.controller import Controller
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.mission.conditions import View, gather, high_enough_m
-from flightstack.core.mission.guidance import Situation, wish
+from flightstack.core.mission.conditions import high_enough_m
+from flightstack.core.mission.guidance import Situation, nominal_command
+from flightstack.core.mission.machine import Mission
 from flightstack.core.mission.phases import Condition
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.core.target.plausibility import Plausibility
-from flightstack.core.target.track import TargetState
+from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import (
     ZERO,
     Inputs,
@@ -87,29 +90,38 @@ PAD = (0.0, 0.0, 0.0)
 def seen(e, velocity=ZERO, *, own_ok=True, now_s=0.0, speed=ZERO):
     own = OwnState(now_s, now_s, e, velocity, 0.0)
     status = VehicleStatus(now_s, True, Mode.EXTERNAL, Landed.IN_AIR, True)
-    return View(Inputs(own, status), TargetState(0.0, PAD, speed, 0.0), own_ok, True, True, e)
+    return Snapshot(Inputs(own, status), TargetState(0.0, PAD, speed, 0.0), own_ok, True, True, e)
+
+
+def mission_of(settings, memory):
+    barrier, strategy = settings.barrier.build(), strategy_of(settings)
+    mission = Mission(settings, barrier, strategy, TargetTrack(settings.checks), Plausibility(settings))
+    mission.memory = memory
+    return mission, Situation(settings, barrier, memory, None, strategy)
 
 
 def velocity(settings, phase, e, **memory):
-    """What a phase asks for."""
-    situation = Situation(settings, settings.barrier.build(), Memory(phase=phase, **memory), seen(e))
-    return wish(situation)
+    """What a phase commands."""
+    mission, situation = mission_of(settings, Memory(phase=phase, **memory))
+    mission.progress(seen(e))
+    return nominal_command(situation._replace(seen=seen(e)))
 
 
-def word(settings, phase, e, velocity=ZERO, *, after_s=0.0, own_ok=True, memory=None):
+def flags(settings, phase, e, velocity=ZERO, *, after_s=0.0, own_ok=True, memory=None):
     """Conditions after some time in which nothing changes, and the memory."""
     memory = memory if memory is not None else Memory(own_ok_s=0.0)
-    memory.phase, barrier = phase, settings.barrier.build()
-    found = gather(settings, barrier, memory, seen(e, velocity), False, 0.0)
+    memory.phase = phase
+    mission, _ = mission_of(settings, memory)
+    found = mission.flags(seen(e, velocity), command_failed=False, now_s=0.0)
     if after_s:
-        view = seen(e, velocity, own_ok=own_ok, now_s=after_s)
-        found = gather(settings, barrier, memory, view, False, after_s)
+        later = seen(e, velocity, own_ok=own_ok, now_s=after_s)
+        found = mission.flags(later, command_failed=False, now_s=after_s)
     return found, memory
 
 
 def contact(settings, height_m, velocity=ZERO, after_s=0.2, command=ZERO):
     memory = Memory(own_ok_s=0.0, command=command)
-    return word(settings, Phase.TOUCHDOWN, (0.0, 0.0, height_m), velocity, after_s=after_s, memory=memory)[
+    return flags(settings, Phase.TOUCHDOWN, (0.0, 0.0, height_m), velocity, after_s=after_s, memory=memory)[
         1
     ].contact
 
@@ -167,10 +179,10 @@ CHANGES = [
     ("touchdown", "descent_m_s", 0.5,
      lambda c: velocity(papers(c), Phase.TOUCHDOWN, (0.0, 0.0, 0.03)).velocity[2], (-0.2, -0.5)),
     ("touchdown", "blind_time_s", 1.0,
-     lambda c: bool(word(c, Phase.TOUCHDOWN, (0.0, 0.0, 0.03), after_s=0.7, own_ok=False)[0]
+     lambda c: bool(flags(c, Phase.TOUCHDOWN, (0.0, 0.0, 0.03), after_s=0.7, own_ok=False)[0]
                     & Condition.OWN_LOST), (True, False)),
     ("touchdown", "timeout_s", 5.0,
-     lambda c: bool(word(c, Phase.TOUCHDOWN, (0.0, 0.0, 0.2), after_s=3.0)[0] & Condition.PHASE_TIME_OVER),
+     lambda c: bool(flags(c, Phase.TOUCHDOWN, (0.0, 0.0, 0.2), after_s=3.0)[0] & Condition.PHASE_TIME_OVER),
      (True, False)),
     ("contact", "gap_m", 0.05, lambda c: contact(c, 0.0144 + 0.03), (False, True)),
     ("contact", "speed_m_s", 0.1, lambda c: contact(c, 0.0144, (0.0, 0.0, -0.08)), (False, True)),
@@ -178,10 +190,10 @@ CHANGES = [
     ("contact", "stopped_time_s", 0.5,
      lambda c: contact(c, 0.0144 + 0.03, command=(0.0, 0.0, -c.robust.descent_m_s)), (True, False)),
     ("retreat", "drift_time_s", 0.1,
-     lambda c: bool(word(c, Phase.TOUCHDOWN, (0.07, 0.0, 0.22), (0.08, 0.0, 0.0))[0] & Condition.DRIFTED),
+     lambda c: bool(flags(c, Phase.TOUCHDOWN, (0.07, 0.0, 0.22), (0.08, 0.0, 0.0))[0] & Condition.DRIFTED),
      (True, False)),
     ("retreat", "h_left_m", 0.2,
-     lambda c: bool(word(c, Phase.TOUCHDOWN, (0.07, 0.0, 0.22), (0.08, 0.0, 0.0))[0] & Condition.DRIFTED),
+     lambda c: bool(flags(c, Phase.TOUCHDOWN, (0.07, 0.0, 0.22), (0.08, 0.0, 0.0))[0] & Condition.DRIFTED),
      (True, False)),
     ("retreat", "hold_climb_m_s", 0.7,
      lambda c: velocity(c, Phase.HOLD, (0.0, 0.0, 1.0), started_s=0.0).velocity[2], (0.4, 0.7)),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from flightstack.common.strict_toml import from_table
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Landed, Mode, Operator, Phase, Request
 from tests.point_mass import World
 
@@ -121,7 +121,7 @@ def test_it_goes_around_no_more_often_than_allowed_and_then_flies_clear():
 
 
 def test_the_papers_filter_does_not_go_around():
-    world = World(replace(config("contact"), filter=FilterKind.PAPER), solid_pad=True)
+    world = World(replace(config("contact"), filter="paper"), solid_pad=True)
     world.fault_in(Phase.TOUCHDOWN, blown_off, seconds=0.015)
     assert world.step().phase is Phase.TOUCHDOWN
 

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.client.vehicle_state import Battery, VehicleState
 from bridge.mavlink.profiles.autopilots import PX4
 from flightstack.common.pacing import Tick
-from flightstack.core.mission.conditions import View
+from flightstack.core.snapshot import Snapshot
 from flightstack.core.types import Inputs, Landed, Mode, OwnState, VehicleStatus
 from flightstack.onboard.publish_health import BATTERY_AGE_MAX_S, health_row
 
@@ -20,14 +20,14 @@ TICK = Tick(2000, NOW_S, 1_700_000_000_000_000_000, 0.01, 0.0)
 class Out(NamedTuple):
     """As much of a controller's outputs as is looked at."""
 
-    seen: View
+    seen: Snapshot
     finished: bool = False
     target_accepted: int = 5
     target_rejected: int = 6
 
 
 def view(**inputs):
-    return View(Inputs(**inputs), None, own_ok=True, target_ok=False, link_ok=True, e_m=None)
+    return Snapshot(Inputs(**inputs), None, own_ok=True, target_ok=False, link_ok=True, e_m=None)
 
 
 def row(out, battery=None):

@@ -11,7 +11,7 @@ from bridge.mavlink.preflight.talk import examine
 from bridge.mavlink.profiles.autopilot_version import recorded_version
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4
 from flightstack.common.strict_toml import ConfigError, from_table
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.preflight import lines, needs_of, record, verdict
 from sim.autopilot.autopilot import Autopilot
 from sim.autopilot.profiles import ARDUPILOT as PLAYS_ARDUPILOT
@@ -238,10 +238,7 @@ def test_a_limit_of_acceleration_below_the_configuration_is_noted():
     assert [f.level for f in found] == [Level.NOTE]
     assert "WPNAV_ACCEL_Z is 100: cm/s^2" in found[0].text
     assert "set it to at least 150" in found[0].text
-    robust, paper = (
-        needs_of(scenario.load("lab").with_filter(kind).onboard)
-        for kind in (FilterKind.ROBUST, FilterKind.PAPER)
-    )
+    robust, paper = (needs_of(scenario.load("lab").with_filter(kind).onboard) for kind in ("robust", "paper"))
     config = scenario.load("lab").onboard
     assert robust.acceleration_max_m_s2 == config.robust.acceleration_max_m_s2
     assert paper.acceleration_max_m_s2 == config.limits.slew_max_m_s2

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flightstack.core.mission.conditions import View
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.safety.projection import best_corner
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
-from flightstack.core.strategies.law import RobustLaw
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.track import TargetTrack
 from flightstack.core.types import FilterStatus, Inputs, TargetSample
 from flightstack.verify.bound import Span
@@ -223,7 +223,7 @@ def test_between_samples_the_margin_grows_by_what_is_counted_as_lost():
     without, _ = depth_m(settled, replace(x, growth_m=0.0))
     depth, _ = depth_m(settled, x)
     assert depth == pytest.approx(without + x.growth_m)
-    law = RobustLaw(settled, x.barrier)
+    law = RobustFilter(settled, x.barrier)
     for n in range(400):
         law.take(
             TargetSample(0.02 * n, 0.02 * n, "map", "target", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
@@ -231,7 +231,7 @@ def test_between_samples_the_margin_grows_by_what_is_counted_as_lost():
     track = TargetTrack(settled.checks)
     track.accept(TargetSample(7.98, 7.98, "map", "target", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0))
     margins = [
-        law.held(View(Inputs(), law.target(track, 7.98 + 0.002 * n), True, True, True, None)).margin_m
+        law.barrier(Snapshot(Inputs(), law.target(track, 7.98 + 0.002 * n), True, True, True, None)).margin_m
         for n in range(11)
     ]
     assert margins == sorted(margins)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from flightstack.common.strict_toml import to_table
-from flightstack.core.parameters.flight import FilterKind
+from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.safety.barrier import Barrier
 from flightstack.identify import velocity_loop as identify
 from flightstack.identify.samples import NOISE_SAMPLES
@@ -75,7 +75,7 @@ def test_what_it_says_of_storm():
     assert not climb.proven
 
 
-@pytest.mark.parametrize("kind", list(FilterKind))
+@pytest.mark.parametrize("kind", FILTERS)
 @pytest.mark.parametrize("name", scenario.names())
 def test_no_shipped_scenario_is_refused_with_either_filter(name, kind):
     assert problems(replace(scenario.load(name).onboard, filter=kind)) == []

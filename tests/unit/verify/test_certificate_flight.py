@@ -5,11 +5,11 @@ import random
 
 import pytest
 
-from flightstack.core.mission.conditions import View
 from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
-from flightstack.core.strategies.law import RobustLaw
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Inputs, OwnState
 from flightstack.verify.envelope import extremes
@@ -55,7 +55,7 @@ def fly(settings, seed, seconds=8.0):
     """
     rng, x = random.Random(seed), extremes(settings)
     robust, most = settings.robust, settings.limits.velocity_max_m_s
-    law, program = RobustLaw(settings, x.barrier), SafetyFilter(robust.rate_1_s)
+    law, program = RobustFilter(settings, x.barrier), SafetyFilter(robust.rate_1_s)
     target = Wanderer(rng, x)
     side, angle, d = rng.uniform(0.0, math.tau), rng.uniform(0.0, math.tau), rng.uniform(0.3, 2.5)
     size, up = rng.choice((0.0, 1.0, 1.0)) * x.position_error_m, rng.uniform(-1.0, 1.0)
@@ -78,11 +78,11 @@ def fly(settings, seed, seconds=8.0):
         seen_e = tuple(p + b for p, b in zip(e, bias, strict=True))
         own = OwnState(0.0, 0.0, tuple(position), tuple(velocity), 0.0)
         state = TargetState(0.0, tuple(target.position), tuple(target.velocity), 0.0, sigma_m, sigma_z_m)
-        seen = View(Inputs(own=own), state, True, True, True, seen_e)
-        h, gradient, dh_dt = law.held(seen).evaluate(seen_e, state.velocity_enu_m_s)
+        seen = Snapshot(Inputs(own=own), state, True, True, True, seen_e)
+        h, gradient, dh_dt = law.barrier(seen).evaluate(seen_e, state.velocity_enu_m_s)
         lower = [max(-m, b - s) for m, b, s in zip(most, before, step, strict=True)]
         upper = [min(m, b + s) for m, b, s in zip(most, before, step, strict=True)]
-        climb = law.climb_m_s(h, gradient, before, seen)
+        climb = law.climb_m_s(h, gradient, before, seen.relative)
         lower[2] = max(lower[2], min(climb, upper[2]))
         gain = robust.gain_1_s
         above = (seen_e[0], seen_e[1], seen_e[2] - robust.wait_height_m)

@@ -1,4 +1,4 @@
-"""Each condition of the phase machine's word: when it is set, and when it is not."""
+"""Each condition flag: when it is set, and when it is not; contact, which is remembered."""
 
 import math
 from dataclasses import replace
@@ -7,18 +7,15 @@ import pytest
 
 from flightstack.common.strict_toml import from_table
 from flightstack.core.memory import Memory
-from flightstack.core.mission.conditions import (
-    DRIFT_SHARE,
-    STOPPED_SHARE,
-    TOLD_SHARE,
-    gather,
-    high_enough_m,
-    start_point,
-    view,
-)
+from flightstack.core.mission.conditions import high_enough_m, start_point
+from flightstack.core.mission.machine import Mission
 from flightstack.core.mission.phases import Condition
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.target.track import TargetState
+from flightstack.core.snapshot import snapshot
+from flightstack.core.strategies.robust import COMMANDED_SHARE, DRIFT_SHARE, STOPPED_SHARE
+from flightstack.core.strategies.strategy import strategy_of
+from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import Inputs, Landed, Mode, Operator, OwnState, Phase, VehicleStatus
 
 NOW_S = 100.0
@@ -44,7 +41,7 @@ def tick(
     landed=Landed.IN_AIR, ready=True, operator=Operator.NONE, failed=False, follows=True, believed=True,
     without=(),
 ):  # fmt: skip
-    """One word of conditions; everything is well unless told otherwise."""
+    """Flags of one tick; everything is well unless told otherwise."""
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
     own = OwnState(now_s - own_age_s, 0.0, position, velocity, 0.0)
     status = VehicleStatus(now_s - status_age_s, armed, mode, landed, ready)
@@ -53,15 +50,18 @@ def tick(
         None if "own" in without else own, None if "status" in without else status, (), operator
     )  # fmt: skip
     known = None if "target" in without else target
-    seen = view(settings, inputs, known, now_s, believed=believed, follows=follows)
-    return gather(settings, BARRIER, memory if memory is not None else Memory(), seen, failed, now_s)
+    seen = snapshot(settings, inputs, known, now_s, believed=believed, follows=follows)
+    strategy = strategy_of(settings)
+    mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
+    mission.memory = memory if memory is not None else Memory()
+    return mission.flags(seen, command_failed=failed, now_s=now_s)
 
 
 def names(word):
     return {c.name for c in Condition if word & c}
 
 
-WELL = {"ARMED", "WAS_ARMED", "EXTERNAL", "WAS_EXTERNAL", "READY", "RETRIES_LEFT"}
+WELL = {"ARMED", "WAS_ARMED", "EXTERNAL", "WAS_EXTERNAL", "READY", "RETRIES_LEFT", "TARGET_KNOWN"}
 
 
 def test_when_all_is_well():
@@ -73,13 +73,13 @@ def test_when_all_is_well():
     [
         ({"operator": Operator.EMERGENCY_STOP}, {"EMERGENCY"}, set()),
         ({"operator": Operator.ABORT}, {"ABORT_ASKED"}, set()),
-        ({"operator": Operator.LAND}, {"ABORT_ASKED"}, set()),
+        ({"operator": Operator.LAND}, {"ABORT_ASKED", "LAND_ASKED"}, set()),
         ({"failed": True}, {"COMMAND_FAILED"}, set()),
         ({"follows": False}, {"NOT_FOLLOWING"}, set()),
         ({"believed": False}, {"OWN_LOST"}, {"READY"}),
         ({"without": ("own",)}, {"OWN_LOST"}, {"READY"}),
-        ({"without": ("target",)}, {"TARGET_LOST"}, {"READY"}),
-        ({"without": ("status",)}, {"LINK_LOST"}, WELL - {"RETRIES_LEFT"}),
+        ({"without": ("target",)}, {"TARGET_LOST"}, {"READY", "TARGET_KNOWN"}),
+        ({"without": ("status",)}, {"LINK_LOST"}, WELL - {"RETRIES_LEFT", "TARGET_KNOWN"}),
         ({"landed": Landed.ON_GROUND}, {"STANDING"}, set()),
         # disarmed in the external mode is where a landing by set-points leaves PX4: nothing of this flight
         ({"armed": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL"}),
@@ -275,6 +275,20 @@ def test_it_goes_around_when_it_is_going_to_leave_the_corridor():
         assert drifted(ROBUST, (x, 0.0, 0.2), velocity=(5.0, 0.0, 0.0)) is expected
 
 
+def test_a_contact_counts_in_the_touchdown_alone():
+    for phase in Phase:
+        found = names(tick(memory=Memory(phase=phase, contact=True)))
+        assert ("ON_PAD" in found) is (phase is Phase.TOUCHDOWN)
+    assert "ON_PAD" not in names(tick(memory=Memory(phase=Phase.TOUCHDOWN)))
+
+
+def test_a_target_that_was_known_once_stays_known():
+    memory = Memory()
+    assert "TARGET_KNOWN" not in names(tick(memory=memory, target_age_s=9.0))
+    tick(memory=memory)
+    assert "TARGET_KNOWN" in names(tick(memory=memory, without=("target",)))
+
+
 ON_PAD = (0.02, 0.0, 0.0144)
 
 
@@ -317,7 +331,7 @@ def test_contact_starts_anew_when_it_bounces():
 
 def test_a_descent_that_stopped_low_over_the_pad_is_contact():
     r, stopped_s = ROBUST.robust, ROBUST.contact.stopped_time_s
-    told = (0.0, 0.0, -1.01 * TOLD_SHARE * r.descent_m_s)
+    told = (0.0, 0.0, -1.01 * COMMANDED_SHARE * r.descent_m_s)
     slow = (0.0, 0.0, -0.99 * STOPPED_SHARE * r.descent_m_s)
     low = (0.02, 0.0, 0.9 * r.touch_height_m)
 

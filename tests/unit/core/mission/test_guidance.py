@@ -1,6 +1,7 @@
 """What each phase asks for."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import assume, given
@@ -9,10 +10,16 @@ from hypothesis import strategies as st
 from flightstack.common.strict_toml import from_table
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission import guidance
-from flightstack.core.mission.conditions import View, high_enough_m
-from flightstack.core.mission.guidance import TAKEOFF_DONE, Situation, Wish, wish
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
-from flightstack.core.target.track import TargetState
+from flightstack.core.mission.conditions import TAKEOFF_DONE, high_enough_m
+from flightstack.core.mission.guidance import NominalCommand as Command
+from flightstack.core.mission.guidance import Situation, nominal_command
+from flightstack.core.mission.machine import Mission
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.robust import BRAKING
+from flightstack.core.strategies.strategy import strategy_of
+from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, Request, VehicleStatus
 
 PAD = (3.0, -2.0, 0.2)
@@ -34,7 +41,7 @@ def asked(
     phase, settings=ROBUST, e=(0.5, -0.4, 1.0), memory=None, *, own=True, target=True, own_ok=True,
     target_ok=True, armed=True, landed=Landed.IN_AIR, status=True, velocity=ZERO,
 ):  # fmt: skip
-    """The wish in one situation."""
+    """What is commanded in one situation."""
     memory = memory if memory is not None else Memory()
     memory.phase = phase
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
@@ -42,14 +49,20 @@ def asked(
     word = VehicleStatus(0.0, armed, Mode.EXTERNAL, landed, True)
     inputs = Inputs(state if own else None, word if status else None)
     known = TargetState(0.0, PAD, MOVING, 0.0)
-    seen = View(inputs, known if target else None, own_ok, target_ok, True, e if own and target else None)
-    return wish(Situation(settings, BARRIER, memory, seen))
+    seen = Snapshot(inputs, known if target else None, own_ok, target_ok, True, e if own and target else None)
+    strategy = strategy_of(settings)
+    mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
+    mission.memory = memory
+    mission.progress(seen)
+    before = replace(memory)
+    command = nominal_command(Situation(settings, BARRIER, memory, seen, strategy))
+    assert memory == before, "guidance only reads"
+    return command
 
 
-def test_every_phase_way_and_filter_has_an_answer():
+def test_every_phase_and_way_has_an_answer():
     assert set(guidance._PHASES) == set(Phase)
     assert set(guidance._ABORT) == set(AbortWay)
-    assert set(guidance._LANDING) == set(guidance._DESCENT) == set(FilterKind)
 
 
 @pytest.mark.parametrize("settings", SHAPES)
@@ -60,7 +73,7 @@ def test_every_phase_way_and_filter_has_an_answer():
 )
 def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered(settings, phase, way, lost):
     found = asked(phase, settings, memory=Memory(abort_way=way), **lost)
-    assert isinstance(found, Wish)
+    assert isinstance(found, Command)
     filtered = {Phase.APPROACH, Phase.LAND, *([Phase.WAIT] if settings is ROBUST else [])}
     assert not found.filtered or phase in filtered
     with_velocity = {Request.EXTERNAL, *([Request.TAKEOFF] if phase is Phase.TAKEOFF else [])}
@@ -73,11 +86,11 @@ def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered
 
 def test_waiting_is_doing_nothing_unless_it_is_found_in_the_air():
     """Of a pad that comes nearer the robust filter keeps away even then."""
-    assert asked(Phase.WAIT, PAPER) == Wish(Request.EXTERNAL, ZERO)
-    assert asked(Phase.WAIT, ROBUST) == Wish(Request.EXTERNAL, ZERO, filtered=True)
+    assert asked(Phase.WAIT, PAPER) == Command(Request.EXTERNAL, ZERO)
+    assert asked(Phase.WAIT, ROBUST) == Command(Request.EXTERNAL, ZERO, filtered=True)
     for changes in ({"armed": False}, {"landed": Landed.ON_GROUND}, {"target_ok": False}, {"status": False}):
-        assert asked(Phase.WAIT, **changes) == Wish(Request.NONE)
-    assert asked(Phase.LANDED) == Wish(Request.NONE)
+        assert asked(Phase.WAIT, **changes) == Command(Request.NONE)
+    assert asked(Phase.LANDED) == Command(Request.NONE)
 
 
 def test_the_take_off_climbs_straight_up_until_it_is_high_and_armed():
@@ -102,7 +115,7 @@ def test_the_take_off_climbs_straight_up_until_it_is_high_and_armed():
     assert at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6).request is Request.EXTERNAL
     assert at(0.02).request is Request.EXTERNAL  # once climbed it stays ours
     for lost in ({"own": False}, {"target": False}):
-        assert asked(Phase.TAKEOFF, settings, memory=Memory(climbed=True), **lost) == Wish(Request.TAKEOFF)
+        assert asked(Phase.TAKEOFF, settings, memory=Memory(climbed=True), **lost) == Command(Request.TAKEOFF)
 
 
 def test_once_it_has_lifted_off_by_set_points_nothing_is_left_to_ask_of_the_take_off():
@@ -127,7 +140,7 @@ def test_to_the_start_it_goes_upwards_first():
     assert level.velocity == pytest.approx((-1.0, 1.0, 3.0 * near_m), abs=1e-4)
     assert not level.filtered
     anywhere = asked(Phase.TAKEOFF, config(), memory=Memory(climbed=True))
-    assert anywhere == Wish(Request.EXTERNAL, ZERO)
+    assert anywhere == Command(Request.EXTERNAL, ZERO)
 
 
 places = st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.0, 2.0))
@@ -167,7 +180,7 @@ near = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(0.0, 2.0)
 def test_who_comes_to_rest_beyond_the_middle_does_not_sink_below_the_barrier_there(e, slip):
     """The place by driving there in small steps; on this side of the middle nothing changes."""
     r = ROBUST.robust
-    brakes = guidance.BRAKING * r.acceleration_max_m_s2[0]
+    brakes = BRAKING * r.acceleration_max_m_s2[0]
     speed, (x, y), passed = math.hypot(*slip), e[:2], False
     flown = (slip[0] + MOVING[0], slip[1] + MOVING[1], 0.0)
     if speed > 0.0:
@@ -192,9 +205,9 @@ def test_by_contact_it_descends_until_there_is_contact():
         assert not found.filtered
         assert found.velocity[2] < MOVING[2] - 0.1
         assert (found.velocity[0] < MOVING[0], found.velocity[1] > MOVING[1]) == (True, True)
-        assert asked(Phase.TOUCHDOWN, settings, memory=Memory(contact=True)) == Wish(Request.MOTORS_OFF)
+        assert asked(Phase.TOUCHDOWN, settings, memory=Memory(contact=True)) == Command(Request.MOTORS_OFF)
         blind = asked(Phase.TOUCHDOWN, settings, target=False)
-        assert blind == Wish(Request.EXTERNAL)
+        assert blind == Command(Request.EXTERNAL)
     r = ROBUST.robust
     found = asked(Phase.TOUCHDOWN, ROBUST, (0.03, -0.02, 0.1))
     gain = r.gain_over_pad_1_s
@@ -203,20 +216,22 @@ def test_by_contact_it_descends_until_there_is_contact():
 
 def test_by_the_papers_rule_the_motors_go_off_below_its_height():
     rule = {"touchdown": {"rule": "paper", "height_m": 0.05}}
-    assert asked(Phase.TOUCHDOWN, config("paper", **rule), (0.0, 0.0, 0.2)) == Wish(Request.MOTORS_OFF)
-    assert asked(Phase.TOUCHDOWN, config(**rule), (0.0, 0.0, 0.05 - 1e-9)) == Wish(Request.MOTORS_OFF)
+    assert asked(Phase.TOUCHDOWN, config("paper", **rule), (0.0, 0.0, 0.2)) == Command(Request.MOTORS_OFF)
+    assert asked(Phase.TOUCHDOWN, config(**rule), (0.0, 0.0, 0.05 - 1e-9)) == Command(Request.MOTORS_OFF)
     assert asked(Phase.TOUCHDOWN, config(**rule), (0.0, 0.0, 0.05)).request is Request.EXTERNAL
 
 
 def test_holding_is_standing_still_or_following_what_was_followed_and_rising():
-    assert asked(Phase.HOLD, PAPER, memory=Memory(started_s=1.0)) == Wish(Request.EXTERNAL, ZERO)
-    assert asked(Phase.HOLD, ROBUST) == Wish(Request.EXTERNAL, ZERO)  # no landing yet: nothing to climb from
-    assert asked(Phase.HOLD, ROBUST, memory=Memory(started_s=1.0), target=False) == Wish(
+    assert asked(Phase.HOLD, PAPER, memory=Memory(started_s=1.0)) == Command(Request.EXTERNAL, ZERO)
+    assert asked(Phase.HOLD, ROBUST) == Command(
+        Request.EXTERNAL, ZERO
+    )  # no landing yet: nothing to climb from
+    assert asked(Phase.HOLD, ROBUST, memory=Memory(started_s=1.0), target=False) == Command(
         Request.EXTERNAL, ZERO
     )
     wide = config(limits={"velocity_max_m_s": [1.0, 1.0, 1.0]})
     found = asked(Phase.HOLD, wide, memory=Memory(started_s=1.0))
-    assert found == Wish(Request.EXTERNAL, (MOVING[0], MOVING[1], MOVING[2] + wide.retreat.hold_climb_m_s))
+    assert found == Command(Request.EXTERNAL, (MOVING[0], MOVING[1], MOVING[2] + wide.retreat.hold_climb_m_s))
     narrow = config(limits={"velocity_max_m_s": [0.05, 0.05, 0.1]})
     assert asked(Phase.HOLD, narrow, memory=Memory(started_s=1.0)).velocity == (0.05, -0.05, 0.1)
 
@@ -228,7 +243,7 @@ def test_the_climb_ends_above_everything_and_never_sinks():
     assert fast == (0.0, 0.0, ROBUST.limits.velocity_max_m_s[2])
     assert slow == pytest.approx((0.0, 0.0, 0.05 * ROBUST.position_loop.gain_1_s[2]))
     assert asked(Phase.CLIMB, e=(0.3, 0.0, top + 1.0), memory=memory).velocity == ZERO
-    assert asked(Phase.CLIMB, own=False) == Wish(Request.EXTERNAL)
+    assert asked(Phase.CLIMB, own=False) == Command(Request.EXTERNAL)
 
 
 @pytest.mark.parametrize(
@@ -241,7 +256,7 @@ def test_the_climb_ends_above_everything_and_never_sinks():
     ],
 )
 def test_ways_to_end_that_fly_nowhere(way, request_):
-    assert asked(Phase.ABORT, memory=Memory(abort_way=way)) == Wish(request_)
+    assert asked(Phase.ABORT, memory=Memory(abort_way=way)) == Command(request_)
 
 
 def clearing(e, target_m_s=ZERO, **changes):
@@ -254,16 +269,16 @@ def clearing(e, target_m_s=ZERO, **changes):
 def test_flying_clear_is_up_then_away_then_down():
     vx, _, vz = ROBUST.limits.velocity_max_m_s
     top = high_enough_m(ROBUST, BARRIER, Memory(target_position_enu_m=PAD)) - PAD[2]
-    assert clearing((0.3, 0.0, 0.1))[0] == Wish(Request.EXTERNAL, (0.0, 0.0, vz))
+    assert clearing((0.3, 0.0, 0.1))[0] == Command(Request.EXTERNAL, (0.0, 0.0, vz))
     assert clearing((0.3, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))
     away = clearing((-0.3, -0.4, top))[0].velocity
     assert away == pytest.approx((-0.6 * vx, -0.8 * vx, 0.0))
     assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # any direction will do
     far = ROBUST.checks.clearance_m
     there, memory = clearing((0.0, -far - 1e-6, 0.1))
-    assert there == Wish(Request.LAND)
+    assert there == Command(Request.LAND)
     assert memory.clear
-    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Wish(Request.LAND)  # it stays so
+    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # it stays so
     assert clearing((0.0, -far + 1e-6, top))[0].request is Request.EXTERNAL
 
 
@@ -275,16 +290,16 @@ def test_it_does_not_land_while_it_closes_in():
     sinks_s = 0.3 / ROBUST.retreat.landing_speed_m_s
     coming = {"velocity": (-0.4, 0.0, 0.0)}
     still = clearing((far + 0.4 * lag_s - 1e-6, 0.0, z), **coming)[0]
-    assert still == Wish(Request.EXTERNAL, (vx, 0.0, vz))  # away at once: it is clear of the barrier
-    assert clearing((far + 0.4 * lag_s + 1e-6, 0.0, z), **coming)[0] == Wish(Request.LAND)
+    assert still == Command(Request.EXTERNAL, (vx, 0.0, vz))  # away at once: it is clear of the barrier
+    assert clearing((far + 0.4 * lag_s + 1e-6, 0.0, z), **coming)[0] == Command(Request.LAND)
     followed = (0.0, -0.2, 0.0)
     reach_m = far + 0.2 * sinks_s
-    assert clearing((0.0, -reach_m + 1e-6, z), followed)[0] == Wish(Request.EXTERNAL, (0.0, -vy, vz))
-    assert clearing((0.0, -reach_m - 1e-6, z), followed)[0] == Wish(Request.LAND)
-    assert clearing((0.0, far + 1e-6, z), followed)[0] == Wish(Request.LAND)  # it drives away
+    assert clearing((0.0, -reach_m + 1e-6, z), followed)[0] == Command(Request.EXTERNAL, (0.0, -vy, vz))
+    assert clearing((0.0, -reach_m - 1e-6, z), followed)[0] == Command(Request.LAND)
+    assert clearing((0.0, far + 1e-6, z), followed)[0] == Command(Request.LAND)  # it drives away
     # It comes by at 0.9 of the clearance before the vehicle is down.
     assert clearing((0.9 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0].request is Request.EXTERNAL
-    assert clearing((1.1 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0] == Wish(Request.LAND)
+    assert clearing((1.1 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0] == Command(Request.LAND)
 
 
 def test_from_the_ground_it_took_off_from_the_landing_takes_longer():
@@ -300,5 +315,5 @@ def test_from_the_ground_it_took_off_from_the_landing_takes_longer():
 
 @pytest.mark.parametrize("lost", [{"own": False}, {"own_ok": False}])
 def test_without_knowing_where_it_is_it_lands_there(lost):
-    assert clearing((0.3, 0.0, 0.5), **lost)[0] == Wish(Request.LAND)
-    assert asked(Phase.ABORT, memory=Memory(abort_way=AbortWay.FLY_CLEAR)) == Wish(Request.LAND)
+    assert clearing((0.3, 0.0, 0.5), **lost)[0] == Command(Request.LAND)
+    assert asked(Phase.ABORT, memory=Memory(abort_way=AbortWay.FLY_CLEAR)) == Command(Request.LAND)

@@ -3,9 +3,9 @@
 import pytest
 
 from flightstack.core.memory import PlausibilityMemory
-from flightstack.core.mission.conditions import View
 from flightstack.core.mission.phases import Condition, next_phase
 from flightstack.core.mission.reasons import Known, reason
+from flightstack.core.snapshot import Snapshot
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
@@ -22,7 +22,7 @@ def own(arrival_s=NOW_S):
 def known(own_state=None, *, status_s=None, target_age_s=None, refusal="", **watched):
     status = None if status_s is None else VehicleStatus(status_s, True, Mode.EXTERNAL, Landed.IN_AIR, True)
     target = None if target_age_s is None else TargetState(target_age_s, ZERO, ZERO, 0.0)
-    view = View(Inputs(own_state, status), target, False, False, False, None)
+    view = Snapshot(Inputs(own_state, status), target, False, False, False, None)
     plausibility = Plausibility(ROBUST)
     plausibility.memory = PlausibilityMemory(**watched)
     return Known(CHECKS, view, plausibility, refusal, NOW_S)

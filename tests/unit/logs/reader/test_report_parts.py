@@ -7,7 +7,7 @@ import shlex
 import numpy as np
 import pytest
 
-from flightstack.core.parameters.flight import FilterKind, load, path_of
+from flightstack.core.parameters.flight import load, path_of
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.types import FilterStatus, Phase
@@ -34,7 +34,7 @@ def written(tmp_path):
 
 def test_the_margin_is_read_back_from_what_the_filter_left(written):
     """The filter's own slack, with the robust barrier, gives its margin back: full outside, faded inside."""
-    config = dataclasses.replace(load(CONFIG), filter=FilterKind.ROBUST)
+    config = dataclasses.replace(load(CONFIG), filter="robust")
     barrier = RobustBarrier(BARRIER, MARGIN_M, FADE_M)
     solver = SafetyFilter(config.robust.rate_1_s)
     rows, box = landing(), (tuple(-b for b in BOX), BOX)

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from flightstack.cli.main import main
 from flightstack.common.pacing import EPOCH_NS
-from flightstack.core.controller import Controller
+from flightstack.core.mission.machine import Mission
 from flightstack.core.types import OwnState, Phase
 from logs.reader.flight_decode import layout
 from logs.reader.reader import LogFile
@@ -131,14 +131,15 @@ def test_a_barrier_changed_by_a_billionth_is_found(recorded):
 
 
 def test_a_controller_that_remembers_otherwise_is_found_before_it_decides_otherwise(recorded, monkeypatch):
-    enter = Controller._enter
+    step = Mission.step
 
-    def forgetful(self, *arguments):
-        event = enter(self, *arguments)
-        self.memory.retries = 7
-        return event
+    def forgetful(self, *arguments, **named):
+        transition = step(self, *arguments, **named)
+        if transition is not None:
+            self.memory.retries = 7
+        return transition
 
-    monkeypatch.setattr(Controller, "_enter", forgetful)
+    monkeypatch.setattr(Mission, "step", forgetful)
     result = replay(recorded)
     assert result.outputs.count == 0
     assert {d.field for d in result.states.first} == {"memory.retries"}

@@ -13,11 +13,12 @@ from hypothesis import strategies as st
 
 from flightstack.common.strict_toml import from_table
 from flightstack.core.memory import MotionMemory, TrackingMemory
-from flightstack.core.mission.conditions import View
-from flightstack.core.parameters.flight import FilterKind, FlightConfig
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.robust_barrier import RobustBarrier
-from flightstack.core.strategies.law import LAWS, PaperLaw, RobustLaw
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.paper import PaperFilter
+from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import Inputs, OwnState, TargetSample
 from tests.point_mass import World
@@ -32,17 +33,13 @@ def config(**sections):
 
 def robust(**sections):
     settings_ = config(**sections)
-    return RobustLaw(settings_, settings_.barrier.build()), settings_
+    return RobustFilter(settings_, settings_.barrier.build()), settings_
 
 
 def seen(own_velocity, target_velocity, e=(1.0, 0.0, 1.0), sigma_m=0.0, sigma_z_m=0.0):
     own = OwnState(0.0, 0.0, e, own_velocity, 0.0)
     target = TargetState(0.0, (0.0, 0.0, 0.0), target_velocity, 0.0, sigma_m, sigma_z_m)
-    return View(Inputs(own), target, True, True, True, e)
-
-
-def test_every_filter_has_a_law():
-    assert dict(LAWS) == {FilterKind.PAPER: PaperLaw, FilterKind.ROBUST: RobustLaw}
+    return Snapshot(Inputs(own), target, True, True, True, e)
 
 
 # Flights of the point mass before there was another law: ticks, set-points, where it ended, all else hashed.
@@ -101,17 +98,17 @@ def test_the_papers_law_flies_as_it_did_before_there_was_another(name):
 
 def test_the_papers_law_changes_nothing():
     settings_ = config(filter="paper")
-    law = PaperLaw(settings_, CONE)
+    law = PaperFilter(settings_, CONE)
     own = OwnState(1.0, 1.0, (1.0, 2.0, 3.0), (0.3, 0.2, 0.1), 0.5)
-    assert law.own(own) is own
-    assert law.held(seen((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), sigma_m=1.0)) is CONE
+    assert law.vehicle(own) is own
+    assert law.barrier(seen((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), sigma_m=1.0)) is CONE
     assert law.setpoint((9.0, 9.0, 9.0), (0.1, 0.2, 0.3), seen((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))) == (
         0.1,
         0.2,
         0.3,
     )
     assert (
-        law.climb_m_s(-1.0, (9.0, 9.0, 1.0), (0.0, 0.0, 0.0), seen((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        law.climb_m_s(-1.0, (9.0, 9.0, 1.0), (0.0, 0.0, 0.0), seen((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)).relative)
         == -math.inf
     )
     assert (law.rate_1_s, law.acceleration_max_m_s2) == (
@@ -148,7 +145,7 @@ def fly(law, held, e, legs_, dt_s):
             h, gradient, _ = held.evaluate(e, target)
             # flown exactly: what was wanted last is what is measured
             now = (velocity[0], velocity[1], 0.0 if climb is None else climb)
-            climb = law.climb_m_s(h, gradient, now, seen(now, target, e))
+            climb = law.climb_m_s(h, gradient, now, seen(now, target, e).relative)
             flown = (velocity[0], velocity[1], climb)
             e = tuple(a + (v - t) * dt_s for a, v, t in zip(e, flown, target, strict=True))
             yield held.h(e), math.hypot(e[0], e[1])
@@ -204,7 +201,7 @@ def test_across_the_axis_no_more_is_lost_than_the_gradient_leaves_out(rate, marg
 )
 def test_the_climb_is_what_the_barriers_derivative_asks_for(rate, own, target, gradient, h):
     law, _ = robust(robust={"rate_1_s": rate})
-    climb = law.climb_m_s(h, gradient, own, seen(own, target))
+    climb = law.climb_m_s(h, gradient, own, seen(own, target).relative)
     flown = (own[0], own[1], climb)
     derivative = sum(g * (v - t) for g, v, t in zip(gradient, flown, target, strict=True))
     assert derivative == pytest.approx(-rate * h, abs=1e-9)
@@ -214,11 +211,11 @@ def test_what_the_vertical_loop_still_has_to_lose_counts_as_lost():
     law, settings_ = robust()
     lag_s, rate = settings_.velocity_loop.lag_z_s, settings_.robust.rate_1_s
     still, up = (0.0, 0.0, 0.0), (0.0, 0.0, 0.3)
-    plain = law.climb_m_s(0.1, up, still, seen(still, still))
-    sinking = law.climb_m_s(0.1, up, still, seen((0.0, 0.0, -0.2), still))
+    plain = law.climb_m_s(0.1, up, still, seen(still, still).relative)
+    sinking = law.climb_m_s(0.1, up, still, seen((0.0, 0.0, -0.2), still).relative)
     assert sinking - plain == pytest.approx(rate * lag_s * 0.2)
     # climbing more than wanted is no credit
-    assert law.climb_m_s(0.1, up, still, seen((0.0, 0.0, 0.2), still)) == plain
+    assert law.climb_m_s(0.1, up, still, seen((0.0, 0.0, 0.2), still).relative) == plain
 
 
 def test_the_margin_grows_with_what_is_not_known_and_is_whole_at_the_pads_edge():
@@ -226,7 +223,7 @@ def test_the_margin_grows_with_what_is_not_known_and_is_whole_at_the_pads_edge()
     still, edge = (0.0, 0.0, 0.0), (settings_.touchdown.pad_radius_m, 0.0, 0.5)
 
     def margin(view_):
-        return CONE.h(edge) - law.held(view_).h(edge)
+        return CONE.h(edge) - law.barrier(view_).h(edge)
 
     margins = [margin(seen(still, still, sigma_m=s, sigma_z_m=0.7 * s)) for s in (0.0, 0.005, 0.01, 0.1)]
     assert margins == sorted(margins)
@@ -236,7 +233,7 @@ def test_the_margin_grows_with_what_is_not_known_and_is_whole_at_the_pads_edge()
     expected = settings_.robust.margin_m(slope, math.hypot(0.01, own_m), math.hypot(0.007, own_m))
     assert margins[2] == pytest.approx(expected)
     assert margin(seen(still, still)._replace(target=None)) == margins[0]
-    assert law.held(seen(still, still)).fade_radius_m == settings_.robust.fade_radius_m
+    assert law.barrier(seen(still, still)).fade_radius_m == settings_.robust.fade_radius_m
 
 
 def test_target_and_vehicle_are_carried_on_by_their_delays():
@@ -255,7 +252,7 @@ def test_target_and_vehicle_are_carried_on_by_their_delays():
     assert law.target(track, 1.2).position_sigma_z_m > found.position_sigma_z_m > 0.0
     assert found.position_sigma_z_m < found.position_sigma_m  # it is told to drive on a floor
     own = OwnState(3.0, 2.9, (1.0, 2.0, 3.0), (1.0, -2.0, 0.5), 0.7)
-    moved = law.own(own)
+    moved = law.vehicle(own)
     assert moved.position_enu_m == pytest.approx((1.05, 1.9, 3.025))
     assert replace(moved, position_enu_m=own.position_enu_m) == own
 

@@ -1,0 +1,192 @@
+"""The mission machine: timers, condition flags, change of phase, way of aborting, end.
+
+``Mission`` alone writes the phase and what belongs to it. The rules are tables (``phases.py``); what a phase
+commands is the part of ``guidance.py``.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.memory import AbortWay, Memory
+from flightstack.core.mission.conditions import climbed, condition_flags, flown_clear
+from flightstack.core.mission.phases import next_phase, next_way
+from flightstack.core.mission.reasons import Known, reason
+from flightstack.core.mission.transition import Transition
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.barrier import Barrier
+from flightstack.core.snapshot import Relative, Snapshot
+from flightstack.core.strategies.strategy import Strategy
+from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.target.track import TargetTrack
+from flightstack.core.types import Landed, Mode, Phase, VehicleStatus
+
+LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
+ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
+RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
+RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
+_NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
+
+
+class Mission:
+    """Phase of a flight; ``memory`` is all of its state.
+
+    Args:
+        config: of the flight.
+        barrier: the paper's.
+        strategy: the safety filter.
+        track: of the target, for the reasons.
+        plausibility: of the vehicle's state, for the reasons.
+    """
+
+    def __init__(
+        self,
+        config: FlightConfig,
+        barrier: Barrier,
+        strategy: Strategy,
+        track: TargetTrack,
+        plausibility: Plausibility,
+    ) -> None:
+        self.memory = Memory()
+        self._config, self._barrier, self._strategy = config, barrier, strategy
+        self._track, self._plausibility = track, plausibility
+
+    def step(self, seen: Snapshot, *, command_failed: bool, now_s: float) -> Transition | None:
+        """Advance by one tick.
+
+        Args:
+            seen: inputs of this tick.
+            command_failed: the bridge gave up on a requested mode.
+            now_s: stack clock.
+
+        Returns:
+            The change of phase, or of an abort's way; ``None`` if there is none.
+        """
+        memory, flags = self.memory, self.flags(seen, command_failed=command_failed, now_s=now_s)
+        transition = self._abort(flags) if memory.phase is Phase.ABORT else self._change(seen, flags, now_s)
+        self.progress(seen)
+        return transition
+
+    def flags(self, seen: Snapshot, *, command_failed: bool, now_s: float) -> int:
+        """Run the timers, then compute the condition flags of this tick; arguments as those of ``step``."""
+        self._remember(seen, now_s)
+        if self.memory.phase is Phase.TOUCHDOWN:
+            self.memory.contact = self._contact(seen, now_s)
+        return condition_flags(
+            self._config, self._strategy, self._barrier, self.memory, seen, command_failed, now_s
+        )
+
+    def finished(self, status: VehicleStatus | None, now_s: float) -> bool:
+        """Whether the flight is over: motors off for some time, or an abort that lasts too long."""
+        memory = self.memory
+        in_phase_s = now_s - memory.phase_since_s
+        if memory.phase is Phase.LANDED:
+            return in_phase_s >= LANDED_SETTLE_S
+        if memory.phase is not Phase.ABORT:
+            return False
+        over = status is None or self._down(status, now_s)
+        return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > self._config.retreat.abort_time_max_s
+
+    def _down(self, status: VehicleStatus, now_s: float) -> bool:
+        """Whether the vehicle stands with its motors off, by its own word."""
+        fresh = now_s - status.arrival_s <= self._config.checks.status_age_max_s
+        return status.landed in _NOT_FLYING and not (status.armed and fresh)
+
+    def _remember(self, seen: Snapshot, now_s: float) -> None:
+        """Newest known target, heading, what the vehicle has been, and since when the inputs are good."""
+        memory, target, own, status = self.memory, seen.target, seen.inputs.own, seen.inputs.status
+        if target is not None and seen.target_ok:
+            memory.target_position_enu_m = target.position_enu_m
+            memory.target_velocity_enu_m_s = target.velocity_enu_m_s
+        if memory.yaw_rad is None and own is not None:
+            memory.yaw_rad = own.yaw_rad
+        if seen.own_ok:
+            memory.own_ok_s = now_s
+        if not seen.good:
+            memory.good_since_s = math.inf
+        elif memory.good_since_s == math.inf:
+            memory.good_since_s = now_s
+        if status is not None and status.armed:
+            memory.was_armed = True
+            if status.mode is Mode.EXTERNAL:  # not when disarmed: PX4 stays in it after a landing
+                memory.was_external = True
+
+    def _contact(self, seen: Snapshot, now_s: float) -> bool:
+        """Whether the vehicle stands on the pad, or has stood there.
+
+        Without a target in sight, that of its last samples counts: its height does not change in that time.
+        """
+        contact, status, at = self.memory.contact, seen.inputs.status, seen.relative
+        standing = status is not None and status.landed is Landed.ON_GROUND
+        if seen.good and at is not None:
+            on_pad = at.d_m <= self._config.touchdown.pad_radius_m
+            return (
+                contact or (self._stopped(at, now_s) and on_pad) or self._stands(at, on_pad, standing, now_s)
+            )
+        if not seen.own_ok:
+            return contact or standing
+        if not seen.target_ok:
+            stopped = at is not None and self._stopped(at, now_s)
+            return contact or stopped or standing
+        return contact
+
+    def _stopped(self, at: Relative, now_s: float) -> bool:
+        """Stopped low over the pad for some samples: two noisy heights do not tell so soon."""
+        memory = self.memory
+        if not self._strategy.stopped(at, memory.command):
+            memory.stopped_since_s = math.inf
+            return False
+        memory.stopped_since_s = min(memory.stopped_since_s, now_s)
+        held = now_s - memory.stopped_since_s >= self._config.contact.stopped_time_s
+        return held and at.e_m[2] < self._strategy.stopped_below_m
+
+    def _stands(self, at: Relative, on_pad: bool, standing: bool, now_s: float) -> bool:
+        """The vehicle says that it stands, or it is on the pad and no longer sinks though it should."""
+        memory, config = self.memory, self._config
+        near = on_pad and at.e_m[2] - config.touchdown.feet_below_reference_m < config.contact.gap_m
+        sinking_m_s = at.target.velocity_enu_m_s[2] - at.own.velocity_enu_m_s[2]
+        if not near or sinking_m_s > config.contact.speed_m_s:
+            memory.contact_since_s = math.inf
+            return False
+        memory.contact_since_s = min(memory.contact_since_s, now_s)
+        return standing or now_s - memory.contact_since_s >= config.contact.time_s
+
+    def _change(self, seen: Snapshot, flags: int, now_s: float) -> Transition | None:
+        """Change the phase by its table."""
+        memory = self.memory
+        rule = next_phase(memory.phase, flags)
+        if rule is None:
+            return None
+        before, after = memory.phase, rule.to
+        refusal = self._track.memory.refusal
+        why = reason(rule, flags, Known(self._config.checks, seen, self._plausibility, refusal, now_s))
+        if before in RETRY_FROM and after in RETRY_TO:
+            memory.retries += 1
+        if after is Phase.APPROACH and memory.started_s == math.inf:
+            memory.started_s = now_s
+        if after is Phase.TOUCHDOWN:  # what an earlier descent had begun to see
+            memory.contact_since_s = memory.stopped_since_s = math.inf
+        memory.phase, memory.phase_since_s, memory.reason = after, now_s, why
+        if after is Phase.ABORT:
+            self._abort(flags)
+        return Transition(before, after, why, memory.abort_way)
+
+    def _abort(self, flags: int) -> Transition | None:
+        """Choose how the abort ends the flight; a person may still ask for more than it does."""
+        memory = self.memory
+        rule = next_way(memory.abort_way, flags)
+        if rule is None:
+            return None
+        memory.abort_way = rule.to
+        return Transition(Phase.ABORT, Phase.ABORT, rule.reason, rule.to)
+
+    def progress(self, seen: Snapshot) -> None:
+        """Note the end of a take-off's climb, and that an abort has flown clear."""
+        memory, own = self.memory, seen.inputs.own
+        if own is None:
+            return
+        if memory.phase is Phase.TAKEOFF and seen.target is not None:
+            memory.ground_z_m = min(memory.ground_z_m, own.position_enu_m[2])
+            memory.climbed = memory.climbed or climbed(self._config, memory, own)
+        elif memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and seen.own_ok:
+            memory.clear = memory.clear or flown_clear(self._config, memory, own)

@@ -1,0 +1,85 @@
+"""Names of the safety filters: one line for each that comes with the package, ``MODULE:NAME`` for others.
+
+A filter is a class with the interface of ``strategies/strategy.py``. A filter from outside the package is
+imported where it flies or is checked, never by reading a configuration or a log.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from flightstack.common.strict_toml import ConfigError
+
+FILTERS: Mapping[str, str] = MappingProxyType(
+    {
+        "paper": "flightstack.core.strategies.paper:PaperFilter",  # eq. 11 as printed
+        "robust": "flightstack.core.strategies.robust:RobustFilter",
+    }
+)
+ALLOWED = f"{', '.join(FILTERS)}, or MODULE:NAME of a filter from outside the package"
+_REFERENCE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
+
+
+def check_name(name: str) -> None:
+    """Refuse what cannot be the name of a filter; nothing is imported.
+
+    Raises:
+        ConfigError: neither a filter of the package nor of the form MODULE:NAME.
+    """
+    if name not in FILTERS and not _REFERENCE.fullmatch(name):
+        raise ConfigError(f"filter: found {name!r}, allowed: {ALLOWED}")
+
+
+def look_here(name: str) -> None:
+    """Let a filter from outside the package be found in the working folder, after all installed modules.
+
+    For names that the user gave, on the command line or in a file of his own; not for names out of a log.
+    """
+    here = str(Path.cwd())
+    if name not in FILTERS and here not in sys.path:
+        sys.path.append(here)
+
+
+def short_name(name: str) -> str:
+    """The name without its module, for names of files."""
+    return name.rpartition(":")[2]
+
+
+@lru_cache(maxsize=16)
+def named(name: str) -> Any:
+    """Import what a name stands for.
+
+    Raises:
+        ConfigError: the name is wrong, its module cannot be imported, or has nothing of that name.
+    """
+    check_name(name)
+    return referred(FILTERS.get(name, name))
+
+
+def referred(reference: str) -> Any:
+    """Import ``MODULE:NAME``.
+
+    Raises:
+        ConfigError: the module cannot be imported, or has nothing of that name.
+    """
+    module, _, attribute = reference.partition(":")
+    try:
+        found = importlib.import_module(module)
+    except ImportError as error:
+        raise ConfigError(
+            f"filter: found {reference!r}, but module {module} cannot be imported ({error}); install it, or "
+            "run in the folder that it is in"
+        ) from error
+    try:
+        return getattr(found, attribute)
+    except AttributeError:
+        raise ConfigError(
+            f"filter: found {reference!r}, but module {module} ({found.__file__}) has no {attribute}"
+        ) from None

@@ -1,0 +1,100 @@
+"""What is known in one tick: the newest inputs, judged by their age, and vehicle relative to target."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.target.track import TargetState
+from flightstack.core.types import Inputs, OwnState, Vec3
+
+FUTURE_MAX_S = 0.05  # s a state may be ahead of our clock: one sample; more is as wrong as an old state
+
+
+class Relative(NamedTuple):
+    """Vehicle and target, both known.
+
+    Attributes:
+        own: state of the vehicle.
+        target: state of the target.
+        e_m: position of the vehicle minus landing spot, ENU, m.
+        d_m: horizontal length of ``e_m``.
+    """
+
+    own: OwnState
+    target: TargetState
+    e_m: Vec3
+    d_m: float
+
+    @property
+    def slip_m_s(self) -> tuple[float, float]:
+        """Horizontal velocity of the vehicle minus that of the target, ENU, m/s."""
+        v, t = self.own.velocity_enu_m_s, self.target.velocity_enu_m_s
+        return v[0] - t[0], v[1] - t[1]
+
+
+@dataclass(slots=True)
+class Snapshot:
+    """Inputs of one tick, judged by age.
+
+    Attributes:
+        inputs: as they came; the vehicle's state as the filter estimates it for now.
+        target: state of the target for now; ``None`` before the first sample.
+        own_ok: the vehicle's state is plausible and young enough.
+        target_ok: the target's state is young enough.
+        link_ok: the heartbeat is young enough.
+        e_m: position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known.
+        follows: the vehicle flies the commanded velocity.
+        good: all inputs can be flown by.
+        relative: vehicle relative to target; ``None`` unless both are known.
+    """
+
+    inputs: Inputs
+    target: TargetState | None
+    own_ok: bool
+    target_ok: bool
+    link_ok: bool
+    e_m: Vec3 | None
+    follows: bool = True
+    good: bool = field(init=False)
+    relative: Relative | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        own, target, e = self.inputs.own, self.target, self.e_m
+        self.good = self.own_ok and self.link_ok and self.target_ok
+        if own is None or target is None or e is None:
+            self.relative = None
+        else:
+            self.relative = Relative(own, target, e, math.hypot(e[0], e[1]))
+
+
+def snapshot(
+    config: FlightConfig,
+    inputs: Inputs,
+    target: TargetState | None,
+    now_s: float,
+    *,
+    believed: bool = True,
+    follows: bool = True,
+) -> Snapshot:
+    """Judge the ages of this tick's inputs.
+
+    Args:
+        config: of the flight.
+        inputs: of this tick.
+        target: state of the target for now.
+        now_s: stack clock.
+        believed: the vehicle's state is plausible.
+        follows: the vehicle flies the commanded velocity.
+    """
+    checks, own, status = config.checks, inputs.own, inputs.status
+    own_ok = believed and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
+    target_ok = target is not None and target.age_s <= checks.target_age_max_s
+    link_ok = status is not None and now_s - status.arrival_s <= checks.status_age_max_s
+    e_m = None
+    if own is not None and target is not None:
+        p, q = own.position_enu_m, target.position_enu_m
+        e_m = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
+    return Snapshot(inputs, target, own_ok, target_ok, link_ok, e_m, follows)

@@ -1,0 +1,240 @@
+"""The robust filter: eq. 11 with what the paper leaves out (docs/robust_filter.md).
+
+It estimates target and vehicle for now, holds the barrier with a margin for what is uncertain, takes the
+horizontal velocity as measured, and corrects the set-point for the vehicle's lag. It waits low above the pad
+until it may go down in one go, and goes around when it is going to miss the pad.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.common.strict_toml import ConfigError
+from flightstack.core.memory import MotionMemory, TrackingMemory
+from flightstack.core.parameters.ends import TouchdownRule
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.barrier import Barrier
+from flightstack.core.safety.position_loop import limit, nominal_velocity
+from flightstack.core.safety.qp_filter import Program, SafetyFilter
+from flightstack.core.safety.robust_barrier import RobustBarrier
+from flightstack.core.snapshot import Relative, Snapshot
+from flightstack.core.strategies.strategy import Strategy
+from flightstack.core.strategies.velocity_tracking import VelocityTracking
+from flightstack.core.target.estimator import TargetEstimator
+from flightstack.core.target.track import TargetState, TargetTrack
+from flightstack.core.types import OwnState, TargetSample, Vec3
+
+COMMANDED_SHARE = 0.6  # of the descent: a vehicle commanded to sink faster than that ...
+STOPPED_SHARE = 0.4  # ... and sinking slower than that is stopped
+DRIFT_SHARE = 0.6  # of the corridor's radius; nearer to the middle nothing is lost yet
+BRAKING = 0.5  # share of the wanted acceleration that brakes: the velocity lags, and the target may speed up
+
+
+class RobustFilter(Strategy):
+    """Eq. 11 with estimates, margin, lag correction, and a landing that goes around."""
+
+    certificate = "flightstack.verify.certificate:robust_checks"
+    waits_filtered = True
+
+    def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
+        robust = config.robust
+        self.rate_1_s = robust.rate_1_s
+        self.acceleration_max_m_s2 = robust.acceleration_max_m_s2
+        self.contact_speed_max_m_s = robust.descent_m_s + robust.descent_lead_max_m_s
+        self.stopped_below_m = robust.touch_height_m
+        self._config, self._barrier = config, barrier
+        self._most = config.limits.velocity_max_m_s
+        self._estimator = TargetEstimator(config.target)
+        self._tracking = VelocityTracking(
+            config.velocity_loop, 1.0 / config.loop.rate_hz, config.velocity_feedback, config.own.delay_s
+        )
+        self._slope = barrier.slope(config.touchdown.pad_radius_m)  # steepest outside the pad
+        self._lag_z_s = config.velocity_loop.lag_z_s
+        # so that the margin is there in full where judging begins, at the pad's edge
+        edge = config.touchdown.pad_radius_m / robust.fade_radius_m
+        self._full = -math.expm1(-edge * edge)
+
+    @staticmethod
+    def check_config(config: FlightConfig) -> None:
+        """Refuse a model of the velocity loop that is not stable, and a margin that is not whole at the edge.
+
+        Raises:
+            ConfigError: which value, what is allowed.
+        """
+        loop, rate_hz = config.velocity_loop, config.loop.rate_hz
+        most_1_s = loop.rate_max_1_s(1.0 / rate_hz)
+        for key, found_1_s in (("rate_xy_1_s", loop.rate_xy_1_s), ("rate_z_1_s", loop.rate_z_1_s)):
+            if not found_1_s < most_1_s:
+                raise ConfigError(
+                    f"velocity_loop.{key}: found {found_1_s:g}; with velocity_loop.damping {loop.damping:g} "
+                    f"and loop.rate_hz {rate_hz} the model of the loop is stable below {most_1_s:.4g} 1/s: "
+                    "lower it, or raise loop.rate_hz"
+                )
+        fade_m, pad_m = config.robust.fade_radius_m, config.touchdown.pad_radius_m
+        if fade_m > pad_m:
+            raise ConfigError(
+                f"robust.fade_radius_m: found {fade_m:g}, allowed is at most the pad's radius, {pad_m:g} m, "
+                "where the margin has to be there: lower it"
+            )
+
+    @property
+    def motion(self) -> MotionMemory:
+        """State of the estimator."""
+        return self._estimator.memory
+
+    @motion.setter
+    def motion(self, memory: MotionMemory) -> None:
+        self._estimator.memory = memory
+
+    @property
+    def tracking(self) -> TrackingMemory:
+        """State of the corrections."""
+        return self._tracking.memory
+
+    @tracking.setter
+    def tracking(self, memory: TrackingMemory) -> None:
+        self._tracking.memory = memory
+
+    def take(self, sample: TargetSample) -> None:
+        """Update the Kalman filter of the target."""
+        self._estimator.update(
+            sample.source_time_s,
+            sample.position_enu_m,
+            sample.velocity_enu_m_s,
+            sample.yaw_rad,
+            sample.position_sigma_m,
+            sample.velocity_sigma_m_s,
+        )
+
+    def target(self, track: TargetTrack, now_s: float) -> TargetState | None:
+        """Estimate moved on to now; the shortest delay, which no clock shows, is a parameter.
+
+        No further than the age limit: beyond it the target is lost, and only what stays bounded is of use.
+        """
+        last = track.memory.last
+        if last is None:
+            return None
+        delay_s = self._config.target.delay_s
+        latest_s = self._estimator.memory.time_s + self._config.checks.target_age_max_s
+        motion = self._estimator.at(min(now_s - track.memory.offset_s, latest_s) + delay_s)
+        return TargetState(
+            track.age_s(last, now_s) + delay_s,
+            motion.position_enu_m,
+            motion.velocity_enu_m_s,
+            last.yaw_rad,
+            motion.position_sigma_m,
+            motion.position_sigma_z_m,
+        )
+
+    def vehicle(self, own: OwnState) -> OwnState:
+        """Moved on by its delay."""
+        t, (x, y, z), (vx, vy, vz) = self._config.own.delay_s, own.position_enu_m, own.velocity_enu_m_s
+        position = (x + t * vx, y + t * vy, z + t * vz)
+        return OwnState(own.arrival_s, own.source_time_s, position, own.velocity_enu_m_s, own.yaw_rad)
+
+    def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
+        """Learn the disturbance."""
+        self._tracking.observe(velocity_enu_m_s, commanding=commanding)
+
+    def barrier(self, seen: Snapshot) -> RobustBarrier:
+        """The barrier with a margin for what is uncertain now."""
+        robust, target, own_m = self._config.robust, seen.target, self._config.own.position_noise_m
+        sigma_xy_m = math.hypot(target.position_sigma_m, own_m) if target is not None else own_m
+        sigma_z_m = math.hypot(target.position_sigma_z_m, own_m) if target is not None else own_m
+        margin_m = robust.margin_m(self._slope, sigma_xy_m, sigma_z_m)
+        return RobustBarrier(self._barrier, margin_m / self._full, robust.fade_radius_m)
+
+    def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
+        """Vertical velocity that holds the barrier for the horizontal velocity that is measured.
+
+        Horizontal velocity follows late, vertical velocity sooner: so the horizontal velocity is taken as
+        measured. Of h counts what is left when the vertical loop has caught up with the velocity wanted.
+        """
+        v, t = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s
+        left_m = h_m + self._lag_z_s * min(0.0, v[2] - before_m_s[2])
+        inward = gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1])
+        return t[2] - self.rate_1_s * left_m - inward
+
+    def program(self) -> Program:
+        """The quadratic program."""
+        return SafetyFilter(self.rate_1_s)
+
+    def approach_m_s(self, at: Relative, *, over_pad: bool) -> Vec3:
+        """To a place low above the pad's middle, where it waits until it may go down in one go."""
+        robust, e, t = self._config.robust, at.e_m, at.target.velocity_enu_m_s
+        gain = robust.gain_1_s
+        over = robust.gain_over_pad_1_s if over_pad else gain
+        above = e[2] - robust.wait_height_m - self._ahead_m(at)
+        x, y, z = nominal_velocity((e[0], e[1], above), (over, over, gain), t)
+        if above > 0.0:
+            z = min(max(z, t[2] - robust.descent_max_m_s), t[2] - robust.descent_min_m_s)
+        return (x, y, z)
+
+    def _ahead_m(self, at: Relative) -> float:
+        """Height of the boundary ahead that no velocity in the box may be quick enough for, once it is there.
+
+        Far out that is its ring, over which the way leads. Near the middle it is where the vehicle comes to
+        rest, if that is on the other side: the barrier sees an overshoot only when the middle has been
+        passed.
+        """
+        ex, ey, _ = at.e_m
+        if at.d_m > self._barrier.peak_distance_m:
+            return self._barrier.peak_height_m
+        vx, vy = at.slip_m_s
+        brakes_m_s2 = BRAKING * min(self._config.robust.acceleration_max_m_s2[:2])
+        rest_s = math.hypot(vx, vy) / (2.0 * brakes_m_s2)  # at this velocity, until as far as it comes
+        if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
+            return 0.0  # on this side
+        return self._barrier.height(math.hypot(ex + rest_s * vx, ey + rest_s * vy))
+
+    def descent_m_s(self, at: Relative) -> Vec3 | None:
+        """Straight down over the pad's middle; by the paper's rule until its height."""
+        robust, touchdown, t = self._config.robust, self._config.touchdown, at.target.velocity_enu_m_s
+        if touchdown.rule is TouchdownRule.PAPER and at.e_m[2] < touchdown.height_m:
+            return None
+        gain = robust.gain_over_pad_1_s
+        x, y, _ = nominal_velocity(at.e_m, (gain, gain, gain), t)
+        return (x, y, t[2] - robust.descent_m_s)
+
+    def hold_m_s(self, target: TargetState) -> Vec3:
+        """Up, and on with a target that was followed until a moment ago.
+
+        Standing still in the cone of a target that drives on is leaving the cone sideways.
+        """
+        x, y, z = target.velocity_enu_m_s
+        up = min(self._most[2], max(0.0, z) + self._config.retreat.hold_climb_m_s)
+        return limit((x, y, up), self._most)
+
+    def may_touch(self, at: Relative) -> bool:
+        """Low, in the middle and moving with the target; or on the pad already, pressed down by a gust."""
+        robust, touchdown, z, d_m = self._config.robust, self._config.touchdown, at.e_m[2], at.d_m
+        standing_m = touchdown.feet_below_reference_m + self._config.contact.gap_m
+        if d_m <= touchdown.pad_radius_m and z < standing_m:
+            return True
+        if not (z < robust.commit_height_m and math.hypot(*at.slip_m_s) < robust.commit_speed_m_s):
+            return False
+        uncertain_m = robust.sigma_factor * at.target.position_sigma_m
+        return d_m < robust.commit_radius_m and d_m + uncertain_m < robust.corridor_m
+
+    def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
+        """Commanded to sink, and not sinking: the velocity estimate tells that sooner than the height."""
+        descent_m_s, pad_m_s = self._config.robust.descent_m_s, at.target.velocity_enu_m_s[2]
+        commanded_m_s, sinking_m_s = pad_m_s - command_m_s[2], pad_m_s - at.own.velocity_enu_m_s[2]
+        return commanded_m_s > COMMANDED_SHARE * descent_m_s and sinking_m_s < STOPPED_SHARE * descent_m_s
+
+    def drifts(self, at: Relative) -> bool:
+        """Going to leave the corridor above the pad, while still high enough above the cone to climb away."""
+        corridor_m, retreat, e = self._config.robust.corridor_m, self._config.retreat, at.e_m
+        if at.d_m < DRIFT_SHARE * corridor_m or self._barrier.h(e) < retreat.h_left_m:
+            return False
+        vx, vy = at.slip_m_s
+        outward_m_s = (e[0] * vx + e[1] * vy) / at.d_m
+        return at.d_m + outward_m_s * retreat.drift_time_s > corridor_m
+
+    def setpoint(
+        self, before_m_s: Vec3, wanted_m_s: Vec3, seen: Snapshot, least_z_m_s: float = -math.inf
+    ) -> Vec3:
+        """Corrected for lag and disturbance."""
+        own = seen.inputs.own
+        velocity = own.velocity_enu_m_s if own is not None else wanted_m_s
+        return self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s)

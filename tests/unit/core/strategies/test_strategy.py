@@ -1,0 +1,177 @@
+"""Filters are found by name, in the package and outside of it; none counts as another one."""
+
+import math
+import random
+import sys
+
+import pytest
+
+from examples.own_filter import Cone, ConeFilter
+from flightstack.common.strict_toml import ConfigError, from_table
+from flightstack.core.parameters.filters import FILTERS, look_here, named, short_name
+from flightstack.core.parameters.flight import FlightConfig, load
+from flightstack.core.strategies.strategy import (
+    Strategy,
+    packaged_strategy_of,
+    strategy_class,
+    strategy_of,
+)
+from flightstack.core.types import FilterStatus, Phase
+from flightstack.verify.certificate import checks, problems
+from tests.point_mass import World
+
+CONE = "examples.own_filter:ConeFilter"
+# a module outside the package that says when it is imported, and a filter that lacks nearly everything
+OUTSIDE = """
+from flightstack.common.strict_toml import ConfigError
+from flightstack.core.strategies.paper import PaperFilter
+from flightstack.core.strategies.strategy import Strategy
+print("imported")
+class Bare(Strategy):
+    certificate = "outside:nothing"
+class Picky(PaperFilter):
+    certificate = "outside:nothing"
+    @staticmethod
+    def check_config(config):
+        raise ConfigError("barrier.omega_1_s: found 0.7, a prime number is needed")
+"""
+
+
+def config(filter):
+    return from_table(
+        FlightConfig,
+        {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, "touchdown": {"rule": "contact"}},
+    )
+
+
+@pytest.fixture
+def outside(tmp_path, monkeypatch):
+    (tmp_path / "outside.py").write_text(OUTSIDE)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.chdir(tmp_path)
+    named.cache_clear()
+    yield tmp_path
+    named.cache_clear()
+    sys.modules.pop("outside", None)
+
+
+@pytest.mark.parametrize("name", [*FILTERS, CONE])
+def test_a_filter_is_found_by_its_name_and_names_its_own_checks(name):
+    settings = config(name)
+    assert isinstance(strategy_of(settings), strategy_class(name))
+    assert checks(settings)
+    assert problems(settings) == []
+
+
+def test_no_two_filters_are_the_same():
+    found = [strategy_class(name) for name in (*FILTERS, CONE)]
+    assert len(set(found)) == len(found)
+    assert len({cls.certificate for cls in found}) == len(found)
+    own = {check.name for check in checks(config(CONE))}
+    assert "cone" in own
+    assert all(own != {check.name for check in checks(config(name))} for name in FILTERS)
+
+
+@pytest.mark.parametrize("name", ["best", "", "Paper", "a b:C", "a:", ":b", "a.:b", "a:b:c", "../a:b"])
+def test_what_is_no_name_is_refused_with_what_is_allowed(name):
+    with pytest.raises(
+        ConfigError, match=r"filter: found .*, allowed: paper, robust, or MODULE:NAME"
+    ) as error:
+        config(name)
+    assert repr(name) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("no_such_module:X", "module no_such_module cannot be imported"),
+        ("examples.own_filter:Kone", "module examples.own_filter .* has no Kone"),
+        ("examples.own_filter:Cone", "no subclass of flightstack.core.strategies.strategy.Strategy"),
+        ("examples.own_filter:certificate", "no subclass of flightstack.core.strategies.strategy.Strategy"),
+        (
+            "flightstack.core.strategies.strategy:Strategy",
+            "lacks .*approach_m_s.*certificate, waits_filtered",
+        ),
+    ],
+)
+def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
+    settings = config(name)  # the form is right: nothing is imported yet
+    for use in (strategy_of, checks, problems):
+        with pytest.raises(ConfigError, match=why):
+            use(settings)
+
+
+def test_reading_a_configuration_or_a_log_imports_nothing_from_outside(outside, capsys):
+    settings = config("outside:Picky")
+    assert packaged_strategy_of(settings) is None
+    with pytest.raises(ConfigError, match="cannot be imported"):  # a log's name is not looked for here
+        strategy_of(settings)
+    assert "outside" not in sys.modules
+    assert capsys.readouterr().out == ""
+    assert isinstance(packaged_strategy_of(config("paper")), strategy_class("paper"))
+
+
+def test_a_filter_in_the_working_folder_is_found_from_the_users_own_file(outside, capsys):
+    file = outside / "mine.toml"
+    file.write_text('filter = "outside:Picky"\n[barrier]\nalpha_1_m = 1.0\nbeta_m = 1.5\n')
+    settings = load(file)
+    for use in (strategy_of, problems):
+        with pytest.raises(ConfigError, match="a prime number is needed"):
+            use(settings)
+    assert capsys.readouterr().out == "imported\n"
+    with pytest.raises(
+        ConfigError, match=r"'outside:Bare', which lacks __init__, approach_m_s.*waits_filtered"
+    ):
+        strategy_class("outside:Bare")
+
+
+def test_the_working_folder_comes_after_all_that_is_installed(outside):
+    (outside / "json.py").write_text("")
+    look_here("json:X")
+    assert sys.path[-1] == str(outside)
+    before = list(sys.path)
+    look_here("paper")
+    look_here("outside:Picky")
+    assert sys.path == before
+
+
+def test_a_name_fits_into_a_file_name():
+    assert [short_name(name) for name in ("robust", CONE)] == ["robust", "ConeFilter"]
+
+
+def test_the_interface_has_no_default_that_decides_about_a_flight():
+    methods = {name for name in vars(Strategy) if not name.startswith("_")}
+    assert methods == set(Strategy.__abstractmethods__) - {"__init__"}
+    assert not hasattr(Strategy, "certificate")
+
+
+def test_the_cone_lands_and_the_program_holds_it():
+    world = World(config(CONE), solid_pad=True)
+    world.run(60.0)
+    assert world.phase is Phase.LANDED
+    ran = [
+        out for out in world.outputs if out.barrier and out.barrier.result.status is not FilterStatus.NOT_RUN
+    ]
+    assert {out.barrier.result.status for out in ran} == {FilterStatus.CLOSED_FORM}
+    assert any(out.barrier.result.active for out in ran)
+    assert min(out.barrier.result.slack_m_s for out in ran) > -1e-9
+    assert min(world.controller._strategy.barrier(out.seen).h(out.seen.e_m) for out in ran) > -1e-3
+
+
+def test_the_cones_linearisation_bound_is_one_and_is_reached():
+    cone, chance, reached = Cone(1.5, 0.5), random.Random(3), 0.0
+    for _ in range(20_000):
+        d, moved, angle = (
+            chance.choice((0.0, 1e-3, 0.1, 0.4)),
+            10.0 ** chance.uniform(-4.0, 0.0),
+            chance.uniform(0, 7),
+        )
+        e, v = (d, 0.0, 1.0), (moved * math.cos(angle), moved * math.sin(angle), 0.0)
+        h, gradient, _ = cone.evaluate(e, (0.0, 0.0, 0.0))
+        predicted = h + sum(g * step for g, step in zip(gradient, v, strict=True))
+        missing = predicted - cone.h(tuple(a + b for a, b in zip(e, v, strict=True)))
+        bound = cone.linearisation_bound_m(e, moved)
+        assert missing <= bound + 1e-12
+        reached = max(reached, missing / bound)
+    assert reached > 0.99
+    assert ConeFilter.waits_filtered is False
