@@ -2,8 +2,8 @@
 
 ``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point.
 ``problems`` are the refuted claims without which no landing is possible: the onboard process refuses such a
-configuration. Each filter names the function that makes its checks. The paper's filter has the paper's checks
-alone: it promises nothing for a vehicle that lags.
+configuration. Each filter names the function that makes its checks. The paper's filter has the paper's
+checks alone: it promises nothing for a vehicle that lags.
 """
 
 from __future__ import annotations
