@@ -1,6 +1,6 @@
 """Checks that the loop with fed-back velocity and disturbance is stable for every declared vehicle.
 
-``linear`` writes it down as x' = A x, with the vehicle's own loop as in ``velocity_tracking.py``, the position
+``linear`` writes it down as x' = A x, with the vehicle's own loop as in velocity_tracking.py, the position
 loop over the pad around it, and the delay as a first-order Padé element. A depends on the vehicle linearly
 through W = w^2 and D = 2 z w. So over a small piece of the spread, with (W, D) in a rectangle, a quadratic
 Lyapunov function that decays at the rectangle's four corners decays in all of it (a convex hull of matrices):
