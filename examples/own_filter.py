@@ -24,7 +24,7 @@ from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, Vec3
-from flightstack.verify import ends
+from flightstack.verify.ends import contact, notices, reaches_touchdown
 from flightstack.verify.types import Check
 
 
@@ -170,7 +170,7 @@ def certificate(config: FlightConfig) -> list[Check]:
             f"slope {slope:.3g}, a target of {speed_m_s:g} m/s",
             "raise limits.velocity_max_m_s, or lower alpha * beta or touchdown.target_speed_max_m_s",
         ),
-        ends.reaches_touchdown(config),
-        ends.contact(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
-        ends.notices(config),
+        reaches_touchdown(config),
+        contact(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
+        notices(config),
     ]
