@@ -1,7 +1,7 @@
 """Runs benchmarks. Numbers go to standard output; ``make bench`` runs those of ``BENCH``.
 
 ``python -m tests.benchmarks NAME [ARGUMENTS]`` runs one alone. NAME is the module's path below this folder,
-with ``_`` between its parts: ``campaign_speed``, ``vehicle_figures``, ``px4_landings``.
+with ``_`` between its parts: ``campaign_speed``, ``vehicle_figures``, ``px4_faults``.
 """
 
 from __future__ import annotations

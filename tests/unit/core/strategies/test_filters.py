@@ -232,7 +232,7 @@ def test_the_margin_grows_with_what_is_not_known_and_is_whole_at_the_pads_edge()
     own_m = settings_.own.position_noise_m
     expected = settings_.robust.margin_m(slope, math.hypot(0.01, own_m), math.hypot(0.007, own_m))
     assert margins[2] == pytest.approx(expected)
-    assert margin(seen(still, still)._replace(target=None)) == margins[0]
+    assert margin(replace(seen(still, still), target=None)) == margins[0]
     assert law.barrier(seen(still, still)).fade_radius_m == settings_.robust.fade_radius_m
 
 

@@ -22,7 +22,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from flightstack.cli.main import main
 from logs.recorder.mcap_file import McapFile
 from logs.schema import schemas
-from logs.schema.cdr import codec
+from logs.schema.cdr import CDR_HEADER, codec
 from logs.schema.codec_mavlink import pack_mavlink
 from tests.unit.logs.reader.test_reader import EPOCH_NS, record
 
@@ -164,7 +164,7 @@ def test_a_type_of_somebody_else_is_read_by_the_definition_in_the_log(tmp_path):
         writer.start("ros2")
         schema = writer.register_schema("other_msgs/msg/Thing", "ros2msg", definition)
         channel = writer.register_channel("/thing", "cdr", schema)
-        writer.add_message(channel, 5, codec.CDR_HEADER + bytes.fromhex("0000003f 000080be fdff"), 6, 7)
+        writer.add_message(channel, 5, CDR_HEADER + bytes.fromhex("0000003f 000080be fdff"), 6, 7)
         writer.finish()
     assert export(path, tmp_path / "a.csv", "--topic", "/thing").exit_code == 0
     assert (tmp_path / "a.csv").read_text() == (
