@@ -22,7 +22,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from flightstack.cli.main import main
 from logs.recorder.mcap_file import McapFile
 from logs.schema import schemas
-from logs.schema.cdr import CDR_HEADER, codec
+from logs.schema.cdr import CDR_HEADER
 from logs.schema.codec_mavlink import pack_mavlink
 from tests.unit.logs.reader.test_reader import EPOCH_NS, record
 
