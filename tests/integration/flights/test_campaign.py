@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ def test_a_landing_equals_the_same_over_the_wires(flown, scenario, seed):
     for name in ("t_s", "phase", "own_age_s", "target_age_s"):
         seen, logged = getattr(landing.seen.steps, name), getattr(flight.steps, name)
         assert np.array_equal(seen, logged, equal_nan=True), name
-    for name in vars(type(flight.truth))["__dataclass_fields__"]:
+    for name in (field.name for field in fields(flight.truth)):
         seen, logged = getattr(landing.seen.truth, name), getattr(flight.truth, name)
         assert np.array_equal(seen, logged, equal_nan=logged.dtype.kind == "f"), name
 
