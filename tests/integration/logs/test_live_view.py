@@ -145,7 +145,7 @@ def test_a_recording_that_exists_is_kept(tmp_path):
 
 
 def test_without_rerun_the_extra_is_named(monkeypatch):
-    for name in [n for n in sys.modules if n.partition(".")[0] == "rerun" or n.startswith("logs.view.view")]:
+    for name in [n for n in sys.modules if n.partition(".")[0] == "rerun" or n.startswith("logs.view.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rerun", None)
     done = CliRunner().invoke(main, ["watch", "--view", "web"])

@@ -193,7 +193,7 @@ def test_text_from_the_log_stays_text(tmp_path):
 
 def test_without_the_plotting_library_the_reason_is_given(tmp_path, monkeypatch):
     log = write_log(tmp_path / "flight.mcap", landing())
-    for name in [n for n in sys.modules if n.startswith(("logs.report.figures", "logs.report_", "plotly"))]:
+    for name in [n for n in sys.modules if n.startswith(("logs.report.", "plotly"))]:
         monkeypatch.delitem(sys.modules, name)
     real = builtins.__import__
 
