@@ -16,14 +16,58 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from bridge.crazyflie.checks import ESTIMATOR, KALMAN
 from bridge.crazyflie.node import COMPONENT_ID, SYSTEM_ID, Node
-from bridge.crazyflie.poses import PoseFeed, PosesLike
 from bridge.crazyflie.rules import Rules
-from bridge.crazyflie.types import Arrived, Packet
+from bridge.crazyflie.types import Arrived, Link, Packet, Pose, SetParam
+from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.endpoint import Endpoint, Peer, parse_peer, parse_url
 from bridge.mavlink.server.owner import Sender
 from bridge.mavlink.signing.key import load_key
-from bridge.stop import Stop
+from bridge.mocap.checks import Passed
+from flightstack.common.hangup import Stop
+
+INITIAL = "kalman.initial"
+RESET = "kalman.resetEstimation"
+
+
+class PosesLike(Protocol):
+    """Poses that have been checked; ``mocap_source.CheckedPoses``."""
+
+    @property
+    def problem(self) -> str | None:
+        """Why there is no pose to rely on, None while there is."""
+
+    def poll(self, now_s: float, *, armed: bool) -> Passed | None:
+        """The newest good pose since the last call."""
+
+
+class PoseFeed:
+    """What to send for a pose."""
+
+    def __init__(self) -> None:
+        self._begun: tuple[int, int] | None = None  # which link and series the estimator was started with
+
+    def packets(self, passed: Passed, link: Link, *, armed: bool) -> list[Packet]:
+        """Packets of one pose; nothing without a link.
+
+        Args:
+            passed: the pose.
+            link: what is known of the firmware; another object is another connection.
+            armed: the motors may run: then the estimator is left alone.
+        """
+        if link.protocol is None:
+            return []
+        pose = Pose(passed.pose.position_m, passed.pose.orientation_wxyz)
+        key = (id(link), passed.resets)
+        if armed or self._begun == key or link.params.get(ESTIMATOR) != KALMAN:
+            return [pose]
+        self._begun = key
+        x, y, z = pose.position_enu_m
+        values = {"X": x, "Y": y, "Z": z, "Yaw": yaw_from_quaternion(pose.quaternion)}
+        start = [SetParam(INITIAL + name, value) for name, value in values.items()]
+        return [*start, SetParam(RESET, 1.0), SetParam(RESET, 0.0), pose]
+
 
 _URI = re.compile(
     r"^(radio://[0-9A-Fa-f]+/\d{1,3}/(250K|1M|2M)(/[0-9A-Fa-f]{1,10})?(\?rate_limit=\d+)?|usb://\d+"

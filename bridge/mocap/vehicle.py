@@ -8,10 +8,9 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.origin import Origin, OriginSender
+from bridge.mavlink.client.companion import Origin, OriginSender
 from bridge.mavlink.codec.decoding import Message
-from bridge.mocap.checks import Limits, PoseChecks, Sample
-from bridge.mocap.messages import WANTS, Wants
+from bridge.mocap.checks import WANTS, Limits, PoseChecks, Sample, Wants
 from flightstack.core.types import Landed, Mode, VehicleStatus
 
 COMPONENT_ID = dialect.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY

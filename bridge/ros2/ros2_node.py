@@ -15,7 +15,7 @@ from bridge.ros2.ros2_names import (
     topic_key,
 )
 from bridge.zenoh import zenoh_link
-from bridge.zenoh.attachment import pack_attachment
+from bridge.zenoh.zenoh_link import pack_attachment
 
 
 class Ros2Node:

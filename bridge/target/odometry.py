@@ -16,9 +16,9 @@ from bridge.ros2.cdr import (
     decode_pose_and_twist,
     encode_odometry,
 )
-from bridge.target.pose_noise import sigma_of
+from bridge.target.pose_track import sigma_of
 from bridge.zenoh import zenoh_link
-from bridge.zenoh.attachment import GID_BYTES, pack_attachment, parse_attachment
+from bridge.zenoh.zenoh_link import GID_BYTES, pack_attachment, parse_attachment
 from flightstack.core.types import TargetSample, Vec3
 
 __all__ = [

@@ -16,9 +16,7 @@ from bridge.ros2.cdr import NO_COVARIANCE, OdometryError, decode_odometry
 from bridge.ros2.pose_cdr import Pose, decode_pose, decode_pose_with_covariance, decode_transforms
 from bridge.ros2.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topic_key
 from bridge.target.odometry import RawSample, raw_sample
-from bridge.target.pose_noise import noise_of, worse_than_told
-from bridge.target.pose_offset import shift_odometry, shift_pose
-from bridge.target.pose_track import PoseTrack
+from bridge.target.pose_track import PoseTrack, noise_of, shift_odometry, shift_pose, worse_than_told
 from bridge.target.tf_chain import TransformChain
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink

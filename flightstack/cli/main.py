@@ -55,7 +55,7 @@ GROUPS = {
         "bridge": Verb("real.bridge:bridge", "Connect a Crazyflie or motion capture."),
         "px4-sim": Verb("real.px4_sim:px4_sim", "Simulate the vehicle for PX4's autopilot."),
         "router": Verb("real.router:router", "Run a Zenoh router."),
-        "key": Verb("real.key:key", "Make a MAVLink signing key."),
+        "key": Verb("real.config:key", "Make a MAVLink signing key."),
     },
 }
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 from flightstack.core.memory import State
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
-from flightstack.core.mission.machine import Mission
-from flightstack.core.mission.transition import Transition
+from flightstack.core.mission.machine import Mission, Transition
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import ActiveBarrier
 from flightstack.core.safety.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict

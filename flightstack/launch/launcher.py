@@ -18,7 +18,7 @@ from rich.console import Console
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import on_hangup
 from flightstack.common.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port, Running
-from flightstack.core.mission.transition import parse
+from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
 from flightstack.onboard.recording import start_recorder
 from flightstack.watch.live import REFRESH_HZ, LiveView

@@ -7,7 +7,7 @@ from enum import Enum
 from pathlib import Path
 
 from bridge.mavlink.profiles.autopilots import AUTO
-from bridge.ros2.ros2_network import Ros2Network
+from bridge.ros2.ros2_names import Ros2Network
 from flightstack.common.strict_toml import ConfigError
 
 PX4_PERSONALITY = "px4"  # default of the simulated vehicle

@@ -18,7 +18,7 @@ from flightstack.common.processes import Child, Running
 from flightstack.common.strict_toml import ConfigError
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
-from sim.autopilot.geo import ORIGIN_WGS84
+from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import PROFILES, PX4
 from sim.plant import params
 from sim.px4.airframe import SAFE_PARAMETERS, parameters

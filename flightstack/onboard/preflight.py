@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.line_budget import LinePlan, LineTooSlowError, plan
-from bridge.mavlink.preflight.report import Level, Needs
+from bridge.mavlink.preflight.rules import Level, Needs
 from bridge.mavlink.preflight.talk import Report, examine
 from bridge.mavlink.profiles.autopilots import profile
 from flightstack.core.parameters.flight import FlightConfig

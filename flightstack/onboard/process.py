@@ -15,12 +15,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
+from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.client.origin import Origin
 from bridge.mavlink.profiles.autopilots import AUTO, profile
 from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
-from bridge.ros2.ros2_network import Ros2Network
+from bridge.ros2.ros2_names import Ros2Network
 from bridge.target.odometry import RawSample
 from bridge.target.ros2_target import TargetSpec, TargetType
 from flightstack.common.hangup import on_hangup
@@ -41,9 +41,9 @@ from flightstack.onboard import preflight
 from flightstack.onboard.exchange import answer, take
 from flightstack.onboard.lockstep import LockstepWires
 from flightstack.onboard.log import OnboardLog
-from flightstack.onboard.publish_health import LiveHealth
+from flightstack.onboard.publish_ros2 import LiveHealth
 from flightstack.onboard.recording import OwnRecorder
-from flightstack.onboard.wait_report import WaitReport
+from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
 from flightstack.verify.certificate import problems
 from logs.recorder.feed import Feed

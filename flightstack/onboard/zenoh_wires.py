@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bridge.ros2.ros2_network import Ros2Network
+from bridge.ros2.ros2_names import Ros2Network
 from bridge.target.ros2_target import Dialect, TargetSource, TargetSpec
 from bridge.target.target_keys import KeySearch
 from bridge.zenoh import zenoh_link

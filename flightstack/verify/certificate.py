@@ -12,9 +12,8 @@ from flightstack.core.parameters.filters import referred
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_class
 from flightstack.verify import ends, feedback, paper, robust, touchdown
-from flightstack.verify.bound import Span
+from flightstack.verify.bound import Shape, Span
 from flightstack.verify.envelope import extremes
-from flightstack.verify.shape import Shape
 from flightstack.verify.types import Check, Need
 
 

@@ -14,8 +14,7 @@ from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.estimator import TargetEstimator, TargetMotion
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Inputs
-from flightstack.verify.bound import Span
-from flightstack.verify.shape import Shape
+from flightstack.verify.bound import Shape, Span
 
 SETTLE_SAMPLES = 2000  # after which the estimator's covariance no longer changes
 

@@ -12,8 +12,7 @@ import math
 
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Vec3
-from flightstack.verify.bound import Cell, Most, Span, most
-from flightstack.verify.shape import Shape
+from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.types import Check
 
 QUARTER = Span(0.0, math.pi / 2.0)  # of directions: box and target are symmetric

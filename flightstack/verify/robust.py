@@ -13,10 +13,9 @@ import math
 from collections.abc import Callable
 
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.verify.bound import Cell, Most, Span, most
+from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.envelope import Extremes
 from flightstack.verify.paper import shortfall
-from flightstack.verify.shape import Shape
 from flightstack.verify.types import Check, Need
 
 HELD_M = 0.005  # m below the boundary outside the pad that no verdict calls a violation, whatever the vehicle

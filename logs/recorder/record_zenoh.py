@@ -11,8 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from bridge.zenoh.attachment import parse_attachment
-from bridge.zenoh.zenoh_link import ZenohLinkError, drain, open_session, ring_subscriber
+from bridge.zenoh.zenoh_link import ZenohLinkError, drain, open_session, parse_attachment, ring_subscriber
 from logs.recorder.recorder_process import RecorderError
 from logs.recorder.recording import Recorder
 

@@ -13,12 +13,11 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
-from bridge.mavlink.client.origin import Origin
 from bridge.mavlink.codec.decoding import Message, decode, message_id
 from bridge.mavlink.codec.wide_messages import MESSAGES
-from bridge.mavlink.endpoint import Endpoint, Peer, Received
-from bridge.mavlink.endpoint_counters import EndpointCounters
+from bridge.mavlink.endpoint import Endpoint, EndpointCounters, Peer, Received
 from bridge.mavlink.profiles.autopilots import PX4, profile
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig

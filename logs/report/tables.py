@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flightstack.core.mission.transition import parse
+from flightstack.core.mission.machine import parse
 from logs.reader.flight_data import Bools, Flight, Floats, phase_name
 from logs.report.derived import fault_spans
 from logs.report.links import Stream

@@ -18,7 +18,7 @@ from bridge.mavlink.server.telemetry import Snapshot
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.commands import SimCommands
 from sim.autopilot.flight import Flight
-from sim.autopilot.geo import degrees_e7
+from sim.autopilot.ground import degrees_e7
 from sim.autopilot.profiles import PX4, SimulatedProfile
 from sim.autopilot.telemetry import BUILDERS
 from sim.autopilot.vehicle_like import VehicleLike

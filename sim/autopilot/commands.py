@@ -21,7 +21,7 @@ from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.streams import Streams
 from flightstack.core.types import Vec3
 from sim.autopilot.flight import Flight
-from sim.autopilot.geo import x_of, y_of
+from sim.autopilot.ground import x_of, y_of
 from sim.autopilot.pilot import Goal
 
 _HOME_REACH_M = 100.0  # m from the room's origin

@@ -14,8 +14,8 @@ from bridge.mavlink.server.setpoints import Setpoint
 from bridge.mavlink.server.telemetry import Battery
 from bridge.mavlink.server.texts import Texts
 from flightstack.core.types import ZERO, Vec3
+from sim.autopilot.control import GUIDED, why_no_takeoff
 from sim.autopilot.ground import Standing
-from sim.autopilot.guided import GUIDED, why_no_takeoff
 from sim.autopilot.pilot import Event, Goal, Pilot
 from sim.autopilot.profiles import PX4, SimulatedProfile
 from sim.autopilot.vehicle_like import VehicleLike

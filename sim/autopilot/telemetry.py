@@ -18,7 +18,7 @@ from bridge.mavlink.server import telemetry as common
 from bridge.mavlink.server.telemetry import Builder, Snapshot
 from flightstack.core.types import Vec3
 from sim.autopilot.flight import Flight
-from sim.autopilot.geo import degrees_e7
+from sim.autopilot.ground import degrees_e7
 
 _NAN = math.nan
 _UNKNOWN_COVARIANCE = (_NAN,) + (0.0,) * 20  # NaN first: not known

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from sim.campaign.rows import Row, error_row
-from sim.campaign.work import code_fingerprint, fly_seed_as
+from sim.campaign.workers import code_fingerprint, fly_seed_as
 
 CONNECT_S = 10.0  # s of wall time until scheduler and a worker have answered
 AHEAD = 4  # seeds given out for each thread of the cluster; the rest waits here

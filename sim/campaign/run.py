@@ -28,8 +28,7 @@ from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_rows
 from sim.campaign.summary import repeat_command, summary
-from sim.campaign.work import code_fingerprint
-from sim.campaign.workers import Workers
+from sim.campaign.workers import Workers, code_fingerprint
 from sim.scenarios.scenario import Scenario, load
 from sim.vehicle.vehicle import warm_up
 

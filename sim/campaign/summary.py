@@ -10,12 +10,110 @@ import math
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from logs.verdict.types import Outcome
 from sim.campaign.rows import ERROR, Row
+
+
+class Tier(Enum):
+    """Names of the scenarios that have limits."""
+
+    LAB = "lab"
+    FIELD = "field"
+    STORM = "storm"
+    DECK = "deck"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of a campaign. Crashes and undeclared misses are never allowed.
+
+    Attributes:
+        landed_min: share.
+        violations_max: share.
+        error_m: touchdown error, median and 95 %.
+        vertical_m_s: touchdown speed relative to the pad, 95 %.
+        horizontal_m_s: the same, horizontal.
+        slower_max: median time to land over that of the paper's filter; None: not asked.
+    """
+
+    landed_min: float
+    violations_max: float
+    error_m: tuple[float, float]
+    vertical_m_s: float
+    horizontal_m_s: float
+    slower_max: float | None
+
+
+LIMITS: dict[Tier, Limits] = {
+    Tier.LAB: Limits(0.999, 0.0, (0.010, 0.025), 0.25, 0.10, 1.25),
+    Tier.FIELD: Limits(0.995, 0.0, (0.020, 0.050), 0.30, 0.15, 1.25),
+    Tier.STORM: Limits(0.97, 0.001, (0.040, 0.080), 0.40, 0.25, None),
+    Tier.DECK: Limits(0.995, 0.0, (0.020, 0.050), 0.35, 0.15, None),
+}
+
+
+def misses(tier: Tier, rows: Sequence[Row], paper: Sequence[Row] | None) -> list[str]:
+    """Return the limits that a campaign does not meet, in words; empty when it meets all.
+
+    Args:
+        tier: whose limits.
+        rows: at least one.
+        paper: rows of the paper's filter on the same scenario; without them a limit on the time is missed.
+    """
+    limits, counts = LIMITS[tier], count(rows)
+    n = counts.runs
+    found = []
+
+    def ask(name: str, value: float | None, most: float, unit: str, scale: float = 1.0) -> None:
+        if value is None:
+            found.append(f"{name}: not known, at most {most * scale:g} {unit} asked")
+        elif not value <= most:
+            found.append(f"{name}: {value * scale:.4g} {unit}, at most {most * scale:g} {unit} asked")
+
+    if counts.landed < limits.landed_min * n:
+        found.append(f"landed: {counts.landed} of {n}, at least {100.0 * limits.landed_min:g} % asked")
+    for name, number in (("crashes", counts.crashes), ("misses nobody declared", counts.undeclared_misses)):
+        if number:
+            found.append(f"{name}: {number} of {n}, none allowed")
+    if counts.violations > limits.violations_max * n:
+        found.append(
+            f"violations: {counts.violations} of {n}, at most {100.0 * limits.violations_max:g} % allowed"
+        )
+    ask(
+        "touchdown error, median",
+        quantile(rows, lambda r: r.touchdown_error_m, 0.5),
+        limits.error_m[0],
+        "cm",
+        100.0,
+    )
+    ask(
+        "touchdown error, 95 %",
+        quantile(rows, lambda r: r.touchdown_error_m, 0.95),
+        limits.error_m[1],
+        "cm",
+        100.0,
+    )
+    vertical = quantile(rows, lambda r: r.touchdown_speed_vertical_m_s, 0.95)
+    ask("touchdown speed, vertical, 95 %", vertical, limits.vertical_m_s, "m/s")
+    horizontal = quantile(rows, lambda r: r.touchdown_speed_horizontal_m_s, 0.95)
+    ask("touchdown speed, horizontal, 95 %", horizontal, limits.horizontal_m_s, "m/s")
+    if limits.slower_max is not None:
+        ask(
+            "median time to land over that of the paper's filter", _slower(rows, paper), limits.slower_max, ""
+        )
+    return found
+
+
+def _slower(rows: Sequence[Row], paper: Sequence[Row] | None) -> float | None:
+    own = quantile(rows, lambda r: r.time_to_land_s, 0.5)
+    other = quantile(paper, lambda r: r.time_to_land_s, 0.5) if paper is not None else None
+    return own / other if own is not None and other else None
+
 
 CONFIDENCE = 0.95
 WORST_MAX = 10

@@ -9,8 +9,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message
-from sim.faults.content import REWRITES, Rewrite
-from sim.faults.delivery import Delivery
+from sim.faults.content import REWRITES, Delivery, Rewrite
 from sim.faults.schedule import Running
 from sim.scenarios.fault_table import Kind, What
 

@@ -11,10 +11,9 @@ from collections.abc import Iterable
 from typing import Protocol
 
 from flightstack.core.types import Vec3
-from sim.faults.battery import BatteryFaults
 from sim.faults.link import CONCERNS, LinkFaults
 from sim.faults.mavlink import OK, PARTS, faults_of, motors_of
-from sim.faults.motors import MotorFaults
+from sim.faults.motors import BatteryFaults, MotorFaults
 from sim.faults.own_state import OwnStateFaults
 from sim.faults.samples import SampleFaults, Shape
 from sim.faults.schedule import RUNNING_MAX, Change, FaultText, Running, Schedule

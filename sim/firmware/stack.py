@@ -7,11 +7,18 @@ import math
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Motors, Record, reader
 from sim.firmware.estimator import Estimator, EstimatorRecord
-from sim.firmware.inbox import Inbox, InboxRecord, receive
 from sim.firmware.mixer import OFF, MapRecord, ThrustMap, mix, motor_speed
 from sim.firmware.paper_loop import PaperLoop, PaperRecord, paper_reset, paper_update
 from sim.firmware.pid import CascadeRecord, PidLoop, cascade_reset, cascade_update
-from sim.firmware.setpoint import STOP, Setpoint, SetpointRecord, VelocityController
+from sim.firmware.setpoint import (
+    STOP,
+    Inbox,
+    InboxRecord,
+    Setpoint,
+    SetpointRecord,
+    VelocityController,
+    receive,
+)
 from sim.firmware.supervisor import Supervisor, SupervisorRecord, supervise
 from sim.plant.params import CONTROL_STEP_S, Params
 from sim.plant.rotors import Four

@@ -15,10 +15,9 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Cell
-from sim.plant.battery import drain, speed_limit
 from sim.plant.params import STEP_S, Params
 from sim.plant.rotors import Four
-from sim.plant.vehicle_types import Truth
+from sim.plant.vehicle_types import Truth, drain, speed_limit
 from sim.plant.wind import blow
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import (

@@ -15,11 +15,10 @@ from logs.recorder.feed import Feed, FeedError
 from sim.clock import NS_PER_S, NoAnswerError, StopSignal
 from sim.plant.vehicle_types import Truth
 from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
-from sim.px4.lockstep import NoLockstepError
-from sim.px4.mocap import Px4Mocap
+from sim.px4.messages import Px4Mocap
 from sim.px4.plant import Px4Plant
 from sim.px4.sensors import STEP_MS
-from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
+from sim.px4.session import STEP_S, Event, NoLockstepError, NotPx4Error, Px4Session
 from sim.runners.deck import RealTimeDeck
 from sim.runners.vehicle_log import VehicleLog
 from sim.scenarios.scenario import Scenario

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from flightstack.common.processes import LaunchError, end_with_parent
-from sim.autopilot.geo import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
+from sim.autopilot.ground import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 
 INSTANCES = range(10)  # from 10 on PX4 sends the MAVLink of all instances to one port (px4-rc.mavlink)
 BOOT_MAX_S = 90.0  # s of wall time for wait_ready, unless said otherwise

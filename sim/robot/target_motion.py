@@ -1,10 +1,15 @@
-"""The ground robot tick by tick, apart from any wire: true motion, odometry, and what a fault does to it."""
+"""Faults of the target's odometry, carried out by the robot's process."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+from flightstack.core.types import Vec3
 from sim.clock import TickGrid
-from sim.robot.fault_target import TargetFaults
-from sim.robot.target import TargetMeasurement, TargetModel, TargetOdometry
+from sim.faults.samples import SampleFaults, Shape
+from sim.faults.schedule import FaultText, Schedule
+from sim.robot.target import TargetMeasurement, TargetModel, TargetOdometry, wrap
+from sim.scenarios.fault_spec import After, Fault
 from sim.scenarios.scenario import Scenario
 
 
@@ -40,3 +45,56 @@ class TargetMotion:
     def _measure(self) -> list[TargetMeasurement]:
         samples = self._odometry.step(self.model)
         return self.faults.deliver(round(self.model.time_s * 1e9), samples)
+
+
+def _move(sample: TargetMeasurement, offset: Vec3, turn: float) -> TargetMeasurement:
+    x, y, z = sample.position_enu_m
+    moved = (x + offset[0], y + offset[1], z + offset[2])
+    return sample._replace(position_enu_m=moved, yaw_rad=wrap(sample.yaw_rad + turn))
+
+
+SHAPE: Shape[TargetMeasurement] = Shape(_move, lambda first, now: first._replace(time_s=now.time_s))
+
+
+class TargetFaults:
+    """Schedule and effects; what was held back comes with a later sample or call.
+
+    Args:
+        faults: of the scenario; those of the vehicle are not for us.
+        seed: of the run.
+    """
+
+    def __init__(self, faults: Iterable[Fault], seed: int) -> None:
+        self._schedule = Schedule(seed)
+        self._schedule.add(fault for fault in faults if fault.of_the_robot)
+        self._samples = SampleFaults(SHAPE)
+        self._texts: list[FaultText] = []
+
+    @property
+    def waits_for_landing(self) -> bool:
+        """Whether somebody has to tell when the landing begins."""
+        return self._schedule.waits_for(After.LANDING)
+
+    def landing_began(self, now_ns: int) -> None:
+        """The landing has begun; told again, nothing happens."""
+        self._schedule.refer(After.LANDING, now_ns)
+
+    def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
+        """Begin faults with the next sample, those after ``time`` at least."""
+        self._schedule.add(faults, now_ns)
+
+    def deliver(self, now_ns: int, samples: list[TargetMeasurement]) -> list[TargetMeasurement]:
+        """What leaves the robot now when ``samples`` would have left."""
+        if now_ns >= self._schedule.next_ns:
+            for running, begins in self._schedule.due(now_ns):
+                if begins:
+                    self._samples.begin(running)
+                else:
+                    self._samples.end(running, now_ns)
+                self._texts.append(FaultText(begins, running.fault.text))
+        return self._samples.deliver(now_ns, samples) if self._samples.active else samples
+
+    def take_texts(self) -> list[FaultText]:
+        """What has begun and ended since the last call."""
+        texts, self._texts = self._texts, []
+        return texts

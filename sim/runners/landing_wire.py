@@ -15,8 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message, decode
 from bridge.mavlink.codec.framing import split_frames
-from bridge.mavlink.endpoint import Endpoint, Peer, Received
-from bridge.mavlink.endpoint_counters import EndpointCounters
+from bridge.mavlink.endpoint import Endpoint, EndpointCounters, Peer, Received
 
 PEER: Peer = ("in-process", 0)
 

@@ -19,7 +19,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from bridge.frames import quaternion_from_yaw
-from bridge.ros2.ros2_network import Ros2Network
+from bridge.ros2.ros2_names import Ros2Network
 from bridge.ros2.ros2_node import Ros2Node, Ros2Publisher
 from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType

@@ -2,21 +2,135 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import heapq
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Generic, NamedTuple, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.endpoint import Endpoint, Received
+from bridge.mavlink.endpoint import Endpoint, Peer, Received
 from bridge.mavlink.server.profile import FlightMode
 from logs.schema.events import Severity
 from sim.autopilot.autopilot import Autopilot
+from sim.faults.link import LinkFaults, Way
+from sim.faults.schedule import Running
 from sim.plant.vehicle_types import Truth
 from sim.runners.deck import DeckState
 from sim.runners.vehicle_log import VehicleLog
-from sim.runners.wire import Wire
 from sim.vehicle.vehicle import VehicleSim
+
+T = TypeVar("T")
+
+HELD_MAX = 4096  # messages held back in each direction; more are lost
+_HEADER_BYTES = 10  # of a MAVLink 2 frame
+
+
+class Held(Generic[T]):
+    """What waits for its time, or for the end of a stall.
+
+    Attributes:
+        overflows: items lost because too many waited.
+    """
+
+    def __init__(self) -> None:
+        self._timed: list[tuple[int, int, T]] = []
+        self._stalled: dict[Running, list[T]] = {}
+        self._count = 0
+        self._size = 0
+        self.overflows = 0
+
+    def __len__(self) -> int:
+        return self._size
+
+    def hold(self, item: T, due_ns: int, stall: Running | None) -> None:
+        """Keep an item until ``due_ns``, or until the stall is over."""
+        if self._size >= HELD_MAX:
+            self.overflows += 1
+            return
+        self._size += 1
+        if stall is not None:
+            self._stalled.setdefault(stall, []).append(item)
+            return
+        self._count += 1
+        heapq.heappush(self._timed, (due_ns, self._count, item))
+
+    def due(self, now_ns: int) -> list[T]:
+        """Take what may go on now, in order."""
+        out = [item for stall in [s for s in self._stalled if s.over] for item in self._stalled.pop(stall)]
+        while self._timed and self._timed[0][0] <= now_ns:
+            out.append(heapq.heappop(self._timed)[2])
+        self._size -= len(out)
+        return out
+
+
+class _Frame(NamedTuple):
+    """A frame to send."""
+
+    raw: bytes
+    peers: tuple[Peer, ...]
+
+
+class Wire:
+    """Sends, and hands over what was received, as faults let it."""
+
+    def __init__(self, endpoint: Endpoint, faults: LinkFaults) -> None:
+        self._endpoint, self._faults = endpoint, faults
+        self._leaving: Held[_Frame] = Held()
+        self._coming: Held[Received] = Held()
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing happens to what is sent, and nothing waits to be."""
+        return not self._leaving and not self._faults.active(Way.OUT)
+
+    def send(self, messages: Sequence[Message], peers: Sequence[Peer], now_ns: int) -> None:
+        """Send what is due of these messages and of earlier ones, each in a datagram of its own.
+
+        Args:
+            messages: may be changed.
+            peers: whom to.
+            now_ns: simulated time.
+        """
+        for frame in self._leaving.due(now_ns):
+            self._ship(frame)
+        for message in messages:
+            fate = self._faults.fate(Way.OUT, message, now_ns)
+            raw = self._endpoint.pack(message)  # what is lost has its number too, as on a real wire
+            frame = _Frame(_damaged(raw) if fate.damaged else raw, tuple(peers))
+            for due_ns in fate.due_ns:
+                if fate.stall is not None or due_ns > now_ns:
+                    self._leaving.hold(frame, due_ns, fate.stall)
+                else:
+                    self._ship(frame)
+
+    def receive(self, received: Received, now_ns: int) -> list[Received]:
+        """What the autopilot gets now of a message that has come: it, nothing, or it twice."""
+        if not self._faults.active(Way.IN):
+            return [received]
+        fate = self._faults.fate(Way.IN, received.message, now_ns)
+        out = []
+        for due_ns in () if fate.damaged else fate.due_ns:
+            if fate.stall is not None or due_ns > now_ns:
+                self._coming.hold(received, due_ns, fate.stall)
+            else:
+                out.append(received)
+        return out
+
+    def late(self, now_ns: int) -> list[Received]:
+        """Messages held back that the autopilot gets now."""
+        return self._coming.due(now_ns) if self._coming else []
+
+    def _ship(self, frame: _Frame) -> None:
+        for peer in frame.peers:
+            self._endpoint.repeat(frame.raw, peer)
+
+
+def _damaged(raw: bytes) -> bytes:
+    """Turn a byte of the payload, so that the checksum does not fit."""
+    at = _HEADER_BYTES + (len(raw) - _HEADER_BYTES) // 2
+    return raw[:at] + bytes((raw[at] ^ 0xFF,)) + raw[at + 1 :]
 
 
 def _untold(armed: bool) -> None:

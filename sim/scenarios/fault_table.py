@@ -1,6 +1,6 @@
 """What can fail, and how: one table of all faults with their values, units and ranges.
 
-Who carries a fault out: ``sim.faults.motors`` (motors), ``sim.faults.battery``, ``sim.faults.samples``
+Who carries a fault out: ``sim.faults.motors`` (motors), ``sim.faults.motors``, ``sim.faults.samples``
 (motion capture, own state, target odometry), ``sim.faults.link`` (everything on the MAVLink wire).
 """
 

@@ -16,16 +16,16 @@ from sim.compiled.rotation import rotation_axes
 from sim.firmware.estimator import predict
 from sim.firmware.stack import FirmwareRecord, control, listen, oversee
 from sim.firmware.supervisor import PERIOD_MS
-from sim.plant.battery import BatteryRecord, drain, speed_limit
 from sim.plant.ground_effect import GroundRecord, ground_effect
 from sim.plant.imu import ImuRecord, measure
 from sim.plant.params import STEP_S
 from sim.plant.rotors import RotorRecord, turn_rotors
+from sim.plant.vehicle_types import BatteryRecord, drain, speed_limit
 from sim.plant.wind import WindRecord, blow
 from sim.vehicle.mocap import MocapRecord, correct_estimate, measure_pose
 from sim.world.contact import ContactRecord, note_contact
-from sim.world.reach import ReachRecord
 from sim.world.world import BodyRecord, DeckRecord, MemoryRecord, contact_count, physics_step, touched
+from sim.world.world_xml import ReachRecord
 
 CONTROL_EVERY_MS = 2
 WIND_EVERY_MS = 5

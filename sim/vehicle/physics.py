@@ -7,11 +7,10 @@ import math
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 from sim.compiled.records import Values, cell, new, reader, scalars
-from sim.plant.battery import BatteryModel
 from sim.plant.ground_effect import GroundEffect
 from sim.plant.params import STEP_S, Plant, load
 from sim.plant.rotors import Rotors
-from sim.plant.vehicle_types import Truth
+from sim.plant.vehicle_types import BatteryModel, Truth
 from sim.plant.wind import WindModel
 from sim.robot.target import TargetModel
 from sim.scenarios.scenario import Scenario

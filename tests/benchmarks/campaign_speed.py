@@ -18,8 +18,7 @@ from flightstack.core.controller import Controller
 from flightstack.core.safety.qp_filter import SafetyFilter
 from sim.autopilot.autopilot import Autopilot
 from sim.runners import landing
-from sim.runners.landing import land
-from sim.runners.landing_notes import Notes
+from sim.runners.landing import Notes, land
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import Inlet
 from sim.scenarios.scenario import load

@@ -9,8 +9,7 @@ import sys
 from pathlib import Path
 
 from sim.campaign.rows import Row, read_rows
-from sim.campaign.summary import summary
-from sim.campaign.tiers import LIMITS, Tier, misses
+from sim.campaign.summary import LIMITS, Tier, misses, summary
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "reference" / "results.md"
@@ -20,7 +19,7 @@ FILTERS = ("robust", "paper")
 HEAD = """# Seeded landings in four tiers
 
 What the tiers ask of an odometry link, a wind, a plant and a robot stands in `sim/scenarios/lab.toml`,
-`field.toml`, `storm.toml` and `deck.toml`; the limits of the robust filter in `sim/campaign/tiers.py`. Each
+`field.toml`, `storm.toml` and `deck.toml`; the limits of the robust filter in `sim/campaign/summary.py`. Each
 landing is the one that `flightstack sitl --scenario TIER --seed N --lockstep` flies, to the last bit, judged
 from true states every millisecond. A violation is h below -5 mm outside the pad in a run that began with
 h >= 0. The upper bound is one-sided, 95 % (Clopper-Pearson).
@@ -32,8 +31,8 @@ it was interrupted; the table says how many landings there are so far.
 ASKED = """
 ## What is asked
 
-Of the robust filter, by `sim/campaign/tiers.py`; crashes and misses that nobody declared are allowed nowhere.
-Time is the median to first contact against that of the paper's filter.
+Of the robust filter, by `sim/campaign/summary.py`; crashes and misses that nobody declared are allowed
+nowhere. Time is the median to first contact against that of the paper's filter.
 
 """
 TAIL = """

@@ -29,7 +29,7 @@ from sim.clock import StopSignal, TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
 from sim.robot.target import TargetMeasurement
 from sim.runners.deck import DeckState
-from sim.runners.landing_notes import Notes, Seen, VehicleNotes
+from sim.runners.landing import Notes, Seen, VehicleNotes
 from sim.runners.landing_target import DirectTarget, _Ahead
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepLoop

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from flightstack.core.memory import AbortWay
-from flightstack.core.mission.transition import parse
+from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Truth
 from logs.verdict.truth import LAND_AWAY_SPEED_MAX_M_S, Contact

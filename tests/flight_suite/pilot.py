@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 
+from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.client.origin import Origin
 from bridge.mavlink.profiles.autopilots import profile
 from bridge.mavlink.signing.key import load_key
 from flightstack.common.pacing import FastClock, RealTimePacer

@@ -2,14 +2,61 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+import math
+from typing import NamedTuple, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.profile import Profile
-from flightstack.core.types import Vec3
+from flightstack.core.types import Vec3, VehicleStatus
+
+_PERIOD_S = 1.0  # s between two tries
+_TRIES = 60
+_E7 = 1e7  # degrees to MAVLink's integers
+
+
+class Origin(NamedTuple):
+    """Place on earth of local (0, 0, 0); WGS84."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+
+
+class OriginSender:
+    """SET_GPS_GLOBAL_ORIGIN until the vehicle shows its origin, on the ground and disarmed only."""
+
+    def __init__(self, origin: Origin | None, target_system: int) -> None:
+        """Set up; None: there is nothing to tell."""
+        self._origin, self._target_system = origin, target_system
+        self._tries = 0
+        self._last_s = -math.inf
+
+    def restart(self) -> None:
+        """Start over: the vehicle may have forgotten its origin."""
+        self._tries = 0
+
+    def step(self, status: VehicleStatus | None, known: bool, now_s: float) -> list[Message]:
+        """Return what to send now.
+
+        Args:
+            status: newest status of the vehicle.
+            known: it has shown its origin, or a local position, which it has only with one. Nothing is sent
+                then: an origin that is set again resets estimates.
+            now_s: the stack's clock.
+        """
+        origin = self._origin
+        if origin is None or status is None or status.armed or known or self._tries >= _TRIES:
+            return []
+        if now_s - self._last_s < _PERIOD_S:
+            return []
+        self._tries += 1
+        self._last_s = now_s
+        place = (round(origin.latitude_deg * _E7), round(origin.longitude_deg * _E7))
+        height_mm = round(origin.altitude_amsl_m * 1000.0)
+        return [dialect.MAVLink_set_gps_global_origin_message(self._target_system, *place, height_mm)]
 
 
 def companion_heartbeat() -> Message:

@@ -10,15 +10,19 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
-from bridge.mavlink.client.companion import Setpoint, companion_heartbeat, velocity_setpoint
-from bridge.mavlink.client.origin import Origin, OriginSender
+from bridge.mavlink.client.companion import (
+    Origin,
+    OriginSender,
+    Setpoint,
+    companion_heartbeat,
+    velocity_setpoint,
+)
 from bridge.mavlink.client.px4_events import EVENT, event_text
 from bridge.mavlink.client.streams import StreamRequests
 from bridge.mavlink.client.texts import TextAssembler
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.endpoint import Endpoint, Peer
-from bridge.mavlink.endpoint_counters import LinkCounters
+from bridge.mavlink.endpoint import Endpoint, LinkCounters, Peer
 from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles.autopilots import PX4, found, refusal
 from bridge.mavlink.profiles.profile import Profile

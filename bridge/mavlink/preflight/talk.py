@@ -13,10 +13,8 @@ from bridge.mavlink.client.companion import companion_heartbeat
 from bridge.mavlink.client.parameters import ParameterReader
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.endpoint import Endpoint, Peer
-from bridge.mavlink.endpoint_counters import LinkCounters
-from bridge.mavlink.preflight.report import Finding, Level, Needs, Rule, judge
-from bridge.mavlink.preflight.rules import RULES
+from bridge.mavlink.endpoint import Endpoint, LinkCounters, Peer
+from bridge.mavlink.preflight.rules import RULES, Finding, Level, Needs, Rule, judge
 from bridge.mavlink.profiles.autopilot_version import is_recorded, marked, release
 from bridge.mavlink.profiles.autopilots import found, refusal
 from bridge.mavlink.profiles.profile import Profile

@@ -8,14 +8,98 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import json
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
+from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.codec.framing import with_signed_flag
 from bridge.mavlink.signing.key import SigningKey
-from bridge.mavlink.signing.state import STREAMS_MAX, SigningState, load_state, save_state
+from bridge.mavlink.transport.address import Peer
+
+Stream = tuple[int, int, int]  # link id, system id, component id
+
+STREAMS_MAX = 64  # more senders than any link of this stack has; only holders of the key can fill it
+TIMESTAMP_MAX = 2**48 - 1
+_READ_MAX = 65536  # bytes; 64 streams need 3000
+
+
+@dataclass(slots=True)
+class SigningState:
+    """Times in units of 10 us since 2015-01-01 UTC, as MAVLink 2 signing counts them.
+
+    Attributes:
+        clock: our clock when this was written.
+        sent: timestamp of the last frame that we signed.
+        streams: timestamp of the last frame accepted of each stream; the longest silent comes first.
+    """
+
+    clock: int = 0
+    sent: int = 0
+    streams: dict[Stream, int] = field(default_factory=dict)
+
+
+def load_state(path: Path) -> SigningState:
+    """Read a state; an empty one when there is no file yet.
+
+    Raises:
+        ValueError: the file holds something else.
+        OSError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_READ_MAX)
+    except FileNotFoundError:
+        return SigningState()
+    try:
+        table = json.loads(data)
+        streams = {_stream(*row[:3]): _timestamp(row[3]) for row in table["streams"]}
+        state = SigningState(_timestamp(table["clock"]), _timestamp(table["sent"]), streams)
+    except (ValueError, TypeError, KeyError, IndexError) as error:
+        raise ValueError(
+            f"signing state {path} cannot be read ({error}): delete it, and frames of the minute before "
+            "could be replayed once"
+        ) from error
+    if len(streams) > STREAMS_MAX:
+        raise ValueError(f"signing state {path} has {len(streams)} streams, allowed are {STREAMS_MAX}")
+    return state
+
+
+def save_state(path: Path, state: SigningState) -> None:
+    """Write a state, whole or not at all; readable by its owner alone.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    rows = [[*stream, timestamp] for stream, timestamp in state.streams.items()]
+    text = json.dumps({"clock": state.clock, "sent": state.sent, "streams": rows})
+    new = path.with_name(f"{path.name}.{os.getpid()}")
+    descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+    try:
+        with os.fdopen(descriptor, "w") as file:
+            file.write(text)
+        new.replace(path)
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise
+
+
+def _timestamp(value: object) -> int:
+    if type(value) is not int or not 0 <= value <= TIMESTAMP_MAX:
+        raise ValueError(f"timestamp {value!r}")
+    return value
+
+
+def _stream(link: object, system: object, component: object) -> Stream:
+    numbers = (link, system, component)
+    if any(type(n) is not int or not 0 <= n <= 255 for n in numbers):
+        raise ValueError(f"stream {numbers!r}")
+    return numbers  # type: ignore[return-value]
+
 
 EPOCH_NS = 1_420_070_400_000_000_000  # 2015-01-01T00:00:00Z, time zero of signing
 TICK_NS = 10_000  # unit of a signing timestamp
@@ -183,3 +267,38 @@ def _state_path(key: SigningKey, system_id: int, component_id: int, link_id: int
     if key.path is None:
         return None
     return key.path.with_name(f"{key.path.name}.{system_id}-{component_id}-{link_id}.state")
+
+
+ANSWERED = frozenset({Refusal.STALE, Refusal.REPLAYED})  # the signature was right, the time was not
+ANSWER_S = 1.0  # s between two answers to one address
+_PEERS_MAX = 4  # addresses answered at a time: whoever repeats recorded frames gets no more than that
+_HEARTBEAT = 0  # message id
+
+
+class StaleAnswers:
+    """Decides whom to send our newest heartbeat."""
+
+    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._clock_s = clock_s
+        self._heartbeat: Message | None = None
+        self._answered_s: dict[Peer, float] = {}
+
+    def note(self, messages: Sequence[Message]) -> None:
+        """Remember our heartbeat among messages that are sent, or would be if there were anybody."""
+        for message in messages:
+            if message._header.msgId == _HEARTBEAT:
+                self._heartbeat = message
+
+    def due(self, peer: Peer) -> Message | None:
+        """Our heartbeat for the sender of a frame that is signed rightly but too old; None: not now."""
+        now_s = self._clock_s()
+        said_s = self._answered_s.get(peer)
+        if self._heartbeat is None or (said_s is not None and now_s - said_s < ANSWER_S):
+            return None
+        for other, other_s in list(self._answered_s.items()):
+            if now_s - other_s >= ANSWER_S:
+                del self._answered_s[other]
+        if len(self._answered_s) >= _PEERS_MAX:
+            return None
+        self._answered_s[peer] = now_s
+        return self._heartbeat

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from bridge.mavlink.transport.peers import Peer
+from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import Chunk, LineCounters
 
 RETRY_S = 0.5  # s between two tries to open a lost connection

@@ -6,8 +6,7 @@ import select
 import socket
 from collections.abc import Sequence
 
-from bridge.mavlink.transport.address import local_host_for
-from bridge.mavlink.transport.peers import Peer
+from bridge.mavlink.transport.address import Peer, local_host_for
 from bridge.mavlink.transport.transport import Chunk, LineCounters
 
 _RECEIVED_MAX = 4096  # bytes of a datagram that is looked at; nobody joins frames beyond an Ethernet frame
@@ -16,7 +15,7 @@ _SOCKET_BUFFER = 1 << 20  # bytes, asked for; the kernel may give less
 
 
 class DatagramTransport:
-    """A UDP socket; see :class:`bridge.mavlink.transport.transport.Transport`.
+    """A UDP socket; see :class:`bridge.mavlink.transport.open.Transport`.
 
     Args:
         url: for messages.

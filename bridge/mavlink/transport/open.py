@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from bridge.mavlink.transport.address import parse_url
+from bridge.mavlink.transport.address import Peer, parse_url
 from bridge.mavlink.transport.byte_stream import OUTGOING_MAX, ByteStream
 from bridge.mavlink.transport.datagram import DatagramTransport
-from bridge.mavlink.transport.peers import Peer
 from bridge.mavlink.transport.tcp_client import open_tcp
 from bridge.mavlink.transport.transport import LineCounters, Transport
 

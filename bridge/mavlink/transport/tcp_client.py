@@ -9,8 +9,8 @@ import select
 import socket
 import time
 
+from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.byte_stream import Channel
-from bridge.mavlink.transport.peers import Peer
 
 _CONNECT_MAX_S = 2.0  # s until a connection that nobody answers is given up
 _UNANSWERED_MAX_MS = 2000  # ms that sent bytes may stay unacknowledged: a peer that vanished is then noticed

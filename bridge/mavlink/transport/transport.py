@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from bridge.mavlink.transport.peers import Peer
+from bridge.mavlink.transport.address import Peer
 
 
 class Chunk(NamedTuple):

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from flightstack.cli import options as shared
-from flightstack.cli.zenoh import plugs, ros2, ros2_network, target_key, target_offset, target_type
+from flightstack.cli.options import plugs, ros2, ros2_network, target_key, target_offset, target_type
 from flightstack.common.hangup import say
 
 _FLIGHT = (

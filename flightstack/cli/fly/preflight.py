@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bridge.mavlink.endpoint import Endpoint
-from bridge.mavlink.preflight.report import Level
+from bridge.mavlink.preflight.rules import Level
 from bridge.mavlink.preflight.talk import Report
 from bridge.mavlink.signing.key import load_key
 from flightstack.cli import options as shared

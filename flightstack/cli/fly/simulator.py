@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from flightstack.cli import options as shared
-from flightstack.cli.zenoh import plugs, ros2, ros2_network
+from flightstack.cli.options import plugs, ros2, ros2_network
 
 
 @click.command()

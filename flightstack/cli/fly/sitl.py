@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from flightstack.cli import options as shared
-from flightstack.cli.zenoh import ros2, ros2_network, zenoh_config
+from flightstack.cli.options import ros2, ros2_network, zenoh_config
 from flightstack.launch.run_options import Flies
 
 _PROGRAM = click.Path(exists=True, path_type=Path)
@@ -64,8 +64,7 @@ def sitl(
     from flightstack.common.processes import LaunchError
     from flightstack.launch.result import conclude
     from flightstack.launch.run_options import RunOptions
-    from flightstack.launch.sitl import run
-    from flightstack.launch.sitl_runs import fly_all
+    from flightstack.launch.sitl import fly_all, run
 
     flies, program = _chosen({Flies.PX4: px4, Flies.PX4_SIH: px4_sih, Flies.ARDUPILOT: ardupilot})
     options = RunOptions(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 from flightstack.cli import options as shared
-from flightstack.cli.zenoh import zenoh_config
+from flightstack.cli.options import zenoh_config
 
 if TYPE_CHECKING:
     from bridge.zenoh.zenoh_link import Role, Session

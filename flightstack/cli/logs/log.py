@@ -74,7 +74,7 @@ def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
         return
     from rich.console import Console
 
-    from flightstack.launch.verdict_table import verdict_table
+    from flightstack.launch.result import verdict_table
 
     Console(highlight=False).print(verdict_table(values, values["reason"]))
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from flightstack.cli.zenoh import connect as _connect
-from flightstack.cli.zenoh import zenoh_config
+from flightstack.cli.options import connect as _connect
+from flightstack.cli.options import zenoh_config
 
 
 @click.command()

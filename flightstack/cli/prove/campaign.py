@@ -173,7 +173,7 @@ def _check(flown: Flown, require: str, against: Path | None) -> int:
     """Check a tier's limits; print each limit that is not met."""
     from sim.campaign.rows import read_rows
     from sim.campaign.run import ROWS
-    from sim.campaign.tiers import Tier, misses
+    from sim.campaign.summary import Tier, misses
 
     if not flown.rows:
         return INCOMPLETE

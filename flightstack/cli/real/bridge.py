@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flightstack.cli.zenoh import ROS_DOMAIN_MAX, plugs
+from flightstack.cli.options import ROS_DOMAIN_MAX, plugs
 from flightstack.common.hangup import say
 
 if TYPE_CHECKING:
@@ -121,8 +121,7 @@ def crazyflie(
         sys.exit(process.run(options, say=say))
 
     from bridge.mocap.checks import PoseChecks
-    from bridge.mocap.process import summary
-    from bridge.mocap.source import CheckedPoses, MocapSource, parse_spec
+    from bridge.mocap.process import CheckedPoses, MocapSource, parse_spec, summary
     from bridge.zenoh import zenoh_link
 
     process.check_uri(uri)
@@ -168,9 +167,9 @@ def mocap(
     signing_key: Path | None, allow_unsigned: bool, duration_s: float | None,
 ) -> None:  # fmt: skip
     """Check poses of motion capture and send them to a PX4 or ArduPilot vehicle (docs/how_to/mocap.md)."""
-    from bridge.mavlink.client.origin import Origin
+    from bridge.mavlink.client.companion import Origin
     from bridge.mocap import process
-    from bridge.mocap.source import parse_spec
+    from bridge.mocap.process import parse_spec
     from flightstack.core.parameters.vehicle import check_origin
 
     if origin is not None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from flightstack.cli import options as shared
-from flightstack.cli.zenoh import plugs
+from flightstack.cli.options import plugs
 
 
 @click.command("px4-sim")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from flightstack.cli.zenoh import connect, zenoh_config
+from flightstack.cli.options import connect, zenoh_config
 
 
 @click.command()

@@ -8,8 +8,8 @@ import time
 from numba import njit
 
 from sim.firmware.stack import control
-from sim.plant.battery import speed_limit
 from sim.plant.params import CONTROL_STEP_S, STEP_S
+from sim.plant.vehicle_types import speed_limit
 from sim.vehicle.loop import cushion, move, sense
 from sim.vehicle.vehicle import VehicleSim
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from sim.autopilot.geo import degrees_e7
+from sim.autopilot.ground import degrees_e7
 from tests.integration.autopilots.real_clients import ON_GROUND, Observer, vehicle
 from tests.integration.autopilots.test_mavproxy import LEG_M, SPEED_M_S, STREAM_S, Repeat, connect, mavproxy
 

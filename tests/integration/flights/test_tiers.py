@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from sim.campaign.tiers import LIMITS, Tier
+from sim.campaign.summary import LIMITS, Tier
 from tests.integration.flights.test_campaign import campaign
 
 RUNS = 200

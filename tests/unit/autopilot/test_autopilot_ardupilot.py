@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.profile import FlightMode
-from sim.autopilot.geo import ORIGIN_WGS84
+from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import ARDUPILOT, PROFILES, PX4
 from tests.unit.autopilot.autopilot_fakes import COMPANION, NAN, FakeVehicle, Rig, setpoint
 

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.profile import FlightMode
-from sim.autopilot.geo import degrees_e7, x_of, y_of
+from sim.autopilot.ground import degrees_e7, x_of, y_of
 from tests.unit.autopilot.autopilot_fakes import NAN, RATE_HZ, Rig, set_int, set_real
 from tests.unit.mavlink.server.served import as_int
 

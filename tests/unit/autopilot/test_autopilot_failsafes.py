@@ -11,8 +11,8 @@ from bridge.mavlink.server.parameters import INT32
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.profiles import PX4
 from sim.autopilot.watches import BATTERY, FENCE, STATION_LOST, STREAM_LOST, BatteryGauge, Charge
-from sim.plant.battery import BatteryModel
 from sim.plant.params import load
+from sim.plant.vehicle_types import BatteryModel
 from tests.unit.autopilot.autopilot_fakes import GROUND_STATION, NAN, OFFBOARD, Rig, set_int, set_real
 
 STATION = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, 8, 0, 0, 4, 3)

@@ -6,8 +6,7 @@ import pytest
 from scipy.stats import beta
 
 from sim.campaign.rows import Row, error_row
-from sim.campaign.summary import count, repeat_command, summary, upper_bound, why, worst
-from sim.campaign.tiers import LIMITS, Tier, misses
+from sim.campaign.summary import LIMITS, Tier, count, misses, repeat_command, summary, upper_bound, why, worst
 
 GOOD = Row(
     0, "landed", "rests on the pad", False, True, 0.0, 0.03, 0.2, 0.4, 0.008, 0.2, 0.05, 5.0, 0, 3.0, 1.0,

@@ -15,8 +15,7 @@ from bridge.crazyflie import pilot as crazyflie_pilot
 from bridge.crazyflie import rules as crazyflie_rules
 from bridge.crazyflie.link import EVENTS_MAX
 from bridge.crazyflie.state import LATE_MAX_S
-from bridge.mocap.checks import Limits, Refusal
-from bridge.mocap.messages import WANTS
+from bridge.mocap.checks import WANTS, Limits, Refusal
 from flightstack.cli.real.bridge import bridge
 
 DOCS = Path(__file__).parents[3] / "docs"

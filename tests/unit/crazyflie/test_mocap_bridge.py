@@ -15,11 +15,21 @@ from bridge.frames import (
     ned_frd_from_enu_flu,
     upper_triangle,
 )
-from bridge.mavlink.client.origin import Origin
+from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.codec.packing import pack
-from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between, centre
-from bridge.mocap.messages import WANTS, odometry, vision_position_estimate
-from bridge.mocap.source import CheckedPoses, MocapSource, parse_spec
+from bridge.mocap.checks import (
+    WANTS,
+    Limits,
+    Passed,
+    PoseChecks,
+    Refusal,
+    Sample,
+    angle_between,
+    centre,
+    odometry,
+    vision_position_estimate,
+)
+from bridge.mocap.process import CheckedPoses, MocapSource, parse_spec
 from bridge.mocap.vehicle import MocapVehicle
 from bridge.ros2.pose_cdr import Pose
 from bridge.zenoh import zenoh_link

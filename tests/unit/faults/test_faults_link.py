@@ -7,12 +7,11 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.framing import split_frames
-from bridge.mavlink.endpoint import Received
-from bridge.mavlink.endpoint_counters import EndpointCounters
+from bridge.mavlink.endpoint import EndpointCounters, Received
 from sim.faults.content import clock_ns
 from sim.faults.link import CONCERNS, LinkFaults, Way
 from sim.plant.sensors import NS
-from sim.runners.wire import HELD_MAX, Wire
+from sim.runners.vehicle_runner import HELD_MAX, Wire
 from sim.scenarios.fault_table import TABLE, Kind, What
 from tests.unit.faults.fault_helpers import running
 

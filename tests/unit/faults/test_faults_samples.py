@@ -10,8 +10,8 @@ from sim.faults.samples import HELD_MAX, SampleFaults, Shape
 from sim.faults.schedule import Schedule
 from sim.plant.sensors import NEVER_NS, NS
 from sim.plant.vehicle_types import Estimate
-from sim.robot.fault_target import TargetFaults
 from sim.robot.target import TargetMeasurement
+from sim.robot.target_motion import TargetFaults
 from sim.scenarios.fault_spec import After
 from sim.scenarios.fault_table import TABLE, Kind, What
 from tests.unit.faults.fault_helpers import fault, running

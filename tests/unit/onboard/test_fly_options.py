@@ -8,8 +8,7 @@ from flightstack.common.processes import LaunchError
 from flightstack.core.parameters.flight import load, path_of
 from flightstack.launch import fly
 from flightstack.launch.run_options import Flies, RunOptions
-from flightstack.launch.sitl import prepare
-from flightstack.launch.sitl_runs import sum_up
+from flightstack.launch.sitl import prepare, sum_up
 from sim.scenarios.scenario import load as load_scenario
 
 

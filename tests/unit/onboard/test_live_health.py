@@ -11,7 +11,7 @@ from bridge.mavlink.profiles.autopilots import PX4
 from flightstack.common.pacing import Tick
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.types import Inputs, Landed, Mode, OwnState, VehicleStatus
-from flightstack.onboard.publish_health import BATTERY_AGE_MAX_S, health_row
+from flightstack.onboard.publish_ros2 import BATTERY_AGE_MAX_S, health_row
 
 NOW_S = 20.0
 TICK = Tick(2000, NOW_S, 1_700_000_000_000_000_000, 0.01, 0.0)

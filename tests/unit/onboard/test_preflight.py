@@ -5,8 +5,7 @@ import threading
 import pytest
 
 from bridge.mavlink.endpoint import Endpoint, dialect
-from bridge.mavlink.preflight.report import Level, Needs, judge
-from bridge.mavlink.preflight.rules import RULES
+from bridge.mavlink.preflight.rules import RULES, Level, Needs, judge
 from bridge.mavlink.preflight.talk import examine
 from bridge.mavlink.profiles.autopilot_version import recorded_version
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4

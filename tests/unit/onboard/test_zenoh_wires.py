@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.ros2.ros2_network import Ros2Network
+from bridge.ros2.ros2_names import Ros2Network
 from bridge.target.ros2_target import TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_alarm import PATIENCE_S

@@ -8,8 +8,8 @@ import pytest
 
 from sim.plant.params import load
 from sim.scenarios.scenario import TargetSpec
-from sim.world.reach import apart
 from sim.world.world import World, contact_count
+from sim.world.world_xml import apart
 
 PARAMS = load()
 LOW_DECK = TargetSpec(pad_height_m=0.05)

@@ -5,10 +5,10 @@ import math
 
 import pytest
 
-from sim.plant.battery import BatteryModel
 from sim.plant.ground_effect import GroundEffect
 from sim.plant.params import STEP_S, Plant, load
 from sim.plant.rotors import MIX_YAW, POSITION_X, POSITION_Y, RAD_S_PER_RPM, Rotors
+from sim.plant.vehicle_types import BatteryModel
 
 PARAMS = load()
 ROTOR = PARAMS.rotor

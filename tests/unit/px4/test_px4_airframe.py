@@ -5,13 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from bridge.mavlink.preflight.report import Needs
-from bridge.mavlink.preflight.rules import RULES
-from bridge.mocap.messages import WANTS
+from bridge.mavlink.preflight.rules import RULES, Needs
+from bridge.mocap.checks import WANTS
 from sim.plant.params import load
 from sim.plant.rotors import MIX_YAW
-from sim.px4.airframe import FORMATS, parameter_text, parameters
-from sim.px4.motors import rotor_speeds
+from sim.px4.airframe import FORMATS, parameter_text, parameters, rotor_speeds
 from sim.scenarios.scenario import Airframe, OdometryLink
 from tests.unit.px4.px4_fakes import QUAD_X, controlled_axes, parameters_of
 

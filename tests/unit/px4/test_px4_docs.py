@@ -10,8 +10,7 @@ from flightstack.core.parameters.flight import load as load_config
 from flightstack.core.parameters.flight import path_of
 from flightstack.verify.certificate import checks
 from sim.plant.params import load
-from sim.px4.airframe import FORMATS, parameters
-from sim.px4.motors import PX4_OF_M
+from sim.px4.airframe import FORMATS, PX4_OF_M, parameters
 from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
 from sim.scenarios.scenario import Airframe
 

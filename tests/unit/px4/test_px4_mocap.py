@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from sim.px4.mocap import Px4Mocap
+from sim.px4.messages import Px4Mocap
 from sim.px4.plant import Body
 from sim.scenarios.scenario import OdometryLink
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from flightstack.common.strict_toml import ConfigError
 from sim.plant.params import load
 from sim.plant.rotors import MIX_YAW, POSITION_X, POSITION_Y
-from sim.px4.motors import OFF, PX4_OF_M, rotor_speeds
+from sim.px4.airframe import OFF, PX4_OF_M, rotor_speeds
 from sim.px4.plant import Px4Plant
 from sim.scenarios.scenario import Airframe, Start, StartKind, Wind
 from sim.scenarios.scenario import load as load_scenario

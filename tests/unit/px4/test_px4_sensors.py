@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.autopilot.geo import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
+from sim.autopilot.ground import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 from sim.plant.params import load
 from sim.px4.plant import Body
 from sim.px4.sensors import (

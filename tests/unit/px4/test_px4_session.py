@@ -10,9 +10,8 @@ from pymavlink.dialects.v20 import common as mav
 from sim.clock import NoAnswerError, StopSignal
 from sim.px4 import session as px4_session
 from sim.px4.link import LinkClosedError, Px4Server
-from sim.px4.lockstep import NoLockstepError
 from sim.px4.plant import Px4Plant
-from sim.px4.session import Event, NotPx4Error, Px4Session
+from sim.px4.session import Event, NoLockstepError, NotPx4Error, Px4Session
 from sim.scenarios.scenario import Start
 from tests.unit.px4.px4_fakes import FakePx4
 from tests.unit.vehicle.vehicle_sim_helpers import scenario

@@ -9,12 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mav
 
-from sim.px4.link import parse_endpoint
-from sim.px4.lockstep import FIRST_US, Lockstep, NoLockstepError
+from sim.px4.link import FRAME_MAX, FrameStream, parse_endpoint
 from sim.px4.messages import Answer, answer_of, hil_gps, hil_sensor, hil_state
 from sim.px4.plant import Body
 from sim.px4.sensors import Fix, Readings, Slow
-from sim.px4.stream import FRAME_MAX, FrameStream
+from sim.px4.session import FIRST_US, Lockstep, NoLockstepError
 
 SENDER = mav.MAVLink(None, 1, 1)
 OUTPUTS = [0.1 * i for i in range(10)] + [0.0] * 6

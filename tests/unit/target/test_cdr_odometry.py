@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry, OdometryError, decode_odometry, encode_odometry
 from bridge.target.odometry import sample_from_cdr
-from bridge.zenoh.attachment import pack_attachment, parse_attachment
+from bridge.zenoh.zenoh_link import pack_attachment, parse_attachment
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types

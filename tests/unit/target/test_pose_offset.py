@@ -9,7 +9,7 @@ from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry, OdometryError, decode_odometry, encode_odometry
 from bridge.ros2.pose_cdr import Pose
 from bridge.target.odometry import sample_from_cdr
-from bridge.target.pose_offset import shift_odometry, shift_pose
+from bridge.target.pose_track import shift_odometry, shift_pose
 from bridge.target.ros2_target import OFFSET_MAX_M, TargetSource, TargetSpec, TargetType
 from bridge.zenoh.zenoh_link import dropping_publisher, open_session
 from flightstack.core.parameters.robust import TargetLink

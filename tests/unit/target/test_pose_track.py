@@ -10,8 +10,7 @@ import pytest
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.pose_cdr import Pose
 from bridge.target.odometry import sample_from_cdr
-from bridge.target.pose_noise import noise_of, worse_than_told
-from bridge.target.pose_track import OUTLIERS_MAX, SETTLED_M_S, PoseTrack
+from bridge.target.pose_track import OUTLIERS_MAX, SETTLED_M_S, PoseTrack, noise_of, worse_than_told
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S
 

@@ -27,7 +27,7 @@ from bridge.ros2.ros2_names import (
     topic_key,
 )
 from bridge.target.ros2_target import ROS_TYPES
-from bridge.zenoh.attachment import pack_attachment, parse_attachment
+from bridge.zenoh.zenoh_link import pack_attachment, parse_attachment
 from logs.schema.schemas import type_hash
 
 # rmw_zenoh docs/design.md, "Topic and Service name mapping" and "Graph Cache"

@@ -7,8 +7,7 @@ import zenoh
 from zenoh.ext import declare_advanced_subscriber
 
 from bridge.ros2.cdr import encode_odometry
-from bridge.ros2.ros2_names import parse_topic_key, publisher_id
-from bridge.ros2.ros2_network import Ros2Network
+from bridge.ros2.ros2_names import Ros2Network, parse_topic_key, publisher_id
 from bridge.ros2.ros2_node import Ros2Node
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link

@@ -1,8 +1,7 @@
 """Set-points on their way: order, delay, and what happens when there are too many."""
 
 from sim.compiled.records import new
-from sim.firmware.inbox import ROOM, Inbox, InboxRecord, receive
-from sim.firmware.setpoint import STOP, Setpoint, SetpointRecord
+from sim.firmware.setpoint import ROOM, STOP, Inbox, InboxRecord, Setpoint, SetpointRecord, receive
 
 
 class Radio:

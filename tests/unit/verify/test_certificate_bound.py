@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.safety.barrier import Barrier
-from flightstack.verify.bound import TOLERANCE, Span, most
-from flightstack.verify.shape import Shape
+from flightstack.verify.bound import TOLERANCE, Shape, Span, most
 
 INF = math.inf
 

@@ -3,8 +3,8 @@
 import pytest
 
 from flightstack.core.memory import PlausibilityMemory
+from flightstack.core.mission.conditions import Known, reason
 from flightstack.core.mission.phases import Condition, next_phase
-from flightstack.core.mission.reasons import Known, reason
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState

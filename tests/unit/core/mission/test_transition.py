@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.memory import AbortWay
-from flightstack.core.mission.transition import Transition, parse
+from flightstack.core.mission.machine import Transition, parse
 from flightstack.core.types import Phase
 from tests.point_mass import World
 from tests.unit.core.mission.test_guidance import ROBUST

@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 from flightstack.cli.main import main
 from logs.reader.reader import LogError
-from logs.view.layouts import NAMES, layout
 from logs.view.read import column, every, read
+from logs.view.scene import NAMES, layout
 from tests.unit.logs.reader.test_reader import record
 
 

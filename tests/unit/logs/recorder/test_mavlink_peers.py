@@ -137,7 +137,7 @@ def test_withheld_answers_use_no_numbers(server, call):
 
 def test_tables_are_bounded_and_expire(server, call, monkeypatch):
     now = 100.0
-    monkeypatch.setattr("bridge.mavlink.transport.peers.time.monotonic", lambda: now)
+    monkeypatch.setattr("bridge.mavlink.transport.address.time.monotonic", lambda: now)
     callers = [call() for _ in range(30)]
     for caller in callers:
         caller.send(position())

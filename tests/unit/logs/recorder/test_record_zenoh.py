@@ -8,8 +8,7 @@ import time
 
 import pytest
 
-from bridge.zenoh.attachment import pack_attachment
-from bridge.zenoh.zenoh_link import blocking_publisher, is_matched, open_session
+from bridge.zenoh.zenoh_link import blocking_publisher, is_matched, open_session, pack_attachment
 from logs.reader.reader import LogFile
 from logs.recorder.record_zenoh import ZenohSource, topic_and_schema
 from logs.recorder.recorder import RecorderError, RecorderProcess

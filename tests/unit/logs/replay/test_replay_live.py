@@ -7,8 +7,7 @@ from click.testing import CliRunner
 
 from flightstack.cli.main import main
 from logs.reader.reader import LogFile
-from logs.replay.live import LiveOptions, groups, play
-from logs.replay.player import SLICE_S, Player
+from logs.replay.live import SLICE_S, LiveOptions, Player, groups, play
 from logs.replay.read import SOURCE, FlightInputs, ReplayError
 from logs.schema.codec_mavlink import unpack_mavlink
 from tests.golden.flights import path_of

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.line_budget import LineTooSlowError
-from bridge.mavlink.preflight.report import Level, Needs
-from bridge.mavlink.preflight.rules import RULES
+from bridge.mavlink.preflight.rules import RULES, Level, Needs
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
 from bridge.mavlink.profiles.profile import Reading
 from bridge.mavlink.server.profile import FlightMode

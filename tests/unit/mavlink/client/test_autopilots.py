@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from bridge.mavlink.client.commands import CommandSequencer
-from bridge.mavlink.client.origin import Origin, OriginSender
+from bridge.mavlink.client.companion import Origin, OriginSender
 from bridge.mavlink.client.streams import StreamRequests
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.endpoint import dialect

@@ -3,7 +3,7 @@
 import pytest
 
 from bridge.mavlink.client.silence import Arrivals, why_silent
-from bridge.mavlink.endpoint_counters import EndpointCounters, LinkCounters
+from bridge.mavlink.endpoint import EndpointCounters, LinkCounters
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import pytest
 
+from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.client.origin import Origin
 from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, PX4
 from flightstack.core.types import Mode, Request

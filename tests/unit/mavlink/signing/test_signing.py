@@ -8,8 +8,7 @@ import pytest
 from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.signing.key import load_key, make_key
-from bridge.mavlink.signing.signing import AHEAD_TICKS, STALE_TICKS, Refusal
-from bridge.mavlink.signing.state import STREAMS_MAX, load_state
+from bridge.mavlink.signing.signing import AHEAD_TICKS, STALE_TICKS, STREAMS_MAX, Refusal, load_state
 from tests.unit.mavlink.signing.signing_helpers import COMPANION, Clock, S, forged, heartbeat, signed, theirs
 
 

@@ -8,8 +8,7 @@ import pytest
 
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import dialect
-from bridge.mavlink.signing.answer import ANSWER_S, ANSWERED, StaleAnswers
-from bridge.mavlink.signing.signing import Refusal, Signer
+from bridge.mavlink.signing.signing import ANSWER_S, ANSWERED, Refusal, Signer, StaleAnswers
 from tests.unit.mavlink.client.vehicle_link_fakes import HEIGHT, heartbeat
 from tests.unit.mavlink.signing.signing_helpers import KEY, S, forged, signed, theirs
 
