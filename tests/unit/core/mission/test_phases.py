@@ -86,3 +86,13 @@ def test_a_go_around_needs_height_retries_and_good_inputs():
     assert change(Phase.CLIMB, good)[0] is Phase.APPROACH
     for needed in (Condition.RECOVERED, Condition.RETRIES_LEFT, Condition.HIGH_ENOUGH):
         assert change(Phase.CLIMB, good & ~needed) is None
+
+
+@pytest.mark.parametrize(
+    "lost", [Condition.OWN_LOST, Condition.TARGET_LOST, Condition.LINK_LOST, Condition.READY]
+)
+def test_a_wait_that_took_too_long_reports_each_input(lost):
+    rule = next_phase(Phase.WAIT, Condition.PHASE_TIME_OVER)
+    assert rule is not None
+    assert rule.to is Phase.ABORT
+    assert rule.about & lost
