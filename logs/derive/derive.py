@@ -1,33 +1,49 @@
-"""Standard ROS messages made from controller steps, so that any viewer shows the flight in 3-D.
+"""What is derived for viewers: standard ROS messages of controller steps, and all that a recorder derives.
 
-They hold nothing that the steps and the run's metadata do not hold. What is made, and when, depends on the
-log time of the steps alone: two runs with equal steps give equal messages. Frames: ``map`` is the ENU world,
+The messages of a :class:`Deriver` let any viewer show the flight in 3-D. They hold nothing that the steps and
+the run's metadata do not hold. What is made, and when, depends on the log time of the steps alone: two runs
+with equal steps give equal messages. Frames: ``map`` is the ENU world,
 ``map_ned`` the same place in NED axes, ``<ns>/base_link`` the vehicle (heading only), ``target`` the pad with
 its heading, ``target_pad`` the pad without heading, in which the barrier stands still.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
 from bridge.ros2.cdr import NO_COVARIANCE
+from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import ZERO, Vec3
 from logs.derive.diagnostics import Health
+from logs.derive.frames import FrameDecoder
 from logs.derive.markers import Scene
+from logs.reader.flight_data import ATTACHMENT, read_config, shape
 from logs.schema.cdr import packer
 from logs.schema.events import pack_string
-from logs.schema.rows import ControllerStepRow
-from logs.schema.schemas import MARKER_ARRAY, ODOMETRY, POSE_STAMPED, STRING, TF_MESSAGE, TWIST_STAMPED
+from logs.schema.rows import ControllerStepRow, LoopTimingRow
+from logs.schema.schemas import (
+    CONTROLLER_STEP,
+    LOOP_TIMING,
+    MARKER_ARRAY,
+    MAVLINK,
+    ODOMETRY,
+    POSE_STAMPED,
+    STRING,
+    TF_MESSAGE,
+    TWIST_STAMPED,
+)
 
 PERIOD_NS = 20_000_000  # 50 Hz: as fast as a screen shows it
 MARKER_PERIOD_NS = 200_000_000  # 5 Hz: pictures are large
 STATIC_PERIOD_NS = 5_000_000_000  # repeated, so that a viewer that jumps into the log finds it
-STEP_SUFFIX = "/controller/step"
+STEP_SUFFIX, TIMING_SUFFIX = "/controller/step", "/loop/timing"
+SOURCE_SUFFIX = "/mavlink_source"  # frames from the vehicle; the others are to it
 
 Derived = tuple[str, str, bytes]  # topic, schema, CDR
-Vec4 = tuple[float, float, float, float]
+Derive = Callable[[int, bytes], list[Derived]]  # log time in ns, CDR -> messages
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 # The NED axes seen from ENU: half a turn about the horizontal line between east and north.
@@ -44,20 +60,12 @@ class Deriver:
             step_topic: Topic of the steps.
             health: Is shown every step.
         """
-        space = step_topic.removesuffix(STEP_SUFFIX)
-        self._base = f"{space.strip('/')}/base_link".lstrip("/")
-        self._pose = space + "/pose"
-        self._odom = space + "/odom"
-        self._target_pose = space + "/target/pose"
-        self._nominal = space + "/cmd/velocity_nominal"
-        self._filtered = space + "/cmd/velocity_filtered"
-        self._command = space + "/cmd/velocity"
-        self._markers = space + "/cbf/markers"
-        self._run_topic, self._run_text = space + "/run", b""
+        self._space = step_topic.removesuffix(STEP_SUFFIX)
+        self._base = f"{self._space.strip('/')}/base_link".lstrip("/")
+        self._run_text = b""
         self._health = health
         # made here, since the first of a type takes milliseconds
-        self._pack_tf, self._pack_odometry = packer(TF_MESSAGE), packer(ODOMETRY)
-        self._pack_pose, self._pack_twist = packer(POSE_STAMPED), packer(TWIST_STAMPED)
+        self._pack = {kind: packer(kind) for kind in (TF_MESSAGE, ODOMETRY, POSE_STAMPED, TWIST_STAMPED)}
         self._scene = Scene(self._base)
         self._slots: dict[int, int] = {}
 
@@ -80,43 +88,40 @@ class Deriver:
             self._health.step(row)
         if not self._due(PERIOD_NS, log_time_ns):
             return []
-        stamp_ns = row.stamp_ns
+        stamp_ns, space = row.stamp_ns, self._space
         made: list[Derived] = []
+
+        def add(topic: str, schema: str, value: Sequence[object]) -> None:
+            made.append((topic, schema, self._pack[schema](value)))
+
         if self._due(STATIC_PERIOD_NS, log_time_ns):
-            made.append(
-                ("/tf_static", TF_MESSAGE, self._transforms(stamp_ns, [("map_ned", ZERO, _NED_IN_ENU)]))
-            )
+            add("/tf_static", TF_MESSAGE, ([(stamp_ns, "map_ned", (ZERO, _NED_IN_ENU))],))
             if self._run_text:
-                made.append((self._run_topic, STRING, self._run_text))
+                made.append((f"{space}/run", STRING, self._run_text))
         own = row.own_position_enu_m, _heading(row.own_yaw_rad)
         target = row.target_position_enu_m, _heading(row.target_yaw_rad)
-        shown = [(self._base, *own)] if row.own_valid else []
+        frames = [(stamp_ns, self._base, own)] if row.own_valid else []
         if row.target_valid:
-            shown += [("target", *target), ("target_pad", row.target_position_enu_m, _NO_ROTATION)]
-        if shown:
-            made.append(("/tf", TF_MESSAGE, self._transforms(stamp_ns, shown)))
+            pad = row.target_position_enu_m, _NO_ROTATION
+            frames += [(stamp_ns, "target", target), (stamp_ns, "target_pad", pad)]
+        if frames:
+            add("/tf", TF_MESSAGE, (frames,))
         if row.own_valid:
-            made.append((self._pose, POSE_STAMPED, self._pack_pose((stamp_ns, own))))
+            add(f"{space}/pose", POSE_STAMPED, (stamp_ns, own))
             # The turn rates are not part of a controller step.
             twist = (_body_velocity(row), ZERO)
             odometry = (stamp_ns, self._base, (own, NO_COVARIANCE), (twist, NO_COVARIANCE))
-            made.append((self._odom, ODOMETRY, self._pack_odometry(odometry)))
+            add(f"{space}/odom", ODOMETRY, odometry)
         if row.target_valid:
-            made.append((self._target_pose, POSE_STAMPED, self._pack_pose((stamp_ns, target))))
-        velocities = [(self._nominal, row.nominal_enu_m_s), (self._filtered, row.filtered_enu_m_s)]
+            add(f"{space}/target/pose", POSE_STAMPED, (stamp_ns, target))
+        add(f"{space}/cmd/velocity_nominal", TWIST_STAMPED, (stamp_ns, (row.nominal_enu_m_s, ZERO)))
+        add(f"{space}/cmd/velocity_filtered", TWIST_STAMPED, (stamp_ns, (row.filtered_enu_m_s, ZERO)))
         if row.setpoint_sent:
-            velocities.append((self._command, row.command_enu_m_s))
-        for topic, velocity_enu_m_s in velocities:
-            twist = (velocity_enu_m_s, ZERO)
-            made.append((topic, TWIST_STAMPED, self._pack_twist((stamp_ns, twist))))
+            add(f"{space}/cmd/velocity", TWIST_STAMPED, (stamp_ns, (row.command_enu_m_s, ZERO)))
         self._scene.add(log_time_ns, row)
         if self._due(MARKER_PERIOD_NS, log_time_ns):
-            made.append((self._markers, MARKER_ARRAY, self._scene.pack(row)))
+            made.append((f"{space}/cbf/markers", MARKER_ARRAY, self._scene.pack(row)))
         return made
-
-    def _transforms(self, stamp_ns: int, children: Sequence[tuple[str, Vec3, Vec4]]) -> bytes:
-        """Transforms of children of ``map``: name, position, orientation x, y, z, w."""
-        return self._pack_tf(([(stamp_ns, name, (position_m, turn)) for name, position_m, turn in children],))
 
     def _due(self, period_ns: int, log_time_ns: int) -> bool:
         slot = log_time_ns // period_ns
@@ -135,3 +140,66 @@ def _body_velocity(row: ControllerStepRow) -> Vec3:
     x, y, z = row.own_velocity_enu_m_s
     cos_yaw, sin_yaw = math.cos(row.own_yaw_rad), math.sin(row.own_yaw_rad)
     return (cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z)
+
+
+class Derivers:
+    """Derivations of all clients of one recorder, by topic: a client that comes again continues."""
+
+    def __init__(self) -> None:
+        self._run: dict[str, str] = {}
+        self._shape: dict[str, str] = {}  # of barrier and pad, by the configuration
+        self._onboard: dict[str, str] = {}
+        self._steps: dict[str, Deriver] = {}
+        self._frames: dict[str, FrameDecoder] = {}
+        self._health: dict[str, Health] = {}
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Take what the metadata of the run and of the onboard process say.
+
+        Raises:
+            ValueError: A value that is not a number.
+        """
+        if name == "run":
+            self._run.update(values)
+            for deriver in self._steps.values():
+                deriver.configure(self._run, self._shape)
+        elif name == "onboard":
+            self._onboard.update(values)
+            for frames in self._frames.values():
+                self._configure(frames)
+
+    def attachment(self, name: str, data: bytes) -> None:
+        """Take barrier and pad from the configuration, for a flight without metadata of a run."""
+        if name != ATTACHMENT:
+            return
+        with contextlib.suppress(ConfigError):  # of another version: barrier and pad are not drawn
+            self._shape = shape(read_config(data))
+        for deriver in self._steps.values():
+            deriver.configure(self._run, self._shape)
+
+    def declare(self, topic: str, schema: str) -> Derive | None:
+        """Return what to call with each message of a channel; None: nothing is derived from it."""
+        if schema == CONTROLLER_STEP:
+            if topic not in self._steps:
+                self._steps[topic] = Deriver(topic, self._health_of(topic.removesuffix(STEP_SUFFIX)))
+                self._steps[topic].configure(self._run, self._shape)
+            step = self._steps[topic].step
+            return lambda log_time_ns, payload: step(log_time_ns, ControllerStepRow.unpack(payload))
+        if schema == LOOP_TIMING:
+            health = self._health_of(topic.removesuffix(TIMING_SUFFIX))
+            return lambda log_time_ns, payload: health.timing(log_time_ns, LoopTimingRow.unpack(payload))
+        if schema == MAVLINK:
+            if topic not in self._frames:
+                self._frames[topic] = FrameDecoder(topic)
+                self._configure(self._frames[topic])
+            return self._frames[topic].step
+        return None
+
+    def _health_of(self, space: str) -> Health:
+        return self._health.setdefault(space, Health(space))
+
+    def _configure(self, frames: FrameDecoder) -> None:
+        if "namespace" in self._onboard:
+            frames.configure(self._onboard)
+            health = self._health_of("/" + self._onboard["namespace"].strip("/"))
+            frames.counter = health.incoming if frames.topic.endswith(SOURCE_SUFFIX) else health.outgoing

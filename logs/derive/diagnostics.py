@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
+from logs.derive.frames import FrameCounter
 from logs.schema.cdr import packer
-from logs.schema.codec_mavlink import PEER_CHARACTERS
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import DIAGNOSTIC_ARRAY
 
@@ -21,7 +21,6 @@ PERIOD_NS = 1_000_000_000
 FILTER_BAD = 3  # ControllerStep: FILTER_INFEASIBLE and what is worse
 LATE_S = 0.002  # a tick later than this after its deadline, a fifth of 10 ms, is worth a look
 LOST_MAX = 0.02  # share of the vehicle's frames that are missing by their numbers
-SENDERS_MAX = 256  # of which sequence numbers are followed
 
 
 class Level(IntEnum):
@@ -40,33 +39,6 @@ class Status(NamedTuple):
     level: Level
     message: str
     values: dict[str, str]
-
-
-class FrameCounter:
-    """Frames of one direction, and the gaps in their sequence numbers."""
-
-    def __init__(self) -> None:
-        self._last: dict[int, int] = {}
-        self.frames = 0
-        self.lost = 0
-
-    def add(self, payload: bytes) -> None:
-        """Count one record of :func:`logs.schema.codec_mavlink.pack_mavlink`."""
-        at = 25 if payload[12] == PEER_CHARACTERS + 1 else 22  # sequence, system, component
-        sequence, sender = payload[at], payload[at + 1] << 8 | payload[at + 2]
-        last = self._last.get(sender)
-        if last is not None:
-            gap = (sequence - last - 1) & 0xFF
-            self.lost += gap if gap < 128 else 0  # a frame out of order is not 255 lost ones
-        if last is not None or len(self._last) < SENDERS_MAX:
-            self._last[sender] = sequence
-        self.frames += 1
-
-    def take(self) -> tuple[int, int]:
-        """Return (frames, lost) since the last call."""
-        taken = self.frames, self.lost
-        self.frames = self.lost = 0
-        return taken
 
 
 class Health:

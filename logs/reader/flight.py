@@ -6,7 +6,7 @@ what came before the cut, and says so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,9 +27,9 @@ from logs.reader.flight_data import (
     Truth,
     read_config,
 )
-from logs.reader.flight_decode import columns
 from logs.reader.reader import LogError, LogFile, Message
-from logs.schema.rows import LogRow
+from logs.schema.cdr import codec
+from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE
 
 __all__ = ["Event", "Flight", "Steps", "TargetOdometry", "Timing", "Truth", "load_flight"]
@@ -38,8 +38,7 @@ PAD_RADIUS_M = 0.10  # m, a Crazyflie's pad, where the log holds neither a run n
 TARGET_TOPIC_END = "/target/odom"  # below any namespace
 
 _DTYPES = {"Floats": np.float64, "Ints": np.int64, "Bools": np.bool_}
-_NS = 1_000_000_000  # nanoseconds in a second
-_Rows = TypeVar("_Rows", Steps, Timing, Truth)
+_Columns = TypeVar("_Columns", Steps, Timing, Truth)
 
 
 def load_flight(path: Path | str) -> Flight:
@@ -76,9 +75,9 @@ def load_flight(path: Path | str) -> Flight:
         complete=log.complete,
         origin_ns=origin_ns,
         duration_s=(max(times_ns) - origin_ns) * 1e-9,
-        steps=_rows(Steps, by_kind.get(CONTROLLER_STEP, []), origin_ns, problems),
-        timing=_rows(Timing, by_kind.get(LOOP_TIMING, []), origin_ns, problems),
-        truth=_rows(Truth, by_kind.get(TRUE_STATE, []), origin_ns, problems),
+        steps=_columns(Steps, ControllerStepRow, by_kind.get(CONTROLLER_STEP, []), origin_ns, problems),
+        timing=_columns(Timing, LoopTimingRow, by_kind.get(LOOP_TIMING, []), origin_ns, problems),
+        truth=_columns(Truth, TrueStateRow, by_kind.get(TRUE_STATE, []), origin_ns, problems),
         target=_target(by_kind.get(ODOMETRY, []), origin_ns, problems),
         events=_events(by_kind.get(LOG, []), origin_ns, problems),
         metadata=log.metadata(),
@@ -98,34 +97,57 @@ def _kind(message: Message) -> str:
     return ODOMETRY if message.schema == ODOMETRY and message.topic.endswith(TARGET_TOPIC_END) else ""
 
 
-def _rows(cls: type[_Rows], messages: Sequence[Message], origin_ns: int, problems: list[str]) -> _Rows | None:
-    """Fill a dataclass of arrays whose field names are those of the message; ``None`` without messages."""
+def _unpacked(
+    schema: str, messages: Sequence[Message], unpack: Callable[[bytes], Any], problems: list[str]
+) -> tuple[list[tuple[Any, ...]], Any]:
+    """Values of the messages that can be read, field by field, and their log times in ns, (n,).
+
+    Raises:
+        LogError: none of them can be read.
+    """
+    rows, times_ns, refused = [], [], []
+    for message in messages:
+        try:
+            rows.append(unpack(message.data))
+            times_ns.append(message.log_time_ns)
+        except ValueError as error:
+            refused.append(str(error))
+    if not rows:
+        raise LogError(refused[0])
+    if refused:
+        problems.append(f"{len(refused)} messages of {schema} cannot be read; first: {refused[0]}")
+    return list(zip(*rows, strict=True)), np.array(times_ns, dtype=np.int64)
+
+
+def _columns(
+    cls: type[_Columns], row: Any, messages: Sequence[Message], origin_ns: int, problems: list[str]
+) -> _Columns | None:
+    """Fill a dataclass of arrays whose field names are those of the row; ``None`` without messages."""
     if not messages:
         return None
+    values, times_ns = _unpacked(messages[0].schema, messages, row.unpack, problems)
+    by_name = dict(zip(row._fields, values, strict=True))
     wanted = {f.name: _DTYPES[str(f.type)] for f in fields(cls) if f.name != "t_s"}
-    found = columns(messages[0].schema, [m.data for m in messages], wanted)
-    _complain(found.problems, messages[0].schema, problems)
-    values: dict[str, Any] = {name: found.numbers[name].astype(dtype) for name, dtype in wanted.items()}
-    return cls(t_s=_seconds(messages, found.rows, origin_ns), **values)
+    arrays: dict[str, Any] = {name: np.array(by_name[name]).astype(dtype) for name, dtype in wanted.items()}
+    return cls(t_s=(times_ns - origin_ns) * 1e-9, **arrays)
 
 
 def _target(messages: Sequence[Message], origin_ns: int, problems: list[str]) -> TargetOdometry | None:
     """Samples from outside: one that cannot be read is counted, never fatal."""
-    wanted = ("header.stamp.sec", "header.stamp.nanosec", "pose.pose.position", "twist.twist.linear")
-    try:
-        found = columns(ODOMETRY, [m.data for m in messages], wanted)
-    except LogError as error:
-        if messages:
-            problems.append(f"target odometry: {error}")
+    if not messages:
         return None
-    _complain(found.problems, ODOMETRY, problems)
-    sec, nanosec, position, velocity = (found.numbers[name] for name in wanted)
+    _, unpack = codec(ODOMETRY, frame_id=None)
+    try:
+        (headers, _, poses, twists), times_ns = _unpacked(ODOMETRY, messages, unpack, problems)
+    except LogError as error:
+        problems.append(f"target odometry: {error}")
+        return None
     return TargetOdometry(
-        t_s=_seconds(messages, found.rows, origin_ns),
-        stamp_ns=sec.astype(np.int64) * _NS + nanosec.astype(np.int64),
-        position_enu_m=position,
-        velocity_child_m_s=velocity,
-        frame_id=found.texts["header.frame_id"],
+        t_s=(times_ns - origin_ns) * 1e-9,
+        stamp_ns=np.array([stamp_ns for stamp_ns, _ in headers], dtype=np.int64),
+        position_enu_m=np.array([position for (position, _), _ in poses]),
+        velocity_child_m_s=np.array([linear for (linear, _), _ in twists]),
+        frame_id=[frame for _, frame in headers],
     )
 
 
@@ -139,17 +161,7 @@ def _events(messages: Sequence[Message], origin_ns: int, problems: list[str]) ->
             continue
         t_s = (message.log_time_ns - origin_ns) * 1e-9
         events.append(Event(t_s, row.level, row.name, row.msg))
-    return tuple(sorted(events, key=lambda event: event.t_s))
-
-
-def _seconds(messages: Sequence[Message], rows: Any, origin_ns: int) -> Any:
-    times_ns = np.array([m.log_time_ns for m in messages], dtype=np.int64)[rows]
-    return (times_ns - origin_ns) * 1e-9
-
-
-def _complain(found: Sequence[str], schema: str, problems: list[str]) -> None:
-    if found:
-        problems.append(f"{len(found)} messages of {schema} cannot be read; first: {found[0]}")
+    return tuple(events)
 
 
 def _config(attachments: dict[str, bytes], problems: list[str]) -> FlightConfig | None:

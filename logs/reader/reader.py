@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -54,14 +53,13 @@ class Attachment(NamedTuple):
     data: bytes
 
 
-@dataclass
-class _Outline:
+class _Outline(NamedTuple):
     """What one pass over the records outside the chunks gives."""
 
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: list[Attachment] = field(default_factory=list)
-    complete: bool = False
-    problem: str = ""
+    metadata: dict[str, dict[str, str]]
+    attachments: list[Attachment]
+    complete: bool
+    problem: str
 
 
 class LogFile:
@@ -147,21 +145,22 @@ class LogFile:
         """Return the files kept inside the log, in the order they were written."""
         return self._outline.attachments
 
+    def attachment(self, name: str) -> bytes | None:
+        """Return the last file of this name, ``None`` if there is none."""
+        return next((each.data for each in reversed(self.attachments()) if each.name == name), None)
+
     @cached_property
     def _outline(self) -> _Outline:
-        outline = _Outline()
+        metadata: dict[str, dict[str, str]] = {}
+        attachments: list[Attachment] = []
+        ended = False
         for record in self._records(inside_chunks=False):
             if isinstance(record, Metadata):
-                outline.metadata.setdefault(record.name, {}).update(record.metadata)
+                metadata.setdefault(record.name, {}).update(record.metadata)
             elif isinstance(record, AttachmentRecord):
-                outline.attachments.append(
-                    Attachment(record.name, record.media_type, record.log_time, record.data)
-                )
-            elif isinstance(record, Footer):
-                outline.complete = True
-        outline.problem = self.problem
-        outline.complete = outline.complete and not self.problem
-        return outline
+                attachments.append(Attachment(record.name, record.media_type, record.log_time, record.data))
+            ended = ended or isinstance(record, Footer)
+        return _Outline(metadata, attachments, ended and not self.problem, self.problem)
 
     def _records(self, inside_chunks: bool) -> Iterator[Any]:
         """Yield MCAP records; stop without an exception where the file breaks, and remember where and why."""

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-import numpy as np
-
-from logs.reader.flight_decode import layout
+from logs.schema import schemas
+from logs.schema.cdr import CDR_HEADER, CODES
 
 SHOWN_MAX = 10  # differences kept; the others are counted
 _F64 = struct.Struct("<d")
@@ -59,6 +58,32 @@ class Tally:
         self.ticks += self.count > before
 
 
+def places_of(schema: str, example: bytes) -> list[tuple[str, str, int, int]]:
+    """Return where the fields of a message lie: dotted name, ``struct`` code, first byte, byte behind.
+
+    Args:
+        schema: type of the message; its variable parts are strings at most, whose code is "s".
+        example: gives the lengths of the strings.
+    """
+    places: list[tuple[str, str, int, int]] = []
+
+    def walk(inner: str, prefix: str, at: int) -> int:
+        for each in schemas.fields_of(inner):
+            name, code = prefix + each.name, "s" if each.kind == "string" else CODES.get(each.kind, "")
+            if not code:
+                at = walk(each.kind, name + ".", at)
+                continue
+            size = 4 if code == "s" else struct.calcsize("<" + code)  # a string begins with its length
+            at += (len(CDR_HEADER) - at) % size
+            end = at + size + (int.from_bytes(example[at : at + 4], "little") if code == "s" else 0)
+            places.append((name, code, at, end))
+            at = end
+        return at
+
+    walk(schema, "", len(CDR_HEADER))
+    return places
+
+
 def fields_of(schema: str, recorded: bytes, replayed: bytes) -> Iterator[tuple[str, str, str]]:
     """Yield (field, recorded, replayed) of every field whose bytes differ.
 
@@ -72,26 +97,20 @@ def fields_of(schema: str, recorded: bytes, replayed: bytes) -> Iterator[tuple[s
     if len(recorded) != len(replayed):
         yield "size", f"{len(recorded)} bytes", f"{len(replayed)} bytes"
         return
-    known = layout(schema, replayed)
-    seen = np.zeros(len(replayed), dtype=bool)
-    for name, kind, at in zip(known.names, known.formats, known.offsets, strict=True):
-        end = at + np.dtype(kind).itemsize
-        seen[at:end] = True
-        if recorded[at:end] != replayed[at:end]:
-            yield name, *_texts(recorded[at:end], replayed[at:end], kind)
-    for name, at, length in known.strings:
-        end = at + 4 + length
-        seen[at:end] = True
-        if recorded[at:end] != replayed[at:end]:
-            yield name, repr(recorded[at + 4 : end]), repr(replayed[at + 4 : end])
-    for at in np.flatnonzero(~seen).tolist():
+    other = set(range(len(replayed)))
+    for name, code, at, end in places_of(schema, replayed):
+        other.difference_update(range(at, end))
+        a, b = recorded[at:end], replayed[at:end]
+        if a != b:
+            yield name, *((repr(a[4:]), repr(b[4:])) if code == "s" else _texts(a, b, code))
+    for at in sorted(other):
         if recorded[at] != replayed[at]:
             yield f"byte {at}", f"{recorded[at]:#04x}", f"{replayed[at]:#04x}"
 
 
-def _texts(recorded: bytes, replayed: bytes, kind: str) -> tuple[str, str]:
+def _texts(recorded: bytes, replayed: bytes, code: str) -> tuple[str, str]:
     """Both as numbers; as bytes where the numbers look alike."""
-    a, b = (str(np.frombuffer(raw, dtype=kind)[0].item()) for raw in (recorded, replayed))
+    a, b = (str(struct.unpack("<" + code, raw)[0]) for raw in (recorded, replayed))
     return (a, b) if a != b else (f"{a} (bytes {recorded.hex()})", f"{b} (bytes {replayed.hex()})")
 
 
@@ -112,7 +131,7 @@ def values_of(recorded: Any, replayed: Any, name: str = "") -> Iterator[tuple[st
     elif isinstance(recorded, float):
         a, b = _F64.pack(recorded), _F64.pack(replayed)
         if a != b:
-            yield name, *_texts(a, b, "<f8")
+            yield name, *_texts(a, b, "d")
     elif isinstance(recorded, Enum):
         if recorded is not replayed:
             yield name, recorded.name, replayed.name

@@ -15,6 +15,7 @@ from typing import Any
 
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
+from logs.reader.flight_data import ATTACHMENT
 from logs.reader.reader import LogError, LogFile
 from logs.schema.codec_mavlink import unpack_mavlink
 from logs.schema.controller_rows import TickInputs, unpack_controller_input
@@ -22,7 +23,6 @@ from logs.schema.events import CONTROLLER, ONBOARD
 from logs.schema.rows import ControllerStateRow, LogRow
 from logs.schema.schemas import CONTROLLER_INPUT
 
-CONFIG = "onboard.toml"  # attachment
 SOURCE, SINK, ROSOUT = "/uas1/mavlink_source", "/uas1/mavlink_sink", "/rosout"
 _INPUT_END = "/controller/input"
 
@@ -81,15 +81,15 @@ class FlightInputs:
         self.onboard = self.log.metadata().get("onboard", {})
         self.preflight = self.log.metadata().get("preflight", {})
         self.space = self._space()
-        found = [each.data for each in self.log.attachments() if each.name == CONFIG]
-        if not found:
+        data = self.log.attachment(ATTACHMENT)
+        if data is None:
             raise ReplayError(
-                f"{path}: no attachment {CONFIG}: without its configuration nothing can be replayed"
+                f"{path}: no attachment {ATTACHMENT}: without its configuration nothing can be replayed"
             )
         try:
-            self.table = tomllib.loads(found[-1].decode())
+            self.table = tomllib.loads(data.decode())
         except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ReplayError(f"{path}: the attachment {CONFIG} is not TOML: {error}") from error
+            raise ReplayError(f"{path}: the attachment {ATTACHMENT} is not TOML: {error}") from error
 
     def _space(self) -> str:
         """Where the inputs are; a log that is one flight has them in one place."""
@@ -113,7 +113,7 @@ class FlightInputs:
         try:
             return from_table(FlightConfig, self.table)
         except ConfigError as error:
-            raise ReplayError(f"{self.log.path}: the attachment {CONFIG}: {error}") from error
+            raise ReplayError(f"{self.log.path}: the attachment {ATTACHMENT}: {error}") from error
 
     def topic(self, name: str) -> str:
         """Full name of a topic of this vehicle."""
@@ -148,9 +148,7 @@ class FlightInputs:
                     tick.step = data
                 elif topic == state:
                     snapshot = ControllerStateRow.unpack(data)
-                    if (
-                        snapshot.stamp_ns == tick.unix_ns
-                    ):  # else an older one, given again where a log was cut
+                    if snapshot.stamp_ns == tick.unix_ns:  # else an older one, from before a cut
                         tick.state = snapshot
                 elif topic == odometry:
                     tick.odometry.append(data)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,32 +53,35 @@ def read(path: Path) -> Seen:
     """
     log = LogFile(path)
     seen = Seen(_shape(log) | log.metadata().get("run", {}))
+    kinds: dict[str, tuple[list[tuple[int, Any]], Callable[[bytes], Any]]] = {
+        CONTROLLER_STEP: (seen.steps, ControllerStepRow.unpack),
+        LOOP_TIMING: (seen.timings, LoopTimingRow.unpack),
+        TRUE_STATE: (seen.truths, TrueStateRow.unpack),
+        LOG: (seen.events, LogRow.unpack),
+    }
     for message in log.messages():
+        if message.schema not in kinds:
+            continue
+        rows, unpack = kinds[message.schema]
         try:
-            if message.schema == CONTROLLER_STEP:
-                seen.steps.append((message.log_time_ns, ControllerStepRow.unpack(message.data)))
-                seen.namespace = message.topic.removesuffix("/controller/step").strip("/")
-            elif message.schema == LOOP_TIMING:
-                seen.timings.append((message.log_time_ns, LoopTimingRow.unpack(message.data)))
-            elif message.schema == TRUE_STATE:
-                seen.truths.append((message.log_time_ns, TrueStateRow.unpack(message.data)))
-            elif message.schema == LOG:
-                seen.events.append((message.log_time_ns, LogRow.unpack(message.data)))
+            rows.append((message.log_time_ns, unpack(message.data)))
         except ValueError as error:
             raise LogError(f"{path}: {message.topic}: {error}; recorded by another version?") from error
+        if message.schema == CONTROLLER_STEP:
+            seen.namespace = message.topic.removesuffix("/controller/step").strip("/")
     seen.problem = log.why_broken
     if not seen.steps and not seen.truths:
         raise LogError(f"{path} holds neither controller steps nor true states: there is no flight to show")
-    for rows in (seen.steps, seen.timings, seen.truths, seen.events):
+    for rows, _ in kinds.values():
         rows.sort(key=lambda row: row[0])
     return seen
 
 
 def _shape(log: LogFile) -> dict[str, str]:
     """Barrier and pad by the configuration in the log, empty where there is none of this version."""
-    found = [a.data for a in log.attachments() if a.name == ATTACHMENT]
+    data = log.attachment(ATTACHMENT)
     try:
-        return shape(read_config(found[-1])) if found else {}
+        return {} if data is None else shape(read_config(data))
     except ConfigError:
         return {}
 

@@ -11,8 +11,7 @@ from bridge.ros2.cdr import encode_odometry
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
-from logs.reader.flight_decode import columns
-from logs.reader.reader import LogError, LogFile
+from logs.reader.reader import LogError
 from logs.recorder.mcap_file import McapFile
 from logs.schema import schemas
 from tests.synthetic_flight import landing, write_log
@@ -174,42 +173,17 @@ def test_one_bad_odometry_sample_is_counted_not_fatal(log):
     assert any("cannot be read" in p for p in flight.problems)
 
 
-def test_frame_names_of_different_length_in_one_topic():
+def test_frame_names_of_different_length_in_one_topic(log):
+    rows, frames = landing(), ["map", "a_rather_long_world", "map", "o"]
     quat = (1.0, 0.0, 0.0, 0.0)
-    frames = ["map", "a_rather_long_world", "map", "o"]
-    payloads = [
-        encode_odometry(n, f, "t" * (n + 1), (float(n), 0.0, -1.0), quat) for n, f in enumerate(frames)
+    rows.odometry = [
+        (rows.odometry[n][0], encode_odometry(n, f, "t" * (n + 1), (float(n), 0.0, -1.0), quat))
+        for n, f in enumerate(frames)
     ]
-    found = columns(
-        schemas.ODOMETRY, payloads, ["header.stamp.nanosec", "pose.pose.position", "pose.covariance"]
-    )
-    assert found.texts["header.frame_id"] == frames
-    assert found.texts["child_frame_id"] == ["t", "tt", "ttt", "tttt"]
-    assert found.numbers["header.stamp.nanosec"].tolist() == [0, 1, 2, 3]
-    assert found.numbers["pose.pose.position"][:, 0].tolist() == [0.0, 1.0, 2.0, 3.0]
-    assert found.numbers["pose.covariance"].shape == (4, 36)
-
-
-def test_bulk_decoding_agrees_with_the_generic_codec(log):
-    flight_path = write_log(log, landing())
-    messages = [m for m in LogFile(flight_path).messages() if m.schema == schemas.TRUE_STATE][::300]
-    found = columns(
-        schemas.TRUE_STATE, [m.data for m in messages], ["rotor_rpm", "h_min_m", "wind_enu_m_s", "contacts"]
-    )
-    for index, message in enumerate(messages):
-        slow = message.decode()
-        assert found.numbers["h_min_m"][index] == slow.h_min_m
-        assert found.numbers["contacts"][index] == slow.contacts
-        assert found.numbers["rotor_rpm"][index].tolist() == list(slow.rotor_rpm)
-        assert found.numbers["wind_enu_m_s"][index].tolist() == [
-            slow.wind_enu_m_s.x, slow.wind_enu_m_s.y, slow.wind_enu_m_s.z
-        ]  # fmt: skip
-
-
-def test_a_field_that_does_not_exist_is_named(log):
-    rows = landing()
-    with pytest.raises(LogError, match="no field 'height'"):
-        columns(schemas.ODOMETRY, [rows.odometry[0][1]], ["height"])
+    target = load_flight(write_log(log, rows)).target
+    assert target.frame_id == frames
+    assert target.stamp_ns.tolist() == [0, 1, 2, 3]
+    assert target.position_enu_m.tolist() == [[float(n), 0.0, -1.0] for n in range(4)]
 
 
 def test_three_thousand_steps_load_fast(log):

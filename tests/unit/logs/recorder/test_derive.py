@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.safety.barrier import Barrier
-from logs.derive.derive import Deriver
-from logs.derive.derive_recorder import Derivers
+from logs.derive.derive import Deriver, Derivers
 from logs.derive.markers import PATH_POINTS, surface
 from logs.schema import schemas
 from logs.schema.cdr import codec

@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from logs.derive.derive_recorder import Derivers
-from logs.derive.diagnostics import SENDERS_MAX, FrameCounter, Health
+from logs.derive.derive import Derivers
+from logs.derive.diagnostics import Health
+from logs.derive.frames import SENDERS_MAX, FrameCounter
 from logs.schema import schemas
 from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.rows import LoopTimingRow

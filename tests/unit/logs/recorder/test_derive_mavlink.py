@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.wide_messages import MESSAGES
-from logs.derive.derive_recorder import TOPICS_MAX, FrameDecoder
+from logs.derive.frames import TOPICS_MAX, FrameDecoder
 from logs.schema import mavlink_types, schemas
 from logs.schema.codec_mavlink import (
     MAVLINK_PEERS,

@@ -1,0 +1,133 @@
+"""Recorded MAVLink frames, decoded into messages of named fields, and counted.
+
+Both look at the bytes of the raw record (``logs.schema.codec_mavlink``) directly: frames are most of a log.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from logs.schema.codec_mavlink import PEER_CHARACTERS, FrameError
+from logs.schema.mavlink_types import Type, of
+
+TOPICS_MAX = 512  # bound on topics, since a sender can invent system ids
+SENDERS_MAX = 256  # of which sequence numbers are followed
+_HEADER_BYTES = 20  # encapsulation, stamp, frame_id of three characters: the fields begin aligned to 8
+_NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame whose peer is not known
+# Offsets in the raw record.
+_NAME_LENGTH_AT = 12
+_FIXED_AT, _FIXED_NOBODY_AT = 20, 17  # of framing_status, with and without the name of a peer
+_LENGTH, _SEQUENCE, _SENDER = 2, 5, 6  # behind that: payload length; sequence number; system and component
+_ID_AT = 28  # message id
+_WORDS_END, _PAYLOAD_AT = 40, 44
+
+
+def _fixed_at(payload: bytes) -> int:
+    return _FIXED_AT if payload[_NAME_LENGTH_AT] == PEER_CHARACTERS + 1 else _FIXED_NOBODY_AT
+
+
+class FrameCounter:
+    """Frames of one direction, and the gaps in their sequence numbers."""
+
+    def __init__(self) -> None:
+        self._last: dict[int, int] = {}
+        self.frames = 0
+        self.lost = 0
+
+    def add(self, payload: bytes) -> None:
+        """Count one record of :func:`logs.schema.codec_mavlink.pack_mavlink`."""
+        at = _fixed_at(payload)
+        sequence, sender = payload[at + _SEQUENCE], payload[at + _SENDER] << 8 | payload[at + _SENDER + 1]
+        last = self._last.get(sender)
+        if last is not None:
+            gap = (sequence - last - 1) & 0xFF
+            self.lost += gap if gap < 128 else 0  # a frame out of order is not 255 lost ones
+        if last is not None or len(self._last) < SENDERS_MAX:
+            self._last[sender] = sequence
+        self.frames += 1
+
+    def take(self) -> tuple[int, int]:
+        """Return (frames, lost) since the last call."""
+        taken = self.frames, self.lost
+        self.frames = self.lost = 0
+        return taken
+
+
+class Decoded(NamedTuple):
+    """Where messages of one kind and sender go."""
+
+    topic: str
+    type: Type
+
+
+class FrameDecoder:
+    """Turns records of raw frames into messages of named fields.
+
+    Attributes:
+        topic: of the raw frames.
+        counter: counts them; another one may take its place.
+    """
+
+    def __init__(self, topic: str) -> None:
+        """Take the topic of the raw frames; its first part is the name space until the run gives one."""
+        self.topic = topic
+        self.counter = FrameCounter()
+        self._space = "/" + topic.strip("/").partition("/")[0]
+        self._known: dict[bytes, Decoded | None] = {}
+
+    def configure(self, onboard: Mapping[str, str]) -> None:
+        """Take the name space from the metadata of the onboard process."""
+        if "namespace" in onboard:
+            self._space = "/" + onboard["namespace"].strip("/")
+            self._known.clear()
+
+    def step(self, log_time_ns: int, payload: bytes) -> list[tuple[str, str, bytes]]:
+        """Return (topic, schema, CDR) of one record of :func:`logs.schema.codec_mavlink.pack_mavlink`.
+
+        Raises:
+            FrameError: The record is cut short.
+        """
+        del log_time_ns
+        if len(payload) < _WORDS_END:
+            raise FrameError(f"frame record of {len(payload)} bytes is cut short")
+        self.counter.add(payload)
+        at = _fixed_at(payload)
+        key = payload[at + _SENDER : at + _SENDER + 2] + payload[_ID_AT : _ID_AT + 4]
+        known = self._known[key] if key in self._known else self._meet(key)
+        if known is None:
+            return []
+        length, kind = payload[at + _LENGTH], known.type
+        body = payload[_PAYLOAD_AT : _PAYLOAD_AT + min(length, kind.size)]
+        head = payload[:_HEADER_BYTES] if at == _FIXED_AT else payload[:_NAME_LENGTH_AT] + _NOBODY
+        body = body.ljust(kind.size, b"\x00")
+        return [(known.topic, kind.schema, head + (body if kind.verbatim else repacked(kind, body)))]
+
+    def _meet(self, key: bytes) -> Decoded | None:
+        """Give a new sender or message its topic; None for one the dialect does not have."""
+        system, component, number = struct.unpack("<BBI", key)
+        kind = of(number)
+        found = None
+        if len(self._known) < TOPICS_MAX:
+            if kind is not None:
+                topic = f"{self._space}/mavlink/sys{system}/comp{component}/{kind.message}"
+                found = Decoded(topic, kind)
+            self._known[key] = found
+        return found
+
+
+def repacked(kind: Type, payload: bytes) -> bytes:
+    """Return a payload with text, or with fields that CDR aligns otherwise, as the body behind a header."""
+    out = bytearray()
+    at = 0
+    for field in kind.fields:
+        size = field.size * max(1, field.array)
+        raw = payload[at : at + size]
+        at += size
+        if field.kind == "string":
+            text = raw.partition(b"\x00")[0].decode("utf-8", "replace").encode() + b"\x00"
+            out += bytes(-len(out) % 4) + struct.pack("<I", len(text)) + text
+        else:
+            out += bytes(-len(out) % field.size) + raw  # both sides are little-endian
+    return bytes(out)
