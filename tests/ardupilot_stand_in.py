@@ -15,7 +15,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from flightstack.common.strict_toml import dumps, to_table
+from flightstack.common.strict_toml import dumps
 from sim.autopilot.profiles import PROFILES
 from sim.scenarios.scenario import load
 
@@ -33,7 +33,7 @@ def scenario_file(folder: Path) -> Path:
         target=replace(found.target, position_m=FAR_M),
     )
     file = folder / "stand_in.toml"
-    file.write_text(dumps(to_table(found)))
+    file.write_text(dumps(found))
     return file
 
 

@@ -10,7 +10,7 @@ import hypothesis
 import pytest
 
 from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
-from flightstack.core.parameters.flight import path_of
+from flightstack.config.files import path_of
 from tests.flight_suite.room import PERSONALITIES
 from tests.pauses import pytest_runtest_protocol as pytest_runtest_protocol
 from tests.quick import mark_slow

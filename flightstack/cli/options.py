@@ -105,7 +105,7 @@ def _numbers(context: click.Context, option: click.Parameter, given: tuple[str, 
 def _configuration(context: click.Context, option: click.Parameter, given: str | None) -> Path | None:
     """File of a configuration by name or path."""
     del context, option
-    from flightstack.core.parameters.flight import path_of
+    from flightstack.config.files import path_of
 
     return path_of(given) if given is not None else None
 

@@ -1,22 +1,30 @@
-"""Strict TOML into typed dataclasses: an unknown key, a wrong unit or a value out of range is refused.
+"""Typed dataclasses from TOML: msgspec checks types and ranges, an error says what is allowed.
 
-A field's range is written beside it, ``Annotated[float, Range(0.1, 10.0)]``; its unit ends its name.
+A number's range is written beside its field, ``Annotated[float, span(0.1, 10.0)]``; its unit ends its
+name. msgspec ignores unknown keys of a dataclass and takes NaN: both are refused here.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
+import json
 import math
+import re
 import tomllib
-import types
-import typing
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass
 from enum import Enum
+from functools import cache
+from importlib import resources
+from itertools import repeat
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Generic, TypeVar
+
+import msgspec
+from msgspec import inspect
 
 T = TypeVar("T")
+Each = tuple[T, T, T]  # of a vector: each component has the same range
 
 UNITS = (
     "m_s2", "m_s3", "rad_s", "rad_s2", "m_s", "1_s", "1_m", "s", "ms", "us", "m", "cm", "mm", "km_h", "cm_s",
@@ -28,12 +36,59 @@ class ConfigError(ValueError):
     """A configuration that must not fly: says where, what was found, what is allowed."""
 
 
-@dataclass(frozen=True)
-class Range:
+def span(low: float, high: float) -> msgspec.Meta:
     """Allowed interval of a number, both ends included; unit as in the field's name."""
+    return msgspec.Meta(ge=low, le=high)
 
-    low: float
-    high: float
+
+class Files(Generic[T]):
+    """TOML files of one type: those in a package, found by name, and those of the user, by path.
+
+    Args:
+        cls: dataclass that a file is read into.
+        package: that holds the files.
+        kind: what a file is, in errors.
+        hint: end of the error for a name that does not exist.
+    """
+
+    def __init__(self, cls: type[T], package: str, kind: str, hint: str = "") -> None:
+        self._cls, self._kind, self._hint = cls, kind, hint
+        self._folder = resources.files(package)
+
+    def names(self) -> list[str]:
+        """Names of the files that come with the package."""
+        return sorted(
+            p.name.removesuffix(".toml") for p in self._folder.iterdir() if p.name.endswith(".toml")
+        )
+
+    def path_of(self, name_or_file: str | Path) -> Path:
+        """File of this name or path.
+
+        Raises:
+            ConfigError: neither a known name nor a file.
+        """
+        if name_or_file in self.names():
+            return Path(str(self._folder / f"{name_or_file}.toml"))
+        path = Path(name_or_file)
+        if path.is_file():
+            return path
+        known = ", ".join(self.names())
+        raise ConfigError(
+            f"{self._kind} {str(name_or_file)!r}: neither a file nor one of: {known}{self._hint}"
+        )
+
+    def load(self, name_or_file: str | Path) -> T:
+        """Read and check a file.
+
+        Raises:
+            ConfigError: with file, key, what was found and what is allowed.
+        """
+        path = self.path_of(name_or_file)
+        table = read_toml(path)
+        try:
+            return from_table(self._cls, table)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -54,36 +109,70 @@ def from_table(cls: type[T], table: object, where: str = "") -> T:
     """Build dataclass ``cls`` from a TOML table, checking every key, type and range.
 
     Raises:
-        ConfigError: unknown key, wrong unit, wrong type, out of range, or refused by ``__post_init__``.
+        ConfigError: unknown or missing key, wrong unit or type, out of range, or from ``__post_init__``.
     """
-    if not isinstance(table, dict):
-        raise ConfigError(f"{where or cls.__name__}: found {table!r}, a table [{where}] is needed")
-    hints = get_type_hints(cls, include_extras=True)
-    fields = {f.name: f for f in dataclasses.fields(cls) if f.init}  # type: ignore[arg-type]
-    for key in table:
-        if key not in fields:
-            raise ConfigError(_unknown(key, list(fields), where))
-    values: dict[str, Any] = {}
-    for name, field in fields.items():
-        at = f"{where}.{name}" if where else name
-        if name in table:
-            values[name] = _convert(hints[name], table[name], at)
-        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-            raise ConfigError(f"{at}: missing; it has no default")
+    places = dict(_places(_type_info(cls), table, where))  # type: ignore[arg-type]  # a class is hashable
     try:
-        return cls(**values)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}" if where else str(error)) from None
+        return msgspec.convert(table, cls)
+    except msgspec.ValidationError as error:
+        path = re.search(r" - at `\$\.?(.*)`$", str(error))
+        at = ".".join(filter(None, (where, path and path[1])))
+        if isinstance(error.__cause__, ConfigError):  # of a __post_init__
+            raise ConfigError(f"{at}: {error.__cause__}" if at else str(error.__cause__)) from None
+        kind, found = places[at]
+        raise ConfigError(f"{at or cls.__name__}: found {found!r}, allowed: {_allowed(kind, at)}") from None
 
 
-def _stem(key: str) -> tuple[str, str]:
-    for unit in sorted(UNITS, key=len, reverse=True):
-        if key.endswith("_" + unit):
-            return key[: -len(unit) - 1], unit
-    return key, ""
+_type_info = cache(inspect.type_info)
 
 
-def _unknown(key: str, allowed: list[str], where: str) -> str:
+def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, tuple[inspect.Type, object]]]:
+    """Type and value at each place of a table, such as ``fault[0].start_s``.
+
+    Raises:
+        ConfigError: an unknown or missing key, or a number that is not finite.
+    """
+    if isinstance(kind, inspect.UnionType):  # it may be left out
+        kind = next(each for each in kind.types if not isinstance(each, inspect.NoneType))
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{at}: found {value!r}, a finite number is needed")
+    yield at, (kind, value)
+    if isinstance(kind, inspect.DataclassType) and isinstance(value, dict):
+        known = {field.name: field for field in kind.fields}
+        for key in value:
+            if key not in known:
+                raise ConfigError(_unknown(key, list(known), at))
+        for name, field in known.items():
+            below = f"{at}.{name}" if at else name
+            if name in value:
+                yield from _places(field.type, value[name], below)
+            elif field.required:
+                raise ConfigError(f"{below}: missing; it has no default")
+    elif isinstance(kind, inspect.VarTupleType | inspect.TupleType) and isinstance(value, list):
+        types = repeat(kind.item_type) if isinstance(kind, inspect.VarTupleType) else kind.item_types
+        for number, (inner, item) in enumerate(zip(types, value, strict=False)):
+            yield from _places(inner, item, f"{at}[{number}]")
+
+
+def _allowed(kind: inspect.Type, at: str) -> str:
+    """What a type allows, in words."""
+    match kind:
+        case inspect.IntType(ge=low, le=high):
+            return "an integer" if low is None else f"an integer, {low:g} to {high:g}"
+        case inspect.FloatType(ge=low, le=high):
+            return "a finite number" if low is None else f"{low:g} to {high:g}"
+        case inspect.EnumType(cls=cls):
+            return ", ".join(str(member.value) for member in cls)
+        case inspect.TupleType(item_types=items):
+            return f"an array of {len(items)} values"
+        case inspect.VarTupleType(item_type=inspect.DataclassType()):
+            return f"an array of tables [[{at}]]"
+        case inspect.DataclassType():
+            return f"a table [{at}]"
+    return {"StrType": "a string", "BoolType": "true or false"}.get(type(kind).__name__, "an array")
+
+
+def _unknown(key: str, allowed: Sequence[str], where: str) -> str:
     at = f"{where}.{key}" if where else key
     stem, unit = _stem(key)
     for name in allowed:
@@ -95,48 +184,18 @@ def _unknown(key: str, allowed: list[str], where: str) -> str:
     return f"{at}: unknown key; {hint}allowed: {', '.join(sorted(allowed))}"
 
 
-def _convert(hint: Any, value: Any, at: str) -> Any:
-    bounds: Range | None = None
-    if get_origin(hint) is Annotated:
-        hint, *extras = get_args(hint)
-        bounds = next((e for e in extras if isinstance(e, Range)), None)
-    origin = get_origin(hint)
-    if origin in (typing.Union, types.UnionType):
-        options = [a for a in get_args(hint) if a is not type(None)]
-        return _convert(Annotated[options[0], bounds] if bounds else options[0], value, at)
-    if origin is tuple:
-        inner = get_args(hint)
-        if not isinstance(value, list):
-            needed = f"an array of tables [[{at}]]" if dataclasses.is_dataclass(inner[0]) else "an array"
-            raise ConfigError(f"{at}: found {value!r}, {needed} is needed")
-        if len(inner) == 2 and inner[1] is Ellipsis:
-            inner = (inner[0],) * len(value)
-        if len(value) != len(inner):
-            raise ConfigError(f"{at}: found {len(value)} values, exactly {len(inner)} are needed")
-        wrap = [Annotated[i, bounds] if bounds else i for i in inner]
-        return tuple(_convert(i, v, f"{at}[{n}]") for n, (i, v) in enumerate(zip(wrap, value, strict=True)))
-    if dataclasses.is_dataclass(hint):
-        return from_table(typing.cast(type, hint), value, at)
-    if isinstance(hint, type) and issubclass(hint, Enum):
-        names = [str(m.value) for m in hint]
-        if value not in names:
-            raise ConfigError(f"{at}: found {value!r}, allowed: {', '.join(names)}")
-        return hint(value)
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if type(value) is not hint:
-        raise ConfigError(f"{at}: found {value!r} ({type(value).__name__}), a {hint.__name__} is needed")
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(f"{at}: found {value!r}, a finite number is needed")
-    if bounds and not bounds.low <= value <= bounds.high:
-        raise ConfigError(f"{at}: found {value!r}, allowed: {bounds.low:g} to {bounds.high:g}")
-    return value
+def _stem(key: str) -> tuple[str, str]:
+    """A key without its unit, and the unit."""
+    for unit in sorted(UNITS, key=len, reverse=True):
+        if key.endswith("_" + unit):
+            return key[: -len(unit) - 1], unit
+    return key, ""
 
 
 def to_table(value: Any) -> Any:
     """Turn a dataclass built by ``from_table`` back into plain TOML data; ``None`` fields are left out."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        items = ((f.name, getattr(value, f.name)) for f in dataclasses.fields(value) if f.init)
+    if is_dataclass(value):
+        items = ((f.name, getattr(value, f.name)) for f in fields(value))
         return {name: to_table(v) for name, v in items if v is not None}
     if isinstance(value, Enum):
         return value.value
@@ -145,39 +204,25 @@ def to_table(value: Any) -> Any:
     return value
 
 
-def dumps(table: dict[str, Any]) -> str:
-    """Write plain nested tables of scalars, arrays and arrays of tables as text readable by ``tomllib``."""
-    lines: list[str] = []
-    _write_table(table, "", lines)
-    return "\n".join(lines) + "\n"
+def dumps(value: Any) -> str:
+    """Write a dataclass, or plain nested tables, as text that ``tomllib`` reads."""
+    return "\n".join(_lines(to_table(value))) + "\n"
+
+
+def _lines(table: dict[str, Any], prefix: str = "") -> Iterator[str]:
+    below = {key: _tables(value) for key, value in table.items()}
+    for key, value in table.items():
+        if not below[key] and not isinstance(value, dict):
+            yield f"{key} = {json.dumps(value, ensure_ascii=False)}"  # of a TOML value too
+    for key, value in table.items():
+        name = f"{prefix}.{key}" if prefix else key
+        if isinstance(value, dict):
+            yield from ("", f"[{name}]", *_lines(value, name))
+        for item in below[key]:
+            yield from ("", f"[[{name}]]", *_lines(item, name))
 
 
 def _tables(value: Any) -> list[dict[str, Any]]:
     """Tables of an array of tables; empty for anything else."""
     is_array = isinstance(value, list) and all(isinstance(item, dict) for item in value)
     return value if is_array else []
-
-
-def _write_table(table: dict[str, Any], prefix: str, lines: list[str]) -> None:
-    for key, value in table.items():
-        if not isinstance(value, dict) and not _tables(value):
-            lines.append(f"{key} = {_scalar(value)}")
-    for key, value in table.items():
-        name = f"{prefix}.{key}" if prefix else key
-        if isinstance(value, dict):
-            lines.extend(["", f"[{name}]"])
-            _write_table(value, name, lines)
-        for item in _tables(value):
-            lines.extend(["", f"[[{name}]]"])
-            _write_table(item, name, lines)
-
-
-def _scalar(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-        return f'"{escaped}"'
-    if isinstance(value, list):
-        return "[" + ", ".join(_scalar(v) for v in value) + "]"
-    return repr(value)

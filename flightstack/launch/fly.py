@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from flightstack.common.strict_toml import dumps, to_table
+from flightstack.common.strict_toml import dumps
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.launch.launcher import NAMESPACE, Launcher, Shown
 from flightstack.launch.result import Flown
@@ -56,7 +56,7 @@ def run(config: FlightConfig, options: FlyOptions, console: Console) -> Flown:
     log = log_in(folder) if options.record else None
     folder.mkdir(parents=True, exist_ok=True)
     config_file = folder / "onboard.toml"
-    config_file.write_text(dumps(to_table(config)))
+    config_file.write_text(dumps(config))
     with Launcher(folder, console, tells=options.live, real=True) as launcher:
         recorder, feed = None, ["--no-record"]
         if log is not None:

@@ -14,11 +14,10 @@ from rich.console import Console
 from rich.table import Table
 
 from flightstack.common.processes import LaunchError
-from flightstack.common.strict_toml import ConfigError, dumps, to_table
+from flightstack.common.strict_toml import ConfigError, dumps
+from flightstack.config.files import load as load_config
 from flightstack.core.parameters.filters import short_name
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.parameters.flight import load as load_config
-from flightstack.core.parameters.flight import path_of as path_of_config
 from flightstack.launch.launcher import NAMESPACE, Launcher, Shown
 from flightstack.launch.result import Flown, conclude_values, landed
 from flightstack.launch.run_options import RunOptions
@@ -155,7 +154,7 @@ def prepare(options: RunOptions) -> Scenario:
     scenario = load_scenario(options.scenario)
     name = options.config or configuration_for(options.flies, scenario)
     if name is not None:
-        scenario = replace(scenario, onboard=_begun_as(scenario, load_config(path_of_config(name))))
+        scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)
     if PROFILES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
@@ -194,8 +193,8 @@ def run(options: RunOptions, console: Console) -> Flown:
     )
     log = log_in(folder)
     scenario_file, config_file = folder / "scenario.toml", folder / "onboard.toml"
-    scenario_file.write_text(dumps(to_table(scenario)))
-    config_file.write_text(dumps(to_table(scenario.onboard)))
+    scenario_file.write_text(dumps(scenario))
+    config_file.write_text(dumps(scenario.onboard))
     with Launcher(folder, console, tells=options.live) as launcher:
         return _fly(launcher, options, scenario, log)
 

@@ -32,7 +32,7 @@ from flightstack.common.pacing import (
     quiet_garbage_collector,
 )
 from flightstack.common.simulation_clock import Follower, chosen_clock
-from flightstack.common.strict_toml import ConfigError, dumps, to_table
+from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.core.controller import ERROR, WARN, Controller, Outputs
 from flightstack.core.leaving import Ended, Leaving, Patience
 from flightstack.core.parameters.flight import FlightConfig
@@ -190,7 +190,7 @@ class Onboard:
         """Write into the log what else a replay needs: the configuration, and how we were plugged in."""
         options, spec = self.options, self.wires.target
         own_key = f"{options.namespace}/target/odom"
-        text = dumps(to_table(self.config))
+        text = dumps(self.config)
         self.feed.attachment("onboard.toml", "application/toml", text.encode())
         self.feed.metadata(
             "onboard",

@@ -23,7 +23,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from flightstack.common.strict_toml import ConfigError, dumps, to_table
+from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_rows
@@ -63,7 +63,7 @@ class Plan:
     @property
     def scenario_toml(self) -> str:
         """The scenario as text."""
-        return dumps(to_table(self.scenario))
+        return dumps(self.scenario)
 
     @property
     def command(self) -> str:

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
-from flightstack.common.strict_toml import ConfigError, Range, from_table, read_toml
+from flightstack.common.strict_toml import ConfigError, Files, span
 from flightstack.core.parameters.filters import look_here
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Vec3
@@ -66,8 +65,8 @@ class TargetSpec:
     """The ground robot: a TurtleBot3 Burger with a pad, on a path."""
 
     path: PathKind = PathKind.STILL
-    speed_m_s: Annotated[float, Range(0.0, 3.0)] = 0.0
-    turn_rate_rad_s: Annotated[float, Range(-3.0, 3.0)] = 0.0
+    speed_m_s: Annotated[float, span(0.0, 3.0)] = 0.0
+    turn_rate_rad_s: Annotated[float, span(-3.0, 3.0)] = 0.0
     random_speed: bool = (
         False  # draw speed in [0, speed_m_s] and turn rate in +-turn_rate_rad_s from the seed
     )
@@ -75,29 +74,29 @@ class TargetSpec:
     heading_rad: float = 0.0
     random_heading: bool = False
     wait_for_landing: bool = True
-    stop_period_s: Annotated[float, Range(0.5, 60.0)] = 4.0  # stop_and_go and reversing: time between changes
-    acceleration_max_m_s2: Annotated[float, Range(0.05, 10.0)] = 1.0
-    speed_max_m_s: Annotated[float, Range(0.01, 5.0)] = 0.2108  # OpenCR turtlebot3_burger.h: 61 rpm wheels
-    turn_rate_max_rad_s: Annotated[float, Range(0.01, 10.0)] = 2.635  # OpenCR turtlebot3_burger.h
-    heave_amplitude_m: Annotated[float, Range(0.0, 0.5)] = 0.0
-    heave_rate_hz: Annotated[float, Range(0.0, 2.0)] = 0.0
-    pad_height_m: Annotated[float, Range(0.05, 2.0)] = 0.20  # LDS top at 0.192 m plus the pad
-    pad_radius_m: Annotated[float, Range(0.05, 2.0)] = 0.10
-    pad_behind_axle_m: Annotated[float, Range(-0.2, 0.2)] = 0.0  # 0.032 would be the body's centre
+    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # stop_and_go and reversing: time between changes
+    acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0
+    speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # OpenCR turtlebot3_burger.h: 61 rpm wheels
+    turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # OpenCR turtlebot3_burger.h
+    heave_amplitude_m: Annotated[float, span(0.0, 0.5)] = 0.0
+    heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0
+    pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # LDS top at 0.192 m plus the pad
+    pad_radius_m: Annotated[float, span(0.05, 2.0)] = 0.10
+    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # 0.032 would be the body's centre
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryLink:
     """How measurements reach their reader: rate, noise, delay, loss."""
 
-    rate_hz: Annotated[float, Range(1.0, 500.0)] = 100.0
-    position_noise_m: Annotated[float, Range(0.0, 0.2)] = 0.0
-    velocity_noise_m_s: Annotated[float, Range(0.0, 0.5)] = 0.0
-    yaw_noise_rad: Annotated[float, Range(0.0, 0.2)] = 0.0
-    delay_s: Annotated[float, Range(0.0, 0.5)] = 0.0
-    loss: Annotated[float, Range(0.0, 1.0)] = 0.0
-    dropout_every_s: Annotated[float, Range(0.0, 600.0)] = 0.0  # mean time between drop-outs; 0: none
-    dropout_max_s: Annotated[float, Range(0.0, 5.0)] = 0.0
+    rate_hz: Annotated[float, span(1.0, 500.0)] = 100.0
+    position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.0
+    velocity_noise_m_s: Annotated[float, span(0.0, 0.5)] = 0.0
+    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0
+    delay_s: Annotated[float, span(0.0, 0.5)] = 0.0
+    loss: Annotated[float, span(0.0, 1.0)] = 0.0
+    dropout_every_s: Annotated[float, span(0.0, 600.0)] = 0.0  # mean time between drop-outs; 0: none
+    dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,21 +105,21 @@ class VehicleSpec:
 
     airframe: Airframe = Airframe.CRAZYFLIE20
     velocity_loop: VelocityLoop = VelocityLoop.PAPER
-    mass_spread: Annotated[float, Range(0.0, 0.5)] = 0.0
-    motor_lag_spread: Annotated[float, Range(0.0, 0.9)] = 0.0
-    thrust_spread: Annotated[float, Range(0.0, 0.5)] = 0.0
+    mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0
+    motor_lag_spread: Annotated[float, span(0.0, 0.9)] = 0.0
+    thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0
     slow_motors: bool = False  # 0.136 s up, 0.108 s down instead of 0.07 s
-    ground_effect_gain: Annotated[float, Range(0.0, 6.0)] = 1.0
+    ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0
     mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
-    setpoint_delay_s: Annotated[float, Range(0.0, 0.1)] = 0.002  # radio, one way (Crazyradio: 2 to 7 ms)
+    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # radio, one way (Crazyradio: 2 to 7 ms)
 
 
 @dataclass(frozen=True, slots=True)
 class Wind:
     """Mean wind (direction drawn from the seed unless given) and gusts."""
 
-    mean_m_s: Annotated[float, Range(0.0, 10.0)] = 0.0
-    gust_rms_m_s: Annotated[float, Range(0.0, 5.0)] = 0.0
+    mean_m_s: Annotated[float, span(0.0, 10.0)] = 0.0
+    gust_rms_m_s: Annotated[float, span(0.0, 5.0)] = 0.0
     direction_rad: float | None = None
 
 
@@ -128,8 +127,8 @@ class Wind:
 class Judge:
     """The barrier the run is judged by, from true states; whatever the controller believes."""
 
-    alpha_1_m: Annotated[float, Range(0.05, 20.0)] = 1.0
-    beta_m: Annotated[float, Range(0.05, 20.0)] = 1.5
+    alpha_1_m: Annotated[float, span(0.05, 20.0)] = 1.0
+    beta_m: Annotated[float, span(0.05, 20.0)] = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +138,7 @@ class Scenario:
     name: str
     description: str
     onboard: FlightConfig
-    duration_max_s: Annotated[float, Range(1.0, 3600.0)] = 120.0
+    duration_max_s: Annotated[float, span(1.0, 3600.0)] = 120.0
     start: Start = field(default_factory=Start)
     target: TargetSpec = field(default_factory=TargetSpec)
     odometry: OdometryLink = field(default_factory=OdometryLink)
@@ -166,37 +165,16 @@ class Scenario:
         return replace(self, onboard=replace(self.onboard, filter=name))
 
 
-def names() -> list[str]:
-    """Names of the scenarios that come with the simulator."""
-    folder = resources.files("sim.scenarios")
-    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+_FILES = Files(Scenario, "sim.scenarios", "scenario")
+names, path_of = _FILES.names, _FILES.path_of
 
 
-def path_of(name_or_file: str) -> Path:
-    """File of a scenario given by name or path.
-
-    Raises:
-        ConfigError: neither a known name nor a file.
-    """
-    if name_or_file in names():
-        return Path(str(resources.files("sim.scenarios") / f"{name_or_file}.toml"))
-    path = Path(name_or_file)
-    if path.is_file():
-        return path
-    raise ConfigError(f"scenario {name_or_file!r}: neither a file nor one of: {', '.join(names())}")
-
-
-def load(name_or_file: str) -> Scenario:
+def load(name_or_file: str | Path) -> Scenario:
     """Load a scenario by name or path.
 
     Raises:
         ConfigError: with file, key, what was found and what is allowed.
     """
-    path = path_of(name_or_file)
-    try:
-        scenario = from_table(Scenario, read_toml(path))
-    except ConfigError as error:
-        text = str(error)
-        raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+    scenario = _FILES.load(name_or_file)
     look_here(scenario.onboard.filter)
     return scenario

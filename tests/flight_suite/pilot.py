@@ -12,7 +12,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles.autopilots import profile
 from bridge.mavlink.signing.key import load_key
 from flightstack.common.pacing import FastClock, RealTimePacer
-from flightstack.core.parameters.flight import load
+from flightstack.config.files import load
 from flightstack.core.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus
 from tests.flight_suite.limits import LIMITS, Limits
 from tests.flight_suite.room import Room

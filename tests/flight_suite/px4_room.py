@@ -9,7 +9,7 @@ from pathlib import Path
 
 from bridge.mavlink.profiles.autopilots import AUTO
 from flightstack.common.processes import Child, Port
-from flightstack.common.strict_toml import dumps, to_table
+from flightstack.common.strict_toml import dumps
 from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
@@ -52,7 +52,7 @@ def on_px4(
     # until the first approach, or it is far away before everything has started
     scenario = replace(scenario, target=replace(scenario.target, wait_for_landing=True))
     file = folder / "scenario.toml"
-    file.write_text(dumps(to_table(scenario)))
+    file.write_text(dumps(scenario))
     poses = scenario.vehicle.mocap if mocap else None
     common = ["--scenario", str(file), "--seed", str(seed)]
     paced = ["--speed", str(speed)]

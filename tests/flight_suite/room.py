@@ -11,7 +11,7 @@ import pytest
 
 from bridge.mavlink.profiles.autopilots import OWN_SITL, PX4
 from flightstack.common.processes import Child, Port
-from flightstack.common.strict_toml import dumps, to_table
+from flightstack.common.strict_toml import dumps
 from flightstack.core.types import ZERO, Vec3
 from sim.scenarios.scenario import Scenario, load
 from tests.flight_suite.limits import LIMITS, Limits
@@ -86,7 +86,7 @@ def configured(scenario: Scenario, folder: Path) -> Path:
     checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # less waiting
     side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     file = folder / "onboard.toml"
-    file.write_text(dumps(to_table(replace(scenario.onboard, checks=checks, vehicle=side))))
+    file.write_text(dumps(replace(scenario.onboard, checks=checks, vehicle=side)))
     return file
 
 

@@ -36,7 +36,7 @@ def fly(
     from rich.console import Console
 
     from flightstack.common.processes import LaunchError
-    from flightstack.core.parameters import flight as config
+    from flightstack.config import files as config
     from flightstack.launch.fly import FlyOptions, run
     from flightstack.launch.result import conclude
 

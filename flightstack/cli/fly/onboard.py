@@ -42,7 +42,7 @@ def onboard(config_file: Path, recorder: Path | None, no_record: bool, **plugged
     """
     from bridge.target.ros2_target import TargetType
     from flightstack.common.processes import LaunchError
-    from flightstack.core.parameters import flight as config
+    from flightstack.config import files as config
     from flightstack.onboard import process
     from flightstack.onboard.recording import OwnRecorder
 

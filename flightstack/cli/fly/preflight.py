@@ -17,7 +17,8 @@ from bridge.mavlink.preflight.rules import Level
 from bridge.mavlink.preflight.talk import Report
 from bridge.mavlink.signing.key import load_key
 from flightstack.cli import options as shared
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig, load
+from flightstack.config.files import load
+from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.onboard import preflight as checks
 
 _STYLE = {Level.OK: "green", Level.NOTE: "yellow", Level.UNSAFE: "bold red", Level.ACCEPTED: "magenta"}

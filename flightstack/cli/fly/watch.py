@@ -147,7 +147,7 @@ def _drawing(view: str, config_file: Path | None, namespace: str) -> Callable[[S
         ConfigError: the configuration is wrong.
         ValueError: Rerun is not installed, or the file to write is not allowed.
     """
-    from flightstack.core.parameters.flight import load
+    from flightstack.config.files import load
     from logs.reader.flight_data import shape
 
     try:

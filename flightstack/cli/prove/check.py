@@ -13,7 +13,8 @@ import click
 
 from flightstack.cli import options as shared
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml
-from flightstack.core.parameters.flight import FlightConfig, load, names, path_of
+from flightstack.config.files import load, names, path_of
+from flightstack.core.parameters.flight import FlightConfig
 
 if TYPE_CHECKING:
     from flightstack.verify.types import Check

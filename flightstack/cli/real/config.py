@@ -21,7 +21,7 @@ def key(file: Path) -> None:
 @click.argument("name", required=False)
 def config(name: str | None) -> None:
     """List the configurations of the onboard process that come with the package, or print the one NAMEd."""
-    from flightstack.core.parameters import flight as known
+    from flightstack.config import files as known
 
     if name is not None:
         click.echo(known.path_of(name).read_text(), nl=False)

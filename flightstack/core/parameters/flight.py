@@ -1,20 +1,16 @@
-"""Typed configuration of the onboard process; TOML, checked before anything flies.
+"""Typed configuration of the onboard process, checked before anything flies.
 
-Sections are tables of the file, keys carry their unit. ``load`` refuses unknown keys, wrong units, values
-out of range and combinations that cannot work, each with the reason.
+Classes are tables of the file, fields are keys and carry their unit. ``flightstack.config.files`` reads it.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from importlib import resources
-from pathlib import Path
 from typing import Annotated
 
-from flightstack.common.strict_toml import ConfigError, Range, from_table, read_toml
+from flightstack.common.strict_toml import ConfigError, Each, span
 from flightstack.core.parameters.ends import Contact, Retreat, Takeoff, Touchdown
-from flightstack.core.parameters.filters import FILTERS, check_name, look_here, named
+from flightstack.core.parameters.filters import FILTERS, check_name, named
 from flightstack.core.parameters.robust import (
     Envelope,
     OwnStateLink,
@@ -25,27 +21,26 @@ from flightstack.core.parameters.robust import (
 )
 from flightstack.core.parameters.vehicle import VehicleSide
 from flightstack.core.safety.barrier import Barrier
-from flightstack.core.types import Vec3
 
 
 @dataclass(frozen=True, slots=True)
 class Loop:
     """Rate of the onboard process."""
 
-    rate_hz: Annotated[int, Range(10, 500)] = 100
+    rate_hz: Annotated[int, span(10, 500)] = 100
 
 
 @dataclass(frozen=True, slots=True)
 class BarrierShape:
     """Shape of the barrier: alpha and beta, or the peak's height with its distance or cone angle (eq. 7)."""
 
-    alpha_1_m: Annotated[float | None, Range(0.05, 20.0)] = None
-    beta_m: Annotated[float | None, Range(0.05, 20.0)] = None
-    peak_height_m: Annotated[float | None, Range(0.05, 10.0)] = None
-    peak_distance_m: Annotated[float | None, Range(0.05, 20.0)] = None
-    cone_half_angle_rad: Annotated[float | None, Range(0.05, 1.5)] = None
-    omega_1_s: Annotated[float, Range(0.01, 20.0)] = 0.7
-    apex_smoothing_m: Annotated[float, Range(0.001, 0.02)] = 0.005
+    alpha_1_m: Annotated[float, span(0.05, 20.0)] | None = None
+    beta_m: Annotated[float, span(0.05, 20.0)] | None = None
+    peak_height_m: Annotated[float, span(0.05, 10.0)] | None = None
+    peak_distance_m: Annotated[float, span(0.05, 20.0)] | None = None
+    cone_half_angle_rad: Annotated[float, span(0.05, 1.5)] | None = None
+    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7
+    apex_smoothing_m: Annotated[float, span(0.001, 0.02)] = 0.005
 
     def __post_init__(self) -> None:
         given = {
@@ -78,40 +73,40 @@ class BarrierShape:
 class PositionLoop:
     """Gain K_p of the position loop, per axis."""
 
-    gain_1_s: Annotated[Vec3, Range(0.05, 10.0)] = (1.0, 1.0, 1.0)
+    gain_1_s: Each[Annotated[float, span(0.05, 10.0)]] = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """Admissible velocities (paper: v_m) and how fast a command may change."""
 
-    velocity_max_m_s: Annotated[Vec3, Range(0.05, 5.0)] = (0.2, 0.2, 0.5)
-    slew_max_m_s2: Annotated[Vec3, Range(0.2, 50.0)] = (4.0, 4.0, 4.0)
-    altitude_max_m: Annotated[float, Range(0.5, 100.0)] = 3.0
+    velocity_max_m_s: Each[Annotated[float, span(0.05, 5.0)]] = (0.2, 0.2, 0.5)
+    slew_max_m_s2: Each[Annotated[float, span(0.2, 50.0)]] = (4.0, 4.0, 4.0)
+    altitude_max_m: Annotated[float, span(0.5, 100.0)] = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class Checks:
     """Limits on what the links deliver, and how long to bear with it."""
 
-    own_age_max_s: Annotated[float, Range(0.02, 0.4)] = 0.2
-    target_age_max_s: Annotated[float, Range(0.02, 1.0)] = 0.25
-    own_drift_max_m: Annotated[float, Range(0.05, 2.0)] = 0.15  # position against velocity
-    own_drift_memory_s: Annotated[float, Range(0.2, 20.0)] = 2.0  # s in which it is forgotten
-    follow_lag_max_s: Annotated[float, Range(0.1, 5.0)] = 0.45  # at the highest velocity; behind set-points
-    follow_memory_s: Annotated[float, Range(0.1, 20.0)] = 1.0  # in which it is forgotten; above the lag
-    status_age_max_s: Annotated[float, Range(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
-    target_speed_max_m_s: Annotated[float, Range(0.1, 10.0)] = 1.5
-    target_jump_max_m: Annotated[float, Range(0.02, 5.0)] = 0.2
+    own_age_max_s: Annotated[float, span(0.02, 0.4)] = 0.2
+    target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25
+    own_drift_max_m: Annotated[float, span(0.05, 2.0)] = 0.15  # position against velocity
+    own_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # s in which it is forgotten
+    follow_lag_max_s: Annotated[float, span(0.1, 5.0)] = 0.45  # at the highest velocity; behind set-points
+    follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # in which it is forgotten; above the lag
+    status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
+    target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5
+    target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2
     target_frame: str = "map"
     target_child_frame: str = "target"
-    hold_time_s: Annotated[float, Range(0.1, 10.0)] = 1.0
-    climb_time_max_s: Annotated[float, Range(0.5, 60.0)] = 10.0
-    recovery_time_s: Annotated[float, Range(0.05, 5.0)] = 0.3
-    retries_max: Annotated[int, Range(0, 20)] = 3
-    landing_time_max_s: Annotated[float, Range(5.0, 600.0)] = 120.0
-    wait_time_max_s: Annotated[float, Range(1.0, 3600.0)] = 60.0
-    clearance_m: Annotated[float, Range(0.3, 20.0)] = 1.0  # horizontal distance from the target that is clear
+    hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0
+    climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0
+    recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3
+    retries_max: Annotated[int, span(0, 20)] = 3
+    landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0
+    wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0
+    clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # horizontal distance from the target that is clear
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,47 +140,6 @@ class FlightConfig:
                 f"limits.altitude_max_m: found {self.limits.altitude_max_m:g}, the barrier's peak is "
                 f"{peak:.3g} m above the pad; allow at least {least_m:.3g}"
             )
-        offset = self.takeoff.start_offset_m
-        if offset is not None and not all(map(math.isfinite, offset)):
-            raise ConfigError(f"takeoff.start_offset_m: found {offset}, finite numbers are needed")
         check_name(self.filter)
         if self.filter in FILTERS:  # one from outside checks where it flies: reading a log runs no such code
             named(self.filter).check_config(self)
-
-
-def names() -> list[str]:
-    """Names of the configurations that come with the package."""
-    folder = resources.files("flightstack.config")
-    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
-
-
-def path_of(name_or_file: str) -> Path:
-    """File of a configuration given by name or path.
-
-    Raises:
-        ConfigError: neither a known name nor a file.
-    """
-    if name_or_file in names():
-        return Path(str(resources.files("flightstack.config") / f"{name_or_file}.toml"))
-    path = Path(name_or_file)
-    if path.is_file():
-        return path
-    raise ConfigError(
-        f"configuration {name_or_file!r}: neither a file nor one of: {', '.join(names())} "
-        "(`flightstack config NAME` prints one)"
-    )
-
-
-def load(path: Path) -> FlightConfig:
-    """Read and check a configuration file; ``path_of`` finds one by name.
-
-    Raises:
-        ConfigError: with file, key, what was found and what is allowed.
-    """
-    try:
-        config = from_table(FlightConfig, read_toml(path))
-    except ConfigError as error:
-        text = str(error)
-        raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
-    look_here(config.filter)
-    return config

@@ -10,8 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from flightstack.common.strict_toml import Range
-from flightstack.core.types import Vec3
+from flightstack.common.strict_toml import Each, span
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,19 +20,19 @@ class VelocityLoop:
     Defaults: Crazyflie firmware's PID loops on the simulated Crazyflie 2.0, by step responses.
     """
 
-    lag_xy_s: Annotated[float, Range(0.0, 2.0)] = 0.27  # group delay of the closed loop at low frequency
-    lag_z_s: Annotated[float, Range(0.0, 2.0)] = 0.17
-    rate_xy_1_s: Annotated[float, Range(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
-    rate_z_1_s: Annotated[float, Range(0.5, 50.0)] = 8.0
-    damping: Annotated[float, Range(0.1, 2.0)] = 0.68
-    gain_xy: Annotated[float, Range(0.0, 2.0)] = 0.6  # of measured tracking error, added to the set-point
-    gain_z: Annotated[float, Range(0.0, 2.0)] = 0.5
-    error_max_m_s: Annotated[float, Range(0.05, 10.0)] = (
+    lag_xy_s: Annotated[float, span(0.0, 2.0)] = 0.27  # group delay of the closed loop at low frequency
+    lag_z_s: Annotated[float, span(0.0, 2.0)] = 0.17
+    rate_xy_1_s: Annotated[float, span(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
+    rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0
+    damping: Annotated[float, span(0.1, 2.0)] = 0.68
+    gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # of measured tracking error, added to the set-point
+    gain_z: Annotated[float, span(0.0, 2.0)] = 0.5
+    error_max_m_s: Annotated[float, span(0.05, 10.0)] = (
         0.6  # horizontal set-point against velocity: bounds tilt
     )
-    slope_time_s: Annotated[float, Range(0.01, 1.0)] = 0.05  # smoothing of the wanted acceleration
-    disturbance_time_s: Annotated[float, Range(0.1, 10.0)] = 0.6  # low-pass of wind, drag, weight error
-    disturbance_max_m_s: Annotated[float, Range(0.0, 5.0)] = 0.6  # 2 m/s of wind on a Crazyflie makes 0.25
+    slope_time_s: Annotated[float, span(0.01, 1.0)] = 0.05  # smoothing of the wanted acceleration
+    disturbance_time_s: Annotated[float, span(0.1, 10.0)] = 0.6  # low-pass of wind, drag, weight error
+    disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # 2 m/s of wind on a Crazyflie makes 0.25
 
     def rate_max_1_s(self, period_s: float) -> float:
         """Natural frequency below which the model, stepped with this period, is stable.
@@ -52,70 +51,72 @@ class VelocityFeedback:
     """
 
     horizontal: bool = False
-    error_rate_1_s: Annotated[float, Range(0.5, 20.0)] = 5.0  # at which a wrong velocity is mended
-    tilt_rate_1_s: Annotated[float, Range(1.0, 50.0)] = 13.0  # at which the acceleration for that is reached
-    observer_rate_1_s: Annotated[float, Range(1.0, 50.0)] = 25.0  # at which disturbances are learned
-    acceleration_max_m_s2: Annotated[float, Range(0.2, 20.0)] = (
-        3.0  # wanted; 3.5 tilt a vehicle by 20 degrees
-    )
+    error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # at which a wrong velocity is mended
+    tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # at which the acceleration for that is reached
+    observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # at which disturbances are learned
+    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # wanted; 3.5 tilt a vehicle by 20 degrees
 
 
 @dataclass(frozen=True, slots=True)
 class OwnStateLink:
     """How the vehicle's own state reaches us."""
 
-    delay_s: Annotated[float, Range(0.0, 0.2)] = 0.01  # age of a position when it arrives
-    position_noise_m: Annotated[float, Range(0.0, 0.2)] = 0.002  # standard deviation on each axis
+    delay_s: Annotated[float, span(0.0, 0.2)] = 0.01  # age of a position when it arrives
+    position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.002  # standard deviation on each axis
 
 
 @dataclass(frozen=True, slots=True)
 class TargetLink:
     """How the target moves and how its odometry reaches us."""
 
-    delay_s: Annotated[float, Range(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
-    position_noise_m: Annotated[float, Range(1e-4, 0.5)] = 0.005  # standard deviation on each axis
-    velocity_noise_m_s: Annotated[float, Range(1e-4, 1.0)] = 0.02
-    jerk_xy_m_s3_sqrthz: Annotated[float, Range(0.01, 20.0)] = 0.6  # about 0.5 m/s^2 changing every second
-    jerk_z_m_s3_sqrthz: Annotated[float, Range(0.01, 20.0)] = 0.02  # it drives on a floor; 0.6 on a ship
+    delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
+    position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation on each axis
+    velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02
+    jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # about 0.5 m/s^2 changing every second
+    jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # it drives on a floor; 0.6 on a ship
     # times the jerk on x and y, while innovations are larger than expected; 1: always the same
-    jerk_growth_max: Annotated[float, Range(1.0, 100.0)] = 1.0
-    acceleration_xy_m_s2: Annotated[float, Range(0.001, 10.0)] = 0.3  # before anything is known
-    acceleration_time_s: Annotated[float, Range(0.05, 1000.0)] = 0.5  # in which that on x and y fades, unseen
+    jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
+    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # before anything is known
+    acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5  # in which that on x and y fades, unseen
     turns_with_yaw: bool = True  # its velocity does, as of all wheeled robots but those that go sideways
-    acceleration_z_m_s2: Annotated[float, Range(0.001, 10.0)] = 0.01
+    acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
     """What the certificate must hold for, besides ``touchdown.target_speed_max_m_s``; flight ignores it."""
 
-    target_climb_max_m_s: Annotated[float, Range(0.0, 2.0)] = 0.0  # heave of the pad
-    target_acceleration_max_m_s2: Annotated[float, Range(0.0, 10.0)] = 0.5  # braking, reversing, turning
-    target_rate_hz: Annotated[float, Range(1.0, 500.0)] = 50.0  # of its odometry
-    lag_spread: Annotated[float, Range(0.0, 0.9)] = 0.3  # share by which a vehicle may lag more or less
+    target_climb_max_m_s: Annotated[float, span(0.0, 2.0)] = 0.0  # heave of the pad
+    target_acceleration_max_m_s2: Annotated[float, span(0.0, 10.0)] = 0.5  # braking, reversing, turning
+    target_rate_hz: Annotated[float, span(1.0, 500.0)] = 50.0  # of its odometry
+    lag_spread: Annotated[float, span(0.0, 0.9)] = 0.3  # share by which a vehicle may lag more or less
 
 
 @dataclass(frozen=True, slots=True)
 class Robust:
     """The filter itself."""
 
-    rate_1_s: Annotated[float, Range(0.1, 10.0)] = 1.5  # at which h may be used up; below the velocity loop's
-    tracking_error_m_s: Annotated[float, Range(0.0, 1.0)] = 0.04  # vertical velocity not flown as wanted
-    sigma_factor: Annotated[float, Range(0.0, 6.0)] = 2.0  # standard deviations of position that are covered
-    fade_radius_m: Annotated[float, Range(0.01, 1.0)] = 0.06  # the margin fades within it, for the touchdown
-    acceleration_max_m_s2: Annotated[Vec3, Range(0.2, 20.0)] = (2.0, 2.0, 2.5)  # of the wanted velocity
-    gain_1_s: Annotated[float, Range(0.1, 5.0)] = 1.2  # position loop on the way to the pad
-    gain_over_pad_1_s: Annotated[float, Range(0.1, 5.0)] = 2.0  # the same horizontally, over the pad
-    descent_min_m_s: Annotated[float, Range(0.01, 1.0)] = 0.1  # slowest on the way, above the waiting height
-    descent_max_m_s: Annotated[float, Range(0.05, 10.0)] = 1.0  # fastest on the way, relative to the pad
-    wait_height_m: Annotated[float, Range(0.03, 3.0)] = 0.1  # above the pad until it may go down
-    commit_height_m: Annotated[float, Range(0.05, 3.0)] = 0.22  # from here it goes down in one go
-    commit_radius_m: Annotated[float, Range(0.005, 1.0)] = 0.04  # if it is so near to the middle
-    commit_speed_m_s: Annotated[float, Range(0.01, 1.0)] = 0.12  # and so slow against the target
-    corridor_m: Annotated[float, Range(0.01, 2.0)] = 0.085  # going to leave this radius: go around
-    descent_m_s: Annotated[float, Range(0.05, 1.0)] = 0.22  # relative to the pad, to contact
-    descent_lead_max_m_s: Annotated[float, Range(0.0, 1.0)] = 0.15  # set-point faster than that, for the lag
-    touch_height_m: Annotated[float, Range(0.005, 0.5)] = 0.05  # below it a stopped descent is contact
+    rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # at which h may be used up; below the velocity loop's
+    tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04  # vertical velocity not flown as wanted
+    sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # standard deviations of position that are covered
+    fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # the margin fades within it, for the touchdown
+    acceleration_max_m_s2: Each[Annotated[float, span(0.2, 20.0)]] = (
+        2.0,
+        2.0,
+        2.5,
+    )  # of the wanted velocity
+    gain_1_s: Annotated[float, span(0.1, 5.0)] = 1.2  # position loop on the way to the pad
+    gain_over_pad_1_s: Annotated[float, span(0.1, 5.0)] = 2.0  # the same horizontally, over the pad
+    descent_min_m_s: Annotated[float, span(0.01, 1.0)] = 0.1  # slowest on the way, above the waiting height
+    descent_max_m_s: Annotated[float, span(0.05, 10.0)] = 1.0  # fastest on the way, relative to the pad
+    wait_height_m: Annotated[float, span(0.03, 3.0)] = 0.1  # above the pad until it may go down
+    commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # from here it goes down in one go
+    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # if it is so near to the middle
+    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # and so slow against the target
+    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # going to leave this radius: go around
+    descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # relative to the pad, to contact
+    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # set-point faster than that, for the lag
+    touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # below it a stopped descent is contact
 
     def margin_m(self, slope: float, sigma_xy_m: float, sigma_z_m: float) -> float:
         """Margin on h that covers tracking and position errors.

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from flightstack.common.processes import LaunchError
-from flightstack.core.parameters.flight import path_of
+from flightstack.config.files import path_of
 from sim.px4.program import Px4Program
 from tests.flight_suite.radio import Radio
 from tests.px4_flight import Px4Flight, Px4Flying, flying

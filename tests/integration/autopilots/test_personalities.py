@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 
-from flightstack.core.parameters.flight import path_of
+from flightstack.config.files import path_of
 from logs.reader.reader import LogFile
 from tests.integration.runs import COMMAND, WALL_MAX_S, flightstack
 from tests.integration.sim_processes import ROOT

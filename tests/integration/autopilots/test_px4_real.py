@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from flightstack.common.processes import Child
-from flightstack.common.strict_toml import dumps, to_table
+from flightstack.common.strict_toml import dumps
 from flightstack.core.types import Mode
 from logs.reader.flight import load_flight
 from logs.reader.flight_data import Truth
@@ -48,7 +48,7 @@ def scenario_file(folder):
         onboard=replace(large.onboard, takeoff=replace(large.onboard.takeoff, height_m=TAKEOFF_M)),
     )  # fmt: skip
     file = folder / "large_short.toml"
-    file.write_text(dumps(to_table(short)))
+    file.write_text(dumps(short))
     return file
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from flightstack.common.strict_toml import dumps, to_table
+from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_flight
 from sim.scenarios.scenario import PathKind, load
 from tests.integration.flights.test_sitl import KEYS
@@ -39,9 +39,9 @@ def test_arducopters_program_is_started_and_flown_over_tcp(tmp_path):
     there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     config, still = tmp_path / "config.toml", tmp_path / "still.toml"
     checks = replace(scenario.onboard.checks, wait_time_max_s=150.0)  # a busy machine starts slowly
-    config.write_text(dumps(to_table(replace(scenario.onboard, vehicle=there, checks=checks))))
+    config.write_text(dumps(replace(scenario.onboard, vehicle=there, checks=checks)))
     target = replace(scenario.target, path=PathKind.STILL, speed_m_s=0.0)
-    still.write_text(dumps(to_table(replace(scenario, name="still", target=target))))
+    still.write_text(dumps(replace(scenario, name="still", target=target)))
     program = tmp_path / "arducopter"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} {STAND_IN} "$@"\n')
     program.chmod(0o755)

@@ -10,7 +10,8 @@ from click.testing import CliRunner
 
 from flightstack.cli.main import main
 from flightstack.common.strict_toml import dumps, from_table, to_table
-from flightstack.core.parameters.flight import FlightConfig, load, path_of
+from flightstack.config.files import load
+from flightstack.core.parameters.flight import FlightConfig
 from sim.scenarios import scenario
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.verify.certificate_helpers import config
@@ -24,7 +25,7 @@ def run(*words):
 
 def write(tmp_path, settings, name="onboard.toml"):
     path = tmp_path / name
-    path.write_text(dumps(to_table(settings)))
+    path.write_text(dumps(settings))
     return path
 
 
@@ -74,7 +75,7 @@ def test_the_papers_scenarios_pass_the_papers_checks(name):
 
 
 def test_the_documented_configuration_passes():
-    assert load(path_of("crazyflie")).filter == "paper"
+    assert load("crazyflie").filter == "paper"
     assert run("check", "crazyflie").exit_code == 0
 
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 from flightstack.common.processes import Child, Port
-from flightstack.common.strict_toml import dumps, to_table
+from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_flight
 from sim.scenarios.scenario import load
 from tests.integration.runs import COMMAND, WALL_MAX_S, flightstack
@@ -22,7 +22,7 @@ SCENARIO = "grid"
 def theirs(folder):
     """Vehicle and robot that run by themselves; yields the words that plug them in."""
     config = folder / "mine.toml"
-    config.write_text(dumps(to_table(load(SCENARIO).onboard)))
+    config.write_text(dumps(load(SCENARIO).onboard))
     ports, children = [Port(), Port()], []
     target_at, onboard_at = (port.endpoint for port in ports)
     try:

@@ -5,7 +5,7 @@ from click.testing import CliRunner
 
 from flightstack.cli.main import main
 from flightstack.common.processes import LaunchError
-from flightstack.core.parameters.flight import load, path_of
+from flightstack.config.files import load
 from flightstack.launch import fly
 from flightstack.launch.run_options import Flies, RunOptions
 from flightstack.launch.sitl import prepare, sum_up
@@ -40,7 +40,7 @@ def test_every_option_of_the_onboard_process_is_handed_on_as_it_was_given(asked,
         "--target-type", "pose", "--target-offset", 0.1, -0.2, 0.3, "--ros2", "tcp/127.0.0.1:7447",
         "--ros-domain", 5, "--zenoh-config", zenoh, "--duration", 30, "--namespace", "cf2", "--out", tmp_path,
     )  # fmt: skip
-    assert config == load(path_of("crazyflie"))
+    assert config == load("crazyflie")
     words = list(options.words)
     pairs = {tuple(words[i : i + 2]) for i in range(len(words) - 1)}
     assert pairs >= {
@@ -95,12 +95,12 @@ def test_runs_are_counted_and_what_did_not_fly_is_no_landing():
 @pytest.mark.parametrize(("scenario", "config"), [("grid", "px4-crazyflie"), ("large", "px4-1kg")])
 def test_a_configuration_that_does_not_say_where_to_begin_begins_where_the_scenario_does(scenario, config):
     given = load_scenario(scenario).onboard.takeoff.start_offset_m
-    assert load(path_of(config)).takeoff.start_offset_m is None
+    assert load(config).takeoff.start_offset_m is None
     flown = prepare(RunOptions(scenario, flies=Flies.PX4)).onboard
     assert flown.takeoff.start_offset_m == given
-    assert flown.vehicle == load(path_of(config)).vehicle
+    assert flown.vehicle == load(config).vehicle
 
 
 def test_a_configuration_that_says_where_to_begin_is_flown_as_it_is():
     flown = prepare(RunOptions("grid", config="crazyflie")).onboard
-    assert flown == load(path_of("crazyflie"))
+    assert flown == load("crazyflie")

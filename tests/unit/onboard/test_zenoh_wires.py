@@ -10,13 +10,13 @@ from bridge.ros2.ros2_names import Ros2Network
 from bridge.target.ros2_target import TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_alarm import PATIENCE_S
-from flightstack.core.parameters.flight import load, path_of
+from flightstack.config.files import load
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
 from tests.unit.target import ros2_helpers as ros
 from tests.unit.target.ros2_helpers import until
 
 ROOT = Path(__file__).parents[3]
-CONFIG = load(path_of("crazyflie"))
+CONFIG = load("crazyflie")
 STAMP = 1_700_000_000_000_000_000
 
 

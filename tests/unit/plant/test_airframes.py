@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from flightstack.core.parameters.flight import load as load_config
-from flightstack.core.parameters.flight import path_of
+from flightstack.config.files import load as load_config
 from flightstack.verify.certificate import problems
 from sim.plant.params import load
 from sim.scenarios.scenario import Airframe, StartKind, Wind
@@ -71,7 +70,7 @@ def test_one_kilogram_answers_velocities_as_px4s_simulator_does():
 
 
 def test_the_configuration_file_is_the_scenarios():
-    assert load_config(path_of("sitl-1kg")) == load_scenario("large").onboard
+    assert load_config("sitl-1kg") == load_scenario("large").onboard
 
 
 def test_the_large_configuration_is_proven_and_made_for_its_vehicle():

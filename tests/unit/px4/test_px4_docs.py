@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from flightstack.cli.real.px4_sim import px4_sim
-from flightstack.core.parameters.flight import load as load_config
-from flightstack.core.parameters.flight import path_of
+from flightstack.config.files import load as load_config
 from flightstack.verify.certificate import checks
 from sim.plant.params import load
 from sim.px4.airframe import FORMATS, PX4_OF_M, parameters
@@ -32,7 +31,7 @@ def test_the_table_of_configurations_has_their_lags_and_pads():
     rows = re.findall(r"^\| `([\w-]+)` \| `(\w+)` \| ([0-9.]+) s, ([0-9.]+) s \| ([0-9.]+) m \|$", PAGE, re.M)
     assert [scenario for _, scenario, *_ in rows] == ["grid", "large"]
     for name, _, sideways, vertical, pad in rows:
-        config = load_config(path_of(name))
+        config = load_config(name)
         loop = config.velocity_loop
         assert (loop.lag_xy_s, loop.lag_z_s) == (float(sideways), float(vertical))
         assert config.touchdown.pad_radius_m == float(pad)
@@ -41,7 +40,7 @@ def test_the_table_of_configurations_has_their_lags_and_pads():
 
 @pytest.mark.parametrize("name", ["px4-crazyflie", "px4-1kg", "ardupilot-1kg"])
 def test_the_configurations_for_real_autopilots_are_proven(name):
-    assert [result.name for result in checks(load_config(path_of(name))) if not result.proven] == []
+    assert [result.name for result in checks(load_config(name)) if not result.proven] == []
 
 
 def test_the_table_of_motors_is_the_order_of_the_code():

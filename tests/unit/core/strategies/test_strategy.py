@@ -8,8 +8,9 @@ import pytest
 
 from examples.own_filter import Cone, ConeFilter
 from flightstack.common.strict_toml import ConfigError, from_table
+from flightstack.config.files import load
 from flightstack.core.parameters.filters import FILTERS, look_here, named, short_name
-from flightstack.core.parameters.flight import FlightConfig, load
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import (
     Strategy,
     packaged_strategy_of,

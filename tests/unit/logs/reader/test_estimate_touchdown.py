@@ -97,7 +97,7 @@ def test_pad_and_feet_are_those_of_the_configuration(flight):
 
 
 def test_a_log_of_a_real_flight_gives_the_pad_of_its_configuration(tmp_path):
-    from flightstack.common.strict_toml import dumps, to_table
+    from flightstack.common.strict_toml import dumps
     from logs.recorder.mcap_file import McapFile
 
     rows = landing()
@@ -106,7 +106,7 @@ def test_a_log_of_a_real_flight_gives_the_pad_of_its_configuration(tmp_path):
     real = McapFile.close
 
     def close(self):
-        self.attachment("onboard.toml", "application/toml", 0, dumps(to_table(LARGE)).encode())
+        self.attachment("onboard.toml", "application/toml", 0, dumps(LARGE).encode())
         real(self)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -7,7 +7,7 @@ import shlex
 import numpy as np
 import pytest
 
-from flightstack.core.parameters.flight import load, path_of
+from flightstack.config.files import load, path_of
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.types import FilterStatus, Phase

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from flightstack.common.pacing import EPOCH_NS, Tick
-from flightstack.common.strict_toml import dumps, from_table, to_table
+from flightstack.common.strict_toml import dumps, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
 from flightstack.onboard.exchange import Taken
@@ -51,7 +51,7 @@ class NoSession:
 def record(path: Path, world: World, seconds: float, *, until=None, config: FlightConfig = CONFIG) -> Path:
     """Fly the world and record it; ends when the time is over or the controller has finished."""
     feed = FileFeed(path)
-    feed.file.attachment("onboard.toml", "application/toml", 0, dumps(to_table(config)).encode())
+    feed.file.attachment("onboard.toml", "application/toml", 0, dumps(config).encode())
     feed.file.metadata("onboard", {"namespace": "cf1"})
     log = OnboardLog(feed, NoSession(), "cf1", config.loop.rate_hz, lockstep=True)
     for number in range(round(seconds / DT_S)):
