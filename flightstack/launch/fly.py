@@ -22,8 +22,8 @@ class FlyOptions:
 
     Attributes:
         name: of the configuration.
-        vehicle: MAVLink URL.
-        target: key or topic of its motion.
+        vehicle_url: MAVLink URL.
+        target_key: key or topic of its motion.
         words: options of ``flightstack onboard``, but for its configuration and recorder.
         record: whether the flight is recorded.
         out: folder; None: a new one in ``runs``.
@@ -34,8 +34,8 @@ class FlyOptions:
     """
 
     name: str
-    vehicle: str
-    target: str
+    vehicle_url: str
+    target_key: str
     words: Sequence[str]
     record: bool = True
     out: Path | None = None
@@ -62,7 +62,7 @@ def run(config: FlightConfig, options: FlyOptions, console: Console) -> Flown:
         if log is not None:
             recorder, feed = launcher.record(log), ["--recorder", str(launcher.socket)]
             recorder.yield_to_others(10)
-            known = {"config": options.name, "vehicle": options.vehicle, "target": options.target}
+            known = {"config": options.name, "vehicle": options.vehicle_url, "target": options.target_key}
             describe(launcher.socket, config, known, {})
         at = launcher.endpoint()
         if options.view is not None:
@@ -73,7 +73,7 @@ def run(config: FlightConfig, options: FlyOptions, console: Console) -> Flown:
         onboard.wait_ready()
         for endpoint in (at, *options.listen):
             console.print(f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True)
-        title = f"{options.name}  {options.vehicle}  filter {config.filter}"
+        title = f"{options.name}  {options.vehicle_url}  filter {config.filter}"
         shown = Shown(at, title, options.namespace) if options.live and console.is_terminal else None
         started = time.monotonic()
         problem = launcher.watch(onboard, [recorder] if recorder is not None else [], None, shown)

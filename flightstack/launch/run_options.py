@@ -10,7 +10,7 @@ from bridge.mavlink.profiles.autopilots import AUTO
 from bridge.ros2.ros2_names import Ros2Network
 from flightstack.common.strict_toml import ConfigError
 
-PX4_PERSONALITY = "px4"  # default of the simulated vehicle
+DEFAULT_PROFILE = "px4"  # of the simulated vehicle
 _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and ArduPilot only"
 
 
@@ -40,7 +40,7 @@ class RunOptions:
         zenoh_config: of the onboard process.
         ros2: where target and flight are shown to ROS 2.
         view: where the scene is shown in 3-D; None: nowhere.
-        personality: of the simulated vehicle.
+        profile: of the autopilot that the simulated vehicle imitates.
         autopilot: of the onboard process.
         config: of the onboard process, by name or file; None: the vehicle's, or the scenario's.
         flies: whose autopilot and physics.
@@ -62,9 +62,9 @@ class RunOptions:
     zenoh_config: Path | None = None
     ros2: Ros2Network | None = None
     view: str | None = None
-    personality: str = PX4_PERSONALITY
+    profile: str = DEFAULT_PROFILE
     autopilot: str = AUTO
-    config: str | None = None
+    config: str | Path | None = None
     flies: Flies = Flies.OWN
     program: Path | None = None
     instance: int | None = None
@@ -86,7 +86,7 @@ class RunOptions:
                 own,
                 "is not given to a PX4 or ArduPilot in software",
             ),
-            ("--personality", self.personality != PX4_PERSONALITY, own, _SIMULATED),
+            ("--profile", self.profile != DEFAULT_PROFILE, own, _SIMULATED),
             ("--speed", self.speed != 1.0, not own, f"{_REAL}; --lockstep is faster"),
             ("--instance", self.instance is not None, not own, _REAL),
             ("--mocap", self.mocap, self.flies is Flies.PX4, "works with --px4 only, instead of satellites"),

@@ -157,7 +157,7 @@ def prepare(options: RunOptions) -> Scenario:
         scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)
-    if PROFILES[options.personality].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
+    if PROFILES[options.profile].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
         there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
         scenario = replace(scenario, onboard=replace(scenario.onboard, vehicle=there))
     if options.duration_s is not None:

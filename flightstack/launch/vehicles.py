@@ -79,16 +79,16 @@ class OwnVehicle:
         """Start it; see ``Vehicle.start``."""
         lockstep = ["--lockstep"] if options.lockstep else []
         key = ["--signing-key", str(options.signing_key)] if options.signing_key is not None else []
-        values = PROFILES[options.personality].set_before_flight
+        values = PROFILES[options.profile].set_before_flight
         child = launcher.start(
             "vehicle", *common_words(launcher, options), *lockstep, *key,
             "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),
-            "--connect", target_at, "--url", "udpin:127.0.0.1:0", "--personality", options.personality,
+            "--connect", target_at, "--url", "udpin:127.0.0.1:0", "--profile", options.profile,
             *(word for name, value in values.items() for word in ("--parameter", f"{name}={value:g}")),
         )  # fmt: skip
         url = child.wait_ready().replace("udpin", "udpout")
         # the heartbeat of the simulated vehicle is that of the autopilot it imitates
-        own = options.autopilot == AUTO and options.personality == PX4.name
+        own = options.autopilot == AUTO and options.profile == PX4.name
         autopilot = OWN_SITL.name if own else options.autopilot
         return Flying(["--vehicle", url, *key, "--autopilot", autopilot], [child], child)
 

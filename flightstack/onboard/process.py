@@ -10,8 +10,8 @@ import contextlib
 import signal
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
@@ -57,8 +57,8 @@ class Options:
 
     vehicle_url: str
     target_key: str
-    connect: list[str] = field(default_factory=list)
-    listen: list[str] = field(default_factory=list)
+    connect: Sequence[str] = ()
+    listen: Sequence[str] = ()
     namespace: str = "cf1"
     recorder: Path | None = None  # socket of a running one
     own_recorder: OwnRecorder | None = None  # started if there is no other

@@ -12,6 +12,7 @@ import select
 import socket
 import time
 from collections.abc import Mapping
+from pathlib import Path
 
 from logs.recorder.feed_wire import HEADER, MAX_PAYLOAD, Kind, encode, encode_json
 
@@ -50,7 +51,7 @@ class Feed:
             self._report_losses()
 
     @staticmethod
-    def connect(path: str | None, client: str, *, lossless: bool) -> Feed:
+    def connect(path: str | Path | None, client: str, *, lossless: bool) -> Feed:
         """Return a feed to the recorder listening at ``path``.
 
         Args:
@@ -65,7 +66,7 @@ class Feed:
             return NullFeed()
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            sock.connect(path)
+            sock.connect(str(path))
         except OSError as error:
             sock.close()
             raise FeedError(

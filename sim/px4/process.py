@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.zenoh import zenoh_link
@@ -97,32 +98,12 @@ def _tell(event: Event) -> None:
     _say(event.value)
 
 
-def px4_sim_main(
-    scenario: Scenario,
-    seed: int,
-    tcp: str,
-    *,
-    speed: float = 1.0,
-    clock: Path | None = None,
-    silent_max_s: float = 10.0,
-    duration_s: float | None = None,
-    once: bool = False,
-    mocap: bool = False,
-    feed_socket: str | None = None,
-    zenoh_connect: Sequence[str] = (),
-    zenoh_listen: Sequence[str] = (),
-    zenoh_config: Path | None = None,
-    namespace: str = "cf1",
-    allow_unsigned: bool = False,
-) -> int:
-    """Serve PX4 until SIGTERM, SIGINT or ``duration_s``; prints ``ready tcp:HOST:PORT`` when it may connect.
+@dataclass(frozen=True)
+class Px4SimOptions:
+    """How PX4 is served. Without Zenoh the deck stands where the scenario puts it.
 
-    Every PX4 that connects finds the vehicle at its start: PX4 does not reconnect, a new one is a new flight.
-    Without any Zenoh endpoint the deck stands where the scenario puts it.
-
-    Args:
-        scenario: vehicle, start, wind, pad.
-        seed: chance.
+    Attributes:
+        seed: of all chance.
         tcp: ``HOST:PORT`` to listen on.
         speed: of simulated time against the wall's; 0: as fast as PX4 answers.
         clock: file through which robot and onboard process live by this time; None: by the wall's.
@@ -130,47 +111,79 @@ def px4_sim_main(
         duration_s: end after so much simulated time of one PX4; None: no end.
         once: end when the first PX4 has gone.
         mocap: the scenario's motion capture instead of satellites.
-        feed_socket: flight recorder, if there is one.
-        zenoh_connect: Zenoh endpoints to connect to.
-        zenoh_listen: Zenoh endpoints to listen on.
+        recorder: socket of the flight recorder, if there is one.
+        connect: Zenoh endpoints to connect to.
+        listen: Zenoh endpoints to listen on.
         zenoh_config: Zenoh configuration to begin with.
         namespace: first part of all Zenoh keys.
         allow_unsigned: listen to a network.
+    """
+
+    seed: int
+    tcp: str
+    speed: float = 1.0
+    clock: Path | None = None
+    silent_max_s: float = 10.0
+    duration_s: float | None = None
+    once: bool = False
+    mocap: bool = False
+    recorder: Path | None = None
+    connect: Sequence[str] = ()
+    listen: Sequence[str] = ()
+    zenoh_config: Path | None = None
+    namespace: str = "cf1"
+    allow_unsigned: bool = False
+
+
+def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
+    """Serve PX4 until SIGTERM, SIGINT or ``duration_s``; prints ``ready tcp:HOST:PORT`` when it may connect.
+
+    Every PX4 that connects finds the vehicle at its start: PX4 does not reconnect, a new one is a new flight.
 
     Returns:
         Exit status: 0 in order, 1 when PX4 fell silent or something else did not come, 2 for wrong input.
     """
+    speed = options.speed
     stop = StopSignal().install()
     try:
         with ExitStack() as stack:
-            host, port = parse_endpoint(tcp, allow_unsigned=allow_unsigned)
-            with_robot = bool(zenoh_connect or zenoh_listen or zenoh_config is not None)
-            _check_speed(speed, with_robot and clock is None)
-            Px4Plant(scenario, seed).advance(STEP_MS)  # refuses wrong scenarios, and compiles
+            host, port = parse_endpoint(options.tcp, allow_unsigned=options.allow_unsigned)
+            with_robot = bool(options.connect or options.listen or options.zenoh_config is not None)
+            _check_speed(speed, with_robot and options.clock is None)
+            Px4Plant(scenario, options.seed).advance(STEP_MS)  # refuses wrong scenarios, and compiles
             session = None
             if with_robot:
-                session = zenoh_link.open_session(zenoh_listen, zenoh_connect, config_file=zenoh_config)
+                session = zenoh_link.open_session(
+                    options.listen, options.connect, config_file=options.zenoh_config
+                )
                 stack.callback(session.close)
             server = Px4Server(host, port)
             stack.callback(server.close)
-            feed = Feed.connect(feed_socket, "vehicle", lossless=False)
+            feed = Feed.connect(options.recorder, "vehicle", lossless=False)
             stack.callback(feed.close)
-            deck = RealTimeDeck(session, namespace) if session is not None else None
+            deck = RealTimeDeck(session, options.namespace) if session is not None else None
             # without a robot and as fast as it can, no other clock counts
-            paced = SimulationClock(clock) if clock is not None else FastClock(speed or 1.0)
-            node = Px4Node(deck, VehicleLog(feed, paced.unix_ns(), namespace), paced, stop)
+            paced = SimulationClock(options.clock) if options.clock is not None else FastClock(speed or 1.0)
+            node = Px4Node(deck, VehicleLog(feed, paced.unix_ns(), options.namespace), paced, stop)
             _say(f"ready tcp:{host}:{server.port}")
             quiet_garbage_collector()
             while not stop.is_set:
                 link = server.accept()
                 if link is None:
                     continue
-                plant = Px4Plant(scenario, seed)
-                poses = Px4Mocap(scenario.vehicle.mocap, seed) if mocap else None
+                plant = Px4Plant(scenario, options.seed)
+                poses = Px4Mocap(scenario.vehicle.mocap, options.seed) if options.mocap else None
                 flight = Px4Session(
-                    link, plant, seed, stop, speed=speed, silent_max_s=silent_max_s, tell=_tell, mocap=poses
+                    link,
+                    plant,
+                    options.seed,
+                    stop,
+                    speed=speed,
+                    silent_max_s=options.silent_max_s,
+                    tell=_tell,
+                    mocap=poses,
                 )
-                if _serve(flight, link, node, stop, duration_s) or (once and flight.steps):
+                if _serve(flight, link, node, stop, options.duration_s) or (options.once and flight.steps):
                     break
     except ValueError as error:
         print(f"px4-sim: {error}", file=sys.stderr)

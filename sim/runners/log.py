@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from logs.recorder.feed import Feed
@@ -31,7 +33,7 @@ class EventLog:
         self._sequence = 0
 
     @classmethod
-    def connect(cls, path: str | None, name: str, epoch_ns: int, *, lossless: bool) -> EventLog:
+    def connect(cls, path: str | Path | None, name: str, epoch_ns: int, *, lossless: bool) -> EventLog:
         """Connect to the recorder, if there is one.
 
         Raises:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.frames import quaternion_from_yaw
@@ -142,56 +143,64 @@ class Credit:
         return tick <= self.tick + RUN_AHEAD_TICKS
 
 
-def target_main(
-    scenario: Scenario,
-    seed: int,
-    *,
-    lockstep: bool,
-    rate_hz: int,
-    listen: Sequence[str],
-    connect: Sequence[str],
-    namespace: str = "cf1",
-    feed_socket: str | None = None,
-    duration_s: float | None = None,
-    zenoh_config: Path | None = None,
-    ros2: Ros2Network | None = None,
-    speed: float = 1.0,
-    clock: Path | None = None,
-) -> int:
-    """Run the robot until SIGTERM, SIGINT or ``duration_s``; prints ``ready`` when it can be reached.
+@dataclass(frozen=True)
+class TargetOptions:
+    """Where the simulated robot is plugged in.
 
-    Args:
-        scenario: what it does.
-        seed: chance.
+    Attributes:
+        seed: of all chance.
         lockstep: simulated time by credit, instead of real time.
         rate_hz: ticks per second; in lockstep that of the onboard process.
         listen: Zenoh endpoints to listen on; none means a free port on loopback.
         connect: Zenoh endpoints to connect to.
-        namespace: first part of all keys.
-        feed_socket: flight recorder, if there is one.
-        duration_s: how long, simulated or real; None: no end.
         zenoh_config: Zenoh configuration to begin with.
+        namespace: first part of all keys.
+        recorder: socket of the flight recorder, if there is one.
+        duration_s: how long, simulated or real; None: no end.
         ros2: where to be a ROS 2 node as well.
         speed: of its time against real time, unless in lockstep.
         clock: of a simulator, to live by instead of the wall's.
+    """
+
+    seed: int
+    lockstep: bool = False
+    rate_hz: int = 100
+    listen: Sequence[str] = ()
+    connect: Sequence[str] = ()
+    zenoh_config: Path | None = None
+    namespace: str = "cf1"
+    recorder: Path | None = None
+    duration_s: float | None = None
+    ros2: Ros2Network | None = None
+    speed: float = 1.0
+    clock: Path | None = None
+
+
+def target_main(scenario: Scenario, options: TargetOptions) -> int:
+    """Run the robot until SIGTERM, SIGINT or ``duration_s``; prints ``ready`` when it can be reached.
 
     Returns:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
+    lockstep, namespace = options.lockstep, options.namespace
     stop = StopSignal().install()
     try:
-        paced = chosen_clock(speed, clock, Follower.TARGET, lambda: stop.is_set, lockstep=lockstep)
+        paced = chosen_clock(
+            options.speed, options.clock, Follower.TARGET, lambda: stop.is_set, lockstep=lockstep
+        )
         with ExitStack() as stack:
-            session = zenoh_link.open_session(listen, connect, config_file=zenoh_config)
+            session = zenoh_link.open_session(
+                options.listen, options.connect, config_file=options.zenoh_config
+            )
             stack.callback(session.close)
-            robot = Robot(scenario, seed, session, namespace, rate_hz, lossless=lockstep)
-            if ros2 is not None:
-                robot.shown = _shown(ros2, namespace, stack)
+            robot = Robot(scenario, options.seed, session, namespace, options.rate_hz, lossless=lockstep)
+            if options.ros2 is not None:
+                robot.shown = _shown(options.ros2, namespace, stack)
             if not lockstep:
                 robot.epoch_ns = paced.unix_ns()  # once all that takes time is done
-            log = EventLog.connect(feed_socket, "target", robot.epoch_ns, lossless=lockstep)
+            log = EventLog.connect(options.recorder, "target", robot.epoch_ns, lossless=lockstep)
             stack.callback(log.close)
-            ticks = robot.grid.count(duration_s)
+            ticks = robot.grid.count(options.duration_s)
             if lockstep:
                 _Lockstep(robot, session, namespace, log, stop).run(ticks)
             else:

@@ -6,8 +6,8 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -121,89 +121,90 @@ class RealTimeLoop:
             )
 
 
-def vehicle_main(
-    scenario: Scenario,
-    seed: int,
-    url: str,
-    *,
-    lockstep: bool,
-    rate_hz: int,
-    feed_socket: str | None = None,
-    zenoh_connect: Sequence[str] = (),
-    zenoh_listen: Sequence[str] = (),
-    namespace: str = "cf1",
-    duration_s: float | None = None,
-    ready_line: bool = True,
-    signing_key: Path | None = None,
-    peers: Sequence[str] = (),
-    allow_unsigned: bool = False,
-    zenoh_config: Path | None = None,
-    personality: str = PX4.name,
-    parameters: Mapping[str, float] = MappingProxyType({}),
-) -> int:
+@dataclass(frozen=True)
+class VehicleOptions:
+    """Where the simulated vehicle is plugged in. Without Zenoh the deck stands where the scenario puts it.
+
+    Attributes:
+        seed: of all chance.
+        url: MAVLink endpoint, ``udpin:HOST:PORT`` (port 0: a free one, printed) or ``udpout:HOST:PORT``.
+        lockstep: simulated time goes on with the companion's answers, instead of real time.
+        rate_hz: ticks per second; in lockstep that of the onboard process.
+        recorder: socket of the flight recorder, if there is one.
+        connect: Zenoh endpoints to connect to.
+        listen: Zenoh endpoints to listen on.
+        zenoh_config: Zenoh configuration to begin with.
+        namespace: first part of all Zenoh keys.
+        duration_s: how long, simulated or real; None: no end.
+        signing_key: file of the key that every MAVLink frame must be signed with.
+        allow_unsigned: listen to a network without a key.
+        peers: ``HOST:PORT`` of those who get telemetry before they speak; real time only.
+        profile: which autopilot it imitates, a name of ``PROFILES``.
+        parameters: of that autopilot, set before it starts.
+    """
+
+    seed: int
+    url: str
+    lockstep: bool = False
+    rate_hz: int = 100
+    recorder: Path | None = None
+    connect: Sequence[str] = ()
+    listen: Sequence[str] = ()
+    zenoh_config: Path | None = None
+    namespace: str = "cf1"
+    duration_s: float | None = None
+    signing_key: Path | None = None
+    allow_unsigned: bool = False
+    peers: Sequence[str] = ()
+    profile: str = PX4.name
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+def vehicle_main(scenario: Scenario, options: VehicleOptions) -> int:
     """Run the vehicle until SIGTERM, SIGINT or ``duration_s``; prints ``ready URL`` when it can be reached.
 
     Prints ``armed`` and ``disarmed``, too, whenever that changes.
 
-    Without any Zenoh endpoint there is no link to the robot, and the deck stands where the scenario puts it.
-
-    Args:
-        scenario: vehicle, start, wind.
-        seed: chance.
-        url: MAVLink endpoint, ``udpin:HOST:PORT`` (port 0: a free one, printed) or ``udpout:HOST:PORT``.
-        lockstep: simulated time goes on with the companion's answers, instead of real time.
-        rate_hz: ticks per second; in lockstep that of the onboard process.
-        feed_socket: flight recorder, if there is one.
-        zenoh_connect: Zenoh endpoints to connect to.
-        zenoh_listen: Zenoh endpoints to listen on.
-        namespace: first part of all Zenoh keys.
-        duration_s: how long, simulated or real; None: no end.
-        ready_line: print the line.
-        signing_key: file of the key that every MAVLink frame must be signed with.
-        peers: ``HOST:PORT`` of those who get telemetry before they speak; real time only.
-        allow_unsigned: listen to a network without a key.
-        zenoh_config: Zenoh configuration to begin with.
-        personality: which autopilot it plays, a name of ``PROFILES``.
-        parameters: of that autopilot, set before it starts.
-
     Returns:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
+    url, lockstep, rate_hz, namespace = options.url, options.lockstep, options.rate_hz, options.namespace
     stop = StopSignal().install()
     try:
         with ExitStack() as stack:
             kind, host, port = parse_udp_url(url, "the simulated vehicle")
-            if lockstep and peers:
+            if lockstep and options.peers:
                 raise ValueError("--peer is for real time: in lockstep the companion calls first")
             endpoint = Endpoint(
                 url,
                 SYSTEM_ID,
                 COMPONENT_ID,
-                signing_key=load_key(signing_key) if signing_key else None,
-                always=[parse_peer(peer) for peer in peers],
-                allow_unsigned=allow_unsigned,
+                signing_key=load_key(options.signing_key) if options.signing_key else None,
+                always=[parse_peer(peer) for peer in options.peers],
+                allow_unsigned=options.allow_unsigned,
             )
             stack.callback(_close, endpoint)
             for warning in endpoint.warnings:
                 print(f"vehicle: WARNING: {warning}", file=sys.stderr)
             session = None
-            if zenoh_connect or zenoh_listen or zenoh_config is not None:
-                session = zenoh_link.open_session(zenoh_listen, zenoh_connect, config_file=zenoh_config)
-            if session is not None:
+            if options.connect or options.listen or options.zenoh_config is not None:
+                session = zenoh_link.open_session(
+                    options.listen, options.connect, config_file=options.zenoh_config
+                )
                 stack.callback(session.close)
             warm_up(scenario)
-            vehicle = VehicleSim(scenario, seed)
+            vehicle = VehicleSim(scenario, options.seed)
             epoch_ns = EPOCH_NS if lockstep else time.time_ns()
-            feed = Feed.connect(feed_socket, "vehicle", lossless=lockstep)
+            feed = Feed.connect(options.recorder, "vehicle", lossless=lockstep)
             stack.callback(feed.close)
             autopilot = Autopilot(
                 vehicle,
                 rate_hz,
                 epoch_ns=epoch_ns,
                 trim_enu_m_s=vehicle.trim_velocity_enu_m_s,
-                profile=PROFILES[personality],
+                profile=PROFILES[options.profile],
             )
-            for name, value in parameters.items():
+            for name, value in options.parameters.items():
                 autopilot.parameters.preset(name, value)
             node = VehicleNode(vehicle, autopilot, endpoint, VehicleLog(feed, epoch_ns, namespace), _tell)
             grid = TickGrid(rate_hz)
@@ -214,11 +215,10 @@ def vehicle_main(
             else:
                 follower = RealTimeDeck(session, namespace) if session is not None else None
                 loop = RealTimeLoop(node, follower, grid, stop)
-            if ready_line:
-                bound = endpoint.local_port if kind == "udpin" else port
-                print(f"ready {kind}:{host}:{bound}", flush=True)
+            bound = endpoint.local_port if kind == "udpin" else port
+            print(f"ready {kind}:{host}:{bound}", flush=True)
             quiet_garbage_collector()
-            loop.run(grid.count(duration_s))
+            loop.run(grid.count(options.duration_s))
     except ValueError as error:
         print(f"vehicle: {error}", file=sys.stderr)
         return 2

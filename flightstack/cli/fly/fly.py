@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import click
 
 from flightstack.cli import options as shared
-from flightstack.cli.fly.onboard import flight_options
+from flightstack.cli.options import takes
 
 # options of the onboard process that `fly` sets itself
 _OURS = ("config_file", "no_record")
 
 
+@dataclass(frozen=True)
+class FlyOptions(shared.Result, shared.Flight):
+    """Options of ``fly``."""
+
+    view: str | None = shared.view
+
+
 @click.command()
-@flight_options
-@shared.out
-@shared.as_json
-@shared.with_report
-@shared.view
-@click.pass_context
-def fly(
-    context: click.Context, /, config_file: Path, no_record: bool, out: Path | None, as_json: bool,
-    with_report: bool, view: str | None, **plugged: Any,
-) -> None:  # fmt: skip
+@takes(FlyOptions)
+def fly(options: FlyOptions) -> None:
     r"""Fly a real vehicle onto a real target: check it, record, show the flight, land, write a report.
 
     Ctrl-C, or closing the terminal, aborts: the vehicle flies clear and lands. A second Ctrl-C makes it land
@@ -36,30 +34,24 @@ def fly(
     from rich.console import Console
 
     from flightstack.common.processes import LaunchError
-    from flightstack.config import files as config
-    from flightstack.launch.fly import FlyOptions, run
+    from flightstack.config.files import load
+    from flightstack.launch import fly as launch
     from flightstack.launch.result import conclude
 
-    loaded = config.load(config_file)
-    options = FlyOptions(
-        name=config_file.stem,
-        vehicle=plugged["vehicle_url"],
-        target=plugged["target_key"],
-        words=_words(context),
-        record=not no_record,
-        out=out,
-        live=not as_json,
-        listen=plugged["listen"],
-        namespace=plugged["namespace"],
-        view=view,
+    run_options = options.to(
+        launch.FlyOptions,
+        name=options.config_file.stem,
+        words=_words(click.get_current_context()),
+        record=not options.no_record,
+        live=not options.as_json,
     )
-    console = Console(stderr=as_json, highlight=False)
+    console = Console(stderr=options.as_json, highlight=False)
     try:
-        flown = run(loaded, options, console)
+        flown = launch.run(load(options.config_file), run_options, console)
     except LaunchError as error:
         click.echo(f"flightstack: {error}", err=True)
         sys.exit(error.code)
-    sys.exit(conclude(flown, console, as_json=as_json, with_report=with_report))
+    sys.exit(conclude(flown, console, as_json=options.as_json, with_report=options.with_report))
 
 
 def _words(context: click.Context) -> list[str]:

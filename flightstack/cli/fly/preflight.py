@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from bridge.mavlink.preflight.rules import Level
 from bridge.mavlink.preflight.talk import Report
 from bridge.mavlink.signing.key import load_key
 from flightstack.cli import options as shared
+from flightstack.cli.options import takes
 from flightstack.config.files import load
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.onboard import preflight as checks
@@ -26,45 +27,48 @@ _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # its command box, without a file
 
 
+@dataclass(frozen=True)
+class PreflightOptions(shared.Signing):
+    """Options of ``preflight``."""
+
+    vehicle_url: str = shared.vehicle_url
+    system_id: int = shared.system_id
+    autopilot: str = shared.autopilot
+    config_file: Path | None = shared.config(
+        "Configuration of the flight; default: the paper's limits, no parameter accepted"
+    )
+    wait_s: float = shared.option(
+        "--wait", type=click.FloatRange(0.1, 600.0), default=10.0, metavar="S",
+        help="Longest wait for the vehicle's heartbeat.",
+    )  # fmt: skip
+    as_json: bool = shared.json()
+
+
 @click.command()
-@shared.vehicle_url
-@shared.autopilot
-@shared.config(
-    required=False, help="Configuration of the flight; default: the paper's limits, no parameter accepted"
-)
-@shared.system_id
-@click.option(
-    "--wait", "wait_s", type=click.FloatRange(0.1, 600.0), default=10.0, show_default=True, metavar="S",
-    help="Longest wait for the vehicle's heartbeat.",
-)  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@shared.signing_key
-@shared.allow_unsigned
-def preflight(
-    vehicle_url: str, autopilot: str, config_file: Path | None, system_id: int, wait_s: float, as_json: bool,
-    signing_key: Path | None, allow_unsigned: bool,
-) -> None:  # fmt: skip
+@takes(PreflightOptions)
+def preflight(options: PreflightOptions) -> None:
     """Read the vehicle's safety parameters and print what is unsafe, why, and what to set.
 
     Nothing is changed on the vehicle. Exit status: 0 it may arm, 1 it must not arm, 2 wrong input.
     """
-    config = load(config_file) if config_file is not None else _PAPER
+    config = load(options.config_file) if options.config_file is not None else _PAPER
     endpoint = Endpoint(
-        vehicle_url, system_id, _COMPONENT_ID,
-        signing_key=load_key(signing_key) if signing_key else None, allow_unsigned=allow_unsigned,
+        options.vehicle_url, options.system_id, _COMPONENT_ID,
+        signing_key=load_key(options.signing_key) if options.signing_key else None,
+        allow_unsigned=options.allow_unsigned,
     )  # fmt: skip
     try:
         for warning in endpoint.warnings:
             print(f"preflight: WARNING: {warning}", file=sys.stderr)
         report = checks.check(
-            endpoint, config, autopilot, system_id, wait_s=wait_s,
+            endpoint, config, options.autopilot, options.system_id, wait_s=options.wait_s,
             say=lambda text: print(f"preflight: {text}", file=sys.stderr),
         )  # fmt: skip
         for notice in endpoint.take_notices():
             print(f"preflight: WARNING: {notice}", file=sys.stderr)
     finally:
         endpoint.close()
-    if as_json:
+    if options.as_json:
         click.echo(json.dumps(to_json(report)))
     else:
         _print(report)

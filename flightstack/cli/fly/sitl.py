@@ -3,58 +3,61 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
 from flightstack.cli import options as shared
-from flightstack.cli.options import ros2, ros2_network, zenoh_config
+from flightstack.cli.options import takes
 from flightstack.launch.run_options import Flies
 
 _PROGRAM = click.Path(exists=True, path_type=Path)
 
 
+@dataclass(frozen=True)
+class SitlOptions(shared.Ros2, shared.Result, shared.Scenario):
+    """Options of ``sitl``."""
+
+    filter: str | None = shared.safety_filter("Safety filter; default: the configuration's")
+    config_file: Path | None = shared.config(
+        "Configuration instead of the scenario's, or of the one for an autopilot"
+    )
+    lockstep: bool = shared.lockstep
+    speed: float = shared.speed
+    duration_s: float | None = shared.duration
+    runs: int = shared.option(
+        "--runs", type=click.IntRange(min=1), default=1, metavar="N",
+        help="Fly N times, with the seeds from --seed on, and print a summary.",
+    )  # fmt: skip
+    view: str | None = shared.view
+    profile: str = shared.profile
+    autopilot: str = shared.autopilot
+    px4: Path | None = shared.option(
+        "--px4", type=_PROGRAM, help="Fly this PX4 (SITL program or build folder) on the simulated vehicle."
+    )
+    px4_sih: Path | None = shared.option(
+        "--px4-sih", type=_PROGRAM, help="Fly this PX4 with its own physics of a 1 kg quadrotor."
+    )
+    ardupilot: Path | None = shared.option(
+        "--ardupilot", type=_PROGRAM, help="Fly this ArduCopter (SITL program) with its own physics."
+    )
+    instance: int | None = shared.option(
+        "--px4-instance", "--instance", type=click.IntRange(0, 9), metavar="N",
+        help="Number that selects the ports of PX4 or ArduPilot; default: a free one, ArduPilot 0.",
+    )  # fmt: skip
+    mocap: bool = shared.mocap
+    listen: tuple[str, ...] = shared.option(
+        "--listen", multiple=True, metavar="ENDPOINT",
+        help="Additional Zenoh endpoint for watchers; one on loopback is there and printed; repeatable.",
+    )  # fmt: skip
+    zenoh_config: Path | None = shared.zenoh_config
+    signing_key: Path | None = shared.signing_key
+
+
 @click.command()
-@shared.scenario()
-@shared.seed
-@shared.safety_filter("Safety filter; default: the configuration's")
-@shared.lockstep
-@shared.duration
-@shared.out
-@shared.as_json
-@shared.with_report
-@shared.signing_key
-@ros2
-@zenoh_config
-@shared.view
-@shared.personality
-@shared.autopilot
-@click.option(
-    "--listen", multiple=True, metavar="ENDPOINT",
-    help="Additional Zenoh endpoint for watchers; one on loopback is always there and printed; repeatable.",
-)  # fmt: skip
-@shared.config(required=False, help="Configuration instead of the scenario's, or of the one for an autopilot")
-@click.option(
-    "--px4", type=_PROGRAM, help="Fly this PX4 (SITL program or build folder) on the simulated vehicle."
-)
-@click.option("--px4-sih", type=_PROGRAM, help="Fly this PX4 with its own physics of a 1 kg quadrotor.")
-@click.option("--ardupilot", type=_PROGRAM, help="Fly this ArduCopter (SITL program) with its own physics.")
-@click.option(
-    "--px4-instance", "--instance", "instance", type=click.IntRange(0, 9), metavar="N",
-    help="Instance number, which selects the ports of PX4 or ArduPilot; default: a free one, ArduPilot 0.",
-)  # fmt: skip
-@click.option("--mocap", is_flag=True, help="Give PX4 the scenario's motion capture instead of satellites.")
-@shared.speed
-@click.option(
-    "--runs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N",
-    help="Fly N times, with the seeds from --seed on, and print a summary.",
-)  # fmt: skip
-def sitl(
-    filter_name: str | None, as_json: bool, with_report: bool, px4: Path | None, px4_sih: Path | None,
-    ardupilot: Path | None, ros2_where: str | None, ros_domain: int, runs: int, config_file: Path | None,
-    **given: Any,
-) -> None:  # fmt: skip
+@takes(SitlOptions)
+def sitl(options: SitlOptions) -> None:
     """Fly a scenario in software: vehicle, target, onboard process and recorder, over the real wires.
 
     Exit status: 0 landed, 1 flown but not landed, 2 wrong input.
@@ -66,22 +69,20 @@ def sitl(
     from flightstack.launch.run_options import RunOptions
     from flightstack.launch.sitl import fly_all, run
 
-    flies, program = _chosen({Flies.PX4: px4, Flies.PX4_SIH: px4_sih, Flies.ARDUPILOT: ardupilot})
-    options = RunOptions(
-        **given,
-        filter=filter_name,
-        live=not as_json and runs == 1,
-        ros2=ros2_network(ros2_where, ros_domain),
-        config=str(config_file) if config_file is not None else None,
-        flies=flies,
-        program=program,
+    flies, program = _chosen(
+        {Flies.PX4: options.px4, Flies.PX4_SIH: options.px4_sih, Flies.ARDUPILOT: options.ardupilot}
     )
-    options.check()
+    as_json, with_report = options.as_json, options.with_report
+    one = options.to(
+        RunOptions, config=options.config_file, flies=flies, program=program,
+        live=not as_json and options.runs == 1,
+    )  # fmt: skip
+    one.check()
     console = Console(stderr=as_json, highlight=False)
     try:
-        if runs > 1:
-            sys.exit(fly_all(options, runs, console, as_json=as_json, with_report=with_report))
-        flown = run(options, console)
+        if options.runs > 1:
+            sys.exit(fly_all(one, options.runs, console, as_json=as_json, with_report=with_report))
+        flown = run(one, console)
     except LaunchError as error:
         click.echo(f"flightstack: {error}", err=True)
         sys.exit(error.code)

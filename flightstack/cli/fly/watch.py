@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 from flightstack.cli import options as shared
-from flightstack.cli.options import zenoh_config
+from flightstack.cli.options import takes
 
 if TYPE_CHECKING:
     from bridge.zenoh.zenoh_link import Role, Session
@@ -28,52 +29,55 @@ NICER = 10  # niceness of a view in 3-D: the flight's processes go first
 DEFAULT = "tcp/127.0.0.1:7448"  # endpoint of the onboard process in README and docs
 
 
+@dataclass(frozen=True)
+class WatchOptions(shared.Options):
+    """Options of ``watch``."""
+
+    connect: tuple[str, ...] = shared.option(
+        "--connect", multiple=True, metavar="ENDPOINT",
+        help=f"Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: {DEFAULT}, "
+        "or the endpoint of --zenoh-config.",
+    )  # fmt: skip
+    zenoh_config: Path | None = shared.zenoh_config
+    namespace: str = shared.namespace
+    once: bool = shared.option(
+        "--once", is_flag=True, help="Show the state once and end; exit status 1 if no fresh data come."
+    )
+    as_json: bool = shared.json("Print one JSON object a line, two a second (--once: one).")
+    timeout_s: float = shared.option(
+        "--timeout", type=click.FloatRange(0.1, 3600.0), default=5.0, metavar="S",
+        help="Longest wait of --once.",
+    )  # fmt: skip
+    view: str | None = shared.view
+    config_file: Path | None = shared.config(
+        "Configuration of the flight, for the barrier and the pad in --view"
+    )
+
+
 @click.command()
-@click.option(
-    "--connect", multiple=True, metavar="ENDPOINT",
-    help=f"Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: {DEFAULT}, or "
-    "the endpoint of --zenoh-config.",
-)  # fmt: skip
-@zenoh_config
-@click.option(
-    "--namespace", default="cf1", show_default=True, help="First part of all Zenoh keys and topics."
-)
-@click.option(
-    "--once", is_flag=True, help="Show the state once and end; exit status 1 if no fresh data come."
-)
-@click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object a line, two a second (--once: one)."
-)
-@click.option(
-    "--timeout", "timeout_s", type=click.FloatRange(min=0.1, max=3600.0), default=5.0, show_default=True,
-    metavar="S", help="Longest wait of --once.",
-)  # fmt: skip
-@shared.view
-@shared.config(required=False, help="Configuration of the flight, for the barrier and the pad in --view")
-def watch(
-    connect: tuple[str, ...], zenoh_config: Path | None, namespace: str, once: bool, as_json: bool,
-    timeout_s: float, view: str | None, config_file: Path | None,
-) -> None:  # fmt: skip
+@takes(WatchOptions)
+def watch(options: WatchOptions) -> None:
     """Show a flight while it flies: phase, h, set-points, ages, battery, loop timing. Ctrl-C ends it.
 
     It only listens. Exit status: 0 normal end, 1 no fresh data with --once, 2 wrong input.
     """
     from bridge.zenoh import zenoh_link
 
-    if view is not None and (once or as_json):
+    if options.view is not None and (options.once or options.as_json):
         raise click.UsageError("--view draws until it is ended; --once and --json print: give one of them")
-    draws = _drawing(view, config_file, namespace) if view is not None else None
+    draws = (
+        _drawing(options.view, options.config_file, options.namespace) if options.view is not None else None
+    )
     ended = Ended()
     previous = {number: signal.signal(number, ended.end) for number in (signal.SIGINT, signal.SIGTERM)}
-    if zenoh_config is None:
-        connect = connect or (DEFAULT,)
-    session = zenoh_link.open_session([], connect, config_file=zenoh_config)
-    role, whom = zenoh_link.dialled(connect, config_file=zenoh_config)
-    source = Source(session, role, ", ".join(whom), namespace, ended)
+    connect = options.connect or ((DEFAULT,) if options.zenoh_config is None else ())
+    session = zenoh_link.open_session([], connect, config_file=options.zenoh_config)
+    role, whom = zenoh_link.dialled(connect, config_file=options.zenoh_config)
+    source = Source(session, role, ", ".join(whom), options.namespace, ended)
     try:
-        if once:
-            sys.exit(_once(source, as_json, timeout_s))
-        draws(source) if draws else _stream(source) if as_json else _live(source)
+        if options.once:
+            sys.exit(_once(source, options.as_json, options.timeout_s))
+        draws(source) if draws else _stream(source) if options.as_json else _live(source)
     except BrokenPipeError:
         pass  # the program that read the output has ended
     finally:

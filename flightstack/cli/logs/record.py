@@ -3,55 +3,56 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from flightstack.cli.options import connect as _connect
-from flightstack.cli.options import zenoh_config
+from flightstack.cli import options as shared
+from flightstack.cli.options import takes
+
+
+@dataclass(frozen=True)
+class RecordOptions(shared.Options):
+    """Options of ``record``."""
+
+    socket_path: Path = shared.option(
+        "--socket", required=True, type=click.Path(path_type=Path),
+        help="Socket to listen on; the other verbs take it as --recorder.",
+    )  # fmt: skip
+    out: Path = shared.option("--out", required=True, type=shared.FILE, help="MCAP file to write.")
+    until_clients: int | None = shared.option(
+        "--until-clients", type=click.IntRange(min=1),
+        help="End when this number of clients have disconnected.",
+    )  # fmt: skip
+    connect: tuple[str, ...] = shared.connect
+    zenoh_config: Path | None = shared.zenoh_config
+    keys: tuple[str, ...] = shared.option(
+        "--key", multiple=True, metavar="EXPR",
+        help="Additional Zenoh keys to record, e.g. 'cf1/**'; repeatable.",
+    )  # fmt: skip
 
 
 @click.command()
-@click.option(
-    "--socket",
-    "socket_path",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Socket to listen on; the other verbs take it as --recorder.",
-)
-@click.option(
-    "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="MCAP file to write."
-)
-@click.option(
-    "--until-clients", type=click.IntRange(min=1), help="End when this number of clients have disconnected."
-)
-@_connect
-@zenoh_config
-@click.option(
-    "--key",
-    "keys",
-    multiple=True,
-    metavar="EXPR",
-    help="Additional Zenoh keys to record, e.g. 'cf1/**'; repeatable.",
-)
-def record(
-    socket_path: Path, out: Path, until_clients: int | None, connect: tuple[str, ...], keys: tuple[str, ...],
-    zenoh_config: Path | None,
-) -> None:  # fmt: skip
+@takes(RecordOptions)
+def record(options: RecordOptions) -> None:
     """Record what the other processes send, until Ctrl-C; the log is readable at any time."""
     from logs.recorder.recorder import record_main
 
     sys.exit(
-        record_main(socket_path, out, until_clients, connect=connect, keys=keys, config_file=zenoh_config)
-    )
+        record_main(
+            options.socket_path, options.out, options.until_clients, connect=options.connect,
+            keys=options.keys, config_file=options.zenoh_config,
+        )
+    )  # fmt: skip
 
 
 @click.command()
-@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument("other", type=click.Path(exists=True, dir_okay=False, path_type=Path), required=False)
+@click.argument("log", type=shared.EXISTING_FILE)
+@click.argument("other", type=shared.EXISTING_FILE, required=False)
 @click.option(
     "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=shared.FILE,
     help="HTML file; default: next to the log, flight.html for flight.mcap, or comparison.html.",
 )
 @click.option(

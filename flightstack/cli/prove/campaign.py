@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections import Counter
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from flightstack.cli import options as shared
+from flightstack.cli.options import takes
 from flightstack.core.parameters.filters import short_name
 
 if TYPE_CHECKING:
@@ -26,35 +28,36 @@ COMPLETE, INCOMPLETE = 0, 1
 _TIERS = ("lab", "field", "storm", "deck")
 
 
+@dataclass(frozen=True)
+class CampaignOptions(shared.Result):
+    """Options of ``campaign``."""
+
+    scenario: str = shared.argument(metavar="SCENARIO")
+    runs: int = shared.option("--runs", type=click.IntRange(1, 10_000_000), default=1000, help="Landings.")
+    first_seed: int = shared.option("--seed", type=click.IntRange(0, 2**62), default=0, help="First seed.")
+    filter: str | None = shared.safety_filter("Safety filter; default: the scenario's")
+    workers: int | None = shared.option(
+        "--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one for each processor."
+    )
+    cluster: str | None = shared.option(
+        "--cluster", metavar="ADDRESS", help="Fly on a Dask cluster, e.g. tcp://10.0.0.2:8786."
+    )
+    out: Path | None = shared.option(
+        "--out", type=shared.FOLDER,
+        help="Folder; a campaign that it already holds in part is continued. Default: a new folder in runs/.",
+    )  # fmt: skip
+    require: str | None = shared.option(
+        "--require", type=click.Choice(_TIERS), help="Check the limits of a tier; status 1 on a miss."
+    )
+    against: Path | None = shared.option(
+        "--against", type=click.Path(exists=True, file_okay=False, path_type=Path), metavar="DIR",
+        help="Campaign with the paper's filter: --require compares the landing time with it.",
+    )  # fmt: skip
+
+
 @click.command()
-@click.argument("scenario", metavar="SCENARIO")
-@click.option("--runs", type=click.IntRange(1, 10_000_000), default=1000, show_default=True, help="Landings.")
-@click.option(
-    "--seed", "first_seed", type=click.IntRange(0, 2**62), default=0, show_default=True, help="First seed."
-)
-@shared.safety_filter("Safety filter; default: the scenario's")
-@click.option(
-    "--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one for each processor."
-)
-@click.option("--cluster", metavar="ADDRESS", help="Fly on a Dask cluster, e.g. tcp://10.0.0.2:8786.")
-@click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path),
-    help="Folder; a campaign that it already holds in part is continued. Default: a new folder in runs/.",
-)  # fmt: skip
-@click.option("--require", type=click.Choice(_TIERS), help="Check the limits of a tier; status 1 on a miss.")
-@click.option(
-    "--against", type=click.Path(exists=True, file_okay=False, path_type=Path), metavar="DIR",
-    help="Campaign with the paper's filter: --require compares the landing time with it.",
-)  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object as the last line.")
-@click.option(
-    "--report/--no-report", "with_report", default=True, show_default=True, help="Write the HTML page."
-)
-def campaign(
-    scenario: str, runs: int, first_seed: int, filter_name: str | None, workers: int | None,
-    cluster: str | None, out: Path | None, require: str | None, against: Path | None, as_json: bool,
-    with_report: bool,
-) -> None:  # fmt: skip
+@takes(CampaignOptions)
+def campaign(options: CampaignOptions) -> None:
     """Fly a SCENARIO with many seeds in simulation alone, as `sitl --lockstep` would fly each, and sum up.
 
     Ctrl-C keeps what was flown; the same call with the same --out goes on.
@@ -66,21 +69,25 @@ def campaign(
     from sim.campaign.cluster import ClusterError
     from sim.campaign.workers import WorkersError
 
-    wanted = core.plan(scenario, runs, first_seed, filter_name)
-    folder = out or _new_folder(wanted)
-    console = Console(stderr=as_json, highlight=False)
+    wanted = core.plan(options.scenario, options.runs, options.first_seed, options.filter)
+    folder = options.out or _new_folder(wanted)
+    console = Console(stderr=options.as_json, highlight=False)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     try:
         with _Bar(console, wanted) as bar:
             flown = core.fly(
-                wanted, folder, workers=workers or os.cpu_count() or 1, cluster=cluster, on_row=bar.row
+                wanted,
+                folder,
+                workers=options.workers or os.cpu_count() or 1,
+                cluster=options.cluster,
+                on_row=bar.row,
             )
     except (WorkersError, ClusterError) as error:
         click.echo(f"flightstack: {error}", err=True)
         sys.exit(INCOMPLETE)
-    status = _tell(console, wanted, folder, flown, as_json=as_json, with_report=with_report)
-    if require is not None:
-        status = max(status, _check(flown, require, against))
+    status = _tell(console, wanted, folder, flown, as_json=options.as_json, with_report=options.with_report)
+    if options.require is not None:
+        status = max(status, _check(flown, options.require, options.against))
     sys.exit(status)
 
 

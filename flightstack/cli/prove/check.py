@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from flightstack.cli import options as shared
+from flightstack.cli.options import takes
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml
 from flightstack.config.files import load, names, path_of
 from flightstack.core.parameters.flight import FlightConfig
@@ -22,11 +23,18 @@ if TYPE_CHECKING:
 PROVEN, NOT_PROVEN = 0, 1
 
 
+@dataclass(frozen=True)
+class CheckOptions(shared.Options):
+    """Options of ``check``."""
+
+    config: str = shared.argument(metavar="CONFIG")
+    filter: str | None = shared.safety_filter("Check it for this safety filter; default: the configuration's")
+    as_json: bool = shared.json()
+
+
 @click.command()
-@click.argument("config", metavar="CONFIG")
-@shared.safety_filter("Check it for this safety filter; default: the configuration's")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def check(config: str, filter_name: str | None, as_json: bool) -> None:
+@takes(CheckOptions)
+def check(options: CheckOptions) -> None:
     """Prove before flight that the filter's guarantees hold for everything that CONFIG declares.
 
     CONFIG is a configuration of `onboard` or a scenario, by name or as a file. Each line shows a claim, its
@@ -36,14 +44,14 @@ def check(config: str, filter_name: str | None, as_json: bool) -> None:
     """
     from flightstack.verify.certificate import checks
 
-    found = _load(config)
-    if filter_name is not None:
-        found = replace(found, filter=filter_name)
+    found = _load(options.config)
+    if options.filter is not None:
+        found = replace(found, filter=options.filter)
     results = checks(found)
-    if as_json:
-        click.echo(json.dumps(_as_json(config, found, results)))
+    if options.as_json:
+        click.echo(json.dumps(_as_json(options.config, found, results)))
     else:
-        _show(config, found, results)
+        _show(options.config, found, results)
     sys.exit(PROVEN if all(result.proven for result in results) else NOT_PROVEN)
 
 

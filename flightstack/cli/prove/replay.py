@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from flightstack.cli import options as shared
+from flightstack.cli.options import takes
 
 if TYPE_CHECKING:
     from logs.replay.compare import Tally
@@ -18,67 +21,58 @@ if TYPE_CHECKING:
 EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
 
 
+@dataclass(frozen=True)
+class ReplayOptions(shared.Signing):
+    """Options of ``replay``; those of ``--live`` have the names of ``LiveOptions``."""
+
+    log: Path = shared.argument(type=shared.EXISTING_FILE)
+    check: bool = shared.option("--check", is_flag=True, help="Compare bit by bit; this is also the default.")
+    settings: tuple[str, ...] = shared.option(
+        "--set", multiple=True, metavar="KEY=VALUE",
+        help="Show what another configuration would have commanded, e.g. barrier.alpha_1_m=1.2; repeatable.",
+    )  # fmt: skip
+    as_json: bool = shared.json()
+    live: bool = shared.option(
+        "--live", is_flag=True, help="Send the recorded messages of target and vehicle again."
+    )
+    vehicle_url: str | None = shared.option(
+        "--vehicle-url", metavar="URL",
+        help="MAVLink URL of the played vehicle: udpin:HOST:PORT, udpout:HOST:PORT.",
+    )  # fmt: skip
+    target_key: str | None = shared.option(
+        "--target-key", metavar="KEY", help="Zenoh key of the target's odometry; default: the recorded key."
+    )
+    connect: tuple[str, ...] = shared.connect
+    listen: tuple[str, ...] = shared.option(
+        "--listen", multiple=True, metavar="ENDPOINT", help="Zenoh endpoint to listen on; repeatable."
+    )
+    view: bool = shared.option(
+        "--view", is_flag=True, help="Also publish the recorded decisions, for viewers."
+    )
+    rate: float = shared.option(
+        "--rate", type=click.FloatRange(0.01, 100.0), default=1.0,
+        help="Seconds of the log played in a second; below 1 the stack refuses the target's samples as late.",
+    )  # fmt: skip
+    start_s: float = shared.option(
+        "--start", type=click.FloatRange(min=0.0), default=0.0, metavar="S",
+        help="Begin this time after the start of the log.",
+    )  # fmt: skip
+    loop: bool = shared.option(
+        "--loop", is_flag=True, help="Begin again at the end, until Ctrl-C or --duration."
+    )
+    pause: bool = shared.option(
+        "--pause", is_flag=True, help="Begin paused. Keys: space or Enter continue, s plays one tick."
+    )
+    wait_s: float = shared.option(
+        "--wait", type=click.FloatRange(min=0.0), default=10.0, metavar="S",
+        help="Longest wait for a receiver; 0: do not wait.",
+    )  # fmt: skip
+    duration_s: float | None = shared.duration
+
+
 @click.command()
-@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--check", is_flag=True, help="Compare bit by bit; this is also the default.")
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Show what another configuration would have commanded, e.g. barrier.alpha_1_m=1.2; repeatable.",
-)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--live", is_flag=True, help="Send the recorded messages of target and vehicle again.")
-@click.option(
-    "--vehicle-url",
-    metavar="URL",
-    help="MAVLink URL of the played vehicle: udpin:HOST:PORT, udpout:HOST:PORT.",
-)
-@click.option(
-    "--target-key", metavar="KEY", help="Zenoh key of the target's odometry; default: the recorded key."
-)
-@click.option(
-    "--connect", multiple=True, metavar="ENDPOINT", help="Zenoh endpoint to connect to; repeatable."
-)
-@click.option("--listen", multiple=True, metavar="ENDPOINT", help="Zenoh endpoint to listen on; repeatable.")
-@click.option("--view", is_flag=True, help="Also publish the recorded decisions, for viewers.")
-@click.option(
-    "--rate",
-    type=click.FloatRange(min=0.01, max=100.0),
-    default=1.0,
-    show_default=True,
-    help="Seconds of the log played in a second; below 1 the stack refuses the target's samples as late.",
-)
-@click.option(
-    "--start",
-    "start_s",
-    type=click.FloatRange(min=0.0),
-    default=0.0,
-    metavar="S",
-    help="Begin this time after the start of the log.",
-)
-@click.option("--loop", is_flag=True, help="Begin again at the end, until Ctrl-C or --duration.")
-@click.option("--pause", is_flag=True, help="Begin paused. Keys: space or Enter continue, s plays one tick.")
-@click.option(
-    "--wait",
-    "wait_s",
-    type=click.FloatRange(min=0.0),
-    default=10.0,
-    show_default=True,
-    metavar="S",
-    help="Longest wait for a receiver; 0: do not wait.",
-)
-@click.option(
-    "--duration", "duration_s", type=click.FloatRange(min=0.1), metavar="S", help="End after S seconds."
-)
-@click.option(
-    "--signing-key", type=click.Path(path_type=Path), metavar="FILE", help="Sign the vehicle's frames."
-)
-@click.option("--allow-unsigned", is_flag=True, help="Play the vehicle on a network without a key.")
-def replay(
-    log: Path, check: bool, settings: tuple[str, ...], as_json: bool, live: bool, **where: Any
-) -> None:  # fmt: skip
+@takes(ReplayOptions)
+def replay(options: ReplayOptions) -> None:
     """Run the inputs of a LOG through today's controller and compare every decision with the recorded one.
 
     Exit status: 0 equal (or shown, with --set alone), 1 different, 2 the log proves nothing.
@@ -88,31 +82,32 @@ def replay(
     from logs.replay.replay import FlightInputs, ReplayError
     from logs.replay.replay import replay as run
 
-    if live:
-        if check or settings or as_json:
+    log, settings = options.log, options.settings
+    if options.live:
+        if options.check or settings or options.as_json:
             raise click.UsageError("--live plays a log; it cannot be combined with --check, --set and --json")
-        _live(log, where)
+        _live(options)
         return
     try:
         config = changed(FlightInputs(log).table, settings) if settings else None
         result = run(log, config)
     except ReplayError as error:
-        if as_json:
+        if options.as_json:
             click.echo(json.dumps({"result": "unusable", "path": str(log), "reason": str(error)}))
         raise
     if config is not None:
         result.notes += [f"it would be refused before take-off: {text}" for text in problems(config)]
-    if as_json:
+    if options.as_json:
         click.echo(json.dumps(_object(result, settings)))
     else:
         click.echo("\n".join(_lines(result, settings)))
-    sys.exit(DIFFERENT if not result.equal and (check or not settings) else EQUAL)
+    sys.exit(DIFFERENT if not result.equal and (options.check or not settings) else EQUAL)
 
 
-def _live(log: Path, where: dict[str, Any]) -> None:
+def _live(options: ReplayOptions) -> None:
     from logs.replay.live import LiveOptions, play
 
-    ticks = play(log, LiveOptions(**where), say=click.echo)
+    ticks = play(options.log, options.to(LiveOptions), say=click.echo)
     click.echo(f"played {ticks} ticks")
 
 

@@ -4,37 +4,44 @@ from __future__ import annotations
 
 import signal
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from flightstack.cli.options import connect, zenoh_config
+from flightstack.cli import options as shared
+from flightstack.cli.options import takes
+
+
+@dataclass(frozen=True)
+class RouterOptions(shared.Options):
+    """Options of ``router``."""
+
+    listen: tuple[str, ...] = shared.option(
+        "--listen", multiple=True, metavar="ENDPOINT",
+        help="Endpoint to listen on; default: the configuration's, or tcp/127.0.0.1:7447; repeatable.",
+    )  # fmt: skip
+    connect: tuple[str, ...] = shared.connect
+    zenoh_config: Path | None = shared.zenoh_config
 
 
 @click.command()
-@click.option(
-    "--listen", multiple=True, metavar="ENDPOINT",
-    help="Endpoint to listen on; default: the configuration's, or tcp/127.0.0.1:7447; repeatable.",
-)  # fmt: skip
-@connect
-@zenoh_config
-def router(listen: tuple[str, ...], connect: tuple[str, ...], zenoh_config: Path | None) -> None:
+@takes(RouterOptions)
+def router(options: RouterOptions) -> None:
     """Run a Zenoh router, to which robot, companion, watchers and ROS 2 nodes connect.
 
     It replaces zenohd or rmw_zenohd where neither is installed. Ctrl-C or SIGTERM ends it.
     """
     from bridge.zenoh import zenoh_link
 
+    config_file = options.zenoh_config
     ends = {signal.SIGINT, signal.SIGTERM}
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # for Zenoh's threads too, or it would end there
     role = zenoh_link.Role.ROUTER
     try:
-        if (
-            zenoh_config is not None
-            and zenoh_link.dialled(config_file=zenoh_config, role=role)[0] is not role
-        ):
-            raise ValueError(f'{zenoh_config}: mode "router" is needed, or none')
-        session = zenoh_link.open_session(listen, connect, config_file=zenoh_config, role=role)
+        if config_file is not None and zenoh_link.dialled(config_file=config_file, role=role)[0] is not role:
+            raise ValueError(f'{config_file}: mode "router" is needed, or none')
+        session = zenoh_link.open_session(options.listen, options.connect, config_file=config_file, role=role)
     except zenoh_link.ZenohLinkError as error:
         click.echo(f"flightstack: {error}", err=True)
         sys.exit(1)

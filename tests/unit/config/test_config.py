@@ -40,7 +40,10 @@ def test_the_papers_set_flies():
         ({"checks": {"hold_tim_s": 1.0}}, ["unknown key", "did you mean hold_time_s"]),
         ({"loop": {"rate_hz": 1000}}, ["loop.rate_hz", "1000", "10 to 500"]),
         ({"loop": {"rate_hz": 100.5}}, ["loop.rate_hz: found 100.5", "an integer"]),
-        ({"limits": {"velocity_max_m_s": [0.2, 0.2]}}, ["velocity_max_m_s: found [0.2, 0.2]", "an array of 3 values"]),
+        (
+            {"limits": {"velocity_max_m_s": [0.2, 0.2]}},
+            ["velocity_max_m_s: found [0.2, 0.2]", "an array of 3 values"],
+        ),
         ({"barrier": {"alpha_1_m": 1.0}}, ["barrier", "give alpha_1_m and beta_m"]),
         ({"barrier": {"alpha_1_m": 1.0, "beta_m": float("nan")}}, ["beta_m", "finite"]),
         ({"filter": "best"}, ["filter", "'best'", "paper, robust"]),
@@ -113,7 +116,7 @@ def test_a_file_names_itself_in_the_error(tmp_path):
     path.write_text("[barrier\n")
     with pytest.raises(ConfigError, match=r"wrong\.toml: not TOML"):
         load(path)
-    with pytest.raises(ConfigError, match="absent.toml.*neither a file nor one of: .*crazyflie"):
+    with pytest.raises(ConfigError, match=r"absent\.toml.*neither a file nor one of: .*crazyflie"):
         load(tmp_path / "absent.toml")
 
 
