@@ -54,7 +54,7 @@ def main() -> None:
     assert len(given.home.split(",")) == 4
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     words = ["--scenario", str(scenario_file(Path.cwd())), "--url", "udpin:127.0.0.1:0"]
-    words += ["--personality", "ardupilot", *known_parameters(Path(given.defaults))]
+    words += ["--profile", "ardupilot", *known_parameters(Path(given.defaults))]
     vehicle = subprocess.Popen([*COMMAND, *words], stdout=subprocess.PIPE, text=True)
     with contextlib.ExitStack() as stack:
         stack.callback(vehicle.wait, 10.0)

@@ -11,7 +11,7 @@ import pytest
 
 from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
 from flightstack.config.files import path_of
-from tests.flight_suite.room import PERSONALITIES
+from tests.flight_suite.room import PROFILES
 from tests.pauses import pytest_runtest_protocol as pytest_runtest_protocol
 from tests.quick import mark_slow
 from tests.quick import pytest_runtest_call as pytest_runtest_call
@@ -104,15 +104,15 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     config = metafunc.config
     if "flight_number" in metafunc.fixturenames:
         metafunc.parametrize("flight_number", range(config.getoption("--flights")))
-    if "personality" in metafunc.fixturenames:
-        metafunc.parametrize("personality", _personalities(metafunc))
+    if "server_profile" in metafunc.fixturenames:
+        metafunc.parametrize("server_profile", _server_profiles(metafunc))
 
 
-def _personalities(metafunc: pytest.Metafunc) -> list[str]:
+def _server_profiles(metafunc: pytest.Metafunc) -> list[str]:
     option = metafunc.config.getoption
     if option("--px4") is not None:
         return ["real-px4"]
     if option("--vehicle") is not None:
         return [option("--autopilot")]
-    # what tries the room rather than the vehicle needs one personality only
-    return list(PERSONALITIES)[: 1 if metafunc.definition.get_closest_marker("simulated") else None]
+    # what tries the room rather than the vehicle needs one server_profile only
+    return list(PROFILES)[: 1 if metafunc.definition.get_closest_marker("simulated") else None]

@@ -18,7 +18,7 @@ from tests.flight_suite.limits import LIMITS, Limits
 
 SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that drives off
 # of our simulated vehicle, with the parameters that its defaults leave unsafe
-PERSONALITIES: Mapping[str, tuple[str, ...]] = {
+PROFILES: Mapping[str, tuple[str, ...]] = {
     "px4": (),
     "ardupilot": ("GUID_TIMEOUT=0.5", "FS_GCS_ENABLE=5", "SYSID_MYGCS=1"),
 }
@@ -91,7 +91,7 @@ def configured(scenario: Scenario, folder: Path) -> Path:
 
 
 @contextlib.contextmanager
-def simulated(folder: Path, personality: str) -> Iterator[Room]:
+def simulated(folder: Path, server_profile: str) -> Iterator[Room]:
     """Start vehicle and robot, in real time; ended whatever happens."""
     scenario = load(SCENARIO)
     config = configured(scenario, folder)
@@ -99,8 +99,8 @@ def simulated(folder: Path, personality: str) -> Iterator[Room]:
     target_at, onboard_at = (port.endpoint for port in ports)
     common = ["--scenario", SCENARIO, "--seed", "1", "--duration", "300"]
     try:
-        words = ["--personality", personality, "--connect", target_at, "--url", "udpin:127.0.0.1:0"]
-        words += [word for one in PERSONALITIES[personality] for word in ("--parameter", one)]
+        words = ["--profile", server_profile, "--connect", target_at, "--url", "udpin:127.0.0.1:0"]
+        words += [word for one in PROFILES[server_profile] for word in ("--parameter", one)]
         vehicle = Child("vehicle", ["vehicle", *common, *words], folder)
         children.append(vehicle)
         target = Child("target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder)
@@ -108,9 +108,9 @@ def simulated(folder: Path, personality: str) -> Iterator[Room]:
         url = vehicle.wait_ready().replace("udpin", "udpout")
         target.wait_ready()
         yield Room(
-            url, personality, "cf1/target/odom", (target_at,), onboard_at, config, folder,
+            url, server_profile, "cf1/target/odom", (target_at,), onboard_at, config, folder,
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=vehicle,
-            limits=LIMITS[OWN_SITL.name] if personality == PX4.name else None,
+            limits=LIMITS[OWN_SITL.name] if server_profile == PX4.name else None,
         )  # fmt: skip
     finally:
         for child in reversed(children):

@@ -26,11 +26,11 @@ def free_port() -> int:
 
 
 @contextmanager
-def process(module: str, function: str, call: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run ``function(call)`` of a module with ``scenario`` = paper_moving_1; yields it and its ready line."""
+def process(name: str, **options: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run the vehicle or the target with the scenario paper_moving_1; yields it and its ready line."""
     code = (
-        "import sys; from sim.scenarios.scenario import load; "
-        f"from {module} import {function}; scenario = load('paper_moving_1'); sys.exit({function}({call}))"
+        f"import sys; from sim.scenarios.scenario import load; from sim.runners.{name}_process import *; "
+        f"options = {name.title()}Options(**{options!r}); sys.exit({name}_main(load('paper_moving_1'), options))"
     )
     child = subprocess.Popen(
         [sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -36,7 +36,7 @@ LANDED_MAX_S = 40.0  # from the loss of the companion to motors off, by the vehi
 
 
 @pytest.fixture
-def room(request, tmp_path, personality, flight_number):
+def room(request, tmp_path, server_profile, flight_number):
     option = request.config.getoption
     if option("--vehicle") is not None:
         where = given(request.config, tmp_path)
@@ -45,7 +45,7 @@ def room(request, tmp_path, personality, flight_number):
             tmp_path, option("--px4"), option("--scenario"), flight_number, speed=option("--speed")
         )
     else:
-        where = simulated(tmp_path, personality)
+        where = simulated(tmp_path, server_profile)
     with where as one:
         yield one
 

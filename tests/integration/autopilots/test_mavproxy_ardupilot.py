@@ -18,7 +18,7 @@ HEIGHT_M = 0.8
 
 
 def test_whole_flight(tmp_path: Path) -> None:
-    with vehicle(tmp_path, "--personality", "ardupilot") as port:
+    with vehicle(tmp_path, "--profile", "ardupilot") as port:
         watch = Observer(port)
         with mavproxy(port, tmp_path, watch) as program:
             connect(program)

@@ -101,9 +101,8 @@ def inject(client: Client, unit: int, kind: int, instance: int = 0) -> int:
 
 
 def test_failures_can_be_injected_and_healed_over_mavlink():
-    call = "scenario, 1, 'udpin:127.0.0.1:0', lockstep=False, rate_hz=100"
     gps, motor, link, off, ok = 4, 101, 105, 1, 0
-    with process("sim.runners.vehicle_process", "vehicle_main", call) as (child, ready):
+    with process("vehicle", seed=1, url="udpin:127.0.0.1:0") as (child, ready):
         client = Client(ready.removeprefix("ready "))
         client.hello()
         client.until(is_a("HEARTBEAT"))

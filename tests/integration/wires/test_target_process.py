@@ -20,12 +20,9 @@ RUN_AHEAD = 20
 GO_TICK = 60
 
 
-def target(seed: int, port: int, *, lockstep: bool, more: str = ""):
-    call = (
-        f"scenario, {seed}, lockstep={lockstep}, rate_hz=100, listen=['tcp/127.0.0.1:{port}'], connect=[], "
-        f"namespace='t'{more}"
-    )
-    return process("sim.runners.target_process", "target_main", call)
+def target(seed: int, port: int, *, lockstep: bool, **more):
+    listen = [f"tcp/127.0.0.1:{port}"]
+    return process("target", seed=seed, lockstep=lockstep, listen=listen, namespace="t", **more)
 
 
 class Reader:

@@ -22,9 +22,8 @@ OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000
 RATE_HZ = 100
 
 
-def vehicle(seed: int, *, lockstep: bool, more: str = ""):
-    call = f"scenario, {seed}, 'udpin:127.0.0.1:0', lockstep={lockstep}, rate_hz={RATE_HZ}{more}"
-    return process("sim.runners.vehicle_process", "vehicle_main", call)
+def vehicle(seed: int, *, lockstep: bool, url: str = "udpin:127.0.0.1:0", **more):
+    return process("vehicle", seed=seed, url=url, lockstep=lockstep, rate_hz=RATE_HZ, **more)
 
 
 def test_flies_in_real_time_with_a_plain_client() -> None:
@@ -95,8 +94,7 @@ def test_after_a_pause_it_goes_on_from_there_and_takes_no_core_from_others() -> 
 
 
 def test_bad_url_is_an_error_with_a_reason() -> None:
-    call = "scenario, 1, 'tcp:127.0.0.1:1', lockstep=False, rate_hz=100"
-    with process("sim.runners.vehicle_process", "vehicle_main", call) as (child, _):
+    with vehicle(1, lockstep=False, url="tcp:127.0.0.1:1") as (child, _):
         _, err = child.communicate(timeout=10.0)
         assert child.returncode == 2
         assert "udpin:HOST:PORT" in err
@@ -192,9 +190,8 @@ def test_companion_that_falls_silent_lets_the_vehicle_land_in_simulated_time_and
 
 def test_vehicle_that_calls_loses_nothing_of_the_first_tick() -> None:
     port = free_port()
-    call = f"scenario, 1, 'udpout:127.0.0.1:{port}', lockstep=True, rate_hz={RATE_HZ}, duration_s=0.2"
     companion = Companion(f"udpin:127.0.0.1:{port}", listen=True)
-    with process("sim.runners.vehicle_process", "vehicle_main", call) as (child, ready):
+    with vehicle(1, lockstep=True, url=f"udpout:127.0.0.1:{port}", duration_s=0.2) as (child, ready):
         assert ready == f"ready udpout:127.0.0.1:{port}"
         for _ in range(20):
             assert companion.step()
@@ -208,7 +205,7 @@ def test_robot_that_falls_silent_stops_the_deck_but_not_the_flight() -> None:
     session = zenoh_link.open_session([f"tcp/127.0.0.1:{port}"], [])
     robot = OdometryPublisher(session, "cf1/sim/target/truth", lossless=True)
     try:
-        with vehicle(2, lockstep=True, more=f", zenoh_connect=['tcp/127.0.0.1:{port}']") as (child, ready):
+        with vehicle(2, lockstep=True, connect=[f"tcp/127.0.0.1:{port}"]) as (child, ready):
             wait_for(lambda: robot.matched, "the vehicle's subscription")
             for tick in range(50):
                 pose = robot.encode(

@@ -121,7 +121,7 @@ def played():
         return str(p.custom_mode(p.codes[wanted]))
 
     rows = [
-        ("`--personality`", lambda p: f"`{p.name}`"),
+        ("`--profile`", lambda p: f"`{p.name}`"),
         ("MAV_AUTOPILOT", lambda p: str(p.autopilot)),
         *((f"custom_mode: {m.value}", lambda p, m=m: mode(p, m)) for m in FlightMode),
         (

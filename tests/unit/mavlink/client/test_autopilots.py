@@ -51,8 +51,8 @@ def test_every_profile_is_whole():
     assert (AUTO, *PROFILES) == CHOICES
 
 
-def test_the_command_knows_the_simulators_personalities():
-    assert tuple(SIMULATED) == cli_options.PERSONALITIES
+def test_the_command_knows_the_simulators_server_profiles():
+    assert tuple(SIMULATED) == cli_options.PROFILES
 
 
 def test_names_and_heartbeats_give_profiles():

@@ -12,7 +12,7 @@ from logs.reader.reader import LogFile
 from tests.integration.runs import COMMAND, WALL_MAX_S, flightstack
 from tests.integration.sim_processes import ROOT
 
-PERSONALITIES = ("px4", "ardupilot")
+PROFILES = ("px4", "ardupilot")
 PAGE = ROOT / "docs" / "how_to" / "autopilots.md"
 
 
@@ -25,30 +25,30 @@ def landed(tmp_path, *arguments):
     return out / "flight.mcap"
 
 
-@pytest.mark.parametrize("plays", PERSONALITIES)
+@pytest.mark.parametrize("plays", PROFILES)
 def test_lockstep_landing_and_its_replay(flown, plays):
-    landing = flown("lab", 1, *(() if plays == "px4" else ("--personality", plays)))
+    landing = flown("lab", 1, *(() if plays == "px4" else ("--profile", plays)))
     assert (landing.json["outcome"], landing.json["violation"]) == ("landed", False)
     replayed = flightstack("replay", landing.log)
     assert replayed.code == 0, replayed.out
     assert "wire: equal" in replayed.out
 
 
-@pytest.mark.parametrize("plays", PERSONALITIES)
+@pytest.mark.parametrize("plays", PROFILES)
 def test_a_vehicle_of_one_kilogram(tmp_path, plays):
-    landed(tmp_path, "--scenario", "large", "--lockstep", "--personality", plays)
+    landed(tmp_path, "--scenario", "large", "--lockstep", "--profile", plays)
 
 
 def test_from_the_ground_as_ardupilot_with_an_origin_to_be_told(tmp_path):
-    log = landed(tmp_path, "--scenario", "paper_moving_1", "--lockstep", "--personality", "ardupilot")
+    log = landed(tmp_path, "--scenario", "paper_moving_1", "--lockstep", "--profile", "ardupilot")
     (config,) = [a.data.decode() for a in LogFile(log).attachments() if a.name == "onboard.toml"]
     assert "origin_wgs84 = [47.397742, 8.545594, 10.0]" in config
 
 
 @pytest.mark.xdist_group("real-time")
-@pytest.mark.parametrize("plays", PERSONALITIES)
+@pytest.mark.parametrize("plays", PROFILES)
 def test_real_time_landing_after_the_check(tmp_path, plays):
-    log = landed(tmp_path, "--scenario", "lab", "--seed", 2, "--personality", plays)
+    log = landed(tmp_path, "--scenario", "lab", "--seed", 2, "--profile", plays)
     found = LogFile(log).metadata()["preflight"]
     assert found["profile"] == {"px4": "sitl", "ardupilot": "ardupilot"}[plays]
     assert found["problem"] == ""
@@ -122,7 +122,7 @@ def test_preflight_of_nobody_and_of_nonsense():
 @pytest.mark.xdist_group("real-time")
 def test_onboard_does_not_arm_what_is_unsafe():
     onboard = ("onboard", "--config", "crazyflie", "--no-record", "--duration", 20)
-    with Vehicle("--personality", "ardupilot") as vehicle:
+    with Vehicle("--profile", "ardupilot") as vehicle:
         done = flightstack(*onboard, "--vehicle", vehicle.url)
         assert done.code == 1, done.out
         assert "UNSAFE: GUID_TIMEOUT is 3: s without set-points" in done.out
