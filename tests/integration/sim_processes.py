@@ -30,7 +30,8 @@ def process(name: str, **options: object) -> Iterator[tuple[subprocess.Popen[str
     """Run the vehicle or the target with the scenario paper_moving_1; yields it and its ready line."""
     code = (
         f"import sys; from sim.scenarios.scenario import load; from sim.runners.{name}_process import *; "
-        f"options = {name.title()}Options(**{options!r}); sys.exit({name}_main(load('paper_moving_1'), options))"
+        f"options = {name.title()}Options(**{options!r}); "
+        f"sys.exit({name}_main(load('paper_moving_1'), options))"
     )
     child = subprocess.Popen(
         [sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -142,7 +142,7 @@ def test_accepted_names_are_checked():
         ({"origin_wgs84": [91.0, 0.0, 10.0]}, "latitude of -90 to 90"),
         ({"origin_wgs84": [47.0, 8.0, 0.0]}, "height of 0 m; ArduPilot takes 0 .* or 10 where"),
         ({"origin_wgs84": [47.0, 8.0, -0.004]}, "height of -0.004 m"),
-        ({"origin_wgs84": [47.0, 8.0]}, "exactly 3"),
+        ({"origin_wgs84": [47.0, 8.0]}, "an array of 3 values"),
     ):
         with pytest.raises(ConfigError, match=words):
             from_table(FlightConfig, section | {"vehicle": wrong})
