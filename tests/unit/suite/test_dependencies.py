@@ -1,0 +1,47 @@
+"""What the packages import is declared in pyproject.toml, in the layer of each package, and nothing else."""
+
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+
+import grimp
+
+from tests.integration.sim_processes import ROOT
+
+OURS = ("flightstack", "bridge", "sim", "logs")
+# packages that need more than the dependencies of the onboard process, and the extras that they may use
+EXTRAS = {
+    "bridge.crazyflie": {"crazyflie"},
+    "flightstack.cli": {"view"},
+    "logs.report": {"report"},
+    "logs.tools": {"export"},
+    "logs.view": {"view"},
+    "sim": {"sim"},
+    "sim.campaign": {"sim", "cluster", "report"},
+}
+
+
+def names(requirements):
+    return {re.match(r"[\w.-]+", each)[0].lower() for each in requirements}
+
+
+def test_every_import_is_declared_in_its_layer_and_everything_declared_is_imported():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = {name: names(wanted) for name, wanted in project["optional-dependencies"].items()}
+    distributions = packages_distributions()
+    graph = grimp.build_graph(*OURS, include_external_packages=True, cache_dir=None)
+    undeclared, used = set(), set()
+    for module in sorted(m for m in graph.modules if m.partition(".")[0] in OURS):
+        place = max((p for p in EXTRAS if f"{module}.".startswith(f"{p}.")), key=len, default="")
+        allowed = names(project["dependencies"]).union(*(extras[name] for name in EXTRAS.get(place, ())))
+        for library in graph.find_modules_directly_imported_by(module):
+            if library.partition(".")[0] in (*OURS, *sys.stdlib_module_names):
+                continue
+            found = {name.lower() for name in distributions.get(library, ["not installed"])}
+            used |= found
+            if not found & allowed:
+                undeclared.add((module, library, *found))
+    assert undeclared == set()
+    declared = names(project["dependencies"]).union(*(extras[e] for each in EXTRAS.values() for e in each))
+    assert declared - used == set()
