@@ -17,21 +17,10 @@ from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Cell
 from sim.plant.params import STEP_S, Params
 from sim.plant.rotors import Four
-from sim.plant.vehicle_types import Truth, drain, speed_limit
-from sim.plant.wind import blow
+from sim.plant.vehicle_types import Truth, speed_limit
 from sim.scenarios.scenario import Scenario, StartKind
-from sim.vehicle.loop import (
-    BATTERY_EVERY_MS,
-    CONTROL_EVERY_MS,
-    WIND_EVERY_MS,
-    VehicleRecord,
-    cushion,
-    judge,
-    move,
-)
+from sim.vehicle.loop import CONTROL_EVERY_MS, VehicleRecord, cushion, move, push, surround
 from sim.vehicle.physics import Physics
-from sim.world.contact import note_contact
-from sim.world.world import contact_count, touched
 
 SUPPLY_MS = 1000  # the wind takes a number every 5 ms and is given at least 340 of them
 
@@ -50,23 +39,20 @@ def fly_commanded(vehicle: Cell[VehicleRecord], wanted: F64, now_ms: int, end_ms
     """Run steps of 1 ms with these rotor speeds wanted (rpm, M1..M4); the battery limits them.
 
     Returns:
-        Time reached, ms.
+        Time reached, ms; before ``end_ms``, call ``World.solve`` and go on from there.
     """
     v = vehicle[0]
     while now_ms < end_ms:
-        if now_ms % CONTROL_EVERY_MS == 0:
-            limit = speed_limit(v.battery)
-            for i in range(4):
-                v.firmware.commands[i] = min(wanted[i], limit)
-            cushion(v)
-        if now_ms % WIND_EVERY_MS == 0:
-            blow(v.wind)
-        if now_ms % BATTERY_EVERY_MS == 0:
-            drain(v.battery, v.rotors.rpm, BATTERY_EVERY_MS * STEP_S)
-        move(v)
-        judge(v)
-        if contact_count(v.memory) > 0:
-            note_contact(v.contact, v.deck, touched(v.memory), now_ms, v.before_e, v.before_velocity)
+        if not v.world.mujoco.solved:
+            if now_ms % CONTROL_EVERY_MS == 0:
+                limit = speed_limit(v.battery)
+                for i in range(4):
+                    v.firmware.commands[i] = min(wanted[i], limit)
+                cushion(v)
+            surround(v, now_ms)
+            push(v)
+        if not move(v, now_ms):
+            break
         now_ms += 1
     return now_ms
 
@@ -135,6 +121,8 @@ class Px4Plant:
                 self._supplied_ms = self._ms + SUPPLY_MS
             stop_ms = min(end_ms, self._supplied_ms)
             self._ms = fly_commanded(self._vehicle, self.wanted, self._ms, stop_ms)
+            if self._ms < stop_ms:
+                self._world.solve()
         self._physics.judge_once_airborne(self._ms)
 
     @property

@@ -18,7 +18,7 @@ from sim.compiled.rotation import rotation_axes
 from sim.firmware.estimator import EstimatorRecord, correct
 from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
 from sim.scenarios.scenario import OdometryLink
-from sim.world.world import BodyRecord
+from sim.world.step import BodyRecord
 
 ROWS = 512  # of samples; at most 250 are under way (500 Hz, 0.5 s)
 LOST = -1

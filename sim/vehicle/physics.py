@@ -14,9 +14,10 @@ from sim.plant.vehicle_types import BatteryModel, Truth
 from sim.plant.wind import WindModel
 from sim.robot.target import TargetModel
 from sim.scenarios.scenario import Scenario
+from sim.vehicle.judge import GAP_MS, NONE_MS
 from sim.vehicle.loop import WIND_EVERY_MS, VehicleRecord
-from sim.world.contact import GAP_MS, NONE_MS
-from sim.world.world import ContactBit, World
+from sim.world.contact import ContactBit
+from sim.world.world import World
 
 AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
 _TUMBLED = ContactBit.TUMBLED.value
@@ -49,7 +50,7 @@ class Physics:
         self.weight_n = mass_kg * params.contact.gravity_m_s2
         self.record = r = new(VehicleRecord)
         self.vehicle = cell(r)
-        self.world = World(params, mass_kg, scenario.target, r.body, r.deck, r.reach, r.memory)
+        self.world = World(params, mass_kg, scenario.target, r.world)
         self.rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
         pad_radius = scenario.target.pad_radius_m
         GroundEffect(params.rotor, scenario.vehicle.ground_effect_gain, pad_radius, r.ground)
@@ -68,7 +69,7 @@ class Physics:
         self._touch_ms, self.judging, self._contacts = scalars(r.contact, "touch_ms", "judging", "bits")
         for times in (self.since_ms, self.pad_ms, self.ground_ms, self._touch_ms):
             times[0] = NONE_MS
-        self._read_body, self._read_deck = reader(r.body), reader(r.deck)
+        self._read_body, self._read_deck = reader(r.world.body), reader(r.world.deck)
         self._read_contact = reader(r.contact)
         target = TargetModel(scenario.target, seed)
         pose = target.pose

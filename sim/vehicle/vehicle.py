@@ -25,7 +25,7 @@ from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import fly
 from sim.vehicle.mocap import MocapTape
 from sim.vehicle.physics import Physics
-from sim.world.world import ContactBit
+from sim.world.contact import ContactBit
 
 CONTACT_PAD = ContactBit.PAD.value
 CONTACT_GROUND = ContactBit.GROUND.value
@@ -66,7 +66,7 @@ class VehicleSim:
         self._gravity = params.contact.gravity_m_s2
         self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed, r.imu)
         self._firmware = Firmware(scenario.vehicle, params, r.firmware)
-        self._mocap = MocapTape(scenario.vehicle.mocap, seed, r.mocap, r.body)
+        self._mocap = MocapTape(scenario.vehicle.mocap, seed, r.mocap, r.world.body)
         motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, physics.hover_rpm)
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
         self._ms = self._supplied_ms = 0
@@ -138,6 +138,8 @@ class VehicleSim:
             if not self.faults.quiet:
                 stop_ms = min(stop_ms, self._fail())
             self._ms = fly(self._vehicle, self._ms, stop_ms)
+            if self._ms < stop_ms:
+                self._world.solve()
         self._physics.judge_once_airborne(self._ms)
 
     def _supply(self) -> None:

@@ -1,54 +1,51 @@
-"""When the vehicle touched what: contact times, and the first touch of the pad."""
+"""What the vehicle touches, read from the contact sensors of the MuJoCo model."""
 
 from __future__ import annotations
 
+from enum import IntFlag
+
 from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Record, Vector
-from sim.world.world import ContactBit, DeckRecord
+from sim.compiled.records import F64
 
-GAP_MS = 30  # a bounce shorter than this does not end a contact
-NONE_MS = -1_000_000
-GROUND, PAD = ContactBit.GROUND.value, ContactBit.PAD.value
+TOP_NORMAL = 0.7  # a contact whose normal is within 45 degrees of the vertical is with the pad's top
+RIM_M = 0.002  # a contact lower than this under the pad's top is with its edge
+
+# numbers of the sensors: contacts with the floor, with what is below the pad, and each one with the pad
+PAD_CONTACTS = 16  # nine shapes of the vehicle, one or two of each
+PER_CONTACT = 7  # whether there is one, place (world, m), normal
+SENSORS = 2 + PAD_CONTACTS * PER_CONTACT
 
 
-class ContactRecord(Record):
-    """Times in ms of simulated time, ``NONE_MS`` for never."""
+class ContactBit(IntFlag):
+    """What the vehicle touched."""
 
-    bits: int  # all contacts since they were last asked for
-    since_ms: int  # begin of the contact with pad or ground
-    pad_ms: int  # last contact with the pad's top
-    ground_ms: int
-    judging: bool  # the next touch of the pad is the first
-    touch_ms: int  # the first touch
-    touch_e: Vector  # vehicle minus pad centre at the begin of that step, m
-    touch_velocity: Vector  # of the vehicle relative to the pad below it, m/s
+    PAD = 1
+    GROUND = 2
+    ROBOT = 4
+    PAD_EDGE = 8
+    TUMBLED = 16
+
+
+PAD, GROUND, ROBOT, PAD_EDGE = (
+    ContactBit.PAD.value, ContactBit.GROUND.value, ContactBit.ROBOT.value, ContactBit.PAD_EDGE.value,
+)  # fmt: skip
 
 
 @jitted
-def note_contact(
-    c: ContactRecord, deck: DeckRecord, bits: int, now_ms: int, before_e: F64, before_velocity: F64
-) -> None:
-    """Keep contact times; latch the state before the first judged touch of the pad.
+def touched(sensors: F64, pad_m: float) -> int:
+    """Contact bits.
 
     Args:
-        c: changed in place.
-        deck: the pad.
-        bits: contacts of the step.
-        now_ms: begin of the step.
-        before_e: vehicle minus pad centre then, m.
-        before_velocity: of the vehicle then, m/s.
+        sensors: readings, see ``SENSORS``.
+        pad_m: height of the pad's top.
     """
-    c.bits |= bits
-    if bits & (PAD | GROUND):
-        if now_ms - max(c.pad_ms, c.ground_ms) > GAP_MS:
-            c.since_ms = now_ms
-        if bits & PAD:
-            c.pad_ms = now_ms
-        if bits & GROUND:
-            c.ground_ms = now_ms
-    if bits & PAD and c.judging and c.touch_ms == NONE_MS:
-        c.touch_ms = now_ms
-        c.touch_e[:] = before_e
-        c.touch_velocity[0] = before_velocity[0] - (deck.velocity[0] - deck.rate * before_e[1])
-        c.touch_velocity[1] = before_velocity[1] - (deck.velocity[1] + deck.rate * before_e[0])
-        c.touch_velocity[2] = before_velocity[2] - deck.velocity[2]
+    bits = GROUND if sensors[0] > 0.0 else 0
+    if sensors[1] > 0.0:
+        bits |= ROBOT
+    for i in range(PAD_CONTACTS):
+        at = 2 + PER_CONTACT * i
+        if sensors[at] == 0.0:
+            break
+        on_top = abs(sensors[at + 6]) >= TOP_NORMAL and sensors[at + 3] >= pad_m - RIM_M
+        bits |= PAD if on_top else PAD_EDGE
+    return bits

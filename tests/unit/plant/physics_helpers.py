@@ -3,7 +3,8 @@
 import numpy as np
 
 from sim.scenarios.scenario import OdometryLink, VehicleSpec
-from sim.vehicle.loop import move
+from sim.vehicle.loop import push
+from sim.world.step import physics_step
 from tests.unit.vehicle.vehicle_sim_helpers import vehicle
 
 PROMPT = OdometryLink(100.0)  # motion capture without noise and delay
@@ -53,7 +54,8 @@ class FreePlant:
         if command is not None:
             self.record.firmware.commands[:] = command
         for _ in range(steps):
-            move(self.record)
+            push(self.record)
+            assert physics_step(self.record.world)
 
     @property
     def state(self):

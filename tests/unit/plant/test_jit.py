@@ -12,7 +12,6 @@ from flightstack.core.parameters.ends import Takeoff
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from sim.clock import TickGrid
 from sim.compiled import jit
-from sim.plant.params import load
 from sim.robot.target_motion import TargetMotion
 from sim.scenarios import scenario
 from sim.scenarios.scenario import (
@@ -20,13 +19,11 @@ from sim.scenarios.scenario import (
     Scenario,
     Start,
     StartKind,
-    TargetSpec,
     VehicleSpec,
     VelocityLoop,
     Wind,
 )
 from sim.vehicle.vehicle import VehicleSim
-from sim.world.world import World, contact_count
 
 STEPS = 300
 
@@ -138,13 +135,3 @@ def test_the_cache_belongs_to_these_sources(tmp_path, monkeypatch):
     monkeypatch.setattr(jit, "HERE", tmp_path)
     (tmp_path / "changed.py").write_text("x = 1")
     assert jit.cache_directory.__wrapped__() != first
-
-
-def test_compiled_code_sees_how_many_contacts_there_are():
-    params = load()
-    world = World(params, params.body.mass_kg, TargetSpec())
-    for height_m, touches in ((-params.geometry.foot_bottom_m, True), (1.0, False)):
-        world.set_vehicle((1.0, 0.0, height_m))
-        world.step((0.0, 0.0, -0.3), (0.0, 0.0, 0.0))
-        assert contact_count(world.memory) == world.data.ncon
-        assert bool(world.data.ncon) is touches

@@ -9,7 +9,8 @@ import pytest
 from sim.compiled.rotation import rotation_axes
 from sim.plant.params import STEP_S, load
 from sim.scenarios.scenario import TargetSpec
-from sim.world.world import ContactBit, World
+from sim.world.contact import ContactBit
+from sim.world.world import World
 
 PARAMS = load()
 MASS, G = PARAMS.body.mass_kg, 9.81

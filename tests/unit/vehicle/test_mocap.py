@@ -8,7 +8,7 @@ from sim.compiled.records import new
 from sim.plant.sensors import NS_PER_MS, MeasurementChannel
 from sim.scenarios.scenario import OdometryLink
 from sim.vehicle.mocap import ROWS, MocapRecord, MocapTape
-from sim.world.world import BodyRecord
+from sim.world.step import BodyRecord
 
 LINKS = {
     "default": OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010),

@@ -1,4 +1,4 @@
-"""The MuJoCo model as XML text: floor, ground robot with pad, vehicle.
+"""The MuJoCo model as XML text: floor, ground robot with pad, vehicle, and sensors of what touches what.
 
 The robot is a body on three slides and a hinge, so that it has a velocity and friction carries what stands on
 it (a mocap body has none). Its state is imposed every step; it weighs so much that no contact moves it in
@@ -10,15 +10,12 @@ from __future__ import annotations
 
 import math
 
-import mujoco
-import numpy as np
-
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Record
 from sim.plant.params import STEP_S, Params
 from sim.scenarios.scenario import TargetSpec
+from sim.world.contact import PAD_CONTACTS
 
 HEAVY_KG = 1.0e4  # against 0.03 kg: a landing moves it by nothing
+QPOS, QVEL = 11, 10  # the vehicle's free joint comes first, then the robot's x, y, z and yaw
 
 
 def vehicle_geoms(params: Params) -> str:
@@ -38,9 +35,9 @@ def vehicle_geoms(params: Params) -> str:
 
 
 def robot_geoms(params: Params, target: TargetSpec) -> str:
-    """Pad, body and lidar of the robot; origin is the pad centre (top), x forward.
+    """Pad, and body and lidar of the robot below it; origin is the pad centre (top), x forward.
 
-    A pad lower than the robot is tall (a deck of another kind) has only the pad and a box below it.
+    A pad lower than the robot is tall (a deck of another kind) has only a box below it.
     """
     r = params.robot
     half = r.pad_thickness_m / 2.0
@@ -52,14 +49,13 @@ def robot_geoms(params: Params, target: TargetSpec) -> str:
     low = bottom - target.pad_height_m
     high = top - target.pad_height_m
     size = f"{r.body_length_m / 2.0} {r.body_width_m / 2.0} {(high - low) / 2.0}"
-    body = f'<geom name="robot" type="box" size="{size}" pos="{x} 0 {(high + low) / 2.0}"/>'
+    below = f'<geom type="box" size="{size}" pos="{x} 0 {(high + low) / 2.0}"/>'
     lidar_top = min(r.lidar_top_m, below_pad)
     column_half = (lidar_top - top) / 2.0
-    if column_half <= 1e-3:
-        return pad + body
-    z = (lidar_top + top) / 2.0 - target.pad_height_m
-    lidar = f'<geom name="lidar" type="cylinder" size="{r.lidar_radius_m} {column_half}" pos="{x} 0 {z}"/>'
-    return pad + body + lidar
+    if column_half > 1e-3:
+        z = (lidar_top + top) / 2.0 - target.pad_height_m
+        below += f'<geom type="cylinder" size="{r.lidar_radius_m} {column_half}" pos="{x} 0 {z}"/>'
+    return f'{pad}<body name="below_pad">{below}</body>'
 
 
 def model_xml(params: Params, mass_kg: float, target: TargetSpec) -> str:
@@ -75,8 +71,8 @@ def model_xml(params: Params, mass_kg: float, target: TargetSpec) -> str:
   <compiler autolimits="false"/>
   <option timestep="{STEP_S}" gravity="0 0 0" integrator="Euler" cone="elliptic" solver="Newton"
       iterations="30" tolerance="1e-10">
-    <flag equality="disable" frictionloss="disable" limit="disable" clampctrl="disable" sensor="disable"
-        actuation="disable" eulerdamp="disable" island="disable" autoreset="disable"/>
+    <flag equality="disable" frictionloss="disable" limit="disable" clampctrl="disable" actuation="disable"
+         eulerdamp="disable" island="disable" autoreset="disable"/>
   </option>
   <default>
     <geom contype="1" conaffinity="0" condim="3" friction="{c.friction} 0 0" solref="{c.time_constant_s} 1"
@@ -99,45 +95,10 @@ def model_xml(params: Params, mass_kg: float, target: TargetSpec) -> str:
       {robot_geoms(params, target)}
     </body>
   </worldbody>
+  <sensor>
+    <contact geom1="floor" body2="vehicle" data="found"/>
+    <contact body1="below_pad" body2="vehicle" data="found"/>
+    <contact geom1="pad" body2="vehicle" data="found pos normal" num="{PAD_CONTACTS}"/>
+  </sensor>
 </mujoco>
 """
-
-
-MARGIN_M = 1e-3  # beyond rounding
-
-
-class ReachRecord(Record):
-    """Bounds, m, margin included."""
-
-    vehicle: float  # radius about the centre of mass
-    robot: float  # radius about the pad's axis
-    robot_top: float  # above the pad
-
-
-@jitted
-def apart(reach: ReachRecord, vehicle: F64, deck: F64) -> bool:
-    """Return whether vehicle and floor, and vehicle and robot, cannot touch; False for NaN.
-
-    Args:
-        reach: bounds.
-        vehicle: centre of mass, ENU, m.
-        deck: pad centre, ENU, m.
-    """
-    x, y, z = vehicle[0] - deck[0], vehicle[1] - deck[1], vehicle[2] - deck[2]
-    square, beside = x * x + y * y, reach.vehicle + reach.robot
-    above = z > reach.vehicle + reach.robot_top and square >= 0.0
-    return bool(vehicle[2] > reach.vehicle and (above or square > beside * beside))
-
-
-def measure_reach(model: mujoco.MjModel, reach: ReachRecord) -> None:
-    """Fill in the bounds of a model with the bodies ``vehicle`` and ``robot_body`` and a floor at z = 0."""
-    of_vehicle = model.geom_bodyid == model.body("vehicle").id
-    of_robot = model.geom_bodyid == model.body("robot_body").id
-    margin = MARGIN_M + model.geom_margin.max() + model.geom_gap.max()
-    distances = np.linalg.norm(model.geom_pos[of_vehicle], axis=1)
-    reach.vehicle = margin + (distances + model.geom_rbound[of_vehicle]).max()
-    # boxes about the geoms, which are not turned in their bodies: centre relative to the geom, half sizes
-    centre = model.geom_pos[of_robot] + model.geom_aabb[of_robot, :3]
-    half = model.geom_aabb[of_robot, 3:]
-    reach.robot = margin + np.hypot(*(np.abs(centre) + half)[:, :2].T).max()
-    reach.robot_top = margin + (centre + half)[:, 2].max()

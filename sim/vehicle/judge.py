@@ -1,0 +1,88 @@
+"""What is judged of a flight: the barrier's extremes, tumbling, when the vehicle touched what."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import cast
+
+from flightstack.core.safety.barrier import Barrier
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Record, Vector
+from sim.world.contact import GROUND, PAD
+from sim.world.step import WorldRecord, tumbled
+
+GAP_MS = 30  # a bounce shorter than this does not end a contact
+NONE_MS = -1_000_000
+
+
+class JudgeRecord(Record):
+    """The barrier flown against, and the extremes since they were last asked for."""
+
+    alpha_1_m: float
+    beta_m: float
+    pad_radius: float
+    h_min: float
+    h_min_outside: float  # the same outside the pad's radius
+    tumbled: bool
+
+
+# the very formula of the controller, compiled; a record stands in for the object
+_height = cast("Callable[[JudgeRecord, float], float]", jitted(Barrier.height))
+
+
+@jitted
+def judge(j: JudgeRecord, world: WorldRecord) -> None:
+    """Keep the smallest h, and whether it tumbled."""
+    p, d = world.body.position, world.deck.position
+    ex, ey = p[0] - d[0], p[1] - d[1]
+    square = ex * ex + ey * ey
+    h = p[2] - d[2] - _height(j, math.sqrt(square))
+    j.h_min = min(j.h_min, h)
+    if square > j.pad_radius * j.pad_radius:
+        j.h_min_outside = min(j.h_min_outside, h)
+    if tumbled(world.body.quaternion):
+        j.tumbled = True
+
+
+class ContactRecord(Record):
+    """Times in ms of simulated time, ``NONE_MS`` for never."""
+
+    bits: int  # all contacts since they were last asked for
+    since_ms: int  # begin of the contact with pad or ground
+    pad_ms: int  # last contact with the pad's top
+    ground_ms: int
+    judging: bool  # the next touch of the pad is the first
+    touch_ms: int  # the first touch
+    touch_e: Vector  # vehicle minus pad centre at the begin of that step, m
+    touch_velocity: Vector  # of the vehicle relative to the pad below it, m/s
+
+
+@jitted
+def note_contact(
+    c: ContactRecord, world: WorldRecord, now_ms: int, before_e: F64, before_velocity: F64
+) -> None:
+    """Keep contact times; latch the state before the first judged touch of the pad.
+
+    Args:
+        c: changed in place.
+        world: the deck, and the contacts of the step.
+        now_ms: begin of the step.
+        before_e: vehicle minus pad centre then, m.
+        before_velocity: of the vehicle then, m/s.
+    """
+    deck, bits = world.deck, world.contacts
+    c.bits |= bits
+    if bits & (PAD | GROUND):
+        if now_ms - max(c.pad_ms, c.ground_ms) > GAP_MS:
+            c.since_ms = now_ms
+        if bits & PAD:
+            c.pad_ms = now_ms
+        if bits & GROUND:
+            c.ground_ms = now_ms
+    if bits & PAD and c.judging and c.touch_ms == NONE_MS:
+        c.touch_ms = now_ms
+        c.touch_e[:] = before_e
+        c.touch_velocity[0] = before_velocity[0] - (deck.velocity[0] - deck.rate * before_e[1])
+        c.touch_velocity[1] = before_velocity[1] - (deck.velocity[1] + deck.rate * before_e[0])
+        c.touch_velocity[2] = before_velocity[2] - deck.velocity[2]
