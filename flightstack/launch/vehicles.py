@@ -20,8 +20,6 @@ from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
 from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import PROFILES, PX4
-from sim.plant import params
-from sim.px4.airframe import SAFE_PARAMETERS, parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.scenarios.scenario import Airframe, Scenario, StartKind
 
@@ -158,6 +156,10 @@ class Px4OnPlant:
             *speed_words(options.speed), *clock,
         )  # fmt: skip
         simulator.wait_ready()
+        # they load the compiler, half a second, and only this vehicle needs them
+        from sim.plant import params
+        from sim.px4.airframe import parameters
+
         wanted = parameters(params.load(scenario.vehicle.airframe), poses)
         child, words = px4.run(launcher, Px4Model.NONE_IRIS, wanted)
         return Flying(words, [simulator, child], simulator, clock)
@@ -173,6 +175,8 @@ class Px4WithItsOwnPhysics:
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start it; see ``Vehicle.start``."""
         del target_at
+        from sim.px4.airframe import SAFE_PARAMETERS
+
         child, words = _Px4Start(options).run(launcher, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
         return Flying([*words, *_on_the_floor(scenario)], [child], clock=speed_words(options.speed))
 

@@ -16,8 +16,6 @@ import time
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from osqp import ext_builtin as osqp
-from scipy import sparse
 
 from flightstack.core.safety.projection import best_corner, project
 from flightstack.core.types import FilterStatus, Vec3
@@ -70,6 +68,10 @@ class SafetyFilter:
     """
 
     def __init__(self, omega_1_s: float) -> None:
+        # Only a process that solves pays for these: scipy takes longer to load than all of the core.
+        from osqp import ext_builtin as osqp
+        from scipy import sparse
+
         self.omega_1_s = omega_1_s
         constraint = sparse.csc_matrix(np.vstack([np.ones((1, 3)), np.eye(3)]))
         settings = osqp.OSQPSettings()
@@ -90,6 +92,7 @@ class SafetyFilter:
         self._solver = osqp.OSQPSolver(
             hessian, self._q, osqp.CSC(constraint), self._lower, self._upper, 4, 3, settings
         )
+        self._solved = osqp.osqp_status_type.OSQP_SOLVED
 
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
@@ -147,7 +150,7 @@ class SafetyFilter:
             min(max(y, lower[1]), upper[1]),
             min(max(z, lower[2]), upper[2]),
         )
-        if info.status_val != osqp.osqp_status_type.OSQP_SOLVED or not math.isfinite(x + y + z):
+        if info.status_val != self._solved or not math.isfinite(x + y + z):
             return (cx, cy, cz), math.inf, info.iter
         barrier_miss = bound - (gradient[0] * cx + gradient[1] * cy + gradient[2] * cz)
         residual = max(abs(x - cx), abs(y - cy), abs(z - cz), barrier_miss, 0.0)

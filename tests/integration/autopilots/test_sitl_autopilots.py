@@ -11,7 +11,7 @@ from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_flight
 from sim.scenarios.scenario import PathKind, load
 from tests.integration.flights.test_sitl import KEYS
-from tests.integration.runs import flightstack
+from tests.integration.runs import called, flightstack
 from tests.px4_program import px4_or_skip
 
 pytestmark = pytest.mark.xdist_group("real-time")
@@ -71,9 +71,7 @@ def test_what_does_not_go_together_is_refused(tmp_path, words, said):
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
     filled = [word.format(program=program) for word in words]
-    done = flightstack(
-        "sitl", "--scenario", "grid", *filled, "--config", "crazyflie", "--out", tmp_path / "run"
-    )
+    done = called("sitl", "--scenario", "grid", *filled, "--config", "crazyflie", "--out", tmp_path / "run")
     assert done.code == 2, done.out + done.err
     assert said in done.err
 

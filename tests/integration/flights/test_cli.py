@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from flightstack.cli.main import GROUPS, VERBS
-from tests.integration.runs import flightstack
+from tests.integration.runs import called, flightstack
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,8 @@ from tests.integration.runs import flightstack
     ],
 )  # fmt: skip
 def test_wrong_input_is_status_2_and_one_clear_line(arguments, words, tmp_path):
-    result = flightstack(*arguments, cwd=tmp_path)
+    run = flightstack if arguments[0] in ("target", "vehicle") else called
+    result = run(*arguments, cwd=tmp_path)
     assert result.code == 2, result.err
     assert "Traceback" not in result.err
     for word in words:
@@ -46,7 +47,7 @@ def test_a_scenario_that_must_not_fly_is_refused_before_anything_starts(change, 
     assert change[0] in text
     file = tmp_path / "changed.toml"
     file.write_text(text.replace(*change))
-    result = flightstack("sitl", "--scenario", file, "--lockstep", "--json", "--out", tmp_path / "out")
+    result = called("sitl", "--scenario", file, "--lockstep", "--json", "--out", tmp_path / "out")
     assert result.code == 2
     assert word in result.err
     assert not (tmp_path / "out").exists()

@@ -6,7 +6,7 @@ import struct
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from logs.reader.flight import load_flight
-from tests.integration.runs import flightstack, fly
+from tests.integration.runs import called, flightstack, fly
 from tests.integration.sim_processes import NAN, Client, is_a, process, terminate
 
 ARMED = 128
@@ -84,7 +84,7 @@ def test_failing_runs_repeat_bit_by_bit(flown, tmp_path):
 def test_a_wrong_fault_is_refused_before_anything_starts(tmp_path):
     shown = flightstack("scenarios", "fault_motor_dead").out
     (tmp_path / "s.toml").write_text(shown.replace("motor = 2", "motor = 7"))
-    result = flightstack("sitl", "--scenario", tmp_path / "s.toml", "--out", tmp_path / "out")
+    result = called("sitl", "--scenario", tmp_path / "s.toml", "--out", tmp_path / "out")
     assert result.code == 2
     assert "fault[0]: motor: found 7, allowed: 1 to 4" in result.err
 

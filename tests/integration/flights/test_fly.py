@@ -11,7 +11,7 @@ from flightstack.common.processes import Child, Port
 from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_flight
 from sim.scenarios.scenario import load
-from tests.integration.runs import COMMAND, WALL_MAX_S, flightstack
+from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack
 
 pytestmark = pytest.mark.xdist_group("real-time")
 
@@ -111,7 +111,7 @@ def test_a_vehicle_that_does_not_answer_is_not_flown_and_said_so(tmp_path):
     ],
 )
 def test_wrong_input_is_status_2_with_what_to_do(tmp_path, words, said):
-    done = flightstack("fly", *words, "--out", tmp_path / "flight")
+    done = called("fly", *words, "--out", tmp_path / "flight")
     assert done.code == 2
     assert said in done.err
 

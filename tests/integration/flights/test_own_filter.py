@@ -7,7 +7,7 @@ import pytest
 
 from sim.campaign.rows import read_rows
 from sim.scenarios.scenario import path_of
-from tests.integration.runs import flightstack, fly, replayed
+from tests.integration.runs import called, flightstack, fly, replayed
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = "examples.own_filter:ConeFilter"
@@ -54,9 +54,9 @@ def test_it_flies_a_campaign_by_its_name_in_the_scenario(elsewhere):
 
 @pytest.mark.parametrize("verb", [("sitl", "--scenario", "lab"), ("campaign", "lab"), ("check", "lab")])
 def test_a_filter_that_there_is_not_is_refused_with_what_is_allowed(verb):
-    done = flightstack(*verb, "--filter", "best")
+    done = called(*verb, "--filter", "best")
     assert done.code == 2
     assert "filter: found 'best', allowed: paper, robust, or MODULE:NAME" in done.err
-    done = flightstack(*verb, "--filter", "examples.own_filter:Kone")
+    done = called(*verb, "--filter", "examples.own_filter:Kone")
     assert done.code == 2
     assert "has no Kone" in done.err

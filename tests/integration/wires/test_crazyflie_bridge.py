@@ -18,7 +18,7 @@ from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.server import Server
 from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.crazyflie_firmware.supervisor import PERIOD_S, TIMEOUT_S, State
-from tests.integration.runs import COMMAND
+from tests.integration.runs import COMMAND, called
 from tests.integration.sim_processes import ROOT, free_port, is_a, setpoint, wait_for
 from tests.integration.wires.crazyflie_processes import bridge, client, fly
 
@@ -251,20 +251,17 @@ def test_what_nobody_takes_is_bounded(tmp_path):
             link.close()
 
 
-@pytest.mark.parametrize("uri", ["mailto:nobody", "radio://", "udp://host", "radio://0/80/3M"])
-def test_a_wrong_uri_is_an_error_that_says_what_is_allowed(uri):
-    done = subprocess.run(
-        [*COMMAND, "bridge", "crazyflie", "--uri", uri, "--url", "udpin:127.0.0.1:0"],
-        cwd=ROOT, capture_output=True, text=True, timeout=60.0, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert f"Crazyflie URI {uri!r} is not understood: allowed is radio://DONGLE/CHANNEL/RATE" in done.stderr
+REFUSED = [
+    *(
+        (uri, "udpin:127.0.0.1:0", f"Crazyflie URI {uri!r} is not understood: allowed is radio://DONGLE/")
+        for uri in ("mailto:nobody", "radio://", "udp://host", "radio://0/80/3M")
+    ),
+    ("udp://127.0.0.1:9", "udpin:0.0.0.0:0", "--signing-key FILE"),  # a network only with a key
+]
 
 
-def test_it_listens_to_a_network_only_with_a_key():
-    done = subprocess.run(
-        [*COMMAND, "bridge", "crazyflie", "--uri", "udp://127.0.0.1:9", "--url", "udpin:0.0.0.0:0"],
-        cwd=ROOT, capture_output=True, text=True, timeout=60.0, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert "--signing-key FILE" in done.stderr
+@pytest.mark.parametrize(("uri", "url", "said"), REFUSED)
+def test_a_wrong_uri_or_an_open_network_is_refused_with_what_is_allowed(uri, url, said):
+    done = called("bridge", "crazyflie", "--uri", uri, "--url", url)
+    assert done.code == 2
+    assert said in done.err
