@@ -57,6 +57,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "vehicle: flies our simulated vehicle, or the one of --vehicle")
     config.addinivalue_line("markers", "arms: not run on a vehicle that was given without --arm-ok")
     config.addinivalue_line("markers", "simulated: needs the simulated room")
+    config.addinivalue_line("markers", "xdist_group(name): run by one worker, also where there is no xdist")
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -72,6 +73,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     mark_slow(items)
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
+        items[:] = [item for item in items if not _second_profile_early(item)]
         if config.getoption("--flights") == 1:  # they mostly wait: one worker does, while others compute
             for item in items:
                 if _marked(item, "vehicle"):
@@ -86,6 +88,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     left_out = [item for item in items if not runs(item)]
     items[:] = [item for item in items if runs(item)]
     config.hook.pytest_deselected(items=left_out)
+
+
+def _second_profile_early(item: pytest.Item) -> bool:
+    """The second server profile flies only the last phase of what the first flies in each phase."""
+    given = item.callspec.params if hasattr(item, "callspec") else {}
+    return given.get("server_profile") == list(PROFILES)[-1] and given.get("phase", "LAND") != "LAND"
 
 
 def _marked(item: pytest.Item, name: str) -> bool:
@@ -114,5 +122,5 @@ def _server_profiles(metafunc: pytest.Metafunc) -> list[str]:
         return ["real-px4"]
     if option("--vehicle") is not None:
         return [option("--autopilot")]
-    # what tries the room rather than the vehicle needs one server_profile only
+    # what tries the room rather than the vehicle needs one server profile only
     return list(PROFILES)[: 1 if metafunc.definition.get_closest_marker("simulated") else None]

@@ -3,17 +3,44 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 from flightstack.common.processes import Child, Port
 from sim.plant import params
 from sim.px4.airframe import parameters
-from sim.px4.program import InstanceClaim, Px4Model, Px4Program
+from sim.px4.program import InstanceClaim, Px4Model, Px4Program, find_px4
 from sim.scenarios.scenario import load
+
+PX4_PLACE = "FLIGHTSTACK_PX4"  # environment: the program or a folder that holds it (sim.px4.program.find_px4)
+ROOT = Path(__file__).parents[1]
+
+
+def px4_place() -> Path | None:
+    """Program or folder; None where there is none, and nobody named one.
+
+    A place that the environment names and that holds no PX4 is an error where it is used, not skipped.
+    """
+    named = os.environ.get(PX4_PLACE)
+    if named:
+        return Path(named)
+    beside = [up / "shared" / "px4" for up in ROOT.parents]  # a worktree may lie one folder deeper
+    return next((place for place in beside if (place / "px4").is_file()), None)
+
+
+def px4_or_skip() -> Path:
+    """The program; skips the test that asks where there is none."""
+    place = px4_place()
+    if place is None:
+        pytest.skip(f"no PX4 here: {PX4_PLACE} names none, and there is no folder shared/px4 beside this one")
+    return find_px4(place).binary
+
 
 FLIGHT_MAX_S = 240.0  # s of stack time from the start of the onboard process to its end
 DOWN_MAX_S = 60.0  # s of stack time for PX4's own landing without it

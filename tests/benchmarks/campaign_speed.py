@@ -130,7 +130,3 @@ def main(scenario_name: str = "lab") -> None:
     )
     for part, cost in sorted(parts.items(), key=lambda item: -item[1]):
         print(f"  {cost:6.1f} us {100.0 * cost / whole:5.1f} %  {part}")
-
-
-if __name__ == "__main__":
-    main()

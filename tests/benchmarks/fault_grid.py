@@ -8,8 +8,7 @@ from pathlib import Path
 
 from sim.vehicle.vehicle import warm_up
 from tests.fault_grid.run import SEED, Result, fly, scenario
-from tests.fault_grid.table import GRID, H_MIN_M, WITHIN_S, Need
-from tests.fault_grid.words import End, Moment, Part, Way
+from tests.fault_grid.table import GRID, H_MIN_M, WITHIN_S, End, Moment, Need, Part, Way
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "fault_grid.md"
 _HEAD = f"""# Grid of faults
@@ -141,7 +140,3 @@ def main() -> None:
         sections.append(section(part, rows))
         print(f"{part}: {len(rows)} cells", flush=True)
     PAGE.write_text(_HEAD + "".join(sections) + _TAIL)
-
-
-if __name__ == "__main__":
-    main()

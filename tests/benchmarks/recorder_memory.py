@@ -111,7 +111,3 @@ def _tell(
     took_s = time.monotonic() - begun_s
     chunks, messages = summary.statistics.chunk_count, summary.statistics.message_count
     print(f"{messages} messages in {chunks} chunks; the index opens in {took_s:.1f} s")
-
-
-if __name__ == "__main__":
-    main()

@@ -141,7 +141,3 @@ def main() -> None:
     PAGE.write_text(
         HEAD.format(command=command) + table(COLUMNS, rows) + ASKED + table(ASKED_COLUMNS, limits) + TAIL
     )
-
-
-if __name__ == "__main__":
-    main()

@@ -25,7 +25,7 @@ from logs.recorder.feed import Feed
 from logs.recorder.mcap_file import McapFile, SafeStream
 from logs.recorder.recorder_process import RecorderProcess
 from tests.fault_grid.flight import Flight
-from tests.fault_grid.words import Way
+from tests.fault_grid.table import Way
 
 SLOW_B_S = 1e6  # bytes a slow disk takes in a second, a tenth of a memory card's
 LATE_S = 0.2  # s after which a late one begins with a block of data

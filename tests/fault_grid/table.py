@@ -10,9 +10,56 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import Enum, StrEnum
 from types import MappingProxyType
 
-from tests.fault_grid.words import End, Moment, Part, Way
+from flightstack.core.types import Phase
+
+
+class Part(StrEnum):
+    """What fails."""
+
+    OWN_STATE = "own state"
+    TARGET_STATE = "target state"
+    HEARTBEAT = "heartbeat"
+    SETPOINTS = "set-point path"
+    CLOCK = "clock"
+    ZENOH = "Zenoh link"
+    DISK = "log disk"
+
+
+class Way(StrEnum):
+    """How it fails."""
+
+    OFF = "off"
+    STUCK = "stuck"
+    GARBAGE = "garbage"
+    WRONG = "wrong"
+    SLOW = "slow"
+    DELAYED = "delayed"
+    INTERMITTENT = "intermittent"
+
+
+class Moment(Enum):
+    """When it fails, for good."""
+
+    TAKEOFF = Phase.TAKEOFF  # in the climb, 0.2 m above the ground: standing there nothing could fall
+    APPROACH = Phase.APPROACH
+    LAND = Phase.LAND
+    TOUCHDOWN = Phase.TOUCHDOWN
+
+
+class End(StrEnum):
+    """How a flight ended."""
+
+    LANDED = "LANDED"  # rests upright on the pad, motors off
+    ABORTED = "ABORTED"  # given up and declared, stands upright on the floor, motors off
+    VEHICLE_LANDS = "VEHICLE_LANDS"  # the same, brought down by the autopilot's own fail-safe
+    CONTINUES = "CONTINUES"  # flown to the last bit as without the fault
+    CRASHED = "CRASHED"  # fell, tumbled, or struck robot or pad's edge
+    MISSED = "MISSED"  # on the floor, and nobody had given up
+    FLYING = "FLYING"  # motors not off in the end
+
 
 WITHIN_S = 2.0  # until it is given up, where it has to be
 H_MIN_M = -0.005  # outside the pad while the companion flies: a violation below it

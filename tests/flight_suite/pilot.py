@@ -14,8 +14,7 @@ from bridge.mavlink.signing.key import load_key
 from flightstack.common.pacing import FastClock, RealTimePacer
 from flightstack.config.files import load
 from flightstack.core.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus
-from tests.flight_suite.limits import LIMITS, Limits
-from tests.flight_suite.room import Room
+from tests.flight_suite.room import LIMITS, Limits, Room
 
 RATE_HZ = 50
 STATE_AGE_MAX_S = 2.0  # it holds by its own state, not by what of that gets here

@@ -5,16 +5,80 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 
-from bridge.mavlink.profiles.autopilots import OWN_SITL, PX4
+from bridge.mavlink.profiles.autopilots import ARDUPILOT, AUTO, CRAZYFLIE, OWN_SITL, PX4
 from flightstack.common.processes import Child, Port
 from flightstack.common.strict_toml import dumps
 from flightstack.core.types import ZERO, Vec3
+from sim.plant import params
+from sim.px4.airframe import parameters
+from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.scenarios.scenario import Scenario, load
-from tests.flight_suite.limits import LIMITS, Limits
+
+
+class Lost(Enum):
+    """What the vehicle does by itself once no set-point comes any more."""
+
+    LANDS = "lands and stops its motors"
+    STOPS = "holds still, armed, until somebody lands it"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the steps for one autopilot.
+
+    Attributes:
+        settle_s: time at zero velocity before anything is judged.
+        still_m_s: speed below which it holds still.
+        drift_m: distance that it may move in five seconds of zero velocity.
+        step_m_s: speed of the step to the north and back.
+        step_s: time of each of the two.
+        moved_share: least and greatest way of the step, as a share of speed times time.
+        lost: what it does without set-points.
+        lost_s: time until it shows that.
+    """
+
+    settle_s: float
+    still_m_s: float
+    drift_m: float
+    step_m_s: float
+    step_s: float
+    moved_share: tuple[float, float]
+    lost: Lost
+    lost_s: float
+
+
+_OWN = Limits(
+    settle_s=3.0, still_m_s=0.15, drift_m=0.3,
+    # a velocity lag T makes the share 1 - 1.5 T / step_s: lags below 0.8 s
+    step_m_s=0.3, step_s=2.0, moved_share=(0.4, 1.2),
+    lost=Lost.LANDS, lost_s=2.0,  # COM_OF_LOSS_T = 0.5 s, and its heartbeat once a second
+)  # fmt: skip
+
+# PX4 holds velocity, not place: a change of force by 1 N on 1 kg moves it 1 / MPC_XY_VEL_I_ACC = 2.5 m in the
+# end, half of that within 3 s. tests/unit/suite/test_suite_limits.py flies it 2000 times in wind of 0.5 m/s
+# with gusts of 0.2 m/s, which push PX4's own quadrotor of 1 kg by 1 N for each m/s (SIH_KDV). Of 1000 flights
+# 999 drift by less than 0.8 m, are slower than 0.23 m/s at zero velocity, and move 0.36 to 0.73 of the step.
+_PX4 = Limits(
+    settle_s=5.0, still_m_s=0.3, drift_m=1.0,
+    step_m_s=0.5, step_s=3.0, moved_share=(0.25, 1.0),
+    lost=Lost.LANDS, lost_s=2.5,  # COM_OF_LOSS_T = 1.0 s, checked at 10 Hz; heartbeat once a second
+)  # fmt: skip
+
+LIMITS: Mapping[str, Limits] = MappingProxyType(
+    {
+        OWN_SITL.name: _OWN,
+        CRAZYFLIE.name: replace(_OWN, lost_s=3.5),  # its firmware stops the motors after 2 s
+        PX4.name: _PX4,
+        ARDUPILOT.name: replace(_OWN, lost=Lost.STOPS, lost_s=2.5),  # GUID_TIMEOUT, at most 1 s, and 1.5 s
+    }
+)
+
 
 SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that drives off
 # of our simulated vehicle, with the parameters that its defaults leave unsafe
@@ -136,4 +200,75 @@ def given(config: pytest.Config, folder: Path) -> Iterator[Room]:
             option("--listen") or port.endpoint, option("--config"), folder, Fence(height_m, distance_m),
             option("--system-id"), option("--signing-key"), option("--takeoff-height"),
             tuple(option("--target-offset")),
+        )  # fmt: skip
+
+
+FENCE = Fence(height_m=4.0, distance_m=25.0)  # the robot of scenario `large` drives straight on at 0.4 m/s
+
+
+@contextlib.contextmanager
+def on_px4(
+    folder: Path,
+    place: Path,
+    scenario_name: str,
+    seed: int,
+    *,
+    speed: float = 1.0,
+    clocked: bool = False,
+    mocap: bool = False,
+    recorder: Path | None = None,
+) -> Iterator[Room]:
+    """Start simulator, PX4 and robot; ended whatever happens.
+
+    Args:
+        folder: for output of processes.
+        place: of PX4's program, as ``sim.px4.program.find_px4`` takes it.
+        scenario_name: name or file of the scenario; its robot waits for the first approach.
+        seed: of wind, noise and the vehicle's spread.
+        speed: of all of it against real time.
+        clocked: robot and onboard process live by the simulator's clock, which is as fast as all of them can
+            be, at most ``speed``; a pilot in this process still lives by the wall's.
+        mocap: the scenario's motion capture instead of satellites.
+        recorder: socket of a recorder for the true states.
+
+    Raises:
+        FileNotFoundError: no PX4 there.
+        LaunchError: a process did not start.
+    """
+    scenario = load(scenario_name)
+    # until the first approach, or it is far away before everything has started
+    scenario = replace(scenario, target=replace(scenario.target, wait_for_landing=True))
+    file = folder / "scenario.toml"
+    file.write_text(dumps(scenario))
+    poses = scenario.vehicle.mocap if mocap else None
+    common = ["--scenario", str(file), "--seed", str(seed)]
+    paced = ["--speed", str(speed)]
+    clock = ["--clock", str(folder / "clock")] if clocked else []
+    with contextlib.ExitStack() as stack:
+        claim = stack.enter_context(contextlib.closing(InstanceClaim()))
+        target_at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
+
+        def start(verb: str, *words: str) -> Child:
+            child = Child(verb, [verb, *common, *words], folder)
+            stack.callback(child.end)
+            child.wait_ready()
+            return child
+
+        # PX4's TCP port follows from its instance
+        plugs = ["--tcp", f"127.0.0.1:{4560 + claim.number}", "--connect", target_at, *paced, *clock]
+        plugs += ["--mocap"] if mocap else []
+        plugs += ["--recorder", str(recorder)] if recorder is not None else []
+        simulator = start("px4-sim", *plugs)
+        px4 = Px4Program(
+            place, folder / "px4", Px4Model.NONE_IRIS, instance=claim.number,
+            parameters=parameters(params.load(scenario.vehicle.airframe), poses),
+        )  # fmt: skip
+        stack.callback(px4.end)
+        px4.wait_ready()
+        target = start("target", "--listen", target_at, "--connect", onboard_at, *(clock or paced))
+        yield Room(
+            f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
+            configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # so does PX4
+            takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
+            speed=1.0 if clocked else speed, clock=folder / "clock" if clocked else None,
         )  # fmt: skip

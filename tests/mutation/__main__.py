@@ -10,8 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 
-from tests.mutation.mutants import Mutant, mutants
-from tests.mutation.targets import TARGETS, source_file
+from tests.mutation.mutants import TARGETS, Mutant, mutants, source_file
 
 SCORE_MIN = 0.9
 USUAL_MAX_S = 10.0  # of one module's tests, where it is not measured

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import coverage
 import pytest
 
-from tests.mutation.targets import ROOT, TARGETS, source_file
+from tests.mutation.mutants import ROOT, TARGETS, source_file
 
 
 class Covered(NamedTuple):

@@ -9,7 +9,29 @@ import ast
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from types import CodeType
+
+ROOT = Path(__file__).parents[2]
+UNIT = "tests/unit"
+
+TARGETS: dict[str, tuple[str, ...]] = {
+    "flightstack.core.safety.barrier": (f"{UNIT}/core/test_barrier.py",),
+    "flightstack.core.safety.robust_barrier": (f"{UNIT}/core/test_robust_barrier.py",),
+    "flightstack.core.safety.qp_filter": (f"{UNIT}/core/test_safety_filter.py",),
+    "flightstack.core.safety.projection": (f"{UNIT}/core/test_safety_filter.py",),
+    "flightstack.core.safety.gate": (f"{UNIT}/core/test_gate.py", f"{UNIT}/core/test_gate_maker.py"),
+    "flightstack.core.mission.phases": (
+        f"{UNIT}/core/mission/test_phases_exhaustive.py",
+        f"{UNIT}/core/mission/test_phases.py",
+    ),
+}
+
+
+def source_file(module: str) -> Path:
+    """Where the module's source is."""
+    return ROOT / (module.replace(".", "/") + ".py")
+
 
 BOUNDARY = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
 OPPOSITE = {

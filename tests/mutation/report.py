@@ -5,10 +5,64 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from tests.mutation import equivalent
+from tests.mutation.mutants import ROOT, TARGETS
 from tests.mutation.run import Outcome, Result
-from tests.mutation.targets import ROOT, TARGETS
+
+
+class Equivalent(NamedTuple):
+    """Mutants that change nothing; a key that ends with three dots is the beginning of theirs."""
+
+    module: str
+    key: str
+    reason: str
+
+    def names(self, module: str, key: str) -> bool:
+        """Whether this mutant is meant."""
+        start = self.key.removesuffix("...")
+        return module == self.module and (key.startswith(start) if start != self.key else key == start)
+
+
+FINITE = "a sum is finite only if all its terms are, whatever their signs"
+OVERWRITTEN = "written anew in every tick before the solver reads it"
+SAME_VALUE = "at equality both cases have the same value"
+SAME_POINT = "at equality both ways lead to the same point of the box"
+
+EQUIVALENT = tuple(
+    Equivalent(f"flightstack.core.{module}", key, why)
+    for module, key, why in (
+        ("safety.gate", "Gate._verdict: arithmetic: vx + vy...", FINITE),
+        ("safety.gate", "Gate._keeps_promise: return: return False -> return None...", "both are false"),
+        ("safety.gate", "Gate._keeps_promise: arithmetic: now + then...", FINITE),
+        ("safety.gate", "Gate._keeps_promise: boundary: missing_m <= 0.0 -> ...",
+         "the barrier is asked then, and what it allows is never negative"),
+        ("safety.barrier", "Barrier.linearisation_bound_m: boundary: moved_m <= gap -> ...", SAME_VALUE),
+        ("safety.barrier", "Barrier.linearisation_bound_m: boundary: moved_m < r + d -> ...", SAME_VALUE),
+        ("mission.phases", "Condition: arithmetic: 1 << 0 -> 1 >> 0", "shifted by nothing"),
+        ("safety.projection", "project: constant: True -> False #2", "the first zip has refused it"),
+        ("safety.projection", "project: boundary: value >= b -> ...", SAME_POINT),
+        ("safety.projection", "project: boundary: gi > 0.0 -> ...", "zero is left out before"),
+        ("safety.projection", "project: boundary: stop <= 0.0 -> ...", SAME_POINT),
+        ("safety.projection", "project: boundary: start > 0.0 -> ...", SAME_POINT),
+        ("safety.projection", "project: boundary: slope > 0.0 -> slope >= 0.0", SAME_POINT),
+        ("safety.projection", "project: boundary: value + slope * (when - at) >= b -> ...", SAME_POINT),
+        ("safety.qp_filter", "SafetyFilter.__init__: negation: -1.0 -> 1.0", OVERWRITTEN),
+        ("safety.qp_filter", "SafetyFilter.__init__: constant: 1.0 -> ...", OVERWRITTEN),
+        ("safety.qp_filter", "SafetyFilter.solve: arithmetic: bound + gx...", FINITE),
+        ("safety.qp_filter", "SafetyFilter.solve: arithmetic: finite + upper[0]...", FINITE),
+        ("safety.qp_filter", "SafetyFilter._osqp: arithmetic: x + y...", FINITE),
+    )
+)  # fmt: skip
+
+
+def reason(module: str, key: str) -> str | None:
+    """Why a mutant is equivalent; ``None``: it is not."""
+    for entry in EQUIVALENT:
+        if entry.names(module, key):
+            return entry.reason
+    return None
+
 
 DOCUMENT = ROOT / "docs" / "how_it_works" / "safety_core.md"
 BEGIN, END = "<!-- mutation table: python -m tests.mutation -->", "<!-- end of the mutation table -->"
@@ -51,7 +105,7 @@ def tally(name: str, results: Sequence[Result]) -> Tally:
 
 def is_listed(result: Result) -> bool:
     """The mutant is said to be equivalent."""
-    return equivalent.reason(result.module, result.mutant.key) is not None
+    return reason(result.module, result.mutant.key) is not None
 
 
 def surprises(results: Sequence[Result]) -> list[str]:
@@ -72,7 +126,7 @@ def stale(results: Sequence[Result]) -> list[str]:
     """Entries of the list of equivalents that name no mutant of a full run."""
     return [
         f"listed as equivalent, but there is no such mutant: {entry.module}: {entry.key}"
-        for entry in equivalent.EQUIVALENT
+        for entry in EQUIVALENT
         if not any(entry.names(r.module, r.mutant.key) for r in results)
     ]
 

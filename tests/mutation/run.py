@@ -2,18 +2,87 @@
 
 from __future__ import annotations
 
+import importlib.abc
+import importlib.machinery
 import os
 import signal
+import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from types import CodeType, ModuleType
 
-from tests.mutation import child
-from tests.mutation.mutants import Mutant
+import hypothesis
+import pytest
+
+from tests.mutation.mutants import ROOT, TARGETS, Mutant, mutated, source_file
+
+NOT_LOADED = 100  # exit code: the tests never imported the mutant
+EXAMPLES = 60  # of each property; the same ones every time
+
+
+class Replaced(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Loads one module from other code."""
+
+    def __init__(self, module: str, code: CodeType) -> None:
+        self.module, self.code, self.loaded = module, code, False
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        if fullname != self.module:
+            return None
+        return importlib.machinery.ModuleSpec(fullname, self, origin=self.code.co_filename)
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__file__ = self.code.co_filename
+        self.loaded = True
+        exec(self.code, module.__dict__)
+
+
+class FewExamples:
+    """Settings of property tests, after those of the test suite and before any test file is read."""
+
+    def pytest_collection(self) -> None:
+        hypothesis.settings.register_profile(
+            "mutation",
+            derandomize=True,
+            database=None,
+            deadline=None,
+            max_examples=EXAMPLES,
+            phases=(hypothesis.Phase.explicit, hypothesis.Phase.generate),
+        )
+        hypothesis.settings.load_profile("mutation")
+
+
+def judge(module: str, number: int | None) -> int:
+    """Run the module's tests against its mutant; ``None``: against the module as it is.
+
+    Returns:
+        pytest's exit code, or ``NOT_LOADED``.
+    """
+    os.chdir(ROOT)
+    source, name = source_file(module).read_text(), str(source_file(module))
+    code = compile(source, name, "exec") if number is None else mutated(source, number, name)
+    replaced = Replaced(module, code)
+    sys.meta_path.insert(0, replaced)
+    options = [
+        "-x",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        "-o",
+        "addopts=--import-mode=importlib",
+    ]
+    exit_code = pytest.main([*options, *TARGETS[module]], plugins=[FewExamples()])
+    return int(exit_code) if replaced.loaded else NOT_LOADED
+
 
 FAILED, INTERRUPTED = 1, 2  # pytest's exit codes: a test failed; a test file could not be imported
 TIMEOUT_FACTOR, TIMEOUT_LEAST_S = 8.0, 20.0  # of the unchanged module's time; machines are shared
@@ -62,10 +131,10 @@ def _start(module: str, mutant: Mutant | None, folder: Path) -> _Running:
         out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(out, 1)
         os.dup2(out, 2)
-        code = child.run(module, mutant.number if mutant else None)
+        code = judge(module, mutant.number if mutant else None)
     except BaseException:
         traceback.print_exc()
-        code = child.NOT_LOADED
+        code = NOT_LOADED
     finally:
         os._exit(code)
 

@@ -8,9 +8,8 @@ import textwrap
 
 import pytest
 
-from tests.mutation import equivalent
-from tests.mutation.mutants import changed_tree, mutants
-from tests.mutation.targets import ROOT, TARGETS, source_file
+from tests.mutation.mutants import ROOT, TARGETS, changed_tree, mutants, source_file
+from tests.mutation.report import EQUIVALENT
 
 SOURCE = textwrap.dedent('''
     """Text 1 < 2 stays."""
@@ -70,7 +69,7 @@ def test_every_mutant_is_another_program(module):
 
 
 def test_every_equivalent_mutant_exists():
-    for entry in equivalent.EQUIVALENT:
+    for entry in EQUIVALENT:
         keys = [m.key for m in mutants(source_file(entry.module).read_text())]
         assert any(entry.names(entry.module, key) for key in keys), entry
         assert entry.reason
@@ -78,7 +77,7 @@ def test_every_equivalent_mutant_exists():
 
 OUTCOMES = """
 import json, os, sys, time
-from tests.mutation import child, run
+from tests.mutation import run
 from tests.mutation.mutants import Mutant
 
 def stub(module, number):
@@ -89,9 +88,9 @@ def stub(module, number):
         raise RuntimeError("broken")
     if number == 5:
         os.abort()
-    return {0: 0, 1: 1, 3: 2, 6: 3, 7: child.NOT_LOADED}[number]
+    return {0: 0, 1: 1, 3: 2, 6: 3, 7: run.NOT_LOADED}[number]
 
-child.run, run.TIMEOUT_LEAST_S = stub, 1.0
+run.judge, run.TIMEOUT_LEAST_S = stub, 1.0
 asked = [("any", Mutant(n, 1, "kind", "key"), 0.0) for n in range(8)]
 found = {r.mutant.number: r.outcome.name for r in run.run(3, asked)}
 print(json.dumps(found))
@@ -112,7 +111,7 @@ def test_outcomes_are_told_apart():
 REAL = """
 from tests.mutation import run
 from tests.mutation.mutants import mutants
-from tests.mutation.targets import source_file
+from tests.mutation.mutants import source_file
 
 module = "flightstack.core.safety.gate"
 keys = ("Gate._keeps_promise: return: return False -> return None", "Gate.stop: constant: 0.0 -> 1.0")

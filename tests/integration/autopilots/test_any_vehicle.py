@@ -16,12 +16,9 @@ from dataclasses import replace
 import pytest
 
 from flightstack.core.types import ZERO, Landed, Mode, Request
-from tests.flight_suite.companion import companion
-from tests.flight_suite.limits import Lost
+from tests.flight_suite.companion import Radio, companion
 from tests.flight_suite.pilot import Pilot
-from tests.flight_suite.px4_room import on_px4
-from tests.flight_suite.radio import Radio
-from tests.flight_suite.room import Fence, given, simulated
+from tests.flight_suite.room import Fence, Lost, given, on_px4, simulated
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import ROOT
 

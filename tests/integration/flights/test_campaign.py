@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,9 +17,10 @@ import pytest
 from flightstack.core.types import ZERO
 from logs.reader.flight import load_flight
 from sim.campaign.rows import read_rows
+from sim.campaign.summary import LIMITS, Tier
 from sim.runners.landing import land
-from sim.scenarios.scenario import load
-from tests.integration.runs import COMMAND, WALL_MAX_S, called, gone
+from sim.scenarios.scenario import load, path_of
+from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack, fly, gone, replayed
 
 RUNS = 6
 # as much of a scenario as a campaign test needs: short flights
@@ -270,3 +272,78 @@ def test_a_cluster_that_loses_a_worker_ends_complete_and_equal(whole, tmp_path):
         for process in reversed(started):
             process.kill()
             process.wait(30.0)
+
+
+ROOT = Path(__file__).parents[3]
+EXAMPLE = "examples.own_filter:ConeFilter"
+
+
+@pytest.fixture
+def elsewhere(tmp_path):
+    """A working folder that holds the filter as a module of another name."""
+    shutil.copy(ROOT / "examples" / "own_filter.py", tmp_path / "mine.py")
+    return tmp_path
+
+
+def test_it_flies_over_the_wires_and_its_log_is_replayed(elsewhere, monkeypatch):
+    monkeypatch.chdir(elsewhere)
+    done = fly(elsewhere / "out", "paper_moving_1", 0, "--filter", "mine:ConeFilter")
+    assert done.code == 0, done.out + done.err
+    assert done.json["outcome"] == "landed"
+    assert done.json["filter"] == "mine:ConeFilter"
+    assert 'filter = "mine:ConeFilter"' in (elsewhere / "out" / "onboard.toml").read_text()
+    replayed(elsewhere / "out" / "flight.mcap")
+
+
+def test_it_flies_a_campaign_by_its_name_in_the_scenario(elsewhere):
+    text = path_of("paper_moving_1").read_text()
+    scenario = elsewhere / "scenario.toml"
+    scenario.write_text(text.replace('filter = "paper"', 'filter = "mine:ConeFilter"'))
+    options = ("--runs", 2, "--workers", 1, "--no-report", "--json")
+    done = flightstack("campaign", scenario, *options, "--out", elsewhere / "named", cwd=elsewhere)
+    assert done.code == 0, done.err
+    same = flightstack(
+        "campaign", "paper_moving_1", *options, "--filter", EXAMPLE, "--out", elsewhere / "given", cwd=ROOT
+    )
+    assert same.code == 0, same.err
+    named, given = (
+        [row.untimed() for row in read_rows(elsewhere / name / "rows.csv")] for name in ("named", "given")
+    )
+    assert named == given
+    assert [row.outcome for row in named] == ["landed", "landed"]
+    (elsewhere / "mine.py").write_text((elsewhere / "mine.py").read_text() + "# other code\n")
+    other = flightstack("campaign", scenario, *options, "--out", elsewhere / "named", cwd=elsewhere)
+    assert other.code != 0
+    assert "another filter's code" in other.err
+
+
+@pytest.mark.parametrize("verb", [("sitl", "--scenario", "lab"), ("campaign", "lab"), ("check", "lab")])
+def test_a_filter_that_there_is_not_is_refused_with_what_is_allowed(verb):
+    done = called(*verb, "--filter", "best")
+    assert done.code == 2
+    assert "filter: found 'best', allowed: paper, robust, or MODULE:NAME" in done.err
+    done = called(*verb, "--filter", "examples.own_filter:Kone")
+    assert done.code == 2
+    assert "has no Kone" in done.err
+
+
+TIER_RUNS = 200
+TIER_MAX_S = 900.0  # alone on a core it takes a minute
+PAPER_RUNS = 20  # enough for a median
+
+
+@pytest.mark.parametrize("tier", list(Tier), ids=lambda tier: tier.value)
+def test_the_robust_filter_meets_the_limits(tmp_path, tier):
+    words = [tier.value, "--workers", 1, "--no-report", "--json"]
+    wanted = ["--runs", TIER_RUNS, "--filter", "robust", "--require", tier.value]
+    if LIMITS[tier].slower_max is not None:
+        paper = ["--runs", PAPER_RUNS, "--filter", "paper", "--out", tmp_path / "paper"]
+        campaign(*words, *paper, wall_max_s=TIER_MAX_S)
+        wanted += ["--against", tmp_path / "paper"]
+    done = campaign(*words, *wanted, "--out", tmp_path / "robust", check=False, wall_max_s=TIER_MAX_S)
+    assert done.returncode == 0, done.stdout + done.stderr
+    told = json.loads(done.stdout.strip().splitlines()[-1])
+    assert told["runs"] == TIER_RUNS == told["landed"] + told["declared_aborts"] + told["crashes"]
+    assert told["crashes"] == told["violations"] == 0
+    # what so many runs can show, and no more
+    assert told["upper_95_violation_rate"] >= 1.0 - 0.05 ** (1.0 / TIER_RUNS) - 1e-9

@@ -1,12 +1,23 @@
 """The command line: wrong input, help, listing."""
 
+import json
 import subprocess
 import sys
+import tomllib
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
-from flightstack.cli.main import GROUPS, VERBS
+from flightstack.cli.main import GROUPS, VERBS, main
+from flightstack.common.strict_toml import dumps, from_table, to_table
+from flightstack.config.files import load
+from flightstack.core.parameters.flight import FlightConfig
+from sim.scenarios import scenario
+from sim.vehicle.vehicle import VehicleSim
 from tests.integration.runs import called, flightstack
+from tests.unit.verify.certificate_helpers import config
 
 
 @pytest.mark.parametrize(
@@ -92,3 +103,136 @@ def test_scenarios_lists_the_papers_runs():
     out = flightstack("scenarios").out
     for name in ("paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2"):
         assert name in out
+
+
+REPO = Path(__file__).parents[3]
+
+
+def run(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def write(tmp_path, settings, name="onboard.toml"):
+    path = tmp_path / name
+    path.write_text(dumps(settings))
+    return path
+
+
+def test_a_proven_configuration_exits_0_and_shows_each_room(tmp_path):
+    result = run("check", write(tmp_path, config()))
+    assert result.exit_code == 0
+    assert "must not fly" not in result.output
+    assert "not proven" not in result.output
+    for word in ("barrier", "recovery", "drift", "filter robust"):
+        assert word in result.output
+
+
+def test_what_is_not_proven_exits_1_and_says_what_to_change(tmp_path):
+    result = run("check", write(tmp_path, config(robust={"commit_speed_m_s": 0.5})))
+    assert result.exit_code == 1
+    assert "not proven" in result.output
+    assert "lower robust.commit_speed_m_s" in result.output
+    result = run("check", write(tmp_path, config(robust={"rate_1_s": 9.0})))
+    assert result.exit_code == 1
+    assert "must not fly" in result.output
+    assert "lower robust.rate_1_s" in result.output
+
+
+def test_json_holds_every_check(tmp_path):
+    result = run("check", "--json", write(tmp_path, config(robust={"commit_speed_m_s": 0.5})))
+    found = json.loads(result.output)
+    assert (found["proven"], found["flies"], found["filter"]) == (False, True, "robust")
+    (drift,) = (check for check in found["checks"] if check["name"] == "drift")
+    assert not drift["proven"]
+    assert drift["room"] < 0.0
+    assert all(check["remedy"] is None for check in found["checks"] if check["proven"])
+
+
+def test_a_scenario_goes_by_name_and_by_file(tmp_path):
+    name = "straight"
+    by_name = json.loads(run("check", "--json", name).output)
+    by_file = json.loads(run("check", "--json", scenario.path_of(name)).output)
+    assert by_name["checks"] == by_file["checks"]
+    assert json.loads(run("check", "--json", "--filter", "paper", name).output)["filter"] == "paper"
+
+
+@pytest.mark.parametrize("name", [n for n in scenario.names() if n.startswith("paper")])
+def test_the_papers_scenarios_pass_the_papers_checks(name):
+    result = run("check", name)
+    assert result.exit_code == 0, result.output
+    assert "filter paper" in result.output
+
+
+def test_the_documented_configuration_passes():
+    assert load("crazyflie").filter == "paper"
+    assert run("check", "crazyflie").exit_code == 0
+
+
+def test_wrong_input_exits_2_with_one_line(tmp_path):
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text("[onboard.barrier]\nalpha_m = 1.0\n")
+    for words, expected in (
+        (("check", "nowhere"), "neither a file nor one of"),
+        (("check", wrong), "wrong unit"),
+        (("identify", wrong), "wrong.toml"),
+    ):
+        result = run(*words)
+        assert result.exit_code == 2, result.output
+        assert expected in result.output
+        assert "Traceback" not in result.output
+
+
+@pytest.fixture(scope="module")
+def flights(flown):
+    """Logs of two landings."""
+    landings = [flown("lab", seed) for seed in (1, 2)]
+    assert [landing.code for landing in landings] == [0, 0], landings
+    return [landing.log for landing in landings]
+
+
+def step_lag_s(axis):
+    """Group delay of the simulated vehicle by a step response: area between it and its end, over the end."""
+    still = replace(scenario.load("lab"), wind=scenario.Wind())
+    plant = VehicleSim(still, 1)
+    plant.arm()
+    for _ in range(300):
+        plant.set_velocity((0.0, 0.0, 0.0), 0.0)
+        plant.advance(10)
+    command = tuple(0.3 if i == axis else 0.0 for i in range(3))
+    flown = []
+    for _ in range(250):
+        flown.append(plant.truth().velocity_enu_m_s[axis])
+        plant.set_velocity(command, 0.0)
+        plant.advance(10)
+    end = sum(flown[-50:]) / 50
+    return sum(0.01 * (1.0 - v / end) for v in flown)
+
+
+def test_the_simulated_crazyflie_is_identified_from_its_flights(flights):
+    result = run("identify", *flights)
+    assert result.exit_code == 0, result.output
+    table = tomllib.loads(result.output)
+    odometry = scenario.load("lab").odometry
+    assert table["target"]["position_noise_m"] == pytest.approx(odometry.position_noise_m, rel=0.15)
+    assert table["target"]["velocity_noise_m_s"] == pytest.approx(odometry.velocity_noise_m_s, rel=0.15)
+    assert table["target"]["delay_s"] == pytest.approx(odometry.delay_s, abs=0.011)  # to a tick
+    assert table["envelope"]["target_rate_hz"] == odometry.rate_hz
+    loop = table["velocity_loop"]
+    for key, axis in (("lag_xy_s", 0), ("lag_z_s", 2)):
+        # a few seconds with gusts, through the links, of vehicles that differ by a fifth in motor lag
+        assert loop[key] == pytest.approx(step_lag_s(axis), rel=0.3)
+    whole = {name: {**values} for name, values in to_table(config()).items() if isinstance(values, dict)}
+    for section, values in table.items():
+        whole[section].update(values)
+    assert from_table(FlightConfig, whole).velocity_loop.lag_z_s == loop["lag_z_s"]  # it is a configuration
+    shown = json.loads(run("identify", "--json", *flights).output)
+    assert shown["horizontal"]["lag_s"] == pytest.approx(loop["lag_xy_s"], abs=1e-3)
+    assert shown["vertical"]["explained"] > 0.9
+
+
+def test_one_short_flight_is_refused_with_what_to_fly(flights, tmp_path):
+    short = tmp_path / "short.mcap"
+    assert run("log", "cut", flights[0], "--to", "1.2", "--out", short).exit_code == 0
+    result = run("identify", short)
+    assert result.exit_code == 2, result.output
+    assert "fly longer" in result.output

@@ -2,13 +2,117 @@
 
 from __future__ import annotations
 
+import random
 import resource
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from logs.reader.reader import LogFile
-from tests.integration.flights.crash_runs import FlightOverError, crash
-from tests.integration.runs import Flying
+from logs.schema.schemas import CONTROLLER_STEP
+from tests.integration.runs import Flying, flightstack, gone, kill
+
+NS = 1e9
+# Wall time of the kill after the approach began, by lockstep: so that there is something to replay, and the
+# flight still goes on.
+WHEN_S = {False: (0.7, 8.0), True: (0.3, 0.8)}
+# A topic that each victim writes into the log. What the target says is written by those who hear it. For the
+# recorder, and the launcher that takes all along, any will do.
+OWN_TOPIC = {
+    "vehicle": "/cf1/sim/truth",
+    "onboard": "/cf1/controller/step",
+    "target": None,
+    "record": None,
+    "launcher": None,
+}
+
+
+class FlightOverError(Exception):
+    """The machine flew faster than thought; nothing was killed."""
+
+
+@dataclass(frozen=True)
+class Crash:
+    """What was left.
+
+    Attributes:
+        missing_s: Wall time between the kill and the last thing the victim brought into the log.
+        missing_simulated_s: The same in simulated time, by the speed of the run; None in real time.
+    """
+
+    victim: str
+    lockstep: bool
+    complete: bool
+    messages: int
+    recovered: int
+    missing_s: float
+    missing_simulated_s: float | None
+
+
+def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float = 1.0) -> Crash:
+    """Fly, kill after so much of the random wait, and look at the log."""
+    wires = ["--lockstep"] if lockstep else []
+    run = Flying(folder, "--scenario", "paper_moving_1", "--seed", seed, *wires)
+    try:
+        run.wait_for("-> APPROACH")
+        begun_s = time.time()
+        run.some_log()
+        children = run.children()
+        assert set(children) == {"record", "target", "vehicle", "onboard"}
+        # the moment is random on purpose: nothing is waited for
+        time.sleep(sooner * random.Random(f"{victim} {seed} {lockstep}").uniform(*WHEN_S[lockstep]))
+        pid = run.process.pid if victim == "launcher" else children[victim]
+        killed_s = time.time()
+        if run.process.poll() is not None or run.children() != children:
+            raise FlightOverError(f"{victim} had ended before the kill, {killed_s - begun_s:.1f} s on")
+        kill(pid)
+        if victim == "launcher":
+            run.process.wait(timeout=60.0)
+            assert all(gone(child) for child in children.values()), "a process outlives the run"
+        else:
+            run.process.send_signal(signal.SIGINT)
+            assert run.end() == 1
+    finally:
+        if run.process.poll() is None:
+            run.process.kill()
+        run.process.stdout.close()
+    return _look(folder, victim, lockstep, begun_s, killed_s)
+
+
+def _look(folder: Path, victim: str, lockstep: bool, begun_s: float, killed_s: float) -> Crash:
+    path = folder / "flight.mcap"
+    written_s = path.stat().st_mtime
+    log = LogFile(path)
+    messages = list(log.messages())
+    steps = [m.sequence for m in messages if m.schema == CONTROLLER_STEP]
+    assert len(steps) > 10
+    assert steps == list(range(steps[0], steps[0] + len(steps))), "a hole in the middle"
+    info = flightstack("log", "info", path)
+    assert info.code == (0 if log.complete else 1), info.err
+    for verb in (["report", path, "--out", folder / "report.html"], ["replay", path, "--check"]):
+        used = flightstack(*verb)
+        assert used.code == 0, (verb, used.out, used.err)
+    recovered = flightstack("log", "recover", path, "--out", folder / "recovered.mcap")
+    assert recovered.code == 0, recovered.err
+    with (folder / "recovered.mcap").open("rb") as stream:
+        indexed = sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages())
+    assert indexed == len(messages)
+    topic = OWN_TOPIC[victim]
+    last_s = max(m.log_time_ns for m in messages if topic in (None, m.topic)) / NS
+    simulated_s = None
+    if lockstep:  # log times are simulated: the wall time of the last write tells
+        missing_s = killed_s - written_s if victim == "record" else 0.0
+        events = [m for m in messages if m.topic == "/rosout" and b"-> APPROACH" in m.data]
+        flown_s = (messages[-1].log_time_ns - events[0].log_time_ns) / NS  # since begun_s
+        simulated_s = missing_s * flown_s / (written_s - begun_s)
+    else:
+        missing_s = max(0.0, killed_s - last_s)
+    return Crash(victim, lockstep, log.complete, len(messages), indexed, missing_s, simulated_s)
+
 
 MISSING_MAX_S = 0.5
 CASES = [

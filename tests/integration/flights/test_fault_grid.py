@@ -12,8 +12,7 @@ from sim.runners.landing import land
 from sim.vehicle.vehicle import warm_up
 from tests.benchmarks.fault_grid import PAGE, complaints, row
 from tests.fault_grid.run import SEED, equal, fly, scenario, undisturbed
-from tests.fault_grid.table import GRID
-from tests.fault_grid.words import End, Moment, Part, Way
+from tests.fault_grid.table import GRID, End, Moment, Part, Way
 
 MAKE_ANEW = "run: python -m tests.benchmarks fault_grid"
 GROUPS = [(part, moment) for part in Part for moment in Moment]

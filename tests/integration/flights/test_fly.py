@@ -1,17 +1,30 @@
 """``flightstack fly``: a flight of a vehicle and a target that are somebody else's, by one command."""
 
+from __future__ import annotations
+
 import json
+import os
+import re
+import select
 import signal
 import subprocess
+import time
 from contextlib import contextmanager
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from bridge.mavlink.signing.key import load_key
+from bridge.zenoh import zenoh_link
 from flightstack.common.processes import Child, Port
 from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_flight
+from logs.reader.reader import LogFile
 from sim.scenarios.scenario import load
 from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack
+from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, free_port
+from tests.integration.wires.test_links import signing
+from tests.unit.target import ros2_helpers as ros
 
 pytestmark = pytest.mark.xdist_group("real-time")
 
@@ -136,3 +149,165 @@ def test_the_configurations_are_listed_and_printed():
     assert "[barrier]" in printed.out
     assert flightstack("config", "nowhere").code == 2
     assert json.loads(flightstack("check", "crazyflie", "--json").out)["config"] == "crazyflie"
+
+
+TARGET = "cf1/target/odom"
+STAMP_NS = 1_700_000_000_000_000_000
+
+
+def config(folder, wait_s):
+    """The package's configuration of a Crazyflie with another time to wait."""
+    text, n = re.subn(
+        r"^wait_time_max_s = .*$", f"wait_time_max_s = {wait_s:.1f}",
+        (ROOT / "flightstack" / "config" / "crazyflie.toml").read_text(), flags=re.MULTILINE,
+    )  # fmt: skip
+    assert n == 1
+    file = folder / "onboard.toml"
+    file.write_text(text)
+    return file
+
+
+class Process:
+    """A verb in the background, read line by line."""
+
+    def __init__(self, *arguments):
+        self._child = subprocess.Popen(
+            [*COMMAND, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=ROOT
+        )
+        self._out = self._child.stdout.fileno()
+        self._rest = b""
+        self.lines = []
+
+    def _read(self):
+        """Take what has come; False at the end."""
+        data = os.read(self._out, 65536)
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        self.lines += [line.decode() for line in lines]
+        return bool(data)
+
+    def until(self, *words, each=lambda: None):
+        """Next line that holds all the words; ``each`` is called meanwhile."""
+        deadline_s, looked = time.monotonic() + WALL_MAX_S, len(self.lines)
+        while time.monotonic() < deadline_s:
+            each()
+            if select.select([self._out], [], [], 0.02)[0] and not self._read():
+                break
+            for line in self.lines[looked:]:
+                looked += 1
+                if all(word in line for word in words):
+                    return line
+        raise AssertionError(f"no line with {words}: {self.lines}")
+
+    def end(self):
+        """Wait for its end; its last line and exit status."""
+        deadline_s = time.monotonic() + WALL_MAX_S
+        while time.monotonic() < deadline_s:
+            if select.select([self._out], [], [], 0.1)[0] and not self._read():
+                break
+        return self.lines[-1], self._child.wait(PATIENCE_S)
+
+    def terminate(self):
+        """Ask it to end."""
+        self._child.terminate()
+
+    def kill(self):
+        """Kill it."""
+        if self._child.poll() is None:
+            self._child.kill()
+        self._child.wait(PATIENCE_S)
+        self._child.stdout.close()
+
+
+@pytest.fixture
+def start():
+    started = []
+
+    def begin(*arguments):
+        started.append(Process(*arguments))
+        return started[-1]
+
+    yield begin
+    for process in started:
+        process.kill()
+
+
+@pytest.fixture
+def port():
+    return free_port()
+
+
+def heartbeat():
+    return mav.MAVLink_heartbeat_message(2, 12, 1, 0, 3, 3)
+
+
+def onboard(start, port, folder, wait_s, *more):
+    words = ("--target", TARGET, "--config", config(folder, wait_s), "--no-record")
+    return start("onboard", "--vehicle", f"udpin:127.0.0.1:{port}", *words, *more)
+
+
+def test_a_vehicle_that_is_not_there_or_has_another_id(start, port, tmp_path):
+    waits = onboard(start, port, tmp_path, 9.0)
+    first = waits.until("preflight: waiting: no heartbeat of system 1, component 1: nothing arrives; for")
+    assert first.endswith("s more")
+    other = Client(f"udpin:127.0.0.1:{port}", system=2, component=1)
+    waits.until("frames come from system/component 2/1; --system-id", each=lambda: other.send(heartbeat()))
+    other.close()
+    last, code = waits.end()
+    assert code == 1
+    assert last.startswith("WAIT: no heartbeat of system 1, component 1: ")
+    assert last.endswith("within 9 s, is the vehicle's link up?")
+
+
+def test_a_vehicle_that_signs_with_another_key_or_not_at_all(start, port, tmp_path):
+    ours, theirs = tmp_path / "ours.key", tmp_path / "theirs.key"
+    for file in (ours, theirs):
+        assert flightstack("key", file).code == 0
+    waits = onboard(start, port, tmp_path, 40.0, "--signing-key", ours)
+    unsigned = Client(f"udpin:127.0.0.1:{port}", component=1)
+    waits.until("frames have no signature", each=lambda: unsigned.send(heartbeat()))
+    unsigned.close()
+    signed = signing(Client(f"udpin:127.0.0.1:{port}", component=1), load_key(theirs))
+    waits.until("are signed with another key than --signing-key", each=lambda: signed.send(heartbeat()))
+    signed.close()
+
+
+def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(start, tmp_path):
+    log, socket, endpoint = tmp_path / "wait.mcap", tmp_path / "socket", ros.free_endpoint()
+    recorder = start("record", "--socket", socket, "--out", log)
+    recorder.until("ready")
+    vehicle = start("vehicle", "--scenario", "paper_moving_1", "--url", "udpin:127.0.0.1:0")
+    url = vehicle.until("ready").split()[1].replace("udpin", "udpout")
+    words = ("--target", TARGET, "--config", config(tmp_path, 30.0), "--listen", endpoint)
+    waits = start("onboard", "--vehicle", url, *words, "--recorder", socket)
+    robot = zenoh_link.open_session(connect=[endpoint])
+    elsewhere = zenoh_link.dropping_publisher(robot, "robot7/odom")
+    here = zenoh_link.dropping_publisher(robot, TARGET)
+    line = waits.until(
+        f"no sample on {TARGET}; there are robot7/odom", each=lambda: elsewhere.put(b"odometry")
+    )
+    assert "s (checks.wait_time_max_s)" in line
+    wrong = ros.odometry(STAMP_NS, "odom", "base_footprint")
+    waits.until(
+        "none believed", "frame_id is 'odom', checks.target_frame is 'map'", each=lambda: here.put(wrong)
+    )
+    robot.close()
+    vehicle.kill()
+    waits.until("no heartbeat of system 1, component 1 for", "nothing arrives", "gives up within")
+    last, code = waits.end()
+    assert code == 1
+    assert last.startswith("ABORT: inputs did not become ready in time: the own state is ")
+    assert re.search(r"the newest heartbeat is [\d.]+ s old; checks.status_age_max_s is 3", last)
+    assert ": no heartbeat of system 1, component 1 for" in last
+    assert f"; the newest sample on {TARGET} is" in last or f"; no sample on {TARGET}" in last
+    recorder.terminate()
+    assert recorder.end()[1] == 0
+    found = [text for text in messages(log) if text.startswith("waiting: ")]
+    assert any("there are robot7/odom" in text for text in found)
+    assert any("no heartbeat of system 1" in text for text in found)
+
+
+def messages(log):
+    """Texts of /rosout."""
+    from logs.schema.rows import LogRow
+
+    return [LogRow.unpack(message.data).msg for message in LogFile(log).messages({"/rosout"})]

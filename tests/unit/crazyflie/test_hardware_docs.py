@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from bridge.mavlink.profiles.autopilots import PROFILES
 from tests.conftest import pytest_addoption
-from tests.flight_suite.limits import LIMITS
+from tests.flight_suite.room import LIMITS
 
 TEXT = (Path(__file__).parents[3] / "docs" / "how_to" / "hardware.md").read_text()
 COLUMNS = {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.flight_suite.limits import LIMITS
+from tests.flight_suite.room import LIMITS
 
 P_1_S, I_1_S2 = 1.8, 0.4  # MPC_XY_VEL_P_ACC, MPC_XY_VEL_I_ACC
 HOLD_1_S = 0.95  # MPC_XY_P, which holds the place in the take-off

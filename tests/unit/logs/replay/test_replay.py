@@ -18,7 +18,7 @@ from logs.schema import schemas
 from logs.schema.controller_rows import pack_controller_input, unpack_controller_input
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, LogRow
 from logs.schema.schemas import CONTROLLER_STEP
-from tests.golden.keep import write_kept
+from tests.golden.flights import write_kept
 from tests.point_mass import World, each_sample
 from tests.synthetic_flight import landing, write_log
 from tests.unit.logs.replay.replay_helpers import CONFIG, INPUT, STATE, STEP, record, short_flight

@@ -16,8 +16,7 @@ from logs.schema.codec_mavlink import pack_mavlink, unpack_mavlink
 from logs.schema.controller_rows import TickInputs
 from logs.schema.events import ONBOARD
 from logs.schema.rows import LogRow
-from tests.golden.flights import path_of
-from tests.golden.keep import write_kept
+from tests.golden.flights import path_of, write_kept
 from tests.unit.logs.replay.replay_helpers import CONFIG
 
 GOLDEN = path_of("contact")

@@ -5,7 +5,7 @@ import pytest
 from bridge.mavlink.client import px4_events
 from bridge.mavlink.client.px4_events import EVENT, event_text
 from bridge.mavlink.codec.wide_messages import MESSAGES
-from tests.px4_program import px4_or_skip
+from tests.px4_flight import px4_or_skip
 from tests.tables import px4_events as maker
 
 

@@ -1,1 +1,0 @@
-"""Flights of a real PX4 on the simulated plant: landings, faults, speed."""

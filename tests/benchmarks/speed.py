@@ -1,0 +1,234 @@
+"""What a control step, its solver, a message, the loop and a lockstep run cost, beside a peer or a limit."""
+
+from __future__ import annotations
+
+import gc
+import math
+import random
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.frames import ned_from_enu, yaw_ned_from_enu
+from flightstack.common.pacing import RealTimePacer, ask_for_priority
+from flightstack.common.strict_toml import from_table
+from flightstack.core.controller import Controller
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.projection import project
+from flightstack.core.safety.qp_filter import SafetyFilter
+from flightstack.core.types import (
+    ZERO,
+    FilterStatus,
+    Inputs,
+    Landed,
+    Mode,
+    OwnState,
+    Phase,
+    TargetSample,
+    Vec3,
+    VehicleStatus,
+)  # fmt: skip
+from logs.reader.reader import LogFile
+from logs.schema import schemas
+from logs.schema.cdr import codec
+from logs.schema.codec_mavlink import pack_mavlink
+from logs.schema.controller_rows import TickInputs, pack_controller_input
+from logs.schema.rows import ControllerStepRow, LoopTimingRow
+from tests.integration.runs import flightstack
+from tests.synthetic_flight import landing
+
+ROUNDS, TICKS = 5, 4000
+APPROACHES, STEPS_MAX, WARM_STEPS = 8, 3000, 50
+
+
+def inputs(tick: int, position_enu_m: Vec3 = (1.1, 0.0, 0.76), velocity_enu_m_s: Vec3 = ZERO) -> Inputs:
+    """A vehicle, and a robot that drives away from the origin."""
+    t = tick * 0.01
+    own = OwnState(t, t, position_enu_m, velocity_enu_m_s, 0.1)
+    sample = TargetSample(t, t, "map", "target", (0.1 * t, 0.02 * t, 0.2), (0.1, 0.02, 0.0), 0.0, 0.1)
+    return Inputs(own, VehicleStatus(t, True, Mode.EXTERNAL, Landed.IN_AIR, True), (sample,))
+
+
+def approach(config: FlightConfig, azimuth_rad: float) -> list[float]:
+    """Microseconds of each step from near the boundary to above the pad: the barrier acts in most of them."""
+    controller = Controller(config)
+    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=191)
+    p, v = (1.6 * math.cos(azimuth_rad), 1.6 * math.sin(azimuth_rad), 1.0), ZERO
+    took = []
+    for tick in range(STEPS_MAX):
+        given = inputs(tick, p, v)
+        started = time.perf_counter_ns()
+        out = controller.step(given, tick * 0.01)
+        if out.setpoint is not None:
+            n, e, d = ned_from_enu(out.setpoint.velocity_enu_m_s)
+            yaw = yaw_ned_from_enu(out.setpoint.yaw_rad)
+            dialect.MAVLink_set_position_target_local_ned_message(
+                tick * 10, 1, 1, 1, 2503, 0, 0, 0, n, e, d, 0, 0, 0, yaw, 0
+            ).pack(mav)
+        took.append((time.perf_counter_ns() - started) / 1e3)
+        if out.phase is Phase.LAND:
+            return took[WARM_STEPS:]
+        assert out.phase in (Phase.WAIT, Phase.TAKEOFF, Phase.APPROACH), controller.memory.reason
+        if out.setpoint is not None:  # flies at once what it is told
+            v = out.setpoint.velocity_enu_m_s
+            p = (p[0] + 0.01 * v[0], p[1] + 0.01 * v[1], p[2] + 0.01 * v[2])
+    raise AssertionError(f"not above the pad after {STEPS_MAX} steps")
+
+
+def one_round() -> list[float]:
+    """Microseconds of each step of some approaches from all sides."""
+    config = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}})
+    took: list[float] = []
+    gc.collect()
+    gc.disable()
+    for k in range(APPROACHES):
+        took += approach(config, 2.0 * math.pi * k / APPROACHES)
+    gc.enable()
+    return took
+
+
+def closed_form() -> float:
+    """Median microseconds of the exact projection alone."""
+    took = []
+    for k in range(TICKS):
+        a = k * 0.003
+        started = time.perf_counter_ns()
+        project((0.1, 0.2, -0.5), (math.cos(a), math.sin(a), 1.0), 0.05, (-0.2, -0.2, -0.5), (0.2, 0.2, 0.5))
+        took.append((time.perf_counter_ns() - started) / 1e3)
+    return statistics.median(took)
+
+
+def control_step() -> None:
+    """Inputs to packed set-point, us, beside the closed form alone: the least that any filter could cost."""
+    one_round()
+    medians, tails = [], []
+    for _ in range(ROUNDS):
+        took = sorted(one_round())
+        medians.append(took[len(took) // 2])
+        tails.append(took[int(len(took) * 0.99)])
+    p50, p99 = statistics.median(medians), statistics.median(tails)
+    print(f"p50 {p50:.1f} us (limit 60)   p99 {p99:.1f} us (limit 150)")
+    print(f"closed form alone {closed_form():.1f} us")
+
+
+PACK_ROUNDS, CALLS = 100, 200
+STAMP_NS = 1_577_836_800_000_000_000
+
+
+def best_us(calls) -> dict[str, float]:
+    """Least microseconds a call of each function, the rounds of all taking turns."""
+    best = dict.fromkeys(calls, float("inf"))
+    for _ in range(PACK_ROUNDS):
+        for name, call in calls.items():
+            started = time.perf_counter()
+            for _ in range(CALLS):
+                call()
+            best[name] = min(best[name], (time.perf_counter() - started) / CALLS * 1e6)
+    return best
+
+
+def codec_times() -> None:
+    """Packing of a message, us: made from the definition, by hand, and by rosbags' generic codec."""
+    store = schemas.typestore()
+    row, given = landing().steps[500], TickInputs(STAMP_NS, 1, 0.01, inputs(1), False)
+    step, taken = row.pack(), pack_controller_input(given)
+    frame = dialect.MAVLink_local_position_ned_message(5, *[1.0] * 6).pack(dialect.MAVLink(None, 1, 1))
+    record = pack_mavlink(STAMP_NS, frame, b"p00")
+    pack_record, unpack_record = codec(schemas.MAVLINK, frame_id=None)
+    values = unpack_record(record)
+    generic = {
+        name: store.deserialize_cdr(data, name)
+        for name, data in (
+            (schemas.CONTROLLER_STEP, step),
+            (schemas.CONTROLLER_INPUT, taken),
+            (schemas.MAVLINK, record),
+        )
+    }
+    calls = {
+        "step, made": row.pack,
+        "step, unpacked": lambda: ControllerStepRow.unpack(step),
+        "inputs with a target sample, made": lambda: pack_controller_input(given),
+        "MAVLink frame, by hand": lambda: pack_mavlink(STAMP_NS, frame, b"p00"),
+        "MAVLink frame, made, fields known": lambda: pack_record(values),
+        **{f"{name}, rosbags": lambda m=m, n=name: store.serialize_cdr(m, n) for name, m in generic.items()},
+    }
+    for name, took_us in best_us(calls).items():
+        print(f"{name:42} {took_us:6.2f} us")
+
+
+def sitl(folder: str | Path, scenario: str, seed: int = 0, *more: str) -> dict:
+    """One run of ``flightstack sitl``; its result."""
+    words = ["sitl", "--json", "--no-report", "--out", folder, "--scenario", scenario, "--seed", seed, *more]
+    done = flightstack(*words)
+    return done.json
+
+
+def lockstep() -> None:
+    """Lockstep with recording, as a multiple of real time: whole runs over MAVLink and Zenoh, three seeds."""
+    factors = []
+    for seed in range(3):
+        with tempfile.TemporaryDirectory() as folder:
+            factors.append(sitl(folder, "paper_moving_1", seed, "--lockstep")["realtime_factor"])
+    runs = ", ".join(f"{f:.1f}" for f in factors)
+    print(f"{statistics.median(factors):.1f} x real time (asked 20); runs {runs}")
+
+
+def bare_loop(ticks: int = 1500) -> tuple[float, int]:
+    """Relative standard deviation and overruns of a loop without any work."""
+    ask_for_priority()
+    pacer = RealTimePacer(100)
+    periods = [pacer.wait().period_s for _ in range(ticks)][1:]
+    return statistics.pstdev(periods) / statistics.fmean(periods), pacer.overruns
+
+
+def loop_period() -> None:
+    """Real time at 100 Hz: spread of the period and overruns of a flight, beside a loop that only sleeps."""
+    with tempfile.TemporaryDirectory() as folder:
+        sitl(folder, "paper_moving_1")
+        log = LogFile(Path(folder) / "flight.mcap")
+        rows = [LoopTimingRow.unpack(m.data) for m in log.messages(["/cf1/loop/timing"])]
+    periods = [row.period_s for row in rows[1:]]
+    mean = statistics.fmean(periods)
+    spread = statistics.pstdev(periods) / mean
+    exec_us = sorted(row.exec_s * 1e6 for row in rows)
+    print(f"{len(rows)} ticks: mean period {mean * 1e3:.3f} ms, overruns {rows[-1].overruns} (limit 0)")
+    print(f"relative standard deviation of the period {spread:.2%} (limit 5 %)")
+    bare, bare_overruns = bare_loop()
+    print(f"a loop that only sleeps, in the same minute: {bare:.2%}, overruns {bare_overruns}")
+    p50, p99 = (exec_us[int(len(exec_us) * share)] for share in (0.5, 0.99))
+    print(f"decode, step and send: p50 {p50:.0f} us, p99 {p99:.0f} us")
+
+
+PROGRAMS = 100_000
+
+
+def qp_agreement() -> None:
+    """OSQP against the exact projection on random programs: largest difference (limit 1e-6), and costs."""
+    chance, solver = random.Random(1), SafetyFilter(0.7)
+    worst, counts, solver_us, exact_us = 0.0, dict.fromkeys(FilterStatus, 0), [], []
+    for _ in range(PROGRAMS):
+        box = tuple(chance.choice((0.2, 0.5, 1.0, 2.0)) for _ in range(3))
+        lower = tuple(-b for b in box)
+        nominal = tuple(chance.uniform(-1, 1) * chance.choice((0.1, 1.0, 3.0)) for _ in range(3))
+        gradient = (chance.uniform(-2, 2), chance.uniform(-2, 2), 1.0)
+        h, dh_dt = chance.uniform(-0.5, 1.0), chance.uniform(-0.4, 0.4)
+        result = solver.solve(nominal, h, gradient, dh_dt, lower, box)
+        started = time.perf_counter_ns()
+        exact = project(nominal, gradient, -0.7 * h - dh_dt, lower, box)
+        exact_us.append((time.perf_counter_ns() - started) / 1e3)
+        counts[result.status] += 1
+        if result.status is FilterStatus.SOLVED:
+            solver_us.append(result.solve_s * 1e6)
+        assert (exact is None) == (result.status is FilterStatus.INFEASIBLE)
+        if exact is not None:
+            worst = max(worst, *(abs(a - b) for a, b in zip(exact, result.velocity_enu_m_s, strict=True)))
+            assert all(abs(u) <= b for u, b in zip(result.velocity_enu_m_s, box, strict=True))
+    assert worst < 1e-6, worst
+    print(
+        f"largest difference {worst:.1e} m/s (limit 1e-6); "
+        + ", ".join(f"{s.name} {n}" for s, n in counts.items())
+    )
+    print(f"median solver {statistics.median(solver_us):.1f} us, exact {statistics.median(exact_us):.1f} us")
