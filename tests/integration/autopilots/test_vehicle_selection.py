@@ -64,7 +64,7 @@ def test_the_options_reach_the_onboard_process(tmp_path):
     with given(options, tmp_path) as room:
         verb, *words = onboard_words(room)
     params = onboard.make_context(verb, words).params
-    assert params["target_offset"] == (-0.032, 0.0, 0.2)
+    assert params["target_offset_m"] == (-0.032, 0.0, 0.2)
     assert params["autopilot"] == "auto"
     assert params["system_id"] == 7
     assert params["vehicle_url"] == "serial:/dev/ttyACM0:921600"
