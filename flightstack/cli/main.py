@@ -51,11 +51,11 @@ GROUPS = {
         "record": Verb("logs.record:record", "Run the recorder alone."),
     },
     "Real things": {
-        "config": Verb("real.config:config", "List the configurations, or print one."),
+        "config": Verb("real.prepare:config", "List the configurations, or print one."),
         "bridge": Verb("real.bridge:bridge", "Connect a Crazyflie or motion capture."),
         "px4-sim": Verb("real.px4_sim:px4_sim", "Simulate the vehicle for PX4's autopilot."),
-        "router": Verb("real.router:router", "Run a Zenoh router."),
-        "key": Verb("real.config:key", "Make a MAVLink signing key."),
+        "router": Verb("real.prepare:router", "Run a Zenoh router."),
+        "key": Verb("real.prepare:key", "Make a MAVLink signing key."),
     },
 }
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}

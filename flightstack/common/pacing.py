@@ -2,6 +2,7 @@
 
 Stack time is seconds since the process began (monotonic clock) or simulated time. ``unix_ns`` turns it into
 the time of the log. In lockstep that is simulated time after a fixed date, so that one seed makes one log.
+What keeps a tick from being late in real time, priority and no garbage collection, is at the end.
 """
 
 from __future__ import annotations
@@ -15,12 +16,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simulated clocks
-
-
 PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/how_it_works/lockstep.md
 RUN_AHEAD_TICKS = 20  # how far the target may be ahead of the onboard process's credit
-_DAY_NS = 86_400_000_000_000
 NO_GO = -1  # the target may not drive yet
+PRIORITY = 10  # of 1 to 99 under SCHED_FIFO: above all ordinary processes, below the kernel's own threads
+_DAY_NS = 86_400_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +111,6 @@ class LockstepClock:
         self._last_s = began_s
         now_s = sim_ns / 1e9
         return Tick(round(now_s / self.period_s), now_s, EPOCH_NS + sim_ns, period_s, 0.0)
-
-
-PRIORITY = 10  # of 1 to 99 under SCHED_FIFO: above all ordinary processes, below the kernel's own threads
 
 
 def ask_for_priority() -> bool:

@@ -58,9 +58,9 @@ def run(config: FlightConfig, options: FlyOptions, console: Console) -> Flown:
     config_file = folder / "onboard.toml"
     config_file.write_text(dumps(config))
     with Launcher(folder, console, tells=options.live, real=True) as launcher:
-        recorder, feed = None, ["--no-record"]
+        recorder = None
         if log is not None:
-            recorder, feed = launcher.record(log), ["--recorder", str(launcher.socket)]
+            recorder = launcher.record(log)
             recorder.yield_to_others(10)
             known = {"config": options.name, "vehicle": options.vehicle_url, "target": options.target_key}
             describe(launcher.socket, config, known, {})
@@ -68,8 +68,9 @@ def run(config: FlightConfig, options: FlyOptions, console: Console) -> Flown:
         if options.view is not None:
             launcher.view(options.view, at, config_file, options.namespace)
         onboard = launcher.start(
-            "onboard", *options.words, "--config", str(config_file), "--listen", at, *feed
-        )
+            "onboard", *options.words, config=config_file, listen=at,
+            recorder=launcher.socket if recorder is not None else None, no_record=recorder is None,
+        )  # fmt: skip
         onboard.wait_ready()
         for endpoint in (at, *options.listen):
             console.print(f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True)

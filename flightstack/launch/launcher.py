@@ -45,6 +45,21 @@ class Shown:
     namespace: str = NAMESPACE
 
 
+def words(**options: object) -> list[str]:
+    """Return options as words of a command line.
+
+    None and False are left out, True is a flag, a list repeats the option, a tuple holds the values of one.
+    """
+    found: list[str] = []
+    for name, value in options.items():
+        for each in value if isinstance(value, list) else [value]:
+            if each is None or each is False:
+                continue
+            values = () if each is True else each if isinstance(each, tuple) else (each,)
+            found += [f"--{name.replace('_', '-')}", *map(str, values)]
+    return found
+
+
 class Launcher:
     """Context manager that owns the child processes and ends all of them on exit.
 
@@ -102,9 +117,9 @@ class Launcher:
         self._ports.append(port)
         return port.endpoint
 
-    def start(self, verb: str, *arguments: str) -> Child:
-        """Start a verb of ``flightstack``."""
-        child = Child(verb, [verb, *arguments], self.folder)
+    def start(self, verb: str, *arguments: str, **options: object) -> Child:
+        """Start a verb of ``flightstack``; ``options`` are those of ``words``."""
+        child = Child(verb, [verb, *arguments, *words(**options)], self.folder)
         self.children.append(child)
         return child
 
@@ -130,8 +145,8 @@ class Launcher:
         Raises:
             LaunchError: it did not start.
         """
-        words = ("--view", where, "--connect", endpoint, "--config", str(config), "--namespace", namespace)
-        shown_at = self.start("watch", *words).wait_ready()
+        watch = self.start("watch", view=where, connect=endpoint, config=config, namespace=namespace)
+        shown_at = watch.wait_ready()
         self.console.print(f"view: {shown_at}", style="dim", soft_wrap=True, markup=False)
 
     def end_all(self) -> None:

@@ -1,4 +1,4 @@
-"""One run of ``sitl``: starts vehicle, target, onboard process and recorder, and watches them."""
+"""The runs of ``sitl``: each starts vehicle, target, onboard process and recorder, and watches them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from flightstack.launch.result import Flown, conclude_values, landed
 from flightstack.launch.run_options import RunOptions
 from flightstack.launch.vehicles import (
     VEHICLES,
-    common_words,
+    common_options,
     configuration_for,
     longest_s,
     others_s,
@@ -46,6 +46,134 @@ _COLUMNS = (
     ("time, s", "time_to_land_s"),
     ("real-time factor", "realtime_factor"),
 )
+GRACE_S = 60.0  # s of wall time beyond the scenario's duration before a run is given up
+LOCKSTEP_SLOWEST = 0.2  # share of real time below which a lockstep run is given up
+
+
+def prepare(options: RunOptions) -> Scenario:
+    """Load and check the scenario, with the configuration for the chosen autopilot.
+
+    Raises:
+        ConfigError: it must not fly.
+    """
+    scenario = load_scenario(options.scenario)
+    name = options.config or configuration_for(options.flies, scenario)
+    if name is not None:
+        scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
+    if options.filter is not None:
+        scenario = scenario.with_filter(options.filter)
+    if PROFILES[options.profile].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
+        there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
+        scenario = replace(scenario, onboard=replace(scenario.onboard, vehicle=there))
+    if options.duration_s is not None:
+        if options.duration_s <= 0.0:
+            raise ConfigError(
+                f"--duration: found {options.duration_s:g}, a positive number of seconds is needed"
+            )
+        scenario = replace(scenario, duration_max_s=options.duration_s)
+    found = problems(scenario.onboard)
+    if found:
+        raise ConfigError(f"{name or options.scenario}: refused before take-off: " + "; ".join(found))
+    return VEHICLES[options.flies].adapt(scenario)
+
+
+def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
+    """Begin the landing where the scenario does, unless the configuration says where."""
+    if config.takeoff.start_offset_m is not None:
+        return config
+    start_offset_m = scenario.onboard.takeoff.start_offset_m
+    return replace(config, takeoff=replace(config.takeoff, start_offset_m=start_offset_m))
+
+
+def run(options: RunOptions, console: Console) -> Flown:
+    """Fly one scenario with processes of its own.
+
+    Raises:
+        ConfigError: wrong input.
+        LaunchError: a process did not start.
+    """
+    scenario = prepare(options)
+    folder = options.out or new_folder(
+        f"{scenario.name}-seed{options.seed}-{short_name(scenario.onboard.filter)}"
+    )
+    log = log_in(folder)
+    scenario_file, config_file = folder / "scenario.toml", folder / "onboard.toml"
+    scenario_file.write_text(dumps(scenario))
+    config_file.write_text(dumps(scenario.onboard))
+    with Launcher(folder, console, tells=options.live) as launcher:
+        return _fly(launcher, options, scenario, log)
+
+
+def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Flown:
+    """Start each process after those it connects to; then watch until the flight ends."""
+    folder, duration_s = launcher.folder, scenario.duration_max_s
+    target_at, onboard_at = launcher.endpoint(), launcher.endpoint()
+    recorder = launcher.record(log)
+    if options.view is not None:
+        launcher.view(options.view, onboard_at, folder / "onboard.toml")
+    _describe(launcher.socket, options, scenario, folder / "scenario.toml")
+    vehicle = VEHICLES[options.flies].start(launcher, options, scenario, target_at)
+    ros2 = options.ros2
+    both = {**vehicle.clock, "lockstep": options.lockstep}
+    if ros2 is not None:
+        both |= {"ros2": ros2.where, "ros_domain": ros2.domain}
+    target = launcher.start(
+        "target", **common_options(launcher, options), **both, rate=scenario.onboard.loop.rate_hz,
+        duration=others_s(scenario), listen=target_at, connect=onboard_at,
+    )  # fmt: skip
+    onboard = launcher.start(
+        "onboard", **vehicle.options, **both, target=f"{NAMESPACE}/target/odom", connect=target_at,
+        listen=[onboard_at, *options.listen], config=folder / "onboard.toml", duration=duration_s,
+        recorder=launcher.socket, zenoh_config=options.zenoh_config,
+    )  # fmt: skip
+    target.wait_ready()
+    onboard.wait_ready()
+    if not options.lockstep:
+        recorder.yield_to_others(10)
+        target.yield_to_others(5)
+    for endpoint in (onboard_at, *options.listen):
+        launcher.console.print(
+            f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True
+        )
+    limit_s = (
+        longest_s(scenario) / (LOCKSTEP_SLOWEST if options.lockstep else min(1.0, options.speed)) + GRACE_S
+    )
+    title = f"{scenario.name}  seed {options.seed}  filter {scenario.onboard.filter}"
+    live = options.live and launcher.console.is_terminal and not options.lockstep
+    started = time.monotonic()
+    problem = launcher.watch(
+        onboard, [*vehicle.children, target, recorder], limit_s,
+        Shown(onboard_at, title) if live else None, vehicle.teller,
+    )  # fmt: skip
+    wall_s = time.monotonic() - started
+    launcher.end_all()
+    if problem is None and recorder.process.returncode != 0:  # it may end after the flight
+        problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
+    about = {"scenario": scenario.name, "seed": options.seed, "filter": scenario.onboard.filter}
+    code, said = onboard.process.returncode, launcher.last_line
+    return Flown(about, folder, log, wall_s, code, said, problem, launcher.interrupted)
+
+
+def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_file: Path) -> None:
+    describe(
+        recorder,
+        scenario.onboard,
+        {
+            "scenario": scenario.name,
+            "description": scenario.description,
+            "seed": str(options.seed),
+            "mode": "lockstep" if options.lockstep else "real-time",
+            **({"vehicle": options.flies.value.removeprefix("--")} if options.flies.value else {}),
+            **({"speed": f"{options.speed:g}"} if options.speed != 1.0 else {}),
+            "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
+            "judge_beta_m": repr(scenario.judge.beta_m),
+            "pad_radius_m": repr(scenario.target.pad_radius_m),
+        },
+        {
+            "scenario.toml": scenario_file.read_bytes(),
+            "scenario_source.toml": path_of(options.scenario).read_bytes(),
+        },
+    )
 
 
 def fly_all(options: RunOptions, runs: int, console: Console, *, as_json: bool, with_report: bool) -> int:
@@ -130,144 +258,3 @@ def _table(rows: Sequence[Row]) -> Table:
 
 def _shown(value: object) -> str:
     return "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
-
-
-GRACE_S = 60.0  # s of wall time beyond the scenario's duration before a run is given up
-LOCKSTEP_SLOWEST = 0.2  # share of real time below which a lockstep run is given up
-
-
-def onboard_of(scenario: str) -> FlightConfig:
-    """Return the configuration of the onboard process from a scenario, by name or file.
-
-    Raises:
-        ConfigError: there is none, or it is wrong.
-    """
-    return load_scenario(scenario).onboard
-
-
-def prepare(options: RunOptions) -> Scenario:
-    """Load and check the scenario, with the configuration for the chosen autopilot.
-
-    Raises:
-        ConfigError: it must not fly.
-    """
-    scenario = load_scenario(options.scenario)
-    name = options.config or configuration_for(options.flies, scenario)
-    if name is not None:
-        scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
-    if options.filter is not None:
-        scenario = scenario.with_filter(options.filter)
-    if PROFILES[options.profile].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
-        there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
-        scenario = replace(scenario, onboard=replace(scenario.onboard, vehicle=there))
-    if options.duration_s is not None:
-        if options.duration_s <= 0.0:
-            raise ConfigError(
-                f"--duration: found {options.duration_s:g}, a positive number of seconds is needed"
-            )
-        scenario = replace(scenario, duration_max_s=options.duration_s)
-    found = problems(scenario.onboard)
-    if found:
-        raise ConfigError(f"{name or options.scenario}: refused before take-off: " + "; ".join(found))
-    return VEHICLES[options.flies].adapt(scenario)
-
-
-def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
-    """Begin the landing where the scenario does, unless the configuration says where."""
-    if config.takeoff.start_offset_m is not None:
-        return config
-    start_offset_m = scenario.onboard.takeoff.start_offset_m
-    return replace(config, takeoff=replace(config.takeoff, start_offset_m=start_offset_m))
-
-
-def run(options: RunOptions, console: Console) -> Flown:
-    """Fly one scenario with processes of its own.
-
-    Raises:
-        ConfigError: wrong input.
-        LaunchError: a process did not start.
-    """
-    scenario = prepare(options)
-    folder = options.out or new_folder(
-        f"{scenario.name}-seed{options.seed}-{short_name(scenario.onboard.filter)}"
-    )
-    log = log_in(folder)
-    scenario_file, config_file = folder / "scenario.toml", folder / "onboard.toml"
-    scenario_file.write_text(dumps(scenario))
-    config_file.write_text(dumps(scenario.onboard))
-    with Launcher(folder, console, tells=options.live) as launcher:
-        return _fly(launcher, options, scenario, log)
-
-
-def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Flown:
-    """Start each process after those it connects to; then watch until the flight ends."""
-    folder, duration_s = launcher.folder, scenario.duration_max_s
-    lockstep = ["--lockstep"] if options.lockstep else []
-    target_at, onboard_at = launcher.endpoint(), launcher.endpoint()
-    recorder = launcher.record(log)
-    if options.view is not None:
-        launcher.view(options.view, onboard_at, folder / "onboard.toml")
-    _describe(launcher.socket, options, scenario, folder / "scenario.toml")
-    ros2 = options.ros2
-    shown = ["--ros2", ros2.where, "--ros-domain", str(ros2.domain)] if ros2 is not None else []
-    zenoh = ["--zenoh-config", str(options.zenoh_config)] if options.zenoh_config is not None else []
-    vehicle = VEHICLES[options.flies].start(launcher, options, scenario, target_at)
-    target = launcher.start(
-        "target", *common_words(launcher, options), *lockstep, *vehicle.clock, *shown,
-        "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),
-        "--listen", target_at, "--connect", onboard_at,
-    )  # fmt: skip
-    onboard = launcher.start(
-        "onboard", *vehicle.words, "--target", f"{NAMESPACE}/target/odom", "--connect", target_at,
-        "--listen", onboard_at, "--config", str(folder / "onboard.toml"), "--duration", str(duration_s),
-        *(word for endpoint in options.listen for word in ("--listen", endpoint)),
-        "--recorder", str(launcher.socket), *lockstep, *vehicle.clock, *shown, *zenoh,
-    )  # fmt: skip
-    target.wait_ready()
-    onboard.wait_ready()
-    if not options.lockstep:
-        recorder.yield_to_others(10)
-        target.yield_to_others(5)
-    for endpoint in (onboard_at, *options.listen):
-        launcher.console.print(
-            f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True
-        )
-    limit_s = (
-        longest_s(scenario) / (LOCKSTEP_SLOWEST if options.lockstep else min(1.0, options.speed)) + GRACE_S
-    )
-    title = f"{scenario.name}  seed {options.seed}  filter {scenario.onboard.filter}"
-    live = options.live and launcher.console.is_terminal and not options.lockstep
-    started = time.monotonic()
-    problem = launcher.watch(
-        onboard, [*vehicle.children, target, recorder], limit_s,
-        Shown(onboard_at, title) if live else None, vehicle.teller,
-    )  # fmt: skip
-    wall_s = time.monotonic() - started
-    launcher.end_all()
-    if problem is None and recorder.process.returncode != 0:  # it may end after the flight
-        problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
-    about = {"scenario": scenario.name, "seed": options.seed, "filter": scenario.onboard.filter}
-    code, said = onboard.process.returncode, launcher.last_line
-    return Flown(about, folder, log, wall_s, code, said, problem, launcher.interrupted)
-
-
-def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_file: Path) -> None:
-    describe(
-        recorder,
-        scenario.onboard,
-        {
-            "scenario": scenario.name,
-            "description": scenario.description,
-            "seed": str(options.seed),
-            "mode": "lockstep" if options.lockstep else "real-time",
-            **({"vehicle": options.flies.value.removeprefix("--")} if options.flies.value else {}),
-            **({"speed": f"{options.speed:g}"} if options.speed != 1.0 else {}),
-            "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
-            "judge_beta_m": repr(scenario.judge.beta_m),
-            "pad_radius_m": repr(scenario.target.pad_radius_m),
-        },
-        {
-            "scenario.toml": scenario_file.read_bytes(),
-            "scenario_source.toml": path_of(options.scenario).read_bytes(),
-        },
-    )

@@ -34,16 +34,16 @@ class Flying:
     """A vehicle that has been started.
 
     Attributes:
-        words: options of the onboard process.
+        options: of the onboard process.
         children: processes that have to outlive it.
         teller: the one that says when the motors are armed and disarmed.
         clock: options by which robot and onboard process keep its time.
     """
 
-    words: list[str]
+    options: Mapping[str, object]
     children: list[Running]
     teller: Child | None = None
-    clock: list[str] = field(default_factory=list)
+    clock: Mapping[str, object] = field(default_factory=dict)
 
 
 class Vehicle(Protocol):
@@ -75,20 +75,19 @@ class OwnVehicle:
 
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start it; see ``Vehicle.start``."""
-        lockstep = ["--lockstep"] if options.lockstep else []
-        key = ["--signing-key", str(options.signing_key)] if options.signing_key is not None else []
         values = PROFILES[options.profile].set_before_flight
         child = launcher.start(
-            "vehicle", *common_words(launcher, options), *lockstep, *key,
-            "--rate", str(scenario.onboard.loop.rate_hz), "--duration", str(others_s(scenario)),
-            "--connect", target_at, "--url", "udpin:127.0.0.1:0", "--profile", options.profile,
-            *(word for name, value in values.items() for word in ("--parameter", f"{name}={value:g}")),
+            "vehicle", **common_options(launcher, options), lockstep=options.lockstep,
+            signing_key=options.signing_key, rate=scenario.onboard.loop.rate_hz, duration=others_s(scenario),
+            connect=target_at, url="udpin:127.0.0.1:0", profile=options.profile,
+            parameter=[f"{name}={value:g}" for name, value in values.items()],
         )  # fmt: skip
         url = child.wait_ready().replace("udpin", "udpout")
         # the heartbeat of the simulated vehicle is that of the autopilot it imitates
         own = options.autopilot == AUTO and options.profile == PX4.name
         autopilot = OWN_SITL.name if own else options.autopilot
-        return Flying(["--vehicle", url, *key, "--autopilot", autopilot], [child], child)
+        given = {"vehicle": url, "signing_key": options.signing_key, "autopilot": autopilot}
+        return Flying(given, [child], child)
 
 
 @dataclass
@@ -125,7 +124,7 @@ class _Px4Start:
 
     def run(
         self, launcher: Launcher, model: Px4Model, wanted: Mapping[str, float]
-    ) -> tuple[_Px4Child, list[str]]:
+    ) -> tuple[_Px4Child, dict[str, object]]:
         """Start it and wait until it would arm; the child, and the options of the onboard process."""
         speed = self._options.speed
         program = Px4Program(
@@ -134,8 +133,9 @@ class _Px4Start:
         child = _Px4Child(program, self._claim)
         launcher.children.append(child)
         program.wait_ready()
-        words = ["--vehicle", f"udpin:127.0.0.1:{program.onboard_port}", "--autopilot", PX4_PROFILE.name]
-        return child, [*words, "--system-id", str(1 + self.number)]  # MAV_SYS_ID of rcS
+        url = f"udpin:127.0.0.1:{program.onboard_port}"
+        system_id = 1 + self.number  # MAV_SYS_ID of rcS
+        return child, {"vehicle": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
 
 
 class Px4OnPlant:
@@ -148,12 +148,11 @@ class Px4OnPlant:
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start the simulator, then PX4; see ``Vehicle.start``."""
         px4 = _Px4Start(options)
-        clock = ["--clock", str(launcher.socket.with_name("clock"))]
+        clock = {"clock": launcher.socket.with_name("clock")}
         poses = scenario.vehicle.mocap if options.mocap else None
         simulator = launcher.start(
-            "px4-sim", *common_words(launcher, options), "--connect", target_at, "--once",
-            "--tcp", f"127.0.0.1:{SIMULATOR_PORT + px4.number}", *(["--mocap"] if options.mocap else []),
-            *speed_words(options.speed), *clock,
+            "px4-sim", **common_options(launcher, options), connect=target_at, once=True,
+            tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", mocap=options.mocap, speed=options.speed, **clock,
         )  # fmt: skip
         simulator.wait_ready()
         # they load the compiler, half a second, and only this vehicle needs them
@@ -161,8 +160,8 @@ class Px4OnPlant:
         from sim.px4.airframe import parameters
 
         wanted = parameters(params.load(scenario.vehicle.airframe), poses)
-        child, words = px4.run(launcher, Px4Model.NONE_IRIS, wanted)
-        return Flying(words, [simulator, child], simulator, clock)
+        child, given = px4.run(launcher, Px4Model.NONE_IRIS, wanted)
+        return Flying(given, [simulator, child], simulator, clock)
 
 
 class Px4WithItsOwnPhysics:
@@ -177,8 +176,9 @@ class Px4WithItsOwnPhysics:
         del target_at
         from sim.px4.airframe import SAFE_PARAMETERS
 
-        child, words = _Px4Start(options).run(launcher, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
-        return Flying([*words, *_on_the_floor(scenario)], [child], clock=speed_words(options.speed))
+        child, given = _Px4Start(options).run(launcher, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
+        given["target_offset"] = _to_the_floor_m(scenario)
+        return Flying(given, [child], clock={"speed": options.speed})
 
 
 class ArduPilotWithItsOwnPhysics:
@@ -205,8 +205,8 @@ class ArduPilotWithItsOwnPhysics:
         )  # fmt: skip
         launcher.children.append(child)
         url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
-        words = ["--vehicle", url, "--autopilot", ARDUPILOT.name, *_on_the_floor(scenario)]
-        return Flying(words, [child], clock=speed_words(options.speed))
+        given = {"vehicle": url, "autopilot": ARDUPILOT.name, "target_offset": _to_the_floor_m(scenario)}
+        return Flying(given, [child], clock={"speed": options.speed})
 
 
 # What ArduCopter's simulated quadrotor needs besides its defaults: its frame and battery, calibrations that
@@ -247,10 +247,10 @@ def configuration_for(flies: Flies, scenario: Scenario) -> str | None:
     return _PX4_CONFIG[scenario.vehicle.airframe] if flies is Flies.PX4 else None
 
 
-def common_words(launcher: Launcher, options: RunOptions) -> list[str]:
+def common_options(launcher: Launcher, options: RunOptions) -> dict[str, object]:
     """Options of every process of the simulator."""
     file = launcher.folder / "scenario.toml"
-    return ["--scenario", str(file), "--seed", str(options.seed), "--recorder", str(launcher.socket)]
+    return {"scenario": file, "seed": options.seed, "recorder": launcher.socket}
 
 
 def longest_s(scenario: Scenario) -> float:
@@ -261,11 +261,6 @@ def longest_s(scenario: Scenario) -> float:
 def others_s(scenario: Scenario) -> float:
     """Return how long the simulator's processes run, s: longer than the onboard process."""
     return longest_s(scenario) + 10.0
-
-
-def speed_words(speed: float) -> list[str]:
-    """Return the option ``--speed``, or nothing in real time."""
-    return ["--speed", f"{speed:g}"] if speed != 1.0 else []
 
 
 def around_the_start(scenario: Scenario) -> Scenario:
@@ -282,13 +277,13 @@ def around_the_start(scenario: Scenario) -> Scenario:
     return replace(scenario, start=start, target=replace(target, position_m=(x_m - east_m, y_m - north_m)))
 
 
-def _on_the_floor(scenario: Scenario) -> list[str]:
-    """Return the option that puts the landing spot on the floor.
+def _to_the_floor_m(scenario: Scenario) -> tuple[str, str, str]:
+    """Return the offset of the landing spot that puts it on the floor.
 
     This vehicle's height is zero where it stands, not the height of its reference point over its feet.
     """
     down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
-    return ["--target-offset", "0", "0", f"{-down_m:g}"]
+    return "0", "0", f"{-down_m:g}"
 
 
 def _program_of(options: RunOptions) -> Path:

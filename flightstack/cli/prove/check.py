@@ -66,9 +66,9 @@ def _load(name_or_file: str) -> FlightConfig:
             return from_table(FlightConfig, table["onboard"], "onboard")
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None
-    from flightstack.launch.sitl import onboard_of
+    from sim.scenarios.scenario import load as load_scenario
 
-    return onboard_of(name_or_file)
+    return load_scenario(name_or_file).onboard
 
 
 def _as_json(name: str, config: FlightConfig, results: list[Check]) -> dict[str, object]:

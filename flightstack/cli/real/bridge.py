@@ -148,7 +148,7 @@ def mocap(options: MocapOptions) -> None:
     """Check poses of motion capture and send them to a PX4 or ArduPilot vehicle (docs/how_to/mocap.md)."""
     from bridge.mavlink.client.companion import Origin
     from bridge.mocap import process
-    from flightstack.core.parameters.vehicle import check_origin
+    from flightstack.core.parameters.flight import check_origin
 
     if options.origin is not None:
         check_origin("--origin", options.origin)
