@@ -51,7 +51,8 @@ def test_every_profile_is_whole():
     assert (AUTO, *PROFILES) == CHOICES
 
 
-def test_the_command_knows_the_simulators_server_profiles():
+def test_the_command_knows_the_autopilots_and_the_server_profiles_of_the_simulator():
+    assert cli_options.AUTOPILOTS == CHOICES
     assert tuple(SIMULATED) == cli_options.PROFILES
 
 
