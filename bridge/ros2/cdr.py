@@ -56,6 +56,13 @@ class Odometry:
     pose_covariance: tuple[float, ...] = NO_COVARIANCE
     twist_covariance: tuple[float, ...] = NO_COVARIANCE
 
+    def pack(self) -> bytes:
+        """Serialise it, as ``encode_odometry`` does."""
+        return encode_odometry(
+            self.stamp_ns, self.frame_id, self.child_frame_id, self.position_m, self.orientation_wxyz,
+            self.linear_m_s, self.angular_rad_s, self.pose_covariance, self.twist_covariance,
+        )  # fmt: skip
+
 
 def encode_odometry(
     stamp_ns: int,

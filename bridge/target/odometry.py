@@ -32,6 +32,7 @@ __all__ = [
     "decode_odometry",
     "encode_odometry",
     "sample_from_cdr",
+    "sample_of",
 ]
 
 ENCODING = "application/cdr;nav_msgs/msg/Odometry"
@@ -43,9 +44,10 @@ class RawSample(NamedTuple):
     """One received sample, for the controller and, unchanged, for the log."""
 
     payload: bytes
-    attachment: bytes | None
-    sequence: int | None  # from the attachment, None without one
-    source_time_ns: int | None  # from the attachment, Unix time
+    attachment: bytes | None = None
+    sequence: int | None = None  # from the attachment, None without one
+    source_time_ns: int | None = None  # from the attachment, Unix time
+    odometry: Odometry | None = None  # that the payload was made from; None: it came as it is
 
 
 class SampleSource(Protocol):
@@ -53,6 +55,25 @@ class SampleSource(Protocol):
 
     def poll(self) -> list[RawSample]:
         """Take all samples that have arrived, oldest first; never blocks."""
+
+
+def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
+    """Turn a received sample into one with velocities in the world frame; decodes only what came serialised.
+
+    Args:
+        raw: as a target source hands it over.
+        arrival_s: when it arrived, on the stack's clock.
+
+    Raises:
+        OdometryError: as ``sample_from_cdr``.
+    """
+    if raw.odometry is None:
+        return sample_from_cdr(raw.payload, arrival_s)
+    o = raw.odometry
+    w, x, y, z = o.orientation_wxyz
+    pose, twist = o.pose_covariance, o.twist_covariance
+    n = (*o.position_m, x, y, z, w, pose[0], pose[7], *o.linear_m_s, *o.angular_rad_s, twist[0], twist[7])
+    return _sample(o.stamp_ns, o.frame_id, o.child_frame_id, n, arrival_s)
 
 
 def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
@@ -65,7 +86,12 @@ def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
     Raises:
         OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
     """
-    stamp_ns, frame_id, child_frame_id, n = decode_pose_and_twist(payload)
+    return _sample(*decode_pose_and_twist(payload), arrival_s)
+
+
+def _sample(
+    stamp_ns: int, frame_id: str, child_frame_id: str, n: tuple[float, ...], arrival_s: float
+) -> TargetSample:
     px, py, pz, x, y, z, w, pose_xx, pose_yy, vx, vy, vz, rx, ry, rz, twist_xx, twist_yy = n
     n = (px, py, pz, x, y, z, w, vx, vy, vz, rx, ry, rz)
     if not (math.isfinite(sum(n)) and max(n) < _LARGEST and min(n) > -_LARGEST):

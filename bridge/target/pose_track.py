@@ -1,4 +1,4 @@
-"""Estimates the velocity of targets that send poses only: poses in, ``nav_msgs/msg/Odometry`` out.
+"""Estimates the velocity of targets that send poses only: poses in, odometry out.
 
 The velocity is that of the stack's own target estimator (position and velocity measured) with the
 velocity measured so badly that it says nothing. Nothing goes on before the estimate has settled, none of
@@ -19,7 +19,7 @@ from bridge.frames import (
     wrap_angle,
     yaw_from_quaternion,
 )
-from bridge.ros2.cdr import decode_odometry, encode_odometry
+from bridge.ros2.cdr import Odometry
 from bridge.ros2.pose_cdr import Pose
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
@@ -31,26 +31,16 @@ def shift_pose(pose: Pose, offset_m: Vec3) -> Pose:
     return pose._replace(position_m=_shift(pose.position_m, world_from_body(pose.orientation_wxyz, offset_m)))
 
 
-def shift_odometry(payload: bytes, offset_m: Vec3) -> bytes:
-    """Return serialised odometry of the point at ``offset_m`` in the axes of the child frame.
+def shift_odometry(odometry: Odometry, offset_m: Vec3) -> Odometry:
+    """Return the odometry of the point at ``offset_m`` in the axes of the child frame.
 
     The velocity is that of a rigid body, v + w x r. Covariances are left as they are.
-
-    Raises:
-        OdometryError: no odometry, or numbers that do not fit any more.
     """
-    odometry = decode_odometry(payload)
     (wx, wy, wz), (x, y, z) = odometry.angular_rad_s, offset_m
-    return encode_odometry(
-        odometry.stamp_ns,
-        odometry.frame_id,
-        odometry.child_frame_id,
-        _shift(odometry.position_m, world_from_body(odometry.orientation_wxyz, offset_m)),
-        odometry.orientation_wxyz,
-        _shift(odometry.linear_m_s, (wy * z - wz * y, wz * x - wx * z, wx * y - wy * x)),
-        odometry.angular_rad_s,
-        odometry.pose_covariance,
-        odometry.twist_covariance,
+    return replace(
+        odometry,
+        position_m=_shift(odometry.position_m, world_from_body(odometry.orientation_wxyz, offset_m)),
+        linear_m_s=_shift(odometry.linear_m_s, (wy * z - wz * y, wz * x - wx * z, wx * y - wy * x)),
     )
 
 
@@ -125,13 +115,13 @@ class PoseTrack:
         self.problem = ""  # why so many are withheld, "" when they are not
         self.withheld = 0  # poses that made no odometry: unsettled, outliers, repeated or out of order
 
-    def take(self, pose: Pose) -> bytes | None:
-        """Take a pose; returns serialised odometry, or ``None`` while the velocity is not known."""
-        payload = self._take(pose)
-        self.withheld += payload is None
-        return payload
+    def take(self, pose: Pose) -> Odometry | None:
+        """Take a pose; returns its odometry, or ``None`` while the velocity is not known."""
+        odometry = self._take(pose)
+        self.withheld += odometry is None
+        return odometry
 
-    def _take(self, pose: Pose) -> bytes | None:
+    def _take(self, pose: Pose) -> Odometry | None:
         time_s, last = pose.stamp_ns / 1e9, self._last
         step_s = (pose.stamp_ns - last.stamp_ns) / 1e9 if last is not None else math.inf
         if last is not None and 0.0 < step_s <= RESTART_S and self._is_outlier(pose, time_s):
@@ -163,7 +153,7 @@ class PoseTrack:
         self.problem = ""
         # Between two poses, unfiltered: it is recorded, nothing flies by it.
         turned_rad = wrap_angle(yaw_rad - yaw_from_quaternion(last.orientation_wxyz))
-        return encode_odometry(
+        return Odometry(
             pose.stamp_ns,
             pose.frame_id,
             self._child,

@@ -1,8 +1,8 @@
 """The source of the target's motion: a Zenoh key, or a ROS 2 topic of one of four message types.
 
 ``KEY`` is a key as it stands, ``ros2:/TOPIC`` a topic of rmw_zenoh, ``ros2dds:/TOPIC`` one behind
-zenoh-bridge-ros2dds. Whatever comes leaves as serialised ``nav_msgs/msg/Odometry``, the one form that is
-logged, replayed and flown by.
+zenoh-bridge-ros2dds. Whatever comes leaves as ``nav_msgs/msg/Odometry``: serialised, which is logged and
+replayed, and, where it was made here, also as the values that are flown by.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
-from bridge.ros2.cdr import NO_COVARIANCE, OdometryError, decode_odometry
+from bridge.ros2.cdr import NO_COVARIANCE, Odometry, OdometryError, decode_odometry
 from bridge.ros2.pose_cdr import Pose, decode_pose, decode_pose_with_covariance, decode_transforms
 from bridge.ros2.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topic_key
 from bridge.target.odometry import RawSample, raw_sample
@@ -26,6 +26,9 @@ TEXTS_MAX = 32  # different problems told of one flight; the counts go on
 OFFSET_MAX_M = 5.0  # of the landing spot from the tracked frame, each axis; more is a wrong unit
 LOOK_EVERY = 100  # samples between two looks at frames and covariances
 CAPACITY = 1024  # samples between two polls
+
+
+_Made = list[Odometry] | None  # odometry made of a message; None: the message is odometry as it is wanted
 
 
 class Dialect(Enum):
@@ -164,7 +167,7 @@ class TargetSource:
         self._texts: list[str] = []
         self._told: dict[str, None] = {}
         self.refused = 0  # samples that made no odometry, but for poses the velocity is not yet known of
-        self._convert: Callable[[bytes], list[bytes]] = {
+        self._convert: Callable[[bytes], _Made] = {
             TargetType.ODOMETRY: self._odometry,
             TargetType.POSE: lambda payload: self._pose(decode_pose(payload)),
             TargetType.POSE_COVARIANCE: lambda payload: self._pose(decode_pose_with_covariance(payload)),
@@ -177,20 +180,19 @@ class TargetSource:
             self._take(self._fixed, self._fixed_transforms)
         return self._take(self._subscriber, self._convert)
 
-    def _take(
-        self, subscriber: zenoh_link.Subscriber, convert: Callable[[bytes], list[bytes]]
-    ) -> list[RawSample]:
+    def _take(self, subscriber: zenoh_link.Subscriber, convert: Callable[[bytes], _Made]) -> list[RawSample]:
         taken: list[RawSample] = []
         for sample in zenoh_link.drain(subscriber):
             raw = raw_sample(sample)
             if self._spec.dialect is Dialect.RMW_ZENOH and not self._is_wanted(str(sample.key_expr)):
                 continue
             try:
-                payloads = convert(raw.payload)
+                made = convert(raw.payload)
+                samples = [raw._replace(payload=one.pack(), odometry=one) for one in made or ()]
             except OdometryError as error:
                 self._refuse(f"{self._spec.text}: {error}")
                 continue
-            taken += [raw._replace(payload=payload) for payload in payloads]
+            taken += [raw] if made is None else samples
         return taken
 
     def take_problems(self) -> list[str]:
@@ -229,13 +231,15 @@ class TargetSource:
             return False
         return True
 
-    def _odometry(self, payload: bytes) -> list[bytes]:
+    def _odometry(self, payload: bytes) -> _Made:
         # Refused samples go on too: the controller counts them, and the log holds them as they came.
         if self._until_look == 0:
             self._until_look = LOOK_EVERY
             self._look_at(payload)
         self._until_look -= 1
-        return [payload if self._spec.offset_m == ZERO else shift_odometry(payload, self._spec.offset_m)]
+        if self._spec.offset_m == ZERO:
+            return None
+        return [shift_odometry(decode_odometry(payload), self._spec.offset_m)]
 
     def _look_at(self, payload: bytes) -> None:
         """Report each difference between a sample and the configuration once; a sender does not change it."""
@@ -256,28 +260,28 @@ class TargetSource:
         if text:
             self._tell(f"{self._spec.text}: {text}")
 
-    def _pose(self, pose: Pose) -> list[bytes]:
+    def _pose(self, pose: Pose) -> list[Odometry]:
         if not self._is_framed(pose.frame_id):
             self.refused += 1
             return []
         self._compare(pose.covariance, NO_COVARIANCE)
         return self._followed([pose])
 
-    def _transforms(self, payload: bytes) -> list[bytes]:
+    def _transforms(self, payload: bytes) -> list[Odometry]:
         poses = self._chain.take(decode_transforms(payload))
         if self._chain.problem:
             self._tell(f"{self._spec.text}: {self._chain.problem}")
         return self._followed(poses)
 
-    def _fixed_transforms(self, payload: bytes) -> list[bytes]:
+    def _fixed_transforms(self, payload: bytes) -> list[Odometry]:
         self._chain.take_fixed(decode_transforms(payload))
         return []
 
-    def _followed(self, poses: list[Pose]) -> list[bytes]:
-        payloads = [self._track.take(shift_pose(pose, self._spec.offset_m)) for pose in poses]
+    def _followed(self, poses: list[Pose]) -> list[Odometry]:
+        found = [self._track.take(shift_pose(pose, self._spec.offset_m)) for pose in poses]
         if self._track.problem:
             self._tell(f"{self._spec.text}: {self._track.problem}")
-        return [payload for payload in payloads if payload is not None]
+        return [odometry for odometry in found if odometry is not None]
 
     def _is_framed(self, frame_id: str) -> bool:
         if frame_id == self._frame:

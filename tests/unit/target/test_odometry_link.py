@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.target.odometry import OdometryPublisher, OdometrySubscriber, sample_from_cdr
+from bridge.target.odometry import OdometryPublisher, OdometrySubscriber, RawSample, sample_from_cdr
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import ZenohLinkError, check_endpoint, open_session
 
@@ -71,7 +71,7 @@ def test_own_attachment_and_no_attachment(sessions):
     plain.put(b"two")
     received = []
     until(lambda: received.extend(subscriber.poll()) or len(received) == 2)
-    assert received == [(b"one", b"0123456789abcdef", None, None), (b"two", None, None, None)]
+    assert received == [RawSample(b"one", b"0123456789abcdef"), RawSample(b"two")]
 
 
 def test_ring_drops_the_oldest_within_one_session():

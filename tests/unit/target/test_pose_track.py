@@ -9,7 +9,7 @@ import pytest
 
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.pose_cdr import Pose
-from bridge.target.odometry import sample_from_cdr
+from bridge.target.odometry import RawSample, sample_of
 from bridge.target.pose_track import OUTLIERS_MAX, SETTLED_M_S, PoseTrack, noise_of, worse_than_told
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S
@@ -31,9 +31,9 @@ def drive(track, begin_s, end_s, rate_hz=50, sigma_m=0.0, seed=1):
     chance = np.random.default_rng(seed)
     for i in range(round(begin_s * rate_hz), round(end_s * rate_hz)):
         t_s = i / rate_hz
-        payload = track.take(circle(t_s, tuple(map(float, chance.normal(0.0, 1.0, 3) * sigma_m))))
-        if payload is not None:
-            yield t_s, sample_from_cdr(payload, t_s)
+        odometry = track.take(circle(t_s, tuple(map(float, chance.normal(0.0, 1.0, 3) * sigma_m))))
+        if odometry is not None:
+            yield t_s, sample_of(RawSample(b"", odometry=odometry), t_s)
 
 
 def velocity_error_m_s(t_s, sample):
@@ -94,9 +94,9 @@ def test_a_target_that_was_carried_away_is_followed_anew():
     track = PoseTrack(LINK, "base")
     list(drive(track, 0.0, 2.0))
     out = [track.take(circle(2.0 + i / 50, (3.0, 0.0, 0.0))) for i in range(50)]
-    first = next(i for i, payload in enumerate(out) if payload is not None)
+    first = next(i for i, odometry in enumerate(out) if odometry is not None)
     assert OUTLIERS_MAX <= first < OUTLIERS_MAX + 15
-    late = sample_from_cdr(out[-1], 0.0)
+    late = sample_of(RawSample(b"", odometry=out[-1]), 0.0)
     assert velocity_error_m_s(2.0 + 49 / 50, late) < 0.02
 
 
