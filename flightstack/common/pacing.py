@@ -56,6 +56,7 @@ class Tick:
     unix_ns: int
     period_s: float  # since the last tick began, wall time in lockstep; 0 for the first
     lateness_s: float  # behind the deadline; 0 in lockstep
+    overruns: int = 0  # deadlines missed so far
 
 
 class RealTimePacer:
@@ -91,7 +92,8 @@ class RealTimePacer:
         period_s = began_s - self._last_s if self._last_s is not None else 0.0
         self._last_s = began_s
         now_s = began_s - self._start_s
-        tick = Tick(self._ticks, now_s, self._unix_start_ns + round(now_s * 1e9), period_s, late_s)
+        unix_ns = self._unix_start_ns + round(now_s * 1e9)
+        tick = Tick(self._ticks, now_s, unix_ns, period_s, late_s, self.overruns)
         self._ticks += 1
         return tick
 
@@ -101,7 +103,6 @@ class LockstepClock:
 
     def __init__(self, rate_hz: int) -> None:
         self.period_s = 1.0 / rate_hz
-        self.overruns = 0
         self._last_s: float | None = None
 
     def tick(self, sim_ns: int) -> Tick:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from bridge.mavlink.client.link import VehicleLink
 from bridge.target.odometry import RawSample, SampleSource
 from bridge.zenoh import zenoh_link
-from flightstack.common.pacing import NO_GO, PAIR, RUN_AHEAD_TICKS
+from flightstack.common.pacing import NO_GO, PAIR, RUN_AHEAD_TICKS, LockstepClock, Tick
+from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Person
+from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
 
 CREDIT_EVERY = 10  # ticks
 WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
@@ -21,57 +22,134 @@ LATER_WAIT_MAX_S = 3.0  # s of wall time after which a target that stopped count
 LOST_RUN_MAX_S = 15.0  # s of wall time without the vehicle after which the process ends
 
 
+class Patience:
+    """Wall time for which a process in lockstep that is to end still waits for the others' ticks.
+
+    Args:
+        person: who may end it.
+    """
+
+    def __init__(self, person: Person) -> None:
+        self._person = person
+        self._since_s: float | None = None
+
+    def over(self) -> bool:
+        """Return whether it waits no longer."""
+        if not self._person.stop:
+            return False
+        now_s = time.monotonic()
+        if self._since_s is None:
+            self._since_s = now_s
+        return now_s - self._since_s >= LAND_SHOWN_MAX_S
+
+
+class VehicleTicks:
+    """Ticks of the vehicle: it asks for each by TIMESYNC.
+
+    Args:
+        vehicle: whose link is polled.
+        rate_hz: ticks in a second.
+        stopped: whether it is no longer waited for; by default one that has not asked is not waited for.
+    """
+
+    def __init__(
+        self, vehicle: LinkedVehicle, rate_hz: int, stopped: Callable[[], bool] = lambda: True
+    ) -> None:
+        self._vehicle, self._clock, self._stopped = vehicle, LockstepClock(rate_hz), stopped
+        self._last_ns = -1
+
+    def wait(self) -> Tick:
+        """Wait until the vehicle asks, for a bounded wall time.
+
+        Raises:
+            ClockStoppedError: it does not.
+        """
+        link = self._vehicle.link
+        until_s = time.monotonic() + (FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S)
+        while True:
+            link.poll(max(0, self._last_ns) / 1e9)
+            sim_ns = link.take_timesync()
+            if sim_ns is not None and sim_ns != self._last_ns:
+                self._last_ns = sim_ns
+                return self._clock.tick(sim_ns)
+            if sim_ns is not None:
+                link.endpoint.repeat(self._vehicle.reply)
+            if self._stopped() or time.monotonic() > until_s:
+                raise ClockStoppedError("the vehicle fell silent")
+            link.endpoint.wait(WAIT_SLICE_S)
+
+
 class LockstepWires:
-    """Waits for the vehicle's tick and the target's, each bounded in wall time."""
+    """Clock and source of target samples: a tick begins when vehicle and target have both come to it.
+
+    Args:
+        ticks: of the vehicle.
+        odometry: the target's samples.
+        session: on which the target says how many of them belong to each tick.
+        namespace: first part of its keys.
+        person: who may end the process.
+    """
 
     def __init__(
         self,
-        link: VehicleLink,
+        vehicle: LinkedVehicle,
+        rate_hz: int,
         odometry: SampleSource,
         session: zenoh_link.Session,
         namespace: str,
-        stopped: Callable[[], bool],
+        person: Person,
     ) -> None:
-        self._link, self._odometry, self._stopped = link, odometry, stopped
+        self._person, self._stopped = person, Patience(person).over
+        self._ticks = VehicleTicks(vehicle, rate_hz, self._stopped)
+        self._odometry = odometry
         self._markers = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/target/tick")
         self._credit = zenoh_link.blocking_publisher(session, f"{namespace}/sim/credit")
-        self._marker_tick, self._marker_count, self._received = -1, 0, 0
-        self._pool: list[RawSample] = []
+        self._marker_tick, self._received = -1, 0
+        self._pool: list[RawSample] = []  # received, of which the target has not yet said the tick
+        self._released: list[RawSample] = []  # of this tick
         self._counts: dict[int, int] = {}
-        self._last_ns = -1
-        self.go_tick = NO_GO
-        self.reply = b""  # frame of the last answer, for a vehicle that asks again
-        self.target_gone = False
+        self._go_tick = NO_GO
+        self._target_gone = False
 
-    def vehicle(self) -> int | None:
-        """Return the simulated time of the next tick, ns; ``None`` if vehicle or process end."""
-        link = self._link
-        limit_s = FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S
-        until = time.monotonic() + limit_s
-        while True:
-            link.poll(max(0, self._last_ns) / 1e9)
-            sim_ns: int | None = link.take_timesync()
-            if sim_ns is not None and sim_ns != self._last_ns:
-                self._last_ns = sim_ns
-                return sim_ns
-            if sim_ns is not None:
-                link.endpoint.repeat(self.reply)
-            if self._stopped() or time.monotonic() > until:
-                return None
-            link.endpoint.wait(WAIT_SLICE_S)
+    def wait(self) -> Tick:
+        """Wait for the vehicle, then for the target; each for a bounded wall time.
 
-    def target(self, tick: int) -> list[RawSample]:
-        """Samples that the target released up to this tick."""
+        Raises:
+            ClockStoppedError: the vehicle does not come, or the process is to end.
+        """
+        try:
+            tick = self._ticks.wait()
+        except ClockStoppedError:
+            if self._person.stop:
+                raise ClockStoppedError("ended by the operator") from None
+            raise
+        self._released = self._release(tick.number)
+        return tick
+
+    def samples(self, now_s: float) -> Arrived:
+        """Return the samples of this tick."""
+        return decoded(self._released, now_s)
+
+    def landing_began(self, tick: int) -> None:
+        """Tell the target when it may drive: after the last tick that it may already have computed."""
+        self._go_tick = tick + RUN_AHEAD_TICKS + 1
+        self._give_credit(tick)
+
+    def _give_credit(self, tick: int) -> None:
+        self._credit.put(PAIR.pack(tick, self._go_tick))
+
+    def _release(self, tick: int) -> list[RawSample]:
+        """Wait for the samples that the target released up to this tick; those that came if it is gone."""
         if tick % CREDIT_EVERY == 0:
-            self._credit.put(PAIR.pack(tick, self.go_tick))
+            self._give_credit(tick)
         until = time.monotonic() + (FIRST_WAIT_MAX_S if self._marker_tick < 0 else LATER_WAIT_MAX_S)
         repeat_at = time.monotonic() + WAIT_SLICE_S
-        while not self.target_gone and not self._complete(tick):
+        while not self._target_gone and not self._complete(tick):
             now = time.monotonic()
             if now > until or self._stopped():
-                self.target_gone = True
+                self._target_gone = True
             if now > repeat_at:
-                self._credit.put(PAIR.pack(tick, self.go_tick))
+                self._give_credit(tick)
                 repeat_at = now + WAIT_SLICE_S
             time.sleep(2e-5)
         due = self._counts.pop(tick, self._received + len(self._pool)) - self._received
@@ -87,8 +165,3 @@ class LockstepWires:
             self._marker_tick = max(self._marker_tick, number)
         self._pool += self._odometry.poll()
         return tick in self._counts and self._received + len(self._pool) >= self._counts[tick]
-
-    def announce_start(self, tick: int) -> None:
-        """Tell the target when it may drive: after the last tick that it may already have computed."""
-        self.go_tick = tick + RUN_AHEAD_TICKS + 1
-        self._credit.put(PAIR.pack(tick, self.go_tick))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from bridge.mavlink.endpoint import Direction, Peer
@@ -11,7 +11,7 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from flightstack.core.memory import State
-from flightstack.onboard.exchange import Taken
+from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
 from logs.schema.codec_mavlink import PeerNames, pack_mavlink
 from logs.schema.controller_rows import TickInputs, pack_controller_input, step_row
@@ -93,7 +93,7 @@ class OnboardLog:
             self._asked = frame
         self._frames.append((direction, frame, self._peer_names(peer)))
 
-    def samples(self, samples: list[RawSample], unix_ns: int) -> None:
+    def samples(self, samples: Sequence[RawSample], unix_ns: int) -> None:
         """Write target samples verbatim, accepted or not."""
         for sample in samples:
             source_ns = sample.source_time_ns if sample.source_time_ns is not None else unix_ns
@@ -134,11 +134,11 @@ class OnboardLog:
             self._feed.write(self._state, unix_ns, unix_ns, tick.number, snapshot.pack())
         return row
 
-    def timing(self, tick: Tick, out: Outputs, exec_s: float, overruns: int, dropped: int) -> None:
+    def timing(self, tick: Tick, out: Outputs, exec_s: float, dropped: int) -> None:
         """Write the timing of the tick; publish it and the last step, at ``STATUS_HZ``."""
         solve_s = out.barrier.result.solve_s if out.barrier is not None else 0.0
         payload = LoopTimingRow(
-            tick.unix_ns, tick.number, tick.period_s, tick.lateness_s, exec_s, solve_s, overruns, dropped
+            tick.unix_ns, tick.number, tick.period_s, tick.lateness_s, exec_s, solve_s, tick.overruns, dropped
         ).pack()
         self._feed.write(self._timing, tick.unix_ns, tick.unix_ns, tick.number, payload)
         if tick.number % self._every == 0 or out.finished:

@@ -1,8 +1,4 @@
-"""The onboard process: links in, step, links out, at a fixed rate.
-
-Real time: wait for the deadline, drain every link, step, send. Lockstep: wait for the vehicle's tick and the
-target's, step, answer. The order of work in a tick is the same.
-"""
+"""The onboard process: opens its links, checks the vehicle, and runs ticks in real time or in lockstep."""
 
 from __future__ import annotations
 
@@ -21,11 +17,9 @@ from bridge.mavlink.profiles.autopilots import AUTO, profile
 from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
 from bridge.ros2.ros2_names import Ros2Network
-from bridge.target.odometry import RawSample
 from bridge.target.ros2_target import TargetSpec, TargetType
 from flightstack.common.hangup import on_hangup
 from flightstack.common.pacing import (
-    LockstepClock,
     RealTimePacer,
     Tick,
     ask_for_priority,
@@ -34,15 +28,16 @@ from flightstack.common.pacing import (
 from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.core.controller import ERROR, WARN, Controller, Outputs
-from flightstack.core.leaving import Ended, Leaving, Patience
+from flightstack.core.memory import Memory
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.types import ZERO, Operator, Phase, Vec3
+from flightstack.core.types import ZERO, Operator, Phase, Vec3, VehicleStatus
 from flightstack.onboard import preflight
-from flightstack.onboard.exchange import answer, take
+from flightstack.onboard.leaving import Ended, Leaving
 from flightstack.onboard.lockstep import LockstepWires
 from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.publish_ros2 import LiveHealth
 from flightstack.onboard.recording import OwnRecorder
+from flightstack.onboard.runner import LinkedVehicle, LiveTarget, RealTimeClock, Runner, Taken
 from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
 from flightstack.verify.certificate import problems
@@ -109,16 +104,15 @@ class Signals:
 
 
 class Onboard:
-    """Owns the links and the controller; ``tick`` is the body of the loop."""
+    """Owns the links and the controller; takes the rows of the ticks."""
 
-    def __init__(self, config: FlightConfig, options: Options) -> None:
-        self.options, self.config = options, config
+    def __init__(self, config: FlightConfig, options: Options, say: Callable[[str], None]) -> None:
+        self.options, self.config, self.say = options, config, say
         rate_hz = config.loop.rate_hz
         self.controller = Controller(config)
         chosen = profile(options.autopilot)
         origin = config.vehicle.origin_wgs84
         self.wires = ZenohWires(config, _zenoh_plan(options))
-        self.session, self.odometry = self.wires.session, self.wires.odometry
         line = preflight.line_plan(
             baud_of(options.vehicle_url), config, signed=options.signing_key is not None
         )
@@ -142,49 +136,42 @@ class Onboard:
         socket = str(recorder) if recorder is not None else None
         self.feed = Feed.connect(socket, "onboard", lossless=options.lockstep)
         self._describe()
-        self.log = OnboardLog(self.feed, self.session, options.namespace, rate_hz, options.lockstep)
-        self.health = LiveHealth(self.session, options.namespace, rate_hz)
+        self.log = OnboardLog(self.feed, self.wires.session, options.namespace, rate_hz, options.lockstep)
+        self.health = LiveHealth(self.wires.session, options.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap
-        self.leaving = Leaving(options.duration_s)
         lockstep = options.lockstep  # there wall time has no part in what is said
         self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
-        self.foreign_said = 1
+        self._foreign_due = 1
         self._opened_s = time.monotonic()
-        self.reply = b""  # lockstep: frame of the last answer
-        self.report: str | None = None  # what is to be said of this tick's wait
 
-    def tick(
-        self, tick: Tick, raw: list[RawSample], signals: Signals, overruns: int
-    ) -> tuple[Outputs, float]:
-        """One pass: decode, step, send; the datagram goes out before anything is logged."""
-        started_s = time.perf_counter()
-        link = self.link
-        operator = self.leaving.operator(signals.operator, link.status, tick.now_s, stop=signals.stop)
-        taken = take(link, [one.payload for one in raw], operator, tick.now_s)
-        out = self.controller.step(taken.inputs, tick.now_s, command_failed=taken.command_failed)
-        self.reply = answer(link, out, tick.now_s, lockstep=self.options.lockstep)
-        exec_s = (time.perf_counter() - started_s) * self.options.speed
-        self.log.samples(raw, tick.unix_ns)
-        for text in taken.problems:
+    def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
+        """Log, show and say a tick."""
+        link, arrived = self.link, taken.arrived
+        exec_s *= self.options.speed
+        self.log.samples(arrived.messages, tick.unix_ns)
+        for text in arrived.problems:
             self.log.event(tick.unix_ns, WARN, text)
         for severity, text in link.take_texts():
             self.waiting.note_text(tick.now_s, severity, text)
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
-        if link.counters.foreign >= self.foreign_said:  # a ground station sends many: said on doublings
+        if link.counters.foreign >= self._foreign_due:  # a ground station sends many: said on doublings
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
-            self.foreign_said = 2 * link.counters.foreign
+            self._foreign_due = 2 * link.counters.foreign
         for text in (*link.endpoint.take_notices(), *self.wires.texts(tick.now_s)):
             _warn(text)
             self.log.event(tick.unix_ns, WARN, text)
-        self.report = self.waiting.step(out, self.controller.memory, len(raw), taken.problems, tick.now_s)
-        if self.report is not None and not self.options.lockstep:
-            self.log.event(tick.unix_ns, WARN, self.report)
+        memory = self.controller.memory
+        report = self.waiting.step(out, memory, len(arrived.messages), arrived.problems, tick.now_s)
+        if report is not None and not self.options.lockstep:
+            self.log.event(tick.unix_ns, WARN, report)
         row = self.log.step(tick, taken, out, self.controller.state)
-        self.log.timing(tick, out, exec_s, overruns, self.feed.dropped)
-        reason, battery = self.controller.memory.reason, link.state.battery
-        health = self.health.show(tick, out, reason, battery, overruns, self.feed.dropped)
+        self.log.timing(tick, out, exec_s, self.feed.dropped)
+        health = self.health.show(tick, out, memory.reason, link.state.battery, self.feed.dropped)
         self.wires.show(tick, out, row, health)
-        return out, exec_s
+        if out.transition is not None and out.transition.after is not out.transition.before:
+            self.say(out.transition.told(tick.now_s))
+        if report is not None and not self.options.lockstep:
+            self.say(f"{tick.now_s:8.2f} s  {report}")
 
     def _describe(self) -> None:
         """Write into the log what else a replay needs: the configuration, and how we were plugged in."""
@@ -263,7 +250,7 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
     if found:
         raise ConfigError("refused before take-off: " + "; ".join(found))
     signals = Signals()
-    onboard = Onboard(config, options)
+    onboard = Onboard(config, options, say)
     try:
         for warning in onboard.link.endpoint.warnings:
             _warn(warning)
@@ -276,7 +263,7 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
             if ended is not None:
                 return ended
         quiet_garbage_collector()
-        return (_lockstep if options.lockstep else _real_time)(onboard, signals, say)
+        return _runner(onboard, signals).run()
     finally:
         onboard.close()
 
@@ -328,61 +315,35 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
     return Ended(Phase.WAIT, problem, 1) if problem is not None else None
 
 
-def _done(onboard: Onboard, out: Outputs, now_s: float, signals: Signals) -> Ended | None:
-    memory, status = onboard.controller.memory, onboard.link.status
-    if onboard.link.refused is not None and not out.finished:
-        return Ended(out.phase, onboard.link.refused, 1)
-    ended = onboard.leaving.ended(out, memory, status, now_s, stop=signals.stop)
-    lacking = onboard.waiting.lacking
-    if ended is None or not lacking or signals.stop or signals.operator is not Operator.NONE:
-        return ended
-    return ended._replace(reason=f"{ended.reason}: {'; '.join(lacking)}")
+class _Leaving(Leaving):
+    """Ends a flight also when the link refuses the vehicle; the reason names what was lacking at the end."""
+
+    def __init__(self, onboard: Onboard, signals: Signals) -> None:
+        super().__init__(onboard.options.duration_s, signals)
+        self._link, self._waiting = onboard.link, onboard.waiting
+
+    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
+        """Return how the flight ended; None while it goes on."""
+        if self._link.refused is not None and not out.finished:
+            return Ended(out.phase, self._link.refused, 1)
+        ended = super().ended(out, memory, status, now_s)
+        lacking, person = self._waiting.lacking, self.person
+        if ended is None or not lacking or person.stop or person.operator is not Operator.NONE:
+            return ended
+        return ended._replace(reason=f"{ended.reason}: {'; '.join(lacking)}")
 
 
-def _say_phase(out: Outputs, tick: Tick, say: Callable[[str], None]) -> None:
-    if out.transition is not None and out.transition.after is not out.transition.before:
-        say(out.transition.told(tick.now_s))
-
-
-def _real_time(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
+def _runner(onboard: Onboard, signals: Signals) -> Runner:
+    """The sequence of ticks, in real time or in lockstep."""
+    options, link, wires = onboard.options, onboard.link, onboard.wires
+    rate_hz = onboard.config.loop.rate_hz
+    vehicle, leaving = LinkedVehicle(link, lockstep=options.lockstep), _Leaving(onboard, signals)
+    if options.lockstep:
+        both = LockstepWires(vehicle, rate_hz, wires.odometry, wires.session, options.namespace, signals)
+        return Runner(onboard.controller, both, vehicle, both, leaving, onboard)
     ask_for_priority()
-    options = onboard.options
     clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
-    pacer = RealTimePacer(
-        onboard.config.loop.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
+    pacer = RealTimePacer(rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
+    return Runner(
+        onboard.controller, RealTimeClock(pacer, link), vehicle, LiveTarget(wires.odometry), leaving, onboard
     )
-    while True:
-        tick = pacer.wait()
-        onboard.link.poll(tick.now_s)
-        out, _ = onboard.tick(tick, onboard.odometry.poll(), signals, pacer.overruns)
-        _say_phase(out, tick, say)
-        if onboard.report is not None:
-            say(f"{tick.now_s:8.2f} s  {onboard.report}")
-        ended = _done(onboard, out, tick.now_s, signals)
-        if ended is not None:
-            return ended
-
-
-def _wires(onboard: Onboard, signals: Signals) -> LockstepWires:
-    namespace = onboard.options.namespace
-    patience = Patience(lambda: signals.stop)
-    return LockstepWires(onboard.link, onboard.odometry, onboard.session, namespace, patience.over)
-
-
-def _lockstep(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended:
-    clock, wires = LockstepClock(onboard.config.loop.rate_hz), _wires(onboard, signals)
-    out: Outputs | None = None
-    while True:
-        sim_ns = wires.vehicle()
-        if sim_ns is None:
-            phase = out.phase if out is not None else Phase.WAIT
-            return Ended(phase, "ended by the operator" if signals.stop else "the vehicle fell silent", 1)
-        tick = clock.tick(sim_ns)
-        out, _ = onboard.tick(tick, wires.target(tick.number), signals, 0)
-        wires.reply = onboard.reply
-        _say_phase(out, tick, say)
-        if wires.go_tick < 0 and onboard.controller.memory.started_s <= tick.now_s:
-            wires.announce_start(tick.number)
-        ended = _done(onboard, out, tick.now_s, signals)
-        if ended is not None:
-            return ended

@@ -42,19 +42,17 @@ class LiveHealth:
         )
 
     def show(
-        self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, overruns: int, dropped: int
+        self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int
     ) -> bytes | None:
         """Publish now and then, and at the end; returns what was published."""
         if tick.number % self._every != 0 and not out.finished:
             return None
-        payload = health_row(tick, out, reason, battery, overruns, dropped).pack()
+        payload = health_row(tick, out, reason, battery, dropped).pack()
         self._publisher.put(payload)
         return payload
 
 
-def health_row(
-    tick: Tick, out: Outputs, reason: str, battery: Battery | None, overruns: int, dropped: int
-) -> HealthRow:
+def health_row(tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int) -> HealthRow:
     """Values that are not there, or too old, are NaN."""
     own, status, target = out.seen.inputs.own, out.seen.inputs.status, out.seen.target
     if battery is not None and tick.now_s - battery.arrival_s > BATTERY_AGE_MAX_S:
@@ -77,7 +75,7 @@ def health_row(
         finished=out.finished,
         target_accepted=out.target_accepted,
         target_rejected=out.target_rejected,
-        overruns=overruns,
+        overruns=tick.overruns,
         feed_dropped=dropped,
         reason=reason,
     )

@@ -16,9 +16,10 @@ from pathlib import Path
 from bridge.mavlink.profiles.autopilots import AUTO, PROFILES, PX4
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller, Outputs
-from flightstack.core.memory import State
+from flightstack.core.memory import Memory, State
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.types import Phase
+from flightstack.core.types import Operator, Phase, VehicleStatus
+from flightstack.onboard.runner import Arrived, Runner, Taken, VehicleInputs
 from flightstack.onboard.state_text import StateText, StateTextError
 from logs.replay.compare import Difference, Tally, fields_of, values_of
 from logs.replay.read import ROSOUT, FlightInputs, ReplayError, TickRecord
@@ -106,6 +107,53 @@ def replay(path: Path | str, config: FlightConfig | None = None) -> Result:
     return run.result
 
 
+class _RecordedTick:
+    """A tick of the log in place of clock, vehicle and target; its wire, if there is one, is compared."""
+
+    def __init__(self) -> None:
+        self.record: TickRecord
+        self.given: TickInputs
+        self.wire: WireReplay | None = None
+        self.wire_found: list[Difference] = []
+
+    def begin(self, record: TickRecord, given: TickInputs) -> None:
+        """Be this tick from now on."""
+        self.record, self.given, self.wire_found = record, given, []
+
+    def wait(self) -> Tick:
+        """Return the tick."""
+        return Tick(self.given.tick, self.given.now_s, self.given.stamp_ns, 0.0, 0.0)
+
+    def samples(self, now_s: float) -> Arrived:
+        """Return the recorded samples."""
+        del now_s
+        return Arrived(self.given.inputs.target_samples)
+
+    def landing_began(self, tick: int) -> None:
+        """Nothing to do."""
+
+    def read(self) -> VehicleInputs:
+        """Return the recorded state, whatever today's bridge makes of the wire."""
+        inputs = self.given.inputs
+        if self.wire is not None:
+            self.wire_found += self.wire.take(self.record, self.given)
+        return VehicleInputs(inputs.own, inputs.status, self.given.command_failed)
+
+    def answer(self, out: Outputs, now_s: float) -> None:
+        """Compare the frames that would be sent."""
+        del now_s
+        if self.wire is not None:
+            self.wire_found += self.wire.answer(self.record, self.given, out)
+
+    def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
+        """Return what was asked."""
+        del status, now_s
+        return self.given.inputs.operator
+
+    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> None:
+        """Never: the log ends the replay."""
+
+
 class _Run:
     def __init__(self, flight: FlightInputs, config: FlightConfig | None) -> None:
         self.flight, self.changed = flight, config is not None
@@ -113,7 +161,9 @@ class _Run:
         self.controller = Controller(self.config)
         self.result = Result(flight.log.path)
         self.text = StateText(State)
-        self.wire: WireReplay | None = None
+        self.recorded = _RecordedTick()
+        parts = (self.recorded,) * 4
+        self.runner = Runner(self.controller, *parts, sink=self)
         self.running = False
         self.acted = False
         self.state_refused = ""
@@ -167,13 +217,8 @@ class _Run:
         assert given is not None
         if not self.running and not self._begin(record, given):
             return
-        wired = self.wire.take(record, given) if self.wire is not None else []
-        out = self.controller.step(given.inputs, given.now_s, command_failed=given.command_failed)
-        if self.wire is not None:
-            wired += self.wire.answer(record, given, out)
-            assert self.result.wire is not None
-            self.result.wire.add(wired)
-        self._compare(record, given, out)
+        self.recorded.begin(record, given)
+        self.runner.tick()
 
     def _begin(self, record: TickRecord, given: TickInputs) -> bool:
         """Whether this tick can be replayed; a snapshot makes the next one."""
@@ -197,7 +242,7 @@ class _Run:
         if autopilot == AUTO and recognised in PROFILES:
             autopilot = recognised
         lockstep = onboard["lockstep"] == "true"
-        self.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot)
+        self.recorded.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot)
         self.result.wire = Tally()
 
     def _restore(self, snapshot: ControllerStateRow) -> None:
@@ -210,10 +255,14 @@ class _Run:
         self.result.start = f"the state after tick {snapshot.tick}"
         self.result.notes.append("the log lacks its beginning: wire not replayed")
 
-    def _compare(self, record: TickRecord, given: TickInputs, out: Outputs) -> None:
-        result, tick = self.result, given.tick
+    def write(self, at: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
+        """Compare the decisions of a tick with the recorded ones."""
+        del taken, exec_s
+        result, tick, record, given = self.result, at.number, self.recorded.record, self.recorded.given
         assert record.step is not None
-        row = step_row(Tick(tick, given.now_s, given.stamp_ns, 0.0, 0.0), out)
+        if result.wire is not None:
+            result.wire.add(self.recorded.wire_found)
+        row = step_row(at, out)
         replayed = row.pack()
         topic = self.flight.topic("controller/step")
         found = [Difference(topic, tick, *each) for each in fields_of(CONTROLLER_STEP, record.step, replayed)]

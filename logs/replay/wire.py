@@ -1,7 +1,7 @@
 """The wire of a recorded flight through today's bridge: do the same frames still mean the same?
 
 The recorded MAVLink frames and target samples go through the code that flies, only without a socket
-(``flightstack.onboard.exchange``, ``bridge.mavlink.client.link``). What comes out must be the recorded
+(``flightstack.onboard.runner``, ``bridge.mavlink.client.link``). What comes out must be the recorded
 inputs; and the frames that answer the replayed decisions must be the recorded ones, but for their sequence
 numbers.
 """
@@ -19,9 +19,11 @@ from bridge.mavlink.codec.decoding import Message, decode, message_id
 from bridge.mavlink.codec.wide_messages import MESSAGES
 from bridge.mavlink.endpoint import Endpoint, EndpointCounters, Peer, Received
 from bridge.mavlink.profiles.autopilots import PX4, profile
+from bridge.target.odometry import RawSample
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.onboard.exchange import answer, take
+from flightstack.core.types import Inputs
+from flightstack.onboard.runner import LinkedVehicle, decoded
 from logs.replay.compare import Difference, values_of
 from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
 from logs.schema.controller_rows import TickInputs
@@ -76,7 +78,6 @@ class WireReplay:
         """Begin at tick 0."""
         origin = config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)
-        self._lockstep = lockstep
         self._heard = False
         self._link = VehicleLink(
             "",
@@ -88,6 +89,7 @@ class WireReplay:
             origin=Origin(*origin) if origin is not None else None,
             endpoint=self._endpoint,
         )
+        self._vehicle = LinkedVehicle(self._link, lockstep=lockstep)
 
     def take(self, record: TickRecord, given: TickInputs) -> list[Difference]:
         """Decode what came and compare it with the recorded inputs."""
@@ -99,18 +101,20 @@ class WireReplay:
         except Exception as error:  # a frame that today's dialect cannot decode is a finding, not a crash
             self._endpoint.incoming.clear()
             return [Difference(SOURCE, given.tick, "frame", "a decodable frame", repr(error))]
-        taken = take(self._link, record.odometry, given.inputs.operator, given.now_s)
-        found = list(values_of(given.inputs, taken.inputs))
-        found += values_of(given.command_failed, taken.command_failed, "command_failed")
+        arrived = decoded([RawSample(payload) for payload in record.odometry], given.now_s)
+        own, status, command_failed = self._vehicle.read()
+        inputs = Inputs(own, status, arrived.samples, given.inputs.operator)
+        found = list(values_of(given.inputs, inputs))
+        found += values_of(given.command_failed, command_failed, "command_failed")
         differences = [Difference("wire, inputs", given.tick, *each) for each in found]
-        said = taken.problems + [f"vehicle: {text}" for _, text in self._link.take_texts()]
+        said = list(arrived.problems) + [f"vehicle: {text}" for _, text in self._link.take_texts()]
         recorded = [row.msg for row in record.said if row.msg.startswith(_SAID_BY_THE_WIRE)]
         differences += [Difference(ROSOUT, given.tick, *each) for each in values_of(recorded, said, "wire")]
         return differences
 
     def answer(self, record: TickRecord, given: TickInputs, out: Outputs) -> list[Difference]:
         """Send what was decided and compare it with the recorded frames."""
-        answer(self._link, out, given.now_s, lockstep=self._lockstep)
+        self._vehicle.answer(out, given.now_s)
         if not self._heard:
             return []  # until the vehicle is heard, greetings go out by wall time
         recorded = [frame[_ID_AND_PAYLOAD].hex() for frame in record.frames_out]

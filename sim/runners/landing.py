@@ -21,12 +21,13 @@ import numpy as np
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles.autopilots import OWN_SITL
-from flightstack.common.pacing import EPOCH_NS, NO_GO, RUN_AHEAD_TICKS, LockstepClock, Tick
+from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.core.controller import Controller, Outputs
-from flightstack.core.leaving import Leaving
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.types import Inputs, Operator, Phase
-from flightstack.onboard.exchange import answer, take
+from flightstack.core.types import Phase
+from flightstack.onboard.leaving import Leaving
+from flightstack.onboard.lockstep import VehicleTicks
+from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
 from logs.reader.flight_data import Event, Floats, Ints, Truth
 from logs.recorder.feed import Feed
 from logs.verdict.truth import judge_truth
@@ -227,14 +228,11 @@ class _Companion:
         rate_hz = config.loop.rate_hz
         self.controller = Controller(config)
         self._on_step = on_step
-        self._leaving = Leaving(scenario.duration_max_s)
-        self._clock = LockstepClock(rate_hz)
         self._stop = StopSignal()
-        self._last_s = 0.0
         self._over = False
         grid = TickGrid(rate_hz)
         self._ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
-        self._target = DirectTarget(scenario, seed, grid)
+        target = DirectTarget(scenario, seed, grid)
         here, there = wires((SYSTEM_ID, COMPONENT_ID), (SYSTEM_ID, COMPANION_ID))
         self._link = VehicleLink(
             "",
@@ -248,9 +246,12 @@ class _Companion:
         autopilot = Autopilot(vehicle, rate_hz, trim_enu_m_s=vehicle.trim_velocity_enu_m_s)
         self._notes = Notes(config, scenario.target.pad_radius_m)
         node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes))
-        here.answer = self._tick
+        here.answer = self._answer
         self._link.poll(0.0)  # says hello, as the process does before the first tick
-        self._loop = LockstepLoop(node, self._target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
+        self._loop = LockstepLoop(node, target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
+        linked = LinkedVehicle(self._link, lockstep=True)
+        leaving = Leaving(scenario.duration_max_s)
+        self._runner = Runner(self.controller, VehicleTicks(linked, rate_hz), linked, target, leaving, self)
 
     def fly(self) -> Seen:
         """Run to the end."""
@@ -259,29 +260,17 @@ class _Companion:
             raise RuntimeError(f"the landing was not over after {self._ticks_max} ticks")
         return self._notes.seen()
 
-    def _tick(self) -> None:
+    def _answer(self) -> None:
         if self._over:  # one true state after the last step, then the vehicle's process is ended, too
             self._stop.is_set = True
-            return
-        link = self._link
-        link.poll(self._last_s)
-        sim_ns = link.take_timesync()
-        if sim_ns is None:
-            raise RuntimeError("the vehicle waits for an answer, but did not ask for it")
-        tick = self._clock.tick(sim_ns)
-        now_s = self._last_s = tick.now_s
-        operator = self._leaving.operator(Operator.NONE, link.status, now_s)
-        taken = take(link, (), operator, now_s)
-        given = taken.inputs
-        inputs = Inputs(given.own, given.status, self._target.samples(now_s), given.operator)
-        out = self.controller.step(inputs, now_s, command_failed=taken.command_failed)
-        answer(link, out, now_s, lockstep=True)
+        else:
+            self._over = self._runner.tick() is not None
+
+    def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
+        """Note a tick."""
+        del taken, exec_s
         self._notes.step(tick, out)
-        for _, text in link.take_texts():
+        for _, text in self._link.take_texts():
             self._notes.event(tick.now_s, 0, "onboard", f"vehicle: {text}")
-        if self._target.go_tick == NO_GO and self.controller.memory.started_s <= now_s:
-            self._target.go_tick = tick.number + RUN_AHEAD_TICKS + 1
         if self._on_step is not None:
             self._on_step(tick, out)
-        ended = self._leaving.ended(out, self.controller.memory, link.status, now_s)
-        self._over = ended is not None

@@ -14,6 +14,7 @@ from bridge import frames
 from bridge.frames import Quat
 from flightstack.common.pacing import EPOCH_NS, NO_GO, RUN_AHEAD_TICKS
 from flightstack.core.types import TargetSample, Vec3
+from flightstack.onboard.runner import NOTHING, Arrived
 from sim.clock import TickGrid
 from sim.compiled.jit import jitted
 from sim.robot.target import TargetMeasurement
@@ -21,7 +22,7 @@ from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState, LockstepDeck
 from sim.scenarios.scenario import Scenario
 
-Arrived = tuple[float, str, str, Vec3, Vec3, float, float]  # a sample but for when it arrived
+WorldSample = tuple[float, str, str, Vec3, Vec3, float, float]  # a target sample but for when it arrives
 
 # the very formulas of both ends, compiled
 _quaternion = cast("Callable[[float], Quat]", jitted(frames.quaternion_from_yaw))
@@ -49,23 +50,23 @@ class _Ahead(NamedTuple):
     """What the robot will say at a tick."""
 
     deck: DeckState
-    samples: list[Arrived]
+    samples: list[WorldSample]
 
 
 class DirectTarget(LockstepDeck):
-    """Hands out a tick's true pose; ``go_tick`` is set by the onboard side, as in lockstep.
+    """Hands out true poses and samples, tick by tick.
 
-    The robot drives some ticks ahead, at most as far as in lockstep: then ``go_tick``, which the onboard side
-    chooses beyond that, is known in time. Many ticks at once cost half of what they cost one by one.
+    The robot drives some ticks ahead, at most as far as in lockstep: the tick at which it drives off lies
+    beyond that and is known in time. Many ticks at once cost half of what they cost one by one.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
         self.bad = 0
-        self.go_tick = NO_GO
+        self._go_tick = NO_GO
         self._grid = grid
         self._motion = TargetMotion(scenario, seed, grid)
         self._driving = self._motion.drives_at_once
-        self._samples: list[Arrived] = []
+        self._samples: list[WorldSample] = []
         self._ahead = deque([self._show()])
         self._taken = -1
 
@@ -87,8 +88,8 @@ class DirectTarget(LockstepDeck):
     def _drive(self, until_tick: int) -> None:
         motion = self._motion
         while motion.tick < until_tick:
-            if NO_GO < self.go_tick <= motion.tick + 1:
-                motion.faults.landing_began(self._grid.ns(self.go_tick))
+            if NO_GO < self._go_tick <= motion.tick + 1:
+                motion.faults.landing_began(self._grid.ns(self._go_tick))
                 self._driving = True
             motion.step(self._driving)
             self._ahead.append(self._show())
@@ -99,17 +100,21 @@ class DirectTarget(LockstepDeck):
         yaw, velocity = _deck_twist(yaw, *model.velocity_body_m_s)
         due, self._motion.due = self._motion.due, []
         deck = DeckState(position, yaw, velocity, model.yaw_rate_rad_s, b"")
-        return _Ahead(deck, [arrived(sample) for sample in due])
+        return _Ahead(deck, [in_world(sample) for sample in due])
 
-    def samples(self, arrival_s: float) -> tuple[TargetSample, ...]:
+    def samples(self, now_s: float) -> Arrived:
         """Odometry released since the last call."""
         if not self._samples:
-            return ()
+            return NOTHING
         due, self._samples = self._samples, []
-        return tuple([TargetSample(arrival_s, *sample) for sample in due])
+        return Arrived(tuple([TargetSample(now_s, *sample) for sample in due]))
+
+    def landing_began(self, tick: int) -> None:
+        """Drive off after the last tick that may have been computed already."""
+        self._go_tick = tick + RUN_AHEAD_TICKS + 1
 
 
-def arrived(sample: TargetMeasurement) -> Arrived:
+def in_world(sample: TargetMeasurement) -> WorldSample:
     """Equal to ``bridge.target.odometry.sample_from_cdr`` of the encoded sample, which a test holds."""
     time_s, position, yaw, velocity, rate = sample
     yaw, velocity, rate = _sample_twist(yaw, *velocity, rate)

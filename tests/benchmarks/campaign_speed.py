@@ -16,6 +16,7 @@ from bridge.mavlink.client.link import VehicleLink
 from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.core.controller import Controller
 from flightstack.core.safety.qp_filter import SafetyFilter
+from flightstack.onboard.runner import LinkedVehicle
 from sim.autopilot.autopilot import Autopilot
 from sim.runners import landing
 from sim.runners.landing import Notes, land
@@ -47,8 +48,8 @@ PARTS: tuple[tuple[Any, str, str], ...] = (
     (Autopilot, "handle", AUTOPILOT),
     (Autopilot, "control", AUTOPILOT),
     (VehicleLink, "poll", LINK),
-    (landing, "take", LINK),
-    (landing, "answer", LINK),
+    (LinkedVehicle, "read", LINK),
+    (LinkedVehicle, "answer", LINK),
     (Inlet, "send", WIRE),
     (Notes, "step", NOTES),
     (Notes, "truth", NOTES),

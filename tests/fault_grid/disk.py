@@ -16,8 +16,8 @@ from unittest import mock
 
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
-from flightstack.onboard.exchange import Taken
 from flightstack.onboard.log import OnboardLog
+from flightstack.onboard.runner import Taken
 from logs.reader.reader import LogFile
 from logs.recorder import feed as feed_module
 from logs.recorder import recorder_process
@@ -148,7 +148,7 @@ class Recording:
 
         def step(tick: Tick, taken: Taken, out: Outputs) -> None:
             log.step(tick, taken, out, controller.state)
-            log.timing(tick, out, 0.0, 0, self._feed.dropped)
+            log.timing(tick, out, 0.0, self._feed.dropped)
 
         flight.on_step = step
 

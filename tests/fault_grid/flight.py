@@ -1,6 +1,6 @@
 """One flight in one process that can be disturbed at any moment, and is watched until the vehicle is down.
 
-The vehicle's lockstep loop, its autopilot, the robot, the companion's link, ``exchange`` and ``Controller``
+The vehicle's lockstep loop, its autopilot, the robot, the companion's link and ``Runner``
 are those of a real run (as in ``sim.runners.landing``), target samples as CDR bytes. When the companion
 ends, nothing more is sent, as when its process ends: what the vehicle does then belongs to the flight.
 """
@@ -19,10 +19,14 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Received
 from bridge.mavlink.profiles.autopilots import OWN_SITL
 from bridge.ros2.cdr import encode_odometry
-from flightstack.common.pacing import EPOCH_NS, NO_GO, RUN_AHEAD_TICKS, LockstepClock, Tick
+from bridge.target.odometry import RawSample
+from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.core.controller import Controller, Outputs
-from flightstack.core.types import Operator, Phase
-from flightstack.onboard.exchange import Taken, answer, take
+from flightstack.core.memory import Memory
+from flightstack.core.types import Operator, Phase, VehicleStatus
+from flightstack.onboard.leaving import Ended
+from flightstack.onboard.lockstep import VehicleTicks
+from flightstack.onboard.runner import Arrived, LinkedVehicle, Runner, Taken, decoded
 from logs.reader.flight_data import Truth
 from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.clock import StopSignal, TickGrid
@@ -86,10 +90,14 @@ class _Target(DirectTarget):
     """Hands its samples over as they would come over Zenoh, and drives no further than it must.
 
     So a fault begins at once, not only at the end of what was driven ahead.
+
+    Attributes:
+        mangle: what happens to samples on their way; None: nothing.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
         self._measured: list[TargetMeasurement] = []
+        self.mangle: Mangle | None = None
         super().__init__(scenario, seed, grid)
 
     def take(self, tick: int) -> DeckState | None:
@@ -101,10 +109,13 @@ class _Target(DirectTarget):
         self._measured += self._motion.due
         return super()._show()
 
-    def payloads(self) -> list[bytes]:
-        """Serialised odometry released since the last call."""
+    def samples(self, now_s: float) -> Arrived:
+        """Odometry released since the last call, serialised and mangled on its way."""
         due, self._measured = self._measured, []
-        return [_cdr(sample) for sample in due]
+        payloads = [_cdr(sample) for sample in due]
+        if self.mangle is not None:
+            payloads = self.mangle(payloads, now_s)
+        return decoded([RawSample(payload) for payload in payloads], now_s)
 
     def fail(self, fault: Fault, now_ns: int) -> None:
         """Begin a fault of the odometry."""
@@ -142,8 +153,6 @@ class Flight:
     Attributes:
         vehicle: its ``faults`` can be begun at any time.
         target: the same.
-        operator: what a person asks for, from the next tick on.
-        mangle: what happens to target samples on their way; None: nothing.
         on_step: called after every step of the controller, to log it.
         phases: phases so far.
 
@@ -166,13 +175,11 @@ class Flight:
         grid = TickGrid(rate_hz)
         self.controller = Controller(config)
         self.target = _Target(scenario, seed, grid)
-        self.operator = Operator.NONE
-        self.mangle: Mangle | None = None
         self.on_step: Callable[[Tick, Taken, Outputs], None] | None = None
         self.phases: list[Phase] = []
         self._moment, self._disturb = moment, disturb
         self._duration_s = scenario.duration_max_s
-        self._clock, self._stop = LockstepClock(rate_hz), StopSignal()
+        self._stop = StopSignal()
         self._now_s = 0.0
         self._disturbed_s = self._noticed_s = self._failsafe_s = math.nan
         self._ended = False
@@ -191,6 +198,9 @@ class Flight:
         self.link.poll(0.0)  # says hello, as the process does before the first tick
         self._loop = LockstepLoop(node, self.target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
         self._ticks_max = grid.count(scenario.duration_max_s + WATCH_MAX_S)
+        vehicle = LinkedVehicle(self.link, lockstep=True)
+        ticks = VehicleTicks(vehicle, rate_hz)
+        self._runner = Runner(self.controller, ticks, vehicle, self.target, self, self)
 
     @property
     def phase(self) -> Phase:
@@ -236,30 +246,24 @@ class Flight:
         if self._ended:
             self._answer_only()
             return
-        link = self.link
-        link.poll(self._now_s)
-        sim_ns = link.take_timesync()
-        if sim_ns is None:
-            raise RuntimeError("the vehicle waits for an answer, but did not ask for it")
-        tick = self._clock.tick(sim_ns)
-        now_s = self._now_s = tick.now_s
-        payloads = self.target.payloads()
-        if self.mangle is not None:
-            payloads = self.mangle(payloads, now_s)
-        taken = take(link, payloads, self.operator, now_s)
-        out = self.controller.step(taken.inputs, now_s, command_failed=taken.command_failed)
-        answer(link, out, now_s, lockstep=True)
-        self._note(tick, taken, out)
-        if self.target.go_tick == NO_GO and self.controller.memory.started_s <= now_s:
-            self.target.go_tick = tick.number + RUN_AHEAD_TICKS + 1
-        self._ended = out.finished or now_s >= self._duration_s
+        self._ended = self._runner.tick() is not None
         if not self._disturbed and self._moment(self):
-            self._disturbed_s = now_s
+            self._disturbed_s = self._now_s
             self._disturb(self)
 
-    def _note(self, tick: Tick, taken: Taken, out: Outputs) -> None:
+    def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
+        """Nobody asks for anything."""
+        return Operator.NONE
+
+    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
+        """End when the controller has finished, or when the time is over: as when the process is killed."""
+        return Ended(out.phase, memory.reason, 1) if out.finished or now_s >= self._duration_s else None
+
+    def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
+        """Note a tick."""
+        self._now_s = tick.now_s
         self._all_notes.step(tick, out)
-        for text in taken.problems:
+        for text in taken.arrived.problems:
             self._all_notes.event(tick.now_s, 30, "onboard", text)
         for _, text in self.link.take_texts():
             self._all_notes.event(tick.now_s, 0, "onboard", f"vehicle: {text}")

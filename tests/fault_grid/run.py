@@ -55,7 +55,7 @@ def fault(part: Part, way: Way) -> Fault:
 def disturb(part: Part, way: Way, seed: int) -> Callable[[Flight], None]:
     """What begins the fault in a flight."""
     if part is Part.ZENOH:
-        return lambda flight: setattr(flight, "mangle", _MANGLES[way](np.random.default_rng(seed)))
+        return lambda flight: setattr(flight.target, "mangle", _MANGLES[way](np.random.default_rng(seed)))
     if part is Part.TARGET_STATE:
         return lambda flight: flight.target.fail(fault(part, way), flight.now_ns)
     return lambda flight: flight.vehicle.faults.fail([fault(part, way)], flight.now_ns)

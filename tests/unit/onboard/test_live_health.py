@@ -14,7 +14,7 @@ from flightstack.core.types import Inputs, Landed, Mode, OwnState, VehicleStatus
 from flightstack.onboard.publish_ros2 import BATTERY_AGE_MAX_S, health_row
 
 NOW_S = 20.0
-TICK = Tick(2000, NOW_S, 1_700_000_000_000_000_000, 0.01, 0.0)
+TICK = Tick(2000, NOW_S, 1_700_000_000_000_000_000, 0.01, 0.0, overruns=3)
 
 
 class Out(NamedTuple):
@@ -31,7 +31,7 @@ def view(**inputs):
 
 
 def row(out, battery=None):
-    return health_row(TICK, out, "because", battery, 3, 4)
+    return health_row(TICK, out, "because", battery, 4)
 
 
 def test_ages_are_of_now_and_what_never_came_is_no_number():

@@ -20,7 +20,7 @@ from logs.verdict.verdict import Outcome
 from sim.campaign.rows import row_of
 from sim.robot.target import TargetMeasurement
 from sim.runners.landing import land
-from sim.runners.landing_target import arrived
+from sim.runners.landing_target import in_world
 from sim.runners.landing_wire import PEER, wires
 from sim.scenarios.scenario import Scenario, load
 from tests.fault_grid.flight import Flight
@@ -99,7 +99,7 @@ def test_a_target_sample_is_what_cdr_makes_of_it(seed):
         EPOCH_NS + round(sample.time_s * 1e9), "map", "target", sample.position_enu_m,
         quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
     )  # fmt: skip
-    assert TargetSample(1.25, *arrived(sample)) == sample_from_cdr(payload, 1.25)
+    assert TargetSample(1.25, *in_world(sample)) == sample_from_cdr(payload, 1.25)
 
 
 def short(name, **changes):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 from bridge.frames import quaternion_from_yaw, world_from_body, yaw_from_quaternion
-from flightstack.common.pacing import NO_GO, RUN_AHEAD_TICKS
+from flightstack.common.pacing import RUN_AHEAD_TICKS
 from flightstack.core.types import TargetSample
 from sim.clock import TickGrid
 from sim.robot.target_motion import TargetMotion
-from sim.runners.landing_target import DirectTarget, arrived
+from sim.runners.landing_target import DirectTarget, in_world
 from sim.scenarios.scenario import load
 
 TICKS = 400
@@ -39,7 +39,7 @@ def tick_by_tick(scenario, seed, chosen_at):
             b"",
         )
         due, motion.due = motion.due, []
-        yield deck, tuple(TargetSample(0.01 * tick, *arrived(sample)) for sample in due)
+        yield deck, tuple(TargetSample(0.01 * tick, *in_world(sample)) for sample in due)
 
 
 def ahead(scenario, seed, chosen_at):
@@ -47,10 +47,9 @@ def ahead(scenario, seed, chosen_at):
     target = DirectTarget(scenario, seed, TickGrid(100))
     for tick in range(TICKS):
         assert target.has(tick)
-        yield tuple(target.take(tick)), target.samples(0.01 * tick)
+        yield tuple(target.take(tick)), target.samples(0.01 * tick).samples
         if tick == chosen_at:
-            assert target.go_tick == NO_GO
-            target.go_tick = tick + RUN_AHEAD_TICKS + 1
+            target.landing_began(tick)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -68,5 +67,5 @@ def test_samples_nobody_took_come_with_the_next_ones():
     for tick in range(1, 50):
         target.take(tick)
     expected = [s for _, samples in list(tick_by_tick(SCENARIOS["deck"], 3, 0))[:50] for s in samples]
-    assert [s.source_time_s for s in target.samples(1.0)] == [s.source_time_s for s in expected]
-    assert target.samples(1.0) == ()
+    assert [s.source_time_s for s in target.samples(1.0).samples] == [s.source_time_s for s in expected]
+    assert target.samples(1.0).samples == ()

@@ -6,8 +6,8 @@ from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.common.strict_toml import dumps, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
-from flightstack.onboard.exchange import Taken
 from flightstack.onboard.log import OnboardLog
+from flightstack.onboard.runner import Taken
 from logs.recorder.mcap_file import McapFile
 from tests.point_mass import DT_S, World
 
@@ -58,8 +58,8 @@ def record(path: Path, world: World, seconds: float, *, until=None, config: Flig
         tick = Tick(number, world.t_s, EPOCH_NS + round(world.t_s * 1e9), 0.0, 0.0)
         given = world.inputs()
         out = world.step()
-        log.step(tick, Taken(given, False, []), out, world.controller.state)
-        log.timing(tick, out, 0.0, 0, 0)
+        log.step(tick, Taken(given, False), out, world.controller.state)
+        log.timing(tick, out, 0.0, 0)
         if out.finished or (until is not None and until(world)):
             break
     feed.file.close()

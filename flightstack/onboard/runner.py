@@ -1,0 +1,225 @@
+"""The sequence of one tick: wait, take the inputs, step the controller, answer the vehicle, write the rows.
+
+Real time, lockstep, a landing in one process and replay all run it. They differ in five parts: the clock, the
+vehicle, the source of target samples, what ends the flight, and the sink of the rows.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from bridge.mavlink.client.link import VehicleLink
+from bridge.target.odometry import OdometryError, RawSample, SampleSource, sample_of
+from flightstack.common.pacing import RealTimePacer, Tick
+from flightstack.core.controller import Controller, Outputs
+from flightstack.core.memory import Memory
+from flightstack.core.types import Inputs, Operator, OwnState, TargetSample, VehicleStatus
+from flightstack.onboard.leaving import Ended
+
+
+class Arrived(NamedTuple):
+    """What came of the target since the last tick.
+
+    Attributes:
+        samples: for the controller.
+        problems: of messages that could not be decoded.
+        messages: as they came, for the log; none where the log has no use for them.
+    """
+
+    samples: tuple[TargetSample, ...] = ()
+    problems: Sequence[str] = ()
+    messages: Sequence[RawSample] = ()
+
+
+NOTHING = Arrived()
+
+
+class Taken(NamedTuple):
+    """The arguments of ``Controller.step``, and the messages that the samples came in."""
+
+    inputs: Inputs
+    command_failed: bool
+    arrived: Arrived = NOTHING
+
+
+class VehicleInputs(NamedTuple):
+    """Newest state and status of the vehicle, and whether a requested mode was given up."""
+
+    own: OwnState | None
+    status: VehicleStatus | None
+    command_failed: bool
+
+
+class ClockStoppedError(RuntimeError):
+    """There is no further tick; the text says why."""
+
+
+class Clock(Protocol):
+    """Begins the ticks."""
+
+    def wait(self) -> Tick:
+        """Wait for the next tick; what the vehicle has sent until then is taken.
+
+        Raises:
+            ClockStoppedError: there is none.
+        """
+
+
+class Vehicle(Protocol):
+    """The vehicle, as the controller sees it."""
+
+    def read(self) -> VehicleInputs:
+        """Return what is known of it."""
+
+    def answer(self, out: Outputs, now_s: float) -> None:
+        """Send it the outputs of a tick."""
+
+
+class Target(Protocol):
+    """The source of target samples."""
+
+    def samples(self, now_s: float) -> Arrived:
+        """Return what came since the last call; ``now_s`` is when it counts as arrived."""
+
+    def landing_began(self, tick: int) -> None:
+        """Take note that the landing has begun, at this tick: a simulated robot then drives off."""
+
+
+class Ending(Protocol):
+    """What a person asks for, and when the flight is over (``flightstack.onboard.leaving.Leaving``)."""
+
+    def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
+        """Return what the controller is to be told in this tick."""
+
+    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
+        """Return how the flight ended; None while it goes on."""
+
+
+class Sink(Protocol):
+    """Takes the rows of the log."""
+
+    def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
+        """Write down a tick; ``exec_s`` is wall time, until the vehicle was answered."""
+
+
+class Runner:
+    """Runs ticks; ``run`` until the flight is over, ``tick`` one of them."""
+
+    def __init__(
+        self,
+        controller: Controller,
+        clock: Clock,
+        vehicle: Vehicle,
+        target: Target,
+        ending: Ending,
+        sink: Sink,
+    ) -> None:
+        self._controller, self._clock, self._vehicle = controller, clock, vehicle
+        self._target, self._ending, self._sink = target, ending, sink
+        self._landing = False
+
+    def run(self) -> Ended:
+        """Fly until the flight is over, or the clock stops."""
+        ended = None
+        while ended is None:
+            try:
+                ended = self.tick()
+            except ClockStoppedError as error:
+                ended = Ended(self._controller.memory.phase, str(error), 1)
+        return ended
+
+    def tick(self) -> Ended | None:
+        """Run one tick; the vehicle is answered before anything is written down.
+
+        Raises:
+            ClockStoppedError: there is no further tick.
+        """
+        tick = self._clock.wait()
+        began_s = time.perf_counter()
+        now_s, controller = tick.now_s, self._controller
+        arrived = self._target.samples(now_s)
+        own, status, command_failed = self._vehicle.read()
+        inputs = Inputs(own, status, arrived.samples, self._ending.operator(status, now_s))
+        out = controller.step(inputs, now_s, command_failed=command_failed)
+        self._vehicle.answer(out, now_s)
+        exec_s = time.perf_counter() - began_s
+        memory = controller.memory
+        if not self._landing and memory.started_s <= now_s:
+            self._landing = True
+            self._target.landing_began(tick.number)
+        self._sink.write(tick, Taken(inputs, command_failed, arrived), out, exec_s)
+        return self._ending.ended(out, memory, status, now_s)
+
+
+class RealTimeClock:
+    """Deadlines of the wall's clock, or of a simulator's; polls the link at each."""
+
+    def __init__(self, pacer: RealTimePacer, link: VehicleLink) -> None:
+        self._pacer, self._link = pacer, link
+
+    def wait(self) -> Tick:
+        """Sleep until the next deadline, then take what the vehicle has sent."""
+        tick = self._pacer.wait()
+        self._link.poll(tick.now_s)
+        return tick
+
+
+class LiveTarget:
+    """A target whose samples come when they come; it needs no word about the landing."""
+
+    def __init__(self, source: SampleSource) -> None:
+        self._source = source
+
+    def samples(self, now_s: float) -> Arrived:
+        """Return what has arrived since the last call."""
+        return decoded(self._source.poll(), now_s)
+
+    def landing_began(self, tick: int) -> None:
+        """Nothing to do."""
+
+
+class LinkedVehicle:
+    """The vehicle behind a MAVLink link, which the clock polls.
+
+    Attributes:
+        link: to the vehicle.
+        reply: lockstep: frame of the last answer, for a vehicle that asks again.
+    """
+
+    def __init__(self, link: VehicleLink, *, lockstep: bool) -> None:
+        self.link, self._lockstep = link, lockstep
+        self.reply = b""
+
+    def read(self) -> VehicleInputs:
+        """Return what the link has decoded."""
+        link = self.link
+        return VehicleInputs(link.own, link.status, link.failed is not None)
+
+    def answer(self, out: Outputs, now_s: float) -> None:
+        """Send set-point and commands in one datagram, and in lockstep the answer that ends the tick."""
+        link = self.link
+        if out.setpoint is not None:
+            link.send_setpoint(out.setpoint, now_s)
+        link.command(out.request, now_s)
+        if not self._lockstep:
+            link.flush()
+            return
+        reply = link.timesync_reply(round(now_s * 1e9))
+        link.flush([reply])
+        self.reply = bytes(reply.get_msgbuf() or b"")
+
+
+def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:
+    """Return the samples of messages that arrive now, and why others are none."""
+    if not messages:
+        return NOTHING
+    samples: list[TargetSample] = []
+    problems: list[str] = []
+    for message in messages:
+        try:
+            samples.append(sample_of(message, now_s))
+        except OdometryError as error:
+            problems.append(f"target sample refused: {error}")
+    return Arrived(tuple(samples), problems, messages)
