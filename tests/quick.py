@@ -19,7 +19,7 @@ CPU_MAX_S = 2.5  # s for a test, and for its fixtures
 # modules and folders below tests/unit that fly many seconds, prove whole envelopes or wait for processes
 SLOW = (
     "autopilot/test_fuzz_vehicle.py",
-    "core/mission/test_phases_exhaustive.py",
+    "core/mission/test_phases.py",
     "crazyflie/test_crazyflie_vehicle.py",
     "logs/recorder/test_recorder_process.py",
     "logs/replay/test_replay_golden.py",

@@ -1,7 +1,10 @@
 """The gate: default deny, and limits to the last float."""
 
+import copy
 import math
+import re
 from dataclasses import FrozenInstanceError
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -12,13 +15,14 @@ from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.gate import (
     BOX_TOLERANCE_M_S,
     SOLVER_TOLERANCE_M_S,
+    ApprovedSetpoint,
     BarrierCheck,
     Gate,
     GateVerdict,
 )
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
-from flightstack.core.types import FilterStatus
+from flightstack.core.types import ZERO, FilterStatus
 
 CONE = Barrier(1.0, 1.5)
 BOX = (0.2, 0.3, 0.5)
@@ -352,3 +356,36 @@ def test_the_solvers_tolerance_covers_what_it_may_leave():
 def test_the_limits_cannot_be_changed_in_flight():
     with pytest.raises(FrozenInstanceError):
         GATE.altitude_max_m = 30.0
+
+
+_, CHECKED = GATE.check(
+    (0.1, 0.0, -0.1), (0.1, 0.0, -0.1), 0.0,
+    own_fresh=True, target_fresh=True, altitude_m=1.0, barrier_check=None,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("key", [object(), None, 0, True, "key", ApprovedSetpoint, GATE])
+def test_nobody_else_makes_an_approved_set_point(key):
+    with pytest.raises(TypeError, match="gate only"):
+        ApprovedSetpoint(key, ZERO, 0.0)
+
+
+@pytest.mark.parametrize("approved", [CHECKED, GATE.stop(0.3, own_fresh=True)])
+def test_an_approved_set_point_is_not_changed(approved):
+    before = (approved.velocity_enu_m_s, approved.yaw_rad)
+    for name, value in (("velocity_enu_m_s", (9.0, 0.0, 0.0)), ("yaw_rad", 1.0), ("other", 1)):
+        with pytest.raises(AttributeError, match=f"not changed: {name}"):
+            setattr(approved, name, value)
+        with pytest.raises(AttributeError, match=f"not changed: {name}"):
+            delattr(approved, name)
+    with pytest.raises(AttributeError):
+        copy.copy(approved)
+    assert (approved.velocity_enu_m_s, approved.yaw_rad) == before
+
+
+def test_no_other_source_makes_an_approved_set_point_or_names_the_key():
+    root = Path(__file__).parents[3]
+    files = [f for room in ("flightstack", "bridge", "sim", "logs") for f in (root / room).rglob("*.py")]
+    maker = re.compile(r"ApprovedSetpoint\(|gate import .*_KEY|gate\._KEY")
+    found = {f.name: len(maker.findall(f.read_text())) for f in files if maker.search(f.read_text())}
+    assert found == {"gate.py": 2}  # a checked velocity, and the stop

@@ -1,21 +1,15 @@
-"""No size of a vehicle or pad is a constant of the code; what a size is in the configuration, flies."""
+"""Each size of a vehicle or pad in the configuration changes what is flown, and the certificate knows it."""
 
-import ast
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-import flightstack
-from flightstack.common.strict_toml import from_table
 from flightstack.core.controller import Controller
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import high_enough_m
 from flightstack.core.mission.guidance import Situation, nominal_command
 from flightstack.core.mission.machine import Mission
 from flightstack.core.mission.phases import Condition
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
@@ -32,57 +26,7 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 from flightstack.verify.certificate import checks
-
-SIZE = re.compile(r".*_(M|M_S|M_S2|M_S3|KG|N)")
-# what may stay: the same for a vehicle of any size
-ALLOWED = {
-    ("verify/robust", "HELD_M"): "the verdict's own limit of a violation",
-    ("core/safety/gate", "BOX_TOLERANCE_M_S"): "rounding",
-    ("core/safety/gate", "SOLVER_TOLERANCE_M_S"): "what the solver may miss, from its own bound",
-    ("core/safety/qp_filter", "RESIDUAL_MAX_M_S"): "the solver's accuracy",
-    ("core/target/plausibility", "STANDING_M_S"): "resolution of the numbers on the wire",
-    ("watch/live", "_H_LOW_M"): "ends of a drawn scale",
-    ("watch/live", "_H_HIGH_M"): "ends of a drawn scale",
-    (
-        "identify/velocity_loop",
-        "EXCITATION_MIN_M_S",
-    ): "looks at logs; the lag's standard error decides besides",
-}
-
-
-def constants(source):
-    """Names of a module's constants that are sizes by their ending."""
-    found = set()
-    for node in ast.parse(source).body:
-        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
-        for name in (n for target in targets if target is not None for n in ast.walk(target)):
-            if isinstance(name, ast.Name) and SIZE.fullmatch(name.id):
-                found.add(name.id)
-    return found
-
-
-def test_no_size_is_a_constant():
-    folder = Path(flightstack.__file__).parent
-    files = sorted(folder.rglob("*.py"))
-    found = {
-        (file.relative_to(folder).with_suffix("").as_posix(), name)
-        for file in files
-        for name in constants(file.read_text())
-    }
-    assert len(files) > 40
-    assert found == set(ALLOWED), "a size belongs into the configuration, with unit, range and default"
-
-
-def test_sizes_are_found_however_they_are_written():
-    source = "A_M = 1\n_B_M_S: float = 2\nC_M, D_M_S2 = 1, 2\nE_S = 1\nFORM = 3\nif A_M:\n    F_M = 1\n"
-    assert constants(source) == {"A_M", "_B_M_S", "C_M", "D_M_S2"}
-
-
-def config(filter="robust", **sections):
-    return from_table(
-        FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, **sections}
-    )
-
+from tests.unit.core.core_helpers import config
 
 PAD = (0.0, 0.0, 0.0)
 

@@ -1,13 +1,32 @@
 """What is said while a flight waits: each cause by name, and the setting that decides about it."""
 
+import math
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from bridge.mavlink.client.vehicle_state import Battery, VehicleState
+from bridge.mavlink.profiles.autopilots import PX4
+from bridge.ros2.ros2_names import Ros2Network
+from bridge.target.ros2_target import TargetSpec, TargetType
+from bridge.zenoh import zenoh_link
+from bridge.zenoh.zenoh_alarm import PATIENCE_S
+from flightstack.common.pacing import Tick
+from flightstack.config.files import load
 from flightstack.core.parameters.ends import Retreat
 from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig
-from flightstack.core.types import Landed, Mode, Phase, VehicleStatus
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
+from flightstack.onboard.publish_ros2 import BATTERY_AGE_MAX_S, health_row
 from flightstack.onboard.waiting import TargetSeen, VehicleSeen, countdown, missing
+from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
+from tests.unit.target import ros2_helpers as ros
+from tests.unit.target.ros2_helpers import until
 
 CHECKS = Checks()
 STANDS = VehicleStatus(0.0, False, Mode.HOLD, Landed.ON_GROUND, True)
@@ -82,3 +101,177 @@ def test_what_ends_a_wait_is_counted_down_with_its_setting():
     assert countdown(config, Phase.ABORT, 12.0) == "ends within 28 s (retreat.abort_time_max_s)"
     assert countdown(config, Phase.HOLD, 3.0) == "aborts within 0 s (checks.hold_time_s)"
     assert countdown(config, Phase.APPROACH, 3.0) == ""  # left at once
+
+
+NOW_S = 20.0
+TICK = Tick(2000, NOW_S, 1_700_000_000_000_000_000, 0.01, 0.0, overruns=3)
+
+
+class Out(NamedTuple):
+    """As much of a controller's outputs as is looked at."""
+
+    seen: Snapshot
+    finished: bool = False
+    target_accepted: int = 5
+    target_rejected: int = 6
+
+
+def view(**inputs):
+    return Snapshot(Inputs(**inputs), None, own_ok=True, target_ok=False, link_ok=True, e_m=None)
+
+
+def row(out, battery=None):
+    return health_row(TICK, out, "because", battery, 4)
+
+
+def test_ages_are_of_now_and_what_never_came_is_no_number():
+    own = OwnState(NOW_S - 0.03, 1.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0)
+    status = VehicleStatus(
+        NOW_S - 0.7, armed=True, mode=Mode.EXTERNAL, landed=Landed.IN_AIR, ready_to_arm=True
+    )
+    found = row(Out(view(own=own, status=status)))
+    assert found.own_age_s == pytest.approx(0.03)
+    assert found.link_age_s == pytest.approx(0.7)
+    assert math.isnan(found.target_age_s)
+    assert (found.armed, found.mode, found.landed) == (True, Mode.EXTERNAL, Landed.IN_AIR)
+    assert (found.own_valid, found.target_valid, found.link_valid) == (True, False, True)
+    assert (found.overruns, found.feed_dropped, found.reason) == (3, 4, "because")
+    nothing = row(Out(view()))
+    assert all(map(math.isnan, (nothing.own_age_s, nothing.target_age_s, nothing.link_age_s)))
+    assert (nothing.armed, nothing.mode) == (False, Mode.UNKNOWN)
+
+
+@pytest.mark.parametrize(
+    ("age_s", "known"), [(0.0, True), (BATTERY_AGE_MAX_S, True), (BATTERY_AGE_MAX_S + 0.1, False)]
+)
+def test_an_old_battery_state_is_none(age_s, known):
+    found = row(Out(view()), Battery(NOW_S - age_s, 3.8, 0.5))
+    if known:
+        assert (found.battery_v, found.battery_share) == (3.8, 0.5)
+    else:
+        assert math.isnan(found.battery_v)
+        assert math.isnan(found.battery_share)
+
+
+@pytest.mark.parametrize(
+    ("millivolts", "percent", "expected"),
+    [(3870, 90, (3.87, 0.9)), (0xFFFF, -1, (None, None)), (0, 0, (0.0, 0.0))],
+)
+def test_the_battery_as_sys_status_says_it(millivolts, percent, expected):
+    state = VehicleState(PX4)
+    assert state.battery is None
+    message = mav.MAVLink_sys_status_message(0, 0, 0, 0, millivolts, -1, percent, 0, 0, 0, 0, 0, 0)
+    state.update(message, 7.0)
+    assert state.battery == Battery(7.0, *expected)
+
+
+ROOT = Path(__file__).parents[3]
+CONFIG = load("crazyflie")
+STAMP = 1_700_000_000_000_000_000
+
+
+@pytest.fixture
+def wires():
+    opened = []
+
+    def open_wires(target="cf1/target/odom", kind=TargetType.ODOMETRY, **plan):
+        opened.append(ZenohWires(CONFIG, ZenohPlan(TargetSpec.parse(target, kind), **plan)))
+        return opened[-1]
+
+    yield open_wires
+    for one in opened:
+        one.close()
+
+
+def test_a_target_of_ros_is_on_the_network_of_ros(wires):
+    with ros.network() as (endpoint, ours, _):
+        ours_ = wires("ros2:/odom", ros2=Ros2Network(endpoint))
+        put = zenoh_link.dropping_publisher(
+            ours, "0/odom/nav_msgs::msg::dds_::Odometry_/TypeHashNotSupported"
+        )
+        until(lambda: zenoh_link.is_matched(put), "the subscription")
+        put.put(ros.odometry(STAMP, "odom", "base_footprint"))
+        samples = []
+        until(lambda: samples.extend(ours_.odometry.poll()) or samples, "the sample")
+        [text, other] = ours_.texts(0.0)
+        assert "frame_id is 'odom', checks.target_frame is 'map'" in text
+        assert "checks.target_child_frame is 'target'" in other
+        assert zenoh_link.transports(ours_.session) == 0  # what is flown by has nothing to do with it
+
+
+def test_without_one_it_is_on_the_flight_s_own_session(wires):
+    with ros.network() as (endpoint, ours, _):
+        plain = wires("ros2dds:/odom", connect=[endpoint])
+        put = zenoh_link.dropping_publisher(ours, "odom")
+        until(lambda: zenoh_link.is_matched(put), "the subscription")
+        [text] = plain.texts(0.0)
+        assert "is a router, and we are its peer" in text
+        payload = ros.odometry(STAMP, "map", "target")
+        put.put(payload)
+        samples = until(plain.odometry.poll, "the sample")
+        assert [one.payload for one in samples] == [payload]
+
+
+def test_a_robot_that_is_not_there_is_told_in_real_time_alone(wires):
+    for lockstep in (False, True):
+        dialling = wires(connect=[ros.free_endpoint()], lockstep=lockstep)
+        assert dialling.texts(0.0) == []
+        texts = dialling.texts(PATIENCE_S + 1.0)
+        assert [("no connection to" in text) for text in texts] == ([] if lockstep else [True])
+
+
+def test_a_door_to_the_network_without_rules_is_told_once(wires):
+    port = ros.free_endpoint().rsplit(":", 1)[1]
+    open_door = wires(listen=[f"tcp/0.0.0.0:{port}"])
+    [text] = open_door.texts(0.0)
+    assert f"listens on tcp/0.0.0.0:{port} without rules" in text
+    assert open_door.texts(0.01) == []
+    assert wires().texts(0.0) == []
+
+
+@pytest.mark.parametrize(
+    ("target", "kind"), [("ros2:/odom", TargetType.ODOMETRY), ("cf1/target/pose", TargetType.POSE)]
+)
+def test_lockstep_is_with_the_simulated_target(wires, target, kind):
+    with pytest.raises(ValueError, match="in lockstep"):
+        wires(target, kind, lockstep=True)
+
+
+def run(*words):
+    return subprocess.run(
+        [sys.executable, "-m", "flightstack.cli.main", *words],
+        cwd=ROOT, capture_output=True, text=True, timeout=120.0, check=False,
+    )  # fmt: skip
+
+
+ONBOARD = ("onboard", "--vehicle", "udpout:127.0.0.1:9", "--config", "crazyflie")
+CLIENT = ("--zenoh-config", "docs/how_to/zenoh/client.json5")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        ((*ONBOARD, "--target", "ros2:odom"), 2, "for example /odom"),
+        ((*ONBOARD, "--target", "ros2:/1/odom"), 2, "not by a digit"),
+        ((*ONBOARD, "--target", "a//b"), 2, "cf1/target/odom"),
+        ((*ONBOARD, "--target", "ros2:/odom", "--lockstep"), 2, "in lockstep"),
+        ((*ONBOARD, "--target-type", "twist"), 2, "pose-covariance"),
+        ((*ONBOARD, "--ros-domain", "300"), 2, "0<=x<=232"),
+        ((*ONBOARD, "--ros2", "localhost"), 2, "tcp/127.0.0.1:7447"),
+        ((*ONBOARD, "--zenoh-config", "pyproject.toml"), 2, "Zenoh configuration pyproject.toml"),
+        ((*ONBOARD, *CLIENT, "--listen", "tcp/127.0.0.1:0"), 2, "cannot listen"),
+        (("target", "--scenario", "straight", "--namespace", "1", "--ros2", "{router}"), 2, "not by a digit"),
+        (("watch", "--once", "--zenoh-config", "no.json5"), 2, "does not exist"),
+    ],
+)  # fmt: skip
+def test_wrong_words_are_refused_with_what_is_allowed(words, status, said):
+    with ros.network(0) as (endpoint, _):
+        done = run(*(word.replace("{router}", endpoint) for word in words))
+    assert (done.returncode, "Traceback" in done.stderr) == (status, False), done.stderr
+    assert said in done.stderr
+
+
+def test_a_router_of_ros_that_is_not_there_is_said_before_the_flight():
+    done = run(*ONBOARD, "--ros2", ros.free_endpoint())
+    assert done.returncode == 2
+    assert "is the router there" in done.stderr

@@ -5,18 +5,17 @@ from dataclasses import replace
 
 import pytest
 
-from flightstack.common.strict_toml import from_table
 from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import high_enough_m, start_point
 from flightstack.core.mission.machine import Mission
 from flightstack.core.mission.phases import Condition
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.snapshot import snapshot
 from flightstack.core.strategies.robust import COMMANDED_SHARE, DRIFT_SHARE, STOPPED_SHARE
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import Inputs, Landed, Mode, Operator, OwnState, Phase, VehicleStatus
+from tests.unit.core.core_helpers import config
 
 NOW_S = 100.0
 STILL = (0.0, 0.0, 0.0)
@@ -24,14 +23,12 @@ PAD = (3.0, -2.0, 0.2)
 C = Condition
 
 
-def config(filter="robust", **sections):
-    sections.setdefault("takeoff", {"start_offset_m": [-1.4, 0.5, 0.72]})
-    return from_table(
-        FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, **sections}
-    )
+def starting(filter="robust", **sections):
+    """A configuration with a point where the landing begins."""
+    return config(filter, takeoff={"start_offset_m": [-1.4, 0.5, 0.72]}, **sections)
 
 
-ROBUST, PAPER = config(), config("paper")
+ROBUST, PAPER = starting(), starting("paper")
 BARRIER = ROBUST.barrier.build()
 
 
@@ -209,7 +206,7 @@ def test_the_papers_touchdown_rule():
     assert not touch(PAPER, (0.0, 0.0, 0.051))
     assert not touch(PAPER, (0.03, 0.0, 0.9 * BARRIER.height(0.03)))  # outside the cone
     assert touch(PAPER, (0.03, 0.0, 1.01 * BARRIER.height(0.03)))
-    wide = config("paper", touchdown={"height_m": 0.2, "pad_radius_m": 0.05})
+    wide = starting("paper", touchdown={"height_m": 0.2, "pad_radius_m": 0.05})
     assert touch(wide, (0.049, 0.0, 0.15))
     assert not touch(wide, (0.051, 0.0, 0.15))
     # how fast and how certain does not matter to it

@@ -7,29 +7,22 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from flightstack.common.strict_toml import from_table
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission import guidance
 from flightstack.core.mission.conditions import TAKEOFF_DONE, high_enough_m
 from flightstack.core.mission.guidance import NominalCommand as Command
 from flightstack.core.mission.guidance import Situation, nominal_command
 from flightstack.core.mission.machine import Mission
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.strategies.robust import BRAKING
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, Request, VehicleStatus
+from tests.unit.core.core_helpers import config
 
 PAD = (3.0, -2.0, 0.2)
 MOVING = (0.1, -0.05, 0.02)
-
-
-def config(filter="robust", **sections):
-    return from_table(
-        FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, **sections}
-    )
 
 
 ROBUST, PAPER = config(), config("paper")

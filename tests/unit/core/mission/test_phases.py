@@ -1,11 +1,311 @@
-"""The phase table: what must hold in every phase and for every word of conditions."""
+"""Every set of conditions in every phase, 2^23 of them, against a second writing of the rules."""
 
 import random
 
+import numpy as np
 import pytest
 
-from flightstack.core.mission.phases import TABLE, Condition, next_phase
+from flightstack.core.memory import AbortWay
+from flightstack.core.mission.phases import ABORT_TABLE, TABLE, Condition, next_phase, next_way
 from flightstack.core.types import Phase
+
+BITS = len(Condition) - 3  # the ways of aborting alone ask for the last ones
+FINAL = (Phase.LANDED, Phase.ABORT)
+GOING_ON = [p for p in Phase if p not in FINAL]
+STAY = (None, "")
+
+
+class Word:
+    """All words at once, or those given: ``word.armed`` is an array of booleans."""
+
+    def __init__(self, words):
+        self.words = words
+
+    def __getattr__(self, name):
+        return self.words & Condition[name.upper()] != 0
+
+
+def everything():
+    """All words, in pieces small enough for a cache."""
+    piece = 1 << 18
+    for start in range(0, 1 << BITS, piece):
+        yield np.arange(start, start + piece, dtype=np.int32)
+
+
+def operator(w):
+    return [
+        (w.emergency, Phase.ABORT, "emergency stop"),
+        (w.abort_asked, Phase.ABORT, "abort asked by the operator"),
+    ]
+
+
+def in_flight(w):
+    return [
+        *operator(w),
+        (w.was_armed & ~w.armed & ~w.link_lost, Phase.ABORT, "disarmed by someone else"),
+        (w.was_external & ~w.external & ~w.link_lost, Phase.ABORT, "mode changed by someone else"),
+        (w.command_failed, Phase.ABORT, "the vehicle refused a command"),
+        (w.not_following, Phase.ABORT, "the vehicle does not fly what it is told"),
+    ]
+
+
+def inputs(w):
+    return [
+        (w.own_lost, Phase.HOLD, "own state lost"),
+        (w.link_lost, Phase.HOLD, "heartbeat lost"),
+        (w.target_lost, Phase.HOLD, "target lost"),
+    ]
+
+
+def expected_rules(phase, w):
+    """The phase rules of docs/how_it_works/method.md on arrays; the first that holds counts."""
+    again = w.recovered & w.retries_left
+    match phase:
+        case Phase.WAIT:
+            return [
+                *operator(w),
+                (w.command_failed, Phase.ABORT, "the vehicle refused a command"),
+                (w.phase_time_over, Phase.ABORT, "inputs did not become ready in time"),
+                (w.ready & w.external & ~w.standing, Phase.APPROACH, "flying and all inputs fresh"),
+                (w.ready & w.standing, Phase.TAKEOFF, "all inputs fresh"),
+            ]
+        case Phase.TAKEOFF:
+            return [
+                *in_flight(w),
+                *inputs(w),
+                (w.phase_time_over, Phase.ABORT, "start not reached in time"),
+                (w.at_start & w.external, Phase.APPROACH, "start reached"),
+            ]
+        case Phase.APPROACH:
+            return [
+                *in_flight(w),
+                *inputs(w),
+                (w.landing_time_over, Phase.ABORT, "landing took too long"),
+                (w.over_pad, Phase.LAND, "inside the descending cone"),
+            ]
+        case Phase.LAND:
+            return [
+                *in_flight(w),
+                *inputs(w),
+                (w.landing_time_over, Phase.ABORT, "landing took too long"),
+                (w.touch, Phase.TOUCHDOWN, "touchdown rule met"),
+                (~w.over_pad, Phase.APPROACH, "left the descending cone"),
+            ]
+        case Phase.TOUCHDOWN:
+            return [
+                *operator(w),
+                (w.was_armed & ~w.armed & ~w.link_lost, Phase.LANDED, "motors off"),
+                (w.own_lost, Phase.ABORT, "own state lost at touchdown"),
+                (w.not_following, Phase.ABORT, "the vehicle does not fly what it is told"),
+                (w.drifted & w.retries_left, Phase.APPROACH, "going to miss the pad: go around"),
+                (w.drifted, Phase.ABORT, "going to miss the pad, and no retry left"),
+                (w.phase_time_over, Phase.ABORT, "no contact, or motors did not stop"),
+            ]
+        case Phase.HOLD:
+            return [
+                *in_flight(w),
+                (again & w.started, Phase.APPROACH, "inputs good again"),
+                (again, Phase.TAKEOFF, "inputs good again"),
+                (w.phase_time_over & w.own_lost, Phase.ABORT, "own state stayed lost"),
+                (w.phase_time_over & w.link_lost, Phase.ABORT, "heartbeat stayed lost"),
+                (w.phase_time_over, Phase.CLIMB, "target stayed lost"),
+            ]
+        case Phase.CLIMB:
+            return [
+                *in_flight(w),
+                (w.own_lost, Phase.ABORT, "own state lost in the climb"),
+                (w.link_lost, Phase.ABORT, "heartbeat lost in the climb"),
+                (again & w.high_enough & w.started, Phase.APPROACH, "target back"),
+                (again & w.high_enough & ~w.started, Phase.TAKEOFF, "target back"),
+                (w.phase_time_over, Phase.ABORT, "target did not come back"),
+            ]
+    return []
+
+
+def outcomes(phase):
+    """Every ``(to, reason)`` of both writings, numbered; 0 is to stay."""
+    names = {STAY: 0}
+    for rule in TABLE[phase]:
+        names.setdefault((rule.to, rule.reason), len(names))
+    for _, to, reason in expected_rules(phase, Word(np.zeros(1, np.int32))):
+        names.setdefault((to, reason), len(names))
+    return names
+
+
+def expected(phase, words, names):
+    rules = expected_rules(phase, Word(words))
+    if not rules:
+        return np.zeros(len(words), np.int8)
+    return np.select(
+        [c for c, _, _ in rules], [np.int8(names[to, why]) for _, to, why in rules], default=np.int8(0)
+    )
+
+
+def tabled(phase, words, names):
+    """The table itself, evaluated from its last rule to its first."""
+    found = np.zeros(len(words), np.int8)
+    for rule in reversed(TABLE[phase]):
+        fires = (words & rule.when == rule.when) & (words & rule.unless == 0)
+        found[fires] = names[rule.to, rule.reason]
+    return found
+
+
+def mentioned(phase):
+    """All words of the conditions that the phase's rules ask for, the others clear and the others set."""
+    mask = 0
+    for rule in TABLE[phase]:
+        mask |= rule.when | rule.unless
+    bits = [1 << n for n in range(BITS) if mask >> n & 1]
+    for number in range(1 << len(bits)):
+        word = sum(bit for n, bit in enumerate(bits) if number >> n & 1)
+        yield word
+        yield word | ((1 << BITS) - 1) & ~mask
+
+
+def test_conditions_are_one_bit_each_and_phases_are_numbered_as_in_the_log():
+    assert [int(c) for c in Condition] == [1 << n for n in range(BITS + 3)]
+    assert len(Condition.__members__) == BITS + 3 == 26
+    asked = 0
+    for rules in TABLE.values():
+        for rule in rules:
+            asked |= rule.when | rule.unless | rule.about
+    assert asked < 1 << BITS
+    assert [(p.name, int(p)) for p in Phase] == [
+        ("WAIT", 0), ("TAKEOFF", 1), ("APPROACH", 2), ("LAND", 3), ("TOUCHDOWN", 4), ("LANDED", 5),
+        ("HOLD", 6), ("CLIMB", 7), ("ABORT", 8),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_the_table_says_what_was_meant_for_every_word(phase):
+    names = outcomes(phase)
+    for words in everything():
+        assert np.array_equal(tabled(phase, words, names), expected(phase, words, names))
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_the_machine_does_what_the_table_says(phase):
+    names = outcomes(phase)
+    chance = random.Random(int(phase))
+    asked = [chance.getrandbits(BITS) for _ in range(20_000)] + list(mentioned(phase))
+    meant = expected(phase, np.array(asked, np.int32), names)
+    rules = [next_phase(phase, word) for word in asked]
+    found = [names[STAY if rule is None else (rule.to, rule.reason)] for rule in rules]
+    assert np.array_equal(found, meant)
+
+
+def test_the_emergency_stop_ends_every_phase_in_one_step_whatever_else_is_true():
+    for phase in GOING_ON:
+        names = outcomes(phase)
+        stop = names[Phase.ABORT, "emergency stop"]
+        for words in everything():
+            stopped = words[words & Condition.EMERGENCY != 0]
+            assert (tabled(phase, stopped, names) == stop).all()
+
+
+def test_nothing_leaves_the_end():
+    for phase in FINAL:
+        assert TABLE[phase] == ()
+        chance = random.Random(7)
+        assert all(next_phase(phase, chance.getrandbits(BITS)) is None for _ in range(20_000))
+        assert next_phase(phase, 0) is next_phase(phase, (1 << BITS) - 1) is None
+
+
+def reachable(start, allowed):
+    """Phases that some row of words leads to, ``allowed`` choosing the words."""
+    found, new = set(), {start}
+    while new:
+        phase = new.pop()
+        found.add(phase)
+        names = outcomes(phase)
+        places = {number: to for (to, _), number in names.items()}
+        for words in everything():
+            for number in np.unique(tabled(phase, words[allowed(words)], names)):
+                if number and places[number] not in found:
+                    new.add(places[number])
+    return found
+
+
+def test_without_retries_no_second_attempt_begins():
+    def spent(words):
+        return words & Condition.RETRIES_LEFT == 0
+
+    for phase in (Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN):
+        assert reachable(phase, spent) <= {phase, Phase.CLIMB, *FINAL}
+
+
+def test_every_way_back_into_the_landing_asks_for_a_retry():
+    tries = {Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN}
+    back = [r for phase in tries for r in TABLE[phase] if r.to in (Phase.APPROACH, Phase.TAKEOFF, Phase.LAND)]
+    assert len(back) == 5
+    assert all(rule.when & Condition.RETRIES_LEFT for rule in back)
+    # what else goes round is approach and land, and that has a time limit of its own
+    for phase in (Phase.APPROACH, Phase.LAND):
+        assert any(r.when == Condition.LANDING_TIME_OVER and r.to is Phase.ABORT for r in TABLE[phase])
+
+
+def test_no_flight_lasts_for_ever():
+    """Each phase of flight has a limit of its time that leads out of it, whatever else is true."""
+    limits = {
+        Phase.WAIT: Condition.PHASE_TIME_OVER, Phase.TAKEOFF: Condition.PHASE_TIME_OVER,
+        Phase.APPROACH: Condition.LANDING_TIME_OVER, Phase.LAND: Condition.LANDING_TIME_OVER,
+        Phase.TOUCHDOWN: Condition.PHASE_TIME_OVER, Phase.HOLD: Condition.PHASE_TIME_OVER,
+        Phase.CLIMB: Condition.PHASE_TIME_OVER,
+    }  # fmt: skip
+    assert set(limits) == set(GOING_ON)
+    for phase, limit in limits.items():
+        names = outcomes(phase)
+        for words in everything():
+            assert tabled(phase, words[words & limit != 0], names).all()
+
+
+def way_of(w):
+    """How an abort ends the flight, written as one would say it; ``w`` holds names of conditions."""
+    if "EMERGENCY" in w:
+        return AbortWay.MOTORS_OFF
+    if "WAS_ARMED" not in w:
+        return AbortWay.HANDS_OFF
+    if "ARMED" not in w:
+        return AbortWay.HANDS_OFF if "STANDING" in w else AbortWay.LAND_HERE
+    if "STANDING" in w:
+        return AbortWay.LAND_HERE
+    if "WAS_EXTERNAL" in w and not w & {"EXTERNAL", "LINK_LOST"}:
+        return AbortWay.HANDS_OFF
+    if w & {"LAND_ASKED", "OWN_LOST", "LINK_LOST", "COMMAND_FAILED", "NOT_FOLLOWING", "ON_PAD"}:
+        return AbortWay.LAND_HERE
+    return AbortWay.FLY_CLEAR if "TARGET_KNOWN" in w else AbortWay.LAND_HERE
+
+
+ASKED_OF_WAYS = [
+    Condition.EMERGENCY, Condition.WAS_ARMED, Condition.ARMED, Condition.STANDING, Condition.WAS_EXTERNAL,
+    Condition.EXTERNAL, Condition.LINK_LOST, Condition.LAND_ASKED, Condition.OWN_LOST,
+    Condition.COMMAND_FAILED, Condition.NOT_FOLLOWING, Condition.TARGET_KNOWN, Condition.ON_PAD,
+]  # fmt: skip
+
+
+def test_an_abort_ends_the_flight_as_was_meant_for_every_set_of_conditions():
+    others = (1 << len(Condition)) - 1 & ~sum(ASKED_OF_WAYS)
+    for number in range(1 << len(ASKED_OF_WAYS)):
+        chosen = [c for n, c in enumerate(ASKED_OF_WAYS) if number >> n & 1]
+        meant = way_of({c.name for c in chosen})
+        for flags in (sum(chosen), sum(chosen) | others):
+            assert next_way(AbortWay.NONE, flags).to is meant
+
+
+def test_an_abort_changes_its_way_only_where_a_person_asks_for_more():
+    assert set(ABORT_TABLE) == set(AbortWay)
+    for number in range(1 << len(ASKED_OF_WAYS)):
+        flags = sum(c for n, c in enumerate(ASKED_OF_WAYS) if number >> n & 1)
+        for way in (AbortWay.HANDS_OFF, AbortWay.LAND_HERE, AbortWay.FLY_CLEAR):
+            rule = next_way(way, flags)
+            if flags & Condition.EMERGENCY:
+                assert (rule.to, rule.reason) == (AbortWay.MOTORS_OFF, "emergency stop")
+            elif way is AbortWay.FLY_CLEAR and flags & Condition.LAND_ASKED:
+                assert (rule.to, rule.reason) == (AbortWay.LAND_HERE, "ended by the operator")
+            else:
+                assert rule is None
+        assert next_way(AbortWay.MOTORS_OFF, flags) is None
+
 
 ALL = list(Condition)
 IN_FLIGHT = [Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB]

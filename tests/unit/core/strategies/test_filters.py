@@ -11,9 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flightstack.common.strict_toml import from_table
 from flightstack.core.memory import MotionMemory, TrackingMemory
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.snapshot import Snapshot
@@ -22,13 +20,10 @@ from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import Inputs, OwnState, TargetSample
 from tests.point_mass import World
+from tests.unit.core.core_helpers import config
 
 SHAPE = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}}
 CONE = Barrier(1.0, 1.5)
-
-
-def config(**sections):
-    return from_table(FlightConfig, {**SHAPE, **sections})
 
 
 def robust(**sections):

@@ -7,10 +7,9 @@ import sys
 import pytest
 
 from examples.own_filter import Cone, ConeFilter
-from flightstack.common.strict_toml import ConfigError, from_table
+from flightstack.common.strict_toml import ConfigError
 from flightstack.config.files import load
 from flightstack.core.parameters.filters import FILTERS, look_here, named, short_name
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import (
     Strategy,
     packaged_strategy_of,
@@ -20,6 +19,7 @@ from flightstack.core.strategies.strategy import (
 from flightstack.core.types import FilterStatus, Phase
 from flightstack.verify.certificate import checks, problems
 from tests.point_mass import World
+from tests.unit.core.core_helpers import config
 
 CONE = "examples.own_filter:ConeFilter"
 # a module outside the package that says when it is imported, and a filter that lacks nearly everything
@@ -36,13 +36,6 @@ class Picky(PaperFilter):
     def check_config(config):
         raise ConfigError("barrier.omega_1_s: found 0.7, a prime number is needed")
 """
-
-
-def config(filter):
-    return from_table(
-        FlightConfig,
-        {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, "touchdown": {"rule": "contact"}},
-    )
 
 
 @pytest.fixture

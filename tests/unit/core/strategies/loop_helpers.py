@@ -1,11 +1,55 @@
-"""A configuration with fed-back velocity, and its loop flown behind a target by the code's own ticks."""
+"""A vehicle's velocity loop as a plant: references flown with it, and a target followed."""
 
 import numpy as np
+from scipy.linalg import expm
 
+from flightstack.core.parameters.robust import VelocityLoop
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.core.types import ZERO
-from tests.unit.core.target.tracking_helpers import Plant
 from tests.unit.verify.certificate_helpers import config
+
+T_S = 0.01
+LOOP = VelocityLoop()
+WIDE = (5.0, 5.0, 5.0)
+AXES = (0, 1, 2)
+
+
+class Plant:
+    """Second order on each axis, carried exactly from tick to tick: v'' = w^2 (u + push - v) - 2 z w v'."""
+
+    def __init__(self, loop=LOOP, rate=1.0, damping=1.0, push=ZERO):
+        rates = (loop.rate_xy_1_s, loop.rate_xy_1_s, loop.rate_z_1_s)
+        self.state, self.push, self.steps = [np.zeros(2) for _ in AXES], push, []
+        for w in (rate * r for r in rates):
+            block = np.zeros((3, 3))
+            block[0, 1], block[1] = 1.0, (-w * w, -2.0 * damping * loop.damping * w, w * w)
+            self.steps.append(expm(block * T_S))
+
+    @property
+    def velocity(self):
+        return tuple(float(s[0]) for s in self.state)
+
+    def fly(self, setpoint):
+        for axis, (step, u, push) in enumerate(zip(self.steps, setpoint, self.push, strict=True)):
+            self.state[axis] = step[:2, :2] @ self.state[axis] + step[:2, 2] * (u + push)
+
+
+def flown(references, plant, tracking=None, most=WIDE):
+    """Fly references tick by tick; returns the tracker, set-points and velocities."""
+    tracking = tracking or VelocityTracking(LOOP, T_S)
+    before, setpoints, velocities = references[0], [], []
+    for reference in references:
+        tracking.observe(plant.velocity, commanding=bool(setpoints))
+        setpoints.append(tracking.command(before, reference, plant.velocity, most))
+        plant.fly(setpoints[-1])
+        velocities.append(plant.velocity)
+        before = reference
+    return tracking, setpoints, np.array(velocities)
+
+
+def constant(reference, seconds=20.0):
+    return [reference] * round(seconds / T_S)
+
 
 FEEDBACK = {
     "horizontal": True, "error_rate_1_s": 4.5, "tilt_rate_1_s": 15.0, "observer_rate_1_s": 25.0,
@@ -16,7 +60,6 @@ BASE = {
     "own": {"delay_s": 0.03},
     "robust": {"gain_over_pad_1_s": 2.4},
 }
-WIDE = (50.0, 50.0, 50.0)
 
 
 def fed_back(**sections):
@@ -24,7 +67,7 @@ def fed_back(**sections):
     return config(**{**sections, **merged})
 
 
-def flown(settings, factor, accelerations, errors=None, start_m=0.0):
+def flown_behind(settings, factor, accelerations, errors=None, start_m=0.0):
     """Position against the target, m, tick by tick, of a vehicle at rest that begins ``start_m`` off.
 
     Args:
@@ -46,7 +89,7 @@ def flown(settings, factor, accelerations, errors=None, start_m=0.0):
         seen = (measured[-1 - late], 0.0, 0.0)
         tracking.observe(seen, commanding=n > 0)
         wanted = target + error - gain * position
-        setpoint = tracking.command((before, 0.0, 0.0), (wanted, 0.0, 0.0), seen, WIDE)
+        setpoint = tracking.command((before, 0.0, 0.0), (wanted, 0.0, 0.0), seen, (50.0, 50.0, 50.0))
         plant.fly(sent)  # it comes a tick late
         before, sent = wanted, setpoint
         target += period_s * acceleration

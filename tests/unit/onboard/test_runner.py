@@ -1,14 +1,18 @@
-"""The onboard process never leaves a vehicle in the air without having asked for its landing."""
+"""The sequence of a tick; a flight ends never in the air without having asked for the landing."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
 
+from bridge.target.odometry import RawSample
+from flightstack.common.pacing import Tick
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.types import Landed, Mode, Operator, Phase, VehicleStatus
+from flightstack.core.types import Inputs, Landed, Mode, Operator, Phase, VehicleStatus
 from flightstack.onboard import lockstep
 from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Leaving
 from flightstack.onboard.lockstep import Patience
+from flightstack.onboard.runner import Arrived, ClockStoppedError, Runner, Taken, VehicleInputs, decoded
 
 
 def status(mode=Mode.EXTERNAL, *, armed=True):
@@ -96,3 +100,77 @@ def test_lockstep_waits_for_others_no_longer_than_a_second(monkeypatch):
     assert not patience.over()
     now.s += 2e-6
     assert patience.over()
+
+
+class Parts:
+    """All parts of a runner, and its controller; notes who is called. The landing begins at 0.02 s."""
+
+    def __init__(self, ticks, ends_at_s=math.inf):
+        self.calls, self.taken, self.ticks, self.ends_at_s = [], [], iter(range(ticks)), ends_at_s
+        self.memory = Memory()
+        self.runner = Runner(self, self, self, self, self, self)
+
+    def wait(self):
+        for number in self.ticks:
+            self.calls.append("wait")
+            return Tick(number, 0.01 * number, number, 0.0, 0.0)
+        raise ClockStoppedError("the vehicle fell silent")
+
+    def samples(self, now_s):
+        self.calls.append("samples")
+        return Arrived(("sample",))
+
+    def read(self):
+        self.calls.append("read")
+        return VehicleInputs("own", "status", True)
+
+    def operator(self, status, now_s):
+        assert status == "status"
+        return Operator.LAND
+
+    def step(self, inputs, now_s, *, command_failed):
+        self.calls.append("step")
+        self.memory.started_s = min(self.memory.started_s, 0.02 if now_s >= 0.01 else math.inf)
+        return SimpleNamespace(now_s=now_s)
+
+    def answer(self, out, now_s):
+        assert out.now_s == now_s
+        self.calls.append("answer")
+
+    def landing_began(self, tick):
+        self.calls.append(("landing began", tick))
+
+    def write(self, tick, taken, out, exec_s):
+        assert exec_s >= 0.0
+        self.calls.append("write")
+        self.taken.append(taken)
+
+    def ended(self, out, memory, status, now_s):
+        return "over" if now_s >= self.ends_at_s else None
+
+
+def test_the_vehicle_is_answered_before_anything_is_written_and_the_target_hears_once_of_the_landing():
+    parts = Parts(4, ends_at_s=0.03)
+    assert parts.runner.run() == "over"
+    tick = ["wait", "samples", "read", "step", "answer", "write"]
+    began = [*tick[:-1], ("landing began", 2), "write"]
+    assert parts.calls == [*tick, *tick, *began, *tick]
+    assert parts.taken[0] == Taken(
+        Inputs("own", "status", ("sample",), Operator.LAND), True, Arrived(("sample",))
+    )
+
+
+def test_a_clock_that_stops_ends_the_flight_in_its_phase():
+    parts = Parts(2)
+    parts.memory.phase = Phase.APPROACH
+    assert parts.runner.run() == (Phase.APPROACH, "the vehicle fell silent", 1)
+    with pytest.raises(ClockStoppedError):
+        parts.runner.tick()
+
+
+def test_a_sample_that_cannot_be_decoded_is_a_problem_and_stays_for_the_log():
+    messages = [RawSample(b"")]
+    arrived = decoded(messages, 1.0)
+    assert (arrived.samples, arrived.messages) == ((), messages)
+    assert "target sample refused: odometry payload has 0 bytes" in arrived.problems[0]
+    assert decoded([], 1.0) == Arrived()

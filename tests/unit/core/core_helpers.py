@@ -1,0 +1,13 @@
+"""Configurations for the tests of the core."""
+
+from flightstack.common.strict_toml import from_table
+from flightstack.core.parameters.flight import FlightConfig
+
+SLOW = {"velocity_max_m_s": [0.4, 0.4, 0.5]}  # limits
+
+
+def config(filter="robust", **sections):
+    """A configuration with the paper's barrier; a section replaces the default's."""
+    return from_table(
+        FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, **sections}
+    )

@@ -1,0 +1,364 @@
+"""The controller from the ground up by set-points, down at a bounded speed, and told to land at once."""
+
+import dataclasses
+import math
+import random
+from dataclasses import replace
+
+import pytest
+
+from flightstack.core.controller import RISE_FREE_S, Controller
+from flightstack.core.memory import AbortWay
+from flightstack.core.parameters.filters import FILTERS
+from flightstack.core.types import (
+    Inputs,
+    Landed,
+    Mode,
+    Operator,
+    OwnState,
+    Phase,
+    Request,
+    TargetSample,
+    VehicleStatus,
+)
+from tests.point_mass import World
+from tests.unit.core.core_helpers import SLOW, config
+
+CONFIG = config()
+TICK_S = 1.0 / CONFIG.loop.rate_hz
+
+
+class Bench:
+    """Ticks of a controller; own state and status are what the test says."""
+
+    def __init__(self):
+        self.controller, self.tick = Controller(CONFIG), 0
+
+    @property
+    def memory(self):
+        return self.controller.memory
+
+    def step(self, z=0.0, velocity=(0.0, 0.0, 0.0), *, xy=(1.5, 0.0), operator=Operator.NONE, **said):
+        self.tick += 1
+        now_s = self.tick * TICK_S
+        word = {"armed": False, "mode": Mode.HOLD, "landed": Landed.ON_GROUND, **said}
+        status = VehicleStatus(now_s, word["armed"], word["mode"], word["landed"], True)
+        sway_m = 1e-4 * (self.tick % 2)  # no sensor repeats to the last bit
+        own = OwnState(now_s, now_s, (xy[0] + sway_m, xy[1], z), velocity, 0.0)
+        sample = TargetSample(
+            now_s, now_s, "map", "target", (sway_m, 0.0, 0.2), (0.0, 0.0, 0.0), 0.0, 0.0
+        )  # fmt: skip
+        return self.controller.step(Inputs(own, status, (sample,), operator), now_s)
+
+
+FLIES = {"armed": True, "mode": Mode.EXTERNAL, "landed": Landed.IN_AIR}
+
+
+def test_a_climb_is_sent_from_the_first_tick_and_stands_on_the_ground_without_complaint():
+    """PX4 follows only what streams, then spools up and ramps: nothing of that is a vehicle not following."""
+    bench = Bench()
+    assert bench.step().phase is Phase.TAKEOFF
+    waits = bench.step()
+    assert waits.request is Request.TAKEOFF
+    assert waits.setpoint is not None
+    assert not bench.memory.lifting  # not in the mode that follows: nothing of it is in force
+    ramps = {"armed": True, "mode": Mode.EXTERNAL}
+    sent = [bench.step(**ramps).setpoint.velocity_enu_m_s for _ in range(400)]
+    assert bench.memory.lifting
+    assert sent[-1] == pytest.approx((0.0, 0.0, CONFIG.limits.velocity_max_m_s[2]))
+    assert bench.controller.plausibility.tracking_lag_m == 0.0
+    assert bench.controller.state.tracking.disturbance_m_s == (0.0, 0.0, 0.0)
+    assert bench.memory.phase is Phase.TAKEOFF
+
+
+def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():
+    bench = Bench()
+    for _ in range(5):
+        bench.step(armed=True, mode=Mode.EXTERNAL)
+    for tick in range(100):
+        assert bench.step(0.05 + 0.0005 * tick, (0.0, 0.0, 0.05), **FLIES).request is Request.EXTERNAL
+    assert bench.controller.plausibility.tracking_lag_m == pytest.approx(0.0, abs=1e-6)
+    for tick in range(100):
+        out = bench.step(0.1, (0.4, 0.0, 0.0), xy=(1.5 + 0.004 * tick, 0.0), **FLIES)
+    assert out.phase is Phase.ABORT
+    assert bench.memory.reason.startswith("the vehicle does not fly what it is told: it lags 0.")
+
+
+def test_a_take_off_that_does_not_rise_is_given_up_once_the_ramp_must_be_over():
+    """Hops near the ground: told to climb, in the air by its own word, and never gets up."""
+    bench = Bench()
+    bench.step(armed=True, mode=Mode.EXTERNAL)
+    for tick in range(round(RISE_FREE_S / TICK_S)):
+        out = bench.step(0.02, (0.0, 0.0, 0.05 * (-1) ** tick), **FLIES)
+    assert out.phase is Phase.TAKEOFF
+    assert bench.controller.plausibility.tracking_lag_m == pytest.approx(0.0, abs=1e-6)
+    for _ in range(round(CONFIG.checks.follow_memory_s / TICK_S)):
+        out = bench.step(0.02, **FLIES)
+    assert (out.phase, out.request) == (Phase.ABORT, Request.LAND)
+    assert bench.memory.abort_way is AbortWay.LAND_HERE
+    assert bench.memory.reason.startswith("the vehicle does not fly what it is told: it lags 0.")
+
+
+def test_a_take_off_that_rises_faster_than_wanted_goes_on():
+    bench = Bench()
+    for _ in range(round(RISE_FREE_S / TICK_S) + 1):
+        bench.step(0.0, armed=True, mode=Mode.EXTERNAL)
+    most_m_s = CONFIG.limits.velocity_max_m_s[2]
+    for tick in range(20):
+        out = bench.step(0.01 * tick, (0.0, 0.0, 2.0 * most_m_s), **FLIES)
+        assert out.phase is Phase.TAKEOFF
+    assert bench.memory.lifting
+    assert bench.controller.plausibility.tracking_lag_m == pytest.approx(0.0, abs=1e-6)
+
+
+def test_high_enough_it_is_under_control_as_a_whole():
+    bench = Bench()
+    bench.step(armed=True, mode=Mode.EXTERNAL)
+    for tick in range(120):
+        out = bench.step(0.005 * tick, (0.0, 0.0, 0.5), **FLIES)
+    assert bench.memory.climbed
+    assert bench.memory.commanding
+    assert not bench.memory.lifting
+    assert out.request is Request.EXTERNAL
+
+
+def test_told_to_end_it_lands_where_it_is():
+    bench = Bench()
+    for _ in range(3):
+        bench.step(1.0, **FLIES)
+    assert bench.memory.phase is Phase.APPROACH
+    out = bench.step(1.0, operator=Operator.LAND, **FLIES)
+    assert (out.phase, out.request) == (Phase.ABORT, Request.LAND)
+    assert bench.memory.abort_way is AbortWay.LAND_HERE
+    assert bench.step(1.0, operator=Operator.LAND, **FLIES).events == ()
+
+
+def test_told_to_end_while_it_flies_clear_it_lands_and_the_emergency_stop_is_still_above():
+    bench = Bench()
+    for _ in range(3):
+        bench.step(1.0, xy=(0.5, 0.0), **FLIES)
+    bench.step(1.0, xy=(0.5, 0.0), operator=Operator.ABORT, **FLIES)
+    assert bench.memory.abort_way is AbortWay.FLY_CLEAR
+    assert bench.step(1.0, xy=(0.5, 0.0), operator=Operator.ABORT, **FLIES).events == ()
+    out = bench.step(1.0, xy=(0.5, 0.0), operator=Operator.LAND, **FLIES)
+    assert out.request is Request.LAND
+    assert [event.text for event in out.events] == ["ABORT: ended by the operator (land here)"]
+    out = bench.step(1.0, xy=(0.5, 0.0), operator=Operator.EMERGENCY_STOP, **FLIES)
+    assert out.request is Request.MOTORS_OFF
+    assert bench.step(1.0, operator=Operator.EMERGENCY_STOP, **FLIES).events == ()
+
+
+def test_the_set_point_of_the_touchdown_leads_to_a_bounded_speed():
+    """The lead for the lag alone would ask for more."""
+    bench = Bench()
+    height_m = 0.2 + CONFIG.robust.commit_height_m - 0.02
+    sent = []
+    for _ in range(200):
+        out = bench.step(height_m, xy=(0.0, 0.0), **FLIES)
+        if out.phase is Phase.TOUCHDOWN and out.setpoint is not None:
+            learned_m_s = bench.controller.state.tracking.disturbance_m_s[2]
+            sent.append(out.setpoint.velocity_enu_m_s[2] + learned_m_s)
+    most_m_s = CONFIG.robust.descent_m_s + CONFIG.robust.descent_lead_max_m_s
+    assert min(sent) == pytest.approx(-most_m_s, abs=5e-3)  # the pad's velocity is estimated
+
+
+def ruled(rule):
+    return config(limits=SLOW, touchdown={"rule": rule})
+
+
+def landed(rule, **changes):
+    world = World(ruled(rule), solid_pad=True, **changes)
+    return world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
+
+
+def height_at(world, phase):
+    """Relative height at which the phase began."""
+    return next(o.seen.e_m[2] for o in world.outputs if o.phase is phase)
+
+
+def test_by_the_papers_rule_the_motors_go_off_below_five_centimetres_inside_the_cone():
+    world = landed("paper")
+    assert world.phase is Phase.LANDED
+    off = next(o for o in world.outputs if o.request is Request.MOTORS_OFF)
+    assert 0.045 < off.seen.e_m[2] < 0.05
+    assert world.controller.barrier.h(off.seen.e_m) >= 0.0
+
+
+@pytest.mark.parametrize("says_standing", [True, False])
+def test_by_contact_they_go_off_after_it_stands(says_standing):
+    world = landed("contact", says_standing=says_standing)
+    assert world.phase is Phase.LANDED
+    assert height_at(world, Phase.TOUCHDOWN) > 0.04
+    off = next(o for o in world.outputs if o.request is Request.MOTORS_OFF)
+    assert off.seen.inputs.own.arrival_s >= world.touched_s
+    assert off.seen.inputs.own.arrival_s - world.touched_s < 0.5
+
+
+def test_a_pad_that_is_not_where_it_was_said_to_be_ends_in_an_abort():
+    world = World(ruled("contact"))  # nothing to stand on
+    world.run(60.0, until=lambda w: w.phase is Phase.ABORT)
+    assert world.phase is Phase.ABORT
+    assert any("no contact" in text for text in world.texts)
+
+
+def test_a_target_lost_in_the_last_centimetres_is_landed_on_all_the_same():
+    world = World(ruled("contact"), solid_pad=True)
+    world.fault_in(Phase.TOUCHDOWN, lambda _, inputs: replace(inputs, target_samples=()))
+    world.run(10.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
+    assert world.phase is Phase.LANDED
+    assert math.dist(world.position[:2], world.pad[:2]) < 0.1
+
+
+def blown_off(_, inputs):
+    """Seen 7 cm beside the middle and going away from it."""
+    x, y, z = inputs.target_samples[0].position_enu_m
+    vx, vy, vz = inputs.target_samples[0].velocity_enu_m_s
+    own = inputs.own
+    place = (x + 0.07, y, max(own.position_enu_m[2], z + 0.2))
+    return replace(inputs, own=replace(own, position_enu_m=place, velocity_enu_m_s=(vx + 0.5, vy, vz)))
+
+
+def test_the_robust_filter_goes_around_when_it_is_blown_off_and_lands_then():
+    world = World(ruled("contact"), solid_pad=True)
+    world.fault_in(Phase.TOUCHDOWN, blown_off, seconds=0.015)
+    out = world.step()
+    assert out.phase is Phase.APPROACH
+    assert world.controller.memory.retries == 1
+    assert out.request is Request.EXTERNAL
+    world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
+    assert world.phase is Phase.LANDED
+
+
+def test_a_new_descent_forgets_what_the_last_one_had_begun_to_see():
+    """Not sinking for a moment, then around: in the next descent that moment is long ago, but it is over."""
+
+    def stopped(w, inputs):
+        return replace(inputs, own=replace(inputs.own, velocity_enu_m_s=(*w.velocity[:2], 0.0)))
+
+    world = World(ruled("contact"), solid_pad=True)
+    world.fault_in(Phase.TOUCHDOWN, stopped, seconds=1.0)
+    memory = world.controller.memory
+    world.run(1.0, until=lambda _: memory.stopped_since_s < math.inf)
+    world.fault, world.fault_from_s = blown_off, world.t_s
+    world.run(0.1, until=lambda w: w.phase is not Phase.TOUCHDOWN)
+    assert world.phase is Phase.APPROACH
+    assert memory.stopped_since_s < world.t_s
+    memory.contact_since_s = memory.stopped_since_s  # as after a touch of the pad's edge
+    world.fault = None
+    world.run(60.0, until=lambda w: w.phase is Phase.TOUCHDOWN)
+    assert world.phase is Phase.TOUCHDOWN
+    assert memory.stopped_since_s == memory.contact_since_s == math.inf
+    world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
+    assert world.phase is Phase.LANDED
+
+
+def test_it_goes_around_no_more_often_than_allowed_and_then_flies_clear():
+    world = World(ruled("contact"), solid_pad=True)
+    world.fault = lambda w, inputs: blown_off(w, inputs) if w.phase is Phase.TOUCHDOWN else inputs
+    world.fault_from_s = 0.0
+    world.run(90.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
+    assert world.phase is Phase.ABORT
+    assert world.controller.memory.retries == world.config.checks.retries_max
+    assert sum("go around" in text for text in world.texts) == world.config.checks.retries_max
+    assert any("no retry left" in text for text in world.texts)
+
+
+def test_the_papers_filter_does_not_go_around():
+    world = World(replace(ruled("contact"), filter="paper"), solid_pad=True)
+    world.fault_in(Phase.TOUCHDOWN, blown_off, seconds=0.015)
+    assert world.step().phase is Phase.TOUCHDOWN
+
+
+@pytest.mark.parametrize("end", [Phase.LANDED, Phase.ABORT])
+def test_nothing_that_comes_in_leads_out_of_the_end(end):
+    world = World(ruled("contact"), solid_pad=end is Phase.LANDED)
+    world.run(60.0, until=lambda w: w.phase is end)
+    assert world.phase is end
+    chance = random.Random(9)
+    for _ in range(2000):
+        world.armed, world.mode = chance.random() < 0.5, chance.choice(list(Mode))
+        world.landed = chance.choice(list(Landed))
+        world.position = tuple(chance.uniform(-1.0, 2.0) for _ in range(3))
+        inputs = world.inputs()
+        if chance.random() < 0.2:
+            inputs = replace(inputs, target_samples=())
+        if chance.random() < 0.2:
+            inputs = replace(inputs, operator=Operator.ABORT)
+        out = world.controller.step(inputs, world.t_s, command_failed=chance.random() < 0.1)
+        world.t_s += 0.05
+        assert out.phase is end
+        if end is Phase.LANDED:
+            assert (out.setpoint, out.request) == (None, Request.NONE)
+
+
+BAD = (math.nan, math.inf, -math.inf)
+GOOD = OwnState(1.0, 2.0, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.7)
+TIMES = ("started_s", "own_ok_s", "offset_s", "time_s")  # infinite or NaN before they are known
+UNSET = "ground_z_m"  # it never stood
+
+
+def spoiled(own, field, axis, bad):
+    """The own state with one number replaced."""
+    value = getattr(own, field)
+    if isinstance(value, tuple):
+        bad = (*value[:axis], bad, *value[axis + 1 :])
+    return replace(own, **{field: bad})
+
+
+def numbers(value):
+    """Every number of a tree of states, but for times and what is not known in this flight."""
+    if dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            if field.name != UNSET and not field.name.endswith("since_s") and field.name not in TIMES:
+                yield from numbers(getattr(value, field.name))
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from numbers(item)
+    elif isinstance(value, float):
+        yield value
+
+
+FIELDS = [("velocity_enu_m_s", axis) for axis in range(3)] + [("position_enu_m", axis) for axis in range(3)]
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize(("field", "axis"), [*FIELDS, ("yaw_rad", 0), ("arrival_s", 0)])
+def test_one_number_is_enough(field, axis, bad):
+    assert GOOD.is_finite
+    assert not spoiled(GOOD, field, axis, bad).is_finite
+    if field.endswith(("_m", "_m_s")):
+        other = spoiled(GOOD, field, (axis + 1) % 3, -bad)
+        assert not spoiled(other, field, axis, bad).is_finite  # nor do two of them cancel
+
+
+@pytest.mark.parametrize("kind", FILTERS)
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+@pytest.mark.parametrize(("field", "axis"), [("velocity_enu_m_s", 2), ("position_enu_m", 0), ("yaw_rad", 0)])
+def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, field, axis, bad):
+    """Longer than the age limit: it holds like after any loss of the own state, and lands then."""
+    world = World(config(kind, limits=SLOW), solid_pad=True)
+    world.run(0.5)
+    learned = world.controller.state.tracking.disturbance_m_s
+    world.fault = lambda _, inputs: replace(inputs, own=spoiled(inputs.own, field, axis, bad))
+    world.fault_from_s, world.fault_to_s = world.t_s, world.t_s + 0.25
+    began = len(world.outputs)
+    while world.t_s < world.fault_to_s:
+        out = world.step()
+        assert out.seen.inputs.own is None
+        assert out.setpoint is None
+        assert all(map(math.isfinite, numbers(world.controller.state)))
+    assert world.controller.state.tracking.disturbance_m_s == learned
+    assert Phase.HOLD in {out.phase for out in world.outputs[began:]}
+    world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
+    assert world.phase is Phase.LANDED
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_a_flight_that_begins_with_it_takes_no_heading_from_it(bad):
+    world = World(config(limits=SLOW))
+    world.fault = lambda _, inputs: replace(inputs, own=replace(inputs.own, yaw_rad=bad))
+    world.fault_from_s, world.fault_to_s = 0.0, 0.1
+    world.run(0.1)
+    assert world.controller.memory.yaw_rad is None
+    world.run(0.1)
+    assert world.controller.memory.yaw_rad == 0.0
