@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console, Group
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from logs.reader.flight import load_flight
@@ -38,10 +38,7 @@ def verdict_table(values: Mapping[str, Any], reason: str) -> Group:
     """Return the values of ``logs.verdict.verdict.verdict_result`` as a table; "-" for what is not known."""
     told = {name: values[name] for name in _ABOUT if values.get(name) is not None}
     title = ", ".join(f"{name} {value}" for name, value in told.items())
-    table = Table()
-    table.add_column("result")
-    table.add_column("value", justify="right")
-    table.add_column("unit")
+    table = Table("result", Column("value", justify="right"), "unit")
     for name, key, unit in _ROWS:
         value = values[key]
         shown = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)

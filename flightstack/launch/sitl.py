@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from flightstack.common.processes import LaunchError
 from flightstack.common.strict_toml import ConfigError, dumps
@@ -248,9 +248,7 @@ def _median(rows: Sequence[Row], key: str) -> float | None:
 
 
 def _table(rows: Sequence[Row]) -> Table:
-    table = Table()
-    for name, _ in _COLUMNS:
-        table.add_column(name, justify="right")
+    table = Table(*(Column(name, justify="right") for name, _ in _COLUMNS))
     for row in rows:
         table.add_row(*(_shown(row.get(key)) for _, key in _COLUMNS))
     return table

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.panel import Panel
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from bridge.zenoh import zenoh_link
@@ -118,9 +118,9 @@ def _h_bar(h_m: float, fresh: bool) -> Text:
 
 
 def _velocities(step: ControllerStepRow, fresh: bool) -> Table:
-    table = Table(box=None, padding=(0, 2), header_style="dim", style="none" if fresh else "dim")
-    for column in ("velocity, m/s", "east", "north", "up"):
-        table.add_column(column, justify="left" if "velocity" in column else "right")
+    axes = (Column(axis, justify="right") for axis in ("east", "north", "up"))
+    style = "none" if fresh else "dim"
+    table = Table("velocity, m/s", *axes, box=None, padding=(0, 2), header_style="dim", style=style)
     none = (math.nan,) * 3
     for name, values in (
         ("nominal", step.nominal_enu_m_s),

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight.rules import Level
@@ -90,11 +90,9 @@ def to_json(report: Report) -> dict[str, Any]:
 def _print(report: Report) -> None:
     console = Console(highlight=False)
     if report.profile is not None:
-        table = Table(
-            title=f"{report.profile.title}, release {report.version or 'not told'}", title_justify="left"
-        )
-        for name in ("parameter", "value", "is", "wanted", "why"):
-            table.add_column(name, overflow="fold")
+        title = f"{report.profile.title}, release {report.version or 'not told'}"
+        columns = (Column(name, overflow="fold") for name in ("parameter", "value", "is", "wanted", "why"))
+        table = Table(*columns, title=title, title_justify="left")
         for finding in report.findings:
             value = "missing" if finding.value is None else f"{finding.value:g}"
             style = _STYLE[finding.level]

@@ -8,14 +8,13 @@ import signal
 import sys
 from collections import Counter
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from flightstack.cli import options as shared
 from flightstack.cli.options import takes
@@ -65,12 +64,14 @@ def campaign(options: CampaignOptions) -> None:
     Exit status: 0 complete, whatever the result, 1 landings are missing or a --require is not met, 2 wrong
     input.
     """
+    from flightstack.onboard.recording import new_folder
     from sim.campaign import run as core
     from sim.campaign.cluster import ClusterError
     from sim.campaign.workers import WorkersError
 
     wanted = core.plan(options.scenario, options.runs, options.first_seed, options.filter)
-    folder = options.out or _new_folder(wanted)
+    scenario = wanted.scenario
+    folder = options.out or new_folder(f"campaign-{scenario.name}-{short_name(scenario.onboard.filter)}")
     console = Console(stderr=options.as_json, highlight=False)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     try:
@@ -119,14 +120,6 @@ class _Bar:
         self._progress.update(self._task, advance=1, told=told)
 
 
-def _new_folder(wanted: Plan) -> Path:
-    stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")
-    name = f"{stamp}-campaign-{wanted.scenario.name}-{short_name(wanted.scenario.onboard.filter)}"
-    folder = Path("runs") / name
-    folder.mkdir(parents=True)
-    return folder
-
-
 def _tell(
     console: Console, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
 ) -> int:
@@ -166,11 +159,8 @@ def _tell(
 def _table(wanted: Plan, told: dict[str, Any]) -> Table:
     from sim.campaign.summary import lines
 
-    table = Table(
-        title=f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter}", title_justify="left"
-    )
-    table.add_column("result")
-    table.add_column("value", justify="right")
+    title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter}"
+    table = Table("result", Column("value", justify="right"), title=title, title_justify="left")
     for name, value in lines(told):
         table.add_row(name, value)
     return table

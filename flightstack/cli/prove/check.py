@@ -95,12 +95,12 @@ def _as_json(name: str, config: FlightConfig, results: list[Check]) -> dict[str,
 
 def _show(name: str, config: FlightConfig, results: list[Check]) -> None:
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
     from rich.text import Text
 
-    table = Table(title=f"{name}, filter {config.filter}", title_justify="left")
-    for heading in ("", "claim", "room", "worst point"):
-        table.add_column(heading, justify="right" if heading == "room" else "left", overflow="fold")
+    columns = [Column(heading, overflow="fold") for heading in ("", "claim", "room", "worst point")]
+    columns[2].justify = "right"
+    table = Table(*columns, title=f"{name}, filter {config.filter}", title_justify="left")
     for result in results:
         word, colour = _WORDS[result.proven, result.need.value]
         room = "no bound" if math.isinf(result.room) else f"{result.room:.3g} {result.unit}".strip()

@@ -92,11 +92,6 @@ def test_a_single_table_is_refused_with_the_right_brackets():
         )
 
 
-def test_no_fault_is_the_default():
-    assert load("straight").fault == ()
-    assert from_table(Scenario, tomllib.loads(dumps(load("straight")))) == load("straight")
-
-
 def test_texts_say_what_and_how_much():
     assert fault(What.MOTOR, Kind.DEAD).text == "motor 2 dead"
     assert fault(What.MOCAP, Kind.DELAYED, value=0.25).text == "mocap delayed 0.25 s"

@@ -1,5 +1,8 @@
 """What ``fly`` hands on to the onboard process, and how many runs are summed up."""
 
+from itertools import pairwise
+from pathlib import Path
+
 import pytest
 from click.testing import CliRunner
 
@@ -7,6 +10,7 @@ from flightstack.cli.main import main
 from flightstack.common.processes import LaunchError
 from flightstack.config.files import load
 from flightstack.launch import fly
+from flightstack.launch.launcher import words
 from flightstack.launch.run_options import Flies, RunOptions
 from flightstack.launch.sitl import prepare, sum_up
 from sim.scenarios.scenario import load as load_scenario
@@ -41,8 +45,8 @@ def test_every_option_of_the_onboard_process_is_handed_on_as_it_was_given(asked,
         "--ros-domain", 5, "--zenoh-config", zenoh, "--duration", 30, "--namespace", "cf2", "--out", tmp_path,
     )  # fmt: skip
     assert config == load("crazyflie")
-    words = list(options.words)
-    pairs = {tuple(words[i : i + 2]) for i in range(len(words) - 1)}
+    given = list(options.words)
+    pairs = set(pairwise(given))
     assert pairs >= {
         ("--vehicle", "udpin:0.0.0.0:14540"), ("--target", "ros2:/pose"), ("--target-type", "pose"),
         ("--connect", "tcp/10.0.0.2:7447"), ("--connect", "tcp/10.0.0.3:7447"),
@@ -50,16 +54,12 @@ def test_every_option_of_the_onboard_process_is_handed_on_as_it_was_given(asked,
         ("--system-id", "7"), ("--ros2", "tcp/127.0.0.1:7447"), ("--ros-domain", "5"),
         ("--zenoh-config", str(zenoh)), ("--duration", "30.0"), ("--namespace", "cf2"),
     }  # fmt: skip
-    at = words.index("--target-offset")
-    assert words[at + 1 : at + 4] == ["0.1", "-0.2", "0.3"]
-    assert "--allow-unsigned" in words
-    assert not {"--config", "--out", "--no-record", "--json", "--report"} & set(words)
-    assert (options.record, options.out, options.name, options.namespace) == (
-        True,
-        tmp_path,
-        "crazyflie",
-        "cf2",
-    )
+    at = given.index("--target-offset")
+    assert given[at + 1 : at + 4] == ["0.1", "-0.2", "0.3"]
+    assert "--allow-unsigned" in given
+    assert not {"--config", "--out", "--no-record", "--json", "--report"} & set(given)
+    assert (options.record, options.out) == (True, tmp_path)
+    assert (options.name, options.namespace) == ("crazyflie", "cf2")
     assert status == 2  # the child's reason for not starting
 
 
@@ -71,15 +71,18 @@ def test_what_was_not_given_is_not_handed_on_and_recording_is_declined_by_its_op
     assert (options.record, options.live) == (False, False)
 
 
+def test_options_are_written_as_words_of_a_command_line():
+    assert words(px4_sih=Path("px4"), lockstep=True, once=False, clock=None, listen=["a", "b"]) == [
+        "--px4-sih", "px4", "--lockstep", "--listen", "a", "--listen", "b",
+    ]  # fmt: skip
+    assert words(target_offset=(0, 0, -0.2)) == ["--target-offset", "0", "0", "-0.2"]
+
+
 def test_runs_are_counted_and_what_did_not_fly_is_no_landing():
     rows = [
         {"outcome": "landed", "landed": True, "violation": False, "touchdown_error_m": 0.02},
-        {
-            "outcome": "landed",
-            "landed": False,
-            "violation": True,
-            "touchdown_error_m": 0.06,
-        },  # a log not whole
+        # a log not whole
+        {"outcome": "landed", "landed": False, "violation": True, "touchdown_error_m": 0.06},
         {"outcome": "crashed", "landed": False, "violation": None, "touchdown_error_m": None},
         {"outcome": None, "problem": "px4 did not start"},
     ]

@@ -35,31 +35,32 @@ def stuck_sample(world, inputs):
     return replace(inputs, target_samples=tuple(replace(s, arrival_s=world.t_s) for s in world.stuck))
 
 
+def late_by(inputs, late_s):
+    samples = (replace(s, source_time_s=s.source_time_s - late_s) for s in inputs.target_samples)
+    return replace(inputs, target_samples=tuple(samples))
+
+
 def older_each_time(world, inputs):
-    back_s = 2.0 * (world.t_s - world.fault_from_s) + DT_S
-    return replace(
-        inputs,
-        target_samples=tuple(
-            replace(s, source_time_s=s.source_time_s - back_s) for s in inputs.target_samples
-        ),
-    )
+    return late_by(inputs, 2.0 * (world.t_s - world.fault_from_s) + DT_S)
 
 
 def half_a_second_late(_, inputs):
-    return replace(
-        inputs,
-        target_samples=tuple(replace(s, source_time_s=s.source_time_s - 0.5) for s in inputs.target_samples),
-    )
+    return late_by(inputs, 0.5)
 
 
 def jumped_by_a_metre(_, inputs):
-    return replace(
-        inputs,
-        target_samples=tuple(
-            replace(s, position_enu_m=(s.position_enu_m[0] + 1.0, *s.position_enu_m[1:]))
-            for s in inputs.target_samples
-        ),
-    )
+    def jumped(sample):
+        x, y, z = sample.position_enu_m
+        return replace(sample, position_enu_m=(x + 1.0, y, z))
+
+    return replace(inputs, target_samples=tuple(map(jumped, inputs.target_samples)))
+
+
+def silent(world, inputs):
+    """The vehicle state stays as it was when the fault began."""
+    if not hasattr(world, "frozen"):
+        world.frozen = inputs.own
+    return replace(inputs, own=world.frozen)
 
 
 TARGET_FAULTS = {
@@ -133,12 +134,6 @@ def test_a_jump_by_a_metre_is_not_followed_until_it_has_proved_itself():
 
 
 def test_a_silent_vehicle_gets_no_velocity_at_all():
-    frozen = {}
-
-    def silent(_, inputs):
-        frozen.setdefault("own", inputs.own)
-        return replace(inputs, own=frozen["own"])
-
     world = flown(silent)
     world.run(CONFIG.checks.own_age_max_s + 2 * DT_S)
     sent = len(world.sent)
@@ -150,12 +145,6 @@ def test_a_silent_vehicle_gets_no_velocity_at_all():
 
 
 def test_a_vehicle_that_comes_back_is_flown_on():
-    frozen = {}
-
-    def silent(_, inputs):
-        frozen.setdefault("own", inputs.own)
-        return replace(inputs, own=frozen["own"])
-
     world = flown(silent, seconds=0.3).run(60.0)
     assert any("own state lost" in text for text in world.texts)
     assert world.phase is Phase.LANDED
@@ -223,11 +212,8 @@ def test_every_set_point_is_inside_the_box_and_what_is_wanted_changes_no_faster_
         for axis in range(3):
             assert abs(setpoint[axis]) <= config.limits.velocity_max_m_s[axis] + 1e-9
     for before, after in itertools.pairwise(world.outputs):
-        if (
-            before.setpoint is None
-            or after.setpoint is None
-            or before.seen.inputs.status.mode is not Mode.EXTERNAL
-        ):
+        sent = before.setpoint is not None and after.setpoint is not None
+        if not sent or before.seen.inputs.status.mode is not Mode.EXTERNAL:
             continue
         for axis in range(3):
             change = abs(after.wanted[axis] - before.wanted[axis])
