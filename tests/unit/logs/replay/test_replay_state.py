@@ -19,7 +19,7 @@ from flightstack.core.types import Operator, TargetSample
 from flightstack.onboard.state_text import StateText, StateTextError
 from logs.schema.controller_rows import step_row
 from tests.point_mass import World, each_sample
-from tests.unit.config.test_bad_input import TARGET_FAULTS
+from tests.unit.core.test_bad_input import TARGET_FAULTS
 from tests.unit.logs.recorder.test_rows import BITS, FLOATS, TEXTS
 from tests.unit.logs.replay.replay_helpers import CONFIG
 
