@@ -57,9 +57,8 @@ class Files(Generic[T]):
 
     def names(self) -> list[str]:
         """Names of the files that come with the package."""
-        return sorted(
-            p.name.removesuffix(".toml") for p in self._folder.iterdir() if p.name.endswith(".toml")
-        )
+        files = (Path(file.name) for file in self._folder.iterdir())
+        return sorted(file.stem for file in files if file.suffix == ".toml")
 
     def path_of(self, name_or_file: str | Path) -> Path:
         """File of this name or path.
@@ -117,7 +116,7 @@ def from_table(cls: type[T], table: object, where: str = "") -> T:
     except msgspec.ValidationError as error:
         path = re.search(r" - at `\$\.?(.*)`$", str(error))
         at = ".".join(filter(None, (where, path and path[1])))
-        if isinstance(error.__cause__, ConfigError):  # of a __post_init__
+        if error.__cause__ is not None:  # of a __post_init__
             raise ConfigError(f"{at}: {error.__cause__}" if at else str(error.__cause__)) from None
         kind, found = places[at]
         raise ConfigError(f"{at or cls.__name__}: found {found!r}, allowed: {_allowed(kind, at)}") from None
