@@ -26,11 +26,7 @@ from sim.scenarios.scenario import Airframe, Scenario, StartKind, load
 F64 = npt.NDArray[np.float64]
 FILE = Path(__file__).parents[2] / "docs" / "figures" / "landing.svg"
 SEED = 1
-START_OFFSET_M = (
-    -1.3,
-    0.0,
-    0.8,
-)  # from the landing spot, east north up: the robot drives in that plane
+START_OFFSET_M = (-1.3, 0.0, 0.8)  # from the landing spot, east north up: the robot drives in that plane
 BEFORE_S = (4.0, 2.0, 0.0)  # s before the first contact at which the robot and its barrier are drawn
 REACH_M = 1.0  # m to each side of the robot over which a barrier is drawn
 POINTS_MAX = 300  # of a line: more cannot be seen

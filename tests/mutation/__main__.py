@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import argparse
 import ast
+import json
 import os
 import random
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
 
-from tests.mutation.mutants import TARGETS, Mutant, mutants, source_file
+from tests.mutation.mutants import ROOT, TARGETS, Mutant, mutants, source_file
 
 SCORE_MIN = 0.9
 USUAL_MAX_S = 10.0  # of one module's tests, where it is not measured
@@ -105,10 +109,47 @@ def show(arguments: argparse.Namespace) -> int:
     return 0
 
 
+class Covered(NamedTuple):
+    """One module's coverage."""
+
+    per_cent: float
+    missing_lines: list[int]
+    missing_branches: list[list[int]]  # from line, to line; negative: out of the function
+
+
+def measure() -> tuple[int, dict[str, Covered]]:
+    """Run the tests once, in this process, which must not have imported the core before.
+
+    Returns:
+        pytest's exit code, and the coverage of each module.
+    """
+    import coverage
+    import pytest
+
+    files = sorted({file for tests in TARGETS.values() for file in tests})
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "coverage.json"
+        watch = coverage.Coverage(
+            data_file=str(Path(folder) / "coverage"),
+            branch=True,
+            include=[str(source_file(module)) for module in TARGETS],
+            config_file=False,
+        )
+        watch.start()
+        options = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=--import-mode=importlib"]
+        exit_code = pytest.main([*options, f"--rootdir={ROOT}", *(str(ROOT / file) for file in files)])
+        watch.stop()
+        watch.json_report(outfile=str(report))
+        measured = {Path(name).name: m for name, m in json.loads(report.read_text())["files"].items()}
+    found = {}
+    for module in TARGETS:
+        m = measured[source_file(module).name]
+        found[module] = Covered(m["summary"]["percent_covered"], m["missing_lines"], m["missing_branches"])
+    return int(exit_code), found
+
+
 def covered(_: argparse.Namespace) -> int:
     """Branch coverage; every branch of every module has to be taken."""
-    from tests.mutation.branch_coverage import measure
-
     exit_code, found = measure()
     for module, c in found.items():
         missing = f"  lines {c.missing_lines}, branches {c.missing_branches}" if c.per_cent < 100.0 else ""

@@ -54,9 +54,7 @@ def mellinger(lib, rng):
     shape = (400, 10, 3)
     wild = np.arange(400)[:, None, None] % 2 == 1
     euler = np.where(
-        wild,
-        rng.uniform(-1.0, 1.0, shape) * (180.0, 85.0, 180.0),
-        walk(rng, shape, (30.0, 30.0, 180.0), 1.0),
+        wild, rng.uniform(-1.0, 1.0, shape) * (180.0, 85.0, 180.0), walk(rng, shape, (30.0, 30.0, 180.0), 1.0)
     )
     gyro = np.where(wild, rng.uniform(-400.0, 400.0, shape), walk(rng, shape, 60.0, 1.0))
     force = walk(rng, shape, (0.15, 0.15, 0.0), 0.005)

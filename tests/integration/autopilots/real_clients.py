@@ -132,11 +132,7 @@ class Program:
 
     def __init__(self, command: Sequence[str], watch: Observer, **more) -> None:
         self._child = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            **more,
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **more
         )
         assert self._child.stdin is not None
         assert self._child.stdout is not None

@@ -60,8 +60,7 @@ def test_flies_in_real_time_with_a_plain_client() -> None:
         client.send(*north, client.command(176, 1.0, 6.0))
         assert client.until(is_a("COMMAND_ACK", command=176)).result == 0
         client.until(
-            lambda m: is_a("LOCAL_POSITION_NED")(m) and m.x > high.x + 0.3,
-            each=lambda: client.send(*north),
+            lambda m: is_a("LOCAL_POSITION_NED")(m) and m.x > high.x + 0.3, each=lambda: client.send(*north)
         )
         assert client.log[-1].vx > 0.1 or client.until(is_a("LOCAL_POSITION_NED")).vx > 0.1
         client.send(client.command(21))
@@ -142,11 +141,8 @@ class Companion(Client):
         return False
 
     def plan(self, tick: int) -> list:
-        first = {
-            5: [self.command(400, 1.0)],
-            8: [self.command(22)],
-            350: [self.command(176, 1.0, 6.0)],
-        }.get(tick, [])
+        commands = {5: self.command(400, 1.0), 8: self.command(22), 350: self.command(176, 1.0, 6.0)}
+        first = [commands[tick]] if tick in commands else []
         return [setpoint(0.2, -0.1, 0.0), *first] if tick >= 340 else first
 
 
@@ -374,10 +370,7 @@ def test_ends_on_a_signal_while_it_waits(lockstep: bool) -> None:
 
 def test_port_that_is_taken_is_an_error_with_a_reason() -> None:
     port = free_port()
-    with (
-        target(1, port, lockstep=False) as (_, ready),
-        target(1, port, lockstep=False) as (second, _),
-    ):
+    with target(1, port, lockstep=False) as (_, ready), target(1, port, lockstep=False) as (second, _):
         assert ready == "ready"
         _, err = second.communicate(timeout=PATIENCE_S)
         assert second.returncode == 1

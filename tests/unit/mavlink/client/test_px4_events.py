@@ -5,8 +5,8 @@ import pytest
 from bridge.mavlink.client import px4_events
 from bridge.mavlink.client.px4_events import EVENT, event_text
 from bridge.mavlink.codec.wide_messages import MESSAGES
+from tests import tables
 from tests.px4_flight import px4_or_skip
-from tests.tables import px4_events as maker
 
 
 def event(number, log_levels=0x66, arguments=b""):
@@ -60,4 +60,4 @@ def test_arguments_are_written_as_the_template_says():
 
 def test_table_is_what_its_command_makes():
     metadata = px4_or_skip().parent / "etc/extras/all_events.json.xz"
-    assert maker.FILE.read_text() == maker.table(metadata)
+    assert tables.EVENTS.read_text() == tables.events_table(metadata)

@@ -1,1 +1,0 @@
-"""What the tests that fly any vehicle are made of."""

@@ -1,1 +1,0 @@
-"""Do the tests of the safety core notice a change of it? ``python -m tests.mutation --help``."""

@@ -1,0 +1,99 @@
+"""Makes the packaged tables that come from other projects.
+
+``python -m tests.tables messages``: ``bridge/mavlink/codec/wide_messages.csv`` from the installed pymavlink.
+``python -m tests.tables px4_events FILE``: ``bridge/mavlink/client/px4_events.json`` from the events of a PX4
+build (all_events.json.xz).
+"""
+
+from __future__ import annotations
+
+import json
+import lzma
+import sys
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import all as everything
+from pymavlink.dialects.v20 import ardupilotmega
+
+from bridge.mavlink.codec.wide_messages import Definition, WideField, definitions
+
+MESSAGES = Path(__file__).parents[1] / "bridge" / "mavlink" / "codec" / "wide_messages.csv"
+_HEAD = """\
+# MAVLink messages that pymavlink's dialect ardupilotmega does not have: id;name;CRC_EXTRA;type name;...
+# [n] is an array, + an extension. Sources: pymavlink's dialect all; and MAVLink's common.xml (mavlink.io,
+# messages/common), for those that no dialect of pymavlink has. Renewed by: python -m tests.tables messages
+"""
+
+
+def read_class(cls: Any) -> Definition:
+    """Read one of pymavlink's classes; CRC_EXTRA, which leaves extensions out, tells which fields they are.
+
+    Raises:
+        ValueError: no number of extensions gives the CRC_EXTRA.
+    """
+    kinds = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
+    arrays = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
+    for extensions in range(len(cls.ordered_fieldnames)):
+        behind = cls.ordered_fieldnames[len(cls.ordered_fieldnames) - extensions :]
+        fields = tuple(WideField(kinds[n], n, arrays[n], n in behind) for n in cls.fieldnames)
+        made = Definition(cls.id, cls.msgname, cls.crc_extra, fields)
+        if made.computed_crc_extra() == cls.crc_extra:
+            return made
+    raise ValueError(f"{cls.msgname}: CRC_EXTRA {cls.crc_extra} does not fit its fields")
+
+
+def messages_table() -> str:
+    """The whole file: messages of pymavlink anew, the others as they are."""
+    wide = {id_: cls for id_, cls in everything.mavlink_map.items() if id_ not in ardupilotmega.mavlink_map}
+    made = {d.id: d for d in definitions() if d.id not in everything.mavlink_map}
+    made.update({id_: read_class(cls) for id_, cls in wide.items()})
+    return _HEAD + "".join(f"{made[id_].line}\n" for id_ in sorted(made))
+
+
+EVENTS = Path(__file__).parents[1] / "bridge" / "mavlink" / "client" / "px4_events.json"
+_SOURCE = "PX4 Autopilot v1.16.0, all_events.json; BSD 3-Clause, see px4_events.LICENSE.txt"
+
+
+def events_table(metadata: Path, source: str = _SOURCE) -> str:
+    """The whole file: each event's message and types of its arguments, each enumeration's words.
+
+    Args:
+        metadata: all_events.json, or that compressed by xz.
+        source: what it was made from.
+    """
+    raw = metadata.read_bytes()
+    read: dict[str, Any] = json.loads(lzma.decompress(raw) if metadata.suffix == ".xz" else raw)
+    events, enums = {}, {}
+    for component, part in read["components"].items():
+        for group in part["event_groups"].values():
+            for id_, event in group["events"].items():
+                kinds = [argument["type"].split("::")[-1] for argument in event.get("arguments", ())]
+                events[int(component) << 24 | int(id_)] = [event["message"], *kinds]
+        for name, enum in part["enums"].items():
+            words = {value: entry["description"] for value, entry in enum["entries"].items()}
+            enums[name] = [enum["type"], enum.get("is_bitfield", False), words]
+    head = f'{{\n"source": {json.dumps(source)},\n'
+    return head + f'"events": {_lines(events)},\n"enums": {_lines(enums)}\n}}\n'
+
+
+def _lines(entries: dict[Any, Any]) -> str:
+    rows = [f"{json.dumps(str(key))}: {json.dumps(entries[key])}" for key in sorted(entries)]
+    return "{\n" + ",\n".join(rows) + "\n}"
+
+
+def main(arguments: list[str]) -> int:
+    """Write one table; exit status 2 for other arguments."""
+    match arguments:
+        case ["messages"]:
+            MESSAGES.write_text(messages_table(), encoding="ascii")
+        case ["px4_events", file]:
+            EVENTS.write_text(events_table(Path(file)), encoding="ascii")
+        case _:
+            print(__doc__, file=sys.stderr)
+            return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
