@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +12,23 @@ from pathlib import Path
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
-from tests.integration.sim_processes import wait_for
+from tests.integration.sim_processes import COMMAND, wait_for
 
-COMMAND = [sys.executable, "-m", "flightstack.cli.main"]
 WALL_MAX_S = 240.0
 # Verbs that start nothing and catch no signal: called in this process, which has loaded their packages
 # already. A process of its own would load them for one to three seconds each time.
-CALLED = {"check", "compare", "config", "identify", "key", "log", "preflight", "report", "scenarios"}
+CALLED = {
+    "check",
+    "compare",
+    "config",
+    "identify",
+    "key",
+    "log",
+    "preflight",
+    "replay",
+    "report",
+    "scenarios",
+}
 SOME_BYTES = 400_000  # of a log, which grows by 170 kB a second
 
 
@@ -36,10 +45,10 @@ class Result:
         return json.loads(self.out.strip().splitlines()[-1])
 
 
-def flightstack(*arguments, cwd=None) -> Result:
-    """Run a verb to its end."""
+def flightstack(*arguments, cwd=None, apart=False) -> Result:
+    """Run a verb to its end; ``apart``: in a process of its own, whichever verb it is."""
     words = [str(one) for one in arguments]
-    if words[0] in CALLED or "--help" in words:
+    if not apart and (words[0] in CALLED or "--help" in words):
         return called(*words, cwd=cwd)
     done = subprocess.run(
         [*COMMAND, *words], capture_output=True, text=True, timeout=WALL_MAX_S, cwd=cwd, check=False
@@ -67,9 +76,9 @@ def fly(out: Path, scenario: str, seed: int = 0, *more) -> Result:
     return flightstack(*words, "--out", out, *more)
 
 
-def replayed(log: Path) -> dict:
+def replayed(log: Path, *, apart: bool = False) -> dict:
     """Result of a replay that must decide at each tick what was decided, inputs from the wire included."""
-    done = flightstack("replay", log, "--check", "--json")
+    done = flightstack("replay", log, "--check", "--json", apart=apart)
     assert done.code == 0, done.out + done.err
     found = done.json
     assert found["result"] == "equal"

@@ -8,42 +8,57 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from flightstack.common.processes import Port
+
 ROOT = Path(__file__).parents[2]
+COMMAND = [sys.executable, "-m", "flightstack.cli.main"]
 PATIENCE_S = 20.0
 NAN = float("nan")
 
 
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port of loopback below the range that outgoing connections draw from: none takes it meanwhile."""
+    with closing(Port()) as port:
+        return port.number
 
 
 @contextmanager
-def process(name: str, **options: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run the vehicle or the target with the scenario paper_moving_1; yields it and its ready line."""
+def running(
+    command: Sequence[str], *, ready: bool = True, within_s: float = PATIENCE_S, cwd: Path = ROOT
+) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A process, killed in the end at the latest, and its ready line if it is to have one."""
+    child = subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout is not None
+        if ready:
+            assert select.select([child.stdout], [], [], within_s)[0], "no ready line"
+        yield child, child.stdout.readline().strip() if ready else ""
+    finally:
+        if child.poll() is None:
+            child.kill()
+        child.communicate(timeout=PATIENCE_S)
+
+
+def verb(*words: object, **more: Any):
+    """A verb of ``flightstack`` as a process; see ``running``."""
+    return running([*COMMAND, *map(str, words)], **more)
+
+
+def process(name: str, **options: object):
+    """The vehicle or the target with the scenario paper_moving_1 as a process; see ``running``."""
     code = (
         f"import sys; from sim.scenarios.scenario import load; from sim.runners.{name}_process import *; "
         f"options = {name.title()}Options(**{options!r}); "
         f"sys.exit({name}_main(load('paper_moving_1'), options))"
     )
-    child = subprocess.Popen(
-        [sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        assert child.stdout is not None
-        assert select.select([child.stdout], [], [], PATIENCE_S)[0], "no ready line"
-        yield child, child.stdout.readline().strip()
-    finally:
-        if child.poll() is None:
-            child.kill()
-        child.communicate(timeout=PATIENCE_S)
+    return running([sys.executable, "-c", code])
 
 
 def terminate(child: subprocess.Popen[str], number: signal.Signals = signal.SIGTERM) -> float:

@@ -126,6 +126,8 @@ def measure() -> tuple[int, dict[str, Covered]]:
     import coverage
     import pytest
 
+    from tests.mutation.run import FewExamples
+
     files = sorted({file for tests in TARGETS.values() for file in tests})
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "coverage.json"
@@ -137,7 +139,9 @@ def measure() -> tuple[int, dict[str, Covered]]:
         )
         watch.start()
         options = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=--import-mode=importlib"]
-        exit_code = pytest.main([*options, f"--rootdir={ROOT}", *(str(ROOT / file) for file in files)])
+        exit_code = pytest.main(
+            [*options, f"--rootdir={ROOT}", *(str(ROOT / file) for file in files)], [FewExamples()]
+        )
         watch.stop()
         watch.json_report(outfile=str(report))
         measured = {Path(name).name: m for name, m in json.loads(report.read_text())["files"].items()}

@@ -127,7 +127,7 @@ def test_a_change_without_effect_survives_and_another_is_killed():
 
 
 def test_a_sample_of_mutants_is_noticed():
-    done = python("-m", "tests.mutation", "--jobs", "2", "sample", "--seed", "1", "--seconds", "20")
+    done = python("-m", "tests.mutation", "--jobs", "2", "sample", "--seed", "1", "--seconds", "10")
     assert done.returncode == 0, done.stdout + done.stderr
     assert all(f"| {module.removeprefix('flightstack.')} |" in done.stdout for module in TARGETS)
 

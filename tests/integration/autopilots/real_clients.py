@@ -9,17 +9,14 @@ import math
 import os
 import re
 import select
-import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from tests.integration.sim_processes import ROOT, Client
+from tests.integration.sim_processes import ROOT, Client, terminate, verb
 
 SCENARIO = "paper_static_1"  # starts on the ground; target and air stand still
 READY_MAX_S = 240.0  # the simulator may have to be compiled first, next to other compilers
@@ -34,25 +31,12 @@ _SIGNING_EPOCH_S = 1420070400  # 2015-01-01 (mavlink.io, message signing); time 
 
 
 @contextmanager
-def vehicle(directory: Path, *more: str) -> Iterator[int]:
+def vehicle(*more: str) -> Iterator[int]:
     """Run ``flightstack vehicle`` on a free port of loopback, given back; it must also end in order."""
-    command = [sys.executable, "-m", "flightstack.cli.main", "vehicle", "--scenario", SCENARIO]
-    command += ["--url", "udpin:127.0.0.1:0", *more]
-    errors = directory / "vehicle.err"
-    with errors.open("w") as stderr:
-        child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=stderr, text=True)
-    try:
-        assert child.stdout is not None
-        assert select.select([child.stdout], [], [], READY_MAX_S)[0], f"not ready in {READY_MAX_S:g} s"
-        ready = child.stdout.readline()
-        assert ready.startswith("ready udpin:127.0.0.1:"), f"said {ready!r}: {errors.read_text()}"
+    words = ("vehicle", "--scenario", SCENARIO, "--url", "udpin:127.0.0.1:0", *more)
+    with verb(*words, within_s=READY_MAX_S) as (child, ready):
         yield int(ready.rsplit(":", 1)[1])
-        child.send_signal(signal.SIGTERM)
-        assert child.wait(END_MAX_S) == 0, errors.read_text()
-    finally:
-        if child.poll() is None:
-            child.kill()
-        child.communicate(timeout=END_MAX_S)
+        terminate(child)
 
 
 class Observer(Client):

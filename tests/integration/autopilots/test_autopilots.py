@@ -4,8 +4,8 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,8 +17,8 @@ from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from sim.scenarios.scenario import PathKind, load
 from tests.integration.flights.test_sitl import KEYS
-from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack
-from tests.integration.sim_processes import ROOT
+from tests.integration.runs import WALL_MAX_S, called, flightstack
+from tests.integration.sim_processes import ROOT, verb
 from tests.px4_flight import px4_or_skip
 
 PROFILES = ("px4", "ardupilot")
@@ -64,40 +64,30 @@ def test_real_time_landing_after_the_check(tmp_path, plays):
     assert not any("UNSAFE" in value for value in found.values())
 
 
-class Vehicle:
-    """``flightstack vehicle`` in the background, disarmed on the ground."""
-
-    def __init__(self, *arguments):
-        self.process = subprocess.Popen(
-            [*COMMAND, "vehicle", "--scenario", "paper_moving_1", "--url", "udpin:127.0.0.1:0", *arguments],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
-        )  # fmt: skip
-
-    def __enter__(self):
-        self.url = self.process.stdout.readline().split()[1].replace("udpin", "udpout")
-        return self
-
-    def __exit__(self, *_):
-        self.process.send_signal(signal.SIGTERM)
-        self.said = self.process.communicate(timeout=WALL_MAX_S)[0]
+@contextmanager
+def vehicle_process(*arguments):
+    """``flightstack vehicle``, disarmed on the ground, and where it is found."""
+    words = ("vehicle", "--scenario", "paper_moving_1", "--url", "udpin:127.0.0.1:0", *arguments)
+    with verb(*words, within_s=WALL_MAX_S) as (child, ready):
+        yield child, ready.split()[1].replace("udpin", "udpout")
 
 
 def test_preflight_tells_safe_from_unsafe(tmp_path):
-    with Vehicle() as vehicle:
-        done = flightstack("preflight", "--vehicle", vehicle.url, "--json")
+    with vehicle_process() as (_, url):
+        done = flightstack("preflight", "--vehicle", url, "--json")
         assert (done.code, done.json["safe"], done.json["autopilot"]) == (0, True, "sitl")
-        table = flightstack("preflight", "--vehicle", vehicle.url)
+        table = flightstack("preflight", "--vehicle", url)
         assert table.code == 0
         assert "may arm" in table.out
-    with Vehicle("--parameter", "COM_OF_LOSS_T=3", "--parameter", "MPC_Z_VEL_MAX_DN=0.3") as vehicle:
-        done = flightstack("preflight", "--vehicle", vehicle.url, "--json")
+    with vehicle_process("--parameter", "COM_OF_LOSS_T=3", "--parameter", "MPC_Z_VEL_MAX_DN=0.3") as (_, url):
+        done = flightstack("preflight", "--vehicle", url, "--json")
         unsafe = [p["name"] for p in done.json["parameters"] if p["level"] == "unsafe"]
         assert (done.code, unsafe) == (1, ["COM_OF_LOSS_T", "MPC_Z_VEL_MAX_DN"])
         config = tmp_path / "accepts.toml"
         text = path_of("crazyflie").read_text()
         accepted = 'accepted_parameters = ["COM_OF_LOSS_T", "MPC_Z_VEL_MAX_DN"]'
         config.write_text(re.sub(r"accepted_parameters = \[\]", accepted, text))
-        done = flightstack("preflight", "--vehicle", vehicle.url, "--config", config)
+        done = flightstack("preflight", "--vehicle", url, "--config", config)
         assert done.code == 0, done.out
 
 
@@ -105,9 +95,9 @@ def test_the_documented_command_reads_as_it_stands():
     (command,) = [
         line for line in PAGE.read_text().splitlines() if "flightstack preflight --vehicle udpout" in line
     ]
-    with Vehicle() as vehicle:
+    with vehicle_process() as (_, url):
         words = command.split()[1:]
-        words[words.index("--vehicle") + 1] = vehicle.url
+        words[words.index("--vehicle") + 1] = url
         done = flightstack(*words)
     assert done.code == 0
     assert json.loads(done.out)["safe"] is True
@@ -131,17 +121,18 @@ def test_preflight_of_nobody_and_of_nonsense():
 @pytest.mark.xdist_group("real-time")
 def test_onboard_does_not_arm_what_is_unsafe():
     onboard = ("onboard", "--config", "crazyflie", "--no-record", "--duration", 20)
-    with Vehicle("--profile", "ardupilot") as vehicle:
-        done = flightstack(*onboard, "--vehicle", vehicle.url)
+    with vehicle_process("--profile", "ardupilot") as (child, url):
+        done = flightstack(*onboard, "--vehicle", url)
         assert done.code == 1, done.out
         assert "UNSAFE: GUID_TIMEOUT is 3: s without set-points" in done.out
         assert (
             "WAIT: unsafe parameters of the autopilot: GUID_TIMEOUT, FS_GCS_ENABLE, SYSID_MYGCS" in done.out
         )
-        other = flightstack(*onboard, "--vehicle", vehicle.url, "--autopilot", "px4")
+        other = flightstack(*onboard, "--vehicle", url, "--autopilot", "px4")
         assert other.code == 1
         assert "is for autopilot 12: it is not flown" in other.out
-    assert "armed" not in vehicle.said.split()
+        child.send_signal(signal.SIGTERM)
+        assert "armed" not in child.communicate(timeout=WALL_MAX_S)[0].split()
 
 
 STAND_IN = Path(__file__).parents[2] / "ardupilot_stand_in.py"

@@ -107,7 +107,7 @@ def land(program: Program) -> None:
 
 
 def test_whole_flight(tmp_path: Path, flight_number: int) -> None:
-    with vehicle(tmp_path) as port:
+    with vehicle() as port:
         watch = Observer(port)
         with mavproxy(port, tmp_path, watch) as program:
             connect(program)
@@ -192,7 +192,7 @@ def test_signed_flight(tmp_path: Path, flight_number: int) -> None:
     key = tmp_path / "key"
     key.touch(mode=0o600)
     key.write_bytes(secret)
-    with vehicle(tmp_path, "--signing-key", str(key)) as port:
+    with vehicle("--signing-key", str(key)) as port:
         watch, stranger = Observer(port), Observer(port)
         watch.sign(secret)
         with mavproxy(port, tmp_path, watch, "--mav20") as program:
@@ -218,7 +218,7 @@ HEIGHT_M = 0.8
 
 
 def test_whole_flight_as_arducopter(tmp_path: Path) -> None:
-    with vehicle(tmp_path, "--profile", "ardupilot") as port:
+    with vehicle("--profile", "ardupilot") as port:
         watch = Observer(port)
         with mavproxy(port, tmp_path, watch) as program:
             connect(program)

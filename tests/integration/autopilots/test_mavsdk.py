@@ -39,7 +39,7 @@ def story(
     """MAVSDK plays a story; somebody else watches."""
     client_port = free_port()
     peer = ["--peer", f"127.0.0.1:{client_port}"] if vehicle_calls else []
-    with vehicle(directory, *peer) as port:
+    with vehicle(*peer) as port:
         url = f"udpin://127.0.0.1:{client_port}" if vehicle_calls else f"udpout://127.0.0.1:{port}"
         watch = Observer(port)
         try:
@@ -79,7 +79,7 @@ def test_documented_example(tmp_path: Path, flight_number: int) -> None:
     port_there = free_port()
     script = tmp_path / "example.py"
     script.write_text(block.group(1).replace("0.0.0.0:14540", f"127.0.0.1:{port_there}"))
-    with vehicle(tmp_path, "--peer", f"127.0.0.1:{port_there}") as port:
+    with vehicle("--peer", f"127.0.0.1:{port_there}") as port:
         watch = Observer(port)
         with Program([sys.executable, str(script)], watch) as client:
             assert client.end(STORY_MAX_S) == 0

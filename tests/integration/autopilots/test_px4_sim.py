@@ -1,13 +1,9 @@
 """The verb ``px4-sim`` over its real wires, flown by a stand-in for PX4 that sees nothing but the sensors."""
 
 import itertools
-import select
 import signal
-import subprocess
-import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,39 +12,16 @@ from click.testing import CliRunner
 from flightstack.cli.main import main
 from flightstack.common.processes import Port
 from logs.reader.flight import load_flight
+from tests.integration.sim_processes import verb
 from tests.unit.px4.px4_fakes import FakePx4, Pilot, parameters_of, true_place
 
-ROOT = Path(__file__).parents[3]
 PATIENCE_S = 120.0  # the first run on a machine compiles
-FLIGHTSTACK = [sys.executable, "-m", "flightstack.cli.main"]
-
-
-@contextmanager
-def running(*arguments, ready="ready"):
-    """A verb in a process of its own; yields it and its ready line."""
-    child = subprocess.Popen(
-        [*FLIGHTSTACK, *arguments], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        if ready:
-            assert select.select([child.stdout], [], [], PATIENCE_S)[0], "no ready line"
-            line = child.stdout.readline().strip()
-            assert line.startswith(ready), line + child.communicate()[1]
-            yield child, line
-        else:
-            yield child, ""
-    finally:
-        if child.poll() is None:
-            child.kill()
-        child.communicate(timeout=PATIENCE_S)
 
 
 @contextmanager
 def simulator(name, *more, speed="0"):
-    with running("px4-sim", "--scenario", name, "--tcp", "127.0.0.1:0", "--speed", speed, *more) as (
-        child,
-        line,
-    ):
+    words = ("px4-sim", "--scenario", name, "--tcp", "127.0.0.1:0", "--speed", speed, *more)
+    with verb(*words, within_s=PATIENCE_S) as (child, line):
         yield child, int(line.rsplit(":", 1)[1])
 
 
@@ -183,7 +156,7 @@ def test_a_silent_px4_ends_it_with_the_reason():
     ],
 )
 def test_wrong_input_is_status_2_with_a_reason(arguments, word):
-    with running("px4-sim", *arguments, ready="") as (child, _):
+    with verb("px4-sim", *arguments, ready=False) as (child, _):
         _, err = lines(child)
         assert child.returncode == 2
         assert word in err
@@ -193,8 +166,8 @@ def test_wrong_input_is_status_2_with_a_reason(arguments, word):
 def test_in_real_time_the_deck_follows_the_robot_and_the_truth_is_recorded(tmp_path):
     socket, log = tmp_path / "feed", tmp_path / "flight.mcap"
     place = Port()
-    recorder = running("record", "--socket", str(socket), "--out", str(log), "--until-clients", "1")
-    robot = running("target", "--scenario", "large", "--listen", place.endpoint)
+    recorder = verb("record", "--socket", str(socket), "--out", str(log), "--until-clients", "1")
+    robot = verb("target", "--scenario", "large", "--listen", place.endpoint)
     plugs = ("--connect", place.endpoint, "--recorder", str(socket), "--once")
     with recorder as (record, _), simulator("large", *plugs, speed="1") as (child, port), robot:
         fake, pilot = FakePx4(port), Pilot({"MPC_THR_HOVER": 0.5})

@@ -17,8 +17,8 @@ import pytest
 from bridge.target.odometry import OdometrySubscriber
 from bridge.zenoh.zenoh_link import open_session
 from logs.reader.flight import load_flight
-from tests.integration.runs import WALL_MAX_S
-from tests.integration.sim_processes import PATIENCE_S, free_port, wait_for
+from tests.integration.runs import WALL_MAX_S, flightstack
+from tests.integration.sim_processes import PATIENCE_S, free_port, verb, wait_for
 from tests.unit.target.ros2_helpers import ODOMETRY, decode
 
 ROOT = Path(__file__).parents[3]
@@ -91,11 +91,7 @@ def test_a_landing_lands_and_equals_itself():
 
 
 def test_the_scenario_is_proven_lands_and_its_log_becomes_arrays(flown, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "flightstack.cli.main", "check", EXAMPLES / "own_scenario.toml"],
-        capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout
+    assert flightstack("check", EXAMPLES / "own_scenario.toml").code == 0
     flight = flown(str(EXAMPLES / "own_scenario.toml"))
     assert (flight.code, flight.json["outcome"]) == (0, "landed"), flight.err
     out = run("log_to_numpy.py", flight.log, tmp_path / "flight.npz")
@@ -141,30 +137,10 @@ def test_the_target_drives_a_circle_and_says_so():
 @pytest.mark.xdist_group("real-time")
 def test_the_target_is_landed_on(tmp_path):
     zenoh, url = f"tcp/127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
-    flightstack = [sys.executable, "-m", "flightstack.cli.main"]
-    vehicle = subprocess.Popen(
-        [*flightstack, "vehicle", "--scenario", "paper_static_2", "--url", f"udpin:{url}"],
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        assert vehicle.stdout.readline().startswith("ready")
-        with running("publish_target.py", "--key", "demo/odom", "--speed", "0", "--listen", zenoh):
-            words = [
-                "--vehicle",
-                f"udpout:{url}",
-                "--target",
-                "demo/odom",
-                "--connect",
-                zenoh,
-                "--config",
-                "crazyflie",
-            ]
-            done = subprocess.run(
-                [*flightstack, "fly", *words, "--no-report", "--json", "--out", tmp_path],
-                capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
-            )  # fmt: skip
-    finally:
-        vehicle.terminate()
-        vehicle.communicate(timeout=PATIENCE_S)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert '"outcome": "landed"' in done.stdout.splitlines()[-1]
+    vehicle = ("vehicle", "--scenario", "paper_static_2", "--url", f"udpin:{url}")
+    robot = ("publish_target.py", "--key", "demo/odom", "--speed", "0", "--listen", zenoh)
+    with verb(*vehicle), running(*robot):
+        words = ("--vehicle", f"udpout:{url}", "--target", "demo/odom", "--connect", zenoh)
+        words += ("--config", "crazyflie", "--no-report", "--json", "--out", tmp_path)
+        done = flightstack("fly", *words)
+    assert (done.code, done.json["outcome"]) == (0, "landed"), done.out + done.err

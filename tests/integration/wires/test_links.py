@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-import select
 import socket
 import stat
-import subprocess
 import threading
 import time
 from contextlib import ExitStack, closing
@@ -18,8 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.signing.signing import Signer
 from flightstack.common.processes import Child, Port
-from tests.integration.runs import COMMAND, flightstack, fly
-from tests.integration.sim_processes import PATIENCE_S, Client, is_a, terminate
+from tests.integration.runs import flightstack, fly
+from tests.integration.sim_processes import PATIENCE_S, Client, is_a, terminate, verb
 from tests.serial_relay import PtyEnd, Relay, TcpEnd
 
 ARMED = 128
@@ -38,29 +36,14 @@ def key_file(tmp_path):
 
 @pytest.fixture
 def vehicle():
-    children = []
+    with ExitStack() as stack:
 
-    def start(*arguments):
-        words = [
-            "vehicle",
-            "--scenario",
-            "paper_moving_1",
-            "--url",
-            "udpin:127.0.0.1:0",
-            *map(str, arguments),
-        ]
-        child = subprocess.Popen(
-            [*COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        children.append(child)
-        assert select.select([child.stdout], [], [], 3 * PATIENCE_S)[0], "no ready line"
-        return child, child.stdout.readline().strip().removeprefix("ready ")
+        def start(*arguments):
+            words = ("vehicle", "--scenario", "paper_moving_1", "--url", "udpin:127.0.0.1:0", *arguments)
+            child, ready = stack.enter_context(verb(*words, within_s=3 * PATIENCE_S))
+            return child, ready.removeprefix("ready ")
 
-    yield start
-    for child in children:
-        if child.poll() is None:
-            child.kill()
-        child.communicate(timeout=PATIENCE_S)
+        yield start
 
 
 def signing(client, key):

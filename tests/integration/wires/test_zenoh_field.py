@@ -17,6 +17,8 @@ from bridge.ros2.ros2_names import parse_topic_key
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import Role, ZenohLinkError
 from logs.reader.reader import LogFile
+from tests.integration.runs import flightstack
+from tests.integration.sim_processes import verb
 from tests.unit.target.ros2_helpers import PATIENCE_S, free_endpoint, odometry, rmw_session, until
 
 ROOT = Path(__file__).parents[3]
@@ -185,20 +187,8 @@ def test_peers_find_each_other(at_home):
         one.close()
 
 
-@contextmanager
 def router_process(endpoint):
-    words = ["router", "--listen", endpoint, "--zenoh-config", str(FILES / "router.json5")]
-    child = subprocess.Popen(
-        [sys.executable, "-m", "flightstack.cli.main", *words],
-        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        assert child.stdout.readline().strip() == "ready", child.stderr.read()
-        yield child
-    finally:
-        if child.poll() is None:
-            child.kill()
-        child.communicate(timeout=PATIENCE_S)
+    return verb("router", "--listen", endpoint, "--zenoh-config", FILES / "router.json5")
 
 
 @pytest.mark.xdist_group("real-time")
@@ -206,7 +196,7 @@ def test_a_router_that_is_killed_and_comes_back(at_home):
     endpoint = free_endpoint()
     file = FILES / "client.json5"
     with ExitStack() as stack:
-        with router_process(endpoint) as child:
+        with router_process(endpoint) as (child, _):
             robot = zenoh_link.open_session(connect=[endpoint], config_file=file)
             stack.callback(robot.close)
             companion = zenoh_link.open_session(connect=[endpoint], config_file=file)
@@ -225,7 +215,7 @@ def test_a_router_that_is_killed_and_comes_back(at_home):
                 until(lambda s=session: zenoh_link.transports(s) == 0, "the end of the connection")
             zenoh_link.drain(heard)  # what was on its way
         assert not flows()
-        with router_process(endpoint) as child:
+        with router_process(endpoint) as (child, _):
             back_s = time.monotonic()
             until(flows, "a sample after the router came back")
             assert time.monotonic() - back_s < BACK_MAX_S + 2.0  # a busy machine
@@ -242,20 +232,14 @@ def test_every_configuration_of_the_page_is_understood(at_home, name):
 
 
 def test_the_verb_router_wants_a_router_and_a_free_port(at_home):
-    def run(*words):
-        return subprocess.run(
-            [sys.executable, "-m", "flightstack.cli.main", "router", *words],
-            cwd=ROOT, capture_output=True, text=True, timeout=60.0, check=False,
-        )  # fmt: skip
-
-    done = run("--zenoh-config", "docs/how_to/zenoh/client.json5")
-    assert (done.returncode, 'mode "router" is needed' in done.stderr) == (2, True)
+    done = flightstack("router", "--zenoh-config", FILES / "client.json5")
+    assert (done.code, 'mode "router" is needed' in done.err) == (2, True)
     endpoint = free_endpoint()
     session = zenoh_link.open_session([endpoint])
-    done = run("--listen", endpoint)
+    done = flightstack("router", "--listen", endpoint)
     session.close()
-    assert (done.returncode, "Traceback" in done.stderr) == (1, False)
-    assert "is the port taken" in done.stderr
+    assert (done.code, "Traceback" in done.err) == (1, False)
+    assert "is the port taken" in done.err
 
 
 @pytest.mark.xdist_group("real-time")
