@@ -25,7 +25,7 @@ from bridge.crazyflie.types import (
 )
 from bridge.crazyflie.vehicle import Vehicle
 from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.profiles.autopilot_version import CRAZYFLIE_MARK
+from bridge.mavlink.profiles.autopilots import CRAZYFLIE_MARK
 from bridge.mavlink.server import telemetry
 from bridge.mavlink.server.commands import ACCEPTED, DENIED, REJECTED, Answer, Command, Entry, Reply
 from bridge.mavlink.server.owner import Right, Sender
@@ -150,9 +150,8 @@ class Node(Server[Vehicle]):
         """The emergency stop, which is also for a Crazyflie that seems to be disarmed."""
         return {dialect.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND)}
 
-    def on_heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+    def on_heartbeat(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
         """Take note of a client; another vehicle is none."""
-        del sender
         if message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
             self.vehicle.client(now_s)
         return []

@@ -130,12 +130,9 @@ class Pilot:
     ) -> tuple[Velocity | None, Done | None]:
         """Velocity to send, and whether the mode is done.
 
-        Args:
-            mode: any but OFFBOARD.
-            state: None when there is no fresh one: then it stops in the air, or goes on down for a while.
-            now_s: now.
-            standing: it has not moved yet.
-            placed: its position is known; a landing goes straight down without.
+        ``mode`` is any but OFFBOARD. ``state`` is None when there is no fresh one: then it stops in the air,
+        or goes on down for a while. ``standing``: it has not moved yet. ``placed``: its position is known; a
+        landing goes straight down without.
         """
         if state is None:
             if mode is FlightMode.LAND:

@@ -51,10 +51,7 @@ class PoseFeed:
     def packets(self, passed: Passed, link: Link, *, armed: bool) -> list[Packet]:
         """Packets of one pose; nothing without a link.
 
-        Args:
-            passed: the pose.
-            link: what is known of the firmware; another object is another connection.
-            armed: the motors may run: then the estimator is left alone.
+        Another ``link`` object is another connection. While it is armed the estimator is left alone.
         """
         if link.protocol is None:
             return []

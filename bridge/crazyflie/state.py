@@ -49,9 +49,7 @@ class BootClock:
     def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:
         """Unwrapped milliseconds and lateness in seconds; None: not newer than the last.
 
-        Args:
-            time_ms: 24 bits, from the packet.
-            at_s: arrival.
+        ``time_ms`` has 24 bits.
         """
         if self._last_ms is None:
             boot_ms = time_ms
@@ -76,10 +74,8 @@ class BootClock:
 def decode_state(block: StateBlock, boot_ms: int, at_s: float) -> CrazyflieState:
     """Turn a packet into a state.
 
-    Args:
-        block: every variable of ``STATE_VARIABLES``.
-        boot_ms: unwrapped time.
-        at_s: arrival.
+    The packet holds every variable of ``STATE_VARIABLES``; ``boot_ms`` is unwrapped time, ``at_s`` the
+    arrival.
 
     Raises:
         KeyError: a variable is missing.

@@ -127,7 +127,7 @@ class Vehicle(Known):
         self._end("radio lost")
         self._arming.forget()
 
-    def take_state(self, state: CrazyflieState, now_s: float) -> None:
+    def take_state(self, state: CrazyflieState, _now_s: float) -> None:
         """A new state."""
         before, self.state = self.state, state
         if self._silence_said:
@@ -140,7 +140,6 @@ class Vehicle(Known):
             self.texts.say(CRITICAL, reason)
         if self.armed and (reason is not None or not state.info & Info.ARMED):
             self._end("by the firmware")
-        del now_s
 
     def arm_reply(self, reply: ArmReply, now_s: float) -> None:
         """The supervisor's answer."""
@@ -205,9 +204,7 @@ class Vehicle(Known):
     def take_off(self, height_m: float | None, now_s: float) -> str | None:
         """Climb and hold there; disarmed: as soon as it is armed.
 
-        Args:
-            height_m: z of the Crazyflie's world; None: 0.5 m above home.
-            now_s: now.
+        ``height_m`` is z of its world; None: 0.5 m above home.
         """
         if self._ends:
             return f"Take-off refused: {_ENDS}"

@@ -12,9 +12,15 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message, decode
-from bridge.mavlink.codec.framing import FLAG_SIGNED, FrameCounters, intact, split_frames, without_signature
+from bridge.mavlink.codec.framing import (
+    FLAG_SIGNED,
+    FrameCounters,
+    StreamFramer,
+    intact,
+    split_frames,
+    without_signature,
+)
 from bridge.mavlink.codec.packing import pack
-from bridge.mavlink.codec.stream_framing import StreamFramer
 from bridge.mavlink.signing.key import SigningKey
 from bridge.mavlink.signing.signing import ANSWERED, Refusal, Signer, StaleAnswers
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve

@@ -63,9 +63,7 @@ class LinePlan:
 def bytes_per_s(rates_hz: Mapping[int, float], *, signed: bool = False) -> float:
     """Bytes a second of messages, frames and all.
 
-    Args:
-        rates_hz: message id to Hz.
-        signed: each carries a signature.
+    Rates are by message id; ``signed`` frames carry a signature.
     """
     around = _FRAME + (_SIGNATURE if signed else 0)
     return sum(rate_hz * float(MESSAGES[id_].unpacker.size + around) for id_, rate_hz in rates_hz.items())

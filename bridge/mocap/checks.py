@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from types import MappingProxyType
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -77,24 +76,22 @@ class Wants:
     settings: str  # its parameters, for a person
 
 
-WANTS: Mapping[int, Wants] = MappingProxyType(
-    {
-        dialect.MAV_AUTOPILOT_PX4: Wants(
-            "PX4",
-            odometry,
-            50.0,
-            False,
-            "EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5",
-        ),
-        dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: Wants(
-            "ArduPilot",
-            vision_position_estimate,
-            50.0,
-            True,
-            "VISO_TYPE 1, GPS1_TYPE 0, EK3_SRC1_POSXY, EK3_SRC1_POSZ and EK3_SRC1_YAW 6",
-        ),
-    }
-)
+WANTS: Mapping[int, Wants] = {
+    dialect.MAV_AUTOPILOT_PX4: Wants(
+        "PX4",
+        odometry,
+        50.0,
+        False,
+        "EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5",
+    ),
+    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: Wants(
+        "ArduPilot",
+        vision_position_estimate,
+        50.0,
+        True,
+        "VISO_TYPE 1, GPS1_TYPE 0, EK3_SRC1_POSXY, EK3_SRC1_POSZ and EK3_SRC1_YAW 6",
+    ),
+}
 
 
 class Refusal(Enum):
@@ -181,10 +178,7 @@ class PoseChecks:
     def step(self, samples: Sequence[Sample], now_s: float, *, armed: bool) -> Step:
         """Judge samples in their order.
 
-        Args:
-            samples: since the last call.
-            now_s: our clock.
-            armed: the vehicle is: then no jump is believed, however long it lasts.
+        While the vehicle is armed no jump is believed, however long it lasts.
         """
         good = [passed for sample in samples if (passed := self._judge(sample, armed)) is not None]
         self._count_rate(len(good), now_s)
@@ -296,9 +290,7 @@ def angle_between(a: Quat, b: Quat) -> float:
 def centre(pose: Pose, offset_flu_m: Vec3) -> Pose:
     """Pose of a point of the body: the markers' centre is seldom the vehicle's.
 
-    Args:
-        pose: of the markers.
-        offset_flu_m: from there to the vehicle's centre, in the body's axes.
+    ``offset_flu_m`` leads from there to the vehicle's centre, in the body's axes.
     """
     dx, dy, dz = world_from_body(pose.orientation_wxyz, offset_flu_m)
     x, y, z = pose.position_m

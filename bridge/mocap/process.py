@@ -48,12 +48,7 @@ class MocapSource:
     """
 
     def __init__(self, session: zenoh_link.Session, spec: TargetSpec, offset_flu_m: Vec3 = ZERO) -> None:
-        """Subscribe.
-
-        Args:
-            session: an open Zenoh session; it stays the caller's.
-            spec: key and type.
-            offset_flu_m: from the markers' centre to the vehicle's, in the body's axes.
+        """Subscribe. ``offset_flu_m`` leads from the markers' centre to the vehicle's, in the body's axes.
 
         Raises:
             ValueError: the key is not allowed.

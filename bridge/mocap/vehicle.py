@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.companion import Origin, OriginSender
+from bridge.mavlink.client.companion import Origin, OriginSender, companion_heartbeat
 from bridge.mavlink.codec.decoding import Message
 from bridge.mocap.checks import WANTS, Limits, PoseChecks, Sample, Wants
 from flightstack.core.types import Landed, Mode, VehicleStatus
@@ -29,13 +29,7 @@ class MocapVehicle:
     """
 
     def __init__(self, system_id: int, limits: Limits, origin: Origin | None) -> None:
-        """Set up.
-
-        Args:
-            system_id: of the vehicle.
-            limits: of the poses.
-            origin: place on earth of the room's zero, for an autopilot that needs one.
-        """
+        """Set up. ``origin`` is the place on earth of the room's zero, for an autopilot that needs one."""
         self.checks = PoseChecks(limits)
         self.wants: Wants | None = None
         self.unknown_autopilot: int | None = None
@@ -81,7 +75,7 @@ class MocapVehicle:
         messages: list[Message] = []
         if now_s - self._beat_s >= (_HEARTBEAT_S if self.heard(now_s) else _HELLO_S) - 1e-9:
             self._beat_s = now_s
-            messages.append(_heartbeat())
+            messages.append(companion_heartbeat())
         wants = self.wants
         if wants is None or not self.heard(now_s):
             return messages, judged.problem
@@ -102,9 +96,3 @@ class MocapVehicle:
                 rate_hz = min(self._limits.rate_max_hz, wants.rate_max_hz)
                 self.checks.limits = replace(self._limits, rate_max_hz=rate_hz)
         self._heard_s = now_s
-
-
-def _heartbeat() -> Message:
-    return dialect.MAVLink_heartbeat_message(
-        dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
-    )

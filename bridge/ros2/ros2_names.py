@@ -170,13 +170,7 @@ def node_token(node: Node) -> str:
 def publisher_token(node: Node, number: int, topic: str, type_name: str, type_hash: str, qos: str) -> str:
     """Liveliness token of a publisher, for ``ros2 topic list``.
 
-    Args:
-        node: whose it is.
-        number: of the publisher, which no other entity of the session has.
-        topic: full name.
-        type_name: ``package/msg/Name``.
-        type_hash: of the type.
-        qos: in rmw_zenoh's short form.
+    No other entity of the session has the ``number``; ``qos`` is in rmw_zenoh's short form.
 
     Raises:
         ValueError: a part is malformed.

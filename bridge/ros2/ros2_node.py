@@ -26,11 +26,7 @@ class Ros2Node:
     ) -> None:
         """Announce the node.
 
-        Args:
-            session: open, connected to where the ROS 2 nodes are or will be.
-            name: of the node.
-            domain: ROS_DOMAIN_ID of the others.
-            namespace: of the node, ``/`` or a full name; its topics are named in full all the same.
+        ``domain`` is the ROS_DOMAIN_ID of the others; topics are named in full, whatever the namespace.
 
         Raises:
             ValueError: a name or the domain is not allowed.
@@ -43,10 +39,7 @@ class Ros2Node:
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
         """Announce a topic and declare its publisher.
 
-        Args:
-            topic: full name, for example ``/cf1/h``.
-            type_name: ``package/msg/Name``.
-            type_hash: ``RIHS01_...``; with another one the ROS 2 side hears nothing.
+        With another hash of the type the ROS 2 side hears nothing.
 
         Raises:
             ValueError: a part is malformed.
@@ -80,12 +73,7 @@ class Ros2Publisher:
         return zenoh_link.is_matched(self._publisher)
 
     def put(self, payload: bytes, time_ns: int) -> None:
-        """Send a message.
-
-        Args:
-            payload: CDR with its 4-byte header.
-            time_ns: time of sending, Unix time.
-        """
+        """Send a message."""
         self.sequence += 1
         self._publisher.put(payload, attachment=pack_attachment(self.sequence, time_ns, self._identity))
 

@@ -203,11 +203,7 @@ class OdometrySubscriber:
     ) -> None:
         """Declare the subscriber.
 
-        Args:
-            session: an open Zenoh session; it stays the caller's.
-            key: key expression.
-            lossless: hold up the sender when full (lockstep) instead of dropping the oldest.
-            capacity: samples kept between two polls.
+        ``lossless`` holds up the sender when full (lockstep) instead of dropping the oldest.
 
         Raises:
             ValueError: the key is not allowed.

@@ -17,9 +17,7 @@ class KeySearch:
     """Subscribes to keys with names of odometry, a pose or tf, from the first ``keys`` until ``stop``.
 
     While it does, all samples of such keys travel to this process: use it only where nothing flies.
-
-    Args:
-        session: where to look; it stays the caller's. What the session publishes itself is not found.
+    What the session publishes itself is not found.
     """
 
     def __init__(self, session: zenoh_link.Session) -> None:

@@ -19,12 +19,7 @@ DEPTH_MAX = 16  # edges from the tracked frame to the world's
 
 
 class TransformChain:
-    """Follows one frame.
-
-    Args:
-        frame_id: in which the pose is wanted.
-        child_frame_id: whose pose it is.
-    """
+    """Follows one frame. The pose of ``child_frame_id`` is wanted in ``frame_id``."""
 
     def __init__(self, frame_id: str, child_frame_id: str) -> None:
         self._frame, self._child = frame_id, child_frame_id

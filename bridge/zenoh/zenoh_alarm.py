@@ -16,10 +16,7 @@ LOOK_EVERY_S = 1.0
 class ConnectionAlarm:
     """Watches one session; poll it in every tick.
 
-    Args:
-        session: to be watched; it stays the caller's.
-        whom: endpoints it dials; with none it waits to be dialled and nothing is wrong.
-        role: what it is.
+    ``whom`` are the endpoints it dials; with none it waits to be dialled and nothing is wrong.
     """
 
     def __init__(

@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.endpoint import Endpoint
-from bridge.mavlink.profiles.autopilot_version import recorded_version
+from bridge.mavlink.profiles.autopilots import recorded_version
 from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.transport.address import parse_udp_url
 from bridge.target.odometry import ENCODING

@@ -96,13 +96,11 @@ class Autopilot(Server[Flight]):
         """What HEARTBEAT and SYS_STATUS show; a locked firmware is a problem."""
         return super().condition(snapshot), self.flight.vehicle.locked
 
-    def hidden(self, now_s: float) -> frozenset[int]:
+    def hidden(self, _now_s: float) -> frozenset[int]:
         """Positions are hidden before the origin is known."""
-        del now_s
         return _NOTHING if self.flight.origin_known else _NEED_ORIGIN
 
-    def _set_origin(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        del sender
+    def _set_origin(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
         latitude, longitude = degrees_e7(0.0, 0.0)
         near = max(abs(message.latitude - latitude), abs(message.longitude - longitude)) <= _ORIGIN_NEAR_E7
         if self.flight.origin_known:

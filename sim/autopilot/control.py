@@ -16,14 +16,7 @@ def why_no_takeoff(
 ) -> str | None:
     """Why GUIDED does not take off now, None if it does (ArduPilot mode_guided.cpp, takeoff.cpp).
 
-    Args:
-        mode: of the vehicle.
-        name: ArduPilot's name of that mode.
-        armed: whether it is.
-        standing: on the ground.
-        height_m: local height asked for.
-        aim_m: local height of a take-off under way.
-        z_m: local height of the vehicle.
+    Heights are local: ``aim_m`` is that of a take-off under way, ``z_m`` the vehicle's.
     """
     if mode is FlightMode.TAKEOFF and height_m == aim_m and standing:
         return None  # the command again
@@ -98,12 +91,8 @@ class PositionHold:
     ) -> Vec3:
         """Velocity towards the hold point.
 
-        Args:
-            position_enu_m: where the vehicle is.
-            limits: gains and speeds.
-            dt_s: time since the last step.
-            vertical_m_s: vertical velocity wanted instead of holding the height.
-            learn: let the integral move; not while the vehicle stands.
+        ``vertical_m_s`` is wanted instead of holding the height. While the vehicle stands it does not
+        ``learn``: the integral stays.
         """
         ex, ey, ez = (goal - now for goal, now in zip(self.point_enu_m, position_enu_m, strict=True))
         vx, vy, vz = limits.gain_xy_1_s * ex, limits.gain_xy_1_s * ey, limits.gain_z_1_s * ez

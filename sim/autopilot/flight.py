@@ -177,8 +177,7 @@ class Flight:
     def take_off(self, height_m: float | None, _now_s: float) -> str | None:
         """Climb and hold there; when disarmed, as soon as it is armed. It never descends for that.
 
-        Args:
-            height_m: local height, 0.1 to 20 m above home; None: MIS_TAKEOFF_ALT above where it stands.
+        ``height_m`` is local, 0.1 to 20 m above home; None: MIS_TAKEOFF_ALT above where it stands.
         """
         if not self.positioned:
             return "Take-off refused: no position estimate"

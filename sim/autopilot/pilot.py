@@ -224,8 +224,7 @@ class Pilot:
     def _next(self, leg: _Leg) -> None:
         self._leg, self._leg_s = leg, 0.0
 
-    def _fly_offboard(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
-        del standing
+    def _fly_offboard(self, estimate: CheckedEstimate, _standing: bool, dt_s: float) -> Event | None:
         setpoint = self._setpoint
         if setpoint is None:  # the stream's check comes first
             return None

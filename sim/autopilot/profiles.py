@@ -12,31 +12,29 @@ from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.profiles.autopilot_version import SITL_MARK
+from bridge.mavlink.profiles.autopilots import SITL_MARK
 from bridge.mavlink.server.parameters import Parameter, Parameters
 from bridge.mavlink.server.profile import CAPABILITIES, RELEASE, Code, FlightMode, ServerProfile
 from sim.autopilot.parameters import ardupilot_parameters, px4_parameters
 
 _M = dialect
 # Hz; rates of PX4's own links, or what clients were measured to need. Missing: on request only.
-DEFAULT_HZ: Mapping[int, float] = MappingProxyType(
-    {
-        _M.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
-        _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-        _M.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-        _M.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
-        _M.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-        _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
-        _M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
-        _M.MAVLINK_MSG_ID_ALTITUDE: 1.0,
-        _M.MAVLINK_MSG_ID_VFR_HUD: 2.0,
-        _M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
-        _M.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-        _M.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 2.0,
-        _M.MAVLINK_MSG_ID_ODOMETRY: 5.0,  # PX4's onboard link: 30; it is the costliest of all to pack
-        _M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 1.0,
-    }
-)
+DEFAULT_HZ: Mapping[int, float] = {
+    _M.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
+    _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    _M.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+    _M.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
+    _M.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
+    _M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+    _M.MAVLINK_MSG_ID_ALTITUDE: 1.0,
+    _M.MAVLINK_MSG_ID_VFR_HUD: 2.0,
+    _M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
+    _M.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+    _M.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 2.0,
+    _M.MAVLINK_MSG_ID_ODOMETRY: 5.0,  # PX4's onboard link: 30; it is the costliest of all to pack
+    _M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 1.0,
+}
 _SENSORS = (
     _M.MAV_SYS_STATUS_SENSOR_3D_GYRO
     | _M.MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -69,15 +67,13 @@ PX4 = SimulatedProfile(
 _GUIDED = 4
 _BASE = _M.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | _M.MAV_MODE_FLAG_STABILIZE_ENABLED
 # ArduPilot has the number of the mode alone; GUIDED is two of ours. Our hold needs no sticks, as BRAKE.
-_ARDUPILOT_CODES: Mapping[FlightMode, Code] = MappingProxyType(
-    {
-        FlightMode.HOLD: Code(17, 0, _BASE),  # BRAKE
-        FlightMode.TAKEOFF: Code(_GUIDED, 0, _BASE | _M.MAV_MODE_FLAG_GUIDED_ENABLED),
-        FlightMode.LAND: Code(9, 0, _BASE),
-        FlightMode.RETURN: Code(6, 0, _BASE | _M.MAV_MODE_FLAG_GUIDED_ENABLED),  # RTL
-        FlightMode.OFFBOARD: Code(_GUIDED, 0, _BASE | _M.MAV_MODE_FLAG_GUIDED_ENABLED),
-    }
-)
+_ARDUPILOT_CODES: Mapping[FlightMode, Code] = {
+    FlightMode.HOLD: Code(17, 0, _BASE),  # BRAKE
+    FlightMode.TAKEOFF: Code(_GUIDED, 0, _BASE | _M.MAV_MODE_FLAG_GUIDED_ENABLED),
+    FlightMode.LAND: Code(9, 0, _BASE),
+    FlightMode.RETURN: Code(6, 0, _BASE | _M.MAV_MODE_FLAG_GUIDED_ENABLED),  # RTL
+    FlightMode.OFFBOARD: Code(_GUIDED, 0, _BASE | _M.MAV_MODE_FLAG_GUIDED_ENABLED),
+}
 _ARDUPILOT_MODES = {code.main: mode for mode, code in _ARDUPILOT_CODES.items()}
 _ARDUPILOT_STICKS = {0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 5: "LOITER", 11: "DRIFT", 13: "SPORT",
                      15: "AUTOTUNE", 16: "POSHOLD"}  # fmt: skip
@@ -121,35 +117,29 @@ ARDUPILOT = SimulatedProfile(
     parameters=ardupilot_parameters,
     bytewise=False,
     long_frame=_M.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    frames=MappingProxyType(
-        {
-            _M.MAV_FRAME_LOCAL_NED: False,
-            _M.MAV_FRAME_LOCAL_OFFSET_NED: False,
-            _M.MAV_FRAME_BODY_NED: True,
-            _M.MAV_FRAME_BODY_OFFSET_NED: True,
-        }
-    ),
+    frames={
+        _M.MAV_FRAME_LOCAL_NED: False,
+        _M.MAV_FRAME_LOCAL_OFFSET_NED: False,
+        _M.MAV_FRAME_BODY_NED: True,
+        _M.MAV_FRAME_BODY_OFFSET_NED: True,
+    },
     guided=True,
     needs_origin=True,
     rates_hz=MappingProxyType({}),  # all SRx_ rates are 0: but the heartbeat, everything must be asked for
     every_tick=(),
-    labels=MappingProxyType(
-        {
-            FlightMode.HOLD: "BRAKE",
-            FlightMode.TAKEOFF: "GUIDED",
-            FlightMode.LAND: "LAND",
-            FlightMode.RETURN: "RTL",
-            FlightMode.OFFBOARD: "GUIDED",
-        }
-    ),
-    set_before_flight=MappingProxyType({"GUID_TIMEOUT": 0.5, "FS_GCS_ENABLE": 5.0, "SYSID_MYGCS": 1.0}),
+    labels={
+        FlightMode.HOLD: "BRAKE",
+        FlightMode.TAKEOFF: "GUIDED",
+        FlightMode.LAND: "LAND",
+        FlightMode.RETURN: "RTL",
+        FlightMode.OFFBOARD: "GUIDED",
+    },
+    set_before_flight={"GUID_TIMEOUT": 0.5, "FS_GCS_ENABLE": 5.0, "SYSID_MYGCS": 1.0},
     station_id="SYSID_MYGCS",
-    data_streams=MappingProxyType(
-        {
-            **_ARDUPILOT_STREAMS,
-            _M.MAV_DATA_STREAM_ALL: tuple(id_ for group in _ARDUPILOT_STREAMS.values() for id_ in group),
-        }
-    ),
+    data_streams={
+        **_ARDUPILOT_STREAMS,
+        _M.MAV_DATA_STREAM_ALL: tuple(id_ for group in _ARDUPILOT_STREAMS.values() for id_ in group),
+    },
 )
 
-PROFILES: Mapping[str, SimulatedProfile] = MappingProxyType({p.name: p for p in (PX4, ARDUPILOT)})
+PROFILES: Mapping[str, SimulatedProfile] = {p.name: p for p in (PX4, ARDUPILOT)}

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from enum import IntEnum
-from types import MappingProxyType
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -51,40 +50,34 @@ class Charge(IntEnum):
 
 # Values of PX4's parameters (failsafe.cpp, commander_params.c); what is missing is refused when it is set.
 # COM_OBL_RC_ACT = 0 is PX4's position mode: without sticks it cannot be flown, and PX4 too ends by landing.
-STREAM_LOST: Mapping[int, Action] = MappingProxyType(
-    {0: Action.LAND, 3: Action.RETURN, 4: Action.LAND, 5: Action.HOLD}
-)
-STATION_LOST: Mapping[int, Action] = MappingProxyType(
-    {0: Action.NONE, 1: Action.HOLD, 2: Action.RETURN, 3: Action.LAND}
-)
-FENCE: Mapping[int, Action] = MappingProxyType(
-    {0: Action.NONE, 1: Action.WARN, 2: Action.HOLD, 3: Action.RETURN, 5: Action.LAND}
-)
-BATTERY: Mapping[tuple[Charge, int], Action] = MappingProxyType(
-    {
-        **{(Charge.LOW, act): Action.WARN for act in (0, 2, 3)},
-        (Charge.CRITICAL, 0): Action.WARN,
-        (Charge.CRITICAL, 2): Action.LAND,
-        (Charge.CRITICAL, 3): Action.RETURN,
-        (Charge.EMERGENCY, 0): Action.WARN,
-        (Charge.EMERGENCY, 2): Action.LAND,
-        (Charge.EMERGENCY, 3): Action.LAND,
-    }
-)
+STREAM_LOST: Mapping[int, Action] = {0: Action.LAND, 3: Action.RETURN, 4: Action.LAND, 5: Action.HOLD}
+STATION_LOST: Mapping[int, Action] = {0: Action.NONE, 1: Action.HOLD, 2: Action.RETURN, 3: Action.LAND}
+FENCE: Mapping[int, Action] = {
+    0: Action.NONE,
+    1: Action.WARN,
+    2: Action.HOLD,
+    3: Action.RETURN,
+    5: Action.LAND,
+}
+BATTERY: Mapping[tuple[Charge, int], Action] = {
+    **{(Charge.LOW, act): Action.WARN for act in (0, 2, 3)},
+    (Charge.CRITICAL, 0): Action.WARN,
+    (Charge.CRITICAL, 2): Action.LAND,
+    (Charge.CRITICAL, 3): Action.RETURN,
+    (Charge.EMERGENCY, 0): Action.WARN,
+    (Charge.EMERGENCY, 2): Action.LAND,
+    (Charge.EMERGENCY, 3): Action.LAND,
+}
 
 
 # Mode of an action, and how a text calls it.
-ACTION_MODES: Mapping[Action, tuple[FlightMode, str]] = MappingProxyType(
-    {
-        Action.HOLD: (FlightMode.HOLD, "holding"),
-        Action.RETURN: (FlightMode.RETURN, "returning"),
-        Action.LAND: (FlightMode.LAND, "landing"),
-    }
-)
+ACTION_MODES: Mapping[Action, tuple[FlightMode, str]] = {
+    Action.HOLD: (FlightMode.HOLD, "holding"),
+    Action.RETURN: (FlightMode.RETURN, "returning"),
+    Action.LAND: (FlightMode.LAND, "landing"),
+}
 # A mode that already does what a fail-safe wants, or more.
-STRENGTH: Mapping[FlightMode, Action] = MappingProxyType(
-    {FlightMode.RETURN: Action.RETURN, FlightMode.LAND: Action.LAND}
-)
+STRENGTH: Mapping[FlightMode, Action] = {FlightMode.RETURN: Action.RETURN, FlightMode.LAND: Action.LAND}
 _THRESHOLDS = (
     (Charge.EMERGENCY, "BAT_EMERGEN_THR"),
     (Charge.CRITICAL, "BAT_CRIT_THR"),
@@ -116,11 +109,8 @@ class BatteryGauge:
     def step(self, voltage_v: float, throttle: float, dt_s: float, *, armed: bool) -> Charge | None:
         """Take a measurement.
 
-        Args:
-            voltage_v: of the one cell, under load.
-            throttle: mean of the motors' commands, 0 to 1.
-            dt_s: time since the last one.
-            armed: whether the level may only get worse.
+        ``voltage_v`` is that of the one cell under load, ``throttle`` the mean of the motors' commands, 0 to
+        1. While ``armed`` the level only gets worse.
 
         Returns:
             The level when it has just become worse.
@@ -183,14 +173,7 @@ class Watches:
         return back
 
     def step(self, now_s: float, position_enu_m: Vec3, home_enu_m: Vec3, *, flying: bool) -> list[Alarm]:
-        """Look, if it is time; return what has just begun.
-
-        Args:
-            now_s: simulated time.
-            position_enu_m: where the vehicle believes to be.
-            home_enu_m: home.
-            flying: armed and in the air.
-        """
+        """Look, if it is time; return what has just begun."""
         if now_s < self.due_s:
             return []
         dt_s = now_s - self._last_s if self._last_s is not None else 0.0

@@ -38,11 +38,7 @@ def rotor_speeds(controls: Sequence[float], armed: bool, rotor: Rotor) -> Four:
     An output is a share of the highest thrust, as PX4's allocation means it with THR_MDL_FAC = 0; below the
     smallest thrust a motor stops. So the vehicle's own map gives the speed, the same as for the simulated
     firmware.
-
-    Args:
-        controls: HIL_ACTUATOR_CONTROLS.controls, at least four, in PX4's order.
-        armed: unless so, all motors are off.
-        rotor: nominal map of thrust.
+    ``controls`` are at least four, in PX4's order (HIL_ACTUATOR_CONTROLS).
     """
     if not armed:
         return OFF
@@ -96,9 +92,7 @@ def torque_over_thrust_m(params: Params) -> float:
 def parameters(params: Params, mocap: OdometryLink | None = None) -> dict[str, float]:
     """PX4 parameters that differ from its defaults, as v1.16 names them; integers where PX4 has integers.
 
-    Args:
-        params: of the vehicle.
-        mocap: motion capture instead of satellites.
+    With ``mocap`` poses come from motion capture instead of satellites.
     """
     rotor, (jx, jy, jz) = params.rotor, params.body.inertia_kg_m2
     ratio = torque_over_thrust_m(params)

@@ -30,12 +30,7 @@ _UNKNOWN = [math.nan, *([0.0] * 20)]  # NaN first: not known (MAVLink)
 
 
 class Px4Mocap:
-    """Call ``poll`` at every step.
-
-    Args:
-        link: of the scenario.
-        seed: of the run.
-    """
+    """Call ``poll`` at every step."""
 
     def __init__(self, link: OdometryLink, seed: int) -> None:
         link = replace(link, rate_hz=min(link.rate_hz, RATE_MAX_HZ))
@@ -50,10 +45,7 @@ class Px4Mocap:
     def poll(self, body: Body, now_ns: int, now_us: int) -> list[Message]:
         """Measure when it is due; ODOMETRY of what has arrived.
 
-        Args:
-            body: true state.
-            now_ns: simulated time.
-            now_us: PX4's clock.
+        ``now_ns`` is simulated time, ``now_us`` PX4's clock.
         """
         channel = self._channel
         if now_ns >= channel.due_ns:

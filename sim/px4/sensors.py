@@ -106,13 +106,7 @@ def _within(v: Vec3, limit: float) -> Vec3:
 
 
 class Px4Sensors:
-    """All sensors of one vehicle; call ``read`` every ``STEP_MS``.
-
-    Args:
-        params: of the vehicle; noise densities and biases of the IMU.
-        body: true state at the beginning, at rest.
-        seed: of the run.
-    """
+    """All sensors of one vehicle; call ``read`` every ``STEP_MS``. At the beginning the body is at rest."""
 
     def __init__(self, params: Params, body: Body, seed: int) -> None:
         raw = replace(params.imu, gyro_filter_hz=math.inf, accel_filter_hz=math.inf)

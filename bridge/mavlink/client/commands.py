@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.mavlink.client.companion import request_message
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.profile import Profile, Reading, Step, TakeoffAltitude
 from flightstack.core.types import Request, VehicleStatus
@@ -43,13 +44,7 @@ class CommandSequencer:
     def __init__(
         self, profile: Profile, target_system: int, target_component: int, takeoff_height_m: float
     ) -> None:
-        """Set up for one vehicle.
-
-        Args:
-            profile: what its autopilot wants.
-            target_system: its system id.
-            target_component: its autopilot's component id.
-            takeoff_height_m: height above home that TAKEOFF climbs to, > 0.
+        """Set up for one vehicle. ``takeoff_height_m`` is the height above home that TAKEOFF climbs to.
 
         Raises:
             ValueError: the height is not a positive number.
@@ -104,13 +99,7 @@ class CommandSequencer:
             self._texts = [*self._texts, text][-_TEXTS_KEPT:]
 
     def step(self, request: Request, status: VehicleStatus | None, now_s: float) -> list[Message]:
-        """Return the commands to send now, at most one.
-
-        Args:
-            request: what is wanted; a change starts over.
-            status: newest status of the vehicle, None when there is none.
-            now_s: the stack's clock.
-        """
+        """Return the commands to send now, at most one. A change of the request starts over."""
         if request is not self._request:
             self._request, self._since_s = request, now_s
             self.failed, self.reached = None, False
@@ -153,13 +142,8 @@ class CommandSequencer:
             return []
         self._home_s = now_s
         self._home_tries += 1
-        rest = (self._profile.unset,) * 5
-        return [
-            dialect.MAVLink_command_long_message(
-                *self._target, dialect.MAV_CMD_REQUEST_MESSAGE, 0,
-                float(dialect.MAVLINK_MSG_ID_HOME_POSITION), *rest, 0.0,
-            )
-        ]  # fmt: skip
+        wanted = dialect.MAVLINK_MSG_ID_HOME_POSITION
+        return [request_message(self._target, wanted, self._profile.unset)]
 
     def _enter(self, step: Step | None) -> None:
         self._step, self._tries, self._last_try_s = step, 0, -math.inf

@@ -1,4 +1,4 @@
-"""The companion's own messages: its heartbeat, and the velocity set-point."""
+"""The companion's own messages: heartbeat, velocity set-point, origin, and the request for a message."""
 
 from __future__ import annotations
 
@@ -66,6 +66,12 @@ def companion_heartbeat() -> Message:
     )
 
 
+def request_message(target: tuple[int, int], message_id: int, unset: float) -> Message:
+    """Command REQUEST_MESSAGE; ``unset`` is the autopilot's value of a parameter that is not given."""
+    params = (float(message_id), *(unset,) * 5, 0.0)
+    return dialect.MAVLink_command_long_message(*target, dialect.MAV_CMD_REQUEST_MESSAGE, 0, *params)
+
+
 class Setpoint(Protocol):
     """What may be sent: made by the safety gate and by nothing else."""
 
@@ -79,14 +85,7 @@ class Setpoint(Protocol):
 
 
 def velocity_setpoint(setpoint: Setpoint, profile: Profile, target: tuple[int, int], now_s: float) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED of a velocity and heading.
-
-    Args:
-        setpoint: what the safety gate approved; finite numbers.
-        profile: its mask and frame.
-        target: system and component of the autopilot.
-        now_s: the stack's clock.
-    """
+    """SET_POSITION_TARGET_LOCAL_NED of a velocity and heading."""
     unused = (0.0, 0.0, 0.0)
     return dialect.MAVLink_set_position_target_local_ned_message(
         round(now_s * 1000) & 0xFFFFFFFF,

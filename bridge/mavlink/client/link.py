@@ -17,9 +17,8 @@ from bridge.mavlink.client.companion import (
     companion_heartbeat,
     velocity_setpoint,
 )
-from bridge.mavlink.client.px4_events import EVENT, event_text
 from bridge.mavlink.client.streams import StreamRequests
-from bridge.mavlink.client.texts import TextAssembler
+from bridge.mavlink.client.texts import EVENT, TextAssembler, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Endpoint, LinkCounters, Peer
@@ -170,10 +169,9 @@ class VehicleLink:
     def poll(self, now_s: float) -> None:
         """Take everything that has arrived and queue what is due: heartbeat, requests for telemetry.
 
-        Args:
-            now_s: the stack's clock, stamped on what arrived. With ``defer_timesync`` the stamp is the
-                simulated time of the TIMESYNC request that follows a message, ``ts1 / 1e9``; what no request
-                has followed yet waits for the next call.
+        What arrived is stamped with ``now_s``, the stack's clock. With ``defer_timesync`` the stamp is the
+        simulated time of the TIMESYNC request that follows a message, ``ts1 / 1e9``; what no request has
+        followed yet waits for the next call.
         """
         tick_s: float | None = None if self.defer_timesync else now_s
         for received in self.endpoint.receive():
@@ -217,10 +215,6 @@ class VehicleLink:
 
     def send_setpoint(self, setpoint: Setpoint, now_s: float) -> bool:
         """Queue a velocity set-point; the only way to send a velocity.
-
-        Args:
-            setpoint: what the safety gate approved.
-            now_s: the stack's clock.
 
         Returns:
             False when it was refused: a number is not finite, or the autopilot would take it as the end of

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.decoding import Message, parameter_name
 from bridge.mavlink.profiles.profile import Encoding
 
 _AT_ONCE = 5  # questions without an answer yet; a radio's buffer is small
@@ -45,14 +45,6 @@ class ParameterReader:
     def __init__(
         self, names: Iterable[str], target_system: int, target_component: int, encoding: Encoding
     ) -> None:
-        """Set up.
-
-        Args:
-            names: parameters to read.
-            target_system: the vehicle's system id.
-            target_component: its autopilot's component id.
-            encoding: how it sends integers.
-        """
         self.values: dict[str, float] = {}
         self.missing: dict[str, str] = {}
         self._open = list(dict.fromkeys(names))
@@ -73,7 +65,7 @@ class ParameterReader:
         if kind == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
             self._value(message)
         elif kind == dialect.MAVLINK_MSG_ID_PARAM_ERROR:
-            name = _name(message.param_id)
+            name = parameter_name(message.param_id)
             if name in self._open:
                 self._close(name, f"refused: {_ERRORS.get(message.error, f'error {message.error}')}")
 
@@ -92,7 +84,7 @@ class ParameterReader:
         return now_s - self._asked_s[name] >= _PERIOD_S
 
     def _value(self, message: Message) -> None:
-        name = _name(message.param_id)
+        name = parameter_name(message.param_id)
         if name not in self._open:
             return
         value = self._decoded(message.param_value, message.param_type)
@@ -113,8 +105,3 @@ class ParameterReader:
     def _close(self, name: str, why: str) -> None:
         self.missing[name] = why
         self._open.remove(name)
-
-
-def _name(field: str | bytes) -> str:
-    raw = field.encode("latin-1", "replace") if isinstance(field, str) else bytes(field)
-    return raw.partition(b"\x00")[0].decode("ascii", "replace")

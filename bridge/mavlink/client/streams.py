@@ -44,15 +44,7 @@ class StreamRequests:
         unset: float,
         data_streams: Mapping[int, int] = MappingProxyType({}),
     ) -> None:
-        """Set up.
-
-        Args:
-            rates_hz: message id to the rate wanted.
-            target_system: the vehicle's system id.
-            target_component: its autopilot's component id.
-            unset: value of command parameters that are not given.
-            data_streams: message id to MAV_DATA_STREAM.
-        """
+        """Set up. ``rates_hz`` is by message id, ``data_streams`` the MAV_DATA_STREAM by message id."""
         self._streams = {id_: _Stream(id_, rate) for id_, rate in rates_hz.items()}
         self._target = (target_system, target_component)
         self._unset = unset

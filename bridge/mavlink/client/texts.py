@@ -1,8 +1,22 @@
-"""Puts STATUSTEXT messages together again: long texts travel in chunks."""
+"""What the vehicle says: STATUSTEXT, whose long texts travel in chunks, and PX4's events.
+
+PX4 sends an event as a number with arguments (MAVLink EVENT) on every link; the same words as STATUSTEXT it
+sends only where a ground station is. The texts are PX4's own, in ``px4_events.json`` (release and licence are
+named there), made by ``python -m tests.tables px4_events FILE`` from the metadata of a PX4 build. An event
+that the table does not have is told by its number. Format: github.com/mavlink/libevents, README.
+"""
 
 from __future__ import annotations
 
+import json
+import re
+import struct
+from functools import cache
+from importlib.resources import files
+from typing import Any, NamedTuple
+
 from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.wide_messages import CODES
 
 _CHUNK = 50  # characters a message holds; a chunk with fewer is the last
 _CHUNKS_MAX = 16  # longest text taken: 800 characters
@@ -42,3 +56,86 @@ class TextAssembler:
 def clean(text: str) -> str:
     """Printable characters only: the text goes to terminals and logs, and comes from the network."""
     return "".join(c if c.isprintable() else " " for c in text).strip()
+
+
+EVENT = 410  # message id; pymavlink has no name for it
+_SHOWN_MAX = 7  # log levels up to debug, as MAV_SEVERITY; above are protocol and disabled
+_ARGUMENT = re.compile(r"\{(\d+)(?::\.(\d+))?(m\^2|m/s|m_v|m|C)?\}")
+_UNITS = {None: "", "m": " m", "m_v": " m", "m^2": " m²", "m/s": " m/s", "C": " °C"}
+_TAG = re.compile(r"(?<!\\)</?[a-z][^>]*>")
+_ESCAPED = re.compile(r"\\(.)")
+
+
+class _Enum(NamedTuple):
+    kind: str  # integer type
+    is_bitfield: bool
+    entries: dict[int, str]
+
+    def text(self, value: int) -> str:
+        """Words for a value; of a bit field for all its bits."""
+        if not self.is_bitfield:
+            return self.entries.get(value, str(value))
+        return ", ".join(text for bit, text in self.entries.items() if value & bit) or str(value)
+
+
+class _Table(NamedTuple):
+    events: dict[int, tuple[str, tuple[str, ...]]]  # id to message and types of the arguments
+    enums: dict[str, _Enum]
+
+
+def event_text(message: Message) -> tuple[int, str] | None:
+    """Text of an EVENT.
+
+    Returns:
+        MAV_SEVERITY and text; None for one that is not for people.
+    """
+    severity: int = message.log_levels & 0x0F  # the lower half is for others, the upper for PX4's own log
+    if severity > _SHOWN_MAX:
+        return None
+    known = _table().events.get(message.id)
+    if known is None:
+        return severity, f"event {message.id:#010x} of the autopilot, which this release does not know"
+    template, kinds = known
+    return severity, clean(_filled(template, _values(kinds, bytes(message.arguments))))
+
+
+def _values(kinds: tuple[str, ...], data: bytes) -> list[float | str]:
+    """Read arguments, which follow each other without padding, little-endian."""
+    values: list[float | str] = []
+    at = 0
+    for kind in kinds:
+        enum = _table().enums.get(kind)
+        layout = struct.Struct("<" + CODES[enum.kind if enum is not None else kind])
+        if at + layout.size > len(data):
+            break
+        (value,) = layout.unpack_from(data, at)
+        values.append(enum.text(value) if enum is not None else value)
+        at += layout.size
+    return values
+
+
+def _filled(template: str, values: list[float | str]) -> str:
+    def argument(match: re.Match[str]) -> str:
+        index, digits, unit = int(match[1]) - 1, match[2], match[3]
+        if not 0 <= index < len(values):
+            return match[0]
+        value = values[index]
+        if isinstance(value, float):
+            value = f"{value:.{digits}f}" if digits is not None else f"{value:g}"
+        return f"{value}{_UNITS[unit]}"
+
+    return _ESCAPED.sub(r"\1", _ARGUMENT.sub(argument, _TAG.sub("", template)))
+
+
+@cache
+def _table() -> _Table:
+    """Read the table when the first event comes; it takes a millisecond."""
+    raw: dict[str, Any] = json.loads(
+        files("bridge.mavlink.client").joinpath("px4_events.json").read_text(encoding="utf-8")
+    )
+    events = {int(id_): (text, tuple(kinds)) for id_, (text, *kinds) in raw["events"].items()}
+    enums = {
+        name: _Enum(kind, is_bitfield, {int(value): text for value, text in entries.items()})
+        for name, (kind, is_bitfield, entries) in raw["enums"].items()
+    }
+    return _Table(events, enums)

@@ -100,9 +100,7 @@ class VehicleState:
     def update(self, message: Message, arrival_s: float) -> None:
         """Take one message of the vehicle; messages of no interest are ignored.
 
-        Args:
-            message: decoded MAVLink message.
-            arrival_s: when it arrived, on the stack's clock.
+        ``arrival_s`` is on the stack's clock.
         """
         handler = self._handlers.get(message.get_msgId())  # not .id: in STATUSTEXT that is a field
         if handler is not None:
@@ -159,8 +157,7 @@ class VehicleState:
         mode = self.profile.mode(self._custom_mode)
         return Mode.TAKEOFF if mode is Mode.EXTERNAL and not self._following else mode
 
-    def _on_extended_state(self, m: Message, arrival_s: float) -> None:
-        del arrival_s
+    def _on_extended_state(self, m: Message, _arrival_s: float) -> None:
         self._landed = _LANDED.get(m.landed_state, Landed.UNKNOWN)
         self._refresh()
 
@@ -171,12 +168,10 @@ class VehicleState:
         self._ready = bool(m.onboard_control_sensors_health & _PREARM)
         self._refresh()
 
-    def _on_home(self, m: Message, arrival_s: float) -> None:
-        del arrival_s
+    def _on_home(self, m: Message, _arrival_s: float) -> None:
         self.home_amsl_m = m.altitude * 1e-3  # mm
 
-    def _on_origin(self, m: Message, arrival_s: float) -> None:
-        del m, arrival_s
+    def _on_origin(self, _m: Message, _arrival_s: float) -> None:
         self.origin_known = True
 
     def _refresh(self) -> None:

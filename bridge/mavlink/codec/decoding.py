@@ -39,6 +39,12 @@ def message_id(frame: bytes) -> int:
     return frame[7] | frame[8] << 8 | frame[9] << 16
 
 
+def parameter_name(field: str | bytes) -> str:
+    """Read the name of a parameter in a message; whatever it holds, it becomes text."""
+    raw = field.encode("latin-1", "replace") if isinstance(field, str) else bytes(field)
+    return raw.partition(b"\x00")[0].decode("ascii", "replace")
+
+
 def decode(frame: bytes) -> Message:
     """Decode one frame from ``split_frames``.
 

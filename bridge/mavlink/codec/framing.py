@@ -1,8 +1,9 @@
-"""Finds the MAVLink 2 frames in a datagram: pure bytes in, bytes out.
+"""Finds the MAVLink 2 frames in a datagram or in a byte stream: pure bytes in, bytes out.
 
 A stream parser believes the length byte of whatever looks like a start; one stray 0xFD then costs several
 good frames, and a cut datagram spoils the next. So each datagram stands alone here, a frame counts only when
-its checksum is right, and after anything else the search goes on at the very next byte.
+its checksum is right, and after anything else the search goes on at the very next byte. Of a stream, what is
+cut is kept in a bounded buffer until the rest has come.
 
 The checksum also covers the message's definition. So a frame of a message that is not known cannot be
 checked; it is kept raw where the frames around it show its length, and never decoded.
@@ -10,7 +11,7 @@ checked; it is kept raw where the frames around it show its length, and never de
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -27,7 +28,8 @@ _SIGNATURE = 13  # bytes: link id, timestamp, signature
 FLAG_SIGNED = 0x01  # the only incompatibility flag MAVLink 2 defines
 
 _UNKNOWN_RUN_MAX = 4  # frames of unknown messages in a row that are kept
-_MARKER = bytes((_MARKER_V2,))
+# Bytes of a stream kept; four frames of the greatest length: unknown ones, and what shows where they end
+REST_MAX = 1120
 
 # CRC_EXTRA of every known message: the checksum also covers the message's definition.
 CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in MESSAGES.items()}
@@ -71,28 +73,73 @@ def split_frames(
     Yields:
         Frames from marker to checksum, or to the end of the signature of a signed frame.
     """
-    count = counters if counters is not None else FrameCounters()
-    size = len(datagram)
-    pos = 0
+    yield from _scan(datagram, counters if counters is not None else FrameCounters(), unknown, None)
+
+
+class StreamFramer:
+    """Takes a stream in pieces and gives its frames.
+
+    Behind a checked frame the next start is believed for as long as its own length says. Elsewhere, after
+    noise, only a header that names a known message of a fitting length is waited for; so a stray 0xFD keeps
+    nothing back. A candidate that turns out wrong costs its first byte alone.
+    """
+
+    def __init__(self, counters: FrameCounters) -> None:
+        self._counters = counters
+        self._rest = b""
+        self.in_sync = True  # a frame may begin right at the start of the rest
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Bytes kept for later."""
+        return len(self._rest)
+
+    def push(self, piece: bytes, unknown: Callable[[bytes], None] | None = None) -> Iterator[bytes]:
+        """Take the next piece; yields frames as :func:`split_frames` does."""
+        data, self._rest = self._rest + piece, b""
+        self._rest = data[(yield from _scan(data, self._counters, unknown, self)) :]
+
+    def worth_waiting(self, data: bytes, pos: int, size: int) -> bool:
+        """Whether the rest of the frame that may begin at ``pos`` shall be waited for."""
+        left = size - pos
+        if left > REST_MAX:
+            return False
+        if self.in_sync or left < _HEADER_V2:
+            return True
+        message = MESSAGES.get(_message_id(data, pos))
+        fits = message is not None and data[pos + 1] <= message.unpacker.size
+        return fits and 0 not in data[pos + 5 : pos + 7]
+
+
+def _scan(
+    data: bytes, count: FrameCounters, unknown: Callable[[bytes], None] | None, stream: StreamFramer | None
+) -> Generator[bytes, None, int]:
+    """Yield the frames; returns where what shall be kept begins: of a datagram, without stream, nothing."""
+    size, pos = len(data), 0
     while pos < size:
-        end = frame_end(datagram, pos, size, count)
+        end = frame_end(data, pos, size, count)
         if end > 0:
-            yield datagram[pos:end]
-            pos = end
-            continue
-        if end == NoFrame.UNKNOWN:
-            end = unknown_end(datagram, pos, size)
+            yield data[pos:end]
+        elif end == NoFrame.UNKNOWN:
+            end = _unknown_end(data, pos, size, whole=stream is None)
             if end > 0:
                 count.unknown_frames += 1
                 if unknown is not None:
-                    unknown(datagram[pos:end])
-                pos = end
-                continue
-            count.unknown_id += 1
-        pos += skipped(datagram, pos, size, count)
+                    unknown(data[pos:end])
+            elif end == NoFrame.INVALID:
+                count.unknown_id += 1
+        if end > 0:
+            pos = end
+        elif stream is not None and end == NoFrame.CUT_SHORT and stream.worth_waiting(data, pos, size):
+            return pos
+        else:
+            pos += _skipped(data, pos, size, count)
+        if stream is not None:
+            stream.in_sync = end > 0
+    return pos
 
 
-def skipped(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
+def _skipped(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
     """Count the frame of version 1 that starts at ``pos``, or else one byte of garbage; its length."""
     version_1 = _version_1_length(data, pos, size)
     if version_1:
@@ -124,7 +171,7 @@ def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
     end = _claimed_end(data, pos, size)
     if end <= 0:
         return end
-    extra = CRC_EXTRA.get(data[pos + 7] | data[pos + 8] << 8 | data[pos + 9] << 16)
+    extra = CRC_EXTRA.get(_message_id(data, pos))
     if extra is None:
         return NoFrame.UNKNOWN
     crc_at = pos + _HEADER_V2 + data[pos + 1]
@@ -134,14 +181,10 @@ def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
     return end
 
 
-def unknown_end(data: bytes, pos: int, size: int, *, whole: bool = True) -> int:
+def _unknown_end(data: bytes, pos: int, size: int, *, whole: bool = True) -> int:
     """End of the frame of an unknown message that starts at ``pos``, judged by the bytes that follow it.
 
-    Args:
-        data: the bytes, from ``pos`` on a header of an unknown message and as much as it claims.
-        pos: where its marker is.
-        size: end of the bytes.
-        whole: no more bytes come, as in a datagram; else the frame behind it may still be on its way.
+    ``whole``: no more bytes come, as in a datagram; else the frame behind it may still be on its way.
 
     Returns:
         The end; INVALID when nothing shows that this is a frame; CUT_SHORT when that is not clear yet.
@@ -165,6 +208,10 @@ def unknown_end(data: bytes, pos: int, size: int, *, whole: bool = True) -> int:
     return NoFrame.CUT_SHORT if at == size and not whole else first
 
 
+def _message_id(data: bytes, pos: int) -> int:
+    return data[pos + 7] | data[pos + 8] << 8 | data[pos + 9] << 16
+
+
 def _claimed_end(data: bytes, pos: int, size: int) -> int:
     """Where the frame whose marker is at ``pos`` ends by its own length and flags, or a :class:`NoFrame`."""
     if pos + _HEADER_V2 + _CHECKSUM > size:
@@ -183,11 +230,11 @@ def _has_sender(data: bytes, pos: int) -> bool:
 
 def _holds_frame(data: bytes, start: int, stop: int, size: int) -> bool:
     """Whether a checked frame begins within these bytes: stray bytes must never hide a good frame."""
-    pos = data.find(_MARKER, start, stop)
+    pos = data.find(_MARKER_V2, start, stop)
     while pos >= 0:
         if frame_end(data, pos, size, FrameCounters()) > 0:
             return True
-        pos = data.find(_MARKER, pos + 1, stop)
+        pos = data.find(_MARKER_V2, pos + 1, stop)
     return False
 
 

@@ -25,12 +25,6 @@ Payload = Callable[[Message], bytes]
 def pack(message: Message, sequence: int, system_id: int, component_id: int) -> bytes:
     """Serialise a message; it keeps the frame, for ``get_msgbuf``, but its header stays as it is.
 
-    Args:
-        message: an instance of one of the dialect's classes.
-        sequence: 0 to 255.
-        system_id: sender.
-        component_id: sender.
-
     Raises:
         struct.error: a field does not fit its type on the wire.
         IndexError: an array is too short.

@@ -14,19 +14,11 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-_CODES = {
-    "char": ("c", 1),
-    "uint8_t": ("B", 1),
-    "int8_t": ("b", 1),
-    "uint16_t": ("H", 2),
-    "int16_t": ("h", 2),
-    "uint32_t": ("I", 4),
-    "int32_t": ("i", 4),
-    "float": ("f", 4),
-    "uint64_t": ("Q", 8),
-    "int64_t": ("q", 8),
-    "double": ("d", 8),
-}  # type to code of ``struct`` and bytes
+# Type of MAVLink to code of ``struct``.
+CODES = {
+    "char": "c", "uint8_t": "B", "int8_t": "b", "uint16_t": "H", "int16_t": "h", "uint32_t": "I",
+    "int32_t": "i", "float": "f", "uint64_t": "Q", "int64_t": "q", "double": "d",
+}  # fmt: skip
 
 
 class WideField(NamedTuple):
@@ -40,12 +32,12 @@ class WideField(NamedTuple):
     @property
     def size(self) -> int:
         """Bytes of one element."""
-        return _CODES[self.kind][1]
+        return struct.calcsize(f"<{CODES[self.kind]}")
 
     @property
     def code(self) -> str:
         """Format of the whole field for ``struct``."""
-        code = _CODES[self.kind][0]
+        code = CODES[self.kind]
         if not self.array:
             return code
         return f"{self.array}s" if self.kind == "char" else f"{self.array}{code}"
@@ -137,7 +129,7 @@ def make_class(definition: Definition) -> Any:
             "fielddisplays_by_name": {},
             "fieldenums_by_name": {},
             "fieldunits_by_name": {},
-            "native_format": bytearray(b"<" + "".join(_CODES[field.kind][0] for field in wire).encode()),
+            "native_format": bytearray(b"<" + "".join(CODES[field.kind] for field in wire).encode()),
             "orders": [wire.index(field) for field in definition.fields],
             "lengths": [1 if field.kind == "char" else max(1, field.array) for field in wire],
             "array_lengths": [field.array for field in wire],
@@ -152,8 +144,8 @@ def make_class(definition: Definition) -> Any:
 def _field(text: str) -> WideField:
     kind, _, name = text.removeprefix("+").partition(" ")
     kind, _, array = kind.removesuffix("]").partition("[")
-    if kind not in _CODES or not name:
-        raise ValueError(f"field {text!r} of a MAVLink message: allowed are the types {', '.join(_CODES)}")
+    if kind not in CODES or not name:
+        raise ValueError(f"field {text!r} of a MAVLink message: allowed are the types {', '.join(CODES)}")
     return WideField(kind, name, int(array or 0), text.startswith("+"))
 
 

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from types import MappingProxyType
 from typing import NamedTuple
 
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
@@ -85,12 +84,8 @@ def judge(
 ) -> list[Finding]:
     """Judge all rules.
 
-    Args:
-        rules: of the autopilot.
-        values: parameters that have come.
-        missing: those that have not, and why.
-        needs: of the flight.
-        accepted: names that a person has accepted, whatever they are set to.
+    ``missing`` gives the reason by name. ``accepted`` are names that a person has accepted, whatever they are
+    set to.
     """
     return [_finding(rule, values.get(rule.name), missing, needs, accepted) for rule in rules]
 
@@ -219,86 +214,80 @@ _PX4_SHARED = (
     _one_of("SYS_FAILURE_EN", {0: "off"}, "command 420 may let sensors and motors fail in flight"),
 )
 
-RULES: Mapping[str, tuple[Rule, ...]] = MappingProxyType(
-    {
-        OWN_SITL.name: (
-            *_PX4_SHARED,
-            _one_of("COM_OBL_RC_ACT", {0: "land", 3: "return", 4: "land", 5: "hold"}, f"{_OBL} it falls"),
-            _one_of("COM_RC_IN_MODE", {4: "no sticks"}, "a radio that is not there is waited for"),
+RULES: Mapping[str, tuple[Rule, ...]] = {
+    OWN_SITL.name: (
+        *_PX4_SHARED,
+        _one_of("COM_OBL_RC_ACT", {0: "land", 3: "return", 4: "land", 5: "hold"}, f"{_OBL} it falls"),
+        _one_of("COM_RC_IN_MODE", {4: "no sticks"}, "a radio that is not there is waited for"),
+    ),
+    CRAZYFLIE.name: (),  # no parameters on the wire: the bridge itself checks before it arms
+    PX4.name: (
+        *_PX4_SHARED,
+        _one_of(
+            "COM_OBL_RC_ACT",
+            {4: "land", 5: "hold"},
+            f"{_OBL} it waits for sticks, sinks without any, flies home or stops its motors",
         ),
-        CRAZYFLIE.name: (),  # no parameters on the wire: the bridge itself checks before it arms
-        PX4.name: (
-            *_PX4_SHARED,
-            _one_of(
-                "COM_OBL_RC_ACT",
-                {4: "land", 5: "hold"},
-                f"{_OBL} it waits for sticks, sinks without any, flies home or stops its motors",
-            ),
-            _one_of(
-                "COM_RC_IN_MODE",
-                {4: "no sticks"},
-                "without a radio its loss is a fail-safe of its own; with one, mind COM_RCL_EXCEPT instead",
-                Level.NOTE,
-            ),
-            Rule(
-                "COM_RCL_EXCEPT",
-                lambda value, _: bool(int(value) & 4),
-                _fixed("a value with bit 2 (offboard)"),
-                "when the radio is lost the landing is broken off",
-                Level.NOTE,
-            ),
-            Rule(
-                "COM_RC_OVERRIDE",
-                lambda value, _: bool(int(value) & 2),
-                _fixed("a value with bit 1 (offboard)"),
-                "a pilot's sticks do not take over",
-                Level.NOTE,
-            ),
-            _one_of("MAV_FWDEXTSP", {1: "on"}, "set-points are not handed on to the controllers"),
+        _one_of(
+            "COM_RC_IN_MODE",
+            {4: "no sticks"},
+            "without a radio its loss is a fail-safe of its own; with one, mind COM_RCL_EXCEPT instead",
+            Level.NOTE,
         ),
-        ARDUPILOT.name: (
-            _loss_time("GUID_TIMEOUT", "it stops"),
-            _without("GUID_OPTIONS", 0x30, "a value without bits 4 and 5", "velocity is not stabilised"),
-            *_speeds("WPNAV_SPEED", "WPNAV_SPEED_UP", "WPNAV_SPEED_DN", 0.01),
-            _acceleration("WPNAV_ACCEL", lambda needs: needs.horizontal_m_s2),
-            _acceleration("WPNAV_ACCEL_Z", lambda needs: needs.acceleration_max_m_s2[2]),
-            Rule(
-                "DISARM_DELAY",
-                lambda value, _: value == 0.0 or value >= _ARMED_S,
-                _fixed(f"0 (never) or {_TO.format(_ARMED_S)}"),
-                "s armed on the ground until it disarms: too short for its own take-off",
-            ),
-            Rule(
-                "ARMING_CHECK", lambda value, _: value != 0.0, _fixed("1 (all)"), "it arms without its checks"
-            ),
-            _one_of(
-                "FS_EKF_ACTION",
-                {1: "land", 2: "altitude hold", 3: "land from every mode"},
-                "a lost position estimate is only told",
-            ),
-            _one_of(
-                "FS_GCS_ENABLE",
-                {5: "land", 1: "RTL"},
-                "when the companion is lost it stops and stays in the air, armed, until the battery is empty",
-            ),
-            Rule(
-                "SYSID_MYGCS",
-                lambda value, needs: value == needs.system_id,
-                lambda needs: f"{needs.system_id} (the companion's system id, the vehicle's own)",
-                "FS_GCS_ENABLE acts when the heartbeats of this system id stop: the loss of the companion "
-                "does not count, that of a ground station does",
-            ),
-            _one_of(
-                "FS_THR_ENABLE", {0: "off"}, "when the radio is lost the landing is broken off", Level.NOTE
-            ),
-            _one_of("BATT_FS_CRT_ACT", {1: "land", 2: "RTL"}, "an empty battery is only told", Level.NOTE),
-            _one_of(
-                "FENCE_ENABLE",
-                {0: "off"},
-                "a breach breaks off the landing: is FENCE_ALT_MAX above limits.altitude_max_m?",
-                Level.NOTE,
-            ),
-            _one_of("SYSID_ENFORCE", {1: "on"}, "it obeys every sender, whatever its id", Level.NOTE),
+        Rule(
+            "COM_RCL_EXCEPT",
+            lambda value, _: bool(int(value) & 4),
+            _fixed("a value with bit 2 (offboard)"),
+            "when the radio is lost the landing is broken off",
+            Level.NOTE,
         ),
-    }
-)
+        Rule(
+            "COM_RC_OVERRIDE",
+            lambda value, _: bool(int(value) & 2),
+            _fixed("a value with bit 1 (offboard)"),
+            "a pilot's sticks do not take over",
+            Level.NOTE,
+        ),
+        _one_of("MAV_FWDEXTSP", {1: "on"}, "set-points are not handed on to the controllers"),
+    ),
+    ARDUPILOT.name: (
+        _loss_time("GUID_TIMEOUT", "it stops"),
+        _without("GUID_OPTIONS", 0x30, "a value without bits 4 and 5", "velocity is not stabilised"),
+        *_speeds("WPNAV_SPEED", "WPNAV_SPEED_UP", "WPNAV_SPEED_DN", 0.01),
+        _acceleration("WPNAV_ACCEL", lambda needs: needs.horizontal_m_s2),
+        _acceleration("WPNAV_ACCEL_Z", lambda needs: needs.acceleration_max_m_s2[2]),
+        Rule(
+            "DISARM_DELAY",
+            lambda value, _: value == 0.0 or value >= _ARMED_S,
+            _fixed(f"0 (never) or {_TO.format(_ARMED_S)}"),
+            "s armed on the ground until it disarms: too short for its own take-off",
+        ),
+        Rule("ARMING_CHECK", lambda value, _: value != 0.0, _fixed("1 (all)"), "it arms without its checks"),
+        _one_of(
+            "FS_EKF_ACTION",
+            {1: "land", 2: "altitude hold", 3: "land from every mode"},
+            "a lost position estimate is only told",
+        ),
+        _one_of(
+            "FS_GCS_ENABLE",
+            {5: "land", 1: "RTL"},
+            "when the companion is lost it stops and stays in the air, armed, until the battery is empty",
+        ),
+        Rule(
+            "SYSID_MYGCS",
+            lambda value, needs: value == needs.system_id,
+            lambda needs: f"{needs.system_id} (the companion's system id, the vehicle's own)",
+            "FS_GCS_ENABLE acts when the heartbeats of this system id stop: the loss of the companion "
+            "does not count, that of a ground station does",
+        ),
+        _one_of("FS_THR_ENABLE", {0: "off"}, "when the radio is lost the landing is broken off", Level.NOTE),
+        _one_of("BATT_FS_CRT_ACT", {1: "land", 2: "RTL"}, "an empty battery is only told", Level.NOTE),
+        _one_of(
+            "FENCE_ENABLE",
+            {0: "off"},
+            "a breach breaks off the landing: is FENCE_ALT_MAX above limits.altitude_max_m?",
+            Level.NOTE,
+        ),
+        _one_of("SYSID_ENFORCE", {1: "on"}, "it obeys every sender, whatever its id", Level.NOTE),
+    ),
+}

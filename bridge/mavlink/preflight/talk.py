@@ -9,14 +9,13 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.companion import companion_heartbeat
+from bridge.mavlink.client.companion import companion_heartbeat, request_message
 from bridge.mavlink.client.parameters import ParameterReader
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Endpoint, LinkCounters, Peer
 from bridge.mavlink.preflight.rules import RULES, Finding, Level, Needs, Rule, judge
-from bridge.mavlink.profiles.autopilot_version import is_recorded, marked, release
-from bridge.mavlink.profiles.autopilots import found, refusal
+from bridge.mavlink.profiles.autopilots import found, is_recorded, marked, refusal, release
 from bridge.mavlink.profiles.profile import Profile
 
 _HELLO_S = 0.2  # s between heartbeats until the vehicle is heard
@@ -148,13 +147,10 @@ class _Talk:
 
     def turn(self, now_s: float) -> None:
         """Say what is due, wait a little, take what came."""
-        messages = (
-            []
-            if now_s - self._said_s < (_HEARTBEAT_S if self.heard else _HELLO_S)
-            else [companion_heartbeat()]
-        )
-        if messages:
+        messages: list[Message] = []
+        if now_s - self._said_s >= (_HEARTBEAT_S if self.heard else _HELLO_S):
             self._said_s = now_s
+            messages.append(companion_heartbeat())
         if self.profile is not None:
             messages += self._ask(self.profile, now_s)
         self._endpoint.send(messages, self._peer)
@@ -182,13 +178,7 @@ class _Talk:
             return []
         self._version_s = now_s
         self._version_tries += 1
-        rest = (profile.unset,) * 5
-        return [
-            dialect.MAVLink_command_long_message(
-                *self._target, dialect.MAV_CMD_REQUEST_MESSAGE, 0,
-                float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION), *rest, 0.0,
-            )
-        ]  # fmt: skip
+        return [request_message(self._target, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, profile.unset)]
 
     def _take(self, message: Message) -> None:
         kind = message.get_msgId()

@@ -1,5 +1,7 @@
-"""What differs between autopilots, as one table; nothing else in the stack asks which one it talks to.
+"""What differs between autopilots, as one table, and which one is there by HEARTBEAT and AUTOPILOT_VERSION.
 
+Nothing else in the stack asks which autopilot it talks to. This project's own vehicles fly by PX4's commands
+and show its MAV_AUTOPILOT, but have other parameters; a recorded one has none.
 Sources: PX4 ``px4_custom_mode.h``, ``mavlink_receiver.cpp`` and ``offboardCheck.cpp`` (v1.16); ArduPilot
 ``ArduCopter/mode.h``, ``mode_guided.cpp`` and ``GCS_Mavlink.cpp`` (4.6); both measured in their own SITL.
 """
@@ -9,10 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.profile import (
     VELOCITY_AND_YAW,
     Encoding,
@@ -140,42 +142,36 @@ _KILL = Step(
     tries=120,
 )
 # PX4 answers a mode change twice, the first time always with ACCEPTED; so no ACCEPTED is believed.
-_ANSWERS: Mapping[int, Reading] = MappingProxyType(
-    {
-        dialect.MAV_RESULT_ACCEPTED: Reading.NOTED,
-        dialect.MAV_RESULT_IN_PROGRESS: Reading.WORKING,
-        dialect.MAV_RESULT_TEMPORARILY_REJECTED: Reading.AGAIN,
-        dialect.MAV_RESULT_FAILED: Reading.AGAIN,
-        dialect.MAV_RESULT_DENIED: Reading.FINAL,
-        dialect.MAV_RESULT_UNSUPPORTED: Reading.FINAL,
-        dialect.MAV_RESULT_COMMAND_INT_ONLY: Reading.FINAL,
-    }
-)
+_ANSWERS: Mapping[int, Reading] = {
+    dialect.MAV_RESULT_ACCEPTED: Reading.NOTED,
+    dialect.MAV_RESULT_IN_PROGRESS: Reading.WORKING,
+    dialect.MAV_RESULT_TEMPORARILY_REJECTED: Reading.AGAIN,
+    dialect.MAV_RESULT_FAILED: Reading.AGAIN,
+    dialect.MAV_RESULT_DENIED: Reading.FINAL,
+    dialect.MAV_RESULT_UNSUPPORTED: Reading.FINAL,
+    dialect.MAV_RESULT_COMMAND_INT_ONLY: Reading.FINAL,
+}
 
 PX4 = Profile(
     name="px4",
     title="PX4, OFFBOARD",
     autopilot=dialect.MAV_AUTOPILOT_PX4,
-    modes=MappingProxyType(
-        {
-            _px4_mode(6): Mode.EXTERNAL,  # OFFBOARD
-            _px4_mode(4, 2): Mode.TAKEOFF,
-            _px4_mode(4, 3): Mode.HOLD,  # LOITER
-            _px4_mode(4, 6): Mode.LAND,
-            _px4_mode(4, 9): Mode.LAND,  # PRECLAND
-        }
-    ),
-    sequences=MappingProxyType(
-        {
-            Request.NONE: (),
-            # By set-points: COM_OBL_RC_ACT acts in OFFBOARD alone, so a companion that dies in the climb of
-            # AUTO.TAKEOFF would leave it hovering.
-            Request.TAKEOFF: (replace(_OFFBOARD, done=_offboard_or_airborne), _ARM),
-            Request.EXTERNAL: (_OFFBOARD,),
-            Request.LAND: (_LAND,),
-            Request.MOTORS_OFF: (_KILL,),
-        }
-    ),
+    modes={
+        _px4_mode(6): Mode.EXTERNAL,  # OFFBOARD
+        _px4_mode(4, 2): Mode.TAKEOFF,
+        _px4_mode(4, 3): Mode.HOLD,  # LOITER
+        _px4_mode(4, 6): Mode.LAND,
+        _px4_mode(4, 9): Mode.LAND,  # PRECLAND
+    },
+    sequences={
+        Request.NONE: (),
+        # By set-points: COM_OBL_RC_ACT acts in OFFBOARD alone, so a companion that dies in the climb of
+        # AUTO.TAKEOFF would leave it hovering.
+        Request.TAKEOFF: (replace(_OFFBOARD, done=_offboard_or_airborne), _ARM),
+        Request.EXTERNAL: (_OFFBOARD,),
+        Request.LAND: (_LAND,),
+        Request.MOTORS_OFF: (_KILL,),
+    },
     answers=_ANSWERS,
     takeoff_altitude=TakeoffAltitude.AMSL,
     stream_in_takeoff=True,
@@ -213,7 +209,7 @@ CRAZYFLIE = replace(
     name="crazyflie",
     title="Crazyflie behind the bridge, OFFBOARD",
     # In its own take-off the bridge lands it when the companion dies; in OFFBOARD the motors stop after 2 s.
-    sequences=MappingProxyType({**PX4.sequences, Request.TAKEOFF: _OWN_TAKEOFF}),
+    sequences={**PX4.sequences, Request.TAKEOFF: _OWN_TAKEOFF},
     prepare=(),  # nothing of it depends on the mode
     stream_lost="the firmware stops the motors after 2 s, or the bridge lands it (--land-on-silence)",
     time_sync="nobody asks",
@@ -224,29 +220,25 @@ ARDUPILOT = Profile(
     name="ardupilot",
     title="ArduCopter, GUIDED",
     autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
-    modes=MappingProxyType(
-        {
-            4: Mode.EXTERNAL,  # GUIDED; whether it follows us or takes off by itself it does not show
-            5: Mode.HOLD,  # LOITER
-            9: Mode.LAND,
-            16: Mode.HOLD,  # POSHOLD
-            17: Mode.HOLD,  # BRAKE
-        }
-    ),
-    sequences=MappingProxyType(
-        {
-            Request.NONE: (),
-            Request.TAKEOFF: (
-                Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_airborne),
-                _ARM,
-                # A repeated take-off starts its spool-up again, so more time between tries.
-                Step(_NAV_TAKEOFF, "take off", _takeoff, _airborne, period_s=4.0, tries=4),
-            ),
-            Request.EXTERNAL: (Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _external),),
-            Request.LAND: (_LAND,),
-            Request.MOTORS_OFF: (_KILL,),
-        }
-    ),
+    modes={
+        4: Mode.EXTERNAL,  # GUIDED; whether it follows us or takes off by itself it does not show
+        5: Mode.HOLD,  # LOITER
+        9: Mode.LAND,
+        16: Mode.HOLD,  # POSHOLD
+        17: Mode.HOLD,  # BRAKE
+    },
+    sequences={
+        Request.NONE: (),
+        Request.TAKEOFF: (
+            Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_airborne),
+            _ARM,
+            # A repeated take-off starts its spool-up again, so more time between tries.
+            Step(_NAV_TAKEOFF, "take off", _takeoff, _airborne, period_s=4.0, tries=4),
+        ),
+        Request.EXTERNAL: (Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _external),),
+        Request.LAND: (_LAND,),
+        Request.MOTORS_OFF: (_KILL,),
+    },
     answers=_ANSWERS,
     takeoff_altitude=TakeoffAltitude.ABOVE_HOME,
     stream_in_takeoff=False,  # a velocity set-point silently ends the take-off (mode_guided.cpp)
@@ -259,20 +251,18 @@ ARDUPILOT = Profile(
     # Its pre-arm bit depends on the mode, so the mode comes first; one set in the first seconds after boot is
     # acknowledged, then lost: tried for as long as the stack waits.
     prepare=(Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_armed, period_s=1.0, tries=3600),),
-    asked_hz=MappingProxyType({dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0}),  # all SRx_ rates may be 0
-    data_streams=MappingProxyType(
-        {
-            dialect.MAVLINK_MSG_ID_SYS_STATUS: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
-            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: dialect.MAV_DATA_STREAM_POSITION,
-            dialect.MAVLINK_MSG_ID_ATTITUDE: dialect.MAV_DATA_STREAM_EXTRA1,
-        }
-    ),
+    asked_hz={dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0},  # all SRx_ rates may be 0
+    data_streams={
+        dialect.MAVLINK_MSG_ID_SYS_STATUS: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
+        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: dialect.MAV_DATA_STREAM_POSITION,
+        dialect.MAVLINK_MSG_ID_ATTITUDE: dialect.MAV_DATA_STREAM_EXTRA1,
+    },
 )
 
-PROFILES: Mapping[str, Profile] = MappingProxyType({p.name: p for p in (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)})
+PROFILES: Mapping[str, Profile] = {p.name: p for p in (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)}
 CHOICES = (AUTO, *PROFILES)
 # Of those that show the same MAV_AUTOPILOT the real one counts: the others fly by the same commands.
-_BY_AUTOPILOT: Mapping[int, Profile] = MappingProxyType({p.autopilot: p for p in (PX4, ARDUPILOT)})
+_BY_AUTOPILOT: Mapping[int, Profile] = {p.autopilot: p for p in (PX4, ARDUPILOT)}
 
 
 def profile(name: str) -> Profile | None:
@@ -297,10 +287,8 @@ def found(autopilot: int) -> Profile | None:
 def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
     """Why a vehicle with this heartbeat is not flown, None when it is.
 
-    Args:
-        autopilot: MAV_AUTOPILOT of its heartbeat.
-        type_: MAV_TYPE of its heartbeat.
-        chosen: the profile that was given, None for ``auto``.
+    ``autopilot`` is its MAV_AUTOPILOT, ``type_`` its MAV_TYPE, ``chosen`` the profile that was given, None
+    for ``auto``.
     """
     if chosen is None and found(autopilot) is None:
         known = ", ".join(f"{p.title} ({number})" for number, p in _BY_AUTOPILOT.items())
@@ -321,3 +309,38 @@ def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
 def _name(enum: str, number: int) -> str:
     entry = dialect.enums[enum].get(number)
     return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)
+
+
+# flight_custom_version, where others have eight digits of their revision
+SITL_MARK = b"cfstack\x00"
+CRAZYFLIE_MARK = b"cfbridge"
+RECORDED_MARK = b"recorded"
+_MARKED: Mapping[bytes, Profile] = {SITL_MARK: OWN_SITL, CRAZYFLIE_MARK: CRAZYFLIE}
+
+
+def marked(message: Message) -> Profile | None:
+    """Profile of one of this project's own vehicles by its AUTOPILOT_VERSION, None if it is another's."""
+    return _MARKED.get(bytes(message.flight_custom_version))
+
+
+def is_recorded(message: Message) -> bool:
+    """Whether it is a log that is played: it obeys nothing, so nothing can be unsafe."""
+    return bytes(message.flight_custom_version) == RECORDED_MARK
+
+
+def recorded_version() -> Message:
+    """AUTOPILOT_VERSION of a log that is played."""
+    zeros = [0] * 8
+    return dialect.MAVLink_autopilot_version_message(
+        0, 0, 0, 0, 0, list(RECORDED_MARK), zeros, zeros, 0, 0, 0
+    )
+
+
+def release(message: Message) -> str:
+    """Release as ``1.16.0`` of an AUTOPILOT_VERSION, with what it is short of a release."""
+    version = message.flight_sw_version
+    kind = dialect.enums["FIRMWARE_VERSION_TYPE"].get(version & 0xFF)
+    number = f"{version >> 24 & 0xFF}.{version >> 16 & 0xFF}.{version >> 8 & 0xFF}"
+    if kind is None or kind.name.endswith("OFFICIAL"):
+        return number
+    return f"{number} {kind.name.removeprefix('FIRMWARE_VERSION_TYPE_').lower()}"

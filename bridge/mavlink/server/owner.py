@@ -33,10 +33,7 @@ class ControlOwner:
     def admit(self, sender: Sender, now_s: float, silence_s: float) -> str | None:
         """Give control to the sender of a valid set-point, if no other sender has it.
 
-        Args:
-            sender: of the set-point.
-            now_s: time.
-            silence_s: time without set-points after which control is free.
+        Without set-points for ``silence_s`` control is free.
 
         Returns:
             The reason when another sender has control, else None.

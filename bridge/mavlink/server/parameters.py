@@ -161,9 +161,7 @@ class Parameters:
     def preset(self, name: str, value: float) -> None:
         """Set a parameter before anything flies; what is fixed stays.
 
-        Args:
-            name: on the wire.
-            value: on the wire, in its unit.
+        Name, value and unit are those on the wire.
 
         Raises:
             ValueError: no such parameter, or a value that is not allowed; the text says what is.
@@ -191,11 +189,7 @@ class Parameters:
     def set(self, name: str, wire_value: float, type_: int, *, armed: bool) -> Refused | None:
         """Write a parameter from PARAM_SET.
 
-        Args:
-            name: a known name.
-            wire_value: the message's float field.
-            type_: MAV_PARAM_TYPE of the message.
-            armed: whether the vehicle is armed.
+        ``wire_value`` is the message's float field, ``type_`` its MAV_PARAM_TYPE.
 
         Returns:
             Why it was refused, None when it was written.

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -43,45 +42,39 @@ class Code(NamedTuple):
 _AUTO = 1 | 4 | 8 | 16  # custom, auto, guided, stabilised (PX4 streams/HEARTBEAT.hpp)
 _EXTERNAL = 1 | 16  # custom, stabilised: PX4's offboard is not an auto mode
 
-PX4_CODES: Mapping[FlightMode, Code] = MappingProxyType(
-    {
-        FlightMode.HOLD: Code(4, 3, _AUTO),  # AUTO.LOITER
-        FlightMode.TAKEOFF: Code(4, 2, _AUTO),
-        FlightMode.LAND: Code(4, 6, _AUTO),
-        FlightMode.RETURN: Code(4, 5, _AUTO),  # AUTO.RTL
-        FlightMode.OFFBOARD: Code(6, 0, _EXTERNAL),
-    }
-)
+PX4_CODES: Mapping[FlightMode, Code] = {
+    FlightMode.HOLD: Code(4, 3, _AUTO),  # AUTO.LOITER
+    FlightMode.TAKEOFF: Code(4, 2, _AUTO),
+    FlightMode.LAND: Code(4, 6, _AUTO),
+    FlightMode.RETURN: Code(4, 5, _AUTO),  # AUTO.RTL
+    FlightMode.OFFBOARD: Code(6, 0, _EXTERNAL),
+}
 _BY_CODE = {(code.main, code.sub): mode for mode, code in PX4_CODES.items()}
 
 # PX4's other modes, and why no vehicle here has them.
 _STICKS = "no stick input"
-_NOT_HERE: Mapping[tuple[int, int], str] = MappingProxyType(
-    {
-        (1, 0): f"manual: {_STICKS}",
-        (2, 0): f"altitude: {_STICKS}",
-        (3, 0): f"position: {_STICKS}",
-        (5, 0): f"acro: {_STICKS}",
-        (7, 0): f"stabilized: {_STICKS}",
-        (8, 0): f"rattitude: {_STICKS}",
-        (10, 0): "termination: use command 185",
-        (4, 1): "ready: use hold",
-        (4, 4): "mission: no missions",
-        (4, 8): "follow: not supported",
-        (4, 9): "precision land: not supported",
-    }
-)
+_NOT_HERE: Mapping[tuple[int, int], str] = {
+    (1, 0): f"manual: {_STICKS}",
+    (2, 0): f"altitude: {_STICKS}",
+    (3, 0): f"position: {_STICKS}",
+    (5, 0): f"acro: {_STICKS}",
+    (7, 0): f"stabilized: {_STICKS}",
+    (8, 0): f"rattitude: {_STICKS}",
+    (10, 0): "termination: use command 185",
+    (4, 1): "ready: use hold",
+    (4, 4): "mission: no missions",
+    (4, 8): "follow: not supported",
+    (4, 9): "precision land: not supported",
+}
 
 # What EXTENDED_SYS_STATE says in the air; on the ground it is always ON_GROUND.
-AIRBORNE_STATE: Mapping[FlightMode, int] = MappingProxyType(
-    {
-        FlightMode.HOLD: dialect.MAV_LANDED_STATE_IN_AIR,
-        FlightMode.TAKEOFF: dialect.MAV_LANDED_STATE_TAKEOFF,
-        FlightMode.LAND: dialect.MAV_LANDED_STATE_LANDING,
-        FlightMode.RETURN: dialect.MAV_LANDED_STATE_IN_AIR,
-        FlightMode.OFFBOARD: dialect.MAV_LANDED_STATE_IN_AIR,
-    }
-)
+AIRBORNE_STATE: Mapping[FlightMode, int] = {
+    FlightMode.HOLD: dialect.MAV_LANDED_STATE_IN_AIR,
+    FlightMode.TAKEOFF: dialect.MAV_LANDED_STATE_TAKEOFF,
+    FlightMode.LAND: dialect.MAV_LANDED_STATE_LANDING,
+    FlightMode.RETURN: dialect.MAV_LANDED_STATE_IN_AIR,
+    FlightMode.OFFBOARD: dialect.MAV_LANDED_STATE_IN_AIR,
+}
 
 
 def _px4_mode(main: int, sub: int) -> FlightMode | None:

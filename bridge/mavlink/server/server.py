@@ -23,7 +23,6 @@ from bridge.mavlink.server.setpoints import read_setpoint
 from bridge.mavlink.server.streams import Streams
 from bridge.mavlink.server.telemetry import Builder, Snapshot, V, autopilot_version, heartbeat
 from bridge.mavlink.server.texts import Text, TextWire
-from bridge.mavlink.server.vehicle_commands import VehicleCommands
 
 SYSTEM_ID = 1
 COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot nowhere else
@@ -64,13 +63,8 @@ class Server(ABC, Generic[V]):
     ) -> None:
         """Set up.
 
-        Args:
-            vehicle: the vehicle.
-            profile: which autopilot it plays.
-            parameters: of the vehicle.
-            rate_hz: highest rate of any message.
-            builders: messages that can be streamed, in the order of a datagram.
-            system_id: MAVLink system id, 1 to 255.
+        ``rate_hz`` is the highest rate of any message. ``builders`` are messages that can be streamed, in the
+        order of a datagram.
         """
         self.vehicle, self.profile, self.parameters = vehicle, profile, parameters
         self.system_id = system_id
@@ -81,9 +75,9 @@ class Server(ABC, Generic[V]):
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
         }
         self.messages = frozenset(requestable)
-        common = VehicleCommands(vehicle, profile, self.streams, requestable, self.snapshot)
-        table: dict[int, Entry] = {**common.table, **self.own_commands()}
-        self.commands = Commands(table, vehicle.texts, vehicle.forbids, profile)
+        self.commands = Commands(
+            vehicle, profile, self.streams, requestable, self.snapshot, self.own_commands()
+        )
         self._handlers: dict[int, Handler] = {
             dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self.on_setpoint,
             dialect.MAVLINK_MSG_ID_COMMAND_LONG: self.on_command,
@@ -123,9 +117,8 @@ class Server(ABC, Generic[V]):
         vehicle = snapshot.vehicle
         return vehicle.mode, vehicle.armed, vehicle.failsafe, snapshot.valid
 
-    def hidden(self, now_s: float) -> frozenset[int]:
+    def hidden(self, _now_s: float) -> frozenset[int]:
         """Ids of messages that are not sent now."""
-        del now_s
         return _NOTHING
 
     def boot_ns(self, now_s: float) -> int | None:
@@ -140,12 +133,7 @@ class Server(ABC, Generic[V]):
         return frozenset(self._handlers)
 
     def handle(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
-        """Act on one message.
-
-        Args:
-            message: decoded, with a valid checksum; all else may be wrong with it.
-            sender: system and component id of its header.
-            now_s: time.
+        """Act on one message. Its checksum is valid; all else may be wrong with it.
 
         Returns:
             Answers for this sender.
@@ -239,8 +227,7 @@ class Server(ABC, Generic[V]):
             vehicle.texts.refuse(reason, now_s)
         return []
 
-    def _on_timesync(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        del sender
+    def _on_timesync(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
         boot_ns = self.boot_ns(now_s) if message.tc1 == 0 else None  # another tc1: an answer
         if boot_ns is None:
             return []

@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.decoding import Message, parameter_name
 from bridge.mavlink.server.owner import Right, Sender
 from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
 from bridge.mavlink.server.profile import ServerProfile
@@ -57,8 +57,8 @@ class Services:
             m.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._parameter_read,
             m.MAVLINK_MSG_ID_PARAM_SET: self._parameter_set,
             m.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _mission_list,
-            m.MAVLINK_MSG_ID_MISSION_COUNT: _mission_count,
-            m.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _mission_clear,
+            m.MAVLINK_MSG_ID_MISSION_COUNT: _mission_change,
+            m.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _mission_change,
             **dict.fromkeys((*_ITEM_REQUESTS, *_ITEMS), _mission_refused),
             m.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _log_list,
             m.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _file_transfer,
@@ -67,18 +67,16 @@ class Services:
         if profile.data_streams:
             self.handlers[m.MAVLINK_MSG_ID_REQUEST_DATA_STREAM] = self._data_stream
 
-    def _parameter_list(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        del message, sender, now_s
+    def _parameter_list(self, _message: Any, _sender: Sender, _now_s: float) -> list[Message]:
         self._parameters.list_all()  # goes out with the telemetry of the next ticks
         return []
 
-    def _parameter_read(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        del now_s
-        name = self._parameters.find(_text(message.param_id), message.param_index)
+    def _parameter_read(self, message: Any, sender: Sender, _now_s: float) -> list[Message]:
+        name = self._parameters.find(parameter_name(message.param_id), message.param_index)
         return [_no_parameter(message, sender)] if name is None else [self._parameters.message(name)]
 
     def _parameter_set(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        name = self._parameters.find(_text(message.param_id), -1)
+        name = self._parameters.find(parameter_name(message.param_id), -1)
         if name is None:
             return [_no_parameter(message, sender)]
         forbidden = self._vehicle.forbids(sender, Right.OWNER, now_s)
@@ -95,9 +93,8 @@ class Services:
         # The error first: MAVSDK takes a value that differs for a lost write and sends it five times more.
         return [_parameter_error(name.encode(), -1, refused.error, sender), in_force]
 
-    def _data_stream(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+    def _data_stream(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
         """REQUEST_DATA_STREAM, start only."""
-        del sender
         if message.start_stop and message.req_message_rate:
             interval_us = 1e6 / message.req_message_rate
             for message_id in self._groups.get(message.req_stream_id, ()):
@@ -105,8 +102,7 @@ class Services:
                     self._streams.set_interval(message_id, interval_us, now_s)
         return []
 
-    def _refuse_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        del sender
+    def _refuse_setpoint(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
         kind = _REFUSED_SETPOINTS[message.get_msgId()]
         self._vehicle.texts.refuse(f"Set-point dropped: {kind}, only local velocity", now_s)
         return []
@@ -115,7 +111,7 @@ class Services:
 def _no_parameter(message: Any, sender: Sender) -> Message:
     """PX4 1.16 says nothing here, and clients wait for seconds (mavlink.io, services/parameter)."""
     index = getattr(message, "param_index", -1)
-    name = _text(message.param_id).encode("ascii", "replace")
+    name = parameter_name(message.param_id).encode("ascii", "replace")
     return _parameter_error(name, index, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST, sender)
 
 
@@ -123,57 +119,46 @@ def _parameter_error(name: bytes, index: int, error: int, sender: Sender) -> Mes
     return dialect.MAVLink_param_error_message(*sender, name, index, error)
 
 
-def _text(field: str | bytes) -> str:
-    raw = field.encode("latin-1", "replace") if isinstance(field, str) else bytes(field)
-    return raw.partition(b"\x00")[0].decode("ascii", "replace")
-
-
-def _ping(message: Any, sender: Sender, now_s: float) -> list[Message]:
-    del now_s
+def _ping(message: Any, sender: Sender, _now_s: float) -> list[Message]:
     if message.target_system != 0 or message.target_component != 0:
         return []  # an answer
     return [dialect.MAVLink_ping_message(message.time_usec, message.seq, *sender)]
 
 
-def _mission_list(message: Any, sender: Sender, now_s: float) -> list[Message]:
+def _mission_list(message: Any, sender: Sender, _now_s: float) -> list[Message]:
     """MISSION_REQUEST_LIST: empty."""
-    del now_s
     if message.mission_type not in _TYPES:
-        return _ack(message, sender, dialect.MAV_MISSION_UNSUPPORTED)
+        return _mission_ack(message, sender, dialect.MAV_MISSION_UNSUPPORTED)
     return [dialect.MAVLink_mission_count_message(*sender, 0, message.mission_type)]
 
 
-def _mission_count(message: Any, sender: Sender, now_s: float) -> list[Message]:
-    """MISSION_COUNT, the beginning of an upload: only an empty one is taken."""
-    del now_s
-    known = message.mission_type in _TYPES and not message.count
-    return _ack(message, sender, dialect.MAV_MISSION_ACCEPTED if known else dialect.MAV_MISSION_UNSUPPORTED)
+def _mission_change(message: Any, sender: Sender, _now_s: float) -> list[Message]:
+    """MISSION_COUNT, the beginning of an upload, and MISSION_CLEAR_ALL: only an empty list is taken."""
+    clears = message.get_msgId() == dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL
+    known = message.mission_type in _TYPES or (clears and message.mission_type == _ALL)
+    taken = known and (clears or not message.count)
+    result = dialect.MAV_MISSION_ACCEPTED if taken else dialect.MAV_MISSION_UNSUPPORTED
+    return _mission_ack(message, sender, result)
 
 
-def _mission_clear(message: Any, sender: Sender, now_s: float) -> list[Message]:
-    """MISSION_CLEAR_ALL: it is empty."""
-    del now_s
-    known = message.mission_type in _TYPES or message.mission_type == _ALL
-    return _ack(message, sender, dialect.MAV_MISSION_ACCEPTED if known else dialect.MAV_MISSION_UNSUPPORTED)
-
-
-def _mission_refused(message: Any, sender: Sender, now_s: float) -> list[Message]:
+def _mission_refused(message: Any, sender: Sender, _now_s: float) -> list[Message]:
     """Items: none can be read, and none was asked for."""
-    del now_s
     wanted = message.get_msgId() in _ITEM_REQUESTS
     result = dialect.MAV_MISSION_INVALID_SEQUENCE if wanted else dialect.MAV_MISSION_UNSUPPORTED
-    return _ack(message, sender, result)
+    return _mission_ack(message, sender, result)
 
 
-def _log_list(message: Any, sender: Sender, now_s: float) -> list[Message]:
+def _mission_ack(message: Any, sender: Sender, result: int) -> list[Message]:
+    return [dialect.MAVLink_mission_ack_message(*sender, result, message.mission_type)]
+
+
+def _log_list(_message: Any, _sender: Sender, _now_s: float) -> list[Message]:
     """LOG_REQUEST_LIST: no logs on board."""
-    del message, sender, now_s
     return [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)]
 
 
-def _file_transfer(message: Any, sender: Sender, now_s: float) -> list[Message]:
+def _file_transfer(message: Any, sender: Sender, _now_s: float) -> list[Message]:
     """FILE_TRANSFER_PROTOCOL: NAK."""
-    del now_s
     asked = bytes(message.payload)
     sequence = (int.from_bytes(asked[:2], "little") + 1) & 0xFFFF
     reply = bytearray(_FTP_BYTES)
@@ -181,7 +166,3 @@ def _file_transfer(message: Any, sender: Sender, now_s: float) -> list[Message]:
     reply[2:6] = bytes((asked[2], _FTP_NAK, 1, asked[3]))
     reply[_FTP_HEADER] = _FTP_FAIL
     return [dialect.MAVLink_file_transfer_protocol_message(0, *sender, reply)]
-
-
-def _ack(message: Any, sender: Sender, result: int) -> list[Message]:
-    return [dialect.MAVLink_mission_ack_message(*sender, result, message.mission_type)]

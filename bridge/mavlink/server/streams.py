@@ -27,11 +27,8 @@ class Streams(Generic[V]):
     def __init__(self, rate_hz: float, builders: Mapping[int, Builder[V]], profile: ServerProfile) -> None:
         """Set the default rates.
 
-        Args:
-            rate_hz: highest rate of any message, so that no request can cause a flood.
-            builders: messages that can be streamed, by id. A datagram has them in this order, after
-                attitude and position.
-            profile: has the default rates.
+        No request can raise a rate above ``rate_hz``. A datagram has the messages in the order of
+        ``builders``, after attitude and position.
         """
         self._period_s = 1.0 / rate_hz
         self._hidden: frozenset[int] = frozenset()

@@ -48,11 +48,7 @@ class Texts:
     ) -> None:
         """Add the reason of a refusal, unless the same was said in the last second.
 
-        Args:
-            text: the reason.
-            now_s: time.
-            topic: refusals of one topic count as the same; the text itself when left out.
-            severity: MAV_SEVERITY.
+        Refusals of one ``topic`` count as the same; the topic is the text itself when left out.
         """
         topic = topic or text
         if now_s - self._said_s.get(topic, -math.inf) < _SAME_GAP_S:

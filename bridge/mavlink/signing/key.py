@@ -40,8 +40,7 @@ class SigningKey:
 def load_key(path: Path) -> SigningKey:
     """Read a key file.
 
-    Args:
-        path: an ordinary file that nobody but its owner may read or write, mode 0600 or 0400.
+    It is an ordinary file that nobody but its owner may read or write, mode 0600 or 0400.
 
     Raises:
         ValueError: others may read it, or it holds no key.

@@ -45,13 +45,8 @@ class Channel(Protocol):
 class ByteStream:
     """A connection that is opened again when it is lost; see :class:`.transport.Transport`.
 
-    Args:
-        name: for notices.
-        peer: name of the other side, for log and counters.
-        connect: opens a channel, or begins to; raises OSError when it cannot.
-        counters: of the endpoint.
-        baud: of a serial line.
-        outgoing_max: bytes of frames that may wait to be sent.
+    ``name`` and ``peer`` are the other side's, for notices and the log. ``connect`` opens a channel, or
+    begins to. ``outgoing_max`` are bytes of frames that may wait to be sent.
     """
 
     is_stream = True
@@ -104,9 +99,8 @@ class ByteStream:
         self._counters.bytes_in += len(data)
         return Chunk(data, self._peer)
 
-    def send(self, frames: Sequence[bytes], peer: Peer) -> None:
+    def send(self, frames: Sequence[bytes], _peer: Peer) -> None:
         """Send frames, or keep them for the next call; without a connection or room they are dropped."""
-        del peer
         if self._ready() is None:
             self._counters.send_errors += len(frames)
             return

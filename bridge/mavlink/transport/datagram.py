@@ -17,11 +17,7 @@ _SOCKET_BUFFER = 1 << 20  # bytes, asked for; the kernel may give less
 class DatagramTransport:
     """A UDP socket; see :class:`bridge.mavlink.transport.open.Transport`.
 
-    Args:
-        url: for messages.
-        listens: bind to the address; else send there, and hear nobody else.
-        address: IPv4 address and port.
-        counters: of the endpoint.
+    One that does not listen sends to the address, and hears nobody else.
 
     Raises:
         OSError: the address cannot be bound, or there is no route to it.

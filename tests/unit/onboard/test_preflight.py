@@ -7,8 +7,7 @@ import pytest
 from bridge.mavlink.endpoint import Endpoint, dialect
 from bridge.mavlink.preflight.rules import RULES, Level, Needs, judge
 from bridge.mavlink.preflight.talk import examine
-from bridge.mavlink.profiles.autopilot_version import recorded_version
-from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4
+from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4, recorded_version
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.preflight import lines, needs_of, record, verdict

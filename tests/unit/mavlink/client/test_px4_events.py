@@ -2,8 +2,8 @@
 
 import pytest
 
-from bridge.mavlink.client import px4_events
-from bridge.mavlink.client.px4_events import EVENT, event_text
+from bridge.mavlink.client import texts
+from bridge.mavlink.client.texts import EVENT, event_text
 from bridge.mavlink.codec.wide_messages import MESSAGES
 from tests import tables
 from tests.px4_flight import px4_or_skip
@@ -39,7 +39,7 @@ def test_unknown_event_is_told_by_its_number():
 
 
 def test_every_event_of_the_table_is_told_whatever_its_arguments():
-    table = px4_events._table()
+    table = texts._table()
     assert len(table.events) > 300
     for number in table.events:
         for fill in (0x00, 0x01, 0x7F, 0xFF):
@@ -51,7 +51,7 @@ def test_every_event_of_the_table_is_told_whatever_its_arguments():
 
 
 def test_arguments_are_written_as_the_template_says():
-    filled = px4_events._filled
+    filled = texts._filled
     assert (
         filled(r"at {1:.1m/s}, {2m_v} \< {3} <param>A_B</param>", [1.25, 7, "x"]) == "at 1.2 m/s, 7 m < x A_B"
     )

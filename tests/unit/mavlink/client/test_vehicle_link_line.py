@@ -3,7 +3,7 @@
 import pytest
 
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.client.px4_events import EVENT
+from bridge.mavlink.client.texts import EVENT
 from bridge.mavlink.codec.wide_messages import MESSAGES
 from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.line_budget import plan

@@ -4,8 +4,7 @@ import random
 
 import pytest
 
-from bridge.mavlink.codec.framing import FrameCounters
-from bridge.mavlink.codec.stream_framing import REST_MAX, StreamFramer
+from bridge.mavlink.codec.framing import REST_MAX, FrameCounters, StreamFramer
 from bridge.mavlink.endpoint import dialect
 from tests.unit.mavlink.codec.test_mavlink_endpoint import UNKNOWN, frames_of
 
