@@ -71,11 +71,6 @@ def ned_frd_from_enu_flu(q: Quat) -> Quat:
     return (_SQRT_HALF * (w + z), _SQRT_HALF * (x + y), _SQRT_HALF * (x - y), _SQRT_HALF * (w - z))
 
 
-def enu_flu_from_ned_frd(q: Quat) -> Quat:
-    """Turn the attitude of FRD in NED into the attitude of FLU in ENU."""
-    return ned_frd_from_enu_flu(q)
-
-
 def quaternion_from_yaw(yaw_rad: float) -> Quat:
     """Attitude of a body that is level and turned by ``yaw_rad`` about the world's z axis."""
     return (math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))

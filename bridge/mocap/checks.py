@@ -7,91 +7,17 @@ swapped marker turns it over. So a pose is passed on only when it could have com
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
-
 from bridge.frames import (
     Quat,
-    euler_from_quaternion,
-    ned_covariance_from_enu,
-    ned_frd_from_enu_flu,
-    ned_from_enu,
-    upper_triangle,
     world_from_body,
 )
-from bridge.mavlink.codec.decoding import Message
-from bridge.ros2.pose_cdr import Pose
+from bridge.ros2.cdr import Pose
 from flightstack.core.types import Vec3
-
-_UNKNOWN = (math.nan, *([0.0] * 20))  # NaN first: not known (MAVLink)
-_NAN = math.nan
-
-
-def _covariance(covariance: tuple[float, ...]) -> list[float]:
-    known = any(covariance)  # all zero means unknown in ROS
-    return list(upper_triangle(ned_covariance_from_enu(covariance)) if known else _UNKNOWN)
-
-
-def vision_position_estimate(passed: Passed, time_us: int) -> Message:
-    """VISION_POSITION_ESTIMATE: position in NED, roll, pitch and yaw of FRD in NED."""
-    pose = passed.pose
-    return dialect.MAVLink_vision_position_estimate_message(
-        time_us,
-        *ned_from_enu(pose.position_m),
-        *euler_from_quaternion(ned_frd_from_enu_flu(pose.orientation_wxyz)),
-        _covariance(pose.covariance),
-        passed.resets % 256,
-    )
-
-
-def odometry(passed: Passed, time_us: int) -> Message:
-    """ODOMETRY of type VISION: pose of FRD in NED as a quaternion; velocities are not known."""
-    pose = passed.pose
-    return dialect.MAVLink_odometry_message(
-        time_us,
-        dialect.MAV_FRAME_LOCAL_NED,
-        dialect.MAV_FRAME_BODY_FRD,
-        *ned_from_enu(pose.position_m),
-        list(ned_frd_from_enu_flu(pose.orientation_wxyz)),
-        *([_NAN] * 6),
-        _covariance(pose.covariance),
-        list(_UNKNOWN),
-        passed.resets % 256,
-        dialect.MAV_ESTIMATOR_TYPE_VISION,
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Wants:
-    """What an autopilot wants of poses from outside."""
-
-    title: str
-    message: Callable[[Passed, int], Message]
-    rate_max_hz: float
-    needs_origin: bool  # without SET_GPS_GLOBAL_ORIGIN it has no position
-    settings: str  # its parameters, for a person
-
-
-WANTS: Mapping[int, Wants] = {
-    dialect.MAV_AUTOPILOT_PX4: Wants(
-        "PX4",
-        odometry,
-        50.0,
-        False,
-        "EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5",
-    ),
-    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: Wants(
-        "ArduPilot",
-        vision_position_estimate,
-        50.0,
-        True,
-        "VISO_TYPE 1, GPS1_TYPE 0, EK3_SRC1_POSXY, EK3_SRC1_POSZ and EK3_SRC1_YAW 6",
-    ),
-}
 
 
 class Refusal(Enum):

@@ -16,8 +16,7 @@ from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.signing.key import load_key
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample, centre
 from bridge.mocap.vehicle import COMPONENT_ID, MocapVehicle
-from bridge.ros2.cdr import OdometryError
-from bridge.ros2.pose_cdr import decode_pose, decode_pose_with_covariance
+from bridge.ros2.cdr import OdometryError, decode_pose, decode_pose_with_covariance
 from bridge.ros2.ros2_names import parse_topic_key
 from bridge.target.ros2_target import ROS_TYPES, Dialect, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link

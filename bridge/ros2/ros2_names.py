@@ -1,5 +1,7 @@
 """Names of ROS 2 on Zenoh: the keys, liveliness tokens and publisher ids of rmw_zenoh, and of the DDS bridge.
 
+The network that they are used on is here, too: its address, and the domain that is in every name.
+
 Layouts: rmw_zenoh docs/design.md and detail/liveliness_utils.cpp (Jazzy from 0.2.4, Kilted, Lyrical);
 zenoh-plugin-ros2dds ros2_utils.rs. Name rules: rmw validate_full_topic_name.c.
 """
@@ -14,34 +16,6 @@ from typing import NamedTuple
 import xxhash
 
 from bridge.zenoh import zenoh_link
-
-_FILES = (".json5", ".json", ".yaml", ".yml")  # what Zenoh reads
-
-
-@dataclass(frozen=True, slots=True)
-class Ros2Network:
-    """Address and domain of the ROS 2 nodes.
-
-    Attributes:
-        where: endpoint of their router (``rmw_zenohd``, zenoh-bridge-ros2dds), or a Zenoh configuration file.
-        domain: their ROS_DOMAIN_ID.
-    """
-
-    where: str
-    domain: int = 0
-
-    def open(self) -> zenoh_link.Session:
-        """Open a session there; close it when done.
-
-        Raises:
-            ValueError: neither an endpoint nor a configuration, or the domain is out of range.
-            ZenohLinkError: nobody answers.
-        """
-        check_domain(self.domain)
-        if self.where.endswith(_FILES):
-            return zenoh_link.open_session(config_file=Path(self.where), role=zenoh_link.Role.CLIENT)
-        return zenoh_link.open_session(connect=[self.where], role=zenoh_link.Role.CLIENT)
-
 
 DOMAIN_MAX = 232  # ROS 2 documentation, "The ROS_DOMAIN_ID": what DDS has ports for
 TOPIC_LENGTH_MAX = 247  # rmw validate_full_topic_name.h
@@ -202,3 +176,31 @@ def _begin(node: Node, number: int, kind: str) -> list[str]:
 
 def _mangle(name: str) -> str:
     return name.replace("/", "%")
+
+
+_FILES = (".json5", ".json", ".yaml", ".yml")  # what Zenoh reads
+
+
+@dataclass(frozen=True, slots=True)
+class Ros2Network:
+    """Address and domain of the ROS 2 nodes.
+
+    Attributes:
+        where: endpoint of their router (``rmw_zenohd``, zenoh-bridge-ros2dds), or a Zenoh configuration file.
+        domain: their ROS_DOMAIN_ID.
+    """
+
+    where: str
+    domain: int = 0
+
+    def open(self) -> zenoh_link.Session:
+        """Open a session there; close it when done.
+
+        Raises:
+            ValueError: neither an endpoint nor a configuration, or the domain is out of range.
+            ZenohLinkError: nobody answers.
+        """
+        check_domain(self.domain)
+        if self.where.endswith(_FILES):
+            return zenoh_link.open_session(config_file=Path(self.where), role=zenoh_link.Role.CLIENT)
+        return zenoh_link.open_session(connect=[self.where], role=zenoh_link.Role.CLIENT)

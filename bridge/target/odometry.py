@@ -1,4 +1,7 @@
-"""Target odometry on Zenoh: ``nav_msgs/msg/Odometry`` in CDR, with rmw_zenoh's attachment."""
+"""Target odometry on Zenoh: ``nav_msgs/msg/Odometry`` in CDR, with rmw_zenoh's attachment.
+
+A sample of it, its noise, and the odometry of another point of the same body are here, too.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,14 @@ from bridge.ros2.cdr import (
     NO_COVARIANCE,
     Odometry,
     OdometryError,
+    Pose,
     decode_odometry,
     decode_pose_and_twist,
     encode_odometry,
 )
-from bridge.target.pose_track import sigma_of
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import GID_BYTES, pack_attachment, parse_attachment
+from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import TargetSample, Vec3
 
 __all__ = [
@@ -38,6 +42,8 @@ __all__ = [
 ENCODING = "application/cdr;nav_msgs/msg/Odometry"
 _UNIT_TOLERANCE = 0.01  # of the squared norm, as tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
 _LARGEST = 1e9  # m, m/s, rad/s: beyond this a number is damage, not a measurement
+TOLD_FACTOR = 1.5  # a sender that is so much worse than configured is worth a word
+_UNUSED_M2 = 1e3  # diff_drive_controller and others write 1e6 where nothing is measured
 
 
 class RawSample(NamedTuple):
@@ -116,6 +122,65 @@ def _sample(
         position_sigma_m=sigma_of(pose_xx, pose_yy) or 0.0,
         velocity_sigma_m_s=sigma_of(twist_xx, twist_yy) or 0.0,
     )
+
+
+class MeasurementNoise(NamedTuple):
+    """Standard deviations of a sample, the larger of x and y; ``None`` if the sender does not report it."""
+
+    position_m: float | None
+    velocity_m_s: float | None
+
+
+def noise_of(pose_covariance: Sequence[float], twist_covariance: Sequence[float]) -> MeasurementNoise:
+    """Read position and linear velocity out of two covariances of 36 numbers."""
+    return MeasurementNoise(
+        sigma_of(pose_covariance[0], pose_covariance[7]), sigma_of(twist_covariance[0], twist_covariance[7])
+    )
+
+
+def sigma_of(variance_x: float, variance_y: float) -> float | None:
+    """Return the larger standard deviation of x and y, ``None`` if the sender does not report it."""
+    known = 0.0 < variance_x < _UNUSED_M2 and 0.0 < variance_y < _UNUSED_M2  # False for NaN
+    return math.sqrt(max(variance_x, variance_y)) if known else None
+
+
+def worse_than_told(noise: MeasurementNoise, link: TargetLink) -> str:
+    """Return a warning if the sender reports more noise than the configuration, else nothing."""
+    found: list[str] = []
+    for sigma, told, name, unit in (
+        (noise.position_m, link.position_noise_m, "position_noise_m", "m"),
+        (noise.velocity_m_s, link.velocity_noise_m_s, "velocity_noise_m_s", "m/s"),
+    ):
+        if sigma is not None and sigma > TOLD_FACTOR * told:
+            found.append(f"{sigma:.3g} {unit} where target.{name} is {told:g}")
+    if not found:
+        return ""
+    return (
+        f"its covariance says {' and '.join(found)}: flown with larger margins; configure what it says, the "
+        "certificate counts that"
+    )
+
+
+def shift_pose(pose: Pose, offset_m: Vec3) -> Pose:
+    """Return the pose of the point at ``offset_m`` in the axes of the pose; the covariance is unchanged."""
+    return pose._replace(position_m=_shift(pose.position_m, world_from_body(pose.orientation_wxyz, offset_m)))
+
+
+def shift_odometry(odometry: Odometry, offset_m: Vec3) -> Odometry:
+    """Return the odometry of the point at ``offset_m`` in the axes of the child frame.
+
+    The velocity is that of a rigid body, v + w x r. Covariances are left as they are.
+    """
+    (wx, wy, wz), (x, y, z) = odometry.angular_rad_s, offset_m
+    return replace(
+        odometry,
+        position_m=_shift(odometry.position_m, world_from_body(odometry.orientation_wxyz, offset_m)),
+        linear_m_s=_shift(odometry.linear_m_s, (wy * z - wz * y, wz * x - wx * z, wx * y - wy * x)),
+    )
+
+
+def _shift(a: Vec3, b: Vec3) -> Vec3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 class OdometryPublisher:

@@ -8,86 +8,18 @@ an outlier; what goes on is the pose as it was measured, with that velocity, in 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 from bridge.frames import (
     body_from_world,
     body_from_world_velocity,
-    world_from_body,
     wrap_angle,
     yaw_from_quaternion,
 )
-from bridge.ros2.cdr import Odometry
-from bridge.ros2.pose_cdr import Pose
+from bridge.ros2.cdr import Odometry, Pose
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
-from flightstack.core.types import ZERO, Vec3
-
-
-def shift_pose(pose: Pose, offset_m: Vec3) -> Pose:
-    """Return the pose of the point at ``offset_m`` in the axes of the pose; the covariance is unchanged."""
-    return pose._replace(position_m=_shift(pose.position_m, world_from_body(pose.orientation_wxyz, offset_m)))
-
-
-def shift_odometry(odometry: Odometry, offset_m: Vec3) -> Odometry:
-    """Return the odometry of the point at ``offset_m`` in the axes of the child frame.
-
-    The velocity is that of a rigid body, v + w x r. Covariances are left as they are.
-    """
-    (wx, wy, wz), (x, y, z) = odometry.angular_rad_s, offset_m
-    return replace(
-        odometry,
-        position_m=_shift(odometry.position_m, world_from_body(odometry.orientation_wxyz, offset_m)),
-        linear_m_s=_shift(odometry.linear_m_s, (wy * z - wz * y, wz * x - wx * z, wx * y - wy * x)),
-    )
-
-
-def _shift(a: Vec3, b: Vec3) -> Vec3:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
-
-
-TOLD_FACTOR = 1.5  # a sender that is so much worse than configured is worth a word
-_UNUSED_M2 = 1e3  # diff_drive_controller and others write 1e6 where nothing is measured
-
-
-class MeasurementNoise(NamedTuple):
-    """Standard deviations of a sample, the larger of x and y; ``None`` if the sender does not report it."""
-
-    position_m: float | None
-    velocity_m_s: float | None
-
-
-def noise_of(pose_covariance: Sequence[float], twist_covariance: Sequence[float]) -> MeasurementNoise:
-    """Read position and linear velocity out of two covariances of 36 numbers."""
-    return MeasurementNoise(
-        sigma_of(pose_covariance[0], pose_covariance[7]), sigma_of(twist_covariance[0], twist_covariance[7])
-    )
-
-
-def sigma_of(variance_x: float, variance_y: float) -> float | None:
-    """Return the larger standard deviation of x and y, ``None`` if the sender does not report it."""
-    known = 0.0 < variance_x < _UNUSED_M2 and 0.0 < variance_y < _UNUSED_M2  # False for NaN
-    return math.sqrt(max(variance_x, variance_y)) if known else None
-
-
-def worse_than_told(noise: MeasurementNoise, link: TargetLink) -> str:
-    """Return a warning if the sender reports more noise than the configuration, else nothing."""
-    found: list[str] = []
-    for sigma, told, name, unit in (
-        (noise.position_m, link.position_noise_m, "position_noise_m", "m"),
-        (noise.velocity_m_s, link.velocity_noise_m_s, "velocity_noise_m_s", "m/s"),
-    ):
-        if sigma is not None and sigma > TOLD_FACTOR * told:
-            found.append(f"{sigma:.3g} {unit} where target.{name} is {told:g}")
-    if not found:
-        return ""
-    return (
-        f"its covariance says {' and '.join(found)}: flown with larger margins; configure what it says, the "
-        "certificate counts that"
-    )
-
+from flightstack.core.types import ZERO
 
 SETTLED_M_S = (
     0.05  # standard deviation of the velocity at which it may be flown by; a quarter of the Burger's

@@ -12,11 +12,26 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
-from bridge.ros2.cdr import NO_COVARIANCE, Odometry, OdometryError, decode_odometry
-from bridge.ros2.pose_cdr import Pose, decode_pose, decode_pose_with_covariance, decode_transforms
+from bridge.ros2.cdr import (
+    NO_COVARIANCE,
+    Odometry,
+    OdometryError,
+    Pose,
+    decode_odometry,
+    decode_pose,
+    decode_pose_with_covariance,
+    decode_transforms,
+)
 from bridge.ros2.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topic_key
-from bridge.target.odometry import RawSample, raw_sample
-from bridge.target.pose_track import PoseTrack, noise_of, shift_odometry, shift_pose, worse_than_told
+from bridge.target.odometry import (
+    RawSample,
+    noise_of,
+    raw_sample,
+    shift_odometry,
+    shift_pose,
+    worse_than_told,
+)
+from bridge.target.pose_track import PoseTrack
 from bridge.target.tf_chain import TransformChain
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from bridge.frames import Quat, world_from_body
-from bridge.ros2.pose_cdr import Pose, Transform
+from bridge.ros2.cdr import Pose, Transform
 
 EDGE_AGE_MAX_S = 1.0  # AMCL sends map -> odom at the rate of the laser, 5 Hz on a TurtleBot3
 FRAMES_MAX = 256  # kept; further ones are ignored

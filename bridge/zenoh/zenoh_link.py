@@ -2,6 +2,8 @@
 
 No scouting and no gossip unless a configuration file asks for it, and no callbacks: a callback runs in
 another thread, swallows exceptions, and keeps the process from ending when the session is not closed.
+Zenoh retries a connection without a message, so an alarm watches it; a refused certificate, a wrong password
+and a machine that is switched off look the same from here.
 """
 
 from __future__ import annotations
@@ -16,42 +18,6 @@ from typing import Any
 
 import zenoh
 import zenoh.ext
-
-GID_BYTES = 16
-_NEW = struct.Struct("<qqB16s")  # the byte is the length of the id (attachment_helpers.cpp)
-_OLD = struct.Struct("<16sq17sq11sB16s")
-_OLD_NAMES = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid")
-
-
-def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
-    """Make the 33-byte attachment.
-
-    Args:
-        sequence: number of the sample, from 1.
-        source_time_ns: when it was sent, Unix time.
-        gid: 16 bytes that no other publisher has.
-
-    Raises:
-        ValueError: ``gid`` has another length.
-    """
-    if len(gid) != GID_BYTES:
-        raise ValueError(f"publisher id has {len(gid)} bytes: rmw_zenoh needs {GID_BYTES}")
-    return _NEW.pack(sequence, source_time_ns, GID_BYTES, gid)
-
-
-def parse_attachment(data: bytes | None) -> tuple[int, int] | None:
-    """Return sequence number and source time in Unix nanoseconds; None if absent or of another form."""
-    if data is None:
-        return None
-    if len(data) == _NEW.size:
-        sequence, source_time_ns, length, _ = _NEW.unpack(data)
-        return (sequence, source_time_ns) if length == GID_BYTES else None
-    if len(data) == _OLD.size:
-        name_1, sequence, name_2, source_time_ns, name_3, length, _ = _OLD.unpack(data)
-        if (name_1, name_2, name_3) == _OLD_NAMES and length == GID_BYTES:
-            return (sequence, source_time_ns)
-    return None
-
 
 Session = Any  # the zenoh package's own types are not relied on
 Publisher = Any
@@ -309,3 +275,88 @@ def _key(key: str) -> Any:
             f"Zenoh key {key!r} is not allowed ({_reason(error)}): chunks parted by single "
             "slashes, no slash at the ends, no '#', '?' or '$', for example cf1/target/odom"
         ) from error
+
+
+PATIENCE_S = 3.0  # s without a connection before it is said; a restarted router is back in less
+LOOK_EVERY_S = 1.0
+
+
+class ConnectionAlarm:
+    """Watches one session; poll it in every tick.
+
+    ``whom`` are the endpoints it dials; with none it waits to be dialled and nothing is wrong.
+    """
+
+    def __init__(self, session: Session, whom: Sequence[str], role: Role = Role.PEER) -> None:
+        self._session, self._whom = session, ", ".join(whom)
+        self._since_s: float | None = None  # without a connection
+        self._next_s = -1.0
+        self._said = False
+        self._said_router = role is not Role.PEER
+
+    def poll(self, now_s: float) -> list[str]:
+        """Return messages about changes since the last call; ``now_s`` never goes back."""
+        if not self._whom or now_s < self._next_s:
+            return []
+        self._next_s = now_s + LOOK_EVERY_S
+        if transports(self._session) == 0:
+            return self._alone(now_s)
+        texts: list[str] = []
+        if self._said and self._since_s is not None:
+            texts.append(f"Zenoh: connected to {self._whom} after {now_s - self._since_s:.0f} s")
+        self._since_s, self._said = None, False
+        if not self._said_router and knows_router(self._session):
+            self._said_router = True
+            texts.append(
+                f"Zenoh: {self._whom} is a router, and we are its peer: it passes on nothing from its other "
+                "peers, such as ROS 2 nodes; be a client, with mode client in --zenoh-config "
+                "(docs/how_to/zenoh.md)"
+            )
+        return texts
+
+    def _alone(self, now_s: float) -> list[str]:
+        if self._since_s is None:
+            self._since_s = now_s
+        if self._said or now_s - self._since_s < PATIENCE_S:
+            return []
+        self._said = True
+        return [
+            f"Zenoh: no connection to {self._whom} for {now_s - self._since_s:.0f} s: nobody is there, or it "
+            "refuses our certificate or password"
+        ]
+
+
+GID_BYTES = 16
+_NEW = struct.Struct("<qqB16s")  # the byte is the length of the id (attachment_helpers.cpp)
+_OLD = struct.Struct("<16sq17sq11sB16s")
+_OLD_NAMES = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid")
+
+
+def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
+    """Make the 33-byte attachment.
+
+    Args:
+        sequence: number of the sample, from 1.
+        source_time_ns: when it was sent, Unix time.
+        gid: 16 bytes that no other publisher has.
+
+    Raises:
+        ValueError: ``gid`` has another length.
+    """
+    if len(gid) != GID_BYTES:
+        raise ValueError(f"publisher id has {len(gid)} bytes: rmw_zenoh needs {GID_BYTES}")
+    return _NEW.pack(sequence, source_time_ns, GID_BYTES, gid)
+
+
+def parse_attachment(data: bytes | None) -> tuple[int, int] | None:
+    """Return sequence number and source time in Unix nanoseconds; None if absent or of another form."""
+    if data is None:
+        return None
+    if len(data) == _NEW.size:
+        sequence, source_time_ns, length, _ = _NEW.unpack(data)
+        return (sequence, source_time_ns) if length == GID_BYTES else None
+    if len(data) == _OLD.size:
+        name_1, sequence, name_2, source_time_ns, name_3, length, _ = _OLD.unpack(data)
+        if (name_1, name_2, name_3) == _OLD_NAMES and length == GID_BYTES:
+            return (sequence, source_time_ns)
+    return None

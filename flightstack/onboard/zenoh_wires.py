@@ -10,7 +10,7 @@ from bridge.ros2.ros2_names import Ros2Network
 from bridge.target.ros2_target import Dialect, TargetSource, TargetSpec
 from bridge.target.target_keys import KeySearch
 from bridge.zenoh import zenoh_link
-from bridge.zenoh.zenoh_alarm import ConnectionAlarm
+from bridge.zenoh.zenoh_link import ConnectionAlarm
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig

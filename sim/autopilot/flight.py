@@ -14,11 +14,9 @@ from bridge.mavlink.server.setpoints import Setpoint
 from bridge.mavlink.server.telemetry import Battery
 from bridge.mavlink.server.texts import Texts
 from flightstack.core.types import ZERO, Vec3
-from sim.autopilot.control import GUIDED, why_no_takeoff
-from sim.autopilot.ground import Standing
 from sim.autopilot.pilot import Event, Goal, Pilot
-from sim.autopilot.profiles import PX4, SimulatedProfile
-from sim.autopilot.vehicle_like import VehicleLike
+from sim.autopilot.profiles import GUIDED, PX4, SimulatedProfile, why_no_takeoff
+from sim.autopilot.vehicle_like import Standing, VehicleLike
 from sim.autopilot.watches import ACTION_MODES, HEIGHT_RANGE_M, STREAM_LOST, STRENGTH, Action, Alarm, Watches
 
 _ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself

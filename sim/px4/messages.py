@@ -10,12 +10,13 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import (
     frd_from_flu,
-    ned_covariance_from_enu,
     ned_frd_from_enu_flu,
     ned_from_enu,
-    upper_triangle,
 )
 from bridge.mavlink.codec.decoding import Message
+from bridge.mocap.checks import Passed
+from bridge.mocap.vehicle import odometry
+from bridge.ros2.cdr import Pose
 from flightstack.core.types import Vec3
 from sim.autopilot.ground import degrees_e7
 from sim.plant.sensors import MeasurementChannel
@@ -25,8 +26,6 @@ from sim.scenarios.scenario import OdometryLink
 
 RATE_MAX_HZ = 50.0  # as of the bridge for motion capture
 _SIGMA_MIN_M, _SIGMA_MIN_RAD = 1e-4, 1e-3  # a variance of zero would be believed for ever
-_NAN6 = (math.nan,) * 6
-_UNKNOWN = [math.nan, *([0.0] * 20)]  # NaN first: not known (MAVLink)
 
 
 class Px4Mocap:
@@ -39,8 +38,7 @@ class Px4Mocap:
         place = max(link.position_noise_m, _SIGMA_MIN_M) ** 2
         turn = max(link.yaw_noise_rad, _SIGMA_MIN_RAD) ** 2
         diagonal = (place, place, place, turn, turn, turn)
-        enu = [diagonal[i] if i == j else 0.0 for i in range(6) for j in range(6)]
-        self._covariance = list(upper_triangle(ned_covariance_from_enu(enu)))
+        self._covariance = tuple(diagonal[i] if i == j else 0.0 for i in range(6) for j in range(6))
 
     def poll(self, body: Body, now_ns: int, now_us: int) -> list[Message]:
         """Measure when it is due; ODOMETRY of what has arrived.
@@ -58,18 +56,8 @@ class Px4Mocap:
         x, y, z, yaw, w, i, j, k = values
         c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)  # an error about the vertical turns everything
         attitude = (c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w)
-        return dialect.MAVLink_odometry_message(
-            now_us,
-            dialect.MAV_FRAME_LOCAL_NED,
-            dialect.MAV_FRAME_BODY_FRD,
-            *ned_from_enu((x, y, z)),
-            list(ned_frd_from_enu_flu(attitude)),
-            *_NAN6,
-            self._covariance,
-            _UNKNOWN,
-            0,
-            dialect.MAV_ESTIMATOR_TYPE_VISION,
-        )
+        pose = Pose(now_us * 1000, "", (x, y, z), attitude, self._covariance)
+        return odometry(Passed(pose, now_us * 1e-6, 0), now_us)
 
 
 SYSTEM_ID, COMPONENT_ID = 1, 200  # of the simulator; PX4 looks at neither

@@ -20,7 +20,6 @@ Message = Any  # an instance of one of pymavlink's generated classes, which carr
 _HEADER = struct.Struct("<xBBBBBBHB")
 _HEADER_BYTES = 10
 _SIGNED = 0x01
-_SIGNATURE_BYTES = 13
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.parameters import INT32
 from bridge.mavlink.server.profile import EVERY_TICK
-from sim.autopilot.parameters import px4_parameters
-from sim.autopilot.profiles import DEFAULT_HZ
+from sim.autopilot.profiles import DEFAULT_HZ, px4_parameters
 from sim.autopilot.telemetry import BUILDERS
 from sim.autopilot.watches import FENCE, STATION_LOST, STREAM_LOST, Action
 from tests.unit.autopilot.autopilot_fakes import Rig

@@ -10,12 +10,13 @@ from click.testing import CliRunner
 
 from bridge.crazyflie import arming as crazyflie_arming
 from bridge.crazyflie import checks as crazyflie_checks
-from bridge.crazyflie import outbox as crazyflie_outbox
+from bridge.crazyflie import link as crazyflie_link
 from bridge.crazyflie import pilot as crazyflie_pilot
 from bridge.crazyflie import rules as crazyflie_rules
 from bridge.crazyflie.link import EVENTS_MAX
 from bridge.crazyflie.state import LATE_MAX_S
-from bridge.mocap.checks import WANTS, Limits, Refusal
+from bridge.mocap.checks import Limits, Refusal
+from bridge.mocap.vehicle import WANTS
 from flightstack.cli.real.bridge import bridge
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -75,7 +76,7 @@ def test_the_numbers_are_those_of_the_code():
         f"within {crazyflie_arming.KILL_UNSEEN_S:g} s becomes an emergency stop",
         f"{crazyflie_checks.BATTERY_MIN_V:g} V needed",
         f"more than {LATE_MAX_S:g} s on its way",
-        f"for more than {crazyflie_outbox.VELOCITY_AGE_MAX_S:g} s is not sent",
+        f"for more than {crazyflie_link.VELOCITY_AGE_MAX_S:g} s is not sent",
         f"a queue of {EVENTS_MAX}",
     ):
         assert text in CRAZYFLIE.replace("\n", " "), text

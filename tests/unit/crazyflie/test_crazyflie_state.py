@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.crazyflie.outbox import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
+from bridge.crazyflie.link import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
 from bridge.crazyflie.state import BootClock, decode_state, decompress_quaternion
 from bridge.crazyflie.types import Info, Order, Pose, SetParam, StateBlock, Velocity
 from tests.crazyflie_firmware.bench import Bench

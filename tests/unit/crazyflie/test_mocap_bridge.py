@@ -18,7 +18,6 @@ from bridge.frames import (
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.codec.packing import pack
 from bridge.mocap.checks import (
-    WANTS,
     Limits,
     Passed,
     PoseChecks,
@@ -26,12 +25,10 @@ from bridge.mocap.checks import (
     Sample,
     angle_between,
     centre,
-    odometry,
-    vision_position_estimate,
 )
 from bridge.mocap.process import CheckedPoses, MocapSource, parse_spec
-from bridge.mocap.vehicle import MocapVehicle
-from bridge.ros2.pose_cdr import Pose
+from bridge.mocap.vehicle import WANTS, MocapVehicle, odometry, vision_position_estimate
+from bridge.ros2.cdr import Pose
 from bridge.zenoh import zenoh_link
 from tests.unit.target.ros2_helpers import pose_stamped
 

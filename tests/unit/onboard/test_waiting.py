@@ -15,7 +15,7 @@ from bridge.mavlink.profiles.autopilots import PX4
 from bridge.ros2.ros2_names import Ros2Network
 from bridge.target.ros2_target import TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
-from bridge.zenoh.zenoh_alarm import PATIENCE_S
+from bridge.zenoh.zenoh_link import PATIENCE_S
 from flightstack.common.pacing import Tick
 from flightstack.config.files import load
 from flightstack.core.parameters.ends import Retreat

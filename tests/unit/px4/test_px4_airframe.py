@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bridge.mavlink.preflight.rules import RULES, Needs
-from bridge.mocap.checks import WANTS
+from bridge.mocap.vehicle import WANTS
 from sim.plant.params import load
 from sim.plant.rotors import MIX_YAW
 from sim.px4.airframe import FORMATS, parameter_text, parameters, rotor_speeds

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.ros2.cdr import OdometryError
-from bridge.ros2.pose_cdr import (
+from bridge.ros2.cdr import (
     TRANSFORMS_MAX,
+    OdometryError,
     Pose,
     decode_pose,
     decode_pose_with_covariance,

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from bridge.frames import quaternion_from_yaw
-from bridge.ros2.cdr import Odometry
-from bridge.ros2.pose_cdr import Pose
-from bridge.target.odometry import RawSample, sample_from_cdr, sample_of
-from bridge.target.pose_track import shift_odometry, shift_pose
+from bridge.ros2.cdr import Odometry, Pose
+from bridge.target.odometry import RawSample, sample_from_cdr, sample_of, shift_odometry, shift_pose
 from bridge.target.ros2_target import OFFSET_MAX_M, TargetSource, TargetSpec, TargetType
 from bridge.zenoh.zenoh_link import dropping_publisher, open_session
 from flightstack.core.parameters.robust import TargetLink

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bridge.frames import quaternion_from_yaw
-from bridge.ros2.pose_cdr import Pose
-from bridge.target.odometry import RawSample, sample_of
-from bridge.target.pose_track import OUTLIERS_MAX, SETTLED_M_S, PoseTrack, noise_of, worse_than_told
+from bridge.ros2.cdr import Pose
+from bridge.target.odometry import RawSample, noise_of, sample_of, worse_than_told
+from bridge.target.pose_track import OUTLIERS_MAX, SETTLED_M_S, PoseTrack
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bridge.frames import quaternion_from_yaw
-from bridge.ros2.pose_cdr import Pose, Transform
+from bridge.ros2.cdr import Pose, Transform
 from bridge.target.tf_chain import DEPTH_MAX, EDGE_AGE_MAX_S, FRAMES_MAX, TransformChain
 
 ONE = (1.0, 0.0, 0.0, 0.0)

@@ -5,8 +5,15 @@ import json
 import pytest
 
 from bridge.zenoh import zenoh_link
-from bridge.zenoh.zenoh_alarm import LOOK_EVERY_S, PATIENCE_S, ConnectionAlarm
-from bridge.zenoh.zenoh_link import Role, ZenohLinkError, dialled, open_session
+from bridge.zenoh.zenoh_link import (
+    LOOK_EVERY_S,
+    PATIENCE_S,
+    ConnectionAlarm,
+    Role,
+    ZenohLinkError,
+    dialled,
+    open_session,
+)
 from tests.unit.target.ros2_helpers import free_endpoint, until
 
 

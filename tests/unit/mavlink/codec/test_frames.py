@@ -84,7 +84,7 @@ def test_nose_north_rolled_right_30_degrees():
 
 @given(unit_quaternions())
 def test_attitude_round_trip(q):
-    assert frames.enu_flu_from_ned_frd(frames.ned_frd_from_enu_flu(q)) == pytest.approx(q, abs=1e-12)
+    assert frames.ned_frd_from_enu_flu(frames.ned_frd_from_enu_flu(q)) == pytest.approx(q, abs=1e-12)
 
 
 @given(unit_quaternions(), vectors)
