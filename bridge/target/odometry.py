@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 from bridge.frames import Quat, world_from_body, world_from_body_velocity, yaw_from_quaternion

@@ -1,4 +1,4 @@
-"""What the commands of the simulated vehicle do."""
+"""What the commands and the fail-safes of the simulated vehicle do."""
 
 from __future__ import annotations
 
@@ -7,9 +7,22 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from bridge.mavlink.server.parameters import INT32
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.ground import degrees_e7, x_of, y_of
-from tests.unit.autopilot.autopilot_fakes import NAN, RATE_HZ, Rig, set_int, set_real
+from sim.autopilot.profiles import PX4
+from sim.autopilot.watches import BATTERY, FENCE, STATION_LOST, STREAM_LOST, BatteryGauge, Charge
+from sim.plant.params import load
+from sim.plant.vehicle_types import BatteryModel
+from tests.unit.autopilot.autopilot_fakes import (
+    GROUND_STATION,
+    NAN,
+    OFFBOARD,
+    RATE_HZ,
+    Rig,
+    set_int,
+    set_real,
+)
 from tests.unit.mavlink.server.served import as_int
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
@@ -170,3 +183,211 @@ def test_prearm_checks_tell_all_problems() -> None:
     rig.vehicle.state.valid = False
     assert rig.command(401) == ACCEPTED
     assert [t.split(":")[0] for t in rig.texts()] == ["Battery emergency, 0 %", *["Preflight fail"] * 3][1:]
+
+
+STATION = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
+
+
+def voltage_at(remaining: float) -> float:
+    p = PX4.new_parameters(1)
+    return p["BAT1_V_EMPTY"] + remaining * (p["BAT1_V_CHARGED"] - p["BAT1_V_EMPTY"])
+
+
+def rig_with(**parameters: float) -> Rig:
+    rig = Rig()
+    for name, value in parameters.items():
+        if PX4.new_parameters(1).entry(name).type == INT32:
+            assert set_int(rig, name, int(value)) == value
+        else:
+            assert set_real(rig, name, value) == pytest.approx(value)
+    return rig
+
+
+@pytest.mark.parametrize(
+    ("act", "remaining", "mode", "text"),
+    [
+        (0, 0.03, FlightMode.OFFBOARD, "Battery emergency, 3 %"),
+        (2, 0.10, FlightMode.OFFBOARD, "Battery low, 10 %"),
+        (2, 0.06, FlightMode.LAND, "Battery critical, 6 %: landing"),
+        (3, 0.06, FlightMode.RETURN, "Battery critical, 6 %: returning"),
+        (3, 0.03, FlightMode.LAND, "Battery emergency, 3 %: landing"),
+    ],
+)
+def test_battery_acts_as_its_parameter_says(act: int, remaining: float, mode: FlightMode, text: str) -> None:
+    rig = rig_with(COM_LOW_BAT_ACT=act, BAT_LOW_THR=0.15).offboard()
+    rig.autopilot.flight.watches.battery._voltage_v = rig.vehicle.battery_v = voltage_at(remaining)
+    rig.run(0.3, (0.0, 0.0, 0.0))
+    assert rig.mode is mode
+    assert text in rig.texts()
+    assert rig.autopilot.flight.failsafe is (mode is not FlightMode.OFFBOARD)
+
+
+def test_battery_that_drains_warns_once_a_level_and_shows_it() -> None:
+    rig = rig_with(COM_LOW_BAT_ACT=2).fly()
+    start_v, end_v = voltage_at(0.3), voltage_at(0.0)
+    for tick in range(2000):
+        rig.vehicle.battery_v = start_v + (end_v - start_v) * tick / 2000
+        rig.run(0.01)
+    texts = [t for t in rig.texts() if t.startswith("Battery")]
+    assert [t.split(",")[0] for t in texts] == ["Battery low", "Battery critical", "Battery emergency"]
+    states = [m.charge_state for m in rig.seen(mav.MAVLINK_MSG_ID_BATTERY_STATUS)]
+    assert states == sorted(states)
+    assert states[0] == 1
+    assert not rig.vehicle.armed  # it has landed
+    remaining = rig.seen(mav.MAVLINK_MSG_ID_SYS_STATUS)[-1].battery_remaining
+    assert 0 <= remaining < 5
+    assert rig.command(400, 1.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED
+    assert "Arming refused: battery at" in rig.texts()[-1]
+
+
+def test_load_does_not_look_like_an_empty_battery_and_noise_not_like_a_new_alarm() -> None:
+    gauge = BatteryGauge(PX4.new_parameters(1), 4.0, 0.0)
+    at_rest = gauge.remaining
+    for _ in range(100):
+        gauge.step(4.0 - 0.25, 0.67, 0.1, armed=True)
+    assert gauge.remaining == pytest.approx(at_rest, abs=0.02)
+    alarms = []
+    for tick in range(400):
+        alarms.append(gauge.step(voltage_at(0.15) + 0.01 * math.sin(tick), 0.0, 0.5, armed=False))
+    assert [a for a in alarms if a is not None] == [Charge.LOW]
+    for _ in range(20):
+        gauge.step(4.1, 0.0, 1.0, armed=True)
+    assert gauge.level is Charge.LOW  # in flight it never gets better
+    gauge.step(4.1, 0.0, 1.0, armed=False)
+    assert gauge.level is Charge.OK
+
+
+@pytest.mark.parametrize(
+    ("act", "mode", "doing"),
+    [
+        (0, FlightMode.LAND, "landing"),
+        (3, FlightMode.RETURN, "returning"),
+        (4, FlightMode.LAND, "landing"),
+        (5, FlightMode.HOLD, "holding"),
+    ],
+)
+def test_loss_of_set_points_does_what_the_parameter_says(act: int, mode: FlightMode, doing: str) -> None:
+    rig = rig_with(COM_OBL_RC_ACT=act, RTL_MIN_DIST=0.0).offboard()
+    rig.run(0.5, (0.3, 0.0, 0.0))
+    rig.run(0.6)
+    assert rig.mode is mode
+    assert f"No set-points for 0.5 s: {doing}" in rig.texts()
+    assert rig.autopilot.flight.failsafe
+    rig.run(3.0)
+    if mode is FlightMode.HOLD:
+        assert math.hypot(*rig.vehicle.state.velocity_enu_m_s) < 0.02
+        rig.run(0.1, (0.0, 0.0, 0.0))
+        assert rig.command(176, *OFFBOARD) == mav.MAV_RESULT_ACCEPTED  # whoever is in charge may go on
+        assert not rig.autopilot.flight.failsafe
+
+
+@pytest.mark.parametrize("value", [1, 2, 6, 7, -1])
+def test_actions_that_do_not_exist_are_refused(value: int) -> None:
+    rig = Rig()
+    assert set_int(rig, "COM_OBL_RC_ACT", value) == 4
+    assert "allowed 0, 3, 4, 5" in rig.texts()[0]
+
+
+def test_every_allowed_action_has_a_meaning() -> None:
+    p = PX4.new_parameters(1)
+    assert set(p.entry("COM_OBL_RC_ACT").choices) == set(STREAM_LOST)
+    assert set(p.entry("NAV_DLL_ACT").choices) == set(STATION_LOST)
+    assert set(p.entry("GF_ACTION").choices) == set(FENCE)
+    levels = (Charge.LOW, Charge.CRITICAL, Charge.EMERGENCY)
+    assert {(level, act) for level in levels for act in p.entry("COM_LOW_BAT_ACT").choices} == set(BATTERY)
+
+
+@pytest.mark.parametrize(
+    ("act", "mode"),
+    [(0, FlightMode.HOLD), (1, FlightMode.HOLD), (2, FlightMode.RETURN), (3, FlightMode.LAND)],
+)
+def test_loss_of_the_ground_station(act: int, mode: FlightMode) -> None:
+    rig = rig_with(NAV_DLL_ACT=act, COM_DL_LOSS_T=2, RTL_MIN_DIST=0.0)
+    rig.handle(STATION, GROUND_STATION)
+    rig.command(400, 1.0)
+    rig.command(22, *[NAN] * 6, 0.5)
+    for _ in range(60):
+        rig.handle(STATION, GROUND_STATION)
+        rig.run(0.1)
+    rig.run(1.9)
+    assert rig.mode is FlightMode.HOLD
+    for _ in range(20):  # another type of heartbeat does not count
+        rig.handle(mav.MAVLink_heartbeat_message(mav.MAV_TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4, 3))
+        rig.run(0.02)
+    assert rig.mode is mode
+    assert ("No ground station for 2 s" in "".join(rig.texts())) is (act > 0)
+    assert rig.autopilot.flight.failsafe is (act > 0)
+    rig.handle(STATION, GROUND_STATION)
+    assert rig.texts() == ["Ground station is back"]
+
+
+def test_a_ground_station_that_never_was_is_not_missed() -> None:
+    rig = rig_with(NAV_DLL_ACT=3, COM_DL_LOSS_T=2).fly()
+    rig.run(3.0)
+    assert rig.mode is FlightMode.HOLD
+
+
+@pytest.mark.parametrize(
+    ("act", "mode"),
+    [
+        (0, FlightMode.OFFBOARD),
+        (1, FlightMode.OFFBOARD),
+        (2, FlightMode.HOLD),
+        (3, FlightMode.RETURN),
+        (5, FlightMode.LAND),
+    ],
+)
+def test_geofence(act: int, mode: FlightMode) -> None:
+    rig = rig_with(GF_ACTION=act, GF_MAX_HOR_DIST=0.5).offboard()
+    rig.run(2.0, (0.4, 0.0, 0.0))
+    assert rig.mode is mode
+    told = [t for t in rig.texts() if "GF_MAX_HOR_DIST is 0.5" in t]
+    assert len(told) == (act > 0)
+
+
+def test_geofence_has_a_ceiling_and_refuses_goals_outside() -> None:
+    rig = rig_with(GF_MAX_VER_DIST=1.0).fly()
+    assert rig.command(192, -1.0, 1.0, 0.0, NAN, NAN, NAN, 1.5) == mav.MAV_RESULT_TEMPORARILY_REJECTED
+    rig.run(0.1, (0.0, 0.0, 0.0))
+    rig.command(176, *OFFBOARD)
+    rig.run(3.0, (0.0, 0.0, -0.5))
+    assert rig.mode is FlightMode.HOLD
+    assert rig.vehicle.state.position_enu_m[2] < 1.8
+
+
+def test_set_points_are_clipped_only_where_a_limit_was_lowered_and_never_silently() -> None:
+    free = Rig().offboard()
+    free.run(0.01, (3.0, 4.0, 0.0))
+    assert free.vehicle.setpoint == pytest.approx((4.0, 3.0, 0.0))
+    rig = rig_with(MPC_XY_VEL_MAX=1.0, MPC_Z_VEL_MAX_UP=0.4, MPC_Z_VEL_MAX_DN=0.3).offboard()
+    rig.run(0.01, (3.0, 3.9, -0.5))
+    assert rig.vehicle.setpoint == pytest.approx(
+        (3.9 / math.hypot(3.0, 3.9), 3.0 / math.hypot(3.0, 3.9), 0.4)
+    )
+    assert rig.texts()[-1].startswith("Set-point clipped")
+    rig.run(0.01, (0.0, 0.5, 2.0))
+    assert rig.vehicle.setpoint == pytest.approx((0.5, 0.0, -0.3))
+    rig.telemetry.clear()
+    rig.run(0.6, (0.0, 0.5, 2.0))
+    shown = rig.seen(mav.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)[-1]
+    assert (shown.vy, shown.vz) == pytest.approx((0.5, 0.3))
+
+
+def test_a_weaker_fail_safe_does_not_stop_a_landing() -> None:
+    rig = rig_with(GF_ACTION=2, GF_MAX_HOR_DIST=0.1).fly()
+    rig.command(21)
+    rig.vehicle.state.position_enu_m = (1.0, 0.0, 0.5)
+    rig.run(0.2)
+    assert rig.mode is FlightMode.LAND
+    assert not rig.autopilot.flight.failsafe
+
+
+def test_charge_of_the_simulated_cell_is_read_right_in_hover() -> None:
+    params = load().battery
+    hover_rpm, used = 18_700.0, 0.3
+    cell = BatteryModel(params, hover_rpm)
+    cell.record.used_a_s = used * params.charge_a_s
+    cell.step((hover_rpm,) * 4, 0.01)
+    throttle = hover_rpm / cell.rpm_max
+    gauge = BatteryGauge(PX4.new_parameters(1), cell.voltage_v, throttle)
+    assert gauge.remaining == pytest.approx(1.0 - used, abs=0.03)

@@ -11,7 +11,7 @@ from bridge.mavlink.codec.framing import FrameCounters, split_frames
 from bridge.mavlink.endpoint import Direction, Endpoint
 from bridge.mavlink.transport.byte_stream import RETRY_S
 from tests.serial_relay import PtyEnd, TcpEnd
-from tests.unit.mavlink.codec.test_mavlink_endpoint import UNKNOWN, frames_of, position
+from tests.unit.mavlink.codec.frames_of_messages import UNKNOWN, frames_of, position
 
 PATIENCE_S = 10.0
 

@@ -1,3 +1,5 @@
+"""CDR of odometry and poses, byte-equal with rosbags."""
+
 import math
 import struct
 from dataclasses import replace
@@ -9,9 +11,20 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from bridge.frames import quaternion_from_yaw
-from bridge.ros2.cdr import Odometry, OdometryError, decode_odometry, encode_odometry
+from bridge.ros2.cdr import (
+    TRANSFORMS_MAX,
+    Odometry,
+    OdometryError,
+    Pose,
+    decode_odometry,
+    decode_pose,
+    decode_pose_with_covariance,
+    decode_transforms,
+    encode_odometry,
+)
 from bridge.target.odometry import sample_from_cdr
 from bridge.zenoh.zenoh_link import pack_attachment, parse_attachment
+from tests.unit.target.ros2_helpers import pose_covariance, pose_stamped, transforms
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
@@ -224,3 +237,74 @@ def test_what_a_sender_says_of_its_accuracy_is_in_the_sample(x, y, sigma):
         found = sample_from_cdr(payload, 0.0)
         assert getattr(found, field) == pytest.approx(sigma)
         assert replace(found, **{field: 0.0}) == sample_from_cdr(encode(odometry), 0.0)
+
+
+Q = (0.5, -0.5, 0.5, 0.5)
+STAMP = 1_700_000_000_123_456_789
+frame_names = st.text(st.characters(exclude_characters="\x00", exclude_categories=("Cs",)), max_size=20)
+numbers = st.floats(-1e6, 1e6)
+positions = st.tuples(numbers, numbers, numbers)
+
+
+@settings(max_examples=60)
+@given(frame_names, positions)
+def test_a_pose_of_another_library_is_read(frame, position):
+    assert decode_pose(pose_stamped(STAMP, frame, position, Q)) == Pose(STAMP, frame, position, Q)
+
+
+@settings(max_examples=60)
+@given(frame_names, positions, st.lists(numbers, min_size=36, max_size=36))
+def test_a_pose_with_covariance_is_read(frame, position, covariance):
+    found = decode_pose_with_covariance(pose_covariance(STAMP, frame, position, covariance, Q))
+    assert found == Pose(STAMP, frame, position, Q, tuple(covariance))
+
+
+@settings(max_examples=60)
+@given(st.lists(st.tuples(frame_names, frame_names, positions), max_size=6))
+def test_transforms_are_read(edges):
+    payload = transforms(*[(STAMP + i, parent, child, p, Q) for i, (parent, child, p) in enumerate(edges)])
+    found = decode_transforms(payload)
+    assert [(one.child_frame_id, one.pose) for one in found] == [
+        (child, Pose(STAMP + i, parent, p, Q)) for i, (parent, child, p) in enumerate(edges)
+    ]
+
+
+def test_a_slightly_long_quaternion_is_made_a_unit():
+    found = decode_pose(pose_stamped(STAMP, "map", (0.0, 0.0, 0.0), (1.003, 0.0, 0.0, 0.0)))
+    assert found.orientation_wxyz == (1.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("decode", "payload", "words"),
+    [
+        (decode_pose, b"", "not even a CDR header"),
+        (decode_pose, b"\x00\x00" + pose_stamped(1, "map", (0.0, 0.0, 0.0))[2:], "big endian"),
+        (decode_pose, pose_stamped(1, "map", (0.0, 0.0, 0.0))[:40], "no geometry_msgs/msg/PoseStamped"),
+        (decode_pose, pose_stamped(1, "map", (0.0, 0.0, 0.0))[:13], "no geometry_msgs/msg/PoseStamped"),
+        (decode_pose, pose_stamped(1, "map", (math.nan, 0.0, 0.0)), "not finite"),
+        (decode_pose, pose_stamped(1, "map", (1e12, 0.0, 0.0)), "beyond"),
+        (decode_pose, pose_stamped(1, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)), "never set"),
+        (decode_pose_with_covariance, pose_stamped(1, "map", (0.0, 0.0, 0.0)), "PoseWithCovarianceStamped"),
+        (decode_transforms, transforms((1, "a", "b", (0.0, 0.0, 0.0), Q))[:-9], "no tf2_msgs/msg/TFMessage"),
+        (decode_transforms, b"\x00\x01\x00\x00" + struct.pack("<I", TRANSFORMS_MAX + 1), "1000 are allowed"),
+        (decode_transforms, b"\x00\x01\x00\x00" + struct.pack("<I", 5), "no tf2_msgs/msg/TFMessage"),
+    ],
+)
+def test_what_is_refused_and_why(decode, payload, words):
+    with pytest.raises(OdometryError, match=words):
+        decode(payload)
+
+
+@settings(max_examples=300)
+@given(st.binary(max_size=60), st.integers(0, 240), st.integers(0, 240))
+def test_damage_raises_nothing_else(noise, start, stop):
+    whole = transforms(*[(STAMP, "map", "odom", (1.0, 2.0, 3.0), Q)] * 2)
+    for decode in (decode_pose, decode_pose_with_covariance, decode_transforms):
+        for damaged in (noise, whole[:start] + noise + whole[stop:], whole[:stop]):
+            try:
+                found = decode(damaged)
+            except OdometryError:
+                continue
+            for one in found if isinstance(found, list) else [found]:
+                position = one.pose.position_m if isinstance(found, list) else one.position_m
+                assert all(map(math.isfinite, position))

@@ -1,0 +1,330 @@
+"""Both wires of the Crazyflie bridge: log packets and queues towards cflib, MAVLink, refusals of arming."""
+
+import math
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from bridge.crazyflie.link import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
+from bridge.crazyflie.state import BootClock, decode_state, decompress_quaternion
+from bridge.crazyflie.types import Info, Order, Pose, SetParam, StateBlock, Velocity
+from bridge.frames import enu_from_ned, yaw_ned_from_enu
+from bridge.mavlink.client.vehicle_state import VehicleState
+from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.profiles.autopilots import profile
+from flightstack.core.types import Landed, Mode
+from tests.crazyflie_firmware.bench import CLIENT, GROUND, NAN, Bench
+from tests.crazyflie_firmware.firmware import Firmware
+from tests.crazyflie_firmware.plant import Point
+from tests.crazyflie_firmware.toc import quaternion_bits
+
+UNIT = (
+    st.tuples(*[st.floats(-1.0, 1.0)] * 4)
+    .filter(lambda q: sum(e * e for e in q) > 0.01)
+    .map(lambda q: tuple(e / math.sqrt(sum(x * x for x in q)) for e in q))
+)
+
+
+@given(UNIT)
+def test_quaternions_survive_compression_to_a_quarter_of_a_degree(q):
+    back = decompress_quaternion(quaternion_bits(q))
+    assert sum(e * e for e in back) == pytest.approx(1.0)
+    angle = 2.0 * math.acos(min(1.0, abs(sum(a * b for a, b in zip(q, back, strict=True)))))
+    assert math.degrees(angle) < 0.3
+
+
+def test_pitch_rate_is_turned_the_right_way_round():
+    values = dict.fromkeys(("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z"), 1500)
+    values |= dict.fromkeys(("stateEstimateZ.vx", "stateEstimateZ.vy", "stateEstimateZ.vz"), -250)
+    values |= {"stateEstimateZ.quat": quaternion_bits((1.0, 0.0, 0.0, 0.0))}
+    values |= {f"stateEstimateZ.rate{a}": 100 for a in ("Roll", "Pitch", "Yaw")}
+    values |= {"supervisor.info": 0xF0A, "pm.vbatMV": 3999}
+    state = decode_state(StateBlock(0, values), 7, 1.0)
+    assert state.position_enu_m == (1.5, 1.5, 1.5)
+    assert state.velocity_enu_m_s == (-0.25, -0.25, -0.25)
+    assert state.angular_velocity_flu_rad_s == (0.1, -0.1, 0.1)
+    assert state.info == Info.ARMED | Info.CAN_FLY
+    assert state.battery_v == 3.999
+
+
+@given(st.integers(0, (1 << 24) - 1), st.lists(st.integers(1, 60_000), min_size=1, max_size=50))
+def test_the_clock_goes_on_over_the_end_of_24_bits(start_ms, steps_ms):
+    clock, true_ms = BootClock(), start_ms
+    clock.take(start_ms, 0.0)
+    for step_ms in steps_ms:
+        true_ms += step_ms
+        boot_ms, late_s = clock.take(true_ms % (1 << 24), (true_ms - start_ms) / 1000.0)
+        assert boot_ms == true_ms
+        assert late_s == pytest.approx(0.0, abs=1e-6)
+
+
+def test_packets_out_of_order_are_dropped_late_ones_are_known_and_a_restart_is_one():
+    clock = BootClock()
+    assert clock.take(1000, 1.0) == (1000, 0.0)
+    assert clock.take(1000, 1.0) is None
+    assert clock.take(990, 1.0) is None
+    boot_ms, late_s = clock.take(1010, 1.41)
+    assert (boot_ms, late_s) == (1010, pytest.approx(0.4, abs=1e-3))
+    assert clock.now_ns(2.0) == pytest.approx(2e9, abs=1e6)
+
+
+def test_a_restart_begins_the_clock_anew():
+    clock = BootClock()
+    clock.take(500_000, 500.0)
+    assert clock.take(200, 501.0) == (200, 0.0)
+    assert clock.take(300, 501.1)[0] == 300
+
+
+def test_states_held_up_are_not_sent():
+    bench = Bench().ready().run(0.5)
+    held = []
+    real, bench._take = bench._take, held.append
+    bench.run(0.5)
+    bench._take = real
+    sent, late = len(bench.times("LOCAL_POSITION_NED")), bench.node.late
+    for event in held:
+        bench._take(event)
+    bench.step()
+    fresh = len(bench.times("LOCAL_POSITION_NED")) - sent
+    assert bench.node.late - late >= 28
+    assert fresh <= 22
+
+
+def test_the_newest_velocity_wins_and_an_old_one_is_not_sent():
+    box = Outbox()
+    box.put(Velocity((1.0, 0.0, 0.0), 0.0), 0.0)
+    box.put(Velocity((2.0, 0.0, 0.0), 0.0), 0.05)
+    assert box.get(0.0, lambda: 0.06).velocity_enu_m_s == (2.0, 0.0, 0.0)
+    assert box.get(0.0, lambda: 0.06) is None
+    box.put(Velocity((3.0, 0.0, 0.0), 0.0), 1.0)
+    assert box.get(0.0, lambda: 1.0 + VELOCITY_AGE_MAX_S + 0.01) is None
+    assert box.late == 1
+
+
+def test_an_emergency_stop_goes_first_and_motors_off_takes_the_velocity_away():
+    box = Outbox()
+    box.put(Velocity((1.0, 0.0, 0.0), 0.0), 0.0)
+    box.put(SetParam("a.b", 1.0), 0.0)
+    box.put(Order.STOP, 0.0)
+    box.put(Order.EMERGENCY_STOP, 0.0)
+    box.put(Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), 0.0)
+    came = [box.get(0.0, lambda: 0.0) for _ in range(5)]
+    assert came[:3] == [Order.EMERGENCY_STOP, SetParam("a.b", 1.0), Order.STOP]
+    assert isinstance(came[3], Pose)
+    assert came[4] is None
+
+
+def test_the_outbox_is_bounded_and_never_loses_what_stops_motors():
+    box = Outbox()
+    for i in range(3 * ORDERS_MAX):
+        box.put(SetParam(f"p.{i}", 0.0), 0.0)
+    box.put(Order.EMERGENCY_STOP, 0.0)
+    came = []
+    while (packet := box.get(0.0, lambda: 0.0)) is not None:
+        came.append(packet)
+    assert len(came) == ORDERS_MAX
+    assert came[0] is Order.EMERGENCY_STOP
+    assert box.lost == 2 * ORDERS_MAX + 1
+    box.put(Order.ARM, 0.0)
+    box.clear()
+    assert box.get(0.0, lambda: 0.0) is None
+
+
+def through_the_wire(message):
+    """As another implementation decodes it."""
+    parser = mav.MAVLink(None)
+    return parser.decode(bytearray(pack(message, 0, 1, 1)))
+
+
+def read(bench: Bench) -> VehicleState:
+    """What the flight stack makes of the telemetry."""
+    state = VehicleState(profile("px4"))
+    for at_s, message in bench.out:
+        state.update(through_the_wire(message), at_s)
+    return state
+
+
+def test_the_flight_stack_reads_its_state():
+    plant = Point(1.0, 2.0)
+    plant.yaw = 0.7
+    bench = Bench(Firmware(plant)).ready()
+    state = read(bench)
+    assert state.own.position_enu_m == pytest.approx((1.0, 2.0, 0.0), abs=1e-3)
+    assert state.own.yaw_rad == pytest.approx(0.7, abs=3e-3)
+    assert (state.status.armed, state.status.mode, state.status.landed) == (
+        False,
+        Mode.HOLD,
+        Landed.ON_GROUND,
+    )
+    bench.run(0.3)
+    assert read(bench).status.ready_to_arm
+    bench.offboard((0.3, 0.0, -0.1))
+    bench.run(1.0)
+    state = read(bench)
+    assert (state.status.armed, state.status.mode, state.status.landed) == (
+        True,
+        Mode.EXTERNAL,
+        Landed.IN_AIR,
+    )
+    assert state.own.velocity_enu_m_s == pytest.approx((0.0, 0.3, 0.1), abs=0.01)
+    assert state.own.position_enu_m == pytest.approx(bench.firmware.plant.position, abs=5e-3)
+    assert state.counters.not_finite == state.counters.out_of_order == state.counters.without_yaw == 0
+    assert state.battery.voltage_v == pytest.approx(4.1)
+
+
+def test_messages_it_does_not_have_and_messages_of_a_crazyflie_not_heard_are_refused():
+    bench = Bench().ready()
+    assert bench.result(512, 435.0) == 2
+    bench.mute = True
+    bench.run(1.5)
+    assert bench.result(512, 32.0) == 1
+
+
+COMMANDS = {
+    "a mode of PX4 that it does not have": ((176, 1.0, 4.0, 5.0), 2),
+    "offboard without a stream": ((176, 1.0, 6.0), 1),
+    "hold": ((176, 1.0, 4.0, 3.0), 0),
+    "take-off too high": ((22, NAN, NAN, NAN, NAN, NAN, NAN, 50.0), 1),
+    "land on the ground": ((21,), 0),
+    "disarm disarmed": ((400, 0.0), 0),
+    "force disarm disarmed": ((400, 0.0, 21196.0), 0),
+    "termination unsure": ((185, 0.0), 2),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_commands_are_answered_and_refusals_explained(name):
+    (number, *params), result = COMMANDS[name]
+    bench = Bench().ready()
+    answers = bench.command(number, *params)
+    assert [(a.command, a.result, a.target_system, a.target_component) for a in answers] == [
+        (number, result, *CLIENT)
+    ]
+    bench.step()
+    assert any(re.search("refused|denied|not supported|must be", t) for t in bench.texts) == bool(result)
+
+
+def test_arming_is_acknowledged_when_it_shows_and_repeats_do_no_harm():
+    bench = Bench(Firmware(auto_arm=False)).ready()
+    assert bench.command(400, 1.0) == []
+    assert bench.command(400, 1.0, sender=GROUND) == []
+    bench.until(lambda: bench.vehicle.armed).step()
+    assert sorted((r.result, r.target_system) for r in bench.replies) == [(0, 1), (0, 255)]
+    assert bench.result(400, 1.0) == 0
+
+
+@given(ned=st.tuples(*[st.floats(-0.5, 0.5)] * 3), rate=st.floats(-3.0, 3.0), yaw=st.floats(-3.0, 3.0))
+def test_velocities_and_rates_arrive_in_the_crazyflies_frame(ned, rate, yaw):
+    bench = FLYING
+    bench.stream = None
+    bench.setpoint(ned, mask=1479, rate=rate)
+    bench.step()
+    _, velocity, rate_deg_s = bench.firmware.setpoints[-1]
+    assert velocity == pytest.approx(enu_from_ned(ned), abs=1e-6)
+    assert rate_deg_s == pytest.approx(-math.degrees(rate), rel=1e-5, abs=1e-6)
+    # forward in the body is along the nose
+    bench.setpoint((0.4, 0.0, 0.0), frame=8, yaw=yaw_ned_from_enu(yaw))
+    bench.step()
+    heading = bench.firmware.plant.yaw
+    _, velocity, _ = bench.firmware.setpoints[-1]
+    assert velocity == pytest.approx((0.4 * math.cos(heading), 0.4 * math.sin(heading), 0.0), abs=0.05)
+
+
+FLYING = Bench().offboard()
+
+
+def set_param(name, value):
+    def change(bench):
+        bench.firmware.params[name].value = value
+
+    return change
+
+
+def set_attribute(path, value):
+    def change(bench):
+        *way, last = path.split(".")
+        owner = bench.firmware
+        for step in way:
+            owner = getattr(owner, step)
+        setattr(owner, last, value)
+
+    return change
+
+
+def silent(bench):
+    bench.run(0.5)
+    bench.mute = True
+    bench.run(0.4)
+
+
+REFUSALS = {
+    "old protocol": (set_attribute("protocol", 9), "firmware speaks CRTP 9, arming by supervisor needs 12"),
+    "tumbled": (set_attribute("supervisor.tumbled", True), "lies on its side"),
+    "checks": (set_attribute("supervisor.checks_pass", False), "pre-flight checks have not passed"),
+    "charging": (set_attribute("power_state", 1), "it is charging"),
+    "low power": (set_attribute("power_state", 3), "battery at 4.10 V"),
+    "low battery": (set_attribute("battery_v", 3.5), "battery at 3.50 V, 3.7 V needed"),
+    "mellinger": (set_param("stabilizer.controller", 2), "controller is 2, which flies no velocities"),
+    "no position": (set_attribute("needs_poses", True), "Lighthouse deck: are the base stations seen"),
+    "silent": (silent, "s old: radio too weak?"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSALS)
+def test_refuses_to_arm_and_says_why(name):
+    change, reason = REFUSALS[name]
+    firmware = Firmware(auto_arm=False)
+    bench = Bench(firmware)
+    change(bench)
+    if not bench.mute:
+        bench = Bench(firmware).run(1.0)
+    assert bench.result(400, 1.0) == 1
+    bench.step()
+    said = [text for text in bench.texts if text.startswith("Arming refused: ")]
+    assert len(said) == 1
+    assert reason in said[0]
+    assert not bench.vehicle.armed
+    assert not bench.firmware.supervisor.armed
+    assert not bench.last("SYS_STATUS").onboard_control_sensors_health & 0x10000000
+
+
+def test_without_any_deck_it_asks_for_motion_capture():
+    firmware = Firmware(needs_poses=True)
+    firmware.params["deck.bcLighthouse4"].value = 0
+    bench = Bench(firmware).run(1.0)
+    assert any("give poses with --mocap" in problem for problem in bench.vehicle.problems(bench.now_s))
+
+
+def test_a_filter_that_does_not_run_is_no_position_estimate():
+    firmware = Firmware()
+    bench = Bench(firmware).run(0.5)
+    assert not bench.vehicle.problems(bench.now_s)  # the bridge has set the estimator
+    assert firmware.params["stabilizer.estimator"].value == 2
+    firmware.params["stabilizer.estimator"].value = 1
+    bench.run(0.5)
+    assert "no position estimate" in bench.vehicle.problems(bench.now_s)[0]
+
+
+def test_prearm_checks_tell_all_reasons_in_order():
+    firmware = Firmware(protocol=9, needs_poses=True)
+    firmware.battery_v = 3.3
+    bench = Bench(firmware).run(1.0)
+    assert bench.result(401) == 0
+    bench.step()
+    said = [text for text in bench.texts if text.startswith("Preflight fail")]
+    assert ["CRTP" in said[0], "battery" in said[1], "no position" in said[2]] == [True] * 3
+
+
+def test_what_keeps_it_from_arming_is_said_when_it_changes_and_not_again():
+    firmware = Firmware(auto_arm=False)
+    bench = Bench(firmware).run(3.0)
+    for volts in (3.6, 3.5, 3.4):
+        firmware.battery_v = volts
+        bench.run(2.0)
+    firmware.battery_v = 4.0
+    bench.run(2.0)
+    said = [t for t in bench.texts if t == "Ready to arm" or t.startswith("Not ready")]
+    assert said == ["Ready to arm", "Not ready: battery at 3.60 V, 3.7 V needed: charge it", "Ready to arm"]

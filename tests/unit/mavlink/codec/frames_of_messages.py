@@ -1,0 +1,30 @@
+"""Frames that the tests of codec and endpoint share."""
+
+import random
+import struct
+
+from bridge.mavlink.endpoint import dialect
+
+UNKNOWN = b"\xfd\x02\x00\x00\x00\x01\x01\xff\xff\xff\x01\x02\x03\x04"
+
+
+def position(x=1.5):
+    return dialect.MAVLink_local_position_ned_message(10, x, 2.0, 3.0, 4.0, 5.0, 6.0)
+
+
+def frames_of(count, seed=0):
+    rng = random.Random(seed)
+    mav = dialect.MAVLink(None, 1, 1)
+    makers = (
+        lambda: position(rng.uniform(-9, 9)),
+        lambda: dialect.MAVLink_heartbeat_message(2, 12, 81, rng.getrandbits(32), 3, 3),
+        lambda: dialect.MAVLink_statustext_message(4, b"rejected: \xfd\xfe " * 3, 0, 0),
+        lambda: dialect.MAVLink_timesync_message(0, rng.getrandbits(60)),
+    )
+    return [rng.choice(makers)().pack(mav) for _ in range(count)]
+
+
+def raw_frame(message_id, payload, flags=0):
+    body = bytes([len(payload), flags, 0, 7, 3, 4]) + message_id.to_bytes(3, "little") + payload
+    crc = dialect.x25crc(body + bytes([dialect.mavlink_map[message_id].crc_extra])).crc
+    return b"\xfd" + body + struct.pack("<H", crc) + (bytes(range(13)) if flags else b"")

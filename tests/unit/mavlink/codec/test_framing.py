@@ -1,0 +1,234 @@
+"""Frames in a datagram and in a byte stream: cut anywhere, between noise, lost in part."""
+
+import random
+
+import pytest
+
+from bridge.mavlink.codec.decoding import decode
+from bridge.mavlink.codec.framing import REST_MAX, FrameCounters, StreamFramer, split_frames
+from bridge.mavlink.endpoint import dialect
+from tests.unit.mavlink.codec.frames_of_messages import UNKNOWN, frames_of, position, raw_frame
+
+
+def test_frames_of_one_datagram_come_in_order():
+    frames = frames_of(20)
+    assert list(split_frames(b"".join(frames))) == frames
+
+
+def test_stray_start_byte_costs_no_good_frame():
+    frames = frames_of(8)
+    counters = FrameCounters()
+    assert list(split_frames(b"\xfd\xff\x00" + b"".join(frames), counters)) == frames
+    assert counters.garbage_bytes == 3
+
+
+def test_bad_checksum_is_counted_and_the_next_frame_survives():
+    first, second = frames_of(2)
+    broken = first[:-1] + bytes([first[-1] ^ 1])
+    counters = FrameCounters()
+    assert list(split_frames(broken + second, counters)) == [second]
+    assert counters.bad_crc == 1
+    assert counters.garbage_bytes == len(broken)
+
+
+def test_version_1_frames_are_dropped_and_counted():
+    mav = dialect.MAVLink(None, 1, 1)
+    old = position().pack(mav, force_mavlink1=True)
+    new = position().pack(mav)
+    counters = FrameCounters()
+    assert list(split_frames(old + new + old, counters)) == [new]
+    assert counters.version_1 == 2
+    assert counters.garbage_bytes == 0
+
+
+@pytest.mark.parametrize("before", [0, 1, 3])
+@pytest.mark.parametrize("behind", [0, 1])
+def test_unknown_message_is_kept_raw_where_the_frames_around_show_its_length(before, behind):
+    good, kept = frames_of(1)[0], []
+    counters = FrameCounters()
+    found = list(split_frames(good + UNKNOWN * (before + 1) + good * behind, counters, kept.append))
+    assert (found, kept) == ([good] * (1 + behind), [UNKNOWN] * (before + 1))
+    assert (counters.unknown_frames, counters.unknown_id, counters.garbage_bytes) == (before + 1, 0, 0)
+
+
+@pytest.mark.parametrize(
+    "datagram",
+    [
+        pytest.param(UNKNOWN + b"\x00", id="something else behind"),
+        pytest.param(UNKNOWN[:-1], id="cut short"),
+        pytest.param(UNKNOWN[:5] + b"\x00" + UNKNOWN[6:], id="no sender"),
+        pytest.param(UNKNOWN * 5, id="nothing but unknown ones"),
+    ],
+)
+def test_what_only_looks_like_an_unknown_message_is_garbage(datagram):
+    kept, counters = [], FrameCounters()
+    assert list(split_frames(datagram, counters, kept.append)) == []
+    assert len(kept) <= 4
+    assert counters.garbage_bytes + sum(map(len, kept)) == len(datagram)
+    assert counters.garbage_bytes > 0
+
+
+def test_unknown_message_never_hides_a_good_frame():
+    good, kept = frames_of(1)[0], []
+    header = bytes([0xFD, len(good) + 3, 0, 0, 0, 1, 1, 255, 255, 255])
+    assert list(split_frames(header + b"abc" + good + b"\x01\x02", None, kept.append)) == [good]
+    assert kept == []
+
+
+def test_signed_frame_is_kept_whole_and_unknown_flags_are_refused():
+    payload = bytes(range(9))
+    signed = raw_frame(0, payload, flags=1)
+    strange = raw_frame(0, payload, flags=2)
+    assert list(split_frames(strange + signed)) == [signed]
+
+
+@pytest.mark.parametrize("cut", [1, 5, 11, 20])
+def test_truncated_frame_is_garbage(cut):
+    frame = frames_of(1)[0][:cut]
+    counters = FrameCounters()
+    assert list(split_frames(frame, counters)) == []
+    assert counters.garbage_bytes == cut
+
+
+def test_fuzz_never_raises_and_never_loses_a_good_frame():
+    """20 000 datagrams: random bytes, mutations, cuts and good frames, mixed in any order."""
+    rng = random.Random(1)
+    pool = frames_of(200, seed=2)
+    for _ in range(20_000):
+        pieces, good = [], []
+        for _ in range(rng.randrange(1, 5)):
+            kind = rng.randrange(5)
+            frame = rng.choice(pool)
+            if kind == 0:
+                pieces.append(rng.randbytes(rng.randrange(0, 40)))
+            elif kind == 1:
+                mutated = bytearray(frame)
+                mutated[rng.randrange(len(mutated))] ^= 1 << rng.randrange(8)
+                pieces.append(bytes(mutated))
+            elif kind == 2:
+                pieces.append(frame[: rng.randrange(len(frame))])
+            elif kind == 3:
+                pieces.append(bytes([0xFD, rng.randrange(256), rng.randrange(2)]))
+            else:
+                pieces.append(frame)
+                good.append(frame)
+        counters = FrameCounters()
+        datagram = b"".join(pieces)
+        unknown = []
+        found = list(split_frames(datagram, counters, unknown.append))
+        assert sum(map(len, found + unknown)) + counters.garbage_bytes == len(datagram) or counters.version_1
+        remaining = iter(found)
+        assert all(any(frame == other for other in remaining) for frame in good), datagram.hex()
+        for frame in found:
+            decode(frame)
+
+
+def pieces_of(stream, rng, longest=40):
+    at = 0
+    while at < len(stream):
+        size = rng.randrange(1, longest)
+        yield stream[at : at + size]
+        at += size
+
+
+def push_all(framer, pieces, unknown=None):
+    return [frame for piece in pieces for frame in framer.push(piece, unknown)]
+
+
+@pytest.mark.parametrize("longest", [2, 7, 40, 600])
+def test_frames_cut_anywhere_come_whole_and_in_order(longest):
+    frames, counters = frames_of(300, seed=longest), FrameCounters()
+    found = push_all(StreamFramer(counters), pieces_of(b"".join(frames), random.Random(1), longest))
+    assert found == frames
+    assert counters == FrameCounters()
+
+
+def test_frame_is_given_with_its_last_byte():
+    frame = frames_of(1)[0]
+    framer = StreamFramer(FrameCounters())
+    assert list(framer.push(frame[:-1])) == []
+    assert framer.waiting_bytes == len(frame) - 1
+    assert list(framer.push(frame[-1:])) == [frame]
+    assert framer.waiting_bytes == 0
+
+
+def test_hundred_thousand_bytes_of_noise_lose_no_frame():
+    """Noise between the frames, half of it start bytes; every good frame comes, in order."""
+    rng, counters = random.Random(2), FrameCounters()
+    frames, stream, noise = frames_of(2000, seed=3), bytearray(), 0
+    for frame in frames:
+        stray = rng.choice((rng.randbytes, lambda n: b"\xfd" * n))(rng.randrange(0, 102))
+        noise += len(stray)
+        stream += stray + frame
+    assert noise > 100_000 - 5_000
+    stream += b"".join(frames_of(12, seed=4))  # what the last false start waits for
+    found = push_all(StreamFramer(counters), pieces_of(bytes(stream), rng))
+    assert found == frames + frames_of(12, seed=4)
+    assert counters.garbage_bytes == noise
+
+
+def test_noise_in_frames_loses_those_it_hits_and_no_other():
+    rng, counters = random.Random(5), FrameCounters()
+    frames = frames_of(4000, seed=6)
+    hit = {i for i in range(len(frames)) if rng.random() < 0.2}
+    damaged = []
+    for i, frame in enumerate(frames):
+        if i in hit:
+            at = rng.randrange(len(frame))
+            frame = frame[:at] + bytes([frame[at] ^ 1 << rng.randrange(8)]) + frame[at + 1 :]
+        damaged.append(frame)
+    tail = frames_of(12, seed=7)
+    found = push_all(StreamFramer(counters), pieces_of(b"".join(damaged + tail), rng))
+    assert found == [frame for i, frame in enumerate(frames) if i not in hit] + tail
+
+
+def test_lost_bytes_cost_the_frames_they_belong_to():
+    rng, counters = random.Random(8), FrameCounters()
+    frames = frames_of(3000, seed=9)
+    kept, stream = [], b""
+    for frame in frames:
+        if rng.random() < 0.1:
+            at = rng.randrange(len(frame))
+            stream += frame[:at] + frame[at + rng.randrange(1, 20) :]
+        else:
+            stream += frame
+            kept.append(frame)
+    tail = frames_of(12, seed=10)
+    found = push_all(StreamFramer(counters), pieces_of(stream + b"".join(tail), rng))
+    missing = iter(found)
+    assert all(any(frame == other for other in missing) for frame in kept + tail)
+
+
+def test_buffer_is_bounded_whatever_comes():
+    rng, framer = random.Random(11), StreamFramer(FrameCounters())
+    for _ in range(3000):
+        header = bytes([0xFD, 255, 0, 0, 0, 1, 1, rng.randrange(256), rng.randrange(2), 0])
+        list(framer.push(header + rng.randbytes(rng.randrange(0, 60))))
+        assert framer.waiting_bytes <= REST_MAX + 280
+
+
+def test_false_start_behind_noise_keeps_nothing_back():
+    """Its header names no message, so the good frame behind it is not waited with."""
+    good, framer = frames_of(1)[0], StreamFramer(FrameCounters())
+    assert list(framer.push(b"\x00\xfd\xff\x00" + bytes(range(1, 8)) + good)) == [good]
+
+
+@pytest.mark.parametrize("longest", [2, 9, 100])
+def test_unknown_message_is_kept_raw_once_the_next_frame_shows_its_length(longest):
+    frames, kept, counters = frames_of(50, seed=12), [], FrameCounters()
+    stream = b"".join(frame + UNKNOWN for frame in frames) + frames[0]
+    framer = StreamFramer(counters)
+    found = push_all(framer, pieces_of(stream, random.Random(13), longest), kept.append)
+    assert found == [*frames, frames[0]]
+    assert kept == [UNKNOWN] * 50
+    assert (counters.unknown_frames, counters.garbage_bytes) == (50, 0)
+
+
+def test_signed_frames_are_kept_whole():
+    frame = frames_of(1)[0]
+    signed = dialect.MAVLink(None, 1, 1)
+    signed.signing.secret_key, signed.signing.sign_outgoing = bytes(range(32)), True
+    stream = b"".join(dialect.MAVLink_timesync_message(0, n).pack(signed) for n in range(20)) + frame
+    found = push_all(StreamFramer(FrameCounters()), pieces_of(stream, random.Random(14), 9))
+    assert b"".join(found) == stream
+    assert len(found) == 21

@@ -1,0 +1,195 @@
+"""Messages: packed and decoded as pymavlink does, and those that its dialect ardupilotmega does not have."""
+
+import inspect
+import math
+import random
+import struct
+
+import pytest
+from pymavlink.dialects.v20 import all as everything
+from pymavlink.dialects.v20 import ardupilotmega, common, development, standard
+
+from bridge.mavlink.codec.decoding import decode
+from bridge.mavlink.codec.framing import intact, split_frames
+from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.codec.wide_messages import MESSAGES, Definition, definitions, make_class
+from bridge.mavlink.endpoint import dialect
+from tests import tables
+from tests.unit.mavlink.codec.frames_of_messages import raw_frame
+
+CLASSES = [dialect.mavlink_map[id_] for id_ in sorted(dialect.mavlink_map)]
+ROWS = 25  # messages a class
+FLOATS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1.0, 5e-324, 3.4e38, -3.4e38, 1e-45, 3, True)
+HOSTILE = (None, "", "text", b"", b"ab", -1, 2**70, -(2**70), 1.5, 1e39, math.nan, [], [1, 2], (), object())
+
+
+def number(rng, kind):
+    """A value that fits the field's type; zero and the bounds often."""
+    if kind in ("float", "double"):
+        return rng.choice((*FLOATS, rng.gauss(0.0, 1e3), rng.uniform(-1.0, 1.0)))
+    bits = int("".join(filter(str.isdigit, kind.removesuffix("_t"))))
+    low, high = (0, 2**bits - 1) if kind.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    return rng.choice((0, 0, low, high, rng.randint(low, high)))
+
+
+def fields(cls):
+    """(type, length of an array or 0) of each argument of the constructor."""
+    wire = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
+    return [(kind, wire[name]) for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True)]
+
+
+def arguments(rng, cls):
+    """Good arguments; strings and arrays also longer than there is room for."""
+    values = []
+    for kind, length in fields(cls):
+        if kind == "char":
+            values.append(rng.randbytes(rng.randint(0, length + 3)))
+        elif length:
+            count = length + rng.randint(0, 2)
+            values.append([0] * count if rng.random() < 0.3 else [number(rng, kind) for _ in range(count)])
+        else:
+            values.append(number(rng, kind))
+    return values
+
+
+def by_pymavlink(message, sequence, system, component):
+    mav = dialect.MAVLink(None, system, component)
+    mav.seq = sequence
+    return message.pack(mav)
+
+
+def outcome(packer, cls, values):
+    """The frame, or what kind of error there was."""
+    try:
+        return packer(cls(*values), 7, 1, 1)
+    except Exception as error:
+        return type(error)
+
+
+def test_every_message_of_the_dialect_is_packed_as_pymavlink_does():
+    for cls in CLASSES:
+        rng = random.Random(cls.id)
+        for _ in range(ROWS):
+            values, ids = arguments(rng, cls), tuple(rng.randbytes(3))
+            frame = pack(cls(*values), *ids)
+            assert frame == by_pymavlink(cls(*values), *ids), (cls.msgname, values)
+            assert intact(frame)
+            assert pack(decode(frame), *ids) == frame, (cls.msgname, values)
+
+
+def test_what_does_not_fit_is_refused_as_pymavlink_does():
+    seen = set()
+    for cls in CLASSES:
+        rng = random.Random(cls.id)
+        for _ in range(ROWS):
+            values = arguments(rng, cls)
+            for place in rng.sample(range(len(values)), rng.randint(1, min(2, len(values)))):
+                values[place] = rng.choice((*HOSTILE, values[place]))
+            ours, theirs = (outcome(packer, cls, values) for packer in (pack, by_pymavlink))
+            assert ours == theirs, (cls.msgname, values)
+            seen.add(ours if isinstance(ours, type) else bytes)
+    assert {struct.error, IndexError, TypeError, AttributeError, OverflowError, bytes} <= seen
+
+
+def test_nothing_but_zeros_leaves_one_byte():
+    for cls in CLASSES:
+        zeros = [b"" if kind == "char" else [0] * length if length else 0 for kind, length in fields(cls)]
+        frame = pack(cls(*zeros), 0, 1, 1)
+        assert (frame[1], len(frame)) == (1, 13)
+        assert frame == by_pymavlink(cls(*zeros), 0, 1, 1)
+
+
+def test_the_message_keeps_its_frame():
+    message = dialect.MAVLink_timesync_message(3, 4)
+    assert pack(message, 9, 1, 191) == message.get_msgbuf()
+
+
+@pytest.mark.parametrize("ids", [(256, 1, 1), (0, 256, 1), (0, 1, -1)])
+def test_ids_have_a_byte(ids):
+    with pytest.raises(struct.error):
+        pack(dialect.MAVLink_timesync_message(3, 4), *ids)
+
+
+WIDE = {d.id: d for d in definitions()}
+ATTRIBUTES = ("id", "msgname", "fieldnames", "ordered_fieldnames", "fieldtypes", "native_format", "orders",
+              "lengths", "array_lengths", "crc_extra")  # fmt: skip
+
+
+def test_table_is_what_its_command_makes_of_the_installed_pymavlink():
+    assert tables.MESSAGES.read_text() == tables.messages_table()
+
+
+@pytest.mark.parametrize("other", [everything, common, development, standard, ardupilotmega])
+def test_every_message_of_pymavlinks_dialects_is_known(other):
+    for id_, cls in other.mavlink_map.items():
+        assert (MESSAGES[id_].msgname, MESSAGES[id_].crc_extra) == (cls.msgname, cls.crc_extra)
+
+
+@pytest.mark.parametrize("number", [8, 290, 291, 380, 410, 411, 436])
+def test_messages_that_px4_sends_are_known(number):
+    assert number in MESSAGES
+
+
+def test_known_messages_stay_pymavlinks_own():
+    assert all(MESSAGES[id_] is cls for id_, cls in ardupilotmega.mavlink_map.items())
+
+
+@pytest.mark.parametrize("definition", WIDE.values(), ids=lambda d: d.name)
+def test_crc_extra_is_that_of_names_and_types(definition):
+    assert definition.computed_crc_extra() == definition.crc_extra
+    assert Definition.parse(definition.line) == definition
+
+
+@pytest.mark.parametrize("number", sorted(set(WIDE) & set(everything.mavlink_map)))
+def test_class_equals_pymavlinks(number):
+    made, theirs = make_class(WIDE[number]), everything.mavlink_map[number]
+    for name in ATTRIBUTES:
+        assert getattr(made, name) == getattr(theirs, name), name
+    # pymavlink writes an array of one element as one element
+    assert made.unpacker.size == theirs.unpacker.size
+
+
+@pytest.mark.parametrize("number", sorted(WIDE))
+def test_message_passes_the_wire_unchanged(number):
+    rng, cls = random.Random(number), MESSAGES[number]
+    for _ in range(20):
+        payload = rng.randbytes(cls.unpacker.size - 1) + b"\x01"
+        head = bytes([len(payload), 0, 0, 7, 3, 4]) + number.to_bytes(3, "little") + payload
+        crc = ardupilotmega.x25crc(head + bytes([cls.crc_extra])).crc
+        frame = b"\xfd" + head + crc.to_bytes(2, "little")
+        assert list(split_frames(frame)) == [frame]
+        message = decode(frame)
+        assert message.get_type() == WIDE[number].name
+        if not any("float" in kind or "double" in kind for kind in cls.fieldtypes):  # a NaN has many bits
+            assert pack(message, 7, 3, 4) == frame
+
+
+def test_wrong_fields_are_refused():
+    cls = MESSAGES[411]
+    assert cls(sequence=3, flags=0).sequence == 3
+    for values in ((1,), (1, 2, 3)):
+        with pytest.raises(TypeError, match="sequence, flags"):
+            cls(*values)
+    assert not inspect.signature(cls).parameters.keys() & {"sequence"}
+
+
+@pytest.mark.parametrize("line", ["1;A;2;int9_t x", "1;A;2;uint8_t", "one;A;2;uint8_t x"])
+def test_line_of_another_form_is_refused(line):
+    with pytest.raises(ValueError, match=r"allowed|invalid"):
+        Definition.parse(line)
+
+
+def test_decoding_equals_pymavlink_for_every_message():
+    rng = random.Random(3)
+    mav = dialect.MAVLink(None, 1, 1)
+    for message_id, cls in dialect.mavlink_map.items():
+        for length in (cls.unpacker.size, rng.randrange(0, 256)):
+            frame = raw_frame(message_id, rng.randbytes(min(length, 255)), flags=rng.getrandbits(1))
+            ours, theirs = decode(frame), mav.decode(bytearray(frame))
+            ours_header, theirs_header = (
+                vars(ours.__dict__.pop("_header")),
+                vars(theirs.__dict__.pop("_header")),
+            )
+            assert ours_header == theirs_header
+            assert type(ours) is type(theirs)
+            assert repr(ours.__dict__) == repr(theirs.__dict__), cls.msgname  # repr: NaN equals itself

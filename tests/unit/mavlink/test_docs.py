@@ -1,0 +1,285 @@
+"""Pages of docs about vehicles and bridges against the code: their tables, options and numbers."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import re
+import shlex
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from click.testing import CliRunner
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from bridge.crazyflie import arming as crazyflie_arming
+from bridge.crazyflie import checks as crazyflie_checks
+from bridge.crazyflie import link as crazyflie_link
+from bridge.crazyflie import pilot as crazyflie_pilot
+from bridge.crazyflie import rules as crazyflie_rules
+from bridge.crazyflie.link import EVENTS_MAX
+from bridge.crazyflie.state import LATE_MAX_S
+from bridge.mavlink.profiles.autopilots import PROFILES
+from bridge.mavlink.server.parameters import INT32
+from bridge.mavlink.server.profile import EVERY_TICK
+from bridge.mocap.checks import Limits, Refusal
+from bridge.mocap.vehicle import WANTS
+from flightstack.cli.real.bridge import bridge
+from flightstack.cli.real.px4_sim import px4_sim
+from flightstack.config.files import load as load_config
+from flightstack.verify.certificate import checks
+from sim.autopilot.profiles import DEFAULT_HZ, px4_parameters
+from sim.autopilot.telemetry import BUILDERS
+from sim.autopilot.watches import FENCE, STATION_LOST, STREAM_LOST, Action
+from sim.plant.params import load
+from sim.px4.airframe import FORMATS, PX4_OF_M, parameters
+from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
+from sim.scenarios.scenario import Airframe
+from tests.conftest import pytest_addoption
+from tests.flight_suite.room import LIMITS
+from tests.unit.autopilot.autopilot_fakes import Rig
+
+DOCS = Path(__file__).parents[3] / "docs"
+CRAZYFLIE = (DOCS / "how_to" / "crazyflie.md").read_text()
+MOCAP = (DOCS / "how_to" / "mocap.md").read_text()
+
+
+def options(verb):
+    return {name for p in bridge.commands[verb].params for name in p.opts}
+
+
+@pytest.mark.parametrize("page", [CRAZYFLIE, MOCAP])
+def test_the_commands_are_understood(page):
+    ran = 0
+    for line in re.findall(r"^\$ flightstack bridge (.*)$", page, re.MULTILINE):
+        verb, *words = shlex.split(line)
+        given = {word for word in words if word.startswith("--")}
+        assert given <= options(verb), line
+        shown = CliRunner().invoke(bridge, [verb, "--help"])
+        assert shown.exit_code == 0
+        ran += 1
+    assert ran >= 1
+
+
+def test_every_option_that_is_described_exists():
+    for name in re.findall(r"^\| `(--[a-z-]+)", MOCAP, re.MULTILINE):
+        assert name in options("mocap") | options("crazyflie"), name
+
+
+def test_every_reason_in_the_table_is_one_of_the_code():
+    source = inspect.getsource(crazyflie_checks) + inspect.getsource(crazyflie_arming)
+    table = CRAZYFLIE.split("## Why it refuses to arm")[1].split("## First flight")[0]
+    reasons = [
+        r for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for r in re.findall(r"`([^`]+)`", row)
+    ]
+    assert len(reasons) >= 14
+    for reason in reasons:
+        if reason.startswith("mocap"):
+            continue
+        words = re.sub(r"[0-9.]+ m\)|[0-9]+(\.[0-9]+)?|stabilizer\.estimator is|\.\.\.", "\0", reason)
+        longest = max(words.split("\0"), key=len).strip(" :(,")
+        assert longest in source, reason
+
+
+def test_the_numbers_are_those_of_the_code():
+    rules = crazyflie_rules
+    for text in (
+        f"silent for {rules.STREAM_S:g} s",
+        f"after {rules.CLIENT_SILENT_S:g} s without a heartbeat",
+        f"a text after {rules.SILENT_S:g} s, no heartbeat after {rules.LOST_S:g} s",
+        f"opened anew\nafter {rules.RECONNECT_S:g} s".replace("\n", " "),
+        f"for {rules.BLIND_LANDING_MAX_S:g} s at most",
+        f"armed on the ground for {rules.IDLE_S:g} s",
+        f"back within {rules.KILL_KEPT_S:g} s",
+        f"`--speed-max` ({rules.SPEED_MAX_M_S:g} m/s)",
+        f"{crazyflie_pilot.CLIMB_M_S:g} m/s up, {crazyflie_pilot.DESCENT_M_S:g} m/s down",
+        f"within {crazyflie_arming.KILL_UNSEEN_S:g} s becomes an emergency stop",
+        f"{crazyflie_checks.BATTERY_MIN_V:g} V needed",
+        f"more than {LATE_MAX_S:g} s on its way",
+        f"for more than {crazyflie_link.VELOCITY_AGE_MAX_S:g} s is not sent",
+        f"a queue of {EVENTS_MAX}",
+    ):
+        assert text in CRAZYFLIE.replace("\n", " "), text
+
+
+def test_the_rules_for_poses_are_those_of_the_code():
+    limits, page = Limits(), MOCAP.replace("\n", " ")
+    for refusal in Refusal:
+        assert f"| {refusal.name.lower()} |" in page
+    for text in (
+        f"more than {limits.late_max_s:g} s later",
+        f"more than {limits.room_m:g} m from zero",
+        f"{limits.jump_m:g} m + {limits.speed_max_m_s:g} m/s",
+        f"{limits.turn_rad:g} rad + {limits.turn_rate_max_rad_s:g} rad/s",
+        f"within {limits.return_m:g} m of the last",
+        f"for {limits.settle_s:g} s is believed",
+        f"for {limits.gap_max_s:g} s, or with less than {limits.rate_min_hz:g}",
+    ):
+        assert text in page, text
+    for wants in WANTS.values():
+        assert f"{wants.rate_max_hz:g} Hz" in page
+        for name in re.findall(r"[A-Z0-9]+_[A-Z0-9_]+", wants.settings):
+            assert f"`{name}`" in page
+
+
+HARDWARE = (Path(__file__).parents[3] / "docs" / "how_to" / "hardware.md").read_text()
+LIMIT_COLUMNS = {
+    "`--autopilot`": lambda name, _: f"`{name}`",
+    "waits for rest": lambda _, one: f"{one.settle_s:g} s",
+    "drift in 5 s": lambda _, one: f"{one.drift_m:g} m",
+    "holds still below": lambda _, one: f"{one.still_m_s:g} m/s",
+    "step": lambda _, one: f"{one.step_m_s:g} m/s, {one.step_s:g} s each way",
+    "share of its way": lambda _, one: "{:g} to {:g}".format(*one.moved_share),
+    "without set-points": lambda _, one: f"{one.lost.value}, seen within {one.lost_s:g} s",
+}
+
+
+def limits_table():
+    rows = [[cell(name, one) for cell in LIMIT_COLUMNS.values()] for name, one in LIMITS.items()]
+    head, *body = ["| " + " | ".join(cells) + " |" for cells in (LIMIT_COLUMNS, *rows)]
+    return "\n".join([head, "|---" * len(LIMIT_COLUMNS) + "|", *body])
+
+
+def test_the_table_of_limits_is_the_codes():
+    within = HARDWARE.split("<!-- table: limits -->\n")[1].split("\n<!-- end -->")[0]
+    assert within == limits_table()
+
+
+def test_every_profile_has_limits():
+    assert set(LIMITS) == set(PROFILES)
+
+
+def test_every_option_is_in_the_page():
+    parser = argparse.ArgumentParser(add_help=False)
+    pytest_addoption(SimpleNamespace(addoption=parser.add_argument))
+    options = [action.option_strings[0] for action in parser._actions]
+    assert len(options) >= 10
+    assert [
+        option for option in options if f"`{option}`" not in HARDWARE and f"`{option} " not in HARDWARE
+    ] == []
+
+
+MAVLINK = (Path(__file__).parents[3] / "docs" / "reference" / "mavlink.md").read_text(encoding="utf-8")
+
+
+def rows(section: str) -> list[list[str]]:
+    """Cells of the first table under a heading."""
+    lines = iter(MAVLINK.split(f"\n## {section}\n", 1)[1].splitlines())
+    found = []
+    for line in lines:
+        if line.startswith("|"):
+            found.append([cell.strip() for cell in line.strip("|").split("|")])
+        elif found:
+            break
+    return found[2:]
+
+
+def rate(message_id: int) -> str:
+    if message_id == mav.MAVLINK_MSG_ID_HEARTBEAT:
+        return "1 Hz, at once on a change; not settable"
+    if message_id not in BUILDERS:
+        return "on request; not settable"
+    if message_id in EVERY_TICK:
+        return "every tick"
+    return f"{DEFAULT_HZ[message_id]:g} Hz" if message_id in DEFAULT_HZ else "off"
+
+
+def test_messages() -> None:
+    wanted = [[str(i), mav.mavlink_map[i].msgname, rate(i)] for i in sorted(Rig().autopilot.messages)]
+    assert rows("What it sends") == wanted
+
+
+def test_commands() -> None:
+    entries = Rig().autopilot.commands.table
+    wanted = [
+        [str(n), mav.enums["MAV_CMD"][n].name.removeprefix("MAV_CMD_"), entries[n].right.value]
+        for n in sorted(entries)
+    ]
+    assert [row[:3] for row in rows("Commands")] == wanted
+
+
+def test_parameters() -> None:
+    wanted = [
+        [
+            p.name,
+            "int" if p.type == INT32 else "real",
+            f"{p.default:g}",
+            p.allowed,
+            "always" if p.in_flight else "disarmed",
+        ]
+        for p in px4_parameters(1)
+        if p.low < p.high
+    ]
+    assert rows("Parameters") == wanted
+    fixed = MAVLINK.split("and fixed:\n", 1)[1].split(".", 1)[0].replace("\n", " ").split(", ")
+    assert fixed == [p.name for p in px4_parameters(1) if p.low == p.high]
+
+
+def test_fail_safe_actions() -> None:
+    words = {Action.NONE: "nothing", Action.WARN: "warn", Action.HOLD: "hold", Action.RETURN: "return"}
+    words[Action.LAND] = "land"
+    by_parameter = {row[1]: row[2] for row in rows("Fail-safes")}
+    for name, actions in (("NAV_DLL_ACT", STATION_LOST), ("GF_ACTION", FENCE)):
+        assert by_parameter[name] == ", ".join(f"{value} {words[a]}" for value, a in actions.items())
+    landing = [value for value, action in STREAM_LOST.items() if action is Action.LAND]
+    assert by_parameter["COM_OBL_RC_ACT"].startswith(f"{landing[0]} and {landing[1]} land, 3 return, 5 hold")
+
+
+PX4_SIM = (DOCS / "how_to" / "px4_sim.md").read_text()
+
+
+def parameter_table():
+    found = [parameters(load(airframe)) for airframe in (Airframe.CRAZYFLIE20, Airframe.QUAD_1000G)]
+    rows = [f"| {name} | {found[0][name]} | {found[1][name]} |" for name in found[0]]
+    return "\n".join(["| parameter | crazyflie20 | quad_1000g |", "|---|---|---|", *rows])
+
+
+def test_the_table_of_parameters_is_what_the_verb_prints():
+    assert (
+        re.search(r"<!-- table: parameters -->\n(.*?)\n<!-- end -->", PX4_SIM, re.DOTALL)[1]
+        == parameter_table()
+    )
+
+
+def test_the_table_of_configurations_has_their_lags_and_pads():
+    rows = re.findall(
+        r"^\| `([\w-]+)` \| `(\w+)` \| ([0-9.]+) s, ([0-9.]+) s \| ([0-9.]+) m \|$", PX4_SIM, re.M
+    )
+    assert [scenario for _, scenario, *_ in rows] == ["grid", "large"]
+    for name, _, sideways, vertical, pad in rows:
+        config = load_config(name)
+        loop = config.velocity_loop
+        assert (loop.lag_xy_s, loop.lag_z_s) == (float(sideways), float(vertical))
+        assert config.touchdown.pad_radius_m == float(pad)
+        assert config.checks.follow_lag_max_s > loop.lag_xy_s * (1.0 + config.envelope.lag_spread)
+
+
+@pytest.mark.parametrize("name", ["px4-crazyflie", "px4-1kg", "ardupilot-1kg"])
+def test_the_configurations_for_real_autopilots_are_proven(name):
+    assert [result.name for result in checks(load_config(name)) if not result.proven] == []
+
+
+def test_the_table_of_motors_is_the_order_of_the_code():
+    rows = re.findall(r"^\| (\d) \| [a-z ]+ \| [a-z-]+ \| M(\d) \|$", PX4_SIM, re.MULTILINE)
+    assert {int(ours): int(px4) for px4, ours in rows} == {i + 1: px4 + 1 for i, px4 in enumerate(PX4_OF_M)}
+
+
+def test_the_page_names_every_option_of_its_own_and_every_form():
+    own = {o for p in px4_sim.params for o in p.opts} - {"--help", "--zenoh-config"}
+    assert [option for option in sorted(own) if option not in PX4_SIM] == []
+    (form,) = (p for p in px4_sim.params if p.name == "form")
+    assert set(form.type.choices) == set(FORMATS)
+
+
+def test_the_magnetic_field_is_that_of_px4_s_tables_at_the_origin():
+    # corners of geo_magnetic_tables.hpp around the origin: rows 40 and 50 N, columns 0 and 10 E
+    tables = {
+        DECLINATION_RAD: (218, 580, 157, 660, 1e-4),
+        INCLINATION_RAD: (9581, 9746, 11387, 11493, 1e-4),
+        STRENGTH_GAUSS: (4513, 4593, 4860, 4911, 1e-4),
+    }
+    north, east = 0.7397742, 0.8545594
+    for value, (a, b, c, d, unit) in tables.items():
+        low, high = a + east * (b - a), c + east * (d - c)
+        assert abs(value - (low + north * (high - low)) * unit) < 2e-5

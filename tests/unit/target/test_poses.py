@@ -1,0 +1,368 @@
+"""Targets that send poses: velocity, another point of the body, chains of transforms."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bridge.frames import quaternion_from_yaw
+from bridge.ros2.cdr import Odometry, Pose, Transform
+from bridge.target.odometry import (
+    RawSample,
+    noise_of,
+    sample_from_cdr,
+    sample_of,
+    shift_odometry,
+    shift_pose,
+    worse_than_told,
+)
+from bridge.target.pose_track import OUTLIERS_MAX, SETTLED_M_S, PoseTrack
+from bridge.target.ros2_target import OFFSET_MAX_M, TargetSource, TargetSpec, TargetType
+from bridge.target.tf_chain import DEPTH_MAX, EDGE_AGE_MAX_S, FRAMES_MAX, TransformChain
+from bridge.zenoh.zenoh_link import dropping_publisher, open_session
+from flightstack.core.parameters.robust import TargetLink
+from flightstack.core.target.estimator import RESTART_S
+from tests.unit.target import ros2_helpers as ros
+
+LINK = TargetLink()
+SPEED_M_S, TURN_RAD_S = 0.2, 0.5
+
+
+def circle(t_s, noise=(0.0, 0.0, 0.0), frame="map"):
+    """A robot on a circle, as a tracker sees it."""
+    radius_m, yaw_rad = SPEED_M_S / TURN_RAD_S, TURN_RAD_S * t_s
+    x, y = radius_m * math.sin(yaw_rad), radius_m * (1.0 - math.cos(yaw_rad))
+    position = (x + noise[0], y + noise[1], 0.2 + noise[2])
+    return Pose(round(t_s * 1e9), frame, position, quaternion_from_yaw(yaw_rad))
+
+
+def drive(track, begin_s, end_s, rate_hz=50, sigma_m=0.0, seed=1):
+    """Samples that come out, with their times."""
+    chance = np.random.default_rng(seed)
+    for i in range(round(begin_s * rate_hz), round(end_s * rate_hz)):
+        t_s = i / rate_hz
+        odometry = track.take(circle(t_s, tuple(map(float, chance.normal(0.0, 1.0, 3) * sigma_m))))
+        if odometry is not None:
+            yield t_s, sample_of(RawSample(b"", odometry=odometry), t_s)
+
+
+def velocity_error_m_s(t_s, sample):
+    yaw_rad = TURN_RAD_S * t_s
+    vx, vy, vz = sample.velocity_enu_m_s
+    return math.hypot(vx - SPEED_M_S * math.cos(yaw_rad), vy - SPEED_M_S * math.sin(yaw_rad), vz)
+
+
+def test_the_velocity_of_a_clean_circle_is_right_and_turned_into_the_world():
+    samples = list(drive(PoseTrack(LINK, "base"), 0.0, 5.0))
+    assert samples[0][0] < 0.25
+    assert max(velocity_error_m_s(*one) for one in samples if one[0] > 1.0) < 0.01
+    t_s, last = samples[-1]
+    assert (last.frame_id, last.child_frame_id) == ("map", "base")
+    assert last.source_time_s == pytest.approx(t_s)
+    assert last.position_enu_m == circle(t_s).position_m  # as measured
+    assert last.yaw_rate_rad_s == pytest.approx(TURN_RAD_S, rel=0.01)
+
+
+@pytest.mark.parametrize(("rate_hz", "millimetres"), [(100, 1), (50, 5), (20, 5)])
+def test_the_error_is_as_large_as_the_page_says(rate_hz, millimetres):
+    page = " ".join((Path(__file__).parents[3] / "docs" / "how_to" / "ros2.md").read_text().split())
+    said_m_s = float(re.search(rf"([0-9.]+) m/s at {rate_hz} Hz and {millimetres} mm", page)[1])
+    sigma_m = 1e-3 * millimetres
+    track = PoseTrack(TargetLink(position_noise_m=sigma_m), "base")
+    errors = [velocity_error_m_s(*one) for one in drive(track, 0.0, 30.0, rate_hz, sigma_m)]
+    assert len(errors) > 0.98 * 30 * rate_hz
+    found_m_s = math.sqrt(sum(e * e for e in errors) / len(errors))
+    assert found_m_s == pytest.approx(said_m_s, rel=0.1)
+    assert found_m_s < SETTLED_M_S
+
+
+def test_poses_that_are_too_few_or_too_bad_go_nowhere_and_it_is_said():
+    track = PoseTrack(TargetLink(position_noise_m=0.02), "base")
+    assert list(drive(track, 0.0, 10.0, 20, 0.02)) == []
+    assert track.withheld == 200
+    assert "0.05 m/s are needed" in track.problem
+
+
+def test_repeated_and_late_poses_make_nothing():
+    track = PoseTrack(LINK, "base")
+    list(drive(track, 0.0, 1.0))
+    assert track.take(circle(0.98)) is None
+    assert track.take(circle(0.5)) is None
+    assert len(list(drive(track, 1.0, 1.1))) == 5
+
+
+def test_an_outlier_goes_nowhere_and_does_not_move_the_velocity():
+    track = PoseTrack(LINK, "base")
+    list(drive(track, 0.0, 2.0))
+    assert track.take(circle(2.0, (0.25, 0.0, 0.0))) is None
+    after = list(drive(track, 2.02, 2.2))
+    assert len(after) == 9
+    assert max(velocity_error_m_s(*one) for one in after) < 0.02
+
+
+def test_a_target_that_was_carried_away_is_followed_anew():
+    track = PoseTrack(LINK, "base")
+    list(drive(track, 0.0, 2.0))
+    out = [track.take(circle(2.0 + i / 50, (3.0, 0.0, 0.0))) for i in range(50)]
+    first = next(i for i, odometry in enumerate(out) if odometry is not None)
+    assert OUTLIERS_MAX <= first < OUTLIERS_MAX + 15
+    late = sample_of(RawSample(b"", odometry=out[-1]), 0.0)
+    assert velocity_error_m_s(2.0 + 49 / 50, late) < 0.02
+
+
+def test_a_gap_or_a_new_clock_begins_anew():
+    for begin_s in (2.0 + 2.0 * RESTART_S, 0.0):
+        track = PoseTrack(LINK, "base")
+        list(drive(track, 2.0 * RESTART_S, 5.0))
+        if begin_s == 0.0:
+            begin_s = 1.0  # stamps far back
+        else:
+            begin_s += 5.0
+        samples = list(drive(track, begin_s, begin_s + 2.0))
+        assert samples[0][0] > begin_s + 0.05
+        assert velocity_error_m_s(*samples[-1]) < 0.02
+
+
+def covariance(xx=0.0, yy=0.0):
+    out = [0.0] * 36
+    out[0], out[7] = xx, yy
+    return out
+
+
+def test_what_a_sender_says_of_its_noise():
+    unknown = covariance()
+    assert noise_of(unknown, unknown) == (None, None)
+    assert noise_of(covariance(1e-4, 4e-4), covariance(0.01, 1e-9)) == (
+        pytest.approx(0.02),
+        pytest.approx(0.1),
+    )
+    assert noise_of(covariance(1e6, 1e6), covariance(-1.0, 0.0)) == (None, None)
+    assert noise_of(covariance(math.nan, 1.0), covariance(math.inf, 1.0)) == (None, None)
+
+
+def test_a_sender_worse_than_configured_is_told_of():
+    assert worse_than_told(noise_of(covariance(2.5e-5, 2.5e-5), covariance(4e-4, 4e-4)), LINK) == ""
+    text = worse_than_told(noise_of(covariance(0.0025, 0.0025), covariance(0.04, 0.01)), LINK)
+    assert "0.05 m where target.position_noise_m is 0.005" in text
+    assert "0.2 m/s where target.velocity_noise_m_s is 0.02" in text
+
+
+OFFSET = (-0.032, 0.0, 0.2)
+STAMP = 1_700_000_000_000_000_000
+
+
+def at(t_s, speed_m_s=0.2, turn_rad_s=0.5):
+    """Odometry of a robot on a circle."""
+    radius_m, yaw_rad = speed_m_s / turn_rad_s, turn_rad_s * t_s
+    position_m = (radius_m * math.sin(yaw_rad), -radius_m * math.cos(yaw_rad), 0.0)
+    return Odometry(
+        STAMP + round(t_s * 1e9), "odom", "base", position_m,
+        quaternion_from_yaw(yaw_rad), (speed_m_s, 0.0, 0.0), (0.0, 0.0, turn_rad_s),
+    )  # fmt: skip
+
+
+def sample(odometry):
+    return sample_of(RawSample(b"", odometry=odometry), 0.0)
+
+
+def test_the_velocity_is_the_derivative_of_the_position():
+    for t_s in np.linspace(0.0, 12.0, 25):
+        before, here, after = (
+            sample(shift_odometry(at(float(t)), OFFSET)) for t in (t_s - 1e-4, t_s, t_s + 1e-4)
+        )
+        slope = (np.array(after.position_enu_m) - np.array(before.position_enu_m)) / 2e-4
+        assert here.velocity_enu_m_s == pytest.approx(slope, abs=1e-6)
+        assert here.position_enu_m[2] == pytest.approx(0.2)
+        plain = sample(at(float(t_s)))
+        gap = np.array(here.position_enu_m)[:2] - np.array(plain.position_enu_m)[:2]
+        assert gap == pytest.approx([-0.032 * math.cos(plain.yaw_rad), -0.032 * math.sin(plain.yaw_rad)])
+        assert here.yaw_rad == plain.yaw_rad
+
+
+def test_a_tilted_robot_carries_its_pad_along():
+    q = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)  # nose down by 90 deg: its up is forward
+    shifted = shift_pose(Pose(STAMP, "odom", (1.0, 2.0, 3.0), q), (0.0, 0.0, 0.5))
+    assert shifted.position_m == pytest.approx((1.5, 2.0, 3.0))
+
+
+def test_everything_else_stays():
+    full = Odometry(
+        STAMP, "odom", "base", (1.0, 2.0, 3.0), quaternion_from_yaw(0.3), (0.1, 0.2, 0.3), (0.01, 0.02, 0.03),
+        tuple(map(float, range(36))), tuple(map(float, range(36, 72))),
+    )  # fmt: skip
+    shifted = shift_odometry(full, OFFSET)
+    for name in set(Odometry.__dataclass_fields__) - {"position_m", "linear_m_s"}:
+        assert getattr(shifted, name) == getattr(full, name)
+
+
+@pytest.mark.parametrize("kind", [TargetType.ODOMETRY, TargetType.POSE])
+def test_a_source_shifts_what_it_hears(kind):
+    session = open_session()
+    try:
+        spec = TargetSpec.parse("x/y", kind, offset_m=OFFSET)
+        assert not spec.is_direct
+        listening = TargetSource(session, spec, "odom", "base", TargetLink())
+        put = dropping_publisher(session, "x/y")
+        for i in range(100):
+            truth = at(i / 50)
+            if kind is TargetType.ODOMETRY:
+                put.put(truth.pack())
+            else:
+                put.put(ros.pose_stamped(truth.stamp_ns, "odom", truth.position_m, truth.orientation_wxyz))
+        raw = listening.poll()[-1]
+        last, wanted = sample_of(raw, 0.0), sample(shift_odometry(at(99 / 50), OFFSET))
+        assert sample_from_cdr(raw.payload, 0.0) == last  # the log's bytes say what is flown by
+        assert last.position_enu_m == pytest.approx(wanted.position_enu_m)
+        assert last.velocity_enu_m_s == pytest.approx(wanted.velocity_enu_m_s, abs=0.01)
+        put.put(b"\x00\x01\x00\x00")
+        assert listening.poll() == [] or kind is TargetType.POSE
+        assert listening.refused == 1
+    finally:
+        session.close()
+
+
+@pytest.mark.parametrize(
+    "offset", [(OFFSET_MAX_M + 0.1, 0.0, 0.0), (0.0, math.nan, 0.0), (0.0, 0.0, -math.inf)]
+)
+def test_an_offset_that_is_none_is_refused(offset):
+    with pytest.raises(ValueError, match="up to 5 m"):
+        TargetSpec.parse("x/y", offset_m=offset)
+
+
+ONE = (1.0, 0.0, 0.0, 0.0)
+SECOND = 10**9
+
+
+def edge(stamp_ns, parent, child, position=(0.0, 0.0, 0.0), q=ONE):
+    return Transform(child, Pose(stamp_ns, parent, position, q))
+
+
+def matrix(position, q):
+    w, x, y, z = q
+    out = np.eye(4)
+    out[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    out[:3, 3] = position
+    return out
+
+
+def placed(chance, count):
+    """Places and unit quaternions by chance."""
+    turns = chance.normal(size=(count, 4))
+    turns /= np.linalg.norm(turns, axis=1)[:, None]
+    return [
+        (tuple(place), tuple(q))
+        for place, q in zip(chance.normal(size=(count, 3)).tolist(), turns.tolist(), strict=True)
+    ]
+
+
+def test_a_chain_of_random_turns_is_the_product_of_matrices():
+    chance = np.random.default_rng(3)
+    for _ in range(50):
+        poses = placed(chance, 3)
+        chain = TransformChain("map", "base")
+        frames = ["map", "odom", "foot", "base"]
+        [found] = chain.take(edge(5, frames[i], frames[i + 1], *poses[i]) for i in range(3))
+        wanted = matrix(*poses[0]) @ matrix(*poses[1]) @ matrix(*poses[2])
+        assert (found.stamp_ns, found.frame_id, chain.problem) == (5, "map", "")
+        assert matrix(found.position_m, found.orientation_wxyz) == pytest.approx(wanted, abs=1e-12)
+
+
+def test_a_direct_transform_and_one_with_a_slash_of_ros_1():
+    chain = TransformChain("map", "base")
+    assert chain.take([edge(5, "/map", "/base", (1.0, 2.0, 3.0))])[0].position_m == (1.0, 2.0, 3.0)
+
+
+def test_edges_come_in_messages_of_their_own_and_the_tracked_one_sets_the_time():
+    chain = TransformChain("map", "foot")
+    assert chain.take([edge(9, "odom", "foot", (1.0, 0.0, 0.0))]) == []
+    assert "nothing says where that is in 'map'" in chain.problem
+    assert chain.take([edge(10, "map", "odom", (0.0, 0.0, 0.0), quaternion_from_yaw(math.pi / 2))]) == []
+    [found] = chain.take([edge(11, "odom", "foot", (2.0, 0.0, 0.0))])
+    assert (found.stamp_ns, found.position_m) == (11, pytest.approx((0.0, 2.0, 0.0)))
+
+
+def test_an_edge_that_died_is_not_followed():
+    chain = TransformChain("map", "foot")
+    chain.take([edge(0, "map", "odom")])
+    late_ns = round(EDGE_AGE_MAX_S * SECOND)
+    assert len(chain.take([edge(late_ns, "odom", "foot")])) == 1
+    assert chain.take([edge(late_ns + SECOND // 10, "odom", "foot")]) == []
+    assert "1.1 s older" in chain.problem
+    assert len(chain.take([edge(late_ns + 2, "map", "odom"), edge(late_ns + 3, "odom", "foot")])) == 1
+
+
+def test_localisation_may_date_its_edge_ahead():  # as AMCL does, by its transform_tolerance
+    chain = TransformChain("map", "foot")
+    assert len(chain.take([edge(3 * SECOND, "map", "odom"), edge(2 * SECOND, "odom", "foot")])) == 1
+
+
+def test_circles_and_long_chains_end():
+    chain = TransformChain("map", "foot")
+    assert chain.take([edge(0, "b", "a"), edge(0, "a", "b"), edge(0, "a", "foot")]) == []
+    assert "circle" in chain.problem
+    chain = TransformChain("map", "foot")
+    long = [edge(0, f"f{i + 1}", f"f{i}") for i in range(DEPTH_MAX)]
+    assert chain.take([*long, edge(0, "f0", "foot")]) == []
+    assert "circle" in chain.problem
+
+
+def test_other_robots_do_not_fill_the_memory():
+    chain = TransformChain("map", "foot")
+    for i in range(3 * FRAMES_MAX):
+        chain.take([edge(0, "map", f"f{i}")])
+    assert len(chain._edges) == FRAMES_MAX
+    assert len(chain.take([edge(1, "f0", "foot")])) == 1
+
+
+def test_a_frame_fixed_to_one_that_moves_goes_with_it_and_has_its_time():
+    chance = np.random.default_rng(4)
+    for _ in range(50):
+        poses = placed(chance, 5)
+        frames = [
+            "map",
+            "room",
+            "foot",
+            "base",
+            "mast",
+            "pad",
+        ]  # the room is fixed in the map, the robot moves
+        edges = [edge(7, frames[i], frames[i + 1], *poses[i]) for i in range(5)]
+        chain = TransformChain("map", "pad")
+        assert chain.take([edges[1]]) == []
+        assert "no transform of 'pad' yet" in chain.problem
+        chain.take_fixed([edges[4], edges[0]])
+        chain.take_fixed([edges[2]._replace(child_frame_id="/base"), edges[3]])
+        late = 100 * SECOND  # what is fixed has no age
+        [found] = chain.take([edge(late, "room", "foot", *poses[1])])
+        wanted = np.linalg.multi_dot([matrix(*one) for one in poses])
+        assert (found.stamp_ns, found.frame_id, chain.problem) == (late, "map", "")
+        assert matrix(found.position_m, found.orientation_wxyz) == pytest.approx(wanted, abs=1e-12)
+
+
+def test_what_is_fixed_everywhere_is_not_known_to_be_there():
+    chain = TransformChain("map", "pad")
+    chain.take_fixed([edge(0, "map", "robot"), edge(0, "robot", "pad")])
+    assert chain.take([edge(0, "map", "another")]) == []
+    assert chain.problem == "no transform of 'map' yet, to which 'pad' is fixed"
+
+
+def test_a_frame_that_moves_is_not_held_by_what_was_said_of_it_before():
+    chain = TransformChain("map", "foot")
+    chain.take_fixed([edge(0, "map", "foot", (9.0, 9.0, 9.0)), edge(0, "map", "odom", (9.0, 9.0, 9.0))])
+    [found] = chain.take([edge(3, "odom", "foot", (1.0, 0.0, 0.0)), edge(3, "map", "odom", (0.0, 2.0, 0.0))])
+    assert found.position_m == (1.0, 2.0, 0.0)
+
+
+def test_fixed_circles_end():
+    chain = TransformChain("map", "foot")
+    chain.take_fixed([edge(0, "b", "foot"), edge(0, "foot", "b")])
+    assert chain.take([edge(1, "map", "other")]) == []
+    assert "no transform of" in chain.problem
+    chain.take_fixed([edge(0, "map", f"f{i}") for i in range(3 * FRAMES_MAX)])
+    assert len(chain._fixed) == FRAMES_MAX

@@ -1,0 +1,365 @@
+"""Zenoh: odometry on the wire, sessions, keys that may be a target's."""
+
+import contextlib
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+from bridge.target.odometry import OdometryPublisher, OdometrySubscriber, RawSample, sample_from_cdr
+from bridge.target.target_keys import KEYS_MAX, KeySearch
+from bridge.zenoh import zenoh_link
+from bridge.zenoh.zenoh_link import (
+    LOOK_EVERY_S,
+    PATIENCE_S,
+    ConnectionAlarm,
+    Role,
+    ZenohLinkError,
+    check_endpoint,
+    dialled,
+    open_session,
+)
+from tests.unit.target.ros2_helpers import free_endpoint, until
+
+KEY = "cf1/target/odom"
+
+
+@pytest.fixture
+def sessions():
+    endpoint = free_endpoint()
+    listener = open_session([endpoint])
+    dialler = open_session(connect=[endpoint])
+    until(lambda: zenoh_link.transports(listener) == 1)
+    yield listener, dialler
+    dialler.close()
+    listener.close()
+
+
+@pytest.mark.parametrize("lossless", [False, True])
+def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
+    publisher = OdometryPublisher(sessions[0], KEY, "map", "target", lossless=lossless)
+    assert publisher.matched is False
+    subscriber = OdometrySubscriber(sessions[1], KEY, lossless=lossless)
+    until(lambda: publisher.matched)
+    payloads, received = [], []
+    for i in range(100):
+        payload = publisher.encode(
+            i, (float(i), 0.0, 0.2), (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)
+        )
+        publisher.put(payload, source_time_ns=1000 + i)
+        payloads.append(payload)
+        if not lossless:  # a hundred at once may be too many for a busy machine, and then some are dropped
+            until(lambda: received.extend(subscriber.poll()) or len(received) == len(payloads))
+    until(lambda: received.extend(subscriber.poll()) or len(received) == 100)
+    assert [raw.payload for raw in received] == payloads
+    assert [(raw.sequence, raw.source_time_ns) for raw in received] == [(i + 1, 1000 + i) for i in range(100)]
+    assert {len(raw.attachment) for raw in received} == {33}
+    assert sample_from_cdr(received[7].payload, 0.0).position_enu_m == (7.0, 0.0, 0.2)
+    subscriber.close()
+    publisher.close()
+
+
+def test_own_attachment_and_no_attachment(sessions):
+    publisher = OdometryPublisher(sessions[0], KEY)
+    plain = zenoh_link.blocking_publisher(sessions[0], KEY, "application/cdr")
+    subscriber = OdometrySubscriber(sessions[1], KEY)
+    until(lambda: publisher.matched and zenoh_link.is_matched(plain))
+    publisher.put(b"one", 5, attachment=b"0123456789abcdef")
+    plain.put(b"two")
+    received = []
+    until(lambda: received.extend(subscriber.poll()) or len(received) == 2)
+    assert received == [RawSample(b"one", b"0123456789abcdef"), RawSample(b"two")]
+
+
+def test_ring_drops_the_oldest_within_one_session():
+    session = open_session()
+    try:
+        ring = zenoh_link.ring_subscriber(session, "t/ring", capacity=3)
+        publisher = zenoh_link.dropping_publisher(session, "t/ring")
+        for i in range(10):  # delivered in this thread, since it is the same session
+            publisher.put(bytes([i]))
+        assert [sample.payload.to_bytes()[0] for sample in zenoh_link.drain(ring)] == [7, 8, 9]
+    finally:
+        session.close()
+
+
+def test_late_listener_is_found_by_retry():
+    endpoint = free_endpoint()
+    started = time.monotonic()
+    dialler = open_session(connect=[endpoint])
+    assert time.monotonic() - started < 0.4  # no wait for the peer that is not there
+    assert zenoh_link.transports(dialler) == 0
+    listener = open_session([endpoint])
+    try:
+        until(lambda: zenoh_link.transports(dialler) == 1)
+    finally:
+        dialler.close()
+        listener.close()
+
+
+def listening_addresses():
+    """Local addresses, as the kernel writes them, on which this process listens for TCP."""
+    own = set()
+    for link in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):  # the descriptor of this very listing is gone by now
+            own.add(str(link.readlink()))
+    rows = [
+        row.split() for name in ("tcp", "tcp6") for row in Path("/proc/net", name).read_text().splitlines()
+    ]
+    return [row[1].partition(":")[0] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in own]
+
+
+def test_default_session_listens_on_loopback_only():
+    before = listening_addresses()
+    session = open_session()
+    try:
+        assert len(listening_addresses()) == len(before) + 1
+        assert set(listening_addresses()) == {"0100007F"}  # 127.0.0.1
+    finally:
+        session.close()
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "",
+        "127.0.0.1:7447",
+        "tcp/127.0.0.1",
+        "tcp/127.0.0.1:99999",
+        "tcp://127.0.0.1:7447",
+        "foo/1.2.3.4:5",
+        "tcp/a b:1",
+    ],
+)
+def test_malformed_endpoint_is_refused_both_ways(endpoint):
+    for arguments in ({"listen": [endpoint]}, {"connect": [endpoint]}):
+        with pytest.raises(ValueError, match=r"tcp/127\.0\.0\.1:7447"):
+            open_session(**arguments)
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "tcp/127.0.0.1:7447",
+        "tcp/[::1]:7447",
+        "udp/robot.local:1",
+        "tls/a.b:7447",
+        "unixsock-stream//tmp/z.sock",
+    ],
+)
+def test_good_endpoints_pass(endpoint):
+    assert check_endpoint(endpoint) == endpoint
+
+
+def test_port_in_use_is_a_clear_error():
+    endpoint = free_endpoint()
+    session = open_session([endpoint])
+    try:
+        with pytest.raises(ZenohLinkError, match=f"{endpoint}.*taken"):
+            open_session([endpoint])
+    finally:
+        session.close()
+
+
+@pytest.mark.parametrize("key", ["", "/a", "a//b", "a#b"])
+def test_bad_key_is_a_clear_error(key):
+    session = open_session()
+    try:
+        with pytest.raises(ValueError, match="cf1/target/odom"):
+            OdometrySubscriber(session, key)
+        with pytest.raises(ValueError, match="cf1/target/odom"):
+            OdometryPublisher(session, key)
+    finally:
+        session.close()
+
+
+LIKELY = {
+    "robot1/odom": "robot1/odom",
+    "robot/odometry/filtered": "robot/odometry/filtered",
+    "arena/pose": "arena/pose",
+    "3/odom/nav_msgs::msg::dds_::Odometry_/TypeHashNotSupported": (
+        "ros2:/odom (nav_msgs/msg/Odometry, domain 3)"
+    ),
+}
+OTHERS = ("cf1/controller/step", "camera/image")
+
+
+@pytest.fixture
+def pair():
+    """Two sessions of which the second dials the first, at a port that was free a moment ago."""
+    from tests.unit.target import ros2_helpers as ros
+
+    endpoint = ros.free_endpoint()
+    there = zenoh_link.open_session(listen=[endpoint])
+    here = zenoh_link.open_session(connect=[endpoint])
+    yield there, here
+    here.close()
+    there.close()
+
+
+def until_found(search, publishers, count):
+    deadline_s = time.monotonic() + 10.0
+    while len(search.keys()) < count:
+        assert time.monotonic() < deadline_s, search.keys()
+        for publisher in publishers:
+            publisher.put(b"x")
+        time.sleep(0.01)
+    return search.keys()
+
+
+def test_likely_keys_are_found_and_others_are_not(pair):
+    there, here = pair
+    search = KeySearch(here)
+    assert search.keys() == ()
+    publishers = [zenoh_link.dropping_publisher(there, key) for key in (*OTHERS, *LIKELY)]
+    own = zenoh_link.dropping_publisher(here, "cf1/own/odom")
+    assert set(until_found(search, [*publishers, own], len(LIKELY))) == set(LIKELY.values())
+    search.stop()
+    assert not any(zenoh_link.is_matched(one) for one in publishers[: len(OTHERS)])
+    assert search.keys() == ()  # begun anew
+
+
+def test_no_more_keys_are_kept_than_a_person_reads(pair):
+    there, here = pair
+    search = KeySearch(here)
+    publishers = [zenoh_link.dropping_publisher(there, f"r{n}/odom") for n in range(3 * KEYS_MAX)]
+    assert len(until_found(search, publishers, KEYS_MAX)) == KEYS_MAX
+    search.stop()
+
+
+def setting(file, key, **arguments):
+    """A setting of the session that a file would make."""
+    role = arguments.pop("role", Role.PEER)
+    config = zenoh_link._configuration(arguments.get("listen", ()), arguments.get("connect", ()), file, role)
+    return json.loads(config.get_json(key))
+
+
+@pytest.fixture
+def file(tmp_path):
+    def write(text):
+        path = tmp_path / "zenoh.json5"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_without_a_file_nobody_is_looked_for_and_loopback_alone_is_listened_on():
+    for role, listens in (
+        (Role.PEER, ["tcp/127.0.0.1:0"]), (Role.CLIENT, []), (Role.ROUTER, ["tcp/127.0.0.1:7447"]),
+    ):  # fmt: skip
+        assert setting(None, "mode", role=role) == role.value
+        assert setting(None, "listen/endpoints", role=role) == listens
+        assert setting(None, "scouting/multicast/enabled", role=role) is False
+    assert setting(None, "scouting/gossip/enabled") is False
+
+
+def test_what_a_file_sets_is_kept_and_the_rest_is_ours(file):
+    path = file(
+        '{mode: "peer", scouting: {multicast: {enabled: true}}, listen: {endpoints: ["tcp/127.0.0.1:1234"]}}'
+    )
+    assert setting(path, "scouting/multicast/enabled") is True
+    assert setting(path, "listen/endpoints") == ["tcp/127.0.0.1:1234"]
+    assert setting(path, "scouting/gossip/enabled") is False
+    assert setting(path, "connect/retry")["period_max_ms"] == 500
+    assert setting(path, "listen/endpoints", listen=["tcp/127.0.0.1:5"]) == ["tcp/127.0.0.1:5"]
+
+
+def test_who_is_dialled_and_as_what(file):
+    path = file('{mode: "client", connect: {endpoints: ["tcp/robot:7447"]}}')
+    assert dialled(config_file=path) == (Role.CLIENT, ["tcp/robot:7447"])
+    assert dialled(["tcp/other:1"], config_file=path) == (Role.CLIENT, ["tcp/other:1"])
+    assert dialled() == (Role.PEER, [])
+    path = file('{connect: {endpoints: {peer: ["tcp/a:1"], router: ["tcp/b:2"]}}}')
+    assert dialled(config_file=path) == (Role.PEER, ["tcp/a:1"])
+    assert dialled(config_file=path, role=Role.ROUTER) == (Role.ROUTER, ["tcp/b:2"])
+
+
+@pytest.mark.parametrize(
+    "text", ['{moode: "peer"}', "{", '{mode: "boss"}', '{transport: {link: {tx: {lease: "x"}}}}']
+)
+def test_a_file_that_is_wrong_is_named(file, text):
+    path = file(text)
+    with pytest.raises(ValueError, match=r"Zenoh configuration .*zenoh\.json5"):
+        open_session(config_file=path)
+
+
+def test_a_client_cannot_listen(file):
+    path = file('{mode: "client"}')
+    with pytest.raises(ValueError, match="cannot listen"):
+        open_session(["tcp/127.0.0.1:0"], config_file=path)
+
+
+def test_a_client_without_a_router_is_told_so(file):
+    path = file("{connect: {timeout_ms: 200}}")
+    with pytest.raises(ZenohLinkError, match="is the router there"):
+        open_session(connect=[free_endpoint()], config_file=path, role=Role.CLIENT)
+
+
+def test_a_router_passes_on_but_not_from_peer_to_peer():
+    endpoint = free_endpoint()
+    sessions = {"router": open_session([endpoint], role=Role.ROUTER)}
+    for name in ("client", "other client"):
+        sessions[name] = open_session(connect=[endpoint], role=Role.CLIENT)
+    for name in ("peer", "other peer"):
+        sessions[name] = open_session(connect=[endpoint])
+    try:
+        until(lambda: zenoh_link.transports(sessions["router"]) == 4, "all")
+        heard = {name: zenoh_link.ring_subscriber(session, "a/*") for name, session in sessions.items()}
+        puts = {
+            key: zenoh_link.dropping_publisher(sessions[name], f"a/{key}")
+            for key, name in (("from_peer", "peer"), ("from_client", "client"))
+        }
+        got = {name: set() for name in sessions}
+
+        def all_there():
+            for key, put in puts.items():  # the peer's before the client's, which arrives everywhere
+                put.put(key)
+            for name, subscriber in heard.items():
+                got[name] |= {str(sample.key_expr) for sample in zenoh_link.drain(subscriber)}
+            return all("a/from_client" in keys for keys in got.values())
+
+        until(all_there, "the client's")
+        until(lambda: all_there() and "a/from_peer" in got["other client"], "the peer's at a client")
+        assert got["other peer"] == {"a/from_client"}
+        alarm = ConnectionAlarm(sessions["peer"], [endpoint])
+        [text] = alarm.poll(0.0)
+        assert "is a router, and we are its peer" in text
+        assert alarm.poll(10.0) == []
+        assert ConnectionAlarm(sessions["client"], [endpoint], Role.CLIENT).poll(0.0) == []
+    finally:
+        for session in reversed(sessions.values()):
+            session.close()
+
+
+def test_a_connection_that_is_not_there_lost_and_back_is_told_once_each():
+    endpoint = free_endpoint()
+    session = open_session(connect=[endpoint])
+    alarm = ConnectionAlarm(session, [endpoint])
+    try:
+        assert alarm.poll(0.0) == []
+        assert alarm.poll(PATIENCE_S - 0.1) == []
+        [text] = alarm.poll(PATIENCE_S + LOOK_EVERY_S)
+        assert f"no connection to {endpoint} for 4 s" in text
+        assert "certificate or password" in text
+        assert alarm.poll(100.0) == []
+        other = open_session([endpoint])
+        until(lambda: zenoh_link.transports(session) == 1, "the connection")
+        [text] = alarm.poll(200.0)
+        assert f"connected to {endpoint} after 200 s" in text
+        assert alarm.poll(202.0) == []
+        other.close()
+        until(lambda: zenoh_link.transports(session) == 0, "the end")
+        assert alarm.poll(204.0) == []
+        assert "no connection" in alarm.poll(208.0)[0]
+    finally:
+        session.close()
+
+
+def test_who_dials_nobody_is_not_alone():
+    session = open_session()
+    try:
+        assert [ConnectionAlarm(session, []).poll(float(t)) for t in range(0, 100, 10)] == [[]] * 10
+    finally:
+        session.close()
