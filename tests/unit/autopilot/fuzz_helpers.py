@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 import socket
-import struct
 from collections import Counter
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.framing import split_frames
+from bridge.mavlink.codec.packing import pack
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.server.profile import PX4_CODES, FlightMode
 from bridge.mavlink.signing.key import SigningKey
 from bridge.mavlink.signing.signing import Signer
 from tests.unit.autopilot.autopilot_fakes import COMPANION, NAN, Rig, setpoint
+from tests.unit.mavlink.server.hostile import hostile
 
 GROUND_STATIONS = (245, 255)
 _STREAMS = (
@@ -27,37 +28,6 @@ PER_TICK = 20  # datagrams
 HEIGHT_M = 0.5
 PATIENCE_S = 10.0
 LAND = PX4_CODES[FlightMode.LAND]
-_SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4,
-          "float": 4, "int64_t": 8, "uint64_t": 8, "double": 8}  # fmt: skip
-_WORDS = [
-    struct.pack("<f", v) for v in (math.nan, math.inf, -math.inf, 3e38, -3e38, 1e-45, 0.0, 1.0, 6.0, 4.0)
-]
-_WORDS += [
-    struct.pack("<I", v) for v in (0xFFFFFFFF, 0x7FFFFFFF, 0x80000000, 0x7FC00000, 0x7F800001, 1, 2**16)
-]
-_COMMANDS = (
-    400,
-    22,
-    20,
-    176,
-    185,
-    179,
-    192,
-    246,
-    252,
-    300,
-    420,
-    511,
-    510,
-    512,
-    520,
-    519,
-    521,
-    410,
-    401,
-    178,
-    43000,
-)
 _FOCUS = (
     mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT, mav.MAVLINK_MSG_ID_SET_MODE,
     mav.MAVLINK_MSG_ID_PARAM_SET, mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
@@ -66,94 +36,10 @@ _FOCUS = (
     mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST, mav.MAVLINK_MSG_ID_TIMESYNC, mav.MAVLINK_MSG_ID_SETUP_SIGNING,
     mav.MAVLINK_MSG_ID_SET_HOME_POSITION, mav.MAVLINK_MSG_ID_HEARTBEAT,
 )  # fmt: skip
-_PARAMETERS = (
-    b"COM_OF_LOSS_T",
-    b"MPC_LAND_SPEED",
-    b"MIS_TAKEOFF_ALT",
-    b"MPC_XY_P",
-    b"COM_OBL_RC_ACT",
-    b"MAV_SYS_ID",
-)
-_CODES = {PX4_CODES[mode][:2] for mode in FlightMode}
 
 
-def _offsets(cls) -> dict[str, int]:
-    kinds = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
-    at, found = 0, {}
-    for name, length in zip(cls.ordered_fieldnames, cls.array_lengths, strict=True):
-        found[name] = at
-        at += _SIZES[kinds[name]] * max(1, length)
-    assert at == cls.unpacker.size
-    return found
-
-
-_OFFSETS = {id_: _offsets(cls) for id_, cls in mav.mavlink_map.items()}
-
-
-def checked(message_id: int, payload: bytes, ids: tuple[int, int], sequence: int = 0) -> bytes:
-    """A frame with a right checksum around any payload."""
-    body = bytes([len(payload), 0, 0, sequence, *ids]) + message_id.to_bytes(3, "little") + payload
-    crc = mav.mcrf4xx(body + bytes([mav.mavlink_map[message_id].crc_extra]))
-    return b"\xfd" + body + struct.pack("<H", crc)
-
-
-class HostileFrames:
-    """Valid checksums, hostile values: every message in turn, the dangerous ones more often."""
-
-    def __init__(self, rng: random.Random) -> None:
-        self._rng = rng
-        self._ids = list(mav.mavlink_map)
-        self._turn = 0
-
-    def frame(self, ids: tuple[int, int]) -> bytes:
-        rng = self._rng
-        if rng.random() < 0.5:
-            message_id = rng.choice(_FOCUS)
-        else:
-            message_id = self._ids[self._turn % len(self._ids)]
-            self._turn += 1
-        payload = bytearray(self._payload(mav.mavlink_map[message_id].unpacker.size))
-        self._aim(message_id, payload)
-        cut = len(payload) if rng.random() < 0.8 else rng.randrange(1, len(payload) + 1)
-        return checked(message_id, bytes(payload[:cut]), ids, rng.randrange(256))
-
-    def _payload(self, size: int) -> bytes:
-        rng = self._rng
-        if rng.random() < 0.3:
-            return rng.randbytes(size)
-        return b"".join(rng.choice(_WORDS) for _ in range(size // 4 + 1))[:size]
-
-    def _aim(self, message_id: int, payload: bytearray) -> None:
-        """Most go to this vehicle, and name commands, modes, frames and parameters that it has."""
-        rng, offsets = self._rng, _OFFSETS[message_id]
-        if rng.random() < 0.9:
-            for name, values in (("target_system", (1, 1, 0)), ("target_component", (1, 0))):
-                if name in offsets:
-                    payload[offsets[name]] = rng.choice(values)
-        if "command" in offsets and message_id in (75, 76) and rng.random() < 0.8:
-            struct.pack_into("<H", payload, offsets["command"], rng.choice(_COMMANDS))
-            for n in range(1, 8):
-                if f"param{n}" in offsets and rng.random() < 0.6:
-                    value = rng.choice(
-                        (0.0, 1.0, 21196.0, 2989.0, 4.0, 6.0, math.nan, math.inf, -1.0, 32.0, 1e9)
-                    )
-                    struct.pack_into("<f", payload, offsets[f"param{n}"], value)
-        if message_id == mav.MAVLINK_MSG_ID_SET_MODE and rng.random() < 0.7:
-            main, sub = rng.choice(sorted(_CODES))
-            struct.pack_into("<I", payload, offsets["custom_mode"], main << 16 | sub << 24)
-        if message_id == mav.MAVLINK_MSG_ID_PARAM_SET and rng.random() < 0.8:
-            payload[offsets["param_id"] : offsets["param_id"] + 16] = rng.choice(_PARAMETERS).ljust(16, b"\0")
-            payload[offsets["param_type"]] = rng.choice((6, 9))
-        if message_id == mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED and rng.random() < 0.8:
-            struct.pack_into("<H", payload, offsets["type_mask"], rng.choice((2503, 1479, 3527, 0)))
-            payload[offsets["coordinate_frame"]] = rng.choice((1, 8, 0, 9))
-            for name in ("vx", "vy", "vz", "yaw") if rng.random() < 0.5 else ():
-                struct.pack_into("<f", payload, offsets[name], rng.uniform(-2.0, 2.0))
-
-
-def asks_to_land(frame: bytes) -> bool:
-    """Whether a frame asks for what anybody may ask for: to land."""
-    message = decode(frame)
+def asks_to_land(message) -> bool:
+    """Whether a message asks for what anybody may ask for: to land."""
     kind = message.get_type()
     if kind in ("COMMAND_LONG", "COMMAND_INT"):
         codes = (message.param2, message.param3)
@@ -219,7 +105,8 @@ class Fuzz:
         self.signer = Signer(key, *COMPANION) if key is not None else None
         self._forger = Signer(SigningKey(bytes(range(1, 33))), *COMPANION) if key is not None else None
         self._mav = mav.MAVLink(None, *COMPANION)
-        self._hostile = HostileFrames(self.rng)
+        self._turns = itertools.cycle(mav.mavlink_map)
+        self._commands = [*self.rig.autopilot.commands.table, 178, 252, 300, 43000]
         self._overheard: list[bytes] = []
         self._datagram, self._wire = b"", list[bytes]()  # of the owner, last
         self._count = 0
@@ -299,10 +186,13 @@ class Fuzz:
                 return ids
 
     def _frame(self) -> bytes:
+        rng = self.rng
         while True:
-            frame = self._hostile.frame(self._stranger_ids())
-            if self.signer is not None or not asks_to_land(frame):
-                return frame
+            # every message in turn, the dangerous ones more often
+            message_id = rng.choice(_FOCUS) if rng.random() < 0.5 else next(self._turns)
+            message = hostile(rng, message_id, self._commands)
+            if self.signer is not None or not asks_to_land(message):
+                return pack(message, rng.randrange(256), *self._stranger_ids())
 
     def _garbage(self) -> bytes:
         rng = self.rng

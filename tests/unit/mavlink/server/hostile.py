@@ -9,11 +9,13 @@ import struct
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.decoding import decode
+from bridge.mavlink.server.profile import PX4_CODES
 
 NAN = math.nan
 EXTREMES = [b"\x00", b"\xff", b"\x7f", b"\x80", b"\x7f\xc0", b"\x80\x7f", b"\xff\xff\xff\x7f"]
 VALUES = (NAN, 0.0, 1.0, -1.0, 6.0, 4.0, 21196.0, 1e30, math.inf)
-PARAMETERS = ["COM_OF_LOSS_T", "MPC_XY_P", "GF_ACTION", "SYS_FAILURE_EN", "MAV_SYS_ID"]
+PARAMETERS = ["COM_OF_LOSS_T", "MPC_XY_P", "MIS_TAKEOFF_ALT", "COM_OBL_RC_ACT", "GF_ACTION", "SYS_FAILURE_EN",
+              "MAV_SYS_ID"]  # fmt: skip
 
 
 def frame_of(cls, id_: int, payload: bytes):
@@ -33,7 +35,7 @@ def hostile(rng: random.Random, id_: int, commands: list[int]):
     names = list(cls.ordered_fieldnames)
     if "target_system" in names:
         message.target_system, message.target_component = rng.choice(((1, 1), (1, 0), (0, 0)))
-    if "command" in names:
+    if isinstance(getattr(message, "command", None), int):
         message.command = rng.choice([*commands, 9])
         message.frame = rng.choice((0, 3, 6, getattr(message, "frame", 0)))
     for name in names:
@@ -43,8 +45,11 @@ def hostile(rng: random.Random, id_: int, commands: list[int]):
         message.type_mask, message.coordinate_frame = rng.choice((2503, 1479, 3527)), rng.choice((1, 8))
         for name in ("vx", "vy", "vz", "yaw", "yaw_rate"):
             setattr(message, name, rng.choice((rng.uniform(-4.0, 4.0), *VALUES)))
+    if id_ == mav.MAVLINK_MSG_ID_SET_MODE and rng.random() < 0.7:
+        message.custom_mode = rng.choice(list(PX4_CODES.values())).custom_mode
     if hasattr(message, "param_id") and rng.random() < 0.8:
         message.param_id = rng.choice(PARAMETERS)
+        message._param_id_raw = message.param_id.encode()  # what is packed
         if hasattr(message, "param_type"):
             message.param_type = rng.choice((6, 9))
     return message
