@@ -21,8 +21,7 @@ from bridge.crazyflie.types import (
     StateBlock,
     Velocity,
 )
-from tests.crazyflie_firmware.firmware import Firmware
-from tests.crazyflie_firmware.toc import CODE, LOGS
+from tests.crazyflie_firmware.firmware import CODE, LOGS, Firmware
 
 STEP_S = 0.01
 CLIENT, OTHER, GROUND = (1, 191), (7, 190), (255, 190)

@@ -17,9 +17,8 @@ from bridge.mavlink.codec.packing import pack
 from bridge.mavlink.profiles.autopilots import profile
 from flightstack.core.types import Landed, Mode
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, NAN, Bench
-from tests.crazyflie_firmware.firmware import Firmware
+from tests.crazyflie_firmware.firmware import Firmware, quaternion_bits
 from tests.crazyflie_firmware.plant import Point
-from tests.crazyflie_firmware.toc import quaternion_bits
 
 UNIT = (
     st.tuples(*[st.floats(-1.0, 1.0)] * 4)
