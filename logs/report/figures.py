@@ -10,10 +10,17 @@ import plotly.graph_objects as go
 
 from logs.reader.flight_data import Flight, Floats
 from logs.report.derived import Errors, estimate_errors
-from logs.report.filter import estimate_error, filter_activity, share_active, tracking, vehicle_state
 from logs.report.links import Stream
 from logs.report.loop import data_age, histograms, loop_timing
-from logs.report.series import barrier_over_time, velocities
+from logs.report.series import (
+    barrier_over_time,
+    estimate_error,
+    filter_activity,
+    share_active,
+    tracking,
+    vehicle_state,
+    velocities,
+)
 from logs.report.space import altitude_over_distance, plan_view, trajectory_3d
 from logs.report.timeline import timeline
 from logs.verdict.types import Verdict

@@ -11,7 +11,6 @@ from plotly.subplots import make_subplots
 from logs.reader.flight_data import Flight, Floats
 from logs.report.links import POSITION, Stream
 from logs.report.links import TARGET as TARGET_STREAM
-from logs.report.series import value_range
 from logs.report.style import (
     BOUNDARY,
     COMMAND,
@@ -19,12 +18,14 @@ from logs.report.style import (
     NOMINAL,
     TARGET,
     TRUE,
-    add_phases,
+    add_line,
     layout,
     light,
     line,
+    over_time,
+    rows_of,
     thin,
-    time_axis,
+    value_range,
     zero_s,
 )
 
@@ -41,8 +42,8 @@ def loop_timing(flight: Flight) -> go.Figure | None:
     if timing is None:
         return None
     t = timing.t_s - zero_s(flight)
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.07)
-    figure.add_trace(line(t, timing.period_s * 1e3, "period", TRUE, width=1.2), row=1, col=1)
+    figure = rows_of(2, 0.07)
+    add_line(figure, 1, t, timing.period_s * 1e3, "period", TRUE, width=1.2)
     missed = np.flatnonzero(np.diff(timing.overruns) > 0) + 1
     if len(missed):
         keep = missed[thin(len(missed))]
@@ -52,14 +53,12 @@ def loop_timing(flight: Flight) -> go.Figure | None:
             marker=style,
         )  # fmt: skip
         figure.add_trace(marks, row=1, col=1)
-    figure.add_trace(line(t, timing.exec_s * 1e6, "whole tick", COMMAND, width=1.4), row=2, col=1)
+    add_line(figure, 2, t, timing.exec_s * 1e6, "whole tick", COMMAND, width=1.4)
     solve_us = np.where(timing.solve_s > 0.0, timing.solve_s * 1e6, np.nan)  # 0: the program did not run
-    figure.add_trace(line(t, solve_us, "quadratic program", NOMINAL, width=1.4), row=2, col=1)
-    late = line(t, timing.lateness_s * 1e6, "start after deadline", LIMIT, width=1.0, visible="legendonly")
-    figure.add_trace(late, row=2, col=1)
-    layout(figure, 480)
-    add_phases(figure, flight, rows=2)
-    time_axis(figure, flight, rows=2)
+    add_line(figure, 2, t, solve_us, "quadratic program", NOMINAL, width=1.4)
+    late_us = timing.lateness_s * 1e6
+    add_line(figure, 2, t, late_us, "start after deadline", LIMIT, width=1.0, visible="legendonly")
+    over_time(figure, flight, 480, rows=2)
     figure.update_yaxes(title_text="period [ms]", row=1, col=1)
     figure.update_yaxes(title_text="wall time [µs]", type="log", tickvals=_WALL_US, row=2, col=1)
     return figure
@@ -134,8 +133,6 @@ def data_age(flight: Flight) -> go.Figure | None:
                 marker={"symbol": "x-thin", "size": 8, "line": {"color": BOUNDARY, "width": 1.5}},
             )
         )  # fmt: skip
-    layout(figure, 380)
-    add_phases(figure, flight)
-    time_axis(figure, flight)
+    over_time(figure, flight, 380)
     figure.update_yaxes(title_text="age at the tick [ms]", range=[low, high])
     return figure

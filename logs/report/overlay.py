@@ -6,12 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from logs.reader.flight_data import Flight, Floats, phase_name
 from logs.report.derived import Side, estimate_errors, fault_spans
 from logs.report.figures import Panel
-from logs.report.series import AXES, value_range
+from logs.report.series import AXES
 from logs.report.space import relative_tracks
 from logs.report.style import (
     BOUNDARY,
@@ -25,7 +24,9 @@ from logs.report.style import (
     layout,
     line,
     low_envelope,
+    rows_of,
     shown_range,
+    value_range,
     zero_s,
 )
 from logs.report.timeline import bar
@@ -117,7 +118,7 @@ def _flown(flight: Flight) -> tuple[Floats, Floats] | None:
 
 
 def _vectors(a: Side, b: Side, values: _Lines, unit: str) -> go.Figure | None:
-    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.045)
+    figure = rows_of(3, 0.045)
     drawn = False
     for side in (a, b):
         found = values(side.flight)

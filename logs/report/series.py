@@ -1,35 +1,47 @@
-"""Figures over time: barrier with its margin (paper Fig. 9a, 13a), velocities (9b-d, 13b-d)."""
+"""Figures of the flight over time: barrier (paper Fig. 9a, 13a), velocities (9b-d, 13b-d), filter, errors."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
+from flightstack.core.types import FilterStatus
 from logs.reader.flight_data import Flight, Floats, Steps
-from logs.report.derived import held_margin_m
+from logs.report.derived import estimate_errors, held_margin_m, tilt_deg
 from logs.report.style import (
     BOUNDARY,
     COMMAND,
     ESTIMATED,
     FILTERED,
+    FLOWN,
     INK,
     LIMIT,
     MARGIN,
     NOMINAL,
+    TARGET,
     TRUE,
-    add_phases,
-    layout,
+    add_line,
+    light,
     line,
     low_envelope,
-    shown_range,
-    time_axis,
+    over_time,
+    rows_of,
+    thin,
+    value_range,
     zero_s,
 )
 from logs.verdict.types import VIOLATION_LIMIT_M, Verdict
 
 _MARGIN_SEEN_M = 1e-4  # m; a filter without a margin has none up to rounding
 AXES = ("x, east", "y, north", "z, up")
+_ODD = {
+    FilterStatus.CLOSED_FORM: ("exact projection used", "circle"),
+    FilterStatus.INFEASIBLE: ("no velocity satisfies it", "x"),
+    FilterStatus.REJECTED: ("nothing usable", "cross"),
+}
 
 
 def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
@@ -63,9 +75,7 @@ def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
     figure.add_hline(0.0, line={"color": BOUNDARY, "width": 1.8})
     if verdict.started_safe is not False:
         figure.add_hline(VIOLATION_LIMIT_M, line={"color": BOUNDARY, "width": 1, "dash": "dot"})
-    layout(figure, 420)
-    add_phases(figure, flight)
-    time_axis(figure, flight)
+    over_time(figure, flight, 420)
     figure.update_yaxes(title_text="h [m]", range=value_range(flight, shown))
     return figure
 
@@ -81,15 +91,8 @@ def _mark_lowest(figure: go.Figure, t: Floats, h: Floats, where: str, symbol: st
     figure.add_trace(go.Scatter(x=[float(t[at])], y=[float(h[at])], mode="markers", name=name, marker=style))
 
 
-def value_range(flight: Flight, shown: list[tuple[Floats, Floats]]) -> list[float]:
-    """Range of the values within the time axis' first range, zero included, with some air."""
-    low_s, high_s = shown_range(flight)
-    inside = np.concatenate(
-        [h[(t >= low_s) & (t <= high_s) & np.isfinite(h)] for t, h in shown] + [np.zeros(1)]
-    )
-    low, high = float(inside.min()), float(inside.max())
-    air = 0.06 * max(high - low, 0.02)
-    return [low - air, high + air]
+_Drawn = tuple[str, Floats, str, str, float]  # name, velocity (n, 3), colour, dash, width
+_Extra = Callable[[go.Figure, int, list[float]], list[float]]  # draws on an axis, widens its range
 
 
 def velocities(flight: Flight) -> go.Figure | None:
@@ -97,54 +100,151 @@ def velocities(flight: Flight) -> go.Figure | None:
     steps = flight.steps
     if steps is None or not np.isfinite(steps.nominal_enu_m_s).any():
         return None
-    zero = zero_s(flight)
-    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.045)
-    t = steps.t_s - zero
-    sent = np.where(steps.setpoint_sent[:, None], steps.command_enu_m_s, np.nan)
+    t = steps.t_s - zero_s(flight)
+    drawn = (
+        ("nominal u'", steps.nominal_enu_m_s, NOMINAL, "dash", 1.6),
+        ("filtered u*", steps.filtered_enu_m_s, FILTERED, "solid", 2.4),
+        ("sent, after slew limit and gate", _sent(steps), COMMAND, "dot", 2.0),
+    )
+    true = ("vehicle (true)", LIMIT, {"width": 1.0, "visible": "legendonly"})
+
+    def box_and_bar(figure: go.Figure, axis: int, values: list[float]) -> list[float]:
+        low, high = values
+        legend = axis == 0
+        if flight.velocity_max_m_s is not None:
+            limit = flight.velocity_max_m_s[axis]
+            low, high = min(low, -1.15 * limit), max(high, 1.15 * limit)
+            _limits(figure, flight, limit, axis + 1, legend)
+        floor = low - 0.03 * (high - low)
+        active = np.where(steps.barrier_active, floor, np.nan)  # a bar along the bottom
+        add_line(
+            figure, axis + 1, t, active, "barrier active", BOUNDARY, width=5, legendgroup="active",
+            showlegend=legend, hoverinfo="skip",
+        )  # fmt: skip
+        return [floor - 0.02 * (high - low), high]
+
+    return _axes(flight, t, drawn, true, 760, box_and_bar)
+
+
+def tracking(flight: Flight) -> go.Figure | None:
+    """Velocity wanted, set-point after corrections, and velocity flown, of each axis."""
+    steps = flight.steps
+    if steps is None or not np.isfinite(steps.wanted_enu_m_s).any():
+        return None
+    own = np.where(steps.own_valid[:, None], steps.own_velocity_enu_m_s, np.nan)
+    drawn = (
+        ("wanted", steps.wanted_enu_m_s, FILTERED, "solid", 2.2),
+        ("set-point on the wire", _sent(steps), COMMAND, "dot", 2.0),
+        ("flown, by its own estimate", own, ESTIMATED, "solid", 1.3),
+    )
+    true = ("flown (true)", FLOWN, {"width": 1.4})
+    return _axes(flight, steps.t_s - zero_s(flight), drawn, true, 720, lambda figure, axis, values: values)  # noqa: ARG005
+
+
+def _sent(steps: Steps) -> Floats:
+    return np.where(steps.setpoint_sent[:, None], steps.command_enu_m_s, np.nan)
+
+
+def _axes(
+    flight: Flight, t: Floats, drawn: Sequence[_Drawn], true: tuple[str, str, dict[str, Any]],
+    height_px: int, extra: _Extra,
+) -> go.Figure:  # fmt: skip
+    """Velocities in a row for each axis; the true one, where it is known, by name, colour and style."""
+    figure = rows_of(3, 0.045)
     for axis in range(3):
         row, legend = axis + 1, axis == 0
-        shown = [(t, v[:, axis]) for v in (steps.nominal_enu_m_s, steps.filtered_enu_m_s, sent)]
-        style = (("nominal u'", NOMINAL, "dash", 1.6), ("filtered u*", FILTERED, "solid", 2.4),
-                 ("sent, after slew limit and gate", COMMAND, "dot", 2.0))  # fmt: skip
-        for (_, values), (name, color, dash, width) in zip(shown, style, strict=True):
-            trace = line(t, values, name, color, dash=dash, width=width, legendgroup=name, showlegend=legend)
-            figure.add_trace(trace, row=row, col=1)
-        if flight.truth is not None:
-            true = flight.truth.velocity_enu_m_s[:, axis]
-            trace = line(
-                flight.truth.t_s - zero, true, "vehicle (true)", LIMIT, width=1.0, legendgroup="true",
-                showlegend=legend, visible="legendonly",
+        for name, values, color, dash, width in drawn:
+            add_line(
+                figure, row, t, values[:, axis], name, color, dash=dash, width=width, legendgroup=name,
+                showlegend=legend,
             )  # fmt: skip
-            figure.add_trace(trace, row=row, col=1)
-        limit = None if flight.velocity_max_m_s is None else flight.velocity_max_m_s[axis]
-        low, high = value_range(flight, shown)
-        if limit is not None:
-            low, high = min(low, -1.15 * limit), max(high, 1.15 * limit)
-            _limits(figure, flight, limit, row, legend)
-        floor = low - 0.03 * (high - low)
-        figure.add_trace(_active(steps, t, floor, legend), row=row, col=1)
-        figure.update_yaxes(
-            title_text=f"{AXES[axis]} [m/s]", range=[floor - 0.02 * (high - low), high], row=row, col=1
-        )
-    layout(figure, 760)
-    add_phases(figure, flight, rows=3)
-    time_axis(figure, flight, rows=3)
+        if flight.truth is not None:
+            name, color, look = true
+            t_true, v_true = flight.truth.t_s - zero_s(flight), flight.truth.velocity_enu_m_s[:, axis]
+            add_line(figure, row, t_true, v_true, name, color, legendgroup="true", showlegend=legend, **look)
+        shown = value_range(flight, [(t, values[:, axis]) for _, values, _, _, _ in drawn])
+        shown = extra(figure, axis, shown)
+        figure.update_yaxes(title_text=f"{AXES[axis]} [m/s]", range=shown, row=row, col=1)
+    over_time(figure, flight, height_px, rows=3)
     return figure
 
 
 def _limits(figure: go.Figure, flight: Flight, limit_m_s: float, row: int, legend: bool) -> None:
     ends = np.array([-zero_s(flight), flight.duration_s - zero_s(flight)])
     for sign in (-1.0, 1.0):
-        trace = line(
-            ends, np.full(2, sign * limit_m_s), "admissible box", LIMIT, dash="dashdot", width=1.0,
-            legendgroup="box", showlegend=legend and sign > 0.0, hoverinfo="skip",
+        add_line(
+            figure, row, ends, np.full(2, sign * limit_m_s), "admissible box", LIMIT, dash="dashdot",
+            width=1.0, legendgroup="box", showlegend=legend and sign > 0.0, hoverinfo="skip",
         )  # fmt: skip
-        figure.add_trace(trace, row=row, col=1)
 
 
-def _active(steps: Steps, t: Floats, floor: float, legend: bool) -> go.Scatter:
-    """A bar along the bottom while the barrier changes the command."""
-    y = np.where(steps.barrier_active, floor, np.nan)
-    return line(
-        t, y, "barrier active", BOUNDARY, width=5, legendgroup="active", showlegend=legend, hoverinfo="skip"
-    )
+def filter_activity(flight: Flight) -> go.Figure | None:
+    """How much the barrier changes the velocity, and what is left of its constraint; odd results as marks."""
+    steps = flight.steps
+    if steps is None or not np.isfinite(steps.slack_m_s).any():
+        return None
+    t = steps.t_s - zero_s(flight)
+    ran = np.isfinite(steps.slack_m_s)
+    changed = np.where(ran, np.linalg.norm(steps.filtered_enu_m_s - steps.nominal_enu_m_s, axis=1), np.nan)
+    slack = np.where(ran, steps.slack_m_s, np.nan)
+    figure = rows_of(2, 0.07)
+    add_line(figure, 1, t, changed, "change |u* − u'|", FILTERED, width=1.8)
+    add_line(figure, 2, t, slack, "left of the constraint at u*", COMMAND, width=1.6)
+    active = np.where(steps.barrier_active, 0.0, np.nan)
+    add_line(figure, 2, t, active, "barrier active", BOUNDARY, width=5, hoverinfo="skip")
+    for status, (name, symbol) in _ODD.items():
+        at = np.flatnonzero(steps.filter_status == status)
+        if len(at):
+            at = at[thin(len(at))]
+            style = {"symbol": symbol, "size": 7, "color": BOUNDARY}
+            marks = go.Scatter(x=light(t[at]), y=light(slack[at]), mode="markers", name=name, marker=style)
+            figure.add_trace(marks, row=2, col=1)
+    over_time(figure, flight, 480, rows=2)
+    figure.update_yaxes(title_text="change [m/s]", rangemode="tozero", row=1, col=1)
+    figure.update_yaxes(title_text="left [m/s]", range=value_range(flight, [(t, slack)]), row=2, col=1)
+    return figure
+
+
+def estimate_error(flight: Flight) -> go.Figure | None:
+    """Estimate minus truth: own position, target position, and h; needs true states."""
+    errors = estimate_errors(flight)
+    if errors is None or not (np.isfinite(errors.own_m).any() or np.isfinite(errors.target_m).any()):
+        return None
+    t = errors.t_s - zero_s(flight)
+    figure = rows_of(3, 0.05)
+    looks = (("east", NOMINAL), ("north", TRUE), ("up", COMMAND))
+    for row, values in ((1, errors.own_m), (2, errors.target_m)):
+        for axis, (name, color) in enumerate(looks):
+            y = 1e3 * values[:, axis]
+            add_line(figure, row, t, y, name, color, width=1.3, legendgroup=name, showlegend=row == 1)
+        shown = [(t, 1e3 * values[:, axis]) for axis in range(3)]
+        figure.update_yaxes(range=value_range(flight, shown), row=row, col=1)
+    add_line(figure, 3, t, 1e3 * errors.h_m, "h", INK, width=1.3)
+    figure.update_yaxes(range=value_range(flight, [(t, 1e3 * errors.h_m)]), row=3, col=1)
+    for row, title in ((1, "vehicle [mm]"), (2, "target [mm]"), (3, "h [mm]")):
+        figure.update_yaxes(title_text=title, row=row, col=1)
+    over_time(figure, flight, 640, rows=3)
+    return figure
+
+
+def vehicle_state(flight: Flight) -> go.Figure | None:
+    """Tilt and battery of the true vehicle; needs true states."""
+    truth, tilt = flight.truth, tilt_deg(flight)
+    if truth is None or tilt is None or not len(tilt):
+        return None
+    t = truth.t_s - zero_s(flight)
+    figure = rows_of(2, 0.08)
+    add_line(figure, 1, t, tilt, "tilt", TRUE, width=1.4)
+    add_line(figure, 2, t, truth.battery_v, "battery", TARGET, width=1.4)
+    off = np.where(truth.motors_running, np.nan, 0.0)
+    add_line(figure, 1, t, off, "motors off", LIMIT, width=5, hoverinfo="skip")
+    over_time(figure, flight, 420, rows=2)
+    figure.update_yaxes(title_text="tilt [°]", rangemode="tozero", row=1, col=1)
+    figure.update_yaxes(title_text="battery [V]", row=2, col=1)
+    return figure
+
+
+def share_active(steps: Steps) -> float | None:
+    """Share of the ticks with a filter in which the barrier changed the velocity; ``None`` without any."""
+    ran = np.isfinite(steps.slack_m_s)
+    return float(steps.barrier_active[ran].mean()) if ran.any() else None

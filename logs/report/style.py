@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Flight, Floats, phase_name
@@ -150,6 +151,23 @@ def time_axis(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
     )
 
 
+def over_time(figure: go.Figure, flight: Flight, height_px: int, *, rows: int = 1) -> None:
+    """Give a figure over time the common look, phases and axis."""
+    layout(figure, height_px)
+    add_phases(figure, flight, rows=rows)
+    time_axis(figure, flight, rows=rows)
+
+
+def rows_of(rows: int, spacing: float) -> go.Figure:
+    """A figure with rows above one another that share the time axis."""
+    return make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=spacing)
+
+
+def add_line(figure: go.Figure, row: int, x: Floats, y: Floats, name: str, color: str, **more: Any) -> None:
+    """Add a :func:`line` to a row."""
+    figure.add_trace(line(x, y, name, color, **more), row=row, col=1)
+
+
 def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter:
     """One line, thinned; keyword arguments go to the line (``dash``, ``width``) or the trace."""
     keep = thin(len(x))
@@ -169,6 +187,17 @@ def _places(x: Floats) -> dict[str, Any]:
 def thin(n: int) -> slice:
     """Every k-th of n points, so that few enough are left."""
     return slice(None, None, max(1, -(-n // POINTS_MAX)))
+
+
+def value_range(flight: Flight, shown: list[tuple[Floats, Floats]]) -> list[float]:
+    """Range of the values within the time axis' first range, zero included, with some air."""
+    low_s, high_s = shown_range(flight)
+    inside = np.concatenate(
+        [h[(t >= low_s) & (t <= high_s) & np.isfinite(h)] for t, h in shown] + [np.zeros(1)]
+    )
+    low, high = float(inside.min()), float(inside.max())
+    air = 0.06 * max(high - low, 0.02)
+    return [low - air, high + air]
 
 
 def low_envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
