@@ -38,7 +38,7 @@ class Status(NamedTuple):
     name: str
     level: Level
     message: str
-    values: dict[str, str]
+    values: dict[str, float]
 
 
 class Health:
@@ -74,7 +74,7 @@ class Health:
         statuses = self._statuses()
         self._steps.clear()
         self._timings.clear()
-        array = [(s.level, s.name, s.message, self._name, tuple(s.values.items())) for s in statuses]
+        array = [(s.level, s.name, s.message, self._name, _texts(s.values)) for s in statuses]
         return [(TOPIC, DIAGNOSTIC_ARRAY, self._pack((log_time_ns, array)))]
 
     def _statuses(self) -> list[Status]:
@@ -95,12 +95,7 @@ class Health:
         message = f"{frames} frames in, {sent} out"
         if not heard:
             level, message = Level.ERROR, "no fresh heartbeat"
-        values = {
-            "frames_in": str(frames),
-            "frames_out": str(sent),
-            "lost": str(lost),
-            "lost_share": _n(share),
-        }
+        values = {"frames_in": frames, "frames_out": sent, "lost": lost, "lost_share": share}
         return Status(f"{self._name}: vehicle link", level, message, values)
 
 
@@ -113,12 +108,12 @@ def _loop(name: str, rows: Sequence[LoopTimingRow], overruns: int, dropped: int)
     if lost > 0:
         level, message = Level.ERROR, f"{lost} log records dropped"
     values = {
-        "period_mean_s": _n(sum(r.period_s for r in rows) / len(rows)),
-        "lateness_max_s": _n(late_s),
-        "exec_max_s": _n(max(r.exec_s for r in rows)),
-        "solve_max_s": _n(max(r.solve_s for r in rows)),
-        "overruns": str(rows[-1].overruns),
-        "feed_dropped": str(rows[-1].feed_dropped),
+        "period_mean_s": sum(r.period_s for r in rows) / len(rows),
+        "lateness_max_s": late_s,
+        "exec_max_s": max(r.exec_s for r in rows),
+        "solve_max_s": max(r.solve_s for r in rows),
+        "overruns": rows[-1].overruns,
+        "feed_dropped": rows[-1].feed_dropped,
     }
     return Status(f"{name}: loop", level, message, values)
 
@@ -133,10 +128,10 @@ def _inputs(name: str, rows: Sequence[ControllerStepRow], accepted: int, rejecte
     if not (rows[-1].own_valid and rows[-1].target_valid):
         level = Level.STALE
     values = {
-        "own_age_max_s": _n(_worst(r.own_age_s for r in rows)),
-        "target_age_max_s": _n(_worst(r.target_age_s for r in rows)),
-        "target_accepted": str(rows[-1].target_accepted - accepted),
-        "target_rejected": str(rows[-1].target_rejected - rejected),
+        "own_age_max_s": _worst(r.own_age_s for r in rows),
+        "target_age_max_s": _worst(r.target_age_s for r in rows),
+        "target_accepted": rows[-1].target_accepted - accepted,
+        "target_rejected": rows[-1].target_rejected - rejected,
     }
     return Status(f"{name}: inputs", level, message, values)
 
@@ -152,8 +147,8 @@ def _safety(name: str, rows: Sequence[ControllerStepRow]) -> Status:
     if h_m < 0.0:
         level, message = Level.ERROR, f"h fell to {h_m:.4f} m"
     values = {
-        "h_min_m": _n(h_m), "slack_min_m_s": _n(slack), "filter_bad": str(bad), "gate_refused": str(refused),
-        "phase": str(rows[-1].phase),
+        "h_min_m": h_m, "slack_min_m_s": slack, "filter_bad": bad, "gate_refused": refused,
+        "phase": rows[-1].phase,
     }  # fmt: skip
     return Status(f"{name}: safety", level, message, values)
 
@@ -164,5 +159,6 @@ def _worst(values: Any) -> float:
     return math.nan if any(math.isnan(a) for a in ages) else max(ages)
 
 
-def _n(value: float) -> str:
-    return f"{value:.6g}"
+def _texts(values: dict[str, float]) -> tuple[tuple[str, str], ...]:
+    """Keys and values; six digits of what is not a count."""
+    return tuple((key, f"{v:.6g}" if isinstance(v, float) else str(v)) for key, v in values.items())

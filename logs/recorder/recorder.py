@@ -14,19 +14,10 @@ from types import FrameType
 
 from flightstack.common.hangup import on_hangup
 from logs.recorder.recorder_process import RecorderError, RecorderProcess, Source
-from logs.recorder.recording import Recorder, Statistics
+from logs.recorder.recording import Statistics
 from logs.schema.schemas import typestore
 
-__all__ = ["Recorder", "RecorderError", "RecorderProcess", "Statistics", "problems", "record_main", "run"]
-
-
-def run(socket_path: Path, out_path: Path, until_clients: int | None = None) -> Statistics:
-    """Listen, record, and return what was recorded; ends when this many clients have come and gone.
-
-    Raises:
-        RecorderError: The socket or the file cannot be made.
-    """
-    return RecorderProcess(socket_path, out_path).run(until_clients)
+__all__ = ["RecorderError", "RecorderProcess", "problems", "record_main"]
 
 
 def record_main(

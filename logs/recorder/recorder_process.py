@@ -70,11 +70,8 @@ class RecorderProcess:
                 raise OSError(0, file.failure)
         except OSError as error:
             self._stop_listening()
-            what = (
-                "exists already; choose another name"
-                if isinstance(error, FileExistsError)
-                else error.strerror
-            )
+            taken = isinstance(error, FileExistsError)
+            what = "exists already; choose another name" if taken else error.strerror
             raise RecorderError(f"cannot write the log {out}: {what}") from error
         self._recorder = Recorder(file)
         if self._listener:

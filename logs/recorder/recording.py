@@ -18,6 +18,8 @@ FLUSH_LOG_TIME_NS = 250_000_000
 RECORDER_NAME = "flight_recorder"  # its own events on /rosout; they depend on wall-clock time
 LOSSES = "losses"  # metadata: records dropped by each client
 RECORDER = "recorder"  # metadata: what the recorder went through
+_TOLD = ("clients", "invalid", "refused", "skipped", "unfinished_bytes", "crashed", "syncs", "sync_worst_s",
+         "failure")  # fmt: skip
 # What records with wrong content raise; a recorder that dies of one would take the others' log with it.
 _NONSENSE = (ValueError, KeyError, TypeError, AttributeError, RecursionError, struct.error)
 
@@ -142,23 +144,7 @@ class Recorder:
         counts = self.statistics
         counts.failure = self._file.failure
         self._file.metadata(LOSSES, {name: str(n) for name, n in sorted(counts.dropped.items())})
-        self._file.metadata(
-            RECORDER,
-            {
-                name: str(getattr(counts, name))
-                for name in (
-                    "clients",
-                    "invalid",
-                    "refused",
-                    "skipped",
-                    "unfinished_bytes",
-                    "crashed",
-                    "syncs",
-                    "sync_worst_s",
-                    "failure",
-                )
-            },
-        )
+        self._file.metadata(RECORDER, {name: str(getattr(counts, name)) for name in _TOLD})
         self._file.close()
         counts.messages = self._file.messages
         counts.failure = self._file.failure

@@ -17,7 +17,7 @@ _F64 = struct.Struct("<d")
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class TickDifference:
     """One value that came out otherwise.
 
     Attributes:
@@ -46,9 +46,9 @@ class Tally:
 
     count: int = 0
     ticks: int = 0  # that hold one
-    first: list[Difference] = field(default_factory=list)
+    first: list[TickDifference] = field(default_factory=list)
 
-    def add(self, found: Iterable[Difference]) -> None:
+    def add(self, found: Iterable[TickDifference]) -> None:
         """Count the differences of one tick."""
         before = self.count
         for each in found:

@@ -1,7 +1,8 @@
 """Plays a log back onto the wires: the target's odometry on Zenoh, the vehicle's frames on UDP.
 
 Payloads and frames go out as they were recorded, to the byte. Only what came from target and vehicle is
-played, never what was sent to them: a replay commands no vehicle.
+played, never what was sent to them: a replay commands no vehicle. ``Player`` keeps the time, with the keys of
+a terminal; ``Wires`` opens the two sides; ``play`` brings both together.
 """
 
 from __future__ import annotations
@@ -39,7 +40,13 @@ from logs.schema.schemas import CONTROLLER_STEP, LOOP_TIMING
 T = TypeVar("T")
 
 SLICE_S = 0.05  # s of wall time between looks at keys and sockets
-TOGGLE, STEP = " \r\n", "s"
+TOGGLE, STEP = " \r\n", "s"  # keys
+_COMPONENT_ID = 1  # MAV_COMP_ID_AUTOPILOT1, whom the endpoint stands for
+# Messages that are sent rarely and stay true until the next: played once before a start in the middle.
+# HEARTBEAT, SYS_STATUS, HOME_POSITION, EXTENDED_SYS_STATE
+_LASTING_IDS = frozenset({0, 1, 242, 245})
+_VIEW = {"controller/step": CONTROLLER_STEP, "loop/timing": LOOP_TIMING}
+Group = list[Message]
 
 
 class Player:
@@ -153,14 +160,6 @@ class Terminal:
         if not select.select([sys.stdin], [], [], timeout_s)[0]:
             return ""
         return os.read(sys.stdin.fileno(), 1).decode(errors="replace")  # unbuffered: select must see the rest
-
-
-_COMPONENT_ID = 1  # MAV_COMP_ID_AUTOPILOT1, whom the endpoint stands for
-# Messages that are sent rarely and stay true until the next: played once before a start in the middle.
-# HEARTBEAT, SYS_STATUS, HOME_POSITION, EXTENDED_SYS_STATE
-_LASTING_IDS = frozenset({0, 1, 242, 245})
-_VIEW = {"controller/step": CONTROLLER_STEP, "loop/timing": LOOP_TIMING}
-Group = list[Message]
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard.runner import Arrived, Runner, Taken, VehicleInputs
 from flightstack.onboard.state_text import StateText, StateTextError
-from logs.replay.compare import Difference, Tally, fields_of, values_of
+from logs.replay.compare import Tally, TickDifference, fields_of, values_of
 from logs.replay.read import ROSOUT, FlightInputs, ReplayError, TickRecord
 from logs.replay.wire import WireReplay
 from logs.schema.controller_rows import TickInputs, step_row
@@ -29,7 +29,7 @@ from logs.schema.events import CONTROLLER
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, LogRow
 from logs.schema.schemas import CONTROLLER_STEP
 
-__all__ = ["Difference", "FlightInputs", "PhaseChange", "ReplayError", "Result", "replay"]
+__all__ = ["FlightInputs", "PhaseChange", "ReplayError", "Result", "TickDifference", "replay"]
 
 _ACTING = (Phase.APPROACH, Phase.LAND)
 _CHANGES_MAX = 200  # phase changes kept of either side
@@ -114,7 +114,7 @@ class _RecordedTick:
         self.record: TickRecord
         self.given: TickInputs
         self.wire: WireReplay | None = None
-        self.wire_found: list[Difference] = []
+        self.wire_found: list[TickDifference] = []
 
     def begin(self, record: TickRecord, given: TickInputs) -> None:
         """Be this tick from now on."""
@@ -265,10 +265,14 @@ class _Run:
         row = step_row(at, out)
         replayed = row.pack()
         topic = self.flight.topic("controller/step")
-        found = [Difference(topic, tick, *each) for each in fields_of(CONTROLLER_STEP, record.step, replayed)]
+        found = [
+            TickDifference(topic, tick, *each) for each in fields_of(CONTROLLER_STEP, record.step, replayed)
+        ]
         events = [LogRow(given.stamp_ns, e.level, CONTROLLER, e.text, "", "", 0) for e in out.events]
         if record.events != events:
-            found += [Difference(ROSOUT, tick, *each) for each in values_of(record.events, events, "events")]
+            found += [
+                TickDifference(ROSOUT, tick, *each) for each in values_of(record.events, events, "events")
+            ]
         result.outputs.add(found)
         if record.state is not None and not self.changed:
             self._compare_state(record.state)
@@ -300,10 +304,10 @@ class _Run:
         try:
             before = self.text.loads(recorded.layout, recorded.state)
         except StateTextError as error:
-            self.result.states.add([Difference(topic, recorded.tick, "state", str(error), "a state")])
+            self.result.states.add([TickDifference(topic, recorded.tick, "state", str(error), "a state")])
             return
-        found = [Difference(topic, recorded.tick, *each) for each in values_of(before, state)]
-        text = Difference(topic, recorded.tick, "state", recorded.state, self.text.dumps(state))
+        found = [TickDifference(topic, recorded.tick, *each) for each in values_of(before, state)]
+        text = TickDifference(topic, recorded.tick, "state", recorded.state, self.text.dumps(state))
         self.result.states.add(found or [text])
 
     def _command_change(self, tick: int, recorded: Sequence[float], replayed: Sequence[float]) -> None:

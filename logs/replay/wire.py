@@ -24,7 +24,7 @@ from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Inputs
 from flightstack.onboard.runner import LinkedVehicle, decoded
-from logs.replay.compare import Difference, values_of
+from logs.replay.compare import TickDifference, values_of
 from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
 from logs.schema.controller_rows import TickInputs
 
@@ -91,7 +91,7 @@ class WireReplay:
         )
         self._vehicle = LinkedVehicle(self._link, lockstep=lockstep)
 
-    def take(self, record: TickRecord, given: TickInputs) -> list[Difference]:
+    def take(self, record: TickRecord, given: TickInputs) -> list[TickDifference]:
         """Decode what came and compare it with the recorded inputs."""
         self._heard = self._link.heard
         self._endpoint.sent.clear()
@@ -100,19 +100,19 @@ class WireReplay:
             self._link.poll(given.now_s)
         except Exception as error:  # a frame that today's dialect cannot decode is a finding, not a crash
             self._endpoint.incoming.clear()
-            return [Difference(SOURCE, given.tick, "frame", "a decodable frame", repr(error))]
+            return [TickDifference(SOURCE, given.tick, "frame", "a decodable frame", repr(error))]
         arrived = decoded([RawSample(payload) for payload in record.odometry], given.now_s)
         own, status, command_failed = self._vehicle.read()
         inputs = Inputs(own, status, arrived.samples, given.inputs.operator)
         found = list(values_of(given.inputs, inputs))
         found += values_of(given.command_failed, command_failed, "command_failed")
-        differences = [Difference("wire, inputs", given.tick, *each) for each in found]
+        differences = [TickDifference("wire, inputs", given.tick, *each) for each in found]
         said = list(arrived.problems) + [f"vehicle: {text}" for _, text in self._link.take_texts()]
         recorded = [row.msg for row in record.said if row.msg.startswith(_SAID_BY_THE_WIRE)]
-        differences += [Difference(ROSOUT, given.tick, *each) for each in values_of(recorded, said, "wire")]
+        differences += [TickDifference(ROSOUT, given.tick, *each) for each in values_of(recorded, said, "wire")]
         return differences
 
-    def answer(self, record: TickRecord, given: TickInputs, out: Outputs) -> list[Difference]:
+    def answer(self, record: TickRecord, given: TickInputs, out: Outputs) -> list[TickDifference]:
         """Send what was decided and compare it with the recorded frames."""
         self._vehicle.answer(out, given.now_s)
         if not self._heard:
@@ -121,4 +121,4 @@ class WireReplay:
         replayed = [frame[_ID_AND_PAYLOAD].hex() for frame in self._endpoint.sent]
         if recorded == replayed:
             return []
-        return [Difference(SINK, given.tick, *each) for each in values_of(recorded, replayed, "frames")]
+        return [TickDifference(SINK, given.tick, *each) for each in values_of(recorded, replayed, "frames")]

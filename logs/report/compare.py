@@ -10,17 +10,23 @@ import numpy as np
 from flightstack.common.strict_toml import to_table
 from logs.reader.flight import load_flight
 from logs.reader.flight_data import Flight, Floats
-from logs.report.derived import Side, estimate_errors, fault_spans
-from logs.report.page import block, header, need_libraries, page, paragraph, section, table, warnings_box
-from logs.report.tables import definitions, events_table, headline
+from logs.report.derived import Side, estimate_errors, fault_spans, root_mean_square
+from logs.report.page import (
+    block,
+    header,
+    need_libraries,
+    page,
+    paragraph,
+    section,
+    table,
+    time_bar,
+    warnings_box,
+)
+from logs.report.tables import YES_NO, definitions, events_table, headline, number
 from logs.verdict.verdict import judge
 
 _SETTINGS = "Run, versions and configuration."
 _WIDE = "wide events"  # style of the tables of events
-_BAR = (
-    '<div class="bar"><span>All times:</span><button data-range="landing">Landing</button>'
-    '<button data-range="whole">Whole flight</button></div>'
-)
 
 
 def write_comparison(log_a: Path, log_b: Path, out: Path | None = None) -> Path:
@@ -65,7 +71,7 @@ def render(a: Side, b: Side) -> str:
         warnings_box([f"{s.name}: {text}" for s in (a, b) for text in warnings(s.flight, s.verdict)]),
         block("numbers", "Key numbers", "", _numbers(a, b) + definitions()),
         block("settings", "What was set differently", _SETTINGS, _settings(a.flight, b.flight)),
-        _BAR,
+        time_bar(events=False),
         *figures,
         '<div class="columns">',
         *(
@@ -87,17 +93,14 @@ def _told(side: Side) -> str:
     return ", ".join([f"{side.name}: {side.flight.path}", *told])
 
 
-def _p99(values: Floats, scale: float) -> float | None:
+def _p99(values: Floats) -> float | None:
     known = values[np.isfinite(values)]
-    return scale * float(np.percentile(known, 99)) if len(known) else None
+    return float(np.percentile(known, 99)) if len(known) else None
 
 
-def _error_mm(side: Side) -> float | None:
+def _error_m(side: Side) -> float | None:
     errors = estimate_errors(side.flight)
-    if errors is None:
-        return None
-    known = errors.h_m[np.isfinite(errors.h_m)]
-    return 1e3 * float(np.sqrt(np.mean(known * known))) if len(known) else None
+    return None if errors is None else root_mean_square(errors.h_m)
 
 
 def _lost(side: Side) -> float | None:
@@ -105,51 +108,40 @@ def _lost(side: Side) -> float | None:
     return float(sum(lost)) if lost else None
 
 
-def _scaled(value: float | None, scale: float) -> float | None:
-    return None if value is None else scale * value
-
-
-# name, unit, digits, value
-_NUMBERS: tuple[tuple[str, str, int, Callable[[Side], float | None]], ...] = (
-    ("lowest h", "mm", 1, lambda s: _scaled(s.verdict.h_min_m, 1e3)),
-    ("lowest h outside the pad", "mm", 1, lambda s: _scaled(s.verdict.h_min_outside_pad_m, 1e3)),
-    ("touchdown error", "mm", 1, lambda s: _scaled(s.verdict.touchdown_error_m, 1e3)),
-    ("touchdown speed, vertical", "m/s", 3, lambda s: s.verdict.touchdown_speed_vertical_m_s),
-    ("touchdown speed, horizontal", "m/s", 3, lambda s: s.verdict.touchdown_speed_horizontal_m_s),
-    ("time to land", "s", 2, lambda s: s.verdict.time_to_land_s),
-    ("length of the log", "s", 2, lambda s: s.flight.duration_s),
-    ("error of h, root mean square", "mm", 1, _error_mm),
-    ("age of the target state, 99 %", "ms", 1,
-     lambda s: None if s.flight.steps is None else _p99(s.flight.steps.target_age_s, 1e3)),
-    ("whole tick, 99 %", "µs", 0,
-     lambda s: None if s.flight.timing is None else _p99(s.flight.timing.exec_s, 1e6)),
-    ("overruns", "", 0, lambda s: None if s.flight.timing is None else float(s.flight.timing.overruns[-1])),
-    ("messages lost", "", 0, _lost),
-    ("faults injected", "", 0, lambda s: float(len(fault_spans(s.flight)))),
-    ("phases", "", 0, lambda s: float(len(s.flight.phase_spans()))),
+# name, unit, digits, factor, value
+_NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None]], ...] = (
+    ("lowest h", "mm", 1, 1e3, lambda s: s.verdict.h_min_m),
+    ("lowest h outside the pad", "mm", 1, 1e3, lambda s: s.verdict.h_min_outside_pad_m),
+    ("touchdown error", "mm", 1, 1e3, lambda s: s.verdict.touchdown_error_m),
+    ("touchdown speed, vertical", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_vertical_m_s),
+    ("touchdown speed, horizontal", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_horizontal_m_s),
+    ("time to land", "s", 2, 1.0, lambda s: s.verdict.time_to_land_s),
+    ("length of the log", "s", 2, 1.0, lambda s: s.flight.duration_s),
+    ("error of h, root mean square", "mm", 1, 1e3, _error_m),
+    ("age of the target state, 99 %", "ms", 1, 1e3,
+     lambda s: None if s.flight.steps is None else _p99(s.flight.steps.target_age_s)),
+    ("whole tick, 99 %", "µs", 0, 1e6,
+     lambda s: None if s.flight.timing is None else _p99(s.flight.timing.exec_s)),
+    ("overruns", "", 0, 1.0,
+     lambda s: None if s.flight.timing is None else float(s.flight.timing.overruns[-1])),
+    ("messages lost", "", 0, 1.0, _lost),
+    ("faults injected", "", 0, 1.0, lambda s: float(len(fault_spans(s.flight)))),
+    ("phases", "", 0, 1.0, lambda s: float(len(s.flight.phase_spans()))),
 )  # fmt: skip
 
 
 def _numbers(a: Side, b: Side) -> str:
     rows: list[tuple[str, ...]] = [
         ("outcome", a.verdict.outcome.value, b.verdict.outcome.value, "", ""),
-        ("barrier violation", _yes_no(a.verdict.violation), _yes_no(b.verdict.violation), "", ""),
+        ("barrier violation", YES_NO[a.verdict.violation], YES_NO[b.verdict.violation], "", ""),
     ]
-    for name, unit, digits, value in _NUMBERS:
-        of_a, of_b = value(a), value(b)
+    for name, unit, digits, factor, value in _NUMBERS:
+        of_a, of_b = (None if v is None else factor * v for v in (value(a), value(b)))
         change = None if of_a is None or of_b is None else of_b - of_a
         sign = "+" if change is not None and round(change, digits) > 0.0 else ""
-        shown = [_number(v, digits) for v in (of_a, of_b, change)]
+        shown = [number(v, digits) for v in (of_a, of_b, change)]
         rows.append((name, shown[0], shown[1], sign + shown[2], unit))
     return table(("result", "A", "B", "B − A", "unit"), rows, numbers=(1, 2, 3))
-
-
-def _yes_no(value: bool | None) -> str:
-    return {True: "yes", False: "no", None: "not known"}[value]
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
 
 
 def _settings(a: Flight, b: Flight) -> str:

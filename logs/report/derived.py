@@ -77,6 +77,12 @@ def estimate_errors(flight: Flight) -> Errors | None:
     )
 
 
+def root_mean_square(values: Floats) -> float | None:
+    """Of the numbers among the values; ``None`` without any."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known * known))) if len(known) else None
+
+
 def tilt_deg(flight: Flight) -> Floats | None:
     """(n,) angle between the true body's up and the vertical, degrees; ``None`` without true states."""
     if flight.truth is None:

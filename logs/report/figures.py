@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from logs.reader.flight_data import Flight, Floats
-from logs.report.derived import Errors, estimate_errors
+from logs.report.derived import Errors, estimate_errors, root_mean_square
 from logs.report.links import Stream
 from logs.report.loop import data_age, histograms, loop_timing
 from logs.report.series import (
@@ -23,9 +23,8 @@ from logs.report.series import (
 )
 from logs.report.space import altitude_over_distance, plan_view, trajectory_3d
 from logs.report.timeline import timeline
+from logs.verdict.truth import ContactBit
 from logs.verdict.types import Verdict
-
-_PAD = 1  # contact bit of TrueState: vehicle on the top of the pad
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ def touch_index(flight: Flight) -> int | None:
     truth, start_s = flight.truth, flight.landing_start_s
     if truth is None or start_s is None:
         return None
-    found = np.flatnonzero((truth.contacts & _PAD > 0) & (truth.t_s > start_s))
+    found = np.flatnonzero((truth.contacts & ContactBit.PAD > 0) & (truth.t_s > start_s))
     return int(found[0]) if len(found) else None
 
 
@@ -173,5 +172,5 @@ def _named(errors: Errors) -> tuple[tuple[str, Floats], ...]:
 
 
 def _rms_mm(values: Floats) -> str:
-    known = values[np.isfinite(values)]
-    return f"{1e3 * float(np.sqrt(np.mean(known * known))):.1f} mm" if len(known) else "not known"
+    found_m = root_mean_square(values)
+    return "not known" if found_m is None else f"{1e3 * found_m:.1f} mm"

@@ -70,6 +70,16 @@ def table(
     return _part("table", head, rows, numbers, row_class)
 
 
+def time_bar(*, events: bool) -> str:
+    """Buttons for the range of all time axes; with a hint if there are links to events."""
+    return _part("bar", events)
+
+
+def time_link(t_s: float, text: str) -> str:
+    """A time that links to itself in the figures."""
+    return _part("at_link", f"{t_s:.2f}", text)
+
+
 def repeat_box(**values: Any) -> str:
     """Commands that repeat a flight; the names are those of the macro ``repeat``."""
     return _part("repeat", **values)

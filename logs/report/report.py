@@ -21,6 +21,7 @@ from logs.report.page import (
     plotly_source,
     repeat_box,
     section,
+    time_bar,
     warnings_box,
 )
 from logs.report.tables import (
@@ -45,11 +46,6 @@ _FILES = (("onboard.toml", "Configuration of the onboard process"), ("scenario.t
 _SCENARIO = "scenario.toml"
 _FAULTS = "Injected on purpose; in the figures a red strip on top."
 _EVENTS = "Times since the landing began; each is a link."
-BAR = (
-    '<div class="bar"><span>All times:</span><button data-range="landing">Landing</button>'
-    '<button data-range="whole">Whole flight</button>'
-    "<span>Time axes move together; an event's time is a link.</span></div>"
-)
 
 
 def write_report(log: Path, out: Path | None = None) -> Path:
@@ -111,7 +107,7 @@ def render(flight: Flight, verdict: Verdict) -> str:
         header(title, badge, style, _subtitle(run, verdict)),
         warnings_box(warnings(flight, verdict)),
         block("result", "Result", _source(verdict), result_table(flight, verdict) + definitions()),
-        BAR,
+        time_bar(events=True),
         figures.pop("timeline"),
         '<div class="columns">',
         block("phases", "Phases", "Each with the reason it began.", phases_table(flight)),
@@ -133,7 +129,7 @@ def render(flight: Flight, verdict: Verdict) -> str:
 
 
 def _subtitle(run: dict[str, str], verdict: Verdict) -> str:
-    told = [f"{name} {run[key]}" for key, name in (("seed", "seed"), ("filter", "filter")) if key in run]
+    told = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
     told += [run["mode"]] if "mode" in run else []
     return " · ".join([*told, verdict.reason])
 

@@ -10,7 +10,7 @@ from flightstack.core.mission.machine import parse
 from logs.reader.flight_data import Bools, Flight, Floats, phase_name
 from logs.report.derived import fault_spans
 from logs.report.links import Stream
-from logs.report.page import html, paragraph, table
+from logs.report.page import html, paragraph, table, time_link
 from logs.schema.events import Severity
 from logs.verdict.types import ESTIMATE, SOURCES, Outcome, Verdict
 
@@ -22,7 +22,7 @@ _HEADLINES = {
     Outcome.CRASHED: ("Crashed", "bad"),
     Outcome.TIMEOUT: ("Not landed", "bad"),
 }
-_YES_NO = {True: "yes", False: "no", None: "not known"}
+YES_NO = {True: "yes", False: "no", None: "not known"}
 _RUN_NAMES = {
     "scenario": "scenario", "description": "description", "seed": "seed", "filter": "safety filter",
     "mode": "mode", "rate_hz": "controller rate [Hz]", "judge_alpha_1_m": "judged by α [1/m]",
@@ -66,15 +66,15 @@ def result_table(flight: Flight, verdict: Verdict) -> str:
     relative = f"relative to the pad; {source}"
     rows = [
         ("outcome", v.outcome.value, "", v.reason),
-        ("barrier violation", _YES_NO[v.violation], "", "h < −5 mm outside the pad, begun with h ≥ 0"),
-        ("began safe", _YES_NO[v.started_safe], "", "h ≥ 0 when the landing began"),
-        ("lowest h", _number(v.h_min_m, 4), "m", f"since the landing began; {source}"),
-        ("lowest h outside the pad", _number(v.h_min_outside_pad_m, 4), "m", source),
-        ("touchdown error", _scaled(v.touchdown_error_m, 100.0, 2), "cm", f"d at first contact; {source}"),
-        ("touchdown speed, vertical", _number(v.touchdown_speed_vertical_m_s, 3), "m/s", relative),
-        ("touchdown speed, horizontal", _number(v.touchdown_speed_horizontal_m_s, 3), "m/s", relative),
-        ("time to land", _number(v.time_to_land_s, 2), "s", "begin of the landing to first contact"),
-        ("length of the log", _number(flight.duration_s, 2), "s", ""),
+        ("barrier violation", YES_NO[v.violation], "", "h < −5 mm outside the pad, begun with h ≥ 0"),
+        ("began safe", YES_NO[v.started_safe], "", "h ≥ 0 when the landing began"),
+        ("lowest h", number(v.h_min_m, 4), "m", f"since the landing began; {source}"),
+        ("lowest h outside the pad", number(v.h_min_outside_pad_m, 4), "m", source),
+        ("touchdown error", scaled(v.touchdown_error_m, 100.0, 2), "cm", f"d at first contact; {source}"),
+        ("touchdown speed, vertical", number(v.touchdown_speed_vertical_m_s, 3), "m/s", relative),
+        ("touchdown speed, horizontal", number(v.touchdown_speed_horizontal_m_s, 3), "m/s", relative),
+        ("time to land", number(v.time_to_land_s, 2), "s", "begin of the landing to first contact"),
+        ("length of the log", number(flight.duration_s, 2), "s", ""),
     ]
     return table(("result", "value", "unit", "meaning"), rows, numbers=(1,))
 
@@ -99,17 +99,15 @@ def events_table(flight: Flight) -> str:
     if not flight.events:
         return paragraph("No events in this log.")
     zero = flight.landing_start_s or 0.0
-    rows = [
-        (at_link(e.t_s - zero), _severity(e.level), e.source, e.text) for e in flight.events[:_EVENTS_MAX]
-    ]
+    rows = [(_at(e.t_s - zero), _severity(e.level), e.source, e.text) for e in flight.events[:_EVENTS_MAX]]
     more = len(flight.events) - len(rows)
     shown = table(("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1)
     return shown + paragraph(f"{more} later events are in the log only.") if more > 0 else shown
 
 
-def at_link(t_s: float) -> str:
-    """A time that links to itself in the figures."""
-    return html(f'<a href="#t={t_s:.2f}">{_number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}"}</a>')
+def _at(t_s: float) -> str:
+    """A time since the landing began as a link into the figures."""
+    return time_link(t_s, number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}")
 
 
 def phases_table(flight: Flight) -> str:
@@ -122,7 +120,7 @@ def phases_table(flight: Flight) -> str:
     for phase, begin_s, end_s in spans:
         name = phase_name(phase)
         why = [e.text.partition(": ")[2] for e in flight.events if _began(e.text, e.t_s, name, begin_s)]
-        rows.append((at_link(begin_s - zero), name, f"{end_s - begin_s:.2f}", why[0] if why else ""))
+        rows.append((_at(begin_s - zero), name, f"{end_s - begin_s:.2f}", why[0] if why else ""))
     return table(("from [s]", "phase", "for [s]", "because"), rows, numbers=(0, 2))
 
 
@@ -134,22 +132,18 @@ def _began(text: str, at_s: float, name: str, begin_s: float) -> bool:
 def faults_table(flight: Flight) -> str:
     """Injected faults."""
     zero, spans = flight.landing_start_s or 0.0, fault_spans(flight)
-    rows = [
-        (at_link(f.begin_s - zero), at_link(f.end_s - zero) if f.over else "to the end", f.text)
-        for f in spans
-    ]
-    return (
-        table(("from [s]", "to [s]", "fault"), rows, numbers=(0, 1))
-        if rows
-        else paragraph("None was told of.")
-    )
+    ends = [_at(f.end_s - zero) if f.over else "to the end" for f in spans]
+    rows = [(_at(f.begin_s - zero), end, f.text) for f, end in zip(spans, ends, strict=True)]
+    if not rows:
+        return paragraph("None was told of.")
+    return table(("from [s]", "to [s]", "fault"), rows, numbers=(0, 1))
 
 
 def links_table(streams: Sequence[Stream]) -> str:
     """Messages, rates, losses and gaps of each stream."""
     rows = [
-        (s.name, str(len(s.t_s)), _number(s.rate_hz, 1), "not numbered" if s.lost is None else str(s.lost),
-         _scaled(s.gap_max_s, 1e3, 0))
+        (s.name, str(len(s.t_s)), number(s.rate_hz, 1), "not numbered" if s.lost is None else str(s.lost),
+         scaled(s.gap_max_s, 1e3, 0))
         for s in streams
     ]  # fmt: skip
     head = ("stream", "messages", "rate [Hz]", "lost", "longest gap [ms]")
@@ -176,7 +170,7 @@ def ages_table(flight: Flight) -> str:
 def _age_row(name: str, age_s: Floats, limit_s: float | None, bad: Bools) -> tuple[str, ...]:
     known = age_s[np.isfinite(age_s)] * 1e3
     told = [f"{v:.1f}" for v in (*np.percentile(known, (50, 99)), known.max())] if len(known) else ["–"] * 3
-    return (name, *told, _scaled(limit_s, 1e3, 0), str(int(bad.sum())))
+    return (name, *told, scaled(limit_s, 1e3, 0), str(int(bad.sum())))
 
 
 def definitions() -> str:
@@ -189,9 +183,11 @@ def _severity(level: int) -> str:
     return Severity(level).name.lower() if level in Severity._value2member_map_ else str(level)
 
 
-def _number(value: float | None, digits: int) -> str:
+def number(value: float | None, digits: int) -> str:
+    """A number with so many digits, a dash where there is none."""
     return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
 
 
-def _scaled(value: float | None, factor: float, digits: int) -> str:
-    return _number(None if value is None else value * factor, digits)
+def scaled(value: float | None, factor: float, digits: int) -> str:
+    """The same in another unit."""
+    return number(None if value is None else value * factor, digits)

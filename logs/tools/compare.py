@@ -35,7 +35,7 @@ ABSENT = "absent"
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class MessageDifference:
     """One thing that differs.
 
     Attributes:
@@ -57,7 +57,7 @@ class Difference:
         return f"{where} {self.field}: {self.a} != {self.b}"
 
 
-def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> list[Difference]:
+def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> list[MessageDifference]:
     """Return the differences between two logs, at most ``limit``; empty means equal.
 
     Raises:
@@ -66,7 +66,7 @@ def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> list[
     """
     first, second = LogFile(a), LogFile(b)
     topics_a, topics_b = _by_topic(first), _by_topic(second)
-    found: list[Difference] = []
+    found: list[MessageDifference] = []
     for difference in _all(first, second, topics_a, topics_b):
         found.append(difference)
         if len(found) >= limit:
@@ -76,7 +76,7 @@ def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> list[
 
 def _all(
     first: LogFile, second: LogFile, a: dict[str, list[Message]], b: dict[str, list[Message]]
-) -> Iterator[Difference]:
+) -> Iterator[MessageDifference]:
     yield from _metadata(first.metadata(), second.metadata())
     yield from _attachments(first, second)
     for topic in sorted(a.keys() | b.keys()):
@@ -106,20 +106,20 @@ def _wall_clock(message: Message) -> bool:
     return message.schema == LOG and LogRow.unpack(message.data).name in WALL_CLOCK_EVENTS
 
 
-def _topic(topic: str, a: list[Message], b: list[Message]) -> Iterator[Difference]:
+def _topic(topic: str, a: list[Message], b: list[Message]) -> Iterator[MessageDifference]:
     if len(a) != len(b):
-        yield Difference(topic, -1, "count", str(len(a)), str(len(b)))
+        yield MessageDifference(topic, -1, "count", str(len(a)), str(len(b)))
     for index, (x, y) in enumerate(zip(a, b, strict=False)):
         if x == y:
             continue
         for field in ("schema", "log_time_ns", "publish_time_ns", "sequence"):
             if getattr(x, field) != getattr(y, field):
-                yield Difference(topic, index, field, str(getattr(x, field)), str(getattr(y, field)))
+                yield MessageDifference(topic, index, field, str(getattr(x, field)), str(getattr(y, field)))
         if x.data != y.data:
             yield from _data(topic, index, x, y)
 
 
-def _data(topic: str, index: int, x: Message, y: Message) -> Iterator[Difference]:
+def _data(topic: str, index: int, x: Message, y: Message) -> Iterator[MessageDifference]:
     """Name the fields that differ; if none does by value, the bytes differ in their padding."""
     named = 0
     if x.schema == y.schema:
@@ -128,9 +128,9 @@ def _data(topic: str, index: int, x: Message, y: Message) -> Iterator[Difference
             value_a, value_b = values_a.get(field, ABSENT), values_b.get(field, ABSENT)
             if not _same(value_a, value_b):
                 named += 1
-                yield Difference(topic, index, field, str(value_a), str(value_b))
+                yield MessageDifference(topic, index, field, str(value_a), str(value_b))
     if not named:
-        yield Difference(topic, index, "data", x.data.hex(), y.data.hex())
+        yield MessageDifference(topic, index, "data", x.data.hex(), y.data.hex())
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
@@ -155,22 +155,22 @@ def _same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def _metadata(a: dict[str, dict[str, str]], b: dict[str, dict[str, str]]) -> Iterator[Difference]:
+def _metadata(a: dict[str, dict[str, str]], b: dict[str, dict[str, str]]) -> Iterator[MessageDifference]:
     for name in sorted((a.keys() | b.keys()) - WALL_CLOCK_METADATA - PROVENANCE_METADATA):
         values_a, values_b = a.get(name, {}), b.get(name, {})
         for key in sorted((values_a.keys() | values_b.keys()) - WALL_CLOCK_METADATA_KEYS):
             x, y = values_a.get(key, ABSENT), values_b.get(key, ABSENT)
             if x != y:
-                yield Difference(f"metadata {name}", -1, key, x, y)
+                yield MessageDifference(f"metadata {name}", -1, key, x, y)
 
 
-def _attachments(first: LogFile, second: LogFile) -> Iterator[Difference]:
+def _attachments(first: LogFile, second: LogFile) -> Iterator[MessageDifference]:
     a, b = ({x.name: x for x in log.attachments()} for log in (first, second))
     for name in sorted(a.keys() | b.keys()):
         x, y = a.get(name), b.get(name)
         if x is None or y is None:
             present = (ABSENT if x is None else "present", ABSENT if y is None else "present")
-            yield Difference(f"attachment {name}", -1, "presence", *present)
+            yield MessageDifference(f"attachment {name}", -1, "presence", *present)
         elif (x.media_type, x.data) != (y.media_type, y.data):
             sizes = (f"{x.media_type} {len(x.data)} bytes", f"{y.media_type} {len(y.data)} bytes")
-            yield Difference(f"attachment {name}", -1, "content", *sizes)
+            yield MessageDifference(f"attachment {name}", -1, "content", *sizes)

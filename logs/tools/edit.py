@@ -6,7 +6,7 @@ and the statistics are made anew. A metadata record ``log_tool`` tells what was 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -25,8 +25,6 @@ from logs.tools.info import Info, gather
 LOG_TOOL = "log_tool"  # metadata: which command made this file, from what
 SLOW_HZ = 2.0  # topics slower than this are repeated at the start of a cut, as latched ones are
 LATCHED = frozenset({"/tf_static"})
-
-_Place = Callable[[MessageRecord], Sequence[MessageRecord]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +48,7 @@ def recover(log: LogFile, out: Path, *, force: bool = False) -> Edited:
     Raises:
         OSError: ``out`` exists, or cannot be written.
     """
-    return _copy(log, out, force, "recover", {}, lambda topic: True, lambda message: (message,))  # noqa: ARG005
+    return _copy(log, out, force, "recover", {})
 
 
 def select(log: LogFile, patterns: Sequence[str], out: Path, *, force: bool = False) -> Edited:
@@ -65,16 +63,11 @@ def select(log: LogFile, patterns: Sequence[str], out: Path, *, force: bool = Fa
         if not any(fnmatchcase(topic, pattern) for topic in topics):
             raise ValueError(f"no topic matches {pattern!r}; {log.path} holds {', '.join(topics) or 'none'}")
 
-    def wanted(topic: str) -> bool:
-        return any(fnmatchcase(topic, pattern) for pattern in patterns)
-
-    asked = {"topics": " ".join(patterns)}
-    return _copy(log, out, force, "filter", asked, wanted, lambda message: (message,))
+    wanted = {topic for topic in topics if any(fnmatchcase(topic, pattern) for pattern in patterns)}
+    return _copy(log, out, force, "filter", {"topics": " ".join(patterns)}, wanted)
 
 
-def cut(
-    log: LogFile, begin_s: float, end_s: float | None, out: Path, *, force: bool = False
-) -> Edited:  # fmt: skip
+def cut(log: LogFile, begin_s: float, end_s: float | None, out: Path, *, force: bool = False) -> Edited:
     """Write what happened in a span of log time, counted from the first message.
 
     The last message of each slow or latched topic before the span is given again at its start, with the log
@@ -87,7 +80,7 @@ def cut(
     info = gather(log)
     span = _Span(log, info, begin_s, end_s)
     asked = {"from_s": repr(begin_s), "to_s": repr(info.duration_s if end_s is None else end_s)}
-    return _copy(log, out, force, "cut", asked, lambda topic: True, span.place, span)  # noqa: ARG005
+    return _copy(log, out, force, "cut", asked, span=span)
 
 
 class _Span:
@@ -141,34 +134,26 @@ def _frames(message: MessageRecord) -> tuple[str, ...]:
 
 def _copy(
     log: LogFile, out: Path, force: bool, command: str, asked: dict[str, str],
-    wanted: Callable[[str], bool], place: _Place, span: _Span | None = None,
+    wanted: Collection[str] | None = None, span: _Span | None = None,
 ) -> Edited:  # fmt: skip
+    """Copy the wanted topics, all by default, as far as the span wants their messages."""
     with new_file(out, force=force) as part:
         with part.open("wb") as stream:
-            copier = _Copier(ChunkedWriter(stream, CHUNK_BYTES), wanted, place, span)
+            copier = _Copier(ChunkedWriter(stream, CHUNK_BYTES), wanted, span)
             for record in log.records():
                 copier.take(record)
             problem = log.why_broken
-            copier.end(
-                {
-                    "command": command,
-                    **asked,
-                    "source": log.path.name,
-                    "source_problem": problem,
-                }
-            )
+            told = {"source": log.path.name, "source_problem": problem}
+            copier.end({"command": command, **asked, **told})
         return Edited(copier.messages, span.repeated if span else 0, problem)
 
 
 class _Copier:
     """Writes records of one file into another, with numbers of its own for schemas and channels."""
 
-    def __init__(
-        self, writer: ChunkedWriter, wanted: Callable[[str], bool], place: _Place, span: _Span | None
-    ) -> None:
+    def __init__(self, writer: ChunkedWriter, wanted: Collection[str] | None, span: _Span | None) -> None:
         self._writer = writer
         self._wanted = wanted
-        self._place = place
         self._span = span
         self._headed = False
         self._schemas: dict[int, Schema] = {}
@@ -206,7 +191,7 @@ class _Copier:
 
     def _message(self, message: MessageRecord) -> None:
         if self._channels[message.channel_id] is not None:
-            for placed in self._place(message):
+            for placed in self._span.place(message) if self._span else (message,):
                 self._add(placed)
 
     def _add(self, message: MessageRecord) -> None:
@@ -223,7 +208,7 @@ class _Copier:
         schema = self._schemas.get(channel.schema_id)
         if self._span:
             self._span.declare(channel, schema.name if schema else "")
-        if not self._wanted(channel.topic):
+        if self._wanted is not None and channel.topic not in self._wanted:
             self._channels[channel.id] = None
             return
         number = 0  # MCAP: a channel without a schema

@@ -23,6 +23,7 @@ from logs.reader.flight_data import Flight, Floats, Ints, Steps
 from logs.verdict.types import (
     ESTIMATE,
     GAP_MAX_S,
+    NEVER_BEGAN,
     REST_TIME_S,
     Outcome,
     Verdict,
@@ -53,12 +54,13 @@ def judge_estimate(flight: Flight) -> Verdict:
     """Judge a flight by what the controller believed."""
     steps, start_s = flight.steps, flight.landing_start_s
     if steps is None:
-        return _nothing(Outcome.TIMEOUT, "the log holds neither true states nor controller steps")
+        reason = "the log holds neither true states nor controller steps"
+        return Verdict.unknown(Outcome.TIMEOUT, reason, ESTIMATE)
     if start_s is None:
         abort = abort_declared(flight)
         if abort:
-            return _nothing(Outcome.ABORTED, f"before the landing began: {abort.text}")
-        return _nothing(Outcome.TIMEOUT, "the landing never began: no controller step in phase APPROACH")
+            return Verdict.unknown(Outcome.ABORTED, f"before the landing began: {abort.text}", ESTIMATE)
+        return Verdict.unknown(Outcome.TIMEOUT, NEVER_BEGAN, ESTIMATE)
     begin = int(np.searchsorted(steps.t_s, start_s))
     touch = find_touchdown(steps, flight.config, begin)
     outcome, reason = _outcome(flight, steps, touch)
@@ -110,10 +112,6 @@ def _outcome(flight: Flight, steps: Steps, touch: EstimatedTouchdown | None) -> 
         text = f"did not rest on the pad: d {d_m:.3f} m, feet {height_m:+.3f} m above it"
         return Outcome.TIMEOUT, f"{text}, relative speed {speed_m_s:.3f} m/s"
     return Outcome.LANDED, "rests on the pad 2 s after the motors stopped"
-
-
-def _nothing(outcome: Outcome, reason: str) -> Verdict:
-    return Verdict(outcome, None, None, None, None, None, None, None, reason, None, ESTIMATE)
 
 
 @dataclass(frozen=True, slots=True)

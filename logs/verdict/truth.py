@@ -1,4 +1,7 @@
-"""Judging by the simulator's true states. Definitions: ``verdict.py``."""
+"""Judging by the simulator's true states and contacts. Definitions: ``verdict.py``.
+
+"Landed" is the verdict's own judgement here: neither the phase nor the landed state of the autopilot counts.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ import numpy as np
 from logs.reader.flight_data import Truth
 from logs.verdict.types import (
     GAP_MAX_S,
+    NEVER_BEGAN,
     REST_TIME_S,
     TRUTH,
     Judged,
@@ -28,8 +32,8 @@ LAND_AWAY_SPEED_MAX_M_S = 1.0  # m/s downwards; a declared abort may end in a la
 _SAME_S = 1e-6  # below the resolution of a tick
 
 
-class Contact(IntFlag):
-    """Bits of ``TrueState.contacts``."""
+class ContactBit(IntFlag):
+    """What the simulator's physics touches: bits of ``TrueState.contacts``."""
 
     PAD = 1
     GROUND = 2
@@ -39,13 +43,15 @@ class Contact(IntFlag):
 
 
 _NAMES = {
-    Contact.GROUND: "ground",
-    Contact.ROBOT: "robot body",
-    Contact.PAD_EDGE: "pad edge",
-    Contact.TUMBLED: "tumble",
+    ContactBit.GROUND: "ground",
+    ContactBit.ROBOT: "robot body",
+    ContactBit.PAD_EDGE: "pad edge",
+    ContactBit.TUMBLED: "tumble",
 }
-_HITS = ~int(Contact.PAD)  # everything that must not be touched
-_FALLS = int(Contact.GROUND | Contact.ROBOT | Contact.TUMBLED)  # after touchdown: no longer on the pad
+_HITS = ~int(ContactBit.PAD)  # everything that must not be touched
+_FALLS = int(
+    ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED
+)  # after touchdown: no longer on the pad
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +71,7 @@ def judge_truth(flight: Judged, truth: Truth) -> Verdict:
         return _never_began(flight, truth)
     begin = int(np.searchsorted(truth.t_s, start_s + _SAME_S))  # what happened since the start
     if begin >= len(truth.t_s):
-        return _nothing(Outcome.TIMEOUT, "the true states end before the landing began")
+        return Verdict.unknown(Outcome.TIMEOUT, "the true states end before the landing began", TRUTH)
     touch = _first_contact(truth, begin)
     outcome, reason = _outcome(flight, truth, begin, touch)
     until = judged_until(flight, truth.t_s, truth.d_m)
@@ -77,7 +83,7 @@ def judge_truth(flight: Judged, truth: Truth) -> Verdict:
     outside_m = lowest(truth.h_min_outside_pad_m[begin:until])
     if not missing and started_safe is None:
         missing = "true h is missing where the landing began"
-    on_pad = touch if touch is not None and truth.contacts[touch.index] == Contact.PAD else None
+    on_pad = touch if touch is not None and truth.contacts[touch.index] == ContactBit.PAD else None
     vx, vy, vz = on_pad.velocity_m_s if on_pad else (math.nan,) * 3
     return Verdict(
         outcome=outcome,
@@ -135,7 +141,7 @@ def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) ->
         seen_s = float(truth.t_s[-1] - truth.t_s[off])
         return Outcome.TIMEOUT, f"true states end {seen_s:.2f} s after the motors stopped; 2 s are needed"
     speed_m_s = float(np.linalg.norm(truth.relative_velocity_m_s[at]))
-    resting = bool(truth.contacts[at] & Contact.PAD) and truth.d_m[at] <= flight.pad_radius_m
+    resting = bool(truth.contacts[at] & ContactBit.PAD) and truth.d_m[at] <= flight.pad_radius_m
     if not (resting and speed_m_s <= REST_SPEED_MAX_M_S):
         text = f"did not rest on the pad: d {truth.d_m[at]:.3f} m, relative speed {speed_m_s:.3f} m/s"
         return Outcome.TIMEOUT, text
@@ -178,7 +184,7 @@ def _log_time(truth: Truth, index: int, simulated_s: float) -> float:
 def _gentle_landing_away(truth: Truth, touch: _Touch) -> bool:
     """Whether a contact is with the ground only, upright and slow: the end of a declared abort."""
     falling_m_s = -float(truth.velocity_enu_m_s[max(touch.index - 1, 0), 2])
-    return truth.contacts[touch.index] == Contact.GROUND and falling_m_s <= LAND_AWAY_SPEED_MAX_M_S
+    return truth.contacts[touch.index] == ContactBit.GROUND and falling_m_s <= LAND_AWAY_SPEED_MAX_M_S
 
 
 def _started_safe(truth: Truth, start_s: float) -> bool | None:
@@ -212,17 +218,17 @@ def _missing(flight: Judged, truth: Truth, start_s: float, begin: int, until: in
 
 
 def _never_began(flight: Judged, truth: Truth) -> Verdict:
-    hits = int(np.bitwise_or.reduce(truth.contacts)) & int(_FALLS | Contact.PAD_EDGE) & ~int(Contact.GROUND)
+    hits = (
+        int(np.bitwise_or.reduce(truth.contacts))
+        & int(_FALLS | ContactBit.PAD_EDGE)
+        & ~int(ContactBit.GROUND)
+    )
     abort = abort_declared(flight)
     if hits:
-        return _nothing(Outcome.CRASHED, f"before the landing began: {_names(hits)}")
+        return Verdict.unknown(Outcome.CRASHED, f"before the landing began: {_names(hits)}", TRUTH)
     if abort:
-        return _nothing(Outcome.ABORTED, f"before the landing began: {abort.text}")
-    return _nothing(Outcome.TIMEOUT, "the landing never began: no controller step in phase APPROACH")
-
-
-def _nothing(outcome: Outcome, reason: str) -> Verdict:
-    return Verdict(outcome, None, None, None, None, None, None, None, reason, None, TRUTH)
+        return Verdict.unknown(Outcome.ABORTED, f"before the landing began: {abort.text}", TRUTH)
+    return Verdict.unknown(Outcome.TIMEOUT, NEVER_BEGAN, TRUTH)
 
 
 def _names(bits: int) -> str:

@@ -18,6 +18,7 @@ REST_TIME_S = 2.0  # s after the motors stop
 GAP_MAX_S = 0.2  # s without data beyond which nothing is known about what happened in between
 TRUTH = "truth"
 ESTIMATE = "estimate"
+NEVER_BEGAN = "the landing never began: no controller step in phase APPROACH"
 SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # in words, by ``judged_from``
 _SAID_WITHIN_S = 0.1  # an event of the tick itself, with margin for another clock
 
@@ -67,7 +68,10 @@ class Judged(Protocol):
 
 
 class Outcome(StrEnum):
-    """How a flight ended."""
+    """How a flight ended, as a verdict judges it afterwards.
+
+    LANDED is more than phase LANDED of the controller (motors off) and the landed state of the autopilot.
+    """
 
     LANDED = "landed"
     ABORTED = "aborted"
@@ -104,6 +108,11 @@ class Verdict:
     reason: str
     started_safe: bool | None
     judged_from: str
+
+    @staticmethod
+    def unknown(outcome: Outcome, reason: str, judged_from: str) -> Verdict:
+        """Return a verdict without numbers: nothing was judged but how it ended."""
+        return Verdict(outcome, None, None, None, None, None, None, None, reason, None, judged_from)
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return plain values; what is not a finite number becomes ``None``."""

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
-from pathlib import Path
-
 import numpy as np
 import rerun as rr
 
@@ -20,46 +17,11 @@ from logs.derive.markers import (
     PAD_RADIUS_M,
     TARGET_COLOR,
     Color,
+    Path,
     surface,
 )
-from logs.derive.markers import Path as BoundedPath
-from logs.reader.reader import LogFile
-from logs.tools.file import new_file
 from logs.view.canvas import WORLD, Canvas
 from logs.view.read import Floats, Seen, column, every, times
-
-NAMES = ("foxglove.json", "plotjuggler.xml")
-SHIPPED_NAMESPACE = "cf1"  # of the files in this package
-
-
-def layout(name: str, namespace: str = SHIPPED_NAMESPACE) -> str:
-    """Return the text of one of ``NAMES`` for a vehicle of another name space."""
-    text = (files("logs.view") / "layouts" / name).read_text(encoding="utf-8")
-    return text.replace(f"/{SHIPPED_NAMESPACE}/", f"/{namespace}/")
-
-
-def write_layouts(log: Path, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write all layouts for a log.
-
-    Args:
-        log: a flight log; its name space is in the metadata of the onboard process.
-        folder: made if it does not exist.
-        force: replace files that exist.
-
-    Raises:
-        LogError: Not a log.
-        ValueError: A file exists.
-    """
-    namespace = LogFile(log).metadata().get("onboard", {}).get("namespace", SHIPPED_NAMESPACE)
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name in NAMES:
-        path = folder / name
-        with new_file(path, force=force) as part:
-            part.write_text(layout(name, namespace.strip("/")), encoding="utf-8")
-        written.append(path)
-    return written
-
 
 SCENE_PERIOD_NS = 20_000_000  # 50 Hz
 PATH_PERIOD_NS = 200_000_000  # 5 Hz: each row is a whole path
@@ -153,7 +115,7 @@ def _paths(canvas: Canvas, seen: Seen) -> None:
         ("vehicle_path", "own_valid", "own_position_enu_m", OWN_COLOR),
         ("target_path", "target_valid", "target_position_enu_m", TARGET_COLOR),
     ):
-        path = canvas.paths.setdefault(name, BoundedPath())
+        path = canvas.paths.setdefault(name, Path())
         strips, at_ns = [], []
         for time_ns, row in seen.steps:
             if getattr(row, valid):

@@ -18,7 +18,7 @@ from flightstack.core.memory import AbortWay
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Truth
-from logs.verdict.truth import LAND_AWAY_SPEED_MAX_M_S, Contact
+from logs.verdict.truth import LAND_AWAY_SPEED_MAX_M_S, ContactBit
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.fault_table import Kind, What
 from sim.scenarios.scenario import Scenario, load
@@ -250,13 +250,13 @@ def end_of(flown: Flown) -> End:
         return End.FLYING
     x, y, _, _ = truth.orientation[-1]
     upright = 1.0 - 2.0 * (x * x + y * y) > UPRIGHT
-    tumbled = bool(np.any(truth.contacts & Contact.TUMBLED))
+    tumbled = bool(np.any(truth.contacts & ContactBit.TUMBLED))
     if tumbled or not upright or impact(truth) > LAND_AWAY_SPEED_MAX_M_S:
         return End.CRASHED
     last = int(truth.contacts[-1])
-    if last & Contact.PAD and truth.d_m[-1] <= flown.seen.pad_radius_m:
+    if last & ContactBit.PAD and truth.d_m[-1] <= flown.seen.pad_radius_m:
         return End.LANDED
-    if not last & Contact.GROUND or np.any(truth.contacts & (Contact.ROBOT | Contact.PAD_EDGE)):
+    if not last & ContactBit.GROUND or np.any(truth.contacts & (ContactBit.ROBOT | ContactBit.PAD_EDGE)):
         return End.CRASHED
     if flown.failsafe:
         return End.VEHICLE_LANDS

@@ -34,7 +34,7 @@ def view(log_file: Path, save: Path | None, web: bool, layouts: Path | None, for
     2 wrong input or no window.
     """
     if layouts is not None:
-        from logs.view.scene import write_layouts
+        from logs.view.layout_files import write_layouts
 
         for path in write_layouts(log_file, layouts, force=force):
             click.echo(path)

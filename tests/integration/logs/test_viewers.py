@@ -23,7 +23,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Nodetype
 
 from logs.schema.codec_mavlink import unpack_mavlink
-from logs.view.scene import layout
+from logs.view.layout_files import layout
 from tests.integration.runs import COMMAND, flightstack
 
 ROOT = Path(__file__).parents[3]

@@ -18,7 +18,7 @@ from logs.schema import schemas
 from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow
 from logs.tools.compare import compare
 from logs.tools.info import gather
-from tests.unit.logs.reader.test_reader import EPOCH_NS, payloads, record
+from tests.unit.logs.helpers import EPOCH_NS, payloads, record
 
 SECOND_NS = 1_000_000_000
 

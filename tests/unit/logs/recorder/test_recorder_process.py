@@ -1,4 +1,4 @@
-"""The recorder as its own process: killed, told to stop, and on a full disk."""
+"""The recorder as its own process: killed, told to stop, on a full disk, and straight from Zenoh."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import random
 import resource
 import signal
+import socket
 import statistics
 import subprocess
 import sys
@@ -14,16 +15,19 @@ import threading
 import time
 from pathlib import Path
 
+import pytest
 from mcap.reader import make_reader
 
+from bridge.zenoh.zenoh_link import blocking_publisher, is_matched, open_session, pack_attachment
 from logs.reader.reader import LogFile
 from logs.recorder.feed import Feed
 from logs.recorder.mcap_file import McapFile, SafeStream
-from logs.recorder.recorder import RecorderProcess, problems
+from logs.recorder.record_zenoh import ZenohSource, topic_and_schema
+from logs.recorder.recorder import RecorderError, RecorderProcess, problems
 from logs.recorder.recorder_process import Syncer
 from logs.schema import schemas
 from logs.schema.codec_mavlink import pack_mavlink
-from tests.unit.logs.recorder.recorder_helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
+from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
 
 RECORD = (
     "import sys; from pathlib import Path; from logs.recorder.recorder import record_main;"
@@ -286,3 +290,54 @@ def test_full_disk_with_reserve_still_closes_the_file(tmp_path):
     assert [m.sequence for m in log.messages()] == list(range(file.messages))
     with (tmp_path / "x.mcap").open("rb") as stream:
         assert make_reader(stream).get_summary().statistics.message_count == file.messages
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def test_recording_straight_from_zenoh(tmp_path):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    session = open_session(listen=[endpoint])
+    try:
+        source = ZenohSource([endpoint], ["cf1/**"])
+        process = RecorderProcess(None, tmp_path / "flight.mcap", source)
+        thread = threading.Thread(target=process.run)
+        thread.start()
+        try:
+            known = blocking_publisher(session, "cf1/loop/timing", f"application/cdr;{schemas.LOOP_TIMING}")
+            plain = blocking_publisher(session, "cf1/plain", "text/plain")
+            wait_until(lambda: is_matched(known) and is_matched(plain), "the recorder's subscription")
+            plain.put(b"hello")
+            before_ns = time.time_ns()
+            known.put(timing(3), attachment=pack_attachment(17, 123_000, bytes(16)))
+            known.put(timing(4))
+            counts = process._recorder.statistics
+            wait_until(lambda: process._recorder._file.messages == 2, "both samples")
+            wait_until(lambda: counts.skipped == 1, "the other sample")
+        finally:
+            process.stop()
+            thread.join(DEADLINE_S)
+    finally:
+        session.close()
+    first, second = LogFile(tmp_path / "flight.mcap").messages()
+    assert (first.topic, first.schema, first.data) == ("/cf1/loop/timing", schemas.LOOP_TIMING, timing(3))
+    assert (first.sequence, first.publish_time_ns) == (17, 123_000)
+    assert before_ns <= first.log_time_ns <= time.time_ns()
+    assert second.publish_time_ns == second.log_time_ns
+
+
+def test_what_a_zenoh_sample_is():
+    rmw = "0/cf1/target/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_3cc9"
+    assert topic_and_schema(rmw, "zenoh/bytes") == ("/cf1/target/odom", schemas.ODOMETRY)
+    assert topic_and_schema("a/b", f"application/cdr;{schemas.LOG}") == ("/a/b", schemas.LOG)
+    assert topic_and_schema("a/b", "application/json") is None
+
+
+def test_bad_zenoh_endpoint_is_a_clear_error():
+    with pytest.raises(RecorderError, match="allowed is"):
+        ZenohSource(["nowhere"], ["cf1/**"])
+    with pytest.raises(RecorderError, match="not allowed"):
+        ZenohSource([], ["/cf1//x"])

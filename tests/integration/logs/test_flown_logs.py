@@ -1,4 +1,4 @@
-"""Whole flights recorded over the real wires, replayed bit by bit, and played back into a running process."""
+"""Flights recorded over the real wires: replayed bit by bit, played back, judged by estimate and truth."""
 
 import json
 import os
@@ -6,12 +6,15 @@ import pty
 import select
 import subprocess
 import time
+from dataclasses import replace
 
 import pytest
 
 from flightstack.common.processes import Port
+from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from logs.replay.replay import replay
+from logs.verdict.verdict import judge
 from tests.golden.flights import path_of
 from tests.integration.runs import COMMAND, Flying, flightstack, kill, replayed
 
@@ -179,3 +182,68 @@ def test_json_of_a_log_that_proves_nothing(tmp_path):
     assert done.code == 2
     assert json.loads(done.out)["result"] == "unusable"
     assert "proves nothing" in done.err or "prove nothing" in done.err
+
+
+ERROR_M, SPEED_M_S = 0.015, 0.05  # what the verdict of a real flight may be off by
+# The target of these is measured to 1 cm or better: the limits are those of the method, not of the estimates.
+FLIGHTS = [("paper_moving_1", 0), ("large", 0), ("large", 1), ("grid", 0), ("lab", 0), ("stop_and_go", 0)]
+ONBOARD_ONLY = ("--topic", "/cf1/controller/*", "--topic", "/cf1/loop/*", "--topic", "/rosout")
+
+
+@pytest.mark.parametrize(("scenario", "seed"), FLIGHTS)
+def test_the_estimate_gives_the_verdict_of_the_truth(flown, scenario, seed):
+    flight = load_flight(flown(scenario, seed).log)
+    pad_m = flight.config.touchdown.pad_radius_m
+    true, seen = judge(flight), judge(replace(flight, truth=None, metadata={}, pad_radius_m=pad_m))
+    assert (true.judged_from, seen.judged_from) == ("truth", "estimate")
+    assert (seen.outcome, seen.violation) == (true.outcome, true.violation), seen.reason
+    assert seen.touchdown_error_m == pytest.approx(true.touchdown_error_m, abs=ERROR_M)
+    for name in ("touchdown_speed_vertical_m_s", "touchdown_speed_horizontal_m_s", "time_to_land_s"):
+        assert getattr(seen, name) == pytest.approx(getattr(true, name), abs=SPEED_M_S), name
+
+
+def test_log_verdict_has_the_keys_of_sitl_and_says_what_it_judged_from(flown, tmp_path):
+    flight = flown("large", 0)
+    told = flightstack("log", "verdict", flight.log, "--json")
+    assert (told.code, list(told.json)) == (0, list(flight.json))
+    apart = {"realtime_factor", "report", "log"}
+    assert {k: v for k, v in told.json.items() if k not in apart} == {
+        k: v for k, v in flight.json.items() if k not in apart
+    }
+    real = tmp_path / "real.mcap"
+    assert flightstack("log", "filter", flight.log, *ONBOARD_ONLY, "--out", real).code == 0
+    told = flightstack("log", "verdict", real, "--json")
+    assert (told.code, told.json["judged_from"], told.json["outcome"]) == (0, "estimate", "landed")
+    assert "judged from the vehicle's own estimate" in flightstack("log", "verdict", real).out
+
+
+@pytest.mark.parametrize("to_s", [1, 5, 8.9, 10.0])
+def test_a_flight_that_is_cut_never_landed(flown, tmp_path, to_s):
+    cut = tmp_path / "cut.mcap"
+    log = flown("large", 0).log
+    for source, words in ((log, ("cut", log, "--to", to_s)), (cut, ("filter", cut, *ONBOARD_ONLY))):
+        out = cut if source == log else tmp_path / "real.mcap"
+        assert flightstack("log", *words, "--out", out).code == 0
+        told = flightstack("log", "verdict", out, "--json")
+        assert (told.code, told.json["outcome"]) == (1, "timeout"), told.out
+
+
+def test_what_cannot_be_read_has_exit_status_2(tmp_path):
+    (tmp_path / "text.mcap").write_text("no log")
+    for name in ("text.mcap", "none.mcap"):
+        told = flightstack("log", "verdict", tmp_path / name)
+        assert told.code == 2
+        assert name in told.err
+        assert "Traceback" not in told.err
+
+
+def test_report_says_the_verdict_and_where_its_page_is(flown, tmp_path):
+    pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
+    log, page = flown("large", 0).log, tmp_path / "page.html"
+    told = flightstack("report", log, "--out", page)
+    assert told.code == 0
+    assert "judged from true states" in told.out
+    assert told.out.splitlines()[-1] == str(page)
+    told = flightstack("report", log, "--out", page, "--json")
+    assert json.loads(told.out)["report"] == str(page)
+    assert flightstack("report", log, log, "--json").code == 2

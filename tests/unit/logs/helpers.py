@@ -1,0 +1,83 @@
+"""What the tests of logs share: a recorded flight, a message, and a bounded wait for another process."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+
+from flightstack.common.pacing import EPOCH_NS
+from logs.recorder.feed_wire import Kind, Record, encode_json
+from logs.recorder.mcap_file import McapFile
+from logs.recorder.recording import Recorder
+from logs.schema import schemas
+from logs.schema.codec_mavlink import pack_mavlink
+from logs.schema.events import Severity, pack_log
+from logs.schema.rows import ControllerStepRow, LoopTimingRow, TrueStateRow
+
+DEADLINE_S = 30.0  # a test that waits this long has failed
+
+
+def timing(tick):
+    return LoopTimingRow(EPOCH_NS + tick, tick, 0.01, 0.0, 0.0, 0.0, 0, 0).pack()
+
+
+def wait_until(condition, what):
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {DEADLINE_S} s for {what}"
+        os.sched_yield()
+
+
+ZERO = (0.0, 0.0, 0.0)
+NAN = (math.nan, math.nan, math.nan)
+FRAME = bytes([0xFD, 9, 0, 0, 1, 1, 1, 0, 0, 0, *range(9), 0xAB, 0xCD])
+
+CHANNELS = {
+    1: ("/cf1/controller/step", schemas.CONTROLLER_STEP),
+    2: ("/cf1/loop/timing", schemas.LOOP_TIMING),
+    3: ("/cf1/sim/truth", schemas.TRUE_STATE),
+    4: ("/uas1/mavlink_source", schemas.MAVLINK),
+    5: ("/rosout", schemas.LOG),
+}
+
+
+def payloads(tick, now_ns):
+    p = (0.01 * tick, 0.0, 1.0)
+    step = ControllerStepRow(
+        now_ns, tick, 3, 2, 1, 0, True, False, True, True, 0.0, 0.0, p, ZERO, 0.0, ZERO, ZERO, 0.0,
+        0.5, ZERO, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 1, 1, 0, True, False, NAN, math.nan,
+    )  # fmt: skip
+    truth = TrueStateRow(
+        now_ns, tick, p, ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, (1.0, 2.0, 3.0, 4.0), ZERO, ZERO, 0.0,
+        0.5, 0.4, math.inf, 3, NAN, NAN, math.nan, True, 3.8, ZERO,
+    )  # fmt: skip
+    yield 1, step.pack()
+    yield 2, LoopTimingRow(now_ns, tick, 0.01, 0.0, 0.0, 0.0, 0, 0).pack()
+    yield 3, truth.pack()
+    yield 4, pack_mavlink(now_ns, FRAME)
+    if tick % 100 == 0:
+        yield 5, pack_log(now_ns, Severity.INFO, "onboard", f"tick {tick}")
+
+
+def record(path, ticks=300, close=True):
+    """Write a flight the way the recorder does, in small chunks; without ``close`` as if killed."""
+    file = McapFile(path)
+    recorder = Recorder(file)
+    run = {"name": "run", "values": {"barrier_alpha_1_m": "1.0", "barrier_beta_m": "1.5", "seed": "1"}}
+    recorder.handle(0, Record(Kind.METADATA, 0, 0, 0, 0, encode_json(Kind.METADATA, 0, 0, run)[28:]))
+    recorder.handle(0, Record(Kind.ATTACHMENT, 0, 0, 0, 0, b'{"name": "s.toml", "media_type": "t"}\nx = 1'))
+    for number, (topic, schema) in CHANNELS.items():
+        declared = encode_json(Kind.DECLARE, number, 0, {"topic": topic, "schema": schema})[28:]
+        recorder.handle(0, Record(Kind.DECLARE, number, 0, 0, 0, declared))
+    for tick in range(ticks):
+        now_ns = EPOCH_NS + tick * 10_000_000
+        for number, payload in payloads(tick, now_ns):
+            recorder.handle(0, Record(Kind.MESSAGE, number, now_ns, now_ns, tick, payload))
+        if tick % 20 == 19:
+            recorder.flush()
+    if close:
+        recorder.handle(0, Record(Kind.GOODBYE, 0, 0, 0, 0, b""))
+        recorder.gone(0, 0)
+        recorder.finish()
+    return path
