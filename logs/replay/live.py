@@ -317,13 +317,7 @@ def play(path: Path | str, options: LiveOptions, say: Callable[[str], None] = pr
         def stopped() -> bool:
             return stop.asked or time.monotonic() >= until_s
 
-        player = Player(
-            options.rate,
-            paused=options.pause,
-            key=key,
-            idle=wires.idle,
-            stopped=stopped,
-        )
+        player = Player(options.rate, paused=options.pause, key=key, idle=wires.idle, stopped=stopped)
         ticks = 0
         while True:
             sent = player.play(groups(flight, wires.topics, options.start_s), wires.send)
