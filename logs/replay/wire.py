@@ -109,7 +109,9 @@ class WireReplay:
         differences = [TickDifference("wire, inputs", given.tick, *each) for each in found]
         said = list(arrived.problems) + [f"vehicle: {text}" for _, text in self._link.take_texts()]
         recorded = [row.msg for row in record.said if row.msg.startswith(_SAID_BY_THE_WIRE)]
-        differences += [TickDifference(ROSOUT, given.tick, *each) for each in values_of(recorded, said, "wire")]
+        differences += [
+            TickDifference(ROSOUT, given.tick, *each) for each in values_of(recorded, said, "wire")
+        ]
         return differences
 
     def answer(self, record: TickRecord, given: TickInputs, out: Outputs) -> list[TickDifference]:
