@@ -1,4 +1,4 @@
-"""Whole flights of a real PX4 on the plant of px4-sim, with robot, onboard process and recorder."""
+"""Where the tests find a real PX4, and whole flights of it on the plant of px4-sim, all of it recorded."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -42,29 +41,15 @@ def px4_or_skip() -> Path:
     return find_px4(place).binary
 
 
-FLIGHT_MAX_S = 240.0  # s of stack time from the start of the onboard process to its end
-DOWN_MAX_S = 60.0  # s of stack time for PX4's own landing without it
 _LOOK_S = 0.02
-
-
-@dataclass(frozen=True)
-class Px4Flight:
-    """What is flown."""
-
-    scenario: str
-    config: Path
-    folder: Path
-    seed: int = 0
-    mocap: bool = False
-    speed: float = 1.0  # against real time
 
 
 class Px4Flying:
     """The processes of one flight; the onboard process starts with ``take_off``."""
 
-    def __init__(self, flight: Px4Flight, px4: Px4Program, log: Path, words: list[str]) -> None:
-        self.flight, self.px4, self.log = flight, px4, log
-        self._words = words
+    def __init__(self, px4: Px4Program, folder: Path, speed: float, words: list[str]) -> None:
+        self.px4 = px4
+        self._folder, self._speed, self._words = folder, speed, words
         self.onboard: Child | None = None
         self.simulator: Child
         self.target: Child
@@ -74,7 +59,7 @@ class Px4Flying:
 
     def take_off(self) -> Child:
         """Start the onboard process."""
-        self.onboard = Child("onboard", ["onboard", *self._words], self.flight.folder)
+        self.onboard = Child("onboard", ["onboard", *self._words], self._folder)
         return self.onboard
 
     def look(self) -> None:
@@ -85,7 +70,7 @@ class Px4Flying:
 
     def until(self, done: Callable[[], bool], within_s: float) -> bool:
         """Wait, at most so much stack time; whether it came to it."""
-        until_s = time.monotonic() + within_s / self.flight.speed
+        until_s = time.monotonic() + within_s / self._speed
         while time.monotonic() < until_s:
             self.look()
             if done():
@@ -112,14 +97,6 @@ class Px4Flying:
         """Whether the onboard process has ended."""
         return self.onboard is not None and not self.onboard.alive()
 
-    def fly(self) -> int:
-        """Fly to the end; exit status of the onboard process, ended by us if the time is over."""
-        onboard = self.onboard or self.take_off()
-        self.until(self.ended, FLIGHT_MAX_S)
-        self.until(lambda: self.disarmed, DOWN_MAX_S if onboard.process.poll() else 2.0)
-        self.look()
-        return onboard.end()
-
     def interrupt(self) -> None:
         """Ctrl-C to the onboard process."""
         assert self.onboard is not None
@@ -128,32 +105,31 @@ class Px4Flying:
 
 @contextlib.contextmanager
 def flying(
-    place: Path, flight: Px4Flight, vehicle_url: Callable[[Px4Program], str] | None = None
-) -> Iterator[Px4Flying]:
+    place: Path, scenario_name: str, config: Path, folder: Path, speed: float,
+    vehicle_url: Callable[[Px4Program], str],
+) -> Iterator[Px4Flying]:  # fmt: skip
     """Simulator, PX4, recorder and robot, ready to fly; all are ended whatever happens.
 
     Args:
         place: of PX4, as ``sim.px4.program.find_px4`` takes it.
-        flight: what is flown.
-        vehicle_url: where the onboard process finds the vehicle; default: PX4's own port.
+        scenario_name: what is flown.
+        config: of the onboard process.
+        folder: for the log and the outputs.
+        speed: against real time.
+        vehicle_url: where the onboard process finds the vehicle.
 
     Raises:
         LaunchError: a process did not start.
     """
-    folder = flight.folder
     folder.mkdir(parents=True, exist_ok=True)
-    scenario = load(flight.scenario)
-    socket, log = folder / "feed", folder / "flight.mcap"
-    common = ["--scenario", flight.scenario, "--seed", str(flight.seed), "--speed", f"{flight.speed:g}"]
+    socket, paced = folder / "feed", ["--speed", f"{speed:g}"]
+    common = ["--scenario", scenario_name, "--seed", "1", *paced]
     with contextlib.ExitStack() as stack:
         claim = stack.enter_context(contextlib.closing(InstanceClaim()))
         at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
-        number = claim.number
         px4 = Px4Program(
-            place, folder / "px4", Px4Model.NONE_IRIS, instance=number,
-            parameters=parameters(
-                params.load(scenario.vehicle.airframe), scenario.vehicle.mocap if flight.mocap else None
-            ),
+            place, folder / "px4", Px4Model.NONE_IRIS, instance=claim.number,
+            parameters=parameters(params.load(load(scenario_name).vehicle.airframe)),
         )  # fmt: skip
         stack.callback(px4.end)
 
@@ -163,18 +139,23 @@ def flying(
             child.wait_ready()
             return child
 
-        url = f"udpin:127.0.0.1:{px4.onboard_port}" if vehicle_url is None else vehicle_url(px4)
-        one = Px4Flying(flight, px4, log, [
-            "--vehicle", url, "--system-id", str(number + 1),
-            "--config", str(flight.config), "--connect", at, "--listen", onboard_at,
-            "--recorder", str(socket), "--speed", f"{flight.speed:g}",
+        one = Px4Flying(px4, folder, speed, [
+            "--vehicle", vehicle_url(px4), "--system-id", str(claim.number + 1), "--config", str(config),
+            "--connect", at, "--listen", onboard_at, "--recorder", str(socket), *paced,
         ])  # fmt: skip
         one.recorder = start(
-            "record", "--socket", str(socket), "--out", str(log), "--until-clients", "3", within_s=30.0
+            "record",
+            "--socket",
+            str(socket),
+            "--out",
+            str(folder / "flight.mcap"),
+            "--until-clients",
+            "3",
+            within_s=30.0,
         )
         one.simulator = start(
             "px4-sim", *common, "--tcp", f"127.0.0.1:{px4.simulator_port}", "--connect", at, "--once",
-            "--recorder", str(socket), *(["--mocap"] if flight.mocap else []),
+            "--recorder", str(socket),
         )  # fmt: skip
         px4.wait_ready()
         one.target = start(

@@ -7,41 +7,21 @@ front of it, noise between frames, stretches in which the cable is pulled.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import pty
 import random
 import select
 import socket
-import struct
-import termios
 import threading
 import time
 import tty
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 _TURN_S = 0.002  # s; at 57,600 baud 12 bytes
 _PIECE = 256  # bytes read at a time
-
-
-class Near(Protocol):
-    """The end at which the onboard process is."""
-
-    url: str
-
-    def read(self) -> bytes: ...
-
-    def write(self, data: bytes) -> int: ...
-
-    def pull(self) -> None: ...
-
-    def plug(self) -> None: ...
-
-    def close(self) -> None: ...
 
 
 class PtyEnd:
@@ -153,7 +133,6 @@ class Line:
         self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes; 0.05 s or 0.1 s
         self._buffer = bytearray()
         self._credit = 0.0
-        self.passed = self.lost = self.thinned = self.queued_max = 0
 
     def put_frames(self, datagram: bytes) -> None:
         """As an autopilot: whole frames or none, less important ones only into a nearly empty buffer."""
@@ -164,14 +143,10 @@ class Line:
             room = self._buffer_max // (1 if first else 5) - len(self._buffer)
             if len(frame) <= room:
                 self.put(frame)
-            else:
-                self.thinned += 1
 
     def put(self, data: bytes) -> None:
         room = self._buffer_max - len(self._buffer)
-        self.lost += max(0, len(data) - room)
         self._buffer += data[:room]
-        self.queued_max = max(self.queued_max, len(self._buffer))
 
     def carry(self, pieces: list[bytes], put: Callable[[bytes], None], elapsed_s: float) -> bytes:
         """Put what came within a time in, spread over it, as if the thread had never been late."""
@@ -193,7 +168,6 @@ class Line:
                 self._credit = min(self._credit, self._rate * 0.02)
         out = bytes(self._buffer[:count])
         del self._buffer[:count]
-        self.passed += count
         return out
 
 
@@ -205,25 +179,21 @@ class Relay:
         vehicle: UDP port on loopback at which the simulated vehicle listens.
         baud: of the line, None for one without a limit.
         noise_bytes_s: random bytes a second, put between what the vehicle sends.
-        seed: of the noise.
-        local: UDP port to which the vehicle sends by itself, as PX4 does; 0: any.
     """
 
     def __init__(
         self,
-        near: Near,
+        near: PtyEnd | TcpEnd,
         vehicle: int,
         baud: int | None,
         *,
         noise_bytes_s: float = 0.0,
-        seed: int = 0,
-        local: int = 0,
     ) -> None:
         self.near, self.in_line, self.out_line = near, Line(baud), Line(baud)
         self.noise_bytes = 0
-        self._noise_bytes_s, self._chance = noise_bytes_s, random.Random(seed)
+        self._noise_bytes_s, self._chance = noise_bytes_s, random.Random(0)
         self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._udp.bind(("127.0.0.1", local))
+        self._udp.bind(("127.0.0.1", 0))
         self._udp.connect(("127.0.0.1", vehicle))
         self._udp.setblocking(False)
         self._wanted, self._is_in = True, True
@@ -274,8 +244,3 @@ class Relay:
             for message in parser.parse_buffer(carried) or ():
                 with contextlib.suppress(ConnectionRefusedError, BlockingIOError):
                     self._udp.send(bytes(message.get_msgbuf()))  # a datagram holds whole frames
-
-
-def waiting_bytes(descriptor: int) -> int:
-    """Bytes that can be read from a descriptor now."""
-    return int(struct.unpack("I", fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4)))[0])

@@ -24,8 +24,9 @@ from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.scenarios.scenario import load
 from tests.flight_suite.companion import Radio
 from tests.integration.runs import COMMAND
-from tests.px4_flight import PX4_PLACE, Px4Flight, Px4Flying, flying, px4_place
+from tests.px4_flight import PX4_PLACE, Px4Flying, flying, px4_place
 
+SCENARIO = "large"
 CONFIG = path_of("px4-1kg")
 PHASE_MAX_S = 90.0  # s of stack time until the phase of the fault
 DOWN_MAX_S = 180.0  # s of stack time from the fault until its motors are off
@@ -118,7 +119,6 @@ def fly(place: Path, fault: Fault, speed: float, folder: Path) -> Result:
     Raises:
         LaunchError: a process did not start, or the flight did not come to the phase.
     """
-    flight = Px4Flight("large", CONFIG, folder, 1, speed=speed)
     with ExitStack() as stack:
         radios: list[Radio] = []
 
@@ -127,7 +127,7 @@ def fly(place: Path, fault: Fault, speed: float, folder: Path) -> Result:
             radios.append(stack.enter_context(radio))
             return radio.url
 
-        one = stack.enter_context(flying(place, flight, by_radio))
+        one = stack.enter_context(flying(place, SCENARIO, CONFIG, folder, speed, by_radio))
         one.take_off()
         if not one.until(lambda: one.in_phase(fault.phase) and one.armed, PHASE_MAX_S):
             raise LaunchError(f"it did not come to {fault.phase}: {one.told[-3:]}")
@@ -183,7 +183,6 @@ def _row(fault: Fault, result: Result) -> str:
     return f"| {fault.name} | {fault.phase} | {result.place} | {down} | {result.phases} | {result.reason} |"
 
 
-SCENARIO = "large"
 SIMULATED_S = 60.0
 WALL_MAX_S = 300.0
 _TICKS_1_S = os.sysconf("SC_CLK_TCK")

@@ -1,4 +1,4 @@
-"""Flies one cell of the grid and says how it ended."""
+"""Makes one part fail in one way, flies that cell of the grid, and says how it ended."""
 
 from __future__ import annotations
 

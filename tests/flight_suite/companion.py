@@ -1,4 +1,4 @@
-"""The onboard process under watch: followed over Zenoh, and called off beyond the fence."""
+"""The onboard process under watch, called off beyond the fence, and a radio link to it that can be cut."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the suite flies: our simulated vehicle and robot by default, or what the command line names."""
+"""Where the suite flies, and within which limits: our simulated vehicle, a PX4, or what the user names."""
 
 from __future__ import annotations
 

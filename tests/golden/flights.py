@@ -1,4 +1,4 @@
-"""The flights behind the golden logs: what each is there for, and how it is flown anew."""
+"""The flights behind the golden logs: what each is there for, how it is flown anew, and what is kept."""
 
 import copy
 import subprocess

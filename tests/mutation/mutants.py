@@ -1,4 +1,4 @@
-"""Small changes of a source file, each of which a test should notice.
+"""Small changes of the sources of the safety core, each of which one of their fast tests should notice.
 
 A mutant is one change of one node of the syntax tree. Strings, type hints and decorators stay.
 """

@@ -1,4 +1,4 @@
-"""What a run found, as text and as the table of docs/how_it_works/safety_core.md."""
+"""What a run found, as text and as a table of a page; the mutants that no test can notice, with reasons."""
 
 from __future__ import annotations
 

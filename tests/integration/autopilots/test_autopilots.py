@@ -1,4 +1,4 @@
-"""The same stack lands the simulated vehicle as PX4 and as ArduCopter, found by the heartbeat alone."""
+"""PX4 and ArduCopter: the simulated vehicle as either, their own programs, and the check before a flight."""
 
 import json
 import os
@@ -25,40 +25,30 @@ PROFILES = ("px4", "ardupilot")
 PAGE = ROOT / "docs" / "how_to" / "autopilots.md"
 
 
-def landed(tmp_path, *arguments):
-    out = tmp_path / "run"
-    done = flightstack("sitl", "--json", "--no-report", "--out", out, *arguments)
-    assert done.code == 0, done.out + done.err
-    assert done.json["outcome"] == "landed"
-    assert done.json["violation"] is False
-    return out / "flight.mcap"
-
-
+@pytest.mark.parametrize(("scenario", "seed"), [("lab", 1), ("large", 0)], ids=["Crazyflie", "1 kg"])
 @pytest.mark.parametrize("plays", PROFILES)
-def test_lockstep_landing_and_its_replay(flown, plays):
-    landing = flown("lab", 1, *(() if plays == "px4" else ("--profile", plays)))
+def test_lockstep_landing_and_its_replay(flown, plays, scenario, seed):
+    landing = flown(scenario, seed, *(() if plays == "px4" else ("--profile", plays)))
     assert (landing.json["outcome"], landing.json["violation"]) == ("landed", False)
-    replayed = flightstack("replay", landing.log)
-    assert replayed.code == 0, replayed.out
-    assert "wire: equal" in replayed.out
+    done = flightstack("replay", landing.log)
+    assert done.code == 0, done.out
+    assert "wire: equal" in done.out
 
 
-@pytest.mark.parametrize("plays", PROFILES)
-def test_a_vehicle_of_one_kilogram(tmp_path, plays):
-    landed(tmp_path, "--scenario", "large", "--lockstep", "--profile", plays)
-
-
-def test_from_the_ground_as_ardupilot_with_an_origin_to_be_told(tmp_path):
-    log = landed(tmp_path, "--scenario", "paper_moving_1", "--lockstep", "--profile", "ardupilot")
-    (config,) = [a.data.decode() for a in LogFile(log).attachments() if a.name == "onboard.toml"]
+def test_from_the_ground_as_ardupilot_with_an_origin_to_be_told(flown):
+    landing = flown("paper_moving_1", 0, "--profile", "ardupilot")
+    assert (landing.json["outcome"], landing.json["violation"]) == ("landed", False)
+    (config,) = [a.data.decode() for a in LogFile(landing.log).attachments() if a.name == "onboard.toml"]
     assert "origin_wgs84 = [47.397742, 8.545594, 10.0]" in config
 
 
 @pytest.mark.xdist_group("real-time")
 @pytest.mark.parametrize("plays", PROFILES)
 def test_real_time_landing_after_the_check(tmp_path, plays):
-    log = landed(tmp_path, "--scenario", "lab", "--seed", 2, "--profile", plays)
-    found = LogFile(log).metadata()["preflight"]
+    words = ("--scenario", "lab", "--seed", 2, "--profile", plays, "--no-report", "--json")
+    done = flightstack("sitl", *words, "--out", tmp_path)
+    assert (done.code, done.json["outcome"], done.json["violation"]) == (0, "landed", False), done.err
+    found = LogFile(tmp_path / "flight.mcap").metadata()["preflight"]
     assert found["profile"] == {"px4": "sitl", "ardupilot": "ardupilot"}[plays]
     assert found["problem"] == ""
     assert not any("UNSAFE" in value for value in found.values())

@@ -1,4 +1,4 @@
-"""MAVProxy flies the vehicle process: typed at like a person would, read by what it prints."""
+"""MAVProxy flies the vehicle process, as PX4 and as ArduCopter: typed at like a person would."""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""A real PX4 as a child process: made ready, asked, ended; skipped where there is none."""
+"""A real PX4, skipped where there is none: its program as a child, and flights to a robot that drives on.
+
+One PX4 flies all of them, since its start takes as long as a flight; nobody moves the vehicle: it takes off
+from where it landed, the robot's pad. By motion capture: with satellites PX4 does not arm on a robot that
+drives ("GPS Horizontal Pos Drift too high").
+"""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""Campaigns: equal to single runs over the real wires, whatever happens to the workers."""
+"""Campaigns: equal to single runs, whatever happens to the workers; own filters; the limits of the tiers."""
 
 import json
 import os

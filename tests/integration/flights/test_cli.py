@@ -1,4 +1,4 @@
-"""The command line: wrong input, help, listing."""
+"""The command line: wrong input, help, listing, and the verbs ``check`` and ``identify``."""
 
 import json
 import subprocess

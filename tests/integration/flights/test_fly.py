@@ -1,4 +1,4 @@
-"""``flightstack fly``: a flight of a vehicle and a target that are somebody else's, by one command."""
+"""``flightstack fly``: vehicle and target are somebody else's; what it says while it waits for them."""
 
 from __future__ import annotations
 

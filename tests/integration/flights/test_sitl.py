@@ -1,4 +1,4 @@
-"""Whole runs over the real wires, in lockstep."""
+"""Whole runs over the real wires: landings, kills and interruptions, and faults that end as they must."""
 
 import math
 import re
@@ -44,13 +44,13 @@ def test_the_papers_runs_land_and_replay_bit_by_bit(flown, scenario, filter_name
 
 
 @pytest.mark.parametrize("scenario", ["straight", "stop_and_go", "reversing"])
-def test_other_paths_loops_and_a_start_in_hover_land_by_contact_and_replay(tmp_path, scenario):
-    result = fly(tmp_path, scenario)
+def test_other_paths_loops_and_a_start_in_hover_land_by_contact_and_replay(flown, scenario):
+    result = flown(scenario)
     assert result.code == 0, result.err
     assert result.json["outcome"] == "landed"
     assert result.json["touchdown_error_m"] <= 0.10
     assert result.json["touchdown_speed_vertical_m_s"] < 0.35  # set down; a fall from 5 cm ends with 0.75 m/s
-    assert_decided_again(tmp_path / "flight.mcap")
+    assert_decided_again(result.log)
 
 
 def test_the_same_seed_makes_the_same_log_and_another_one_flown_beside_it_does_not(flown, tmp_path):

@@ -1,4 +1,4 @@
-"""A terminal that closes in flight, and bridges told to end while a vehicle flies by them."""
+"""A person's abort and emergency stop in every phase, a terminal that closes, and bridges told to end."""
 
 from __future__ import annotations
 

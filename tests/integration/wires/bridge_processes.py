@@ -1,4 +1,4 @@
-"""Starts the verbs of ``flightstack bridge``, reads what they say, and flies through them."""
+"""Starts the verbs of ``flightstack bridge``, a motion capture for them, and flies through them."""
 
 from __future__ import annotations
 

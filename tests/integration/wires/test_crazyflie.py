@@ -1,4 +1,4 @@
-"""The Crazyflie bridge as a process, through cflib's own UDP driver, against a stand-in for the firmware."""
+"""The Crazyflie bridge as a process, through cflib's own UDP driver, and motion capture on its way to it."""
 
 from __future__ import annotations
 

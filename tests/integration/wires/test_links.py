@@ -1,4 +1,4 @@
-"""The whole chain with a signing key: a signed client flies, an unsigned one meets silence."""
+"""MAVLink that is signed, and MAVLink over serial lines and TCP: slow, noisy, cut, pulled out in flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The vehicle process on its real wires: real time with a plain client, lockstep with a small companion."""
+"""The processes of vehicle and target on their real wires: real time with plain clients, and lockstep."""
 
 from __future__ import annotations
 
