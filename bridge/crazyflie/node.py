@@ -14,15 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.state import LATE_MAX_S, STATE_PERIOD_MS, BootClock, decode_health, decode_state
-from bridge.crazyflie.types import (
-    ArmReply,
-    Arrived,
-    Connected,
-    HealthBlock,
-    Lost,
-    ParamValue,
-    StateBlock,
-)
+from bridge.crazyflie.types import ArmReply, Arrived, Connected, HealthBlock, Lost, ParamValue, StateBlock
 from bridge.crazyflie.vehicle import Vehicle
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.autopilots import CRAZYFLIE_MARK

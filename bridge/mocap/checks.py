@@ -12,10 +12,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
-from bridge.frames import (
-    Quat,
-    world_from_body,
-)
+from bridge.frames import Quat, world_from_body
 from bridge.ros2.cdr import Pose
 from flightstack.core.types import Vec3
 

@@ -74,11 +74,7 @@ class Wants:
 
 WANTS: Mapping[int, Wants] = {
     dialect.MAV_AUTOPILOT_PX4: Wants(
-        "PX4",
-        odometry,
-        50.0,
-        False,
-        "EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5",
+        "PX4", odometry, 50.0, False, "EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5"
     ),
     dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: Wants(
         "ArduPilot",

@@ -10,12 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from bridge.frames import (
-    body_from_world,
-    body_from_world_velocity,
-    wrap_angle,
-    yaw_from_quaternion,
-)
+from bridge.frames import body_from_world, body_from_world_velocity, wrap_angle, yaw_from_quaternion
 from bridge.ros2.cdr import Odometry, Pose
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator

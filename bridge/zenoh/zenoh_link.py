@@ -261,9 +261,7 @@ def knows_router(session: Session) -> bool:
 
 def _publisher(session: Session, key: str, encoding: str | None, congestion: Any) -> Publisher:
     return session.declare_publisher(
-        _key(key),
-        encoding=zenoh.Encoding(encoding) if encoding else None,
-        congestion_control=congestion,
+        _key(key), encoding=zenoh.Encoding(encoding) if encoding else None, congestion_control=congestion
     )
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.ros2.ros2_names import Ros2Network
-from bridge.target.ros2_target import Dialect, TargetSource, TargetSpec
-from bridge.target.target_keys import KeySearch
+from bridge.target.ros2_target import Dialect, KeySearch, TargetSource, TargetSpec
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import ConnectionAlarm
 from flightstack.common.pacing import Tick

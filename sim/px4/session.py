@@ -15,15 +15,7 @@ from bridge.mavlink.codec.decoding import Message
 from sim.clock import NoAnswerError, StopSignal
 from sim.px4.airframe import rotor_speeds
 from sim.px4.link import SLICE_S, Px4Link
-from sim.px4.messages import (
-    HIL_STATE_QUATERNION,
-    Answer,
-    Px4Mocap,
-    answer_of,
-    hil_gps,
-    hil_sensor,
-    hil_state,
-)
+from sim.px4.messages import HIL_STATE_QUATERNION, Answer, Px4Mocap, answer_of, hil_gps, hil_sensor, hil_state
 from sim.px4.plant import Px4Plant
 from sim.px4.sensors import STEP_MS, Px4Sensors
 

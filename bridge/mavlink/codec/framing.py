@@ -58,9 +58,7 @@ class NoFrame(IntEnum):
 
 
 def split_frames(
-    datagram: bytes,
-    counters: FrameCounters | None = None,
-    unknown: Callable[[bytes], None] | None = None,
+    datagram: bytes, counters: FrameCounters | None = None, unknown: Callable[[bytes], None] | None = None
 ) -> Iterator[bytes]:
     """Yield every MAVLink 2 frame of a known message with a correct checksum, in order.
 

@@ -205,12 +205,7 @@ _PX4_SHARED = (
         {0: "nothing", 1: "hold", 2: "return", 3: "land"},
         "when the ground station falls silent the motors stop",
     ),
-    _one_of(
-        "COM_LOW_BAT_ACT",
-        {2: "land", 3: "return or land"},
-        "an empty battery is only told",
-        Level.NOTE,
-    ),
+    _one_of("COM_LOW_BAT_ACT", {2: "land", 3: "return or land"}, "an empty battery is only told", Level.NOTE),
     _one_of("SYS_FAILURE_EN", {0: "off"}, "command 420 may let sensors and motors fail in flight"),
 )
 

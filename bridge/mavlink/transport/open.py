@@ -14,8 +14,7 @@ import time
 
 from bridge.mavlink.transport.address import Peer, parse_url
 from bridge.mavlink.transport.byte_stream import OUTGOING_MAX, ByteStream
-from bridge.mavlink.transport.datagram import DatagramTransport
-from bridge.mavlink.transport.transport import LineCounters, Transport
+from bridge.mavlink.transport.transport import DatagramTransport, LineCounters, Transport
 
 _FRAME_MAX = 280  # bytes; one frame of the greatest length must fit into every queue
 _BITS_PER_BYTE = 10  # on a serial line: a start bit, eight bits of data, a stop bit (8N1)

@@ -9,23 +9,10 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 from scipy.spatial.transform import Rotation
 
-from bridge.frames import (
-    euler_from_quaternion,
-    ned_covariance_from_enu,
-    ned_frd_from_enu_flu,
-    upper_triangle,
-)
+from bridge.frames import euler_from_quaternion, ned_covariance_from_enu, ned_frd_from_enu_flu, upper_triangle
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.codec.packing import pack
-from bridge.mocap.checks import (
-    Limits,
-    Passed,
-    PoseChecks,
-    Refusal,
-    Sample,
-    angle_between,
-    centre,
-)
+from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between, centre
 from bridge.mocap.process import CheckedPoses, MocapSource, parse_spec
 from bridge.mocap.vehicle import WANTS, MocapVehicle, odometry, vision_position_estimate
 from bridge.ros2.cdr import Pose

@@ -181,14 +181,6 @@ def test_encoding_refuses_what_does_not_fit():
         usual(stamp_ns=2**31 * 10**9)
 
 
-def test_attachment_is_the_33_bytes_of_rmw_zenoh():
-    gid = bytes(range(16))
-    data = pack_attachment(3, 1_600_000_000_000_000_000, gid)
-    assert data == struct.pack("<qqB", 3, 1_600_000_000_000_000_000, 16) + gid
-    assert len(data) == 33
-    assert parse_attachment(data) == (3, 1_600_000_000_000_000_000)
-
-
 def test_old_attachment_with_field_names_is_read():
     data = (
         b"\x0fsequence_number" + struct.pack("<q", 9) + b"\x10source_timestamp" + struct.pack("<q", 77)

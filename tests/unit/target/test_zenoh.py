@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bridge.target.odometry import OdometryPublisher, OdometrySubscriber, RawSample, sample_from_cdr
-from bridge.target.target_keys import KEYS_MAX, KeySearch
+from bridge.target.ros2_target import KEYS_MAX, KeySearch
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import (
     LOOK_EVERY_S,

@@ -11,13 +11,7 @@ from bridge.mavlink.client.texts import TextAssembler
 from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, PX4
 from flightstack.core.types import Landed, Mode, Request
-from tests.unit.mavlink.client.vehicle_link_fakes import (
-    HEIGHT,
-    commands,
-    params,
-    sequencer,
-    status,
-)
+from tests.unit.mavlink.client.vehicle_link_fakes import HEIGHT, commands, params, sequencer, status
 
 
 def test_nothing_is_sent_for_none_or_to_an_unknown_vehicle():

@@ -1,1 +1,0 @@
-"""A Crazyflie's firmware as far as cflib sees it: CRTP on a UDP socket, supervisor, set-point watchdog."""
