@@ -139,10 +139,10 @@ def _scan(
 
 def _skipped(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
     """Count the frame of version 1 that starts at ``pos``, or else one byte of garbage; its length."""
-    version_1 = _version_1_length(data, pos, size)
-    if version_1:
+    end = version_1_end(data, pos, size)
+    if end > 0:
         count.version_1 += 1
-        return version_1
+        return end - pos
     count.garbage_bytes += 1
     return 1
 
@@ -252,14 +252,17 @@ def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
     return bytes(changed)
 
 
-def _version_1_length(data: bytes, pos: int, size: int) -> int:
-    """Length of the valid MAVLink 1 frame that starts at ``pos``, or 0."""
-    if data[pos] != _MARKER_V1 or pos + _HEADER_V1 + _CHECKSUM > size:
-        return 0
-    crc_at = pos + _HEADER_V1 + data[pos + 1]
+def version_1_end(data: bytes, pos: int, size: int) -> int:
+    """End of the checked MAVLink 1 frame that starts at ``pos``, or a :class:`NoFrame`."""
+    if data[pos] != _MARKER_V1:
+        return NoFrame.INVALID
+    if pos + _HEADER_V1 + _CHECKSUM > size:
+        return NoFrame.CUT_SHORT
     extra = CRC_EXTRA.get(data[pos + 5])
-    if extra is None or crc_at + _CHECKSUM > size:
-        return 0
-    if checksum(data[pos + 1 : crc_at] + extra) != data[crc_at] | data[crc_at + 1] << 8:
-        return 0
-    return crc_at + _CHECKSUM - pos
+    if extra is None:
+        return NoFrame.UNKNOWN
+    crc_at = pos + _HEADER_V1 + data[pos + 1]
+    if crc_at + _CHECKSUM > size:
+        return NoFrame.CUT_SHORT
+    good = checksum(data[pos + 1 : crc_at] + extra) == data[crc_at] | data[crc_at + 1] << 8
+    return crc_at + _CHECKSUM if good else NoFrame.INVALID

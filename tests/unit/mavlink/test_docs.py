@@ -2,41 +2,27 @@
 
 from __future__ import annotations
 
-import argparse
-import inspect
 import re
 import shlex
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.crazyflie import arming as crazyflie_arming
-from bridge.crazyflie import checks as crazyflie_checks
-from bridge.crazyflie import link as crazyflie_link
-from bridge.crazyflie import pilot as crazyflie_pilot
-from bridge.crazyflie import rules as crazyflie_rules
-from bridge.crazyflie.link import EVENTS_MAX
-from bridge.crazyflie.state import LATE_MAX_S
 from bridge.mavlink.profiles.autopilots import PROFILES
 from bridge.mavlink.server.parameters import INT32
 from bridge.mavlink.server.profile import EVERY_TICK
-from bridge.mocap.checks import Limits, Refusal
-from bridge.mocap.vehicle import WANTS
 from flightstack.cli.real.bridge import bridge
-from flightstack.cli.real.px4_sim import px4_sim
 from flightstack.config.files import load as load_config
 from flightstack.verify.certificate import checks
 from sim.autopilot.profiles import DEFAULT_HZ, px4_parameters
 from sim.autopilot.telemetry import BUILDERS
 from sim.autopilot.watches import FENCE, STATION_LOST, STREAM_LOST, Action
 from sim.plant.params import load
-from sim.px4.airframe import FORMATS, PX4_OF_M, parameters
+from sim.px4.airframe import PX4_OF_M, parameters
 from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
 from sim.scenarios.scenario import Airframe
-from tests.conftest import pytest_addoption
 from tests.flight_suite.room import LIMITS
 from tests.unit.autopilot.autopilot_fakes import Rig
 
@@ -67,62 +53,6 @@ def test_every_option_that_is_described_exists():
         assert name in options("mocap") | options("crazyflie"), name
 
 
-def test_every_reason_in_the_table_is_one_of_the_code():
-    source = inspect.getsource(crazyflie_checks) + inspect.getsource(crazyflie_arming)
-    table = CRAZYFLIE.split("## Why it refuses to arm")[1].split("## First flight")[0]
-    reasons = [
-        r for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for r in re.findall(r"`([^`]+)`", row)
-    ]
-    assert len(reasons) >= 14
-    for reason in reasons:
-        if reason.startswith("mocap"):
-            continue
-        words = re.sub(r"[0-9.]+ m\)|[0-9]+(\.[0-9]+)?|stabilizer\.estimator is|\.\.\.", "\0", reason)
-        longest = max(words.split("\0"), key=len).strip(" :(,")
-        assert longest in source, reason
-
-
-def test_the_numbers_are_those_of_the_code():
-    rules = crazyflie_rules
-    for text in (
-        f"silent for {rules.STREAM_S:g} s",
-        f"after {rules.CLIENT_SILENT_S:g} s without a heartbeat",
-        f"a text after {rules.SILENT_S:g} s, no heartbeat after {rules.LOST_S:g} s",
-        f"opened anew\nafter {rules.RECONNECT_S:g} s".replace("\n", " "),
-        f"for {rules.BLIND_LANDING_MAX_S:g} s at most",
-        f"armed on the ground for {rules.IDLE_S:g} s",
-        f"back within {rules.KILL_KEPT_S:g} s",
-        f"`--speed-max` ({rules.SPEED_MAX_M_S:g} m/s)",
-        f"{crazyflie_pilot.CLIMB_M_S:g} m/s up, {crazyflie_pilot.DESCENT_M_S:g} m/s down",
-        f"within {crazyflie_arming.KILL_UNSEEN_S:g} s becomes an emergency stop",
-        f"{crazyflie_checks.BATTERY_MIN_V:g} V needed",
-        f"more than {LATE_MAX_S:g} s on its way",
-        f"for more than {crazyflie_link.VELOCITY_AGE_MAX_S:g} s is not sent",
-        f"a queue of {EVENTS_MAX}",
-    ):
-        assert text in CRAZYFLIE.replace("\n", " "), text
-
-
-def test_the_rules_for_poses_are_those_of_the_code():
-    limits, page = Limits(), MOCAP.replace("\n", " ")
-    for refusal in Refusal:
-        assert f"| {refusal.name.lower()} |" in page
-    for text in (
-        f"more than {limits.late_max_s:g} s later",
-        f"more than {limits.room_m:g} m from zero",
-        f"{limits.jump_m:g} m + {limits.speed_max_m_s:g} m/s",
-        f"{limits.turn_rad:g} rad + {limits.turn_rate_max_rad_s:g} rad/s",
-        f"within {limits.return_m:g} m of the last",
-        f"for {limits.settle_s:g} s is believed",
-        f"for {limits.gap_max_s:g} s, or with less than {limits.rate_min_hz:g}",
-    ):
-        assert text in page, text
-    for wants in WANTS.values():
-        assert f"{wants.rate_max_hz:g} Hz" in page
-        for name in re.findall(r"[A-Z0-9]+_[A-Z0-9_]+", wants.settings):
-            assert f"`{name}`" in page
-
-
 HARDWARE = (Path(__file__).parents[3] / "docs" / "how_to" / "hardware.md").read_text()
 LIMIT_COLUMNS = {
     "`--autopilot`": lambda name, _: f"`{name}`",
@@ -148,16 +78,6 @@ def test_the_table_of_limits_is_the_codes():
 
 def test_every_profile_has_limits():
     assert set(LIMITS) == set(PROFILES)
-
-
-def test_every_option_is_in_the_page():
-    parser = argparse.ArgumentParser(add_help=False)
-    pytest_addoption(SimpleNamespace(addoption=parser.add_argument))
-    options = [action.option_strings[0] for action in parser._actions]
-    assert len(options) >= 10
-    assert [
-        option for option in options if f"`{option}`" not in HARDWARE and f"`{option} " not in HARDWARE
-    ] == []
 
 
 MAVLINK = (Path(__file__).parents[3] / "docs" / "reference" / "mavlink.md").read_text(encoding="utf-8")
@@ -263,13 +183,6 @@ def test_the_configurations_for_real_autopilots_are_proven(name):
 def test_the_table_of_motors_is_the_order_of_the_code():
     rows = re.findall(r"^\| (\d) \| [a-z ]+ \| [a-z-]+ \| M(\d) \|$", PX4_SIM, re.MULTILINE)
     assert {int(ours): int(px4) for px4, ours in rows} == {i + 1: px4 + 1 for i, px4 in enumerate(PX4_OF_M)}
-
-
-def test_the_page_names_every_option_of_its_own_and_every_form():
-    own = {o for p in px4_sim.params for o in p.opts} - {"--help", "--zenoh-config"}
-    assert [option for option in sorted(own) if option not in PX4_SIM] == []
-    (form,) = (p for p in px4_sim.params if p.name == "form")
-    assert set(form.type.choices) == set(FORMATS)
 
 
 def test_the_magnetic_field_is_that_of_px4_s_tables_at_the_origin():
