@@ -257,7 +257,6 @@ def _read_params(crazyflie: Any) -> dict[str, str]:
 
 
 def _senders(crazyflie: Any, put: Callable[[Event], None]) -> dict[Any, Callable[[Any], None]]:
-    """What to call for each kind of packet."""
     commander, supervisor = crazyflie.commander, crazyflie.supervisor
 
     def velocity(packet: Velocity) -> None:

@@ -298,7 +298,6 @@ class Vehicle(Known):
         self._packets.append(velocity)
 
     def _fly_own(self, now_s: float) -> None:
-        """Take-off, hold or landing: set-points of the bridge's own."""
         if self.standing and self.mode is FlightMode.LAND:
             self._motors_off(now_s, "Disarmed", forced=False)
             return

@@ -214,7 +214,6 @@ def _whole(payload: bytes, name: str) -> Iterator[str]:
 
 
 def _read_pose(payload: bytes) -> tuple[Pose, int]:
-    """The pose behind a header, and the offset after it."""
     stamp_ns, frame_id, at = _read_header(payload, 4)
     at = _aligned(at, 8)
     return _checked(stamp_ns, frame_id, _POSE.unpack_from(payload, at)), at + _POSE.size

@@ -97,7 +97,6 @@ def parse_endpoint(text: str, *, allow_unsigned: bool) -> tuple[str, int]:
 
 
 def _timeval(seconds: float) -> bytes:
-    """As the socket options want it."""
     return struct.pack("ll", int(seconds), round(seconds % 1.0 * 1e6))
 
 

@@ -299,7 +299,6 @@ class Px4Session:
         return STEP_S / self._speed if self._speed > 0.0 else 0.0
 
     def _pace(self) -> None:
-        """Wait for the time of the next step."""
         if self._speed <= 0.0 or not self.lockstep.started:
             return
         left_s = self._start_s + self.steps * self._step_wall_s - time.monotonic()

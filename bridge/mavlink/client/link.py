@@ -260,7 +260,6 @@ class VehicleLink:
         self.endpoint.close()
 
     def _wanted(self, profile: Profile) -> _Wants:
-        """Make what depends on the autopilot."""
         state_hz = self._rate_hz if self._line is None else self._line.state_hz
         rates_hz = {
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,
@@ -275,7 +274,6 @@ class VehicleLink:
         )
 
     def _recognise(self, heartbeat: Message) -> None:
-        """Take the profile that fits the first heartbeat."""
         profile = found(heartbeat.autopilot)
         if profile is None or refusal(heartbeat.autopilot, heartbeat.type, None) is not None:
             return
@@ -367,7 +365,6 @@ class VehicleLink:
         self._warn()
 
     def _warn(self) -> None:
-        """Say once why this vehicle is not flown."""
         autopilot, type_ = self.state.autopilot, self.state.type
         if autopilot is None or type_ is None:
             return

@@ -40,7 +40,6 @@ def pack(message: Message, sequence: int, system_id: int, component_id: int) -> 
 
 
 def _payload(cls: Any) -> Payload:
-    """Make the function that packs the fields of a class's messages."""
     kind_of = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
     # pymavlink keeps the bytes of a string beside the text
     names = [f"_{name}_raw" if kind_of[name] == "char" else name for name in cls.ordered_fieldnames]

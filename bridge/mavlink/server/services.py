@@ -153,12 +153,10 @@ def _mission_ack(message: Any, sender: Sender, result: int) -> list[Message]:
 
 
 def _log_list(_message: Any, _sender: Sender, _now_s: float) -> list[Message]:
-    """LOG_REQUEST_LIST: no logs on board."""
     return [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)]
 
 
 def _file_transfer(message: Any, sender: Sender, _now_s: float) -> list[Message]:
-    """FILE_TRANSFER_PROTOCOL: NAK."""
     asked = bytes(message.payload)
     sequence = (int.from_bytes(asked[:2], "little") + 1) & 0xFFFF
     reply = bytearray(_FTP_BYTES)
