@@ -48,14 +48,9 @@ class ZenohSource:
         """Record what has come; the log time is now, the publish time what the sender says."""
         for subscriber in self._subscribers:
             for sample in drain(subscriber):
-                attachment = sample.attachment
-                _record(
-                    recorder,
-                    str(sample.key_expr),
-                    str(sample.encoding),
-                    sample.payload.to_bytes(),
-                    attachment.to_bytes() if attachment is not None else None,
-                )
+                key, encoding, attachment = str(sample.key_expr), str(sample.encoding), sample.attachment
+                told = attachment.to_bytes() if attachment is not None else None
+                _record(recorder, key, encoding, sample.payload.to_bytes(), told)
 
     def close(self) -> None:
         """Close the session."""

@@ -47,7 +47,13 @@ def overlays(a: Side, b: Side) -> list[Panel]:
         ),
         Panel("sent", "Velocity sent", "", both, _vectors(a, b, _sent, "m/s")),
         Panel("flown", "Velocity flown", "", f"{both} {best}", _vectors(a, b, _flown, "m/s")),
-        Panel("error", "Error of the estimated h", "", f"{both} Needs true states.", _errors(a, b)),
+        Panel(
+            "error",
+            "Error of the estimated h",
+            "",
+            f"{both} Needs true states.",
+            _series(a, b, _error, "error of h [mm]"),
+        ),
         Panel("age", "Age of the target state", "", both, _series(a, b, _age, "age [ms]")),
         Panel("tick", "Time spent in a tick", "", f"{both} Wall clock.", _series(a, b, _exec, "time [µs]")),
     ]
@@ -79,12 +85,9 @@ def _exec(flight: Flight) -> tuple[Floats, Floats] | None:
     return None if flight.timing is None else (flight.timing.t_s, flight.timing.exec_s * 1e6)
 
 
-def _errors(a: Side, b: Side) -> go.Figure | None:
-    def error(flight: Flight) -> tuple[Floats, Floats] | None:
-        found = estimate_errors(flight)
-        return None if found is None else (found.t_s, 1e3 * found.h_m)
-
-    return _series(a, b, error, "error of h [mm]")
+def _error(flight: Flight) -> tuple[Floats, Floats] | None:
+    found = estimate_errors(flight)
+    return None if found is None else (found.t_s, 1e3 * found.h_m)
 
 
 def _series(a: Side, b: Side, values: _Lines, title: str) -> go.Figure | None:

@@ -25,11 +25,7 @@ from logs.report.style import (
 )
 
 _SURFACE_RINGS, _SURFACE_SPOKES = 48, 73
-_SURFACE_COLORS = [
-    [0.0, "#fff3c4"],
-    [0.5, "#f7b267"],
-    [1.0, "#d55e00"],
-]  # low to high, red and yellow as printed
+_SURFACE_COLORS = [[0.0, "#fff3c4"], [0.5, "#f7b267"], [1.0, "#d55e00"]]  # low to high, as printed
 _DISTANCE_MIN_M = 0.6  # m, shown at least, so that the cone can be seen
 _BEFORE = "#9aa5b1"
 

@@ -32,7 +32,6 @@ _RUN_NAMES = {
     "pad_radius_m": "pad radius [m]",
 }  # fmt: skip
 
-
 _DEFINITIONS = (
     ("landed", "first contact is with the pad within its radius, and 2 s after the motors stop the vehicle "
      "rests on the pad"),

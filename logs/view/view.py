@@ -29,6 +29,17 @@ _LEVELS: dict[int, str] = {
     Severity.ERROR: "ERROR",
     Severity.FATAL: "CRITICAL",
 }
+# Curves of the controller steps: entity, field, factor, colour.
+_CURVES = (
+    ("/safety/h/controller", "h_m", 1.0, OWN_COLOR),
+    ("/safety/slack", "slack_m_s", 1.0, OWN_COLOR),
+    ("/safety/dh_dt", "dh_dt_m_s", 1.0, OWN_COLOR),
+    ("/safety/active", "barrier_active", 1.0, OWN_COLOR),
+    ("/age/own", "own_age_s", 1e3, OWN_COLOR),
+    ("/age/target", "target_age_s", 1e3, TARGET_COLOR),
+    ("/samples/accepted", "target_accepted", 1.0, FILTERED_COLOR),
+    ("/samples/rejected", "target_rejected", 1.0, ZERO_COLOR),
+)
 
 
 class Recording:
@@ -48,22 +59,19 @@ class Recording:
     def save(self, out: Path) -> None:
         """Write an ``.rrd`` file."""
         self._stream.save(out, default_blueprint=self._blueprint())
-        self._send()
-
-    def _send(self) -> None:
         draw(Canvas(self._stream, self._seen.origin_ns), self._seen)
         self._stream.flush()
         self._stream.disconnect()
 
     def _blueprint(self) -> Any:
         """Look at the middle of what the vehicle and the target did."""
-        points = np.concatenate(
-            [
-                column(self._seen.steps, "own_position_enu_m").reshape(-1, 3),
-                column(self._seen.steps, "target_position_enu_m").reshape(-1, 3),
-                column(self._seen.truths, "position_enu_m").reshape(-1, 3),
-            ]
-        )
+        seen = self._seen
+        shown = [
+            column(seen.steps, "own_position_enu_m"),
+            column(seen.steps, "target_position_enu_m"),
+            column(seen.truths, "position_enu_m"),
+        ]
+        points = np.concatenate([each.reshape(-1, 3) for each in shown])
         points = points[np.isfinite(points).all(axis=1)]
         if not len(points):
             return blueprint((0.0, 0.0, 0.0), 1.0)
@@ -115,11 +123,9 @@ def _curves(canvas: Canvas, seen: Seen) -> None:
         at_ns = times(steps)
         apart_m = column(steps, "own_position_enu_m") - column(steps, "target_position_enu_m")
         apart_m[(column(steps, "own_valid") * column(steps, "target_valid")) == 0.0] = np.nan
-        _curve(canvas, "/safety/h/controller", at_ns, column(steps, "h_m"), OWN_COLOR)
         _curve(canvas, "/safety/h/zero", at_ns[[0, -1]], np.zeros(2), ZERO_COLOR)
-        _curve(canvas, "/safety/slack", at_ns, column(steps, "slack_m_s"), OWN_COLOR)
-        _curve(canvas, "/safety/dh_dt", at_ns, column(steps, "dh_dt_m_s"), OWN_COLOR)
-        _curve(canvas, "/safety/active", at_ns, column(steps, "barrier_active"), OWN_COLOR)
+        for entity, field, scale, color in _CURVES:
+            _curve(canvas, entity, at_ns, scale * column(steps, field), color)
         _curve(canvas, "/distance/horizontal", at_ns, np.hypot(apart_m[:, 0], apart_m[:, 1]), OWN_COLOR)
         _curve(canvas, "/distance/height", at_ns, apart_m[:, 2], TARGET_COLOR)
         for name, field, color in VELOCITIES:
@@ -128,10 +134,6 @@ def _curves(canvas: Canvas, seen: Seen) -> None:
                 vector[column(steps, "setpoint_sent") == 0.0] = np.nan
             for axis, values in zip(AXES, vector.T, strict=True):
                 _curve(canvas, f"/velocity/{axis}/{name}", at_ns, values, color)
-        for name, color in (("own", OWN_COLOR), ("target", TARGET_COLOR)):
-            _curve(canvas, f"/age/{name}", at_ns, 1e3 * column(steps, f"{name}_age_s"), color)
-        for name, color in (("accepted", FILTERED_COLOR), ("rejected", ZERO_COLOR)):
-            _curve(canvas, f"/samples/{name}", at_ns, column(steps, f"target_{name}"), color)
         _phases(canvas, seen)
     for name, color in (("lateness", NOMINAL_COLOR), ("exec", OWN_COLOR), ("solve", FILTERED_COLOR)):
         if seen.timings:

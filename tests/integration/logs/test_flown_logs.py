@@ -142,16 +142,19 @@ def test_keys_of_a_terminal_step_and_start_a_paused_replay(keys, ticks):
     odometry = LogFile(path_of("contact")).messages({"/cf1/target/odom"})
     whole = len({message.log_time_ns for message in odometry})
     master, slave = pty.openpty()
-    command = [
-        *COMMAND,
-        "replay",
-        str(path_of("contact")),
+    words = [
         "--live",
         "--pause",
         "--listen",
         "tcp/127.0.0.1:0",
+        "--wait",
+        "0",
+        "--rate",
+        "100",
+        "--duration",
+        "4",
     ]
-    command += ["--wait", "0", "--rate", "100", "--duration", "4"]
+    command = [*COMMAND, "replay", str(path_of("contact")), *words]
     player = subprocess.Popen(command, stdin=slave, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     os.close(slave)
     try:
@@ -166,17 +169,8 @@ def test_keys_of_a_terminal_step_and_start_a_paused_replay(keys, ticks):
 
 
 def test_json_of_a_log_that_proves_nothing(tmp_path):
-    flown = flightstack(
-        "sitl",
-        "--scenario",
-        "paper_static_1",
-        "--lockstep",
-        "--duration",
-        2,
-        "--no-report",
-        "--out",
-        tmp_path,
-    )
+    words = ["--scenario", "paper_static_1", "--lockstep", "--duration", "2", "--no-report", "--out"]
+    flown = flightstack("sitl", *words, tmp_path)
     assert flown.code == 1
     done = flightstack("replay", tmp_path / "flight.mcap", "--json")
     assert done.code == 2

@@ -200,17 +200,19 @@ def command(*words):
     return [sys.executable, "-m", "flightstack.cli.main", *words]
 
 
+def run(*words):
+    return subprocess.run(
+        command(*words), cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+
+
 def test_nobody_there_is_said_and_exit_status_1():
     port = Port()
     words = ("watch", "--connect", port.endpoint, "--once", "--timeout", "0.5")
-    done = subprocess.run(
-        command(*words), cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
+    done = run(*words)
     assert done.returncode == 1
     assert f"nobody answers at {port.endpoint}" in done.stdout
-    done = subprocess.run(
-        command(*words, "--json"), cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
+    done = run(*words, "--json")
     values = json.loads(done.stdout)
     assert (done.returncode, values["fresh"], values["connections"]) == (1, False, 0)
     port.close()
@@ -218,14 +220,7 @@ def test_nobody_there_is_said_and_exit_status_1():
 
 @pytest.mark.parametrize("words", [["--connect", "nonsense"], ["--namespace", "a//b"]])
 def test_wrong_words_are_refused(words):
-    done = subprocess.run(
-        command("watch", "--once", *words),
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = run("watch", "--once", *words)
     assert done.returncode == 2
     assert "allowed" in done.stderr
     assert "Traceback" not in done.stderr

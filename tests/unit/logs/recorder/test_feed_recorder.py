@@ -20,14 +20,8 @@ from logs.recorder.recorder import RecorderError, RecorderProcess, problems
 from logs.recorder.recording import Recorder
 from logs.schema import schemas
 from logs.schema.events import Severity
-from logs.schema.rows import LogRow, LoopTimingRow
-
-DEADLINE_S = 30.0  # a test that waits this long has failed
-EPOCH_NS = 1_577_836_800_000_000_000
-
-
-def timing(tick):
-    return LoopTimingRow(EPOCH_NS + tick, tick, 0.01, 0.0, 0.0, 0.0, 0, 0).pack()
+from logs.schema.rows import LogRow
+from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing
 
 
 class InThread:
@@ -82,11 +76,8 @@ def test_two_clients_one_channel_every_byte(tmp_path):
     assert log.metadata()["run"] == {"scenario": "paper_moving_1", "seed": "7"}
     assert log.metadata()["losses"] == {"one": "0", "two": "0"}
     (attachment,) = log.attachments()
-    assert (attachment.name, attachment.media_type, attachment.data) == (
-        "scenario.toml",
-        "application/toml",
-        b"a = 1\n\x00\xff",
-    )
+    assert (attachment.name, attachment.media_type) == ("scenario.toml", "application/toml")
+    assert attachment.data == b"a = 1\n\x00\xff"
     counts = recorder.statistics
     assert (counts.messages, counts.clients, counts.invalid, counts.crashed) == (1000, 2, 0, 0)
     assert problems(counts) == []
@@ -98,10 +89,8 @@ def test_two_clients_one_channel_every_byte(tmp_path):
     assert summary.statistics.message_count == 1000
     (channel,) = summary.channels.values()
     assert channel.message_encoding == "cdr"
-    assert channel.metadata == {
-        "offered_qos_profiles": "[]",
-        "topic_type_hash": schemas.type_hash(schemas.LOOP_TIMING),
-    }
+    told = {"offered_qos_profiles": "[]", "topic_type_hash": schemas.type_hash(schemas.LOOP_TIMING)}
+    assert channel.metadata == told
     assert {c.compression for c in summary.chunk_indexes} == {"lz4"}
 
 
