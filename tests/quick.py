@@ -23,7 +23,7 @@ SLOW = (
     "crazyflie/test_crazyflie_vehicle.py",
     "logs/recorder/test_recorder_process.py",
     "logs/replay/test_replay_golden.py",
-    "logs/replay/test_replay_live.py",
+    "logs/replay/test_replay_wire.py",
     "plant/test_physics_*.py",
     "plant/test_vehicle_docs.py",
     "vehicle/test_landing.py",
