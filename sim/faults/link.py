@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message
-from sim.faults.content import REWRITES, Delivery, Rewrite
+from sim.faults.content import Rewrite, rewrite_of
+from sim.faults.samples import LOST, Lost
 from sim.faults.schedule import Running
+from sim.plant.sensors import NS
 from sim.scenarios.fault_table import Kind, What
 
 
@@ -47,15 +49,28 @@ _COMMANDS = frozenset(
 )
 
 
-@dataclass(slots=True)
-class _One:
-    """One running fault: a change of content, a delivery, or what only the wire can do."""
+HELD_BACK_NS = 30_000_000  # of a reordered message: three ticks at 100 Hz
+
+Due = list[int]  # when a message arrives, ns; none: never, two: twice
+
+
+def _later(due: Due, by_ns: int) -> Due:
+    return [at_ns + by_ns for at_ns in due]
+
+
+DUE: Mapping[Kind, Callable[[Running, Due], Due]] = {
+    Kind.DELAYED: lambda running, due: _later(due, round(running.fault.amount * NS)),
+    Kind.REORDER: lambda running, due: _later(due, HELD_BACK_NS) if running.happens() else due,
+    Kind.DUPLICATE: lambda running, due: due + due if running.happens() else due,
+}
+
+
+class _One(NamedTuple):
+    """One running fault."""
 
     running: Running
-    way: Way
-    ids: frozenset[int] | None
     rewrite: Rewrite | None
-    delivery: Delivery | None
+    lost: Lost | None
 
 
 class LinkFaults:
@@ -66,19 +81,8 @@ class LinkFaults:
 
     def begin(self, running: Running) -> None:
         """A fault is on."""
-        fault = running.fault
-        way, ids = CONCERNS[fault.what]
-        make = REWRITES.get((fault.what, fault.kind))
-        wire_only = fault.kind in (Kind.STUCK, Kind.GARBAGE)
-        self._running.append(
-            _One(
-                running,
-                way,
-                ids,
-                make(running) if make is not None else None,
-                Delivery(running) if make is None and not wire_only else None,
-            )
-        )
+        rewrite, lost = rewrite_of(running), LOST.get(running.fault.kind)
+        self._running.append(_One(running, rewrite, None if lost is None else lost(running)))
 
     def end(self, running: Running, now_ns: int) -> None:
         """It is over; the wire lets go of what waited for it."""
@@ -87,7 +91,7 @@ class LinkFaults:
 
     def active(self, way: Way) -> bool:
         """Whether messages in this direction have to go through ``fate``."""
-        return bool(self._running) and any(one.way is way for one in self._running)
+        return any(CONCERNS[one.running.fault.what][0] is way for one in self._running)
 
     def fate(self, way: Way, message: Message, now_ns: int) -> Fate:
         """Decide on one message, which may be changed in place; call it once a message, in order.
@@ -101,15 +105,19 @@ class LinkFaults:
         if id_ in _COMMANDS and message.command == dialect.MAV_CMD_INJECT_FAILURE:
             return Fate((now_ns,))
         due, damaged, stall = [now_ns], False, None
-        for one in self._running:
-            if one.way is not way or (one.ids is not None and id_ not in one.ids):
+        for running, rewrite, lost in self._running:
+            concerned, ids = CONCERNS[running.fault.what]
+            kind = running.fault.kind
+            if concerned is not way or (ids is not None and id_ not in ids):
                 continue
-            if one.rewrite is not None:
-                one.rewrite(message, now_ns)
-            elif one.delivery is not None:
-                due = one.delivery.apply(due, now_ns)
-            elif one.running.fault.kind is Kind.STUCK:
-                stall = one.running
-            elif one.running.rng.random() < one.running.fault.amount:
+            if rewrite is not None:
+                rewrite(message, now_ns)
+            elif lost is not None:
+                due = [] if lost(now_ns) else due
+            elif kind in DUE:
+                due = DUE[kind](running, due)
+            elif kind is Kind.STUCK:
+                stall = running
+            elif running.happens():  # garbage
                 damaged = True
         return Fate(tuple(due), damaged, stall)

@@ -31,15 +31,16 @@ def _link(*kinds: Kind) -> Make:
 
 
 _D = dialect
-_POSITION: dict[int, Make] = {
-    _D.FAILURE_TYPE_OFF: _mocap(Kind.OFF),
-    _D.FAILURE_TYPE_STUCK: _mocap(Kind.STUCK),
-    _D.FAILURE_TYPE_GARBAGE: _mocap(Kind.GARBAGE),
-    _D.FAILURE_TYPE_WRONG: _mocap(Kind.WRONG),
-    _D.FAILURE_TYPE_SLOW: _mocap(Kind.SLOW),
-    _D.FAILURE_TYPE_DELAYED: _mocap(Kind.DELAYED),
-    _D.FAILURE_TYPE_INTERMITTENT: _mocap(Kind.INTERMITTENT),
+_TYPES: dict[int, Kind] = {
+    _D.FAILURE_TYPE_OFF: Kind.OFF,
+    _D.FAILURE_TYPE_STUCK: Kind.STUCK,
+    _D.FAILURE_TYPE_GARBAGE: Kind.GARBAGE,
+    _D.FAILURE_TYPE_WRONG: Kind.WRONG,
+    _D.FAILURE_TYPE_SLOW: Kind.SLOW,
+    _D.FAILURE_TYPE_DELAYED: Kind.DELAYED,
+    _D.FAILURE_TYPE_INTERMITTENT: Kind.INTERMITTENT,
 }
+_POSITION: dict[int, Make] = {type_: _mocap(kind) for type_, kind in _TYPES.items()}
 # unit and type (but OK) to faults, with the defaults of the table
 FAILURES: dict[int, dict[int, Make]] = {
     _D.FAILURE_UNIT_SENSOR_GPS: _POSITION,
@@ -54,22 +55,14 @@ FAILURES: dict[int, dict[int, Make]] = {
         _D.FAILURE_TYPE_WRONG: lambda _: [Fault(What.BATTERY, Kind.DROP)],
     },
     _D.FAILURE_UNIT_SYSTEM_MAVLINK_SIGNAL: {
-        _D.FAILURE_TYPE_OFF: _link(Kind.OFF),
-        _D.FAILURE_TYPE_STUCK: _link(Kind.STUCK),
-        _D.FAILURE_TYPE_GARBAGE: _link(Kind.GARBAGE),
-        _D.FAILURE_TYPE_WRONG: _link(Kind.REORDER, Kind.DUPLICATE),
-        _D.FAILURE_TYPE_SLOW: _link(Kind.SLOW),
-        _D.FAILURE_TYPE_DELAYED: _link(Kind.DELAYED),
-        _D.FAILURE_TYPE_INTERMITTENT: _link(Kind.INTERMITTENT),
+        type_: _link(Kind.REORDER, Kind.DUPLICATE) if kind is Kind.WRONG else _link(kind)
+        for type_, kind in _TYPES.items()
     },
 }
 # what FAILURE_TYPE_OK heals
 PARTS: dict[int, frozenset[What]] = {
-    _D.FAILURE_UNIT_SENSOR_GPS: frozenset({What.MOCAP}),
-    _D.FAILURE_UNIT_SENSOR_VIO: frozenset({What.MOCAP}),
-    _D.FAILURE_UNIT_SYSTEM_MOTOR: frozenset({What.MOTOR}),
-    _D.FAILURE_UNIT_SYSTEM_BATTERY: frozenset({What.BATTERY}),
-    _D.FAILURE_UNIT_SYSTEM_MAVLINK_SIGNAL: frozenset({What.LINK_OUT, What.LINK_IN}),
+    unit: frozenset(fault.what for make in kinds.values() for fault in make(MOTORS))
+    for unit, kinds in FAILURES.items()
 }
 
 

@@ -1,20 +1,56 @@
-"""Faults of a stream of samples: motion capture, own state, target odometry."""
+"""Faults of a stream of samples: motion capture, vehicle state, target odometry; and what a stream loses."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
-from collections.abc import Callable
-from typing import Generic, NamedTuple, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, NamedTuple, TypeVar
 
+from bridge.frames import Quat
 from flightstack.core.types import Vec3
 from sim.faults.schedule import Running
+from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.plant.sensors import NEVER_NS, NS
+from sim.plant.vehicle_types import Estimate
 from sim.scenarios.fault_table import Kind
 
 S = TypeVar("S")
 
 HELD_MAX = 8192  # samples; 5 s at 500 Hz are 2500
+ESTIMATE_PERIOD_NS = NS // 100  # of the log stream on which a Crazyflie sends its estimate
+
+Lost = Callable[[int], bool]  # whether what comes at this time (ns) is lost
+
+
+def _in_bursts(running: Running) -> Lost:
+    fault, burst, change_ns = running.fault, True, running.start_ns  # turns at once: to a good time
+
+    def lost(now_ns: int) -> bool:
+        nonlocal burst, change_ns
+        while now_ns >= change_ns:
+            burst = not burst
+            mean_s = fault.amount if burst else fault.period
+            change_ns += max(1, round(running.rng.exponential(mean_s) * NS))
+        return burst
+
+    return lost
+
+
+def _all_but_each_nth(running: Running) -> Lost:
+    count, n = itertools.count(1), round(running.fault.amount)
+    return lambda _: next(count) % n != 0
+
+
+# of samples and of messages
+LOST: Mapping[Kind, Callable[[Running], Lost]] = {
+    Kind.OFF: lambda _: lambda _: True,
+    Kind.LOSS: lambda running: lambda _: running.happens(),
+    Kind.BURST_LOSS: _in_bursts,
+    Kind.SLOW: _all_but_each_nth,
+    Kind.INTERMITTENT: lambda running: running.paused,
+}
 
 
 class Shape(NamedTuple, Generic[S]):
@@ -24,15 +60,64 @@ class Shape(NamedTuple, Generic[S]):
     freeze: Callable[[S, S], S]  # the first sample, with the time stamp of the second
 
 
-def paused(running: Running, now_ns: int) -> bool:
-    """Whether an intermittent fault pauses now; it begins with a pause."""
-    since_s = (now_ns - running.start_ns) / NS
-    return since_s % running.fault.period < running.fault.amount
+Change = Callable[[Any, int], Any]  # a sample and the time (ns) to what becomes of it
 
 
-def nth(running: Running, count: int) -> bool:
-    """Whether a slow fault lets number ``count`` (from 0) pass: the last of each group."""
-    return count % round(running.fault.amount) == round(running.fault.amount) - 1
+def _stuck(running: Running, shape: Shape[Any]) -> Change:
+    first: list[Any] = []
+
+    def change(sample: Any, now_ns: int) -> Any:
+        del now_ns
+        if not first:
+            first.append(sample)
+        return shape.freeze(first[0], sample)
+
+    del running
+    return change
+
+
+def _wrong(running: Running, shape: Shape[Any]) -> Change:
+    fault = running.fault
+    return lambda sample, _: shape.move(sample, fault.offset, fault.yaw_rad or 0.0)
+
+
+def _garbage(running: Running, shape: Shape[Any]) -> Change:
+    def change(sample: Any, now_ns: int) -> Any:
+        del now_ns
+        half = running.fault.amount
+        x, y, z, turn = running.rng.uniform(-1.0, 1.0, 4).tolist()
+        return shape.move(sample, (half * x, half * y, half * z), math.pi * turn)
+
+    return change
+
+
+def _drift(running: Running, shape: Shape[Any]) -> Change:
+    first, second = running.rng.uniform(0.0, math.pi, 2).tolist()
+    sine = math.sin(second)
+    x, y, z = math.cos(2.0 * first) * sine, math.sin(2.0 * first) * sine, math.cos(second)
+
+    def change(sample: Any, now_ns: int) -> Any:
+        length = running.fault.amount * (now_ns - running.start_ns) / NS
+        return shape.move(sample, (length * x, length * y, length * z), 0.0)
+
+    return change
+
+
+CHANGES: Mapping[Kind, Callable[[Running, Shape[Any]], Change]] = {
+    Kind.STUCK: _stuck,
+    Kind.WRONG: _wrong,
+    Kind.GARBAGE: _garbage,
+    Kind.DRIFT: _drift,
+}
+
+
+class _One(NamedTuple):
+    """One running fault of a stream."""
+
+    running: Running
+    lost: Lost
+    change: Change
+    delay_ns: int
 
 
 class SampleFaults(Generic[S]):
@@ -44,7 +129,7 @@ class SampleFaults(Generic[S]):
 
     def __init__(self, shape: Shape[S]) -> None:
         self._shape = shape
-        self._running: list[_One[S]] = []
+        self._running: list[_One] = []
         self._held: deque[tuple[int, S]] = deque()
         self.release_ns = NEVER_NS
 
@@ -60,7 +145,11 @@ class SampleFaults(Generic[S]):
 
     def begin(self, running: Running) -> None:
         """A fault is on."""
-        self._running.append(_One(running, self._shape))
+        kind = running.fault.kind
+        lost = LOST[kind](running) if kind in LOST else lambda _: False
+        change = CHANGES[kind](running, self._shape) if kind in CHANGES else lambda sample, _: sample
+        delay_ns = round(running.fault.amount * NS) if kind is Kind.DELAYED else 0
+        self._running.append(_One(running, lost, change, delay_ns))
 
     def end(self, running: Running, now_ns: int) -> None:
         """It is over; what it held back is due now."""
@@ -90,74 +179,76 @@ class SampleFaults(Generic[S]):
 
     def _through(self, sample: S, now_ns: int) -> S | None:
         for one in self._running:
-            kept = one.apply(sample, now_ns)
-            if kept is None:
+            if one.lost(now_ns):
                 return None
-            sample = kept
+            sample = one.change(sample, now_ns)
         return sample
 
 
-class _One(Generic[S]):
-    """One running fault of a stream."""
+def turned(q: Quat, yaw_rad: float) -> Quat:
+    """Attitude turned about the vertical."""
+    c, s = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+    w, x, y, z = q
+    return (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
 
-    def __init__(self, running: Running, shape: Shape[S]) -> None:
-        self.running = running
-        fault = running.fault
-        self.delay_ns = round(fault.amount * NS) if fault.kind is Kind.DELAYED else 0
-        self._shape = shape
-        self._first: S | None = None
-        self._count = 0
-        angles = running.rng.uniform(0.0, math.pi, 2).tolist() if fault.kind is Kind.DRIFT else (0.0, 0.0)
-        sine = math.sin(angles[1])
-        self._direction = (
-            math.cos(2.0 * angles[0]) * sine,
-            math.sin(2.0 * angles[0]) * sine,
-            math.cos(angles[1]),
-        )
-        self.apply = {
-            Kind.OFF: self._off,
-            Kind.STUCK: self._stuck,
-            Kind.WRONG: self._wrong,
-            Kind.SLOW: self._slow,
-            Kind.DELAYED: self._pass,
-            Kind.INTERMITTENT: self._intermittent,
-            Kind.GARBAGE: self._garbage,
-            Kind.DRIFT: self._drift,
-        }[fault.kind]
 
-    def _off(self, sample: S, now_ns: int) -> S | None:
-        del sample, now_ns
-        return None
+def _move_estimate(estimate: Estimate, offset: Vec3, turn: float) -> Estimate:
+    x, y, z = estimate.position_enu_m
+    moved = (x + offset[0], y + offset[1], z + offset[2])
+    return estimate._replace(position_enu_m=moved, quaternion=turned(estimate.quaternion, turn))
 
-    def _pass(self, sample: S, now_ns: int) -> S | None:
-        del now_ns
-        return sample
 
-    def _stuck(self, sample: S, now_ns: int) -> S | None:
-        del now_ns
-        if self._first is None:
-            self._first = sample
-        return self._shape.freeze(self._first, sample)
+ESTIMATE: Shape[Estimate] = Shape(_move_estimate, lambda first, _: first)
 
-    def _wrong(self, sample: S, now_ns: int) -> S | None:
-        del now_ns
-        return self._shape.move(sample, self.running.fault.offset, self.running.fault.yaw_rad or 0.0)
 
-    def _slow(self, sample: S, now_ns: int) -> S | None:
-        del now_ns
-        self._count += 1
-        return sample if nth(self.running, self._count - 1) else None
+class EstimateFaults:
+    """Faults of the estimate on its way from the firmware to its autopilot.
 
-    def _intermittent(self, sample: S, now_ns: int) -> S | None:
-        return None if paused(self.running, now_ns) else sample
+    On a Crazyflie that is a log stream over the radio: the firmware flies on by the good estimate, autopilot
+    and companion see the bad one.
 
-    def _garbage(self, sample: S, now_ns: int) -> S | None:
-        del now_ns
-        half = self.running.fault.amount
-        x, y, z, turn = self.running.rng.uniform(-1.0, 1.0, 4).tolist()
-        return self._shape.move(sample, (half * x, half * y, half * z), math.pi * turn)
+    Attributes:
+        due_ns: when ``sample`` is to be called next.
+    """
 
-    def _drift(self, sample: S, now_ns: int) -> S | None:
-        length = self.running.fault.amount * (now_ns - self.running.start_ns) / NS
-        x, y, z = self._direction
-        return self._shape.move(sample, (length * x, length * y, length * z), 0.0)
+    def __init__(self) -> None:
+        self._arrived_ns = 0
+        self._reset()
+
+    def _reset(self) -> None:
+        self._samples = SampleFaults(ESTIMATE)
+        self._arrived: Estimate | None = None
+        self.due_ns = NEVER_NS
+
+    def begin(self, running: Running) -> None:
+        """A fault is on."""
+        self._samples.begin(running)
+        if self.due_ns == NEVER_NS:
+            self.due_ns = running.start_ns
+
+    def end(self, running: Running, now_ns: int) -> None:
+        """It is over; after the last one the present estimate counts again, what was held is dropped."""
+        self._samples.end(running, now_ns)
+        if not self._samples.running:
+            self._reset()
+
+    def sample(self, now_ns: int, estimate: Estimate) -> None:
+        """Put an estimate on its way."""
+        self.due_ns += ESTIMATE_PERIOD_NS
+        if self._arrived is None:
+            self._arrived, self._arrived_ns = estimate, now_ns
+        for arrived in self._samples.deliver(now_ns, [estimate]):
+            self._arrived, self._arrived_ns = arrived, now_ns
+
+    def report(self, now_ns: int, estimate: Estimate) -> Estimate:
+        """What the autopilot has; invalid when nothing has come for as long as the estimator would bear.
+
+        Args:
+            now_ns: simulated time.
+            estimate: what the firmware has.
+        """
+        arrived = self._arrived
+        if arrived is None:
+            return estimate
+        fresh = (now_ns - self._arrived_ns) / NS < INNOVATION_AGE_MAX_S
+        return arrived if fresh else arrived._replace(valid=False)

@@ -26,6 +26,15 @@ class Running:
     active: bool = False
     over: bool = False
 
+    def happens(self) -> bool:
+        """Draw whether it strikes, with the probability ``value``."""
+        return bool(self.rng.random() < self.fault.amount)
+
+    def paused(self, now_ns: int) -> bool:
+        """Whether an intermittent fault pauses now; it begins with a pause."""
+        since_s = (now_ns - self.start_ns) / NS
+        return since_s % self.fault.period < self.fault.amount
+
 
 class Change(NamedTuple):
     """A fault begins (``running.active``) or ends."""

@@ -11,11 +11,10 @@ from collections.abc import Iterable
 from typing import Protocol
 
 from flightstack.core.types import Vec3
+from sim.faults.drive import BatteryFaults, MotorFaults
 from sim.faults.link import CONCERNS, LinkFaults
 from sim.faults.mavlink import OK, PARTS, faults_of, motors_of
-from sim.faults.motors import BatteryFaults, MotorFaults
-from sim.faults.own_state import OwnStateFaults
-from sim.faults.samples import SampleFaults, Shape
+from sim.faults.samples import EstimateFaults, SampleFaults, Shape
 from sim.faults.schedule import RUNNING_MAX, Change, FaultText, Running, Schedule
 from sim.scenarios.fault_spec import After, Fault
 from sim.scenarios.fault_table import What
@@ -67,7 +66,7 @@ class Faults:
         self._schedule.add(ours)
         self.quiet = not ours
         self.mocap = SampleFaults(MOCAP)
-        self.own_state = OwnStateFaults()
+        self.own_state = EstimateFaults()
         self.link = LinkFaults()
         self._effects: dict[What, Effect] = {
             What.MOTOR: motors,

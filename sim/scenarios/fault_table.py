@@ -1,7 +1,7 @@
 """What can fail, and how: one table of all faults with their values, units and ranges.
 
-Who carries a fault out: ``sim.faults.motors`` (motors, battery), ``sim.faults.samples`` (motion capture,
-own state, target odometry), ``sim.faults.link`` (everything on the MAVLink wire).
+Who carries a fault out: ``sim.faults.drive`` (motors, battery), ``sim.faults.samples``
+(motion capture, own state, target odometry), ``sim.faults.link`` (everything on the MAVLink wire).
 """
 
 from __future__ import annotations

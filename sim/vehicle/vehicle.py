@@ -10,7 +10,7 @@ import math
 from flightstack.core.types import ZERO, Vec3
 from sim.compiled.records import scalars
 from sim.compiled.rotation import quaternion_from_axes, rotation_axes
-from sim.faults.motors import BatteryFaults, MotorFaults
+from sim.faults.drive import BatteryFaults, MotorFaults
 from sim.faults.vehicle_faults import Faults
 from sim.firmware.mixer import OFF
 from sim.firmware.paper_loop import axes_from_force

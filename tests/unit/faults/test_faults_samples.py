@@ -5,8 +5,7 @@ import math
 
 import pytest
 
-from sim.faults.own_state import OwnStateFaults, turned
-from sim.faults.samples import HELD_MAX, SampleFaults, Shape
+from sim.faults.samples import HELD_MAX, EstimateFaults, SampleFaults, Shape, turned
 from sim.faults.schedule import Schedule
 from sim.plant.sensors import NEVER_NS, NS
 from sim.plant.vehicle_types import Estimate
@@ -121,7 +120,7 @@ def test_what_is_held_is_bounded():
 def test_own_state_goes_stale_and_comes_back():
     good = Estimate((1.0, 2.0, 3.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), True)
     moved = Estimate((9.0, 2.0, 3.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), True)
-    own, one = OwnStateFaults(), running(What.OWN_STATE, Kind.OFF)
+    own, one = EstimateFaults(), running(What.OWN_STATE, Kind.OFF)
     assert own.report(0, moved) is moved
     own.begin(one)
     own.sample(0, good)
