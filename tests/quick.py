@@ -24,8 +24,9 @@ SLOW = (
     "logs/recorder/test_recorder_process.py",
     "logs/replay/test_replay_golden.py",
     "logs/replay/test_replay_wire.py",
-    "plant/test_physics_*.py",
+    "plant/test_physics.py",
     "plant/test_vehicle_docs.py",
+    "plant/test_world.py",
     "vehicle/test_landing.py",
     "verify/test_*.py",
 )

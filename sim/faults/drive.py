@@ -5,8 +5,7 @@ from __future__ import annotations
 from sim.compiled.records import F64
 from sim.faults.schedule import Running
 from sim.plant.params import Rotor
-from sim.plant.rotors import RotorRecord
-from sim.plant.vehicle_types import BatteryRecord
+from sim.plant.rotors import BatteryRecord, RotorRecord
 from sim.scenarios.fault_table import Kind
 
 EMPTY_V = 3.0  # at rest; firmware platform_defaults_cf2.h: DEFAULT_BAT_CRITICAL_LOW_VOLTAGE

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 
 from sim.compiled.jit import jitted
-from sim.compiled.records import Record, new
+from sim.compiled.records import Record
 from sim.compiled.rotation import Nine
 from sim.plant.params import CONTROL_STEP_S
 
@@ -68,21 +68,3 @@ def attitude_moments(a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy
     my = max(-MOMENT_MAX, min(MOMENT_MAX, my))
     mz = max(-MOMENT_MAX, min(MOMENT_MAX, mz))
     return (int(mx), int(my), int(mz))
-
-
-class MellingerAttitude:
-    """Turns desired axes into moment counts."""
-
-    __slots__ = ("record",)
-
-    def __init__(self, record: AttitudeRecord | None = None) -> None:
-        self.record = new(AttitudeRecord) if record is None else record
-        self.record.wx = math.nan
-
-    def reset(self) -> None:
-        """Forget the integral, as the firmware does at zero thrust."""
-        self.record.integral_z = 0.0
-
-    def update(self, axes: Nine, desired: Nine, wx: float, wy: float, wz: float) -> Counts:
-        """Return the moments in counts, see ``attitude_moments``."""
-        return attitude_moments(self.record, axes, desired, wx, wy, wz)

@@ -171,8 +171,6 @@ class Estimator:
         record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = ("_age_s", "_cell", "_read", "record", "sensed")
-
     def __init__(
         self,
         mocap_period_s: float,
@@ -209,10 +207,6 @@ class Estimator:
         bx, by, bz = (axes[i] * a + axes[3 + i] * b + axes[6 + i] * c for i in range(3))
         self.record.bias_z = -bz
         turn_estimate(sensed, by / gravity, -bx / gravity, 0.0)
-
-    def predict(self, gyro: Vec3, accel: Vec3) -> None:
-        """Do one ``predict``."""
-        predict(self.record, np.array(gyro), np.array(accel))
 
     def correct(self, x: float, y: float, z: float, yaw: float) -> None:
         """Take a motion-capture sample, see ``correct``."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from sim.compiled.jit import jitted
-from sim.compiled.records import Record, new
+from sim.compiled.records import Record
 from sim.plant.params import Rotor
 from sim.plant.rotors import Four
 
@@ -52,25 +52,11 @@ def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
     return min((m.b + math.sqrt(m.b * m.b + m.four_a * counts)) * m.inverse, rpm_max)
 
 
-class ThrustMap:
-    """Counts of a motor to the speed that gives that thrust with the nominal propeller.
-
-    Args:
-        rotor: nominal static map and thrust limits.
-        record: where to keep everything; None for a place of its own.
-    """
-
-    __slots__ = ("record",)
-
-    def __init__(self, rotor: Rotor, record: MapRecord | None = None) -> None:
-        self.record = m = new(MapRecord) if record is None else record
-        n_per_count = rotor.thrust_max_n / COUNTS_MAX
-        m.b = -rotor.thrust_linear_n_rpm
-        m.four_a = 4.0 * rotor.thrust_square_n_rpm2 * n_per_count
-        m.inverse = 0.5 / rotor.thrust_square_n_rpm2
-        m.off_below = rotor.thrust_min_n / n_per_count
-
-    def speeds(self, counts: Four, rpm_max: float) -> Four:
-        """Commanded speeds, rpm, not above ``rpm_max`` (what the battery allows)."""
-        m1, m2, m3, m4 = (motor_speed(self.record, c, rpm_max) for c in counts)
-        return (m1, m2, m3, m4)
+def set_up_map(m: MapRecord, rotor: Rotor) -> MapRecord:
+    """Fill in a record for the nominal static map and the thrust limits of a rotor."""
+    n_per_count = rotor.thrust_max_n / COUNTS_MAX
+    m.b = -rotor.thrust_linear_n_rpm
+    m.four_a = 4.0 * rotor.thrust_square_n_rpm2 * n_per_count
+    m.inverse = 0.5 / rotor.thrust_square_n_rpm2
+    m.off_below = rotor.thrust_min_n / n_per_count
+    return m

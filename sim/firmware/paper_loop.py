@@ -16,9 +16,9 @@ import math
 from sim.compiled.jit import jitted
 from sim.compiled.records import Record, new
 from sim.compiled.rotation import Nine, nine
-from sim.firmware.attitude import AttitudeRecord, Counts, MellingerAttitude, attitude_moments
+from sim.firmware.attitude import AttitudeRecord, Counts, attitude_moments
 from sim.firmware.mixer import COUNTS_MAX
-from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
+from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import Params
 
 K_V_N_S_M = 0.5  # paper V: K_v = 0.5 I
@@ -78,13 +78,13 @@ def paper_reset(p: PaperRecord) -> None:
 
 
 class PaperLoop:
-    """Velocity set-point in, thrust counts (per motor) and moment counts out; call at 500 Hz."""
+    """Sets up the loop of one vehicle."""
 
     def __init__(self, params: Params, record: PaperRecord | None = None) -> None:
         self.record = r = new(PaperRecord) if record is None else record
         r.weight = self._weight = params.body.mass_kg * params.contact.gravity_m_s2
         r.counts_per_n = COUNTS_MAX / (4.0 * params.rotor.thrust_max_n)
-        MellingerAttitude(r.attitude)
+        r.attitude.wx = math.nan
 
     def reset(self) -> None:
         """Forget integrals."""
@@ -93,7 +93,3 @@ class PaperLoop:
     def trim(self, force: tuple[float, float, float]) -> tuple[float, float, float]:
         """Return the set-point at which the loop, at rest, asks for ``force`` (world, N)."""
         return (force[0] / K_V_N_S_M, force[1] / K_V_N_S_M, (force[2] - self._weight) / K_V_N_S_M)
-
-    def update(self, sensed: SensedState, setpoint: Setpoint, level: bool) -> tuple[float, Counts]:
-        """Do one ``paper_update``."""
-        return paper_update(self.record, sensed, new(SetpointRecord, setpoint.fields()), level)

@@ -16,7 +16,7 @@ from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Record, new
 from sim.firmware.attitude import Counts
-from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
+from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S, Params
 
 POSITION_EVERY = 5  # firmware stabilizer_types.h: POSITION_RATE 100 Hz
@@ -93,15 +93,8 @@ UNKNOWN, FREE, LEVEL = -1, 0, 1
 @jitted
 def cascade_reset(c: CascadeRecord) -> None:
     """Forget integrals."""
-    pid_forget(c.vx)
-    pid_forget(c.vy)
-    pid_forget(c.vz)
-    pid_forget(c.roll)
-    pid_forget(c.pitch)
-    pid_forget(c.yaw)
-    pid_forget(c.roll_rate)
-    pid_forget(c.pitch_rate)
-    pid_forget(c.yaw_rate)
+    for pid in (c.vx, c.vy, c.vz, c.roll, c.pitch, c.yaw, c.roll_rate, c.pitch_rate, c.yaw_rate):
+        pid_forget(pid)
     c.roll_rate.previous = c.pitch_rate.previous = c.yaw_rate.previous = 0.0  # attitudeControllerResetAllPID
     c.calls = 0
 
@@ -163,7 +156,7 @@ def cascade_update(
 
 
 class PidLoop:
-    """Velocity set-point in, thrust counts (per motor) and moment counts out; call at 500 Hz."""
+    """Sets up the cascade of one vehicle."""
 
     def __init__(self, params: Params, record: CascadeRecord | None = None) -> None:
         self.record = c = new(CascadeRecord) if record is None else record
@@ -194,7 +187,3 @@ class PidLoop:
         c.vy.integral = math.asin(force[1] / thrust) * DEG / c.vy.ki
         c.vz.integral = (thrust * self._counts_per_n - THRUST_BASE) / THRUST_SCALE / c.vz.ki
         return (0.0, 0.0, 0.0)
-
-    def update(self, sensed: SensedState, setpoint: Setpoint, level: bool) -> tuple[float, Counts]:
-        """Do one ``cascade_update``."""
-        return cascade_update(self.record, sensed, new(SetpointRecord, setpoint.fields()), level)

@@ -1,71 +1,17 @@
-"""What the controllers are given: a set-point and the sensed state."""
+"""What the controllers are given: the newest set-point that has arrived, and the sensed state."""
 
 from __future__ import annotations
 
 import math
 import struct
-from typing import Annotated, NamedTuple, Protocol
+from typing import Annotated, NamedTuple
 
-from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Axes, Quaternion, Record, Vector, cell, scalars
 
 ROOM = 256  # set-points under way: twice as many as 0.1 s of delay and 1 kHz can be
 WIDTH = 8  # numbers of a row: time of arrival, then the fields of a set-point
 _ROW = struct.Struct(f"={WIDTH}d")
-
-
-class InboxRecord(Record):
-    """A ring of rows."""
-
-    rows: Annotated[F64, ROOM * WIDTH]  # times are whole milliseconds, which doubles hold exactly
-    first: int  # numbers of rows since the beginning: the oldest one that has not arrived,
-    end: int  # and the one that is sent next
-    taken_ms: int  # when the present set-point arrived
-
-
-@jitted
-def receive(inbox: InboxRecord, s: SetpointRecord, now_ms: int) -> None:
-    """Take the set-points that have arrived."""
-    while inbox.first < inbox.end:
-        at = WIDTH * (inbox.first % ROOM)
-        row = inbox.rows[at : at + WIDTH]
-        if row[0] > now_ms:
-            return
-        inbox.taken_ms = int(row[0])
-        s.vx, s.vy, s.vz, s.yaw_rad = row[1], row[2], row[3], row[4]
-        s.stop, s.cos_yaw, s.sin_yaw = row[5] != 0.0, row[6], row[7]
-        inbox.first += 1
-
-
-class Inbox:
-    """The sender's end.
-
-    Args:
-        record: the ring.
-        setpoint: the present one, which counts until another arrives.
-    """
-
-    __slots__ = ("_end", "_first", "_rows", "_setpoint", "_taken_ms")
-
-    def __init__(self, record: InboxRecord, setpoint: SetpointRecord) -> None:
-        self._rows = record.rows.data
-        self._first, self._end, self._taken_ms = scalars(record, "first", "end", "taken_ms")
-        self._setpoint = cell(setpoint)
-
-    def send(self, setpoint: Setpoint, arrives_ms: int) -> None:
-        """Put a set-point on its way; when there is no room it takes the place of the one before."""
-        end = self._end[0]
-        if end - self._first[0] >= ROOM:
-            end -= 1
-        _ROW.pack_into(self._rows, _ROW.size * (end % ROOM), arrives_ms, *setpoint.fields())
-        self._end[0] = end + 1
-
-    def set(self, setpoint: Setpoint, since_ms: int) -> None:
-        """Let a set-point hold now; what is under way is forgotten."""
-        self._first[0] = self._end[0]
-        self._taken_ms[0] = since_ms
-        self._setpoint[0] = setpoint.fields()
 
 
 class Setpoint(NamedTuple):
@@ -108,16 +54,52 @@ class SensedState(Record):
     rates: Vector  # gyro
 
 
-class VelocityController(Protocol):
-    """A velocity loop with all that is below it, down to counts; called at 500 Hz."""
+class InboxRecord(Record):
+    """A ring of rows."""
 
-    def reset(self) -> None:
-        """Forget integrals."""
+    rows: Annotated[F64, ROOM * WIDTH]  # times are whole milliseconds, which doubles hold exactly
+    first: int  # numbers of rows since the beginning: the oldest one that has not arrived,
+    end: int  # and the one that is sent next
+    taken_ms: int  # when the present set-point arrived
 
-    def update(
-        self, sensed: SensedState, setpoint: Setpoint, level: bool
-    ) -> tuple[float, tuple[int, int, int]]:
-        """Return ``(thrust counts per motor, moment counts about body x, y, z)``."""
 
-    def trim(self, force: Vec3) -> Vec3:
-        """Prepare for hover under ``force`` (world, N, nominal scale); return the set-point that holds it."""
+@jitted
+def receive(inbox: InboxRecord, s: SetpointRecord, now_ms: int) -> None:
+    """Take the set-points that have arrived."""
+    while inbox.first < inbox.end:
+        at = WIDTH * (inbox.first % ROOM)
+        row = inbox.rows[at : at + WIDTH]
+        if row[0] > now_ms:
+            return
+        inbox.taken_ms = int(row[0])
+        s.vx, s.vy, s.vz, s.yaw_rad = row[1], row[2], row[3], row[4]
+        s.stop, s.cos_yaw, s.sin_yaw = row[5] != 0.0, row[6], row[7]
+        inbox.first += 1
+
+
+class Inbox:
+    """The sender's end.
+
+    Args:
+        record: the ring.
+        setpoint: the present one, which counts until another arrives.
+    """
+
+    def __init__(self, record: InboxRecord, setpoint: SetpointRecord) -> None:
+        self._rows = record.rows.data
+        self._first, self._end, self._taken_ms = scalars(record, "first", "end", "taken_ms")
+        self._setpoint = cell(setpoint)
+
+    def send(self, setpoint: Setpoint, arrives_ms: int) -> None:
+        """Put a set-point on its way; when there is no room it takes the place of the one before."""
+        end = self._end[0]
+        if end - self._first[0] >= ROOM:
+            end -= 1
+        _ROW.pack_into(self._rows, _ROW.size * (end % ROOM), arrives_ms, *setpoint.fields())
+        self._end[0] = end + 1
+
+    def set(self, setpoint: Setpoint, since_ms: int) -> None:
+        """Let a set-point hold now; what is under way is forgotten."""
+        self._first[0] = self._end[0]
+        self._taken_ms[0] = since_ms
+        self._setpoint[0] = setpoint.fields()

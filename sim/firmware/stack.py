@@ -7,7 +7,7 @@ import math
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Motors, Record, reader
 from sim.firmware.estimator import Estimator, EstimatorRecord
-from sim.firmware.mixer import OFF, MapRecord, ThrustMap, mix, motor_speed
+from sim.firmware.mixer import OFF, MapRecord, mix, motor_speed, set_up_map
 from sim.firmware.paper_loop import PaperLoop, PaperRecord, paper_reset, paper_update
 from sim.firmware.pid import CascadeRecord, PidLoop, cascade_reset, cascade_update
 from sim.firmware.setpoint import (
@@ -16,7 +16,6 @@ from sim.firmware.setpoint import (
     InboxRecord,
     Setpoint,
     SetpointRecord,
-    VelocityController,
     receive,
 )
 from sim.firmware.supervisor import Supervisor, SupervisorRecord, supervise
@@ -26,7 +25,6 @@ from sim.scenarios.scenario import VehicleSpec, VelocityLoop
 
 BATTERY_MIN_V = 3.2  # platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE
 TILT_MAX_COS = 0.5  # arming tilted by more than 60 degrees is refused
-
 
 PAPER, PID = 0, 1
 
@@ -104,12 +102,12 @@ class Firmware:
         self._commands, self._read_commands = record.commands, reader(record.commands)
         self._delay_ms = round(spec.setpoint_delay_s * 1000.0)
         record.gravity = gravity = params.contact.gravity_m_s2
-        ThrustMap(params.rotor, record.thrust_map)
+        set_up_map(record.thrust_map, params.rotor)
         self._inbox = Inbox(record.inbox, record.setpoint)
         self._inbox.set(STOP, 0)
         paper, pid = PaperLoop(params, record.paper), PidLoop(params, record.pid)
         record.loop = {VelocityLoop.PAPER: PAPER, VelocityLoop.PID: PID}[spec.velocity_loop]
-        self.controller: VelocityController = paper if record.loop == PAPER else pid
+        self.controller: PaperLoop | PidLoop = paper if record.loop == PAPER else pid
         period_s = 1.0 / spec.mocap.rate_hz
         self.estimator = Estimator(period_s, CONTROL_STEP_S, gravity, record.estimator)
         self.supervisor = Supervisor(record.supervisor)

@@ -168,8 +168,6 @@ class Supervisor:
         record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = ("_allowed", "_state", "record")
-
     def __init__(self, record: SupervisorRecord | None = None) -> None:
         self.record = new(SupervisorRecord) if record is None else record
         self._state, self._allowed = scalars(self.record, "state", "motors_allowed")
@@ -213,9 +211,3 @@ class Supervisor:
         """Disarm at once. A locked vehicle stays locked."""
         if self.state is not State.DISARMED and self.state is not State.LOCKED:
             self._enter(State.DISARMED, now_ms)
-
-    def update(
-        self, now_ms: int, setpoint_age_ms: int, motors_running: bool, accel_g: tuple[float, float, float]
-    ) -> None:
-        """Do one ``supervise``."""
-        supervise(self.record, now_ms, setpoint_age_ms, motors_running, *accel_g)

@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Record, new
+from sim.compiled.records import F64, Record
 from sim.compiled.rotation import Nine
 from sim.plant.params import Rotor
-from sim.plant.rotors import POSITION_X, POSITION_Y, Four
+from sim.plant.rotors import POSITION_X, POSITION_Y
 
 HEIGHT_MIN_M = 0.020
 UPRIGHT_COS = 0.5  # tilted by more than 60 degrees: no cushion
@@ -78,33 +76,9 @@ def ground_effect(
         factors[i] = 1.0 + increase
 
 
-class GroundEffect:
-    """The effect for one vehicle and pad.
-
-    Args:
-        rotor: geometry.
-        gain: on the formula's increase.
-        pad_radius_m: of the round pad.
-        record: where to keep everything; None for a place of its own.
-    """
-
-    __slots__ = ("record",)
-
-    def __init__(
-        self, rotor: Rotor, gain: float, pad_radius_m: float, record: GroundRecord | None = None
-    ) -> None:
-        self.record = g = new(GroundRecord) if record is None else record
-        g.radius, g.arm, g.above = rotor.radius_m, rotor.arm_m, rotor.above_com_m
-        g.gain, g.pad_radius = gain, pad_radius_m
-        g.reach = 4.0 * rotor.radius_m + rotor.arm_m + rotor.above_com_m
-
-    def increase(self, height_m: float) -> float:
-        """Return T/T0 - 1 of one rotor whose disc is ``height_m`` above a wide surface."""
-        return thrust_increase(self.record, height_m)
-
-    def factors(self, ex: float, ey: float, ez: float, pad_height_m: float, axes: Nine) -> Four:
-        """Factors on the four thrusts; see ``ground_effect``."""
-        out = np.empty(4)
-        ground_effect(self.record, ex, ey, ez, pad_height_m, axes, out)
-        m1, m2, m3, m4 = out.tolist()
-        return (m1, m2, m3, m4)
+def set_up_ground(g: GroundRecord, rotor: Rotor, gain: float, pad_radius_m: float) -> GroundRecord:
+    """Fill in a record for one vehicle and a round pad; ``gain`` is on the formula's increase."""
+    g.radius, g.arm, g.above = rotor.radius_m, rotor.arm_m, rotor.above_com_m
+    g.gain, g.pad_radius = gain, pad_radius_m
+    g.reach = 4.0 * rotor.radius_m + rotor.arm_m + rotor.above_com_m
+    return g

@@ -71,8 +71,6 @@ class Imu:
         record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = ("_accel", "_gyro", "_tape", "accel_bias", "record")
-
     def __init__(
         self,
         imu: ImuParams,

@@ -1,4 +1,4 @@
-"""Four rotors: lag, thrust, drag torque, reaction and gyroscopic torque, ground effect, battery.
+"""The drive: four rotors with lag, thrust and torques, and the battery that limits their speed.
 
 Body frame FLU. M1 front right turns counter-clockwise, M2 rear right clockwise, M3 rear left
 counter-clockwise, M4 front left clockwise (seen from above; firmware power_distribution_quadrotor.c). A
@@ -13,11 +13,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Motors, Record, new
-from sim.plant.params import Plant, Rotor
+from sim.compiled.records import F64, Motors, Record, new, scalars
+from sim.plant.params import Battery, Plant, Rotor
 
 Four = tuple[float, float, float, float]
 
@@ -88,17 +86,15 @@ def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
 
 
 class Rotors:
-    """Rotor speeds and the wrench they make.
+    """Sets up the rotors of one vehicle; shows their speeds.
 
     Args:
         rotor: static maps, lag, geometry.
         plant: factors on thrust (and with it torque) and on the lag.
         slow: the slow, asymmetric lag instead of the first-order one.
-        step_s: time between calls of ``step``.
+        step_s: time between calls of ``turn_rotors``.
         record: where to keep everything; None for a place of its own.
     """
-
-    __slots__ = ("_rpm", "record")
 
     def __init__(
         self, rotor: Rotor, plant: Plant, slow: bool, step_s: float, record: RotorRecord | None = None
@@ -118,11 +114,6 @@ class Rotors:
         r.slow = slow
         r.cushion[:] = 1.0
 
-    def step(self, command: Four, factors: Four | None, wx: float, wy: float) -> None:
-        """Do ``turn_rotors`` with these ground-effect factors, None for none."""
-        self.record.cushion[:] = factors or 1.0
-        turn_rotors(self.record, np.array(command), wx, wy)
-
     @property
     def rpm(self) -> Four:
         """Speeds of M1..M4."""
@@ -133,22 +124,68 @@ class Rotors:
     def rpm(self, rpm: Sequence[float]) -> None:
         self._rpm[:] = rpm
 
-    @property
-    def thrust_n(self) -> float:
-        """Sum of the thrusts, along body z."""
-        return float(self.record.thrust_n)
+
+class BatteryRecord(Record):
+    """Charge and voltage; the rest as in ``params.Battery``."""
+
+    voltage_v: float  # under load
+    used_a_s: float
+    hover_power: float  # sum of the cubes of the speeds in hover, rpm^3
+    charge_a_s: float
+    full_v: float
+    empty_v: float
+    resistance_ohm: float
+    idle_current_a: float
+    hover_current_a: float
+    speed_at_zero_v_rpm: float
+    speed_per_volt_rpm: float
+
+
+@jitted
+def drain(b: BatteryRecord, rpm: F64, dt_s: float) -> None:
+    """Draw current for ``dt_s``; power grows with the cube of the speed, scaled to the hover current."""
+    power = 0.0
+    for i in range(4):
+        power += math.pow(rpm[i], 3.0)
+    power /= b.hover_power
+    current = b.idle_current_a + b.hover_current_a * power
+    b.used_a_s = min(b.charge_a_s, b.used_a_s + current * dt_s)
+    rest = b.full_v - (b.full_v - b.empty_v) * b.used_a_s / b.charge_a_s
+    b.voltage_v = rest - b.resistance_ohm * current
+
+
+@jitted
+def speed_limit(b: BatteryRecord) -> float:
+    """Speed at full duty cycle, rpm."""
+    return b.speed_at_zero_v_rpm + b.speed_per_volt_rpm * b.voltage_v
+
+
+class BatteryModel:
+    """One cell, full at first.
+
+    Args:
+        battery: parameters.
+        hover_rpm: speed of all rotors at which it gives its hover current.
+        record: where to keep everything; None for a place of its own.
+    """
+
+    def __init__(self, battery: Battery, hover_rpm: float, record: BatteryRecord | None = None) -> None:
+        self.record = b = new(BatteryRecord) if record is None else record
+        self._voltage = scalars(b, "voltage_v")[0]
+        b.hover_power = 4.0 * hover_rpm**3
+        b.charge_a_s, b.full_v, b.empty_v = battery.charge_a_s, battery.full_v, battery.empty_v
+        b.resistance_ohm = battery.resistance_ohm
+        b.idle_current_a, b.hover_current_a = battery.idle_current_a, battery.hover_current_a
+        b.speed_at_zero_v_rpm = battery.speed_at_zero_v_rpm
+        b.speed_per_volt_rpm = battery.speed_per_volt_rpm
+        b.voltage_v = battery.full_v - battery.resistance_ohm * battery.idle_current_a
 
     @property
-    def torque_x(self) -> float:
-        """Roll torque on the body, N m."""
-        return float(self.record.torque_x)
+    def voltage_v(self) -> float:
+        """Voltage under load."""
+        return float(self._voltage[0])
 
     @property
-    def torque_y(self) -> float:
-        """Pitch torque on the body, N m."""
-        return float(self.record.torque_y)
-
-    @property
-    def torque_z(self) -> float:
-        """Yaw torque on the body, N m."""
-        return float(self.record.torque_z)
+    def rpm_max(self) -> float:
+        """Speed at full duty cycle."""
+        return speed_limit(self.record)

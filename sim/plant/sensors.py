@@ -35,8 +35,6 @@ def ms_from(time_ns: int) -> int:
 class Normals:
     """Standard normal numbers, drawn in blocks."""
 
-    __slots__ = ("_left", "_rng")
-
     def __init__(self, seed: int, purpose: str) -> None:
         self._rng = stream(seed, purpose)
         self._left: list[float] = []
@@ -60,8 +58,6 @@ class NoiseRows:
         seed: of the run.
         purpose: name of the random stream.
     """
-
-    __slots__ = ("_left", "_noisy", "_normals", "_sigmas")
 
     def __init__(self, sigmas: Sequence[float], seed: int, purpose: str) -> None:
         self._sigmas = np.array(sigmas, dtype=np.float64)
@@ -104,8 +100,6 @@ def take(tape: TapeRecord) -> float:
 class Tape:
     """The numbers of ``Normals`` for compiled code, which cannot draw its own."""
 
-    __slots__ = ("_next", "_normals", "_numbers")
-
     def __init__(self, seed: int, purpose: str, record: TapeRecord) -> None:
         self._normals = Normals(seed, purpose)
         self._next, self._numbers = cell(record)["next"], record.numbers
@@ -131,8 +125,6 @@ class Losses:
         seed: of the run.
         purpose: name of the random stream.
     """
-
-    __slots__ = ("_chances", "_drop_end_ns", "_drop_start_ns", "_link", "_rng")
 
     def __init__(self, link: OdometryLink, seed: int, purpose: str) -> None:
         self._link = link
@@ -178,11 +170,6 @@ class MeasurementChannel:
         seed: of the run.
         purpose: name of the random stream.
     """
-
-    __slots__ = (
-        "_delay_ns", "_index", "_losses", "_noise", "_queue", "_rate", "due_ns", "lost", "release_ns",
-        "taken",
-    )  # fmt: skip
 
     def __init__(self, link: OdometryLink, sigmas: Sequence[float], seed: int, purpose: str) -> None:
         self._losses = Losses(link, seed, purpose + ".loss")

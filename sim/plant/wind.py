@@ -48,8 +48,6 @@ class WindModel:
         record: where to keep everything; None for a place of its own.
     """
 
-    __slots__ = ("_read", "_tape", "mean_enu_m_s", "record")
-
     def __init__(
         self, wind: Wind, shape: WindShape, seed: int, step_s: float, record: WindRecord | None = None
     ) -> None:

@@ -16,8 +16,8 @@ from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Cell
 from sim.plant.params import STEP_S, Params
-from sim.plant.rotors import Four
-from sim.plant.vehicle_types import Truth, speed_limit
+from sim.plant.rotors import Four, speed_limit
+from sim.plant.vehicle_types import Truth
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import CONTROL_EVERY_MS, VehicleRecord, cushion, move, push, surround
 from sim.vehicle.physics import Physics

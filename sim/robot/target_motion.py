@@ -1,4 +1,4 @@
-"""Faults of the target's odometry, carried out by the robot's process."""
+"""The robot on a grid of ticks: its motion, its odometry, and the faults of the odometry."""
 
 from __future__ import annotations
 
@@ -11,40 +11,6 @@ from sim.faults.schedule import FaultText, Schedule
 from sim.robot.target import TargetMeasurement, TargetModel, TargetOdometry, wrap
 from sim.scenarios.fault_spec import After, Fault
 from sim.scenarios.scenario import Scenario
-
-
-class TargetMotion:
-    """Model and odometry on a grid of ticks.
-
-    Attributes:
-        tick: where it is.
-        model: true motion at that tick.
-        faults: of the odometry.
-        drives_at_once: whether it drives before the landing begins.
-        due: samples released since somebody took them.
-    """
-
-    def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
-        self.tick = 0
-        self.model = TargetModel(scenario.target, seed, step_s=grid.period_s)
-        self.faults = TargetFaults(scenario.fault, seed)
-        self.drives_at_once = not scenario.target.wait_for_landing
-        self._odometry = TargetOdometry(scenario.odometry, seed)
-        # The odometry takes one sample a step at most.
-        self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
-        self._step_s = grid.period_s / self._substeps
-        self.due = self._measure()
-
-    def step(self, driving: bool) -> None:
-        """Go on to the next tick."""
-        self.tick += 1
-        for _ in range(self._substeps):
-            self.model.step(self._step_s, driving)
-            self.due += self._measure()
-
-    def _measure(self) -> list[TargetMeasurement]:
-        samples = self._odometry.step(self.model)
-        return self.faults.deliver(round(self.model.time_s * 1e9), samples)
 
 
 def _move(sample: TargetMeasurement, offset: Vec3, turn: float) -> TargetMeasurement:
@@ -98,3 +64,37 @@ class TargetFaults:
         """What has begun and ended since the last call."""
         texts, self._texts = self._texts, []
         return texts
+
+
+class TargetMotion:
+    """Model and odometry on a grid of ticks.
+
+    Attributes:
+        tick: where it is.
+        model: true motion at that tick.
+        faults: of the odometry.
+        drives_at_once: whether it drives before the landing begins.
+        due: samples released since somebody took them.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
+        self.tick = 0
+        self.model = TargetModel(scenario.target, seed, step_s=grid.period_s)
+        self.faults = TargetFaults(scenario.fault, seed)
+        self.drives_at_once = not scenario.target.wait_for_landing
+        self._odometry = TargetOdometry(scenario.odometry, seed)
+        # The odometry takes one sample a step at most.
+        self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
+        self._step_s = grid.period_s / self._substeps
+        self.due = self._measure()
+
+    def step(self, driving: bool) -> None:
+        """Go on to the next tick."""
+        self.tick += 1
+        for _ in range(self._substeps):
+            self.model.step(self._step_s, driving)
+            self.due += self._measure()
+
+    def _measure(self) -> list[TargetMeasurement]:
+        samples = self._odometry.step(self.model)
+        return self.faults.deliver(round(self.model.time_s * 1e9), samples)

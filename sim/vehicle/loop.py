@@ -14,8 +14,7 @@ from sim.firmware.supervisor import PERIOD_MS
 from sim.plant.ground_effect import GroundRecord, ground_effect
 from sim.plant.imu import ImuRecord, measure
 from sim.plant.params import STEP_S
-from sim.plant.rotors import RotorRecord, turn_rotors
-from sim.plant.vehicle_types import BatteryRecord, drain, speed_limit
+from sim.plant.rotors import BatteryRecord, RotorRecord, drain, speed_limit, turn_rotors
 from sim.plant.wind import WindRecord, blow
 from sim.vehicle.judge import ContactRecord, JudgeRecord, judge, note_contact
 from sim.vehicle.mocap import MocapRecord, correct_estimate, measure_pose
@@ -119,7 +118,7 @@ def fly(vehicle: Cell[VehicleRecord], now_ms: int, end_ms: int) -> int:
     """Run steps of 1 ms until ``end_ms``, or until MuJoCo is asked for one.
 
     Args:
-        vehicle: changed in place; what is drawn ahead must suffice (``VehicleSim.supply``).
+        vehicle: changed in place; what is drawn ahead must suffice (``VehicleSim.advance`` sees to it).
         now_ms: time of the first step.
         end_ms: not beyond the next event of a fault.
 

@@ -7,10 +7,10 @@ import math
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 from sim.compiled.records import Values, cell, new, reader, scalars
-from sim.plant.ground_effect import GroundEffect
+from sim.plant.ground_effect import set_up_ground
 from sim.plant.params import STEP_S, Plant, load
-from sim.plant.rotors import Rotors
-from sim.plant.vehicle_types import BatteryModel, Truth
+from sim.plant.rotors import BatteryModel, Rotors
+from sim.plant.vehicle_types import Truth
 from sim.plant.wind import WindModel
 from sim.robot.target import TargetModel
 from sim.scenarios.scenario import Scenario
@@ -53,7 +53,7 @@ class Physics:
         self.world = World(params, mass_kg, scenario.target, r.world)
         self.rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
         pad_radius = scenario.target.pad_radius_m
-        GroundEffect(params.rotor, scenario.vehicle.ground_effect_gain, pad_radius, r.ground)
+        set_up_ground(r.ground, params.rotor, scenario.vehicle.ground_effect_gain, pad_radius)
         self.hover_rpm = params.rotor.rpm(self.weight_n / 4.0 / plant.thrust)
         self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery)
         self.wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)

@@ -9,7 +9,7 @@ from numba import njit
 
 from sim.firmware.stack import control
 from sim.plant.params import CONTROL_STEP_S, STEP_S
-from sim.plant.vehicle_types import speed_limit
+from sim.plant.rotors import speed_limit
 from sim.vehicle.loop import cushion, push, sense
 from sim.vehicle.vehicle import VehicleSim
 from sim.world.step import physics_step

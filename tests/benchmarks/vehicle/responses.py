@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from sim.plant.ground_effect import GroundEffect
+from sim.compiled.records import new
+from sim.plant.ground_effect import GroundRecord, set_up_ground, thrust_increase
 from sim.scenarios.scenario import VelocityLoop
 from tests import linear_analysis as analysis
 from tests.benchmarks.vehicle import linear as pid
@@ -135,4 +136,4 @@ def gusts() -> F64:
 
 def increase(height_m: float, gain: float = 1.0) -> float:
     """T/T0 - 1 of the simulated rotor over a wide surface."""
-    return GroundEffect(ROTOR, gain, 0.1).increase(height_m)
+    return thrust_increase(set_up_ground(new(GroundRecord), ROTOR, gain, 0.1), height_m)

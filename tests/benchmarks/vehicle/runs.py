@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sim.plant.params import STEP_S, Plant, load
-from sim.plant.rotors import Rotors
+from sim.plant.rotors import Rotors, turn_rotors
 from sim.plant.wind import WindModel
 from sim.robot.target import TargetModel
 from sim.scenarios.scenario import (
@@ -107,7 +107,7 @@ def motor_step(slow: bool, from_rpm: float, to_rpm: float, seconds: float) -> tu
     rotors.rpm = (from_rpm,) * 4
     speeds = [from_rpm]
     for _ in range(round(seconds / STEP_S)):
-        rotors.step((to_rpm,) * 4, None, 0.0, 0.0)
+        turn_rotors(rotors.record, np.full(4, to_rpm), 0.0, 0.0)
         speeds.append(rotors.rpm[0])
     return np.arange(len(speeds)) * STEP_S, np.array(speeds)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sim.plant.vehicle_types import BatteryModel
+from sim.plant.rotors import BatteryModel
 from tests import linear_analysis as analysis
 from tests.benchmarks.vehicle import reference as ref
 from tests.benchmarks.vehicle import runs as runs

@@ -13,7 +13,7 @@ from sim.autopilot.ground import degrees_e7, x_of, y_of
 from sim.autopilot.profiles import PX4
 from sim.autopilot.watches import BATTERY, FENCE, STATION_LOST, STREAM_LOST, BatteryGauge, Charge
 from sim.plant.params import load
-from sim.plant.vehicle_types import BatteryModel
+from sim.plant.rotors import BatteryModel
 from tests.unit.autopilot.autopilot_fakes import (
     GROUND_STATION,
     NAN,

@@ -1,16 +1,31 @@
-"""Rotor wrench: maps, lag, signs, ground effect, battery."""
+"""The drive and the air: rotors against their maps, ground effect against its closed form, battery, gusts."""
 
 import itertools
 import math
 
+import numpy as np
 import pytest
 
-from sim.plant.ground_effect import GroundEffect
+from sim.compiled.records import new
+from sim.compiled.rotation import rotation_axes
+from sim.plant.ground_effect import GroundRecord, ground_effect, set_up_ground, thrust_increase
 from sim.plant.params import STEP_S, Plant, load
-from sim.plant.rotors import MIX_YAW, POSITION_X, POSITION_Y, RAD_S_PER_RPM, Rotors
-from sim.plant.vehicle_types import BatteryModel
+from sim.plant.rotors import (
+    MIX_YAW,
+    POSITION_X,
+    POSITION_Y,
+    RAD_S_PER_RPM,
+    BatteryModel,
+    Rotors,
+    drain,
+    turn_rotors,
+)
+from sim.plant.wind import WindModel
+from sim.scenarios.scenario import Wind
+from tests.independent_plant import THRUST
 
 PARAMS = load()
+WIND_STEP_S = 0.005
 ROTOR = PARAMS.rotor
 WEIGHT_N = PARAMS.body.mass_kg * PARAMS.contact.gravity_m_s2
 HOVER = ROTOR.rpm(WEIGHT_N / 4.0)
@@ -20,16 +35,22 @@ def rotors(slow=False, **factors):
     return Rotors(ROTOR, Plant(**factors), slow, STEP_S)
 
 
+def turn(r, command, wx=0.0, wy=0.0):
+    """One step of 1 ms without ground effect; its wrench."""
+    turn_rotors(r.record, np.array(command), wx, wy)
+    return r.record
+
+
 def settled(command, **factors):
     r = rotors(**factors)
     r.rpm = command
-    r.step(command, None, 0.0, 0.0)
-    return r
+    return turn(r, command)
 
 
 def test_hover_thrust_carries_the_weight():
     assert abs(HOVER - 18968) < 20  # computed by hand from the L250 map
     assert settled((HOVER,) * 4).thrust_n == pytest.approx(WEIGHT_N, rel=1e-9)
+    assert settled((HOVER,) * 4, thrust=0.9).thrust_n == pytest.approx(0.9 * WEIGHT_N, rel=1e-9)
 
 
 @pytest.mark.parametrize("thrust_n", [0.013, 0.05, 0.0782, 0.12])
@@ -42,17 +63,11 @@ def test_thrust_never_pulls_down():
         assert settled((rpm,) * 4).thrust_n == 0.0
 
 
-def test_first_order_lag_has_its_time_constant():
-    r = rotors()
-    for _ in range(70):
-        r.step((1000.0,) * 4, None, 0.0, 0.0)
-    assert r.rpm[0] == pytest.approx(1000.0 * (1.0 - math.exp(-1.0)), rel=1e-9)
-
-
-def test_lag_spread_scales_the_time_constant():
-    r = rotors(motor_lag=1.3)
-    for _ in range(91):
-        r.step((1000.0,) * 4, None, 0.0, 0.0)
+@pytest.mark.parametrize(("spread", "steps"), [(1.0, 70), (1.3, 91)])
+def test_first_order_lag_has_its_time_constant(spread, steps):
+    r = rotors(motor_lag=spread)
+    for _ in range(steps):
+        turn(r, (1000.0,) * 4)
     assert r.rpm[0] == pytest.approx(1000.0 * (1.0 - math.exp(-1.0)), rel=1e-9)
 
 
@@ -62,7 +77,7 @@ def test_slow_motors_rise_and_fall_at_hover(step_rpm, time_s):
     r.rpm = (HOVER,) * 4
     steps = 0
     while abs(r.rpm[0] - HOVER) < abs(step_rpm) * (1.0 - math.exp(-1.0)):
-        r.step((HOVER + step_rpm,) * 4, None, 0.0, 0.0)
+        turn(r, (HOVER + step_rpm,) * 4)
         steps += 1
     assert steps * STEP_S == pytest.approx(time_s, abs=0.002)
 
@@ -89,10 +104,10 @@ def test_drag_torque_is_the_identified_share_of_thrust():
 def test_spinning_up_a_counterclockwise_rotor_turns_the_body_clockwise():
     r = rotors()
     r.rpm = (HOVER,) * 4
-    r.step((HOVER + 1000.0, HOVER, HOVER, HOVER), None, 0.0, 0.0)
+    turn(r, (HOVER + 1000.0, HOVER, HOVER, HOVER))
     change = (r.rpm[0] - HOVER) * RAD_S_PER_RPM
     drag = settled(r.rpm).torque_z
-    assert r.torque_z - drag == pytest.approx(-ROTOR.inertia_kg_m2 * change / STEP_S, rel=1e-9)
+    assert r.record.torque_z - drag == pytest.approx(-ROTOR.inertia_kg_m2 * change / STEP_S, rel=1e-9)
 
 
 def test_gyroscopic_torque_is_minus_omega_cross_h():
@@ -100,7 +115,7 @@ def test_gyroscopic_torque_is_minus_omega_cross_h():
     still, turning = settled(command), rotors()
     turning.rpm = command
     wx, wy = 3.0, -2.0
-    turning.step(command, None, wx, wy)
+    turning = turn(turning, command, wx, wy)
     hz = -ROTOR.inertia_kg_m2 * sum(m * c for m, c in zip(MIX_YAW, command, strict=True)) * RAD_S_PER_RPM
     assert hz > 0.0  # counter-clockwise rotors are faster
     assert turning.torque_x - still.torque_x == pytest.approx(-wy * hz, rel=1e-9)
@@ -108,54 +123,128 @@ def test_gyroscopic_torque_is_minus_omega_cross_h():
     assert turning.torque_z == still.torque_z
 
 
-def test_thrust_spread_scales_thrust():
-    assert settled((HOVER,) * 4, thrust=0.9).thrust_n == pytest.approx(0.9 * WEIGHT_N, rel=1e-9)
-
-
 LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
-class TestGroundEffect:
-    effect = GroundEffect(ROTOR, 1.0, 0.1)
+def ground(gain=1.0, pad_radius_m=0.1):
+    return set_up_ground(new(GroundRecord), ROTOR, gain, pad_radius_m)
 
-    @pytest.mark.parametrize(("height_m", "increase"), [(0.030, 0.0385), (0.050, 0.0135)])
-    def test_cheeseman_bennett(self, height_m, increase):
-        assert self.effect.increase(height_m) == pytest.approx(increase, rel=0.01)
 
-    def test_is_clipped_fades_out_and_never_jumps(self):
-        assert self.effect.increase(0.005) == self.effect.increase(0.020)
-        assert self.effect.increase(4.0 * ROTOR.radius_m) == 0.0
-        values = [self.effect.increase(0.001 * k / 10.0) for k in range(1200)]
-        assert max(abs(a - b) for a, b in itertools.pairwise(values)) < 1e-3
-        assert all(a >= b for a, b in itertools.pairwise(values))
+def factors(g, ex, ey, ez, axes=LEVEL):
+    """On the four thrusts, over a pad at 0.2 m."""
+    out = np.empty(4)
+    ground_effect(g, ex, ey, ez, 0.2, axes, out)
+    return out.tolist()
 
-    def test_gain_multiplies_the_increase(self):
-        assert GroundEffect(ROTOR, 4.0, 0.1).increase(0.03) == pytest.approx(4.0 * self.effect.increase(0.03))
 
-    def test_standing_on_the_pad_all_four_gain(self):
-        factors = self.effect.factors(0.0, 0.0, 0.0144, 0.2, LEVEL)
-        assert factors == pytest.approx([1.0 + self.effect.increase(0.0264)] * 4)
+@pytest.mark.parametrize("gain", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("height_m", [0.020, 0.0264, 0.035, 0.050, 0.069])
+def test_ground_effect_is_cheeseman_and_bennetts(height_m, gain):
+    closed = 1.0 / (1.0 - (ROTOR.radius_m / (4.0 * height_m)) ** 2) - 1.0
+    assert thrust_increase(ground(gain), height_m) == pytest.approx(gain * closed, rel=1e-12)
+    above = height_m - ROTOR.above_com_m
+    assert factors(ground(gain), 0.0, 0.0, above) == pytest.approx([1.0 + gain * closed] * 4)
+    # away from the pad the floor counts
+    assert factors(ground(gain), 1.0, 0.0, above - 0.2) == pytest.approx([1.0 + gain * closed] * 4)
 
-    def test_at_the_edge_only_the_rotors_over_the_pad_gain(self):
-        front_right, rear_right, rear_left, front_left = self.effect.factors(0.1, 0.0, 0.0144, 0.2, LEVEL)
-        assert rear_right == rear_left > 1.03
-        assert front_right == front_left == 1.0
 
-    def test_floor_counts_away_from_the_pad(self):
-        factors = self.effect.factors(1.0, 0.0, 0.0144 - 0.2, 0.2, LEVEL)
-        assert factors == pytest.approx([1.0 + self.effect.increase(0.0264)] * 4)
+def test_ground_effect_is_clipped_fades_out_and_never_jumps():
+    assert thrust_increase(ground(), 0.005) == thrust_increase(ground(), 0.020)
+    assert thrust_increase(ground(), 4.0 * ROTOR.radius_m) == 0.0
+    values = [thrust_increase(ground(), 0.001 * k / 10.0) for k in range(1200)]
+    assert max(abs(a - b) for a, b in itertools.pairwise(values)) < 1e-3
+    assert all(a >= b for a, b in itertools.pairwise(values))
 
-    def test_nothing_near_nothing_gained(self):
-        assert self.effect.factors(0.0, 0.0, 0.5, 0.2, LEVEL) == (1.0,) * 4
-        assert self.effect.factors(1.0, 0.0, 0.1, 0.2, LEVEL) == (1.0,) * 4
+
+def test_at_the_edge_only_the_rotors_over_the_pad_gain_and_far_away_none():
+    front_right, rear_right, rear_left, front_left = factors(ground(), 0.1, 0.0, 0.0144)
+    assert rear_right == rear_left > 1.03
+    assert front_right == front_left == 1.0
+    assert factors(ground(), 0.0, 0.0, 0.5) == factors(ground(), 1.0, 0.0, 0.1) == [1.0] * 4
+
+
+def test_a_tilted_vehicle_feels_every_rotor_at_its_own_height():
+    angle = math.radians(10.0)
+    axes = rotation_axes((math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0))  # nose down
+    front = 0.04 + ROTOR.above_com_m * math.cos(angle) - ROTOR.arm_m * math.sin(angle)
+    rear = front + 2.0 * ROTOR.arm_m * math.sin(angle)
+    closed = [1.0 / (1.0 - (ROTOR.radius_m / (4.0 * h)) ** 2) for h in (front, rear, rear, front)]
+    assert factors(ground(1.0, 0.5), 0.0, 0.0, 0.04, axes) == pytest.approx(closed, rel=1e-12)
 
 
 def test_battery_sags_in_hover_and_drains_in_seven_minutes():
     battery = BatteryModel(PARAMS.battery, HOVER)
     assert battery.voltage_v == pytest.approx(4.14, abs=0.01)
-    battery.step((HOVER,) * 4, 0.01)
+    drain(battery.record, np.full(4, HOVER), 0.01)
     assert battery.voltage_v == pytest.approx(3.90, abs=0.01)
     assert battery.rpm_max > ROTOR.rpm(ROTOR.thrust_max_n)
     for _ in range(411):
-        battery.step((HOVER,) * 4, 1.0)
+        drain(battery.record, np.full(4, HOVER), 1.0)
     assert battery.voltage_v == pytest.approx(3.25, abs=0.01)
+
+
+@pytest.fixture(scope="module")
+def gusts():
+    wind = WindModel(Wind(0.0, 0.5, 0.0), PARAMS.wind, 7, WIND_STEP_S)
+    out = np.empty((120_000, 3))  # 600 s
+    for k in range(len(out)):
+        wind.step()
+        out[k] = wind.now_enu_m_s
+    return out
+
+
+def times_s():
+    return np.array([PARAMS.wind.horizontal_time_s] * 2 + [PARAMS.wind.vertical_time_s])
+
+
+def test_gusts_have_their_rms(gusts):
+    wanted = 0.5 * np.array([1.0, 1.0, PARAMS.wind.vertical_share])
+    error = np.sqrt(times_s() / (WIND_STEP_S * len(gusts)))  # of an rms from correlated samples
+    assert (np.abs(gusts.std(axis=0) / wanted - 1.0) < 3.5 * error).all()
+    assert (np.abs(gusts.mean(axis=0)) < 3.5 * wanted * error * math.sqrt(2.0)).all()
+    assert abs(np.corrcoef(gusts.T)[np.triu_indices(3, 1)]).max() < 0.2
+
+
+def test_gusts_forget_exponentially(gusts):
+    for i, time in enumerate(times_s()):
+        g = gusts[:, i] - gusts[:, i].mean()
+        for lag_s in (0.2 * time, time):
+            n = round(lag_s / WIND_STEP_S)
+            assert (g[n:] @ g[:-n]) / (g @ g) == pytest.approx(math.exp(-lag_s / time), abs=0.12)
+
+
+def test_gusts_have_the_first_order_spectrum(gusts):
+    """Power in octaves of frequency against 4 s^2 T / (1 + (2 pi f T)^2)."""
+    frequency = np.fft.rfftfreq(len(gusts), WIND_STEP_S)
+    for i, time in enumerate(times_s()):
+        rms = 0.5 * (1.0 if i < 2 else PARAMS.wind.vertical_share)
+        power = 2.0 * WIND_STEP_S / len(gusts) * np.abs(np.fft.rfft(gusts[:, i])) ** 2
+        density = 4.0 * rms**2 * time / (1.0 + (2.0 * math.pi * frequency * time) ** 2)
+        for low in (0.05, 0.2, 0.8, 3.2, 12.8):
+            band = (frequency >= low) & (frequency < 2.0 * low)
+            error = 1.0 / math.sqrt(band.sum())
+            assert power[band].mean() == pytest.approx(density[band].mean(), rel=4.0 * error + 0.02)
+
+
+def test_thrust_map_and_the_firmwares_voltage_curve_agree_within_six_percent():
+    """Two identifications of the same motor: the firmware's cubic of volts, and speed and thrust of L250.
+
+    Counts are linear in the thrust of the first; the simulator makes them linear in that of the second.
+    """
+    cubic = np.array([0.0059609239, -0.0184736436, 0.0472446524, -0.0148307449])  # platform_defaults_cf2.h
+    for thrust in np.linspace(0.03, 0.12, 10):
+        volts = next(r.real for r in np.roots(cubic - [0, 0, 0, thrust]) if abs(r.imag) < 1e-9)
+        rpm = PARAMS.battery.speed_at_zero_v_rpm + PARAMS.battery.speed_per_volt_rpm * volts
+        assert np.polyval(THRUST, rpm) == pytest.approx(thrust, rel=0.06)
+
+
+def test_wind_direction_comes_from_the_seed():
+    directions = {WindModel(Wind(1.0), load().wind, seed, 0.01).mean_enu_m_s for seed in range(5)}
+    assert len(directions) == 5
+    assert all(math.hypot(x, y) == pytest.approx(1.0) for x, y, _ in directions)
+
+
+def test_no_wind_is_still():
+    wind = WindModel(Wind(), load().wind, 1, 0.01)
+    wind.step()
+    assert wind.now_enu_m_s == (0.0, 0.0, 0.0)

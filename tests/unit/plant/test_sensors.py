@@ -1,4 +1,4 @@
-"""Measurement channel, IMU and wind: statistics, order, determinism."""
+"""Measurement channel and IMU: statistics, order, determinism."""
 
 import itertools
 import math
@@ -9,8 +9,7 @@ import pytest
 from sim.plant.imu import Imu
 from sim.plant.params import CONTROL_STEP_S, load
 from sim.plant.sensors import NS, Losses, MeasurementChannel, NoiseRows, Normals, stream
-from sim.plant.wind import WindModel
-from sim.scenarios.scenario import OdometryLink, Wind
+from sim.scenarios.scenario import OdometryLink
 
 MS = NS // 1000
 
@@ -130,30 +129,3 @@ def test_imu_filter_lags_a_rate_step_by_the_group_delay():
         imu.measure((0.0, 0.0, 0.0), (rate, 0.0, 0.0), axes)
         lag += CONTROL_STEP_S * (1.0 - imu.gyro[0] / rate)
     assert lag == pytest.approx(math.sqrt(2.0) / (2.0 * math.pi * 80.0), abs=CONTROL_STEP_S)
-
-
-def test_wind_has_mean_direction_rms_and_correlation_time():
-    wind = WindModel(Wind(2.0, 1.0, direction_rad=math.pi / 2), load().wind, 5, 0.01)
-    assert wind.mean_enu_m_s == pytest.approx((0.0, 2.0, 0.0))
-    xs, zs = [], []
-    for _ in range(200_000):
-        wind.step()
-        x, _, z = wind.now_enu_m_s
-        xs.append(x)
-        zs.append(z)
-    assert statistics.pstdev(xs) == pytest.approx(1.0, rel=0.1)
-    assert statistics.pstdev(zs) == pytest.approx(0.5, rel=0.1)
-    shift = round(load().wind.horizontal_time_s / 0.01)
-    assert statistics.correlation(xs[:-shift], xs[shift:]) == pytest.approx(math.exp(-1.0), abs=0.08)
-
-
-def test_wind_direction_comes_from_the_seed():
-    directions = {WindModel(Wind(1.0), load().wind, seed, 0.01).mean_enu_m_s for seed in range(5)}
-    assert len(directions) == 5
-    assert all(math.hypot(x, y) == pytest.approx(1.0) for x, y, _ in directions)
-
-
-def test_no_wind_is_still():
-    wind = WindModel(Wind(), load().wind, 1, 0.01)
-    wind.step()
-    assert wind.now_enu_m_s == (0.0, 0.0, 0.0)

@@ -9,15 +9,15 @@ import pytest
 from sim.compiled.records import new
 from sim.compiled.rotation import quaternion_from_axes, rotation_axes
 from sim.firmware import attitude as att
-from sim.firmware.attitude import MellingerAttitude
-from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, Estimator, axis_gains, yaw_gain
-from sim.firmware.mixer import ThrustMap, mix
-from sim.firmware.paper_loop import PaperLoop, axes_from_force
-from sim.firmware.pid import THRUST_MIN, PidLoop, pid_output, pid_record
-from sim.firmware.setpoint import SensedState, Setpoint
-from sim.firmware.supervisor import PERIOD_MS, TRANSITIONS, State, Supervisor
+from sim.firmware.attitude import attitude_moments
+from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, Estimator, axis_gains, predict, yaw_gain
+from sim.firmware.mixer import MapRecord, mix, motor_speed, set_up_map
+from sim.firmware.paper_loop import PaperLoop, axes_from_force, paper_update
+from sim.firmware.pid import THRUST_MIN, PidLoop, cascade_update, pid_output, pid_record
+from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
+from sim.firmware.supervisor import PERIOD_MS, TRANSITIONS, State, Supervisor, supervise
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Plant, load
-from sim.plant.rotors import Rotors
+from sim.plant.rotors import Rotors, turn_rotors
 
 PARAMS = load()
 WEIGHT = PARAMS.body.mass_kg * PARAMS.contact.gravity_m_s2
@@ -26,11 +26,17 @@ LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 NO_RATES = (0.0, 0.0, 0.0)
 
 
-def random_axes(rng, angle=None):
-    axis = rng.standard_normal(3)
-    axis /= np.linalg.norm(axis)
-    half = 0.5 * (rng.uniform(0.0, 1.0) if angle is None else angle)
-    return rotation_axes((math.cos(half), *(math.sin(half) * axis).tolist()))
+def speeds_of(counts, rpm_max=1e9):
+    thrust_map = set_up_map(new(MapRecord), PARAMS.rotor)
+    return [motor_speed(thrust_map, c, rpm_max) for c in counts]
+
+
+def turned_at(speeds):
+    """Wrench of rotors at these speeds."""
+    rotors = Rotors(PARAMS.rotor, Plant(), False, STEP_S)
+    rotors.rpm = speeds
+    turn_rotors(rotors.record, np.array(speeds), 0.0, 0.0)
+    return rotors.record
 
 
 class TestMixer:
@@ -38,79 +44,50 @@ class TestMixer:
     def test_a_positive_moment_turns_the_body_positively_and_nothing_else(self, axis, torque):
         moments = [0, 0, 0]
         moments[axis] = 2000
-        speeds = ThrustMap(PARAMS.rotor).speeds(mix(HOVER_COUNTS, tuple(moments)), 1e9)
-        rotors = Rotors(PARAMS.rotor, Plant(), False, STEP_S)
-        rotors.rpm = speeds
-        rotors.step(speeds, None, 0.0, 0.0)
+        speeds = speeds_of(mix(HOVER_COUNTS, tuple(moments)))
+        rotors = turned_at(speeds)
         assert getattr(rotors, torque) > 0.0
         for other in {"torque_x", "torque_y", "torque_z"} - {torque}:
             assert abs(getattr(rotors, other)) < 0.02 * getattr(rotors, torque) + 1e-12
         assert rotors.thrust_n == pytest.approx(WEIGHT, rel=1e-6)
 
     def test_moment_per_count(self):
-        speeds = ThrustMap(PARAMS.rotor).speeds(mix(HOVER_COUNTS, (1000, 0, 0)), 1e9)
-        rotors = Rotors(PARAMS.rotor, Plant(), False, STEP_S)
-        rotors.rpm = speeds
-        rotors.step(speeds, None, 0.0, 0.0)
+        speeds = speeds_of(mix(HOVER_COUNTS, (1000, 0, 0)))
+        rotors = turned_at(speeds)
         assert rotors.torque_x / 1000 == pytest.approx(2 * 0.03253 * 0.12 / 65535, rel=1e-9)  # 1.191e-7 N m
 
-    def test_excess_is_taken_from_all_four(self):
-        assert mix(60000.0, (20000, 0, 0)) == (45535.0, 45535.0, 65535.0, 65535.0)
-
-    def test_a_motor_never_runs_backwards(self):
-        assert mix(5000.0, (20000, 0, 0)) == (0.0, 0.0, 15000.0, 15000.0)
-
-    def test_halves_are_cut_to_whole_counts(self):
-        assert mix(100.0, (5, -5, 0)) == (100.0, 96.0, 100.0, 104.0)
-
     def test_below_the_smallest_thrust_a_motor_stops(self):
-        thrust_map = ThrustMap(PARAMS.rotor)
         least = 0.0128 / 0.12 * 65535.0
-        assert thrust_map.speeds((least - 1.0, least + 1.0, 0.0, 0.0), 1e9)[0] == 0.0
-        assert PARAMS.rotor.thrust_n(thrust_map.speeds((0.0, least + 1.0, 0.0, 0.0), 1e9)[1]) > 0.0128
+        assert speeds_of((least - 1.0, least + 1.0, 0.0, 0.0))[0] == 0.0
+        assert PARAMS.rotor.thrust_n(speeds_of((0.0, least + 1.0, 0.0, 0.0))[1]) > 0.0128
 
     def test_counts_are_linear_in_thrust_and_the_battery_caps_the_speed(self):
-        thrust_map = ThrustMap(PARAMS.rotor)
         for counts in (10000.0, 42000.0, 65535.0):
-            rpm = thrust_map.speeds((counts,) * 4, 1e9)[2]
+            rpm = speeds_of((counts,) * 4)[2]
             assert PARAMS.rotor.thrust_n(rpm) == pytest.approx(0.12 * counts / 65535.0, rel=1e-12)
-        assert thrust_map.speeds((65535.0,) * 4, 20000.0) == (20000.0,) * 4
+        assert speeds_of((65535.0,) * 4, 20000.0) == [20000.0] * 4
 
 
 class TestMellingerAttitude:
-    def test_error_is_the_matrix_formula_without_the_half(self):
-        rng = np.random.default_rng(1)
-        for _ in range(100):
-            axes, desired = random_axes(rng), random_axes(rng)
-            r, rd = (np.array(a).reshape(3, 3).T for a in (axes, desired))
-            e = rd.T @ r - r.T @ rd
-            expected = -np.array([7e4 * e[2, 1], 7e4 * e[0, 2], (5e3 + 500 * CONTROL_STEP_S) * e[1, 0]])
-            got = MellingerAttitude().update(axes, desired, *NO_RATES)
-            assert got == pytest.approx(np.clip(expected, -32000, 32000).tolist(), abs=1.0)
-
-    def test_the_gain_counts_twice_on_a_small_angle(self):
-        angle = 0.01
-        rolled = rotation_axes((math.cos(angle / 2), math.sin(angle / 2), 0.0, 0.0))
-        assert MellingerAttitude().update(rolled, LEVEL, *NO_RATES) == (-int(2 * 7e4 * math.sin(angle)), 0, 0)
-
     def test_rates_are_damped_and_their_change_resisted(self):
-        controller = MellingerAttitude()
-        assert controller.update(LEVEL, LEVEL, 0.1, -0.1, 0.1) == (-2000, 2000, -200)
-        assert controller.update(LEVEL, LEVEL, 0.101, -0.1, 0.1) == (-2120, 2000, -200)  # 200 * 0.001 / 0.002
-
-    def test_clamps_and_whole_counts(self):
-        assert MellingerAttitude().update(LEVEL, LEVEL, 5.0, -5.0, 50.0) == (-32000, 32000, -32000)
-        assert MellingerAttitude().update(LEVEL, LEVEL, 1.3e-4, 0.0, 0.0)[0] == -2
+        a = PaperLoop(PARAMS).record.attitude
+        assert attitude_moments(a, LEVEL, LEVEL, 0.1, -0.1, 0.1) == (-2000, 2000, -200)
+        assert attitude_moments(a, LEVEL, LEVEL, 0.101, -0.1, 0.1) == (
+            -2120,
+            2000,
+            -200,
+        )  # 200 * 0.001 / 0.002
 
     def test_yaw_integral_pushes_on(self):
-        controller = MellingerAttitude()
+        loop = PaperLoop(PARAMS)
+        a = loop.record.attitude
         turned = rotation_axes((math.cos(0.05), 0.0, 0.0, math.sin(0.05)))
-        first = controller.update(turned, LEVEL, *NO_RATES)[2]
+        first = attitude_moments(a, turned, LEVEL, *NO_RATES)[2]
         for _ in range(500):
-            last = controller.update(turned, LEVEL, *NO_RATES)[2]
+            last = attitude_moments(a, turned, LEVEL, *NO_RATES)[2]
         assert last - first == pytest.approx(-500 * 2 * math.sin(0.1), abs=2)
-        controller.reset()
-        assert controller.update(turned, LEVEL, *NO_RATES)[2] == first
+        loop.reset()
+        assert attitude_moments(a, turned, LEVEL, *NO_RATES)[2] == first
 
     def test_gains_are_the_papers(self):
         assert (att.K_R_XY, att.K_R_Z) == (7e4, 0.5e4)
@@ -123,9 +100,17 @@ def sensed_at(velocity=(0.0, 0.0, 0.0), axes=LEVEL, rates=NO_RATES):
     return sensed
 
 
+def paper(sensed, setpoint, level):
+    return paper_update(PaperLoop(PARAMS).record, sensed, new(SetpointRecord, setpoint.fields()), level)
+
+
+def pid(loop, sensed, setpoint, level):
+    return cascade_update(loop.record, sensed, new(SetpointRecord, setpoint.fields()), level)
+
+
 class TestPaperLoop:
     def test_hover_thrust_is_the_nominal_weight(self):
-        counts, moments = PaperLoop(PARAMS).update(sensed_at(), Setpoint(), level=False)
+        counts, moments = paper(sensed_at(), Setpoint(), level=False)
         assert counts * 4 * 0.12 / 65535 == pytest.approx(WEIGHT, rel=1e-3)
         assert moments == (0, 0, 0)
 
@@ -134,13 +119,13 @@ class TestPaperLoop:
         v, u = np.array([0.05, -0.02, 0.1]), np.array([0.15, 0.1, -0.1])
         force = -0.5 * (v - u) + np.array([0.0, 0.0, WEIGHT])
         axes = axes_from_force(*force.tolist(), 1.0, 0.0)
-        counts, moments = PaperLoop(PARAMS).update(sensed_at(tuple(v), axes), Setpoint(*u), level=False)
+        counts, moments = paper(sensed_at(tuple(v), axes), Setpoint(*u), level=False)
         assert counts * 4 * 0.12 / 65535 == pytest.approx(np.linalg.norm(force), rel=1e-9)
         assert moments == (0, 0, 0)
 
     @pytest.mark.parametrize("u", [(0.2, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, -0.2, 0.0)])
     def test_leans_where_it_wants_to_go(self, u):
-        _, (mx, my, _) = PaperLoop(PARAMS).update(sensed_at(), Setpoint(*u), level=False)
+        _, (mx, my, _) = paper(sensed_at(), Setpoint(*u), level=False)
         assert (np.sign(my), np.sign(-mx)) == (np.sign(u[0]), np.sign(u[1]))
 
     def test_axes_follow_force_and_yaw(self):
@@ -151,17 +136,17 @@ class TestPaperLoop:
         assert axes[1] @ np.array([math.cos(0.7), math.sin(0.7), 0.0]) == pytest.approx(0.0, abs=1e-12)
 
     def test_never_flies_upside_down(self):
-        counts, _ = PaperLoop(PARAMS).update(sensed_at(), Setpoint(0.0, 0.0, -3.0), level=False)
+        counts, _ = paper(sensed_at(), Setpoint(0.0, 0.0, -3.0), level=False)
         assert counts * 4 * 0.12 / 65535 == pytest.approx(0.2 * WEIGHT, rel=1e-6)
 
     def test_level_keeps_the_vertical_set_point_only(self):
-        counts, moments = PaperLoop(PARAMS).update(sensed_at(), Setpoint(1.0, -1.0, -0.3), level=True)
+        counts, moments = paper(sensed_at(), Setpoint(1.0, -1.0, -0.3), level=True)
         assert moments == (0, 0, 0)
         assert counts * 4 * 0.12 / 65535 == pytest.approx(WEIGHT - 0.15, rel=1e-6)
 
     def test_trim_is_the_inverse(self):
         force = (0.03, -0.01, 0.33)
-        counts, moments = PaperLoop(PARAMS).update(
+        counts, moments = paper(
             sensed_at(axes=axes_from_force(*force, 1.0, 0.0)), Setpoint(*PaperLoop(PARAMS).trim(force)), False
         )
         assert counts * 4 * 0.12 / 65535 == pytest.approx(math.hypot(*force), rel=1e-9)
@@ -170,25 +155,25 @@ class TestPaperLoop:
 
 class TestPid:
     def test_single_pid(self):
-        pid = pid_record(2.0, 3.0, 0.5, 1.0, 0.1, 100.0)
-        assert pid_output(pid, 1.0, 5.0) == pytest.approx(2.0 + 3.0 * 0.1)
-        assert pid_output(pid, 1.0, 5.2) == pytest.approx(2.0 + 3.0 * 0.2 - 0.5 * 2.0)
+        one = pid_record(2.0, 3.0, 0.5, 1.0, 0.1, 100.0)
+        assert pid_output(one, 1.0, 5.0) == pytest.approx(2.0 + 3.0 * 0.1)
+        assert pid_output(one, 1.0, 5.2) == pytest.approx(2.0 + 3.0 * 0.2 - 0.5 * 2.0)
         for _ in range(100):
-            pid_output(pid, 1.0, 5.2)
-        assert pid.integral == 1.0
+            pid_output(one, 1.0, 5.2)
+        assert one.integral == 1.0
         assert pid_output(pid_record(2.0, 0.0, 0.0, 1.0, 0.1, 1.5), 1.0, 0.0) == 1.5
 
     def test_base_thrust_and_limits(self):
-        up, _ = PidLoop(PARAMS).update(sensed_at(), Setpoint(), level=False)
+        up, _ = pid(PidLoop(PARAMS), sensed_at(), Setpoint(), level=False)
         assert up == 36000.0
-        down, _ = PidLoop(PARAMS).update(sensed_at(), Setpoint(0.0, 0.0, -5.0), level=False)
+        down, _ = pid(PidLoop(PARAMS), sensed_at(), Setpoint(0.0, 0.0, -5.0), level=False)
         assert down == THRUST_MIN
 
     @pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5])
     def test_leans_where_it_wants_to_go_whatever_the_yaw(self, yaw):
         axes = rotation_axes((math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)))
         loop = PidLoop(PARAMS)
-        _, (mx, my, _) = loop.update(sensed_at(axes=axes), Setpoint(0.2, 0.0, 0.0, yaw), level=False)
+        _, (mx, my, _) = pid(loop, sensed_at(axes=axes), Setpoint(0.2, 0.0, 0.0, yaw), level=False)
         # torque axis must be z cross the wish, in the world: east wanted, torque about north
         assert math.atan2(mx * axes[1] + my * axes[4], mx * axes[0] + my * axes[3]) == pytest.approx(
             math.pi / 2, abs=1e-3
@@ -197,30 +182,28 @@ class TestPid:
     def test_tilt_is_limited_to_20_degrees(self):
         tilt = math.radians(20.0)
         axes = rotation_axes((math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0))
-        _, moments = PidLoop(PARAMS).update(sensed_at(axes=axes), Setpoint(5.0, 0.0, 0.0), level=False)
+        _, moments = pid(PidLoop(PARAMS), sensed_at(axes=axes), Setpoint(5.0, 0.0, 0.0), level=False)
         assert moments == pytest.approx((0, 0, 0), abs=1)
 
     @pytest.mark.parametrize("force", [(0.05, 0.0, 0.33), (0.0, -0.05, 0.33), (0.0, 0.0, 0.4)])
     def test_trim_holds(self, force):
         loop = PidLoop(PARAMS)
         setpoint = Setpoint(*loop.trim(force))
-        counts, moments = loop.update(
-            sensed_at(axes=axes_from_force(*force, 1.0, 0.0)), setpoint, level=False
-        )
+        counts, moments = pid(loop, sensed_at(axes=axes_from_force(*force, 1.0, 0.0)), setpoint, level=False)
         assert counts * 4 * 0.12 / 65535 == pytest.approx(math.hypot(*force), rel=1e-9)
         assert moments == pytest.approx((0, 0, 0), abs=1)
 
     def test_levelling_out_resets_and_levels(self):
         loop = PidLoop(PARAMS)
         loop.trim((0.05, 0.0, 0.33))
-        loop.update(sensed_at(), Setpoint(), level=False)
-        counts, moments = loop.update(sensed_at(), Setpoint(1.0, 0.0, 0.0), level=True)
+        pid(loop, sensed_at(), Setpoint(), level=False)
+        counts, moments = pid(loop, sensed_at(), Setpoint(1.0, 0.0, 0.0), level=True)
         assert counts == 36000.0
         assert moments == (0, 0, 0)
 
     def test_yaw_takes_the_short_way(self):
         axes = rotation_axes((math.cos(1.5), 0.0, 0.0, math.sin(1.5)))  # yaw 3.0
-        _, (_, _, mz) = PidLoop(PARAMS).update(sensed_at(axes=axes), Setpoint(yaw_rad=-3.0), level=False)
+        _, (_, _, mz) = pid(PidLoop(PARAMS), sensed_at(axes=axes), Setpoint(yaw_rad=-3.0), level=False)
         assert mz > 0
 
 
@@ -232,7 +215,7 @@ class TestSupervisor:
         entered = {}
         for now in range(start_ms, stop_ms, PERIOD_MS):
             before = supervisor.state
-            supervisor.update(now, age(now), motors, accel)
+            supervise(supervisor.record, now, age(now), motors, *accel)
             if supervisor.state is not before:
                 entered[supervisor.state] = now
         return entered
@@ -257,20 +240,6 @@ class TestSupervisor:
         assert "reboot" in supervisor.arm(5000)
         supervisor.disarm(5000)
         assert supervisor.state is State.LOCKED
-
-    def test_a_fresh_set_point_ends_levelling_out(self):
-        supervisor = self.flying()
-        self.run(supervisor, 1000, 2000, age=lambda now: now - 1000)
-        assert supervisor.record.level
-        self.run(supervisor, 2000, 2040)
-        assert supervisor.state is State.FLYING
-
-    def test_stop_set_points_end_in_landed_and_disarmed(self):
-        supervisor = self.flying()
-        self.run(supervisor, 1000, 3100, motors=False)
-        assert supervisor.state is State.LANDED
-        self.run(supervisor, 3100, 6500, motors=False)
-        assert supervisor.state is State.DISARMED
 
     def test_waits_thirty_seconds_for_the_motors(self):
         supervisor = Supervisor()
@@ -327,7 +296,7 @@ class TestEstimator:
     def test_integrates_the_gyro_and_the_accelerometer(self):
         estimator = Estimator(0.01, CONTROL_STEP_S, 9.81)
         for _ in range(500):
-            estimator.predict((0.0, 0.0, 1.0), (0.0, 0.0, 9.81 + 0.5))
+            predict(estimator.record, np.array((0.0, 0.0, 1.0)), np.array((0.0, 0.0, 9.81 + 0.5)))
         sensed = estimator.sensed
         assert math.atan2(sensed.axes[1], sensed.axes[0]) == pytest.approx(1.0, abs=1e-4)
         assert sensed.velocity == pytest.approx((0.0, 0.0, 0.5), abs=1e-9)
@@ -341,7 +310,9 @@ class TestEstimator:
         tilted = (math.cos(half), math.sin(half) if roll else 0.0, math.sin(half) if pitch else 0.0, 0.0)
         estimator.settle((0.0, 0.0, 1.0), NO_RATES, rotation_axes(tilted), tilted, [0.0, 0.0, 0.0])
         for k in range(5000):
-            estimator.predict(NO_RATES, (0.0, 0.0, 9.81))  # in truth level and at rest
+            predict(
+                estimator.record, np.array(NO_RATES), np.array((0.0, 0.0, 9.81))
+            )  # in truth level and at rest
             if k % 5 == 0:
                 estimator.correct(0.0, 0.0, 1.0, 0.0)
         assert estimator.sensed.axes[6:8] == pytest.approx((0.0, 0.0), abs=1e-4)
@@ -352,7 +323,7 @@ class TestEstimator:
         speed, delay = 1.0, 0.02
         estimator.settle((0.0, 0.0, 1.0), (speed, 0.0, 0.0), LEVEL, (1.0, 0.0, 0.0, 0.0), [0.0, 0.0, 0.0])
         for k in range(1, 5001):
-            estimator.predict(NO_RATES, (0.0, 0.0, 9.81))
+            predict(estimator.record, np.array(NO_RATES), np.array((0.0, 0.0, 9.81)))
             if k % 5 == 0:
                 estimator.correct(speed * (k * CONTROL_STEP_S - delay), 0.0, 1.0, 0.0)
         assert estimator.sensed.position[0] == pytest.approx(speed * (10.0 - delay), abs=1e-4)
@@ -364,7 +335,7 @@ class TestEstimator:
         axes, bias = rotation_axes(tilted), [0.05, -0.03, 0.08]
         estimator.settle((0.0, 0.0, 1.0), NO_RATES, axes, tilted, bias)
         accel = tuple(9.81 * axes[i] + b for i, b in zip((2, 5, 8), bias, strict=True))
-        estimator.predict(NO_RATES, accel)
+        predict(estimator.record, np.array(NO_RATES), np.array(accel))
         assert estimator.sensed.velocity == pytest.approx(NO_RATES, abs=2e-6)
 
     def test_noise_of_a_still_estimate(self):
@@ -373,7 +344,7 @@ class TestEstimator:
         estimator.settle((0.0, 0.0, 1.0), NO_RATES, LEVEL, (1.0, 0.0, 0.0, 0.0), [0.0, 0.0, 0.0])
         position, velocity = [], []
         for k in range(20_000):
-            estimator.predict(NO_RATES, (0.0, 0.0, 9.81))
+            predict(estimator.record, np.array(NO_RATES), np.array((0.0, 0.0, 9.81)))
             if k % 5 == 0:
                 n = 0.005 * rng.standard_normal(4)
                 estimator.correct(n[0], n[1], 1.0 + n[2], n[3])
@@ -385,8 +356,8 @@ class TestEstimator:
     def test_is_invalid_without_samples(self):
         estimator = Estimator(0.01, CONTROL_STEP_S, 9.81)
         for _ in range(240):
-            estimator.predict(NO_RATES, (0.0, 0.0, 9.81))
+            predict(estimator.record, np.array(NO_RATES), np.array((0.0, 0.0, 9.81)))
         assert estimator.valid
         for _ in range(20):
-            estimator.predict(NO_RATES, (0.0, 0.0, 9.81))
+            predict(estimator.record, np.array(NO_RATES), np.array((0.0, 0.0, 9.81)))
         assert not estimator.valid

@@ -13,10 +13,10 @@ import pytest
 from sim.compiled.records import new
 from sim.compiled.rotation import rotation_axes
 from sim.firmware.mixer import mix
-from sim.firmware.paper_loop import K_V_N_S_M, PaperLoop, axes_from_force, paper_update
+from sim.firmware.paper_loop import K_V_N_S_M, PaperLoop, paper_update
 from sim.firmware.pid import PidLoop, cascade_update
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
-from sim.firmware.supervisor import PERIOD_MS, State, Supervisor
+from sim.firmware.supervisor import PERIOD_MS, State, Supervisor, supervise
 from sim.plant.params import load
 
 DATA = Path(__file__).parents[2] / "data"
@@ -128,7 +128,7 @@ def supervisor_port(rows, accelerations):
             assert port.arm(now_ms) is None
         elif action in (2, 3):  # disarm; recovery from a crash is a disarm here
             port.disarm(now_ms)
-        port.update(now_ms, age_ms, bool(motors), tuple(accelerations[accel].tolist()))
+        supervise(port.record, now_ms, age_ms, bool(motors), *accelerations[accel].tolist())
         states.append(port.state)
     return states
 
@@ -154,10 +154,3 @@ def test_the_numbers_reach_every_clamp():
         assert ((share > 0.02) & (share < 0.6)).all()
     assert {20000.0, 65535.0} <= set(np.unique(pid[..., 3]).tolist())
     assert (mellinger[..., 3] <= 0.0).any()
-
-
-def test_axes_from_force_is_what_the_firmware_flies():
-    """One number by hand: 30 degrees of yaw, force leaning east."""
-    axes = np.array(axes_from_force(0.1, 0.0, 0.3, np.cos(np.pi / 6), np.sin(np.pi / 6))).reshape(3, 3)
-    assert axes[2] == pytest.approx(np.array([0.1, 0.0, 0.3]) / np.hypot(0.1, 0.3))
-    assert np.linalg.det(axes) == pytest.approx(1.0)

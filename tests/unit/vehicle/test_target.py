@@ -1,15 +1,26 @@
-"""The target: limits, exact arcs, twist that fits the pose, odometry statistics."""
+"""The robot: its motion, its odometry, driving ahead in a landing, and the deck that the vehicle reckons."""
 
 import itertools
 import math
 import statistics
+from dataclasses import replace
 
 import pytest
 
+from bridge.frames import quaternion_from_yaw, world_from_body, yaw_from_quaternion
+from bridge.ros2.cdr import encode_odometry
+from bridge.target.odometry import OdometryError
+from flightstack.common.pacing import RUN_AHEAD_TICKS
+from flightstack.core.types import TargetSample
+from sim.clock import TickGrid
 from sim.plant.params import load
 from sim.plant.sensors import stream
 from sim.robot.target import DRIVE_LAG_S, TargetModel, TargetOdometry, arc, wrap
+from sim.robot.target_motion import TargetMotion
+from sim.runners.deck import DeckDecoder, DeckState, follow, reckon
+from sim.runners.landing_target import DirectTarget, in_world
 from sim.scenarios.scenario import OdometryLink, PathKind, TargetSpec
+from sim.scenarios.scenario import load as load_scenario
 
 DT = 0.01
 
@@ -235,3 +246,111 @@ def test_compiled_motion_is_that_of_plain_python_to_the_last_bit(path, seed):
             )
         )  # fmt: skip
     assert repr(got) == repr(list(plain(spec, seed, drives)))
+
+
+TICKS = 400
+SCENARIOS = {
+    name: replace(load_scenario(name), target=replace(load_scenario(name).target, wait_for_landing=waits))
+    for name, waits in (("fault_target_dropout", True), ("reversing", True), ("deck", False))
+}
+
+
+def tick_by_tick(scenario, seed, chosen_at):
+    """Deck and samples of every tick, by the formulas of both ends in plain Python."""
+    grid = TickGrid(100)
+    motion = TargetMotion(scenario, seed, grid)
+    driving, go_tick = motion.drives_at_once, chosen_at + RUN_AHEAD_TICKS + 1
+    for tick in range(TICKS):
+        if tick > 0:
+            if go_tick <= tick:
+                motion.faults.landing_began(grid.ns(go_tick))
+                driving = True
+            motion.step(driving)
+        model, q = motion.model, quaternion_from_yaw(motion.model.pose.yaw_rad)
+        deck = (
+            model.pose.position_enu_m,
+            yaw_from_quaternion(q),
+            world_from_body(q, model.velocity_body_m_s),
+            model.yaw_rate_rad_s,
+            b"",
+        )
+        due, motion.due = motion.due, []
+        yield deck, tuple(TargetSample(0.01 * tick, *in_world(sample)) for sample in due)
+
+
+def ahead(scenario, seed, chosen_at):
+    """The same by ``DirectTarget``; the onboard side chooses while it answers for a tick."""
+    target = DirectTarget(scenario, seed, TickGrid(100))
+    for tick in range(TICKS):
+        assert target.has(tick)
+        yield tuple(target.take(tick)), target.samples(0.01 * tick).samples
+        if tick == chosen_at:
+            target.landing_began(tick)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("chosen_at", [0, 1, 18, 19, 20, 21, 137])
+def test_the_same_as_tick_by_tick(name, chosen_at):
+    expected = list(tick_by_tick(SCENARIOS[name], 3, chosen_at))
+    assert repr(list(ahead(SCENARIOS[name], 3, chosen_at))) == repr(expected)
+    assert expected[-1][0][2] != (0.0, 0.0, 0.0)
+    assert any(samples for _, samples in expected)
+
+
+def test_samples_nobody_took_come_with_the_next_ones():
+    target = DirectTarget(SCENARIOS["deck"], 3, TickGrid(100))
+    target.take(0)
+    for tick in range(1, 50):
+        target.take(tick)
+    expected = [s for _, samples in list(tick_by_tick(SCENARIOS["deck"], 3, 0))[:50] for s in samples]
+    assert [s.source_time_s for s in target.samples(1.0).samples] == [s.source_time_s for s in expected]
+    assert target.samples(1.0).samples == ()
+
+
+Q_NORTH = quaternion_from_yaw(math.pi / 2)
+
+
+def message(x_m, *, frame="map", q=Q_NORTH):
+    return encode_odometry(5, frame, "target", (x_m, 2.0, 0.2), q, (0.5, 0.1, 0.0), (0.0, 0.0, 0.3))
+
+
+def test_decodes_into_the_world_frame_also_when_the_frame_names_change():
+    decoder = DeckDecoder()
+    for frame in ("map", "map", "a_longer_name", "map"):
+        deck = decoder.decode(message(1.0, frame=frame))
+        assert deck.position_enu_m == (1.0, 2.0, 0.2)
+        assert deck.velocity_enu_m_s == pytest.approx((-0.1, 0.5, 0.0))
+        assert deck.yaw_rad == pytest.approx(math.pi / 2)
+        assert deck.yaw_rate_rad_s == 0.3
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x00\x01\x00\x00", message(1.0)[:-9], message(math.nan)])
+def test_refuses_what_is_cut_or_not_finite(payload):
+    decoder = DeckDecoder()
+    decoder.decode(message(1.0))
+    with pytest.raises(OdometryError):
+        decoder.decode(payload)
+
+
+def test_dead_reckoning_stays_on_the_arc():
+    radius_m, rate = 2.0, 0.4
+    start = DeckState((radius_m, 0.0, 0.2), math.pi / 2, (0.0, radius_m * rate, 0.0), rate, b"")
+    there = reckon(start, 0.1)
+    assert math.hypot(*there.position_enu_m[:2]) == pytest.approx(radius_m, abs=2e-5)
+    assert there.yaw_rad == pytest.approx(math.pi / 2 + 0.04)
+    assert math.hypot(*there.velocity_enu_m_s) == pytest.approx(radius_m * rate)
+
+
+def test_a_small_error_is_pulled_out_without_a_jump_and_a_large_one_is_not():
+    robot = DeckState((0.0, 0.0, 0.2), 0.0, (0.2, 0.0, 0.0), 0.0, b"")
+    x, yaw, dt = -0.02, 0.05, 0.01
+    for k in range(100):
+        deck = follow(robot, k * dt, (x, 0.0, 0.2), yaw)
+        assert deck.position_enu_m == (x, 0.0, 0.2)
+        assert abs(deck.velocity_enu_m_s[0] - 0.2) <= 0.1 + 1e-9
+        x += deck.velocity_enu_m_s[0] * dt
+        yaw += deck.yaw_rate_rad_s * dt
+    assert x == pytest.approx(0.2, abs=1e-3)
+    assert yaw == pytest.approx(0.0, abs=1e-3)
+    far = follow(robot, 0.0, (5.0, 0.0, 0.2), 0.0)
+    assert far.position_enu_m == robot.position_enu_m
