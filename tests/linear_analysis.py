@@ -216,11 +216,6 @@ def vertical_loop(lag: float, k_v: float = K_V_N_S_M) -> Loop:
     return b.finish("v", correction(b, gains, ("z", "ze", "ve", "bias")))
 
 
-def roll_loop_poles(lag: float) -> C128:
-    """Poles of the roll loop for a motor lag in s, 1/s, slowest decay first."""
-    return roll_loop(lag).poles()
-
-
 def prony_poles(y: F64, step_s: float, order: int) -> C128:
     """Poles in 1/s of a response that has settled at its last value, slowest decay first.
 
@@ -235,18 +230,3 @@ def prony_poles(y: F64, step_s: float, order: int) -> C128:
     z = np.linalg.eigvals(np.linalg.lstsq(u[:-1], u[1:], rcond=None)[0])
     s = np.log(z.astype(complex)) / (step_s * stride)
     return s[np.argsort(-s.real)]
-
-
-def fit_second_order(t: F64, y: F64) -> tuple[float, float]:
-    """Natural frequency in rad/s and damping of the second-order response nearest to a settled step.
-
-    Args:
-        t: equal steps, s.
-        y: the response; its last value counts as where it settles.
-
-    Returns:
-        ``(wn, zeta)``; zeta above 1 for two real poles.
-    """
-    p, q = prony_poles(y, float(t[1] - t[0]), 2)
-    wn = math.sqrt(abs((p * q).real))
-    return wn, float(-(p + q).real / (2.0 * wn))

@@ -353,24 +353,3 @@ def test_horizontal_loop_is_under_damped_as_the_paper_chose():
     assert -dominant[0].real / abs(dominant[0]) == pytest.approx(0.29, abs=0.03)
     response = linear.horizontal_loop(NOMINAL_S).response(3.0)
     assert response.max() > 1.2
-
-
-@pytest.mark.parametrize(
-    ("lag", "real", "cubic"), [(0.05, -7.9, -7.888), (0.07, -7.8, -7.804), (0.136, -7.6, -7.560)]
-)
-def test_roll_poles_agree_with_the_characteristic_polynomial(lag, real, cubic):
-    """Without sampling and gyro filter: tau J s^3 + (J + k_d) s^2 + k_w s + 2 k_R = 0."""
-    u, j = linear.TORQUE_PER_COUNT, 16.8e-6
-    roots = np.roots([lag * j, j + 200.0 * u, 2e4 * u, 1.4e5 * u])
-    slow = max(r.real for r in roots if abs(r.imag) < 1e-9)
-    assert slow == pytest.approx(cubic, abs=1e-3)
-    sampled = [p.real for p in linear.roll_loop_poles(lag) if abs(p.imag) < 1e-9 and -20.0 < p.real < -1.0]
-    assert sampled == pytest.approx([real], rel=0.02)  # both delays are short against this pole
-
-
-def test_default_yaw_gains_need_the_reaction_torque(monkeypatch):
-    """With kR_z = 6e4, kw_z = 1.2e4 and slow motors the loop would be unstable without it."""
-    monkeypatch.setattr(linear.att, "K_R_Z", 6e4)
-    monkeypatch.setattr(linear.att, "K_W_Z", 1.2e4)
-    assert linear.yaw_loop(0.136, reaction=True).poles().real.max() < 1e-9
-    assert linear.yaw_loop(0.136, reaction=False).poles().real.max() > 0.3

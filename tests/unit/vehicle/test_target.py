@@ -13,9 +13,7 @@ from bridge.target.odometry import OdometryError
 from flightstack.common.pacing import RUN_AHEAD_TICKS
 from flightstack.core.types import TargetSample
 from sim.clock import TickGrid
-from sim.plant.params import load
-from sim.plant.sensors import stream
-from sim.robot.target import DRIVE_LAG_S, TargetModel, TargetOdometry, arc, wrap
+from sim.robot.target import TargetModel, TargetOdometry, arc, wrap
 from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckDecoder, DeckState, follow, reckon
 from sim.runners.landing_target import DirectTarget, in_world
@@ -171,81 +169,6 @@ def test_odometry_statistics():
     assert statistics.pstdev(yaw) == pytest.approx(0.03, rel=0.05)
     rate = [s.yaw_rate_rad_s - w for s, _, _, w in pairs]
     assert statistics.pstdev(rate) == pytest.approx(0.02 / 0.08, rel=0.05)
-
-
-def clip(value, limit):
-    return max(-limit, min(limit, value))
-
-
-def demand(spec, speed, turn, go):
-    return {
-        PathKind.STILL: (0.0, 0.0),
-        PathKind.STRAIGHT: (speed, 0.0),
-        PathKind.CIRCLE: (speed, turn),
-        PathKind.STOP_AND_GO: (speed, turn) if go else (0.0, 0.0),
-        PathKind.REVERSING: (speed if go else -speed, turn),
-    }[spec.path]
-
-
-def plain(spec, seed, drives):
-    """The motion in plain Python: pad, heading, twist after every step; ``drives`` tells when it drives."""
-    speed, turn, heading, phase, heave = stream(seed, "target").uniform(0.0, 1.0, 5).tolist()
-    speed = min(spec.speed_m_s * speed, spec.speed_max_m_s)
-    turn = clip(spec.turn_rate_rad_s * (2.0 * turn - 1.0), spec.turn_rate_max_rad_s)
-    (x, y), yaw, v, w, driven, ns = spec.position_m, wrap_plain(2.0 * math.pi * heading), 0.0, 0.0, 0.0, 0
-
-    def height(t):
-        angle = 2.0 * math.pi * spec.heave_rate_hz * t + 2.0 * math.pi * heave
-        return spec.pad_height_m + spec.heave_amplitude_m * math.sin(angle)
-
-    for driving in drives:
-        length, angle = v * DT, w * DT
-        if abs(angle) < 1e-9:
-            forward, left = length, 0.5 * length * angle
-        else:
-            forward, left = length * math.sin(angle) / angle, length * (1.0 - math.cos(angle)) / angle
-        c, s = math.cos(yaw), math.sin(yaw)
-        x, y, yaw, ns = (
-            x + (c * forward - s * left), y + (s * forward + c * left), wrap_plain(yaw + angle), ns + 10**7,
-        )  # fmt: skip
-        go = int((driven + phase * spec.stop_period_s) / spec.stop_period_s) % 2 == 0
-        wanted_v, wanted_w = demand(spec, speed, turn, go) if driving else (0.0, 0.0)
-        driven += DT if driving else 0.0
-        lag = -math.expm1(-DT / DRIVE_LAG_S)
-        accel = spec.acceleration_max_m_s2
-        dv = clip(lag * (wanted_v - v), accel * DT)
-        dw = clip(lag * (wanted_w - w), accel / load().robot.wheel_half_track_m * DT)
-        v, w = clip(v + dv, spec.speed_max_m_s), clip(w + dw, spec.turn_rate_max_rad_s)
-        c, s, b, t = math.cos(yaw), math.sin(yaw), spec.pad_behind_axle_m, ns / 1e9
-        z = height(t)
-        body = (v, -b * w, (height(t + DT) - z) / DT)
-        world = (c * body[0] - s * body[1], s * body[0] + c * body[1], body[2])
-        yield t, ((x - b * c, y - b * s, z), yaw), body, world, w
-
-
-def wrap_plain(angle):
-    return math.pi - (math.pi - angle) % (2.0 * math.pi)
-
-
-@pytest.mark.parametrize("path", list(PathKind))
-@pytest.mark.parametrize("seed", range(4))
-def test_compiled_motion_is_that_of_plain_python_to_the_last_bit(path, seed):
-    spec = TargetSpec(
-        path=path, speed_m_s=0.2, turn_rate_rad_s=0.6, random_speed=True, random_heading=True,
-        stop_period_s=1.7, pad_behind_axle_m=0.032, heave_amplitude_m=0.1, heave_rate_hz=0.3,
-        position_m=(0.3, -0.2),
-    )  # fmt: skip
-    drives = [False] * 50 + [True] * 1000 + [False] * 100
-    model, got = TargetModel(spec, seed), []
-    for driving in drives:
-        model.step(DT, driving)
-        got.append(
-            (
-                model.time_s, tuple(model.pose), model.velocity_body_m_s, model.velocity_enu_m_s,
-                model.yaw_rate_rad_s,
-            )
-        )  # fmt: skip
-    assert repr(got) == repr(list(plain(spec, seed, drives)))
 
 
 TICKS = 400

@@ -44,35 +44,6 @@ def test_starts_trimmed_and_hovers(loop, wind):
         assert all(not t.contacts for t in truths)
 
 
-def test_hover_thrust_equals_the_weight():
-    sim = vehicle()
-    truths = fly(sim, (0.0, 0.0, 0.0), 3.0)
-    rotor = sim._params.rotor
-    mean = statistics.mean(sum(rotor.thrust_n(r) for r in t.rotor_rpm) for t in truths[50:])
-    assert mean == pytest.approx(0.0319 * 9.81, rel=1e-3)
-
-
-@pytest.mark.parametrize("slow", [False, True])
-@pytest.mark.parametrize("direction", [(1, 0), (-1, 0), (0, 1), (0, -1)])
-def test_paper_loop_is_under_damped_but_settles(direction, slow):
-    sim = vehicle(vehicle=VehicleSpec(mocap=QUIET, slow_motors=slow))
-    fly(sim, (0.0, 0.0, 0.0), 0.5)
-    along = [
-        t.velocity_enu_m_s[0] * direction[0] + t.velocity_enu_m_s[1] * direction[1]
-        for t in fly(sim, (0.2 * direction[0], 0.2 * direction[1], 0.0), 3.0)
-    ]
-    settled = 0.2 / (1.0 + 0.0147 / 0.5)  # drag against K_v
-    rise = next(i for i, v in enumerate(along) if v > 0.9 * settled) * 0.01
-    assert 0.12 < rise < 0.25
-    assert 1.2 < max(along) / settled < 1.5
-    assert min(along[rise_index(along, settled) :]) < 0.95 * settled  # it swings back below
-    assert along[-100:] == pytest.approx([settled] * 100, abs=0.006)
-
-
-def rise_index(values, settled):
-    return next(i for i, v in enumerate(values) if v > settled)
-
-
 def test_pid_loop_is_slower_and_settles():
     sim = vehicle(vehicle=VehicleSpec(velocity_loop=VelocityLoop.PID, mocap=QUIET))
     fly(sim, (0.0, 0.0, 0.0), 0.5)
