@@ -109,7 +109,7 @@ class ConeFilter(Strategy):
     def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
         """Nothing is learned."""
 
-    def barrier(self, seen: Snapshot) -> Cone:
+    def barrier(self, snapshot: Snapshot) -> Cone:
         """The cone, always the same."""
         return self._cone
 
@@ -151,7 +151,7 @@ class ConeFilter(Strategy):
         return False
 
     def setpoint(
-        self, before_m_s: Vec3, wanted_m_s: Vec3, seen: Snapshot, least_z_m_s: float = -math.inf
+        self, before_m_s: Vec3, wanted_m_s: Vec3, snapshot: Snapshot, least_z_m_s: float = -math.inf
     ) -> Vec3:
         """The velocity wanted, without a correction for the vehicle's lag."""
         return wanted_m_s

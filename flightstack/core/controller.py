@@ -18,7 +18,7 @@ from flightstack.core.safety.barrier import ActiveBarrier
 from flightstack.core.safety.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
 from flightstack.core.safety.position_loop import limit, slew
 from flightstack.core.safety.qp_filter import FilterResult
-from flightstack.core.snapshot import Snapshot, snapshot
+from flightstack.core.snapshot import Snapshot, snapshot_of
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetTrack, Verdict
@@ -76,7 +76,7 @@ class Outputs(NamedTuple):
         request: mode of the vehicle.
         setpoint: to be sent; ``None``: none.
         gate: why it may or may not go out.
-        seen: the inputs, judged.
+        snapshot: the inputs, judged.
         barrier: barrier and filter; ``None`` unless vehicle and target are known.
         wanted: velocity wanted, before the correction for the vehicle's lag.
         transition: change of phase in this tick.
@@ -90,7 +90,7 @@ class Outputs(NamedTuple):
     request: Request
     setpoint: ApprovedSetpoint | None
     gate: GateVerdict
-    seen: Snapshot
+    snapshot: Snapshot
     barrier: Barriers | None
     wanted: Vec3 | None
     transition: Transition | None
@@ -174,20 +174,20 @@ class Controller:
             inputs = Inputs(own, inputs.status, inputs.target_samples, inputs.operator)
             strategy.observe(own.velocity_enu_m_s, commanding=flown)
         believed, follows = plausibility.believes(now_s), plausibility.follows
-        seen = snapshot(self.config, inputs, target, now_s, believed=believed, follows=follows)
-        transition = self._mission.step(seen, command_failed=command_failed, now_s=now_s)
+        snapshot = snapshot_of(self.config, inputs, target, now_s, believed=believed, follows=follows)
+        transition = self._mission.step(snapshot, command_failed=command_failed, now_s=now_s)
         if transition is not None:
             events.append(Event(_level(transition), transition.text))
-        asked = nominal_command(Situation(self.config, self.barrier, memory, seen, strategy))
-        active = strategy.barrier(seen)
-        barrier = self._evaluate(asked, seen, active)
-        gate, setpoint, wanted = self._command(asked, seen, barrier, active)
+        asked = nominal_command(Situation(self.config, self.barrier, memory, snapshot, strategy))
+        active = strategy.barrier(snapshot)
+        barrier = self._evaluate(asked, snapshot, active)
+        gate, setpoint, wanted = self._command(asked, snapshot, barrier, active)
         return Outputs(
             phase=memory.phase,
             request=asked.request,
             setpoint=setpoint,
             gate=gate,
-            seen=seen,
+            snapshot=snapshot,
             barrier=barrier,
             wanted=wanted,
             transition=transition,
@@ -223,33 +223,33 @@ class Controller:
         free = now_s - memory.phase_since_s <= RISE_FREE_S
         return (x, y, rises_m_s if free else max(up_m_s, rises_m_s))
 
-    def _evaluate(self, asked: NominalCommand, seen: Snapshot, active: ActiveBarrier) -> Barriers | None:
+    def _evaluate(self, asked: NominalCommand, snapshot: Snapshot, active: ActiveBarrier) -> Barriers | None:
         """Barrier and filter; the values are computed whenever they can be, the filter only for landing."""
-        at = seen.relative
+        at = snapshot.relative
         if at is None:
             return None
         active_m, gradient, dh_dt = active.evaluate(at.e_m, at.target.velocity_enu_m_s)
         h_m = self.barrier.h(at.e_m)
         nominal = asked.velocity if asked.velocity is not None else ZERO
-        if not asked.filtered or asked.velocity is None or not (seen.own_ok and seen.target_ok):
+        if not asked.filtered or asked.velocity is None or not (snapshot.own_ok and snapshot.target_ok):
             idle = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
             return Barriers(h_m, gradient, dh_dt, nominal, idle)
-        lower, upper = self._box(seen)
-        climb_m_s = self._strategy.climb_m_s(active_m, gradient, self._base(seen), at)
+        lower, upper = self._box(snapshot)
+        climb_m_s = self._strategy.climb_m_s(active_m, gradient, self._base(snapshot), at)
         if climb_m_s > lower[2]:
             lower = (lower[0], lower[1], min(climb_m_s, upper[2]))
         result = self._filter.solve(nominal, active_m, gradient, dh_dt, lower, upper)
         return Barriers(h_m, gradient, dh_dt, nominal, result)
 
-    def _base(self, seen: Snapshot) -> Vec3:
+    def _base(self, snapshot: Snapshot) -> Vec3:
         """Where the slew limit starts: the last command, or the present velocity when none was in force."""
-        if self.memory.commanding or self.memory.lifting or seen.inputs.own is None:
+        if self.memory.commanding or self.memory.lifting or snapshot.inputs.own is None:
             return self.memory.command
-        return limit(seen.inputs.own.velocity_enu_m_s, self.config.limits.velocity_max_m_s)
+        return limit(snapshot.inputs.own.velocity_enu_m_s, self.config.limits.velocity_max_m_s)
 
-    def _box(self, seen: Snapshot) -> tuple[Vec3, Vec3]:
+    def _box(self, snapshot: Snapshot) -> tuple[Vec3, Vec3]:
         """Admissible velocities of this tick: the box of eq. 11 cut by what the slew limit can reach."""
-        (bx, by, bz), (sx, sy, sz) = self._base(seen), self._slew_step
+        (bx, by, bz), (sx, sy, sz) = self._base(snapshot), self._slew_step
         mx, my, mz = self.config.limits.velocity_max_m_s
         x, y, z = bx - sx, by - sy, bz - sz
         lower = (x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz)
@@ -257,47 +257,54 @@ class Controller:
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def _command(
-        self, asked: NominalCommand, seen: Snapshot, barrier: Barriers | None, active: ActiveBarrier
+        self, asked: NominalCommand, snapshot: Snapshot, barrier: Barriers | None, active: ActiveBarrier
     ) -> tuple[GateVerdict, ApprovedSetpoint | None, Vec3 | None]:
-        memory, own = self.memory, seen.inputs.own
+        memory, own = self.memory, snapshot.inputs.own
         if asked.velocity is None:
             memory.commanding = memory.lifting = False
             return GateVerdict.NOT_IN_CONTROL, None, None
         check = None
-        if asked.filtered and barrier is not None and seen.e_m is not None and seen.target is not None:
+        if (
+            asked.filtered
+            and barrier is not None
+            and snapshot.e_m is not None
+            and snapshot.target is not None
+        ):
             wanted = barrier.result.velocity_enu_m_s
-            check = BarrierCheck(active, seen.e_m, seen.target.velocity_enu_m_s, barrier.result.status)
+            check = BarrierCheck(
+                active, snapshot.e_m, snapshot.target.velocity_enu_m_s, barrier.result.status
+            )
         else:
             most = self.config.limits.velocity_max_m_s
-            wanted = slew(self._base(seen), limit(asked.velocity, most), self._slew_step)
-        least_z_m_s = self._least_z_m_s(seen)
-        setpoint = self._strategy.setpoint(self._base(seen), wanted, seen, least_z_m_s)
+            wanted = slew(self._base(snapshot), limit(asked.velocity, most), self._slew_step)
+        least_z_m_s = self._least_z_m_s(snapshot)
+        setpoint = self._strategy.setpoint(self._base(snapshot), wanted, snapshot, least_z_m_s)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
         verdict, approved = self._gate.check(
             wanted,
             setpoint,
             yaw_rad,
-            own_fresh=seen.own_ok,
-            target_fresh=seen.target_ok or not asked.filtered,
+            own_fresh=snapshot.own_ok,
+            target_fresh=snapshot.target_ok or not asked.filtered,
             altitude_m=own.position_enu_m[2] if own is not None else math.nan,
             barrier_check=check,
         )
         if approved is None:
-            approved = self._gate.stop(yaw_rad, own_fresh=seen.own_ok)
+            approved = self._gate.stop(yaw_rad, own_fresh=snapshot.own_ok)
             memory.command = self._strategy.tracking.setpoint_m_s = ZERO
         else:
             memory.command = wanted
         climbs = memory.phase is Phase.TAKEOFF and not memory.climbed
-        following = seen.inputs.status is not None and seen.inputs.status.mode is Mode.EXTERNAL
+        following = snapshot.inputs.status is not None and snapshot.inputs.status.mode is Mode.EXTERNAL
         memory.commanding = approved is not None and following and not climbs
         memory.lifting = approved is not None and following and climbs
         return verdict, approved, wanted
 
-    def _least_z_m_s(self, seen: Snapshot) -> float:
+    def _least_z_m_s(self, snapshot: Snapshot) -> float:
         """Lowest vertical velocity that a set-point may lead to if it stays the last one.
 
         So near to the pad nothing but the pad stops a vehicle whose companion has died.
         """
-        if self.memory.phase is not Phase.TOUCHDOWN or seen.target is None:
+        if self.memory.phase is not Phase.TOUCHDOWN or snapshot.target is None:
             return -math.inf
-        return seen.target.velocity_enu_m_s[2] - self._strategy.contact_speed_max_m_s
+        return snapshot.target.velocity_enu_m_s[2] - self._strategy.contact_speed_max_m_s

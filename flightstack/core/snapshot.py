@@ -70,7 +70,7 @@ class Snapshot:
             self.relative = Relative(own, target, e, math.hypot(e[0], e[1]))
 
 
-def snapshot(
+def snapshot_of(
     config: FlightConfig,
     inputs: Inputs,
     target: TargetState | None,

@@ -54,7 +54,7 @@ class LiveHealth:
 
 def health_row(tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int) -> HealthRow:
     """Values that are not there, or too old, are NaN."""
-    own, status, target = out.seen.inputs.own, out.seen.inputs.status, out.seen.target
+    own, status, target = out.snapshot.inputs.own, out.snapshot.inputs.status, out.snapshot.target
     if battery is not None and tick.now_s - battery.arrival_s > BATTERY_AGE_MAX_S:
         battery = None
     return HealthRow(
@@ -69,9 +69,9 @@ def health_row(tick: Tick, out: Outputs, reason: str, battery: Battery | None, d
         landed=status.landed if status is not None else 0,
         armed=status.armed if status is not None else False,
         ready_to_arm=status.ready_to_arm if status is not None else False,
-        own_valid=out.seen.own_ok,
-        target_valid=out.seen.target_ok,
-        link_valid=out.seen.link_ok,
+        own_valid=out.snapshot.own_ok,
+        target_valid=out.snapshot.target_ok,
+        link_valid=out.snapshot.link_ok,
         finished=out.finished,
         target_accepted=out.target_accepted,
         target_rejected=out.target_rejected,

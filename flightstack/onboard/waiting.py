@@ -249,8 +249,8 @@ class WaitReport:
 
     def _silent(self, out: Outputs, memory: Memory, now_s: float) -> str | None:
         grown = self._arrivals.grown(self._link.endpoint.counters)
-        status = out.seen.inputs.status
-        if out.seen.link_ok or status is None:
+        status = out.snapshot.inputs.status
+        if out.snapshot.link_ok or status is None:
             return None
         heard_s = now_s - status.arrival_s
         text = why_silent(self._system_id, grown, self._link.counters.senders, heard_s=heard_s)
@@ -258,7 +258,7 @@ class WaitReport:
         return f"{text}; {left}" if left else text
 
     def _vehicle(self, out: Outputs, now_s: float) -> VehicleSeen:
-        link, own, status = self._link, out.seen.inputs.own, out.seen.inputs.status
+        link, own, status = self._link, out.snapshot.inputs.own, out.snapshot.inputs.status
         grown = self._arrivals.grown(link.endpoint.counters)
         heard_s = now_s - status.arrival_s if status is not None else None
         own_age_s = now_s - own.arrival_s if own is not None else None
@@ -267,7 +267,7 @@ class WaitReport:
             heartbeat_age_s=heard_s,
             silence=why_silent(self._system_id, grown, link.counters.senders, heard_s=heard_s),
             own_age_s=own_age_s,
-            own_believed=out.seen.own_ok
+            own_believed=out.snapshot.own_ok
             or own_age_s is None
             or own_age_s > self._config.checks.own_age_max_s,
             refused={name: n - before.get(name, 0) for name, n in self._refused.items()},
@@ -277,7 +277,7 @@ class WaitReport:
         )
 
     def _target(self, out: Outputs) -> TargetSeen:
-        target, wires = out.seen.target, self._wires
+        target, wires = out.snapshot.target, self._wires
         refused, self._refused_before = wires.odometry.refused - self._refused_before, wires.odometry.refused
         arrived, self._arrived = self._arrived + refused, 0
         age_s = target.age_s if target is not None else None

@@ -78,7 +78,7 @@ def _sample(values: Iterable[Any]) -> TargetSample:
 
 def step_row(tick: Tick, out: Outputs) -> ControllerStepRow:
     """Values that are not there are NaN; zero would be a claim."""
-    own, target, barrier, seen = out.seen.inputs.own, out.seen.target, out.barrier, out.seen
+    own, target, barrier, seen = out.snapshot.inputs.own, out.snapshot.target, out.barrier, out.snapshot
     nan = math.nan
     none = (nan, nan, nan)
     return ControllerStepRow(

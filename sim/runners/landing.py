@@ -95,7 +95,7 @@ class Notes:
 
     def step(self, tick: Tick, out: Outputs) -> None:
         """Note a controller step."""
-        seen = out.seen
+        seen = out.snapshot
         own, target = seen.inputs.own, seen.target
         own_age_s = tick.now_s - own.arrival_s if own is not None else math.nan
         target_age_s = target.age_s if target is not None else math.nan

@@ -23,14 +23,14 @@ class Known(NamedTuple):
 
     Attributes:
         checks: of the configuration.
-        seen: this tick's inputs.
+        snapshot: this tick's inputs.
         plausibility: of the own state and of following.
         refusal: why the newest sample of the target was refused; empty: it was not.
         now_s: stack clock.
     """
 
     checks: Checks
-    seen: Snapshot
+    snapshot: Snapshot
     plausibility: Plausibility
     refusal: str
     now_s: float
@@ -52,7 +52,7 @@ def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
 
 
 def _own(known: Known) -> str:
-    checks, watched, own = known.checks, known.plausibility, known.seen.inputs.own
+    checks, watched, own = known.checks, known.plausibility, known.snapshot.inputs.own
     if own is None:
         return "no own state has come"
     if watched.memory.distrusted:
@@ -68,7 +68,7 @@ def _own(known: Known) -> str:
 
 
 def _heartbeat(known: Known) -> str:
-    status = known.seen.inputs.status
+    status = known.snapshot.inputs.status
     if status is None:
         return "no heartbeat has come"
     age_s = known.now_s - status.arrival_s
@@ -77,7 +77,7 @@ def _heartbeat(known: Known) -> str:
 
 
 def _target(known: Known) -> str:
-    target = known.seen.target
+    target = known.snapshot.target
     refused = f", the newest was refused: {known.refusal}" if known.refusal else ""
     if target is None:
         return f"no sample of the target has been accepted{refused}"
@@ -177,12 +177,12 @@ def condition_flags(
     strategy: Strategy,
     barrier: Barrier,
     memory: Memory,
-    seen: Snapshot,
+    snapshot: Snapshot,
     command_failed: bool,
     now_s: float,
 ) -> int:
     """Flags of this tick; ``memory`` holds its timers already and is not changed."""
-    inputs, own = seen.inputs, seen.inputs.own
+    inputs, own = snapshot.inputs, snapshot.inputs.own
     flags = 0
     if inputs.operator is Operator.EMERGENCY_STOP:
         flags |= C.EMERGENCY
@@ -190,14 +190,14 @@ def condition_flags(
         flags |= C.ABORT_ASKED
     if inputs.operator is Operator.LAND:
         flags |= C.LAND_ASKED
-    if not seen.follows:
+    if not snapshot.follows:
         flags |= C.NOT_FOLLOWING
     blind = memory.phase is Phase.TOUCHDOWN and now_s - memory.own_ok_s <= config.touchdown.blind_time_s
-    if not (seen.own_ok or blind):
+    if not (snapshot.own_ok or blind):
         flags |= C.OWN_LOST
-    if not seen.link_ok:
+    if not snapshot.link_ok:
         flags |= C.LINK_LOST
-    if not seen.target_ok:
+    if not snapshot.target_ok:
         flags |= C.TARGET_LOST
     if memory.target_position_enu_m is not None:
         flags |= C.TARGET_KNOWN
@@ -208,7 +208,7 @@ def condition_flags(
     if memory.retries < config.checks.retries_max:
         flags |= C.RETRIES_LEFT
     if inputs.status is not None:
-        flags |= _status_flags(memory, seen)
+        flags |= _status_flags(memory, snapshot)
     if memory.started_s < math.inf:
         flags |= C.STARTED
         if now_s - memory.started_s > config.checks.landing_time_max_s:
@@ -220,12 +220,12 @@ def condition_flags(
         flags |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(config, barrier, memory) else 0
     if memory.phase is Phase.TOUCHDOWN and memory.contact:
         flags |= C.ON_PAD
-    at = seen.relative if seen.good else None
+    at = snapshot.relative if snapshot.good else None
     return flags | _place_flags(config, strategy, barrier, memory, at) if at is not None else flags
 
 
-def _status_flags(memory: Memory, seen: Snapshot) -> int:
-    status = seen.inputs.status
+def _status_flags(memory: Memory, snapshot: Snapshot) -> int:
+    status = snapshot.inputs.status
     assert status is not None
     flags = 0
     if status.armed:
@@ -238,7 +238,7 @@ def _status_flags(memory: Memory, seen: Snapshot) -> int:
         flags |= C.WAS_EXTERNAL
     if status.landed is Landed.ON_GROUND:
         flags |= C.STANDING
-    if seen.good and (status.ready_to_arm or status.armed):
+    if snapshot.good and (status.ready_to_arm or status.armed):
         flags |= C.READY
     return flags
 

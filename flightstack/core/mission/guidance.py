@@ -42,20 +42,20 @@ class Situation(NamedTuple):
     config: FlightConfig
     barrier: Barrier
     memory: Memory
-    seen: Snapshot
+    snapshot: Snapshot
     strategy: Strategy
 
 
 def _wait(s: Situation) -> NominalCommand:
-    status = s.seen.inputs.status
-    if status is not None and status.armed and status.landed is not Landed.ON_GROUND and s.seen.target_ok:
+    status = s.snapshot.inputs.status
+    if status is not None and status.armed and status.landed is not Landed.ON_GROUND and s.snapshot.target_ok:
         # found in the air: take over, standing still, and never below the barrier of a pad that comes nearer
         return NominalCommand(Request.EXTERNAL, ZERO, filtered=s.strategy.waits_filtered)
     return NominalCommand(Request.NONE)
 
 
 def _takeoff(s: Situation) -> NominalCommand:
-    own, target, memory = s.seen.inputs.own, s.seen.target, s.memory
+    own, target, memory = s.snapshot.inputs.own, s.snapshot.target, s.memory
     if own is None or target is None:
         return NominalCommand(Request.TAKEOFF)
     if not memory.climbed:  # an autopilot that takes off by set-points flies this one, others by themselves
@@ -75,13 +75,13 @@ def _takeoff(s: Situation) -> NominalCommand:
 
 def _flies_by_us(s: Situation) -> bool:
     """Whether it has lifted off and follows set-points: nothing is left to ask of its own take-off."""
-    status = s.seen.inputs.status
+    status = s.snapshot.inputs.status
     standing = status is None or status.landed is Landed.ON_GROUND
     return s.memory.was_external and not standing
 
 
 def _land(s: Situation) -> NominalCommand:
-    at = s.seen.relative
+    at = s.snapshot.relative
     if at is None:
         return NominalCommand(Request.EXTERNAL)
     velocity = s.strategy.approach_m_s(at, over_pad=s.memory.phase is Phase.LAND)
@@ -95,7 +95,7 @@ def _touchdown(s: Situation) -> NominalCommand:
     """
     if s.memory.contact:
         return NominalCommand(Request.MOTORS_OFF)
-    at = s.seen.relative
+    at = s.snapshot.relative
     if at is None:
         return NominalCommand(Request.EXTERNAL)
     velocity = s.strategy.descent_m_s(at)
@@ -106,20 +106,20 @@ def _touchdown(s: Situation) -> NominalCommand:
 
 def _landed(s: Situation) -> NominalCommand:
     """Nothing; but an emergency stop is obeyed, in case the heartbeat did not tell the truth."""
-    emergency = s.seen.inputs.operator is Operator.EMERGENCY_STOP
+    emergency = s.snapshot.inputs.operator is Operator.EMERGENCY_STOP
     return NominalCommand(Request.MOTORS_OFF if emergency else Request.NONE)
 
 
 def _hold(s: Situation) -> NominalCommand:
     """As the filter holds; before the landing, or without a target, stand still."""
-    target = s.seen.target
+    target = s.snapshot.target
     if target is None or s.memory.started_s == math.inf:
         return NominalCommand(Request.EXTERNAL, ZERO)
     return NominalCommand(Request.EXTERNAL, s.strategy.hold_m_s(target))
 
 
 def _climb(s: Situation) -> NominalCommand:
-    own = s.seen.inputs.own
+    own = s.snapshot.inputs.own
     if own is None:
         return NominalCommand(Request.EXTERNAL)
     # beyond the height it holds there until the target is back or the time is over
@@ -130,9 +130,9 @@ def _climb(s: Situation) -> NominalCommand:
 
 
 def _fly_clear(s: Situation) -> NominalCommand:
-    own, memory = s.seen.inputs.own, s.memory
+    own, memory = s.snapshot.inputs.own, s.memory
     target = memory.target_position_enu_m
-    if own is None or not s.seen.own_ok or target is None or memory.clear:
+    if own is None or not s.snapshot.own_ok or target is None or memory.clear:
         return NominalCommand(Request.LAND)
     dx, dy = own.position_enu_m[0] - target[0], own.position_enu_m[1] - target[1]
     d = math.hypot(dx, dy)

@@ -100,29 +100,31 @@ class Mission:
         self._config, self._barrier, self._strategy = config, barrier, strategy
         self._track, self._plausibility = track, plausibility
 
-    def step(self, seen: Snapshot, *, command_failed: bool, now_s: float) -> Transition | None:
+    def step(self, snapshot: Snapshot, *, command_failed: bool, now_s: float) -> Transition | None:
         """Advance by one tick.
 
         Args:
-            seen: inputs of this tick.
+            snapshot: inputs of this tick.
             command_failed: the bridge gave up on a requested mode.
             now_s: stack clock.
 
         Returns:
             The change of phase, or of an abort's way; ``None`` if there is none.
         """
-        memory, flags = self.memory, self.flags(seen, command_failed=command_failed, now_s=now_s)
-        transition = self._abort(flags) if memory.phase is Phase.ABORT else self._change(seen, flags, now_s)
-        self.progress(seen)
+        memory, flags = self.memory, self.flags(snapshot, command_failed=command_failed, now_s=now_s)
+        transition = (
+            self._abort(flags) if memory.phase is Phase.ABORT else self._change(snapshot, flags, now_s)
+        )
+        self.progress(snapshot)
         return transition
 
-    def flags(self, seen: Snapshot, *, command_failed: bool, now_s: float) -> int:
+    def flags(self, snapshot: Snapshot, *, command_failed: bool, now_s: float) -> int:
         """Run the timers, then compute the condition flags of this tick; arguments as those of ``step``."""
-        self._remember(seen, now_s)
+        self._remember(snapshot, now_s)
         if self.memory.phase is Phase.TOUCHDOWN:
-            self.memory.contact = self._contact(seen, now_s)
+            self.memory.contact = self._contact(snapshot, now_s)
         return condition_flags(
-            self._config, self._strategy, self._barrier, self.memory, seen, command_failed, now_s
+            self._config, self._strategy, self._barrier, self.memory, snapshot, command_failed, now_s
         )
 
     def finished(self, status: VehicleStatus | None, now_s: float) -> bool:
@@ -141,17 +143,22 @@ class Mission:
         fresh = now_s - status.arrival_s <= self._config.checks.status_age_max_s
         return status.landed in _NOT_FLYING and not (status.armed and fresh)
 
-    def _remember(self, seen: Snapshot, now_s: float) -> None:
+    def _remember(self, snapshot: Snapshot, now_s: float) -> None:
         """Newest known target, heading, what the vehicle has been, and since when the inputs are good."""
-        memory, target, own, status = self.memory, seen.target, seen.inputs.own, seen.inputs.status
-        if target is not None and seen.target_ok:
+        memory, target, own, status = (
+            self.memory,
+            snapshot.target,
+            snapshot.inputs.own,
+            snapshot.inputs.status,
+        )
+        if target is not None and snapshot.target_ok:
             memory.target_position_enu_m = target.position_enu_m
             memory.target_velocity_enu_m_s = target.velocity_enu_m_s
         if memory.yaw_rad is None and own is not None:
             memory.yaw_rad = own.yaw_rad
-        if seen.own_ok:
+        if snapshot.own_ok:
             memory.own_ok_s = now_s
-        if not seen.good:
+        if not snapshot.good:
             memory.good_since_s = math.inf
         elif memory.good_since_s == math.inf:
             memory.good_since_s = now_s
@@ -160,21 +167,21 @@ class Mission:
             if status.mode is Mode.EXTERNAL:  # not when disarmed: PX4 stays in it after a landing
                 memory.was_external = True
 
-    def _contact(self, seen: Snapshot, now_s: float) -> bool:
+    def _contact(self, snapshot: Snapshot, now_s: float) -> bool:
         """Whether the vehicle stands on the pad, or has stood there.
 
         Without a target in sight, that of its last samples counts: its height does not change in that time.
         """
-        contact, status, at = self.memory.contact, seen.inputs.status, seen.relative
+        contact, status, at = self.memory.contact, snapshot.inputs.status, snapshot.relative
         standing = status is not None and status.landed is Landed.ON_GROUND
-        if seen.good and at is not None:
+        if snapshot.good and at is not None:
             on_pad = at.d_m <= self._config.touchdown.pad_radius_m
             return (
                 contact or (self._stopped(at, now_s) and on_pad) or self._stands(at, on_pad, standing, now_s)
             )
-        if not seen.own_ok:
+        if not snapshot.own_ok:
             return contact or standing
-        if not seen.target_ok:
+        if not snapshot.target_ok:
             stopped = at is not None and self._stopped(at, now_s)
             return contact or stopped or standing
         return contact
@@ -200,7 +207,7 @@ class Mission:
         memory.contact_since_s = min(memory.contact_since_s, now_s)
         return standing or now_s - memory.contact_since_s >= config.contact.time_s
 
-    def _change(self, seen: Snapshot, flags: int, now_s: float) -> Transition | None:
+    def _change(self, snapshot: Snapshot, flags: int, now_s: float) -> Transition | None:
         """Change the phase by its table."""
         memory = self.memory
         rule = next_phase(memory.phase, flags)
@@ -208,7 +215,7 @@ class Mission:
             return None
         before, after = memory.phase, rule.to
         refusal = self._track.memory.refusal
-        why = reason(rule, flags, Known(self._config.checks, seen, self._plausibility, refusal, now_s))
+        why = reason(rule, flags, Known(self._config.checks, snapshot, self._plausibility, refusal, now_s))
         if before in RETRY_FROM and after in RETRY_TO:
             memory.retries += 1
         if after is Phase.APPROACH and memory.started_s == math.inf:
@@ -229,13 +236,13 @@ class Mission:
         memory.abort_way = rule.to
         return Transition(Phase.ABORT, Phase.ABORT, rule.reason, rule.to)
 
-    def progress(self, seen: Snapshot) -> None:
+    def progress(self, snapshot: Snapshot) -> None:
         """Note the end of a take-off's climb, and that an abort has flown clear."""
-        memory, own = self.memory, seen.inputs.own
+        memory, own = self.memory, snapshot.inputs.own
         if own is None:
             return
-        if memory.phase is Phase.TAKEOFF and seen.target is not None:
+        if memory.phase is Phase.TAKEOFF and snapshot.target is not None:
             memory.ground_z_m = min(memory.ground_z_m, own.position_enu_m[2])
             memory.climbed = memory.climbed or climbed(self._config, memory, own)
-        elif memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and seen.own_ok:
+        elif memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and snapshot.own_ok:
             memory.clear = memory.clear or flown_clear(self._config, memory, own)

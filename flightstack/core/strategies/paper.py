@@ -51,9 +51,9 @@ class PaperFilter(Strategy):
     def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
         """Learn nothing."""
 
-    def barrier(self, seen: Snapshot) -> ActiveBarrier:
+    def barrier(self, snapshot: Snapshot) -> ActiveBarrier:
         """The paper's barrier."""
-        del seen
+        del snapshot
         return self._barrier
 
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
@@ -100,8 +100,8 @@ class PaperFilter(Strategy):
         return False
 
     def setpoint(
-        self, before_m_s: Vec3, wanted_m_s: Vec3, seen: Snapshot, least_z_m_s: float = -math.inf
+        self, before_m_s: Vec3, wanted_m_s: Vec3, snapshot: Snapshot, least_z_m_s: float = -math.inf
     ) -> Vec3:
         """The velocity wanted."""
-        del before_m_s, seen, least_z_m_s
+        del before_m_s, snapshot, least_z_m_s
         return wanted_m_s

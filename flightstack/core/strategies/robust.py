@@ -136,9 +136,9 @@ class RobustFilter(Strategy):
         """Learn the disturbance."""
         self._tracking.observe(velocity_enu_m_s, commanding=commanding)
 
-    def barrier(self, seen: Snapshot) -> RobustBarrier:
+    def barrier(self, snapshot: Snapshot) -> RobustBarrier:
         """The barrier with a margin for what is uncertain now."""
-        robust, target, own_m = self._config.robust, seen.target, self._config.own.position_noise_m
+        robust, target, own_m = self._config.robust, snapshot.target, self._config.own.position_noise_m
         sigma_xy_m = math.hypot(target.position_sigma_m, own_m) if target is not None else own_m
         sigma_z_m = math.hypot(target.position_sigma_z_m, own_m) if target is not None else own_m
         margin_m = robust.margin_m(self._slope, sigma_xy_m, sigma_z_m)
@@ -232,9 +232,9 @@ class RobustFilter(Strategy):
         return at.d_m + outward_m_s * retreat.drift_time_s > corridor_m
 
     def setpoint(
-        self, before_m_s: Vec3, wanted_m_s: Vec3, seen: Snapshot, least_z_m_s: float = -math.inf
+        self, before_m_s: Vec3, wanted_m_s: Vec3, snapshot: Snapshot, least_z_m_s: float = -math.inf
     ) -> Vec3:
         """Corrected for lag and disturbance."""
-        own = seen.inputs.own
+        own = snapshot.inputs.own
         velocity = own.velocity_enu_m_s if own is not None else wanted_m_s
         return self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s)

@@ -89,7 +89,7 @@ class Strategy(ABC):
         """
 
     @abstractmethod
-    def barrier(self, seen: Snapshot) -> ActiveBarrier:
+    def barrier(self, snapshot: Snapshot) -> ActiveBarrier:
         """Barrier that is held in this tick."""
 
     @abstractmethod
@@ -143,14 +143,14 @@ class Strategy(ABC):
 
     @abstractmethod
     def setpoint(
-        self, before_m_s: Vec3, wanted_m_s: Vec3, seen: Snapshot, least_z_m_s: float = -math.inf
+        self, before_m_s: Vec3, wanted_m_s: Vec3, snapshot: Snapshot, least_z_m_s: float = -math.inf
     ) -> Vec3:
         """Set-point that makes the vehicle fly the velocity wanted.
 
         Args:
             before_m_s: velocity wanted that the present one was reached from within a tick.
             wanted_m_s: velocity wanted now.
-            seen: what is known.
+            snapshot: what is known.
             least_z_m_s: lowest vertical velocity that the set-point may lead to if none follows it.
         """
 

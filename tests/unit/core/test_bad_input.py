@@ -126,7 +126,7 @@ def test_a_jump_by_a_metre_is_not_followed_until_it_has_proved_itself():
     world = flown(jumped_by_a_metre)
     before = len(world.sent)
     world.run(0.2)
-    target = world.outputs[-1].seen.target.position_enu_m
+    target = world.outputs[-1].snapshot.target.position_enu_m
     assert target[0] < world.pad[0] + 0.1  # still where it was believed to be
     assert len(world.sent) > before
     world.run(5.0, until=lambda w: w.phase is Phase.HOLD)
@@ -213,7 +213,7 @@ def test_every_set_point_is_inside_the_box_and_what_is_wanted_changes_no_faster_
             assert abs(setpoint[axis]) <= config.limits.velocity_max_m_s[axis] + 1e-9
     for before, after in itertools.pairwise(world.outputs):
         sent = before.setpoint is not None and after.setpoint is not None
-        if not sent or before.seen.inputs.status.mode is not Mode.EXTERNAL:
+        if not sent or before.snapshot.inputs.status.mode is not Mode.EXTERNAL:
             continue
         for axis in range(3):
             change = abs(after.wanted[axis] - before.wanted[axis])

@@ -173,15 +173,15 @@ def landed(rule, **changes):
 
 def height_at(world, phase):
     """Relative height at which the phase began."""
-    return next(o.seen.e_m[2] for o in world.outputs if o.phase is phase)
+    return next(o.snapshot.e_m[2] for o in world.outputs if o.phase is phase)
 
 
 def test_by_the_papers_rule_the_motors_go_off_below_five_centimetres_inside_the_cone():
     world = landed("paper")
     assert world.phase is Phase.LANDED
     off = next(o for o in world.outputs if o.request is Request.MOTORS_OFF)
-    assert 0.045 < off.seen.e_m[2] < 0.05
-    assert world.controller.barrier.h(off.seen.e_m) >= 0.0
+    assert 0.045 < off.snapshot.e_m[2] < 0.05
+    assert world.controller.barrier.h(off.snapshot.e_m) >= 0.0
 
 
 @pytest.mark.parametrize("says_standing", [True, False])
@@ -190,8 +190,8 @@ def test_by_contact_they_go_off_after_it_stands(says_standing):
     assert world.phase is Phase.LANDED
     assert height_at(world, Phase.TOUCHDOWN) > 0.04
     off = next(o for o in world.outputs if o.request is Request.MOTORS_OFF)
-    assert off.seen.inputs.own.arrival_s >= world.touched_s
-    assert off.seen.inputs.own.arrival_s - world.touched_s < 0.5
+    assert off.snapshot.inputs.own.arrival_s >= world.touched_s
+    assert off.snapshot.inputs.own.arrival_s - world.touched_s < 0.5
 
 
 def test_a_pad_that_is_not_where_it_was_said_to_be_ends_in_an_abort():
@@ -344,7 +344,7 @@ def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, fi
     began = len(world.outputs)
     while world.t_s < world.fault_to_s:
         out = world.step()
-        assert out.seen.inputs.own is None
+        assert out.snapshot.inputs.own is None
         assert out.setpoint is None
         assert all(map(math.isfinite, numbers(world.controller.state)))
     assert world.controller.state.tracking.disturbance_m_s == learned

@@ -48,7 +48,7 @@ def velocity(settings, phase, e, **memory):
     """What a phase commands."""
     mission, situation = mission_of(settings, Memory(phase=phase, **memory))
     mission.progress(seen(e))
-    return nominal_command(situation._replace(seen=seen(e)))
+    return nominal_command(situation._replace(snapshot=seen(e)))
 
 
 def flags(settings, phase, e, velocity=ZERO, *, after_s=0.0, own_ok=True, memory=None):

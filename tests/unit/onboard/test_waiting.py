@@ -110,7 +110,7 @@ TICK = Tick(2000, NOW_S, 1_700_000_000_000_000_000, 0.01, 0.0, overruns=3)
 class Out(NamedTuple):
     """As much of a controller's outputs as is looked at."""
 
-    seen: Snapshot
+    snapshot: Snapshot
     finished: bool = False
     target_accepted: int = 5
     target_rejected: int = 6

@@ -9,7 +9,7 @@ from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import high_enough_m, start_point
 from flightstack.core.mission.machine import Mission
 from flightstack.core.mission.phases import Condition
-from flightstack.core.snapshot import snapshot
+from flightstack.core.snapshot import snapshot_of
 from flightstack.core.strategies.robust import COMMANDED_SHARE, DRIFT_SHARE, STOPPED_SHARE
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
@@ -47,7 +47,7 @@ def tick(
         None if "own" in without else own, None if "status" in without else status, (), operator
     )  # fmt: skip
     known = None if "target" in without else target
-    seen = snapshot(settings, inputs, known, now_s, believed=believed, follows=follows)
+    seen = snapshot_of(settings, inputs, known, now_s, believed=believed, follows=follows)
     strategy = strategy_of(settings)
     mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
     mission.memory = memory if memory is not None else Memory()

@@ -85,7 +85,7 @@ def test_the_papers_law_flies_as_it_did_before_there_was_another(name):
     assert world.position == pytest.approx([float.fromhex(x) for x in ended], abs=1e-9)
     for out in world.outputs:
         if out.barrier is not None:
-            assert out.barrier.h_m == CONE.h(out.seen.e_m)
+            assert out.barrier.h_m == CONE.h(out.snapshot.e_m)
     if maths() == MATHS:
         assert [x.hex() for x in world.position] == list(ended)
         assert hashlib.sha256(b"".join(map(numbers, world.outputs))).hexdigest()[:16] == digest
