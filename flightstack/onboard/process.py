@@ -33,9 +33,9 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import ZERO, Operator, Phase, Vec3, VehicleStatus
 from flightstack.onboard import preflight
 from flightstack.onboard.leaving import Ended, Leaving
+from flightstack.onboard.live_topics import LiveHealth
 from flightstack.onboard.lockstep import LockstepWires
 from flightstack.onboard.log import OnboardLog
-from flightstack.onboard.publish_ros2 import LiveHealth
 from flightstack.onboard.recording import OwnRecorder
 from flightstack.onboard.runner import LinkedVehicle, LiveTarget, RealTimeClock, Runner, Taken
 from flightstack.onboard.waiting import WaitReport

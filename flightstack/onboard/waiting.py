@@ -1,6 +1,7 @@
-"""The causes for which a flight waits, as texts for a person, each with the setting that limits it. Pure.
+"""The causes for which a flight waits, as texts for a person, each with the setting that limits it.
 
-``missing`` judges what the links have shown; ``countdown`` says what ends a phase, and when.
+``missing`` judges what the links have shown, ``countdown`` says what ends a phase and when; both are pure.
+``WaitReport`` watches the links and says both every two seconds.
 """
 
 from __future__ import annotations
@@ -21,6 +22,10 @@ from flightstack.onboard.zenoh_wires import ZenohWires
 
 PERIOD_S = 2.0  # s between two reports
 _FLYING = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
+_REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; what is less urgent is no reason
+_REASONS = 3  # texts of the vehicle that are repeated
+_REASON_AGE_MAX_S = 15.0  # s; PX4 and ArduPilot repeat why they do not arm within that time
+_PROBLEMS = 2  # about samples, in one report
 
 
 class VehicleSeen(NamedTuple):
@@ -165,12 +170,6 @@ def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
         return ""
     left_s = max(0.0, bound.limit_s(config) - in_phase_s)
     return f"{bound.then} within {left_s:.0f} s ({bound.setting})"
-
-
-_REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; what is less urgent is no reason
-_REASONS = 3  # texts of the vehicle that are repeated
-_REASON_AGE_MAX_S = 15.0  # s; PX4 and ArduPilot repeat why they do not arm within that time
-_PROBLEMS = 2  # about samples, in one report
 
 
 class WaitReport:

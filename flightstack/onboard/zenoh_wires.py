@@ -13,7 +13,7 @@ from bridge.zenoh.zenoh_link import ConnectionAlarm
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.onboard.publish_ros2 import LiveRos2
+from flightstack.onboard.live_topics import LiveRos2
 from logs.schema.rows import ControllerStepRow
 
 

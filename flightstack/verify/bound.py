@@ -1,8 +1,9 @@
-"""Proven bounds: the largest value of a function over a whole box, by branch and bound.
+"""Proven bounds: the largest value of a function over a whole box, and the ranges of a barrier's derivatives.
 
 Samples can miss the worst point. Here a function comes with an upper bound over any cell, from the exact
-ranges of its monotone pieces; the cell with the largest bound is cut in two until no cell can hold more than
-``TOLERANCE`` above a value that was really found. Cells may reach to infinity.
+ranges of its monotone pieces (``Shape``: of slope and curvature); the cell with the largest bound is cut in
+two until no cell can hold more than ``TOLERANCE`` above a value that was really found. Cells may reach to
+infinity.
 """
 
 from __future__ import annotations
@@ -14,6 +15,105 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from flightstack.core.safety.barrier import Barrier
+
+TOLERANCE = 1e-4  # of the value: m/s, m/s^2 or mm
+CELLS_MAX = 20_000  # more are not needed by a hundredfold; what is left open stays in the bound
+EQUAL = 1e-9  # values this close are the same
+ROUNDING = 1e-12  # relative; a dozen operations err by less than 3e-15
+
+
+class Span(NamedTuple):
+    """Closed interval; ``high`` may be infinite."""
+
+    low: float
+    high: float
+
+    def middle(self) -> float:
+        """Point at which to cut; an unbounded interval is cut at a multiple of its lower end."""
+        if math.isinf(self.high):
+            return 2.0 * self.low + 1.0
+        return 0.5 * (self.low + self.high)
+
+    def width(self) -> float:
+        """Length, infinite for an unbounded interval."""
+        return self.high - self.low
+
+
+def wider(span: Span) -> Span:
+    """Return the span, widened by the rounding errors of the numbers it was computed from."""
+    return Span(span.low - ROUNDING * (1.0 + abs(span.low)), span.high + ROUNDING * (1.0 + abs(span.high)))
+
+
+class Most(NamedTuple):
+    """Result of ``most``: the value is at most ``bound`` anywhere, and ``found`` at the point ``at``."""
+
+    bound: float
+    found: float
+    at: tuple[float, ...]
+
+
+def most(
+    upper: Callable[[Cell], float],
+    value: Callable[[tuple[float, ...]], float],
+    domain: Cell,
+    likely: tuple[tuple[float, ...], ...] = (),
+) -> Most:
+    """Bound a function from above over a box.
+
+    Args:
+        upper: a number that the function does not exceed within a cell.
+        value: the function itself, at a point with finite coordinates.
+        domain: the box, one span a coordinate.
+        likely: points to look at first; of equal points the first one found is named.
+
+    Raises:
+        ValueError: the function is not a number somewhere.
+    """
+
+    def point(cell: Cell) -> tuple[float, ...]:
+        return tuple(span.middle() for span in cell)
+
+    best, best_at = -math.inf, point(domain)
+    for start in (*likely, best_at, *_corners(domain)):
+        found = value(start)
+        if found > best + EQUAL:
+            best, best_at = found, start
+    heap = [(-upper(domain), 0, domain)]
+    for number in range(1, CELLS_MAX):
+        bound = -heap[0][0]
+        if math.isnan(bound) or math.isnan(best):
+            raise ValueError(f"the bound is not a number near {best_at}: a parameter is out of any range")
+        if bound - best <= TOLERANCE:
+            break
+        _, _, cell = heapq.heappop(heap)
+        widest = max(range(len(cell)), key=lambda i: _weight(cell[i], domain[i]))
+        span = cell[widest]
+        cut = span.middle()
+        for part in (Span(span.low, cut), Span(cut, span.high)):
+            piece = (*cell[:widest], part, *cell[widest + 1 :])
+            centre = point(piece)
+            for at in (centre, (*centre[:widest], cut, *centre[widest + 1 :])):
+                found = value(at)
+                if found > best + EQUAL:
+                    best, best_at = found, at
+            heapq.heappush(heap, (-upper(piece), 2 * number + (part.low == cut), piece))
+    return Most(max(best, -heap[0][0]), best, best_at)
+
+
+def _weight(span: Span, whole: Span) -> float:
+    """Return the cell's share of the coordinate's range; unbounded cells are cut first."""
+    if math.isinf(span.high):
+        return math.inf
+    return span.width() / (whole.width() if math.isfinite(whole.high) else 1.0)
+
+
+def _corners(domain: Cell) -> list[tuple[float, ...]]:
+    """Corners with finite coordinates."""
+    points: list[tuple[float, ...]] = [()]
+    for span in domain:
+        ends = (span.low, span.high) if math.isfinite(span.high) else (span.low,)
+        points = [(*p, end) for p in points for end in ends]
+    return points
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,104 +188,4 @@ def _times(a: Span, b: Span) -> Span:
     return wider(Span(min(products), max(products)))
 
 
-TOLERANCE = 1e-4  # of the value: m/s, m/s^2 or mm
-CELLS_MAX = 20_000  # more are not needed by a hundredfold; what is left open stays in the bound
-EQUAL = 1e-9  # values this close are the same
-ROUNDING = 1e-12  # relative; a dozen operations err by less than 3e-15
-
-
-class Span(NamedTuple):
-    """Closed interval; ``high`` may be infinite."""
-
-    low: float
-    high: float
-
-    def middle(self) -> float:
-        """Point at which to cut; an unbounded interval is cut at a multiple of its lower end."""
-        if math.isinf(self.high):
-            return 2.0 * self.low + 1.0
-        return 0.5 * (self.low + self.high)
-
-    def width(self) -> float:
-        """Length, infinite for an unbounded interval."""
-        return self.high - self.low
-
-
-class Most(NamedTuple):
-    """Result of ``most``: the value is at most ``bound`` anywhere, and ``found`` at the point ``at``."""
-
-    bound: float
-    found: float
-    at: tuple[float, ...]
-
-
 Cell = tuple[Span, ...]
-
-
-def most(
-    upper: Callable[[Cell], float],
-    value: Callable[[tuple[float, ...]], float],
-    domain: Cell,
-    likely: tuple[tuple[float, ...], ...] = (),
-) -> Most:
-    """Bound a function from above over a box.
-
-    Args:
-        upper: a number that the function does not exceed within a cell.
-        value: the function itself, at a point with finite coordinates.
-        domain: the box, one span a coordinate.
-        likely: points to look at first; of equal points the first one found is named.
-
-    Raises:
-        ValueError: the function is not a number somewhere.
-    """
-
-    def point(cell: Cell) -> tuple[float, ...]:
-        return tuple(span.middle() for span in cell)
-
-    best, best_at = -math.inf, point(domain)
-    for start in (*likely, best_at, *_corners(domain)):
-        found = value(start)
-        if found > best + EQUAL:
-            best, best_at = found, start
-    heap = [(-upper(domain), 0, domain)]
-    for number in range(1, CELLS_MAX):
-        bound = -heap[0][0]
-        if math.isnan(bound) or math.isnan(best):
-            raise ValueError(f"the bound is not a number near {best_at}: a parameter is out of any range")
-        if bound - best <= TOLERANCE:
-            break
-        _, _, cell = heapq.heappop(heap)
-        widest = max(range(len(cell)), key=lambda i: _weight(cell[i], domain[i]))
-        span = cell[widest]
-        cut = span.middle()
-        for part in (Span(span.low, cut), Span(cut, span.high)):
-            piece = (*cell[:widest], part, *cell[widest + 1 :])
-            centre = point(piece)
-            for at in (centre, (*centre[:widest], cut, *centre[widest + 1 :])):
-                found = value(at)
-                if found > best + EQUAL:
-                    best, best_at = found, at
-            heapq.heappush(heap, (-upper(piece), 2 * number + (part.low == cut), piece))
-    return Most(max(best, -heap[0][0]), best, best_at)
-
-
-def _weight(span: Span, whole: Span) -> float:
-    """Return the cell's share of the coordinate's range; unbounded cells are cut first."""
-    if math.isinf(span.high):
-        return math.inf
-    return span.width() / (whole.width() if math.isfinite(whole.high) else 1.0)
-
-
-def _corners(domain: Cell) -> list[tuple[float, ...]]:
-    """Corners with finite coordinates."""
-    points: list[tuple[float, ...]] = [()]
-    for span in domain:
-        ends = (span.low, span.high) if math.isfinite(span.high) else (span.low,)
-        points = [(*p, end) for p in points for end in ends]
-    return points
-
-
-def wider(span: Span) -> Span:
-    """Return the span, widened by the rounding errors of the numbers it was computed from."""
-    return Span(span.low - ROUNDING * (1.0 + abs(span.low)), span.high + ROUNDING * (1.0 + abs(span.high)))

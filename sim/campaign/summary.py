@@ -1,4 +1,4 @@
-"""Summary of a campaign: counts, confidence bounds, quantiles, and the worst seeds with their commands.
+"""Summary of a campaign: counts, confidence bounds, quantiles, worst seeds; and the limits of each tier.
 
 What is not known counts against: a row of outcome "error" is an undeclared miss, and a violation that cannot
 be excluded is a violation.
@@ -17,6 +17,167 @@ import numpy as np
 
 from logs.verdict.types import Outcome
 from sim.campaign.rows import ERROR, Row
+
+CONFIDENCE = 0.95
+WORST_MAX = 10
+_RANK = {ERROR: 0, Outcome.CRASHED: 1, Outcome.TIMEOUT: 3, Outcome.ABORTED: 4, Outcome.LANDED: 5}
+_VIOLATED_RANK = 2
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Number of landings with each outcome."""
+
+    runs: int
+    landed: int
+    declared_aborts: int
+    undeclared_misses: int
+    crashes: int
+    violations: int
+
+
+def count(rows: Sequence[Row]) -> Counts:
+    """Count outcomes; every row is in exactly one of landed, aborts, misses and crashes."""
+    outcomes = [row.outcome for row in rows]
+    return Counts(
+        runs=len(rows),
+        landed=outcomes.count(Outcome.LANDED),
+        declared_aborts=outcomes.count(Outcome.ABORTED),
+        undeclared_misses=outcomes.count(Outcome.TIMEOUT) + outcomes.count(ERROR),
+        crashes=outcomes.count(Outcome.CRASHED),
+        violations=sum(row.violation is not False for row in rows),
+    )
+
+
+def upper_bound(events: int, runs: int, confidence: float = CONFIDENCE) -> float:
+    """Upper Clopper-Pearson bound of a rate: the p at which so few events become improbable.
+
+    One-sided: solves P(X <= events; runs, p) = 1 - confidence. For no event it is 1 - (1 - confidence)^(1/n).
+
+    Args:
+        events: how often it happened.
+        runs: in how many.
+        confidence: that the true rate is below.
+
+    Raises:
+        ValueError: not 0 <= events <= runs, or no runs.
+    """
+    if not 0 <= events <= runs or runs < 1:
+        raise ValueError(f"{events} events in {runs} runs: a number of runs and no more events are needed")
+    if events == runs:
+        return 1.0
+    low, high = events / runs, 1.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if _at_most(events, runs, middle) > 1.0 - confidence:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def _at_most(events: int, runs: int, p: float) -> float:
+    """P(X <= events) of a binomial distribution."""
+    if p >= 1.0:
+        return 0.0
+    logs = [
+        math.lgamma(runs + 1)
+        - math.lgamma(k + 1)
+        - math.lgamma(runs - k + 1)
+        + (k * math.log(p) if k else 0.0)
+        + (runs - k) * math.log1p(-p)
+        for k in range(events + 1)
+    ]
+    return math.fsum(map(math.exp, logs)) if p > 0.0 else 1.0
+
+
+def quantile(rows: Sequence[Row], value: Callable[[Row], float | None], share: float) -> float | None:
+    """Quantile of a value over the landings that landed; None without any."""
+    known = [v for row in rows if row.landed and (v := value(row)) is not None]
+    return float(np.quantile(known, share)) if known else None
+
+
+def summary(rows: Sequence[Row], command: str, *, wall_s: float, flown_s: float) -> dict[str, Any]:
+    """Return what ``--json`` prints.
+
+    Args:
+        rows: at least one.
+        command: that flies one of the seeds alone, with ``{seed}``.
+        wall_s: time of this call.
+        flown_s: simulated time flown in it.
+    """
+    counts = count(rows)
+    lowest = [row.h_min_outside_pad_m for row in rows if row.h_min_outside_pad_m is not None]
+    return {
+        "runs": counts.runs,
+        "landed": counts.landed,
+        "declared_aborts": counts.declared_aborts,
+        "undeclared_misses": counts.undeclared_misses,
+        "crashes": counts.crashes,
+        "violations": counts.violations,
+        "upper_95_violation_rate": upper_bound(counts.violations, counts.runs),
+        "h_min_outside_pad_m": min(lowest, default=None),
+        "touchdown_error_m": {
+            "median": quantile(rows, lambda r: r.touchdown_error_m, 0.5),
+            "p95": quantile(rows, lambda r: r.touchdown_error_m, 0.95),
+        },
+        "touchdown_speed_vertical_m_s": {
+            "p95": quantile(rows, lambda r: r.touchdown_speed_vertical_m_s, 0.95)
+        },
+        "touchdown_speed_horizontal_m_s": {
+            "p95": quantile(rows, lambda r: r.touchdown_speed_horizontal_m_s, 0.95)
+        },
+        "time_to_land_s": {"median": quantile(rows, lambda r: r.time_to_land_s, 0.5)},
+        "wall_s": wall_s,
+        "realtime_factor": flown_s / wall_s if flown_s > 0.0 and wall_s > 0.0 else None,
+        "worst": [
+            {"seed": row.seed, "why": why(row), "command": command.format(seed=row.seed)}
+            for row in worst(rows)
+        ],
+    }
+
+
+def worst(rows: Sequence[Row], most: int = WORST_MAX) -> list[Row]:
+    """Return the worst rows: failures first, then by how far from the pad's centre they touched."""
+    return sorted(rows, key=_badness)[:most]
+
+
+def _badness(row: Row) -> tuple[float, float, float, int]:
+    violated = row.violation is not False and row.outcome != ERROR
+    rank = min(_RANK[row.outcome], _VIOLATED_RANK) if violated else _RANK[row.outcome]
+    h_m = row.h_min_outside_pad_m
+    lowest_m = h_m if h_m is not None and violated else math.inf
+    return rank, lowest_m, -(row.touchdown_error_m or 0.0), row.seed
+
+
+def why(row: Row) -> str:
+    """Return in one line why a row is among the worst."""
+    if row.landed and row.violation is False:
+        return f"landed {100.0 * (row.touchdown_error_m or 0.0):.1f} cm from the centre"
+    told = f"{row.outcome}: {row.reason}"
+    if row.violation is False:
+        return told
+    h_m = row.h_min_outside_pad_m
+    found = f"h down to {1e3 * h_m:.0f} mm" if row.violation and h_m is not None else "cannot be excluded"
+    return f"{told}; violation {found}"
+
+
+def lines(told: dict[str, Any]) -> list[tuple[str, str]]:
+    """Lines of a summary: name and value in words."""
+    found = []
+    for key, value in told.items():
+        if key == "worst":
+            continue
+        for part, number in value.items() if isinstance(value, dict) else [("", value)]:
+            shown = "-" if number is None else f"{number:.4g}" if isinstance(number, float) else str(number)
+            found.append((f"{key} {part}".strip(), shown))
+    return found
+
+
+def repeat_command(scenario: str, filter_name: str) -> str:
+    """Command that flies one seed alone over the real wires, with ``{seed}`` for the seed."""
+    name = shlex.quote(scenario).replace("{", "{{").replace("}", "}}")
+    return f"flightstack sitl --scenario {name} --seed {{seed}} --filter {filter_name} --lockstep"
 
 
 class Tier(Enum):
@@ -113,165 +274,3 @@ def _slower(rows: Sequence[Row], paper: Sequence[Row] | None) -> float | None:
     own = quantile(rows, lambda r: r.time_to_land_s, 0.5)
     other = quantile(paper, lambda r: r.time_to_land_s, 0.5) if paper is not None else None
     return own / other if own is not None and other else None
-
-
-CONFIDENCE = 0.95
-WORST_MAX = 10
-_RANK = {ERROR: 0, Outcome.CRASHED: 1, Outcome.TIMEOUT: 3, Outcome.ABORTED: 4, Outcome.LANDED: 5}
-_VIOLATED_RANK = 2
-
-
-def upper_bound(events: int, runs: int, confidence: float = CONFIDENCE) -> float:
-    """Upper Clopper-Pearson bound of a rate: the p at which so few events become improbable.
-
-    One-sided: solves P(X <= events; runs, p) = 1 - confidence. For no event it is 1 - (1 - confidence)^(1/n).
-
-    Args:
-        events: how often it happened.
-        runs: in how many.
-        confidence: that the true rate is below.
-
-    Raises:
-        ValueError: not 0 <= events <= runs, or no runs.
-    """
-    if not 0 <= events <= runs or runs < 1:
-        raise ValueError(f"{events} events in {runs} runs: a number of runs and no more events are needed")
-    if events == runs:
-        return 1.0
-    low, high = events / runs, 1.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if _at_most(events, runs, middle) > 1.0 - confidence:
-            low = middle
-        else:
-            high = middle
-    return high
-
-
-def _at_most(events: int, runs: int, p: float) -> float:
-    """P(X <= events) of a binomial distribution."""
-    if p >= 1.0:
-        return 0.0
-    logs = [
-        math.lgamma(runs + 1)
-        - math.lgamma(k + 1)
-        - math.lgamma(runs - k + 1)
-        + (k * math.log(p) if k else 0.0)
-        + (runs - k) * math.log1p(-p)
-        for k in range(events + 1)
-    ]
-    return math.fsum(map(math.exp, logs)) if p > 0.0 else 1.0
-
-
-@dataclass(frozen=True)
-class Counts:
-    """Number of landings with each outcome."""
-
-    runs: int
-    landed: int
-    declared_aborts: int
-    undeclared_misses: int
-    crashes: int
-    violations: int
-
-
-def count(rows: Sequence[Row]) -> Counts:
-    """Count outcomes; every row is in exactly one of landed, aborts, misses and crashes."""
-    outcomes = [row.outcome for row in rows]
-    return Counts(
-        runs=len(rows),
-        landed=outcomes.count(Outcome.LANDED),
-        declared_aborts=outcomes.count(Outcome.ABORTED),
-        undeclared_misses=outcomes.count(Outcome.TIMEOUT) + outcomes.count(ERROR),
-        crashes=outcomes.count(Outcome.CRASHED),
-        violations=sum(row.violation is not False for row in rows),
-    )
-
-
-def quantile(rows: Sequence[Row], value: Callable[[Row], float | None], share: float) -> float | None:
-    """Quantile of a value over the landings that landed; None without any."""
-    known = [v for row in rows if row.landed and (v := value(row)) is not None]
-    return float(np.quantile(known, share)) if known else None
-
-
-def summary(rows: Sequence[Row], command: str, *, wall_s: float, flown_s: float) -> dict[str, Any]:
-    """Return what ``--json`` prints.
-
-    Args:
-        rows: at least one.
-        command: that flies one of the seeds alone, with ``{seed}``.
-        wall_s: time of this call.
-        flown_s: simulated time flown in it.
-    """
-    counts = count(rows)
-    lowest = [row.h_min_outside_pad_m for row in rows if row.h_min_outside_pad_m is not None]
-    return {
-        "runs": counts.runs,
-        "landed": counts.landed,
-        "declared_aborts": counts.declared_aborts,
-        "undeclared_misses": counts.undeclared_misses,
-        "crashes": counts.crashes,
-        "violations": counts.violations,
-        "upper_95_violation_rate": upper_bound(counts.violations, counts.runs),
-        "h_min_outside_pad_m": min(lowest, default=None),
-        "touchdown_error_m": {
-            "median": quantile(rows, lambda r: r.touchdown_error_m, 0.5),
-            "p95": quantile(rows, lambda r: r.touchdown_error_m, 0.95),
-        },
-        "touchdown_speed_vertical_m_s": {
-            "p95": quantile(rows, lambda r: r.touchdown_speed_vertical_m_s, 0.95)
-        },
-        "touchdown_speed_horizontal_m_s": {
-            "p95": quantile(rows, lambda r: r.touchdown_speed_horizontal_m_s, 0.95)
-        },
-        "time_to_land_s": {"median": quantile(rows, lambda r: r.time_to_land_s, 0.5)},
-        "wall_s": wall_s,
-        "realtime_factor": flown_s / wall_s if flown_s > 0.0 and wall_s > 0.0 else None,
-        "worst": [
-            {"seed": row.seed, "why": why(row), "command": command.format(seed=row.seed)}
-            for row in worst(rows)
-        ],
-    }
-
-
-def worst(rows: Sequence[Row], most: int = WORST_MAX) -> list[Row]:
-    """Return the worst rows: failures first, then by how far from the pad's centre they touched."""
-    return sorted(rows, key=_badness)[:most]
-
-
-def _badness(row: Row) -> tuple[float, float, float, int]:
-    violated = row.violation is not False and row.outcome != ERROR
-    rank = min(_RANK[row.outcome], _VIOLATED_RANK) if violated else _RANK[row.outcome]
-    h_m = row.h_min_outside_pad_m
-    lowest_m = h_m if h_m is not None and violated else math.inf
-    return rank, lowest_m, -(row.touchdown_error_m or 0.0), row.seed
-
-
-def why(row: Row) -> str:
-    """Return in one line why a row is among the worst."""
-    if row.landed and row.violation is False:
-        return f"landed {100.0 * (row.touchdown_error_m or 0.0):.1f} cm from the centre"
-    told = f"{row.outcome}: {row.reason}"
-    if row.violation is False:
-        return told
-    h_m = row.h_min_outside_pad_m
-    found = f"h down to {1e3 * h_m:.0f} mm" if row.violation and h_m is not None else "cannot be excluded"
-    return f"{told}; violation {found}"
-
-
-def lines(told: dict[str, Any]) -> list[tuple[str, str]]:
-    """Lines of a summary: name and value in words."""
-    found = []
-    for key, value in told.items():
-        if key == "worst":
-            continue
-        for part, number in value.items() if isinstance(value, dict) else [("", value)]:
-            shown = "-" if number is None else f"{number:.4g}" if isinstance(number, float) else str(number)
-            found.append((f"{key} {part}".strip(), shown))
-    return found
-
-
-def repeat_command(scenario: str, filter_name: str) -> str:
-    """Command that flies one seed alone over the real wires, with ``{seed}`` for the seed."""
-    name = shlex.quote(scenario).replace("{", "{{").replace("}", "}}")
-    return f"flightstack sitl --scenario {name} --seed {{seed}} --filter {filter_name} --lockstep"

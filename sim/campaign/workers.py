@@ -1,4 +1,6 @@
-"""Worker processes of a campaign: they get seeds and return rows; the seed of a dead worker is flown again.
+"""One landing of a campaign as a row, and the worker processes that fly the seeds of a whole one.
+
+A cluster's workers call ``fly_seed_as``; here, processes get seeds and return rows.
 
 Workers are spawned, never forked, each with a pipe of its own: a shared queue could be left locked by one
 that is killed. A worker holds one seed at a time, so that nothing is queued without bound and it is known
@@ -32,6 +34,12 @@ from sim.vehicle.vehicle import warm_up
 
 _ALONE = threading.Lock()  # a cluster's worker may have threads; more than one would only wait for each other
 _PACKAGES = ("flightstack", "bridge", "sim", "logs")
+DEATHS_MAX = 2  # of workers that held the same seed
+STARTS_MAX = 3  # workers in a row that end before they are ready
+SLOWEST = 0.05  # share of real time below which a landing is given up
+START_S = 300.0  # s of wall time until a worker is ready, compiling included
+_LOOK_S = 1.0  # s of wall time between two looks at the clock
+_END_S = 5.0  # s of wall time a worker has to end
 
 
 @lru_cache(maxsize=4)
@@ -77,14 +85,6 @@ def code_fingerprint() -> str:
             digest.update(f"{package}/{source.relative_to(folder).as_posix()}\n".encode())
             digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
-
-
-DEATHS_MAX = 2  # of workers that held the same seed
-STARTS_MAX = 3  # workers in a row that end before they are ready
-SLOWEST = 0.05  # share of real time below which a landing is given up
-START_S = 300.0  # s of wall time until a worker is ready, compiling included
-_LOOK_S = 1.0  # s of wall time between two looks at the clock
-_END_S = 5.0  # s of wall time a worker has to end
 
 
 class WorkersError(RuntimeError):

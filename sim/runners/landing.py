@@ -1,7 +1,7 @@
-"""One seeded landing in one process: ``land(scenario, seed)``, pure simulation without sockets.
+"""One seeded landing in one process, noted and judged: ``land(scenario, seed)``, without sockets.
 
 The same code as over the wires flies: the vehicle's lockstep loop with its autopilot and faults, the robot,
-the companion's link and ``Controller.step``. Only the wires are handed over directly, with their rounding;
+the companion's link and its runner of ticks. Only the wires are handed over directly, with their rounding;
 so a landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the last bit.
 """
 
@@ -39,7 +39,7 @@ from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.vehicle_log import VehicleLog
-from sim.runners.vehicle_runner import VehicleNode
+from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
 

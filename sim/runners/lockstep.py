@@ -18,7 +18,7 @@ from bridge.mavlink.endpoint import Peer, Received
 from flightstack.core.types import ZERO
 from sim.clock import SILENCE_S, STARTUP_S, NoAnswerError, StopSignal, TickGrid, wait_until
 from sim.runners.deck import STALE_S, DeckState, LockstepDeck, reckon
-from sim.runners.vehicle_runner import VehicleNode
+from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # s of wall time between two looks at the signals
 _REPEAT_S = 0.5  # s of wall time until a request is repeated

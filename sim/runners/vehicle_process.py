@@ -1,4 +1,7 @@
-"""The simulated vehicle as a process: MAVLink on one side, the robot's true pose on the other."""
+"""The simulated vehicle as a process, and its loop in real time (``lockstep`` has the other one).
+
+MAVLink is on one side, the robot's true pose on the other.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from sim.clock import NoAnswerError, StopSignal, TickGrid
 from sim.runners.deck import LockstepDeck, RealTimeDeck
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.vehicle_log import VehicleLog
-from sim.runners.vehicle_runner import VehicleNode
+from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim, warm_up
 

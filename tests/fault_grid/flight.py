@@ -37,7 +37,7 @@ from sim.runners.landing import Notes, Seen, VehicleNotes
 from sim.runners.landing_target import DirectTarget, _Ahead
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepLoop
-from sim.runners.vehicle_runner import VehicleNode
+from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim

@@ -1,4 +1,7 @@
-"""Condition flags of the phase tables, from what is known in this tick; nothing is remembered here."""
+"""Condition flags of the phase tables, from what is known in this tick, and a rule's reason with its numbers.
+
+Nothing is remembered here.
+"""
 
 from __future__ import annotations
 
@@ -17,95 +20,15 @@ from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Landed, Mode, Operator, OwnState, Phase, Vec3
 
-
-class Known(NamedTuple):
-    """What the numbers are taken from.
-
-    Attributes:
-        checks: of the configuration.
-        snapshot: this tick's inputs.
-        plausibility: of the own state and of following.
-        refusal: why the newest sample of the target was refused; empty: it was not.
-        now_s: stack clock.
-    """
-
-    checks: Checks
-    snapshot: Snapshot
-    plausibility: Plausibility
-    refusal: str
-    now_s: float
-
-
-def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
-    """Reason of a rule that fires, with the numbers of those of its conditions that hold.
-
-    Args:
-        rule: of the phase table.
-        flags: conditions of this tick.
-        known: this tick.
-    """
-    asked = (rule.when | rule.about) & flags
-    told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
-    if not told and rule.about & ~flags & Condition.READY:
-        told = ["the vehicle does not say that it is ready to arm"]
-    return f"{rule.reason}: {', '.join(told)}" if told else rule.reason
-
-
-def _own(known: Known) -> str:
-    checks, watched, own = known.checks, known.plausibility, known.snapshot.inputs.own
-    if own is None:
-        return "no own state has come"
-    if watched.memory.distrusted:
-        return (
-            f"drift, the position went {watched.drift_m:.2f} m where no velocity took it; "
-            f"checks.own_drift_max_m is {checks.own_drift_max_m:g}"
-        )
-    last = watched.memory.last
-    limit = f"checks.own_age_max_s is {checks.own_age_max_s:g}"
-    if last is not None and last.arrival_s < own.arrival_s:
-        return f"its numbers repeat since {known.now_s - last.arrival_s:.2f} s; {limit}"
-    return f"the own state is {known.now_s - own.arrival_s:.2f} s old; {limit}"
-
-
-def _heartbeat(known: Known) -> str:
-    status = known.snapshot.inputs.status
-    if status is None:
-        return "no heartbeat has come"
-    age_s = known.now_s - status.arrival_s
-    limit = f"checks.status_age_max_s is {known.checks.status_age_max_s:g}"
-    return f"the newest heartbeat is {age_s:.1f} s old; {limit}"
-
-
-def _target(known: Known) -> str:
-    target = known.snapshot.target
-    refused = f", the newest was refused: {known.refusal}" if known.refusal else ""
-    if target is None:
-        return f"no sample of the target has been accepted{refused}"
-    limit = f"checks.target_age_max_s is {known.checks.target_age_max_s:g}"
-    return f"the target's newest sample is {target.age_s:.2f} s old; {limit}{refused}"
-
-
-def _follow(known: Known) -> str:
-    checks, watched = known.checks, known.plausibility
-    return (
-        f"it lags {watched.tracking_lag_m:.2f} m behind its set-points; "
-        f"{watched.tracking_lag_max_m:.2f} m are allowed "
-        f"by checks.follow_lag_max_s, {checks.follow_lag_max_s:g}"
-    )
-
-
-_NUMBERS: Mapping[Condition, Callable[[Known], str]] = MappingProxyType(
-    {
-        Condition.OWN_LOST: _own,
-        Condition.LINK_LOST: _heartbeat,
-        Condition.TARGET_LOST: _target,
-        Condition.NOT_FOLLOWING: _follow,
-    }
-)
-
-
 OVER_PAD_LEFT = 1.5  # times the radius at which the cone over the pad is entered
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
+_PHASE_TIME_S: dict[Phase, Callable[[FlightConfig], float]] = {
+    Phase.WAIT: lambda c: c.checks.wait_time_max_s,
+    Phase.TAKEOFF: lambda c: c.takeoff.timeout_s,
+    Phase.TOUCHDOWN: lambda c: c.touchdown.timeout_s,
+    Phase.HOLD: lambda c: c.checks.hold_time_s,
+    Phase.CLIMB: lambda c: c.checks.climb_time_max_s,
+}
 
 
 def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
@@ -161,15 +84,6 @@ def _landing_distance_m(
     passed = closing_m2_s < speed2_m2_s2 * sinks_s  # it comes by before the vehicle is down
     nearest_s = closing_m2_s / speed2_m2_s2 if passed else sinks_s
     return math.hypot(x - tx * nearest_s, y - ty * nearest_s)
-
-
-_PHASE_TIME_S: dict[Phase, Callable[[FlightConfig], float]] = {
-    Phase.WAIT: lambda c: c.checks.wait_time_max_s,
-    Phase.TAKEOFF: lambda c: c.takeoff.timeout_s,
-    Phase.TOUCHDOWN: lambda c: c.touchdown.timeout_s,
-    Phase.HOLD: lambda c: c.checks.hold_time_s,
-    Phase.CLIMB: lambda c: c.checks.climb_time_max_s,
-}
 
 
 def condition_flags(
@@ -263,3 +177,89 @@ def _place_flags(
     if memory.phase is Phase.TOUCHDOWN and not memory.contact and strategy.drifts(at):
         flags |= C.DRIFTED
     return flags
+
+
+class Known(NamedTuple):
+    """What the numbers are taken from.
+
+    Attributes:
+        checks: of the configuration.
+        snapshot: this tick's inputs.
+        plausibility: of the own state and of following.
+        refusal: why the newest sample of the target was refused; empty: it was not.
+        now_s: stack clock.
+    """
+
+    checks: Checks
+    snapshot: Snapshot
+    plausibility: Plausibility
+    refusal: str
+    now_s: float
+
+
+def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
+    """Reason of a rule that fires, with the numbers of those of its conditions that hold.
+
+    Args:
+        rule: of the phase table.
+        flags: conditions of this tick.
+        known: this tick.
+    """
+    asked = (rule.when | rule.about) & flags
+    told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
+    if not told and rule.about & ~flags & Condition.READY:
+        told = ["the vehicle does not say that it is ready to arm"]
+    return f"{rule.reason}: {', '.join(told)}" if told else rule.reason
+
+
+def _own(known: Known) -> str:
+    checks, watched, own = known.checks, known.plausibility, known.snapshot.inputs.own
+    if own is None:
+        return "no own state has come"
+    if watched.memory.distrusted:
+        return (
+            f"drift, the position went {watched.drift_m:.2f} m where no velocity took it; "
+            f"checks.own_drift_max_m is {checks.own_drift_max_m:g}"
+        )
+    last = watched.memory.last
+    limit = f"checks.own_age_max_s is {checks.own_age_max_s:g}"
+    if last is not None and last.arrival_s < own.arrival_s:
+        return f"its numbers repeat since {known.now_s - last.arrival_s:.2f} s; {limit}"
+    return f"the own state is {known.now_s - own.arrival_s:.2f} s old; {limit}"
+
+
+def _heartbeat(known: Known) -> str:
+    status = known.snapshot.inputs.status
+    if status is None:
+        return "no heartbeat has come"
+    age_s = known.now_s - status.arrival_s
+    limit = f"checks.status_age_max_s is {known.checks.status_age_max_s:g}"
+    return f"the newest heartbeat is {age_s:.1f} s old; {limit}"
+
+
+def _target(known: Known) -> str:
+    target = known.snapshot.target
+    refused = f", the newest was refused: {known.refusal}" if known.refusal else ""
+    if target is None:
+        return f"no sample of the target has been accepted{refused}"
+    limit = f"checks.target_age_max_s is {known.checks.target_age_max_s:g}"
+    return f"the target's newest sample is {target.age_s:.2f} s old; {limit}{refused}"
+
+
+def _follow(known: Known) -> str:
+    checks, watched = known.checks, known.plausibility
+    return (
+        f"it lags {watched.tracking_lag_m:.2f} m behind its set-points; "
+        f"{watched.tracking_lag_max_m:.2f} m are allowed "
+        f"by checks.follow_lag_max_s, {checks.follow_lag_max_s:g}"
+    )
+
+
+_NUMBERS: Mapping[Condition, Callable[[Known], str]] = MappingProxyType(
+    {
+        Condition.OWN_LOST: _own,
+        Condition.LINK_LOST: _heartbeat,
+        Condition.TARGET_LOST: _target,
+        Condition.NOT_FOLLOWING: _follow,
+    }
+)

@@ -1,5 +1,6 @@
 """The mission machine: timers, condition flags, change of phase, way of aborting, end.
 
+A change of phase is a ``Transition``; its text in the log is read back by ``parse``.
 ``Mission`` alone writes the phase and what belongs to it. The rules are tables (``phases.py``); what a phase
 commands is the part of ``guidance.py``.
 """
@@ -25,6 +26,11 @@ _PHASES, _WAYS = "|".join(Phase.__members__), "|".join(w.name.lower().replace("_
 _TIME = r"(?: *[0-9.]+ s  )?"
 _CHANGE = rf"(?P<before>{_PHASES})(?: -> (?P<after>{_PHASES}))?"
 _TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))?", re.DOTALL)
+LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
+ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
+RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
+RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
+_NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
 
 
 class Transition(NamedTuple):
@@ -68,13 +74,6 @@ def parse(text: str) -> Transition | None:
         found["reason"],
         AbortWay[way.upper().replace(" ", "_")] if way is not None else AbortWay.NONE,
     )
-
-
-LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
-ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
-RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
-RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
-_NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
 
 
 class Mission:

@@ -11,7 +11,7 @@ from bridge.mavlink.endpoint import EndpointCounters, Received
 from sim.faults.content import clock_ns
 from sim.faults.link import CONCERNS, LinkFaults, Way
 from sim.plant.sensors import NS
-from sim.runners.vehicle_runner import HELD_MAX, Wire
+from sim.runners.vehicle_node import HELD_MAX, Wire
 from sim.scenarios.fault_table import TABLE, Kind, What
 from tests.unit.faults.fault_helpers import running
 

@@ -1,4 +1,4 @@
-"""What the vehicle process is made of, whatever its clock: vehicle, autopilot, endpoint, log."""
+"""The vehicle on the wire, whatever its clock: vehicle, autopilot, endpoint, faults of the link, log."""
 
 from __future__ import annotations
 

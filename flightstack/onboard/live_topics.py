@@ -1,6 +1,7 @@
-"""The flight as ROS 2 sees it: a node of rmw_zenoh with the topics of the log, while it flies.
+"""What a flight shows while it flies: its health on Zenoh, and the topics of the log to ROS 2.
 
-It has a Zenoh session of its own, so nothing on the ROS 2 side touches the wires that are flown by.
+``LiveRos2`` is a node of rmw_zenoh on a session of its own, so nothing on the ROS 2 side touches the wires
+that are flown by.
 """
 
 from __future__ import annotations
@@ -30,6 +31,18 @@ from logs.schema.schemas import (
 
 HEALTH_HZ = 5.0
 BATTERY_AGE_MAX_S = 5.0  # SYS_STATUS comes once a second or more often; an older voltage is none
+FLOAT64 = "std_msgs/msg/Float64"
+PLAIN_HZ = 20.0  # of h, phase and step; the topics made for viewers have their own rates
+NODE = "flightstack_onboard"
+_DERIVED = {
+    "/pose": POSE_STAMPED,
+    "/odom": ODOMETRY,
+    "/target/pose": POSE_STAMPED,
+    "/cmd/velocity_nominal": TWIST_STAMPED,
+    "/cmd/velocity_filtered": TWIST_STAMPED,
+    "/cmd/velocity": TWIST_STAMPED,
+    "/cbf/markers": MARKER_ARRAY,
+}
 
 
 class LiveHealth:
@@ -83,20 +96,6 @@ def health_row(tick: Tick, out: Outputs, reason: str, battery: Battery | None, d
 
 def _known(value: float | None) -> float:
     return math.nan if value is None else value
-
-
-FLOAT64 = "std_msgs/msg/Float64"
-PLAIN_HZ = 20.0  # of h, phase and step; the topics made for viewers have their own rates
-NODE = "flightstack_onboard"
-_DERIVED = {
-    "/pose": POSE_STAMPED,
-    "/odom": ODOMETRY,
-    "/target/pose": POSE_STAMPED,
-    "/cmd/velocity_nominal": TWIST_STAMPED,
-    "/cmd/velocity_filtered": TWIST_STAMPED,
-    "/cmd/velocity": TWIST_STAMPED,
-    "/cbf/markers": MARKER_ARRAY,
-}
 
 
 class LiveRos2:
