@@ -6,22 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from flightstack.common.strict_toml import from_table
 from flightstack.core.memory import AbortWay
 from flightstack.core.parameters.filters import FILTERS
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import FilterStatus, Landed, Mode, Operator, Phase, Request
 from tests.point_mass import DT_S, World, each_sample
+from tests.unit.core.core_helpers import SLOW, config
 
 REACTION_MAX_S = 0.5
-CONFIG = from_table(
-    FlightConfig,
-    {
-        "barrier": {"alpha_1_m": 1.0, "beta_m": 1.5},
-        "limits": {"velocity_max_m_s": [0.4, 0.4, 0.5]},
-        "touchdown": {"rule": "paper"},
-    },
-)
+CONFIG = config(limits=SLOW, touchdown={"rule": "paper"})
 
 
 def no_samples(_, inputs):
@@ -201,16 +193,16 @@ def test_a_solver_that_fails_in_flight_is_replaced_and_the_landing_goes_on(monke
 
 @pytest.mark.parametrize("kind", FILTERS)
 def test_every_set_point_is_inside_the_box_and_what_is_wanted_changes_no_faster_than_allowed(kind):
-    config = replace(CONFIG, filter=kind)
-    world = World(config).run(60.0)
+    settings = replace(CONFIG, filter=kind)
+    world = World(settings).run(60.0)
     fastest = {
-        "paper": config.limits.slew_max_m_s2,
-        "robust": config.robust.acceleration_max_m_s2,
+        "paper": settings.limits.slew_max_m_s2,
+        "robust": settings.robust.acceleration_max_m_s2,
     }
     assert len(world.sent) > 200
     for _, setpoint in world.sent:
         for axis in range(3):
-            assert abs(setpoint[axis]) <= config.limits.velocity_max_m_s[axis] + 1e-9
+            assert abs(setpoint[axis]) <= settings.limits.velocity_max_m_s[axis] + 1e-9
     for before, after in itertools.pairwise(world.outputs):
         sent = before.setpoint is not None and after.setpoint is not None
         if not sent or before.snapshot.inputs.status.mode is not Mode.EXTERNAL:
