@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
@@ -13,7 +14,7 @@ from sim.autopilot.ground import degrees_e7, x_of, y_of
 from sim.autopilot.profiles import PX4
 from sim.autopilot.watches import BATTERY, FENCE, STATION_LOST, STREAM_LOST, BatteryGauge, Charge
 from sim.plant.params import load
-from sim.plant.rotors import BatteryModel
+from sim.plant.rotors import BatteryModel, drain
 from tests.unit.autopilot.autopilot_fakes import (
     GROUND_STATION,
     NAN,
@@ -387,7 +388,7 @@ def test_charge_of_the_simulated_cell_is_read_right_in_hover() -> None:
     hover_rpm, used = 18_700.0, 0.3
     cell = BatteryModel(params, hover_rpm)
     cell.record.used_a_s = used * params.charge_a_s
-    cell.step((hover_rpm,) * 4, 0.01)
+    drain(cell.record, np.full(4, hover_rpm), 0.01)
     throttle = hover_rpm / cell.rpm_max
     gauge = BatteryGauge(PX4.new_parameters(1), cell.voltage_v, throttle)
     assert gauge.remaining == pytest.approx(1.0 - used, abs=0.03)
