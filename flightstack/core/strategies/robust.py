@@ -1,4 +1,4 @@
-"""The robust filter: eq. 11 with what the paper leaves out (docs/robust_filter.md).
+"""The robust filter: eq. 11 with what the paper leaves out (docs/how_it_works/robust_filter.md).
 
 It estimates target and vehicle for now, holds the barrier with a margin for what is uncertain, takes the
 horizontal velocity as measured, and corrects the set-point for the vehicle's lag. It waits low above the pad
