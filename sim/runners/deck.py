@@ -19,9 +19,7 @@ _DOUBLES_BYTES = 85 * 8
 _POSE_TWIST = struct.Struct("<7d288x6d")
 
 STALE_S = 0.5  # s without a true pose until the deck is stopped
-_PULL_1_S = (
-    5.0  # 1/s; an error is taken out by velocity, since a jump would throw off what stands on the deck
-)
+_PULL_1_S = 5.0  # 1/s; velocity for each metre of error, since a jump would throw the vehicle off the deck
 _SNAP_M = 0.3  # m; an error too large to be pulled out is no timing error
 
 

@@ -177,7 +177,7 @@ class LockstepLoop:
                     return True
                 continue
             if self._companion is None and message.get_msgId() == _HEARTBEAT:
-                # Somebody's first words come as often as wall time has it: not for a radio that draws lots.
+                # Not through the simulated loss: how many heartbeats come first depends on wall time.
                 self._answer(received, now_ns, now_s)
                 continue
             for arrived in self._node.wire.receive(received, now_ns):

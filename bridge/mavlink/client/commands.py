@@ -111,7 +111,7 @@ class CommandSequencer:
         if step is not self._step:
             self._enter(step)
         if step is None:
-            # Until something is asked for, nothing is ever reached: what was prepared can be lost again.
+            # Before the first request nothing counts as reached: the vehicle may leave the prepared mode.
             self.reached = self._begun and status is not None and status.arrival_s > self._since_s
             return []
         if self._request is Request.TAKEOFF and self.home_amsl_m is None and self._counts_from_sea_level:

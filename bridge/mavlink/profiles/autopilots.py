@@ -95,7 +95,7 @@ def _guided_or_armed(status: VehicleStatus) -> bool:
 
 
 def _landing(status: VehicleStatus) -> bool:
-    # Disarmed in the air: one of the two is not true, and a vehicle that stands does not mind the command.
+    # Disarmed and in the air contradict each other; on the ground the command does no harm.
     return status.mode is Mode.LAND or not (status.armed or status.landed in _AIRBORNE)
 
 

@@ -19,7 +19,7 @@ from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
 CLIMB_OVER = 0.5  # share of the climb margin by which the climb aims beyond what is high enough, to get there
-CLEAR_BELOW = 0.25  # share of it that a vehicle flying clear may lack of that height
+CLEAR_BELOW = 0.25  # share of the climb margin by which the vehicle may be too low while it flies clear
 
 
 class NominalCommand(NamedTuple):
@@ -58,11 +58,11 @@ def _takeoff(s: Situation) -> NominalCommand:
     own, target, memory = s.snapshot.inputs.own, s.snapshot.target, s.memory
     if own is None or target is None:
         return NominalCommand(Request.TAKEOFF)
-    if not memory.climbed:  # an autopilot that takes off by set-points flies this one, others by themselves
+    if not memory.climbed:  # followed by autopilots that take off by set-points
         climbed_m = own.position_enu_m[2] - memory.ground_z_m
         up = (s.config.takeoff.height_m - climbed_m) * s.config.position_loop.gain_1_s[2]
         climb = limit((0.0, 0.0, max(0.0, up)), s.config.limits.velocity_max_m_s)
-        return NominalCommand(Request.EXTERNAL if _flies_by_us(s) else Request.TAKEOFF, climb)
+        return NominalCommand(Request.EXTERNAL if _follows_in_air(s) else Request.TAKEOFF, climb)
     start = start_point(s.config, target)
     if start is None:
         return NominalCommand(Request.EXTERNAL, ZERO)
@@ -73,7 +73,7 @@ def _takeoff(s: Situation) -> NominalCommand:
     return NominalCommand(Request.EXTERNAL, nominal_velocity(e, s.config.position_loop.gain_1_s, ZERO))
 
 
-def _flies_by_us(s: Situation) -> bool:
+def _follows_in_air(s: Situation) -> bool:
     """Whether it has lifted off and follows set-points: nothing is left to ask of its own take-off."""
     status = s.snapshot.inputs.status
     standing = status is None or status.landed is Landed.ON_GROUND

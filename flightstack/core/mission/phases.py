@@ -1,9 +1,10 @@
 """The mission as tables: in each phase the first rule whose conditions hold names the next phase.
 
 ``Condition`` flags are computed in each tick; a rule fires when all of ``when`` and none of ``unless`` are
-set. Nothing else decides about phases. The ways of an abort are phases within phase ABORT, with a table of
-their own: the rules of ``AbortWay.NONE`` choose the way when an abort begins. No rule leaves LANDED or ABORT:
-starting again takes a new process, which is an operator's decision.
+set. Nothing else changes a phase; ``conditions`` and the strategy set the flags. The ways of an abort are
+phases within phase ABORT, with a table of their own: the rules of ``AbortWay.NONE`` choose the way when an
+abort begins. No rule leaves LANDED or ABORT: starting again takes a new process, which is an operator's
+decision.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
 
 The minimiser is ``clip(u' + lambda g)`` with the smallest multiplier lambda >= 0 that satisfies the
 half-space: g . clip(u' + lambda g) never falls with lambda and is linear between the values at which an axis
-meets its bound, so that walking these values finds lambda exactly. It shares no code with the solver, which
-makes it the independent check and the fall-back.
+meets its bound, so that walking these values finds lambda exactly. It shares no code with the
+solver: in flight it replaces a result of the solver that fails its check, and the tests compare the two.
 """
 
 from __future__ import annotations

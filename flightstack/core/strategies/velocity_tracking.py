@@ -1,9 +1,9 @@
 """From the velocity wanted to the set-point that makes a lagging velocity loop fly it.
 
-The loop on board answers a set-point like a second-order low-pass: late, the paper's weakness, and wind, drag
-and a wrong weight push it off. Two corrections for one axis take it for a second-order low-pass M with a
-disturbance, v = M(u) + d; with the acceleration a that the loop itself gives, and f = w d / (2 z) that the
-disturbance adds:
+The loop on board answers a set-point like a second-order low-pass, with a delay that the paper neglects.
+Wind, drag and a wrong mass disturb it. Two corrections for one axis take it for a second-order low-pass M
+with a disturbance, v = M(u) + d; with the acceleration a that the loop itself gives, and f = w d / (2 z) that
+the disturbance adds:
 
     v' = a + f,      a' = w^2 (u - v) - 2 z w a
 

@@ -50,7 +50,7 @@ class Plausibility:
 
     @property
     def drift_m(self) -> float:
-        """How far the position has gone where no velocity took it."""
+        """Change of the position that the velocity does not explain."""
         return math.hypot(*self.memory.drift_m)
 
     @property
