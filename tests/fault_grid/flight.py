@@ -153,6 +153,7 @@ class Flight:
     Attributes:
         vehicle: its ``faults`` can be begun at any time.
         target: the same.
+        asked: what a person asks for, from the next tick on.
         on_step: called after every step of the controller, to log it.
         phases: phases so far.
 
@@ -175,6 +176,7 @@ class Flight:
         grid = TickGrid(rate_hz)
         self.controller = Controller(config)
         self.target = _Target(scenario, seed, grid)
+        self.asked = Operator.NONE
         self.on_step: Callable[[Tick, Taken, Outputs], None] | None = None
         self.phases: list[Phase] = []
         self._moment, self._disturb = moment, disturb
@@ -252,8 +254,8 @@ class Flight:
             self._disturb(self)
 
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
-        """Nobody asks for anything."""
-        return Operator.NONE
+        """Return what a person asks for."""
+        return self.asked
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
         """End when the controller has finished, or when the time is over: as when the process is killed."""

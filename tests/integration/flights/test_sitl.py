@@ -214,7 +214,7 @@ def test_a_wrong_fault_is_refused_before_anything_starts(tmp_path):
     (tmp_path / "s.toml").write_text(shown.replace("motor = 2", "motor = 7"))
     result = called("sitl", "--scenario", tmp_path / "s.toml", "--out", tmp_path / "out")
     assert result.code == 2
-    assert "fault[0]: motor: found 7, allowed: 1 to 4" in result.err
+    assert "fault[0].motor: found 7, allowed: an integer, 1 to 4" in result.err
 
 
 def set_parameter(name: str, value: int):

@@ -69,7 +69,7 @@ def fly_and_ask(asked: Operator, phase: Phase, after_s: float):
             flight.target.fail(LOST, flight.now_ns)
         return flight.phase is phase and flight.now_ns * 1e-9 - memory.phase_since_s >= after_s
 
-    flown = Flight(scenario(), SEED, moment, lambda flight: setattr(flight, "operator", asked)).fly()
+    flown = Flight(scenario(), SEED, moment, lambda flight: setattr(flight, "asked", asked)).fly()
     gc.collect()
     return flown
 
