@@ -201,7 +201,7 @@ def test_schema_texts_are_complete_and_plain():
         assert text.isascii()
         assert "=" * 80 + "\nMSG: std_msgs/Header\n" in text
         assert "\nMSG: builtin_interfaces/Time\n" in text
-    assert "# m, barrier, paper eq. (9)" in schemas.schema_text(schemas.CONTROLLER_STEP)
+    assert "# m, barrier of paper eq. (9), without margin" in schemas.schema_text(schemas.CONTROLLER_STEP)
 
 
 @pytest.mark.parametrize(
