@@ -45,8 +45,8 @@ air, high above it, because they did not fly what they were told.
 The figures were flown before the set-point of the touchdown was bounded (`robust.descent_lead_max_m_s`),
 before an abort stayed clear while it lands, and before the simulated body was integrated directly in free
 flight. The last of these changed 2 of 1,200 outcomes (paper filter). Of 200 landings of each tier since then,
-robust filter, all landed without a violation; median / 95 % error 0.6 / 1.7 cm (`lab`), 1.5 / 2.8 cm (`field`),
-1.5 / 3.5 cm (`storm`), 1.4 / 3.0 cm (`deck`).
+robust filter, all landed without a violation; median / 95 % error 0.6 / 1.7 cm (`lab`), 1.5 / 2.8 cm
+(`field`), 1.5 / 3.5 cm (`storm`), 1.4 / 3.0 cm (`deck`).
 """
 ASKED_COLUMNS = ("tier", "landed", "violations", "error", "speed", "time", "result")
 COLUMNS = (
