@@ -1,4 +1,4 @@
-"""Typed dataclasses from TOML: msgspec checks types and ranges, an error says what is allowed.
+"""Reads TOML into dataclasses. msgspec checks types and ranges; errors name the allowed values.
 
 A number's range is written beside its field, ``Annotated[float, span(0.1, 10.0)]``; its unit ends its
 name. msgspec ignores unknown keys of a dataclass and takes NaN: both are refused here.

@@ -72,7 +72,7 @@ class Leaving:
         return Operator.ABORT if self._over(now_s) else asked
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """Return how the flight ended; None while it goes on.
+        """Return how the flight ended; None if it has not ended.
 
         Args:
             out: of this tick.

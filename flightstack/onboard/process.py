@@ -323,7 +323,7 @@ class _Leaving(Leaving):
         self._link, self._waiting = onboard.link, onboard.waiting
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """Return how the flight ended; None while it goes on."""
+        """Return how the flight ended; None if it has not ended."""
         if self._link.refused is not None and not out.finished:
             return Ended(out.phase, self._link.refused, 1)
         ended = super().ended(out, memory, status, now_s)

@@ -94,7 +94,7 @@ class Ending(Protocol):
         """Return what the controller is to be told in this tick."""
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """Return how the flight ended; None while it goes on."""
+        """Return how the flight ended; None if it has not ended."""
 
 
 class Sink(Protocol):

@@ -134,7 +134,7 @@ def faults_table(flight: Flight) -> str:
     ends = [_at(f.end_s - zero) if f.over else "to the end" for f in spans]
     rows = [(_at(f.begin_s - zero), end, f.text) for f, end in zip(spans, ends, strict=True)]
     if not rows:
-        return paragraph("None was told of.")
+        return paragraph("The log has no fault.")
     return table(("from [s]", "to [s]", "fault"), rows, numbers=(0, 1))
 
 

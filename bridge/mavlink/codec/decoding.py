@@ -39,7 +39,7 @@ def message_id(frame: bytes) -> int:
 
 
 def parameter_name(field: str | bytes) -> str:
-    """Read the name of a parameter in a message; whatever it holds, it becomes text."""
+    """Name of a parameter up to its first zero byte; bytes that are not ASCII become U+FFFD."""
     raw = field.encode("latin-1", "replace") if isinstance(field, str) else bytes(field)
     return raw.partition(b"\x00")[0].decode("ascii", "replace")
 

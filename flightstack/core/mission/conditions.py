@@ -1,4 +1,4 @@
-"""Condition flags of the phase tables, from what is known in this tick, and a rule's reason with its numbers.
+"""Computes the flags of the phase tables from the snapshot of a tick, and the text of a rule's reason.
 
 Nothing is remembered here.
 """

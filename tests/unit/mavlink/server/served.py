@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
@@ -32,7 +33,7 @@ def as_int(number: int, params: tuple[float, ...], frame: int = 0):
     return mav.MAVLink_command_int_message(1, 1, frame, number, 0, 0, p1, p2, p3, p4, x, y, p7)
 
 
-class Served:
+class Served(ABC):
     """A vehicle behind a server.
 
     Attributes:
@@ -46,25 +47,26 @@ class Served:
     silence_s: float
 
     @property
+    @abstractmethod
     def now_s(self) -> float:
-        raise NotImplementedError
+        """Time of the vehicle, s."""
 
     @property
+    @abstractmethod
     def velocity_enu_m_s(self) -> tuple[float, float, float]:
         """Velocity handed to the vehicle last."""
-        raise NotImplementedError
 
+    @abstractmethod
     def tick(self) -> None:
         """10 ms."""
-        raise NotImplementedError
 
+    @abstractmethod
     def fly(self) -> Served:
         """Arm, take off and hold."""
-        raise NotImplementedError
 
+    @abstractmethod
     def homed(self) -> Served:
         """Disarmed, with a home of its own."""
-        raise NotImplementedError
 
     def state(self) -> list[object]:
         """All that commands change."""
