@@ -1,13 +1,11 @@
-"""Time in the simulator's processes: integer ticks, bounded waiting, and a clean end on a signal."""
+"""Time in the simulator's processes: integer ticks and bounded waiting."""
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable
-from types import FrameType
 
-from flightstack.common.hangup import on_hangup
+from flightstack.common.hangup import Stop
 
 NS_PER_S = 1_000_000_000
 STARTUP_S = 60.0  # s of wall time the processes of a run give each other to come up, compiling included
@@ -17,24 +15,6 @@ _PAUSE_S = 50e-6  # s; with the system's timer slack about 0.1 ms
 
 class NoAnswerError(RuntimeError):
     """Another process of the run did not show up or fell silent; the text says which and for how long."""
-
-
-class StopSignal:
-    """Turns SIGTERM, SIGINT and SIGHUP into a flag the loops look at, so that they end in order."""
-
-    def __init__(self) -> None:
-        self.is_set = False
-
-    def install(self) -> StopSignal:
-        """Take over the signals; main thread only."""
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._set)
-        on_hangup(self._set)
-        return self
-
-    def _set(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.is_set = True
 
 
 class TickGrid:
@@ -59,7 +39,7 @@ class TickGrid:
 
 def wait_until(
     done: Callable[[], bool],
-    stop: StopSignal,
+    stop: Stop,
     timeout_s: float,
     *,
     pause_s: float = _PAUSE_S,

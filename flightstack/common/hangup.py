@@ -17,8 +17,19 @@ class Stop:
         count: how often it was told.
     """
 
+    __slots__ = ("count",)
+
     def __init__(self) -> None:
         self.count = 0
+
+    @property
+    def is_set(self) -> bool:
+        """Whether an end was asked for."""
+        return self.count > 0
+
+    def ask(self) -> None:
+        """Ask for an orderly end, as a first signal does."""
+        self.count = max(self.count, 1)
 
     def install(self) -> Stop:
         """Take over the signals; main thread only."""
@@ -33,7 +44,7 @@ class Stop:
 
     def _hang_up(self, number: int, frame: FrameType | None) -> None:
         del number, frame
-        self.count = max(self.count, 1)
+        self.ask()
 
 
 def say(text: str) -> None:

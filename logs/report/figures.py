@@ -23,7 +23,7 @@ from logs.report.series import (
 )
 from logs.report.space import altitude_over_distance, plan_view, trajectory_3d
 from logs.report.timeline import timeline
-from logs.verdict.truth import ContactBit
+from logs.schema.events import ContactBit
 from logs.verdict.types import Verdict
 
 

@@ -1,8 +1,8 @@
-"""Events of ``/rosout``, ``rcl_interfaces/msg/Log``, and plain texts."""
+"""Events of ``/rosout``, ``rcl_interfaces/msg/Log``, plain texts, and the contacts of a true state."""
 
 from __future__ import annotations
 
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
 from logs.schema.cdr import packer
 from logs.schema.rows import LogRow
@@ -21,6 +21,16 @@ class Severity(IntEnum):
     WARN = 30
     ERROR = 40
     FATAL = 50
+
+
+class ContactBit(IntFlag):
+    """What the simulated vehicle touches: bits of ``TrueState.contacts``."""
+
+    PAD = 1
+    GROUND = 2
+    ROBOT = 4
+    PAD_EDGE = 8
+    TUMBLED = 16
 
 
 def pack_log(stamp_ns: int, level: int, name: str, text: str) -> bytes:

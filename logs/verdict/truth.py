@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import IntFlag
 
 import numpy as np
 
 from logs.reader.flight_data import Truth
+from logs.schema.events import ContactBit
 from logs.verdict.types import (
     GAP_MAX_S,
     NEVER_BEGAN,
@@ -30,16 +30,6 @@ from logs.verdict.types import (
 REST_SPEED_MAX_M_S = 0.05  # relative to the pad's surface; a vehicle that slides or rolls is faster
 LAND_AWAY_SPEED_MAX_M_S = 1.0  # m/s downwards; a declared abort may end in a landing, not in a fall
 _SAME_S = 1e-6  # below the resolution of a tick
-
-
-class ContactBit(IntFlag):
-    """What the simulator's physics touches: bits of ``TrueState.contacts``."""
-
-    PAD = 1
-    GROUND = 2
-    ROBOT = 4
-    PAD_EDGE = 8
-    TUMBLED = 16
 
 
 _NAMES = {

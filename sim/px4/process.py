@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.zenoh import zenoh_link
+from flightstack.common.hangup import Stop
 from flightstack.common.pacing import FastClock, quiet_garbage_collector
 from flightstack.common.simulation_clock import SimulationClock
 from logs.recorder.feed import Feed, FeedError
-from sim.clock import NS_PER_S, NoAnswerError, StopSignal
+from sim.clock import NS_PER_S, NoAnswerError
 from sim.plant.vehicle_types import Truth
 from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
 from sim.px4.messages import Px4Mocap
@@ -34,7 +35,7 @@ class Px4Node:
     """What the process does besides PX4: the deck follows the robot, the truth goes into the log."""
 
     def __init__(
-        self, deck: RealTimeDeck | None, log: VehicleLog, clock: FastClock | SimulationClock, stop: StopSignal
+        self, deck: RealTimeDeck | None, log: VehicleLog, clock: FastClock | SimulationClock, stop: Stop
     ) -> None:
         self.log = log
         self._clock, self._stop = clock, stop
@@ -144,7 +145,7 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
         Exit status: 0 in order, 1 when PX4 fell silent or something else did not come, 2 for wrong input.
     """
     speed = options.speed
-    stop = StopSignal().install()
+    stop = Stop().install()
     try:
         with ExitStack() as stack:
             host, port = parse_endpoint(options.tcp, allow_unsigned=options.allow_unsigned)
@@ -204,9 +205,7 @@ def _check_speed(speed: float, with_robot: bool) -> None:
         )
 
 
-def _serve(
-    flight: Px4Session, link: Px4Link, node: Px4Node, stop: StopSignal, duration_s: float | None
-) -> bool:
+def _serve(flight: Px4Session, link: Px4Link, node: Px4Node, stop: Stop, duration_s: float | None) -> bool:
     """Fly with one PX4; whether the time is over."""
     try:
         flight.greet()

@@ -12,7 +12,8 @@ from enum import Enum
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message
-from sim.clock import NoAnswerError, StopSignal
+from flightstack.common.hangup import Stop
+from sim.clock import NoAnswerError
 from sim.px4.airframe import rotor_speeds
 from sim.px4.link import SLICE_S, Px4Link
 from sim.px4.messages import HIL_STATE_QUATERNION, Answer, Px4Mocap, answer_of, hil_gps, hil_sensor, hil_state
@@ -136,7 +137,7 @@ class Px4Session:
         link: Px4Link,
         plant: Px4Plant,
         seed: int,
-        stop: StopSignal,
+        stop: Stop,
         *,
         speed: float,
         silent_max_s: float,

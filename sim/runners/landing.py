@@ -21,6 +21,7 @@ import numpy as np
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles.autopilots import OWN_SITL
+from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.parameters.flight import FlightConfig
@@ -33,7 +34,7 @@ from logs.recorder.feed import Feed
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Verdict
 from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
-from sim.clock import StopSignal, TickGrid
+from sim.clock import TickGrid
 from sim.plant import vehicle_types
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import wires
@@ -228,7 +229,7 @@ class _Companion:
         rate_hz = config.loop.rate_hz
         self.controller = Controller(config)
         self._on_step = on_step
-        self._stop = StopSignal()
+        self._stop = Stop()
         self._over = False
         grid = TickGrid(rate_hz)
         self._ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
@@ -262,7 +263,7 @@ class _Companion:
 
     def _answer(self) -> None:
         if self._over:  # one true state after the last step, then the vehicle's process is ended, too
-            self._stop.is_set = True
+            self._stop.ask()
         else:
             self._over = self._runner.tick() is not None
 

@@ -15,8 +15,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Peer, Received
+from flightstack.common.hangup import Stop
 from flightstack.core.types import ZERO
-from sim.clock import SILENCE_S, STARTUP_S, NoAnswerError, StopSignal, TickGrid, wait_until
+from sim.clock import SILENCE_S, STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.runners.deck import STALE_S, DeckState, LockstepDeck, reckon
 from sim.runners.vehicle_node import VehicleNode
 
@@ -33,7 +34,7 @@ class LockstepLoop:
     """Runs ticks until the end."""
 
     def __init__(
-        self, node: VehicleNode, deck: LockstepDeck | None, grid: TickGrid, stop: StopSignal, radio_s: float
+        self, node: VehicleNode, deck: LockstepDeck | None, grid: TickGrid, stop: Stop, radio_s: float
     ) -> None:
         """Prepare; ``radio_s`` is the delay of set-points on their way to the vehicle."""
         self._radio_ms = round(radio_s * 1000.0)

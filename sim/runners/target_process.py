@@ -25,6 +25,7 @@ from bridge.ros2.ros2_node import Ros2Node, Ros2Publisher
 from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
+from flightstack.common.hangup import Stop
 from flightstack.common.pacing import (
     EPOCH_NS,
     NO_GO,
@@ -38,7 +39,7 @@ from flightstack.core.types import Phase
 from logs.recorder.feed import FeedError
 from logs.schema.events import Severity
 from logs.schema.rows import ControllerStepRow
-from sim.clock import STARTUP_S, NoAnswerError, StopSignal, TickGrid, wait_until
+from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.robot.target import TargetMeasurement
 from sim.robot.target_motion import TargetMotion
 from sim.runners.log import EventLog
@@ -183,7 +184,7 @@ def target_main(scenario: Scenario, options: TargetOptions) -> int:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
     lockstep, namespace = options.lockstep, options.namespace
-    stop = StopSignal().install()
+    stop = Stop().install()
     try:
         paced = chosen_clock(
             options.speed, options.clock, Follower.TARGET, lambda: stop.is_set, lockstep=lockstep
@@ -227,7 +228,7 @@ class _Lockstep:
     """Ticks as fast as the reader's credit allows."""
 
     def __init__(
-        self, robot: Robot, session: zenoh_link.Session, namespace: str, log: EventLog, stop: StopSignal
+        self, robot: Robot, session: zenoh_link.Session, namespace: str, log: EventLog, stop: Stop
     ) -> None:
         self._robot, self._log, self._stop, self._namespace = robot, log, stop, namespace
         self._credit = Credit(session, namespace)
@@ -296,7 +297,7 @@ class _RealTime:
     """Ticks by a clock; after a pause the robot is where it would have been."""
 
     def __init__(
-        self, robot: Robot, session: zenoh_link.Session, namespace: str, log: EventLog, stop: StopSignal
+        self, robot: Robot, session: zenoh_link.Session, namespace: str, log: EventLog, stop: Stop
     ) -> None:
         self._robot, self._log, self._stop = robot, log, stop
         self._steps = zenoh_link.ring_subscriber(session, f"{namespace}/controller/step")

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from logs.recorder.feed import Feed
 from logs.schema import schemas
-from logs.schema.events import Severity
+from logs.schema.events import ContactBit, Severity
 from logs.schema.rows import TrueStateRow
 from sim.plant.vehicle_types import Truth
 from sim.runners.log import EventLog
-from sim.vehicle.vehicle import CONTACT_GROUND, CONTACT_PAD, CONTACT_PAD_EDGE, CONTACT_ROBOT, CONTACT_TUMBLED
 
 _CONTACTS = {
-    CONTACT_PAD: (Severity.INFO, "contact with the pad"),
-    CONTACT_GROUND: (Severity.INFO, "contact with the ground"),
-    CONTACT_ROBOT: (Severity.WARN, "contact with the robot's body"),
-    CONTACT_PAD_EDGE: (Severity.WARN, "contact with the pad's edge"),
-    CONTACT_TUMBLED: (Severity.ERROR, "tumbled"),
+    ContactBit.PAD.value: (Severity.INFO, "contact with the pad"),
+    ContactBit.GROUND.value: (Severity.INFO, "contact with the ground"),
+    ContactBit.ROBOT.value: (Severity.WARN, "contact with the robot's body"),
+    ContactBit.PAD_EDGE.value: (Severity.WARN, "contact with the pad's edge"),
+    ContactBit.TUMBLED.value: (Severity.ERROR, "tumbled"),
 }
 _CONTACT_GAP_S = 0.5  # s without contact until the next one is news
 

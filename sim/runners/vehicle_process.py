@@ -18,11 +18,12 @@ from bridge.mavlink.endpoint import Endpoint, parse_peer
 from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.transport.address import parse_udp_url
 from bridge.zenoh import zenoh_link
+from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, ask_for_priority, give_up_priority, quiet_garbage_collector
 from logs.recorder.feed import Feed, FeedError
 from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.autopilot.profiles import PROFILES, PX4
-from sim.clock import NoAnswerError, StopSignal, TickGrid
+from sim.clock import NoAnswerError, TickGrid
 from sim.runners.deck import LockstepDeck, RealTimeDeck
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.vehicle_log import VehicleLog
@@ -38,9 +39,7 @@ _NS_PER_MS = 1_000_000
 class RealTimeLoop:
     """Runs ticks until the end."""
 
-    def __init__(
-        self, node: VehicleNode, deck: RealTimeDeck | None, grid: TickGrid, stop: StopSignal
-    ) -> None:
+    def __init__(self, node: VehicleNode, deck: RealTimeDeck | None, grid: TickGrid, stop: Stop) -> None:
         self._node, self._deck, self._grid, self._stop = node, deck, grid, stop
         self._deck_stale = False
         self._ms = 0  # simulated so far
@@ -172,7 +171,7 @@ def vehicle_main(scenario: Scenario, options: VehicleOptions) -> int:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
     url, lockstep, rate_hz, namespace = options.url, options.lockstep, options.rate_hz, options.namespace
-    stop = StopSignal().install()
+    stop = Stop().install()
     try:
         with ExitStack() as stack:
             kind, host, port = parse_udp_url(url, "the simulated vehicle")

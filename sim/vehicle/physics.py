@@ -6,6 +6,7 @@ import math
 
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
+from logs.schema.events import ContactBit
 from sim.compiled.records import Values, cell, new, reader, scalars
 from sim.plant.ground_effect import set_up_ground
 from sim.plant.params import STEP_S, Plant, load
@@ -16,7 +17,6 @@ from sim.robot.target import TargetModel
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.judge import GAP_MS, NONE_MS
 from sim.vehicle.loop import WIND_EVERY_MS, VehicleRecord
-from sim.world.contact import ContactBit
 from sim.world.world import World
 
 AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging

@@ -25,13 +25,6 @@ from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import fly
 from sim.vehicle.mocap import MocapTape
 from sim.vehicle.physics import Physics
-from sim.world.contact import ContactBit
-
-CONTACT_PAD = ContactBit.PAD.value
-CONTACT_GROUND = ContactBit.GROUND.value
-CONTACT_ROBOT = ContactBit.ROBOT.value
-CONTACT_PAD_EDGE = ContactBit.PAD_EDGE.value
-CONTACT_TUMBLED = ContactBit.TUMBLED.value
 
 LANDED_AFTER_MS = 150  # in contact for this long is landed
 WARM_UP_MS = 100  # every loop of the firmware has run by then, and motion capture has come

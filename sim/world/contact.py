@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from enum import IntFlag
-
+from logs.schema.events import ContactBit
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64
 
@@ -14,16 +13,6 @@ RIM_M = 0.002  # a contact lower than this under the pad's top is with its edge
 PAD_CONTACTS = 16  # nine shapes of the vehicle, one or two of each
 PER_CONTACT = 7  # whether there is one, place (world, m), normal
 SENSORS = 2 + PAD_CONTACTS * PER_CONTACT
-
-
-class ContactBit(IntFlag):
-    """What the vehicle touched."""
-
-    PAD = 1
-    GROUND = 2
-    ROBOT = 4
-    PAD_EDGE = 8
-    TUMBLED = 16
 
 
 PAD, GROUND, ROBOT, PAD_EDGE = (

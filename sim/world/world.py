@@ -12,11 +12,11 @@ import mujoco
 import numpy as np
 
 from flightstack.core.types import Vec3
+from logs.schema.events import ContactBit
 from sim.compiled.jit import jitted
 from sim.compiled.records import Cell, cell, new, reader, scalars, writer
 from sim.plant.params import STEP_S, Params
 from sim.scenarios.scenario import TargetSpec
-from sim.world.contact import ContactBit
 from sim.world.model import model_xml
 from sim.world.step import ReachRecord, WorldRecord, physics_step, tumbled
 

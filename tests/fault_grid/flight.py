@@ -20,6 +20,7 @@ from bridge.mavlink.endpoint import Received
 from bridge.mavlink.profiles.autopilots import OWN_SITL
 from bridge.ros2.cdr import encode_odometry
 from bridge.target.odometry import RawSample
+from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.memory import Memory
@@ -29,7 +30,7 @@ from flightstack.onboard.lockstep import VehicleTicks
 from flightstack.onboard.runner import Arrived, LinkedVehicle, Runner, Taken, decoded
 from logs.reader.flight_data import Truth
 from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
-from sim.clock import StopSignal, TickGrid
+from sim.clock import TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
 from sim.robot.target import TargetMeasurement
 from sim.runners.deck import DeckState
@@ -181,7 +182,7 @@ class Flight:
         self.phases: list[Phase] = []
         self._moment, self._disturb = moment, disturb
         self._duration_s = scenario.duration_max_s
-        self._stop = StopSignal()
+        self._stop = Stop()
         self._now_s = 0.0
         self._disturbed_s = self._noticed_s = self._failsafe_s = math.nan
         self._ended = False
@@ -243,7 +244,7 @@ class Flight:
         if self._autopilot.flight.failsafe and self._disturbed and math.isnan(self._failsafe_s):
             self._failsafe_s = self._now_s
         if self._over():
-            self._stop.is_set = True
+            self._stop.ask()
             return
         if self._ended:
             self._answer_only()

@@ -18,7 +18,8 @@ from flightstack.core.memory import AbortWay
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Truth
-from logs.verdict.truth import LAND_AWAY_SPEED_MAX_M_S, ContactBit
+from logs.schema.events import ContactBit
+from logs.verdict.truth import LAND_AWAY_SPEED_MAX_M_S
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.fault_table import Kind, What
 from sim.scenarios.scenario import Scenario, load

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from logs.schema.events import ContactBit
 from sim.plant.params import STEP_S, Plant, load
 from sim.plant.rotors import Rotors, turn_rotors
 from sim.plant.wind import WindModel
@@ -23,7 +24,7 @@ from sim.scenarios.scenario import (
     VelocityLoop,
     Wind,
 )
-from sim.vehicle.vehicle import CONTACT_PAD, Truth, VehicleSim
+from sim.vehicle.vehicle import Truth, VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario
 
 F64 = npt.NDArray[np.float64]
@@ -65,7 +66,7 @@ def _row(sim: VehicleSim, truth: Truth) -> tuple[object, ...]:
         math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
         math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
         truth.rotor_rpm, sim._rotors.record.cushion.mean(), e, v,
-        bool(truth.contacts & CONTACT_PAD), truth.battery_v,
+        bool(truth.contacts & ContactBit.PAD), truth.battery_v,
     )  # fmt: skip
 
 

@@ -6,11 +6,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from logs.schema.events import ContactBit
 from sim.plant.params import load
 from sim.scenarios.fault_spec import After
 from sim.scenarios.fault_table import TABLE, Kind, What
 from sim.scenarios.scenario import Start, VelocityLoop
-from sim.vehicle.vehicle import CONTACT_GROUND, CONTACT_TUMBLED, VehicleSim
+from sim.vehicle.vehicle import VehicleSim
 from tests.unit.faults.fault_helpers import CELLS, aloft, fault, hold, off_home
 from tests.unit.vehicle.vehicle_sim_helpers import LOOPS, fly, scenario
 
@@ -42,9 +43,9 @@ def test_a_dead_motor_tips_it_over(loop):
     seen = 0
     for truth in truths:
         seen |= truth.contacts
-    assert seen & CONTACT_TUMBLED
-    assert seen & CONTACT_GROUND
-    tipped = next(t for t in truths if t.contacts & CONTACT_TUMBLED)
+    assert seen & ContactBit.TUMBLED
+    assert seen & ContactBit.GROUND
+    tipped = next(t for t in truths if t.contacts & ContactBit.TUMBLED)
     assert 0.6 < tipped.time_s < 1.1  # 0.25 s of rolling with half the thrust on one side
     assert truths[-1].rotor_rpm[1] < 1.0
     assert sim.crashed
@@ -70,7 +71,7 @@ def test_two_fifths_less_cannot_be_flown(loop):
     # the weak motor would need 0.078 / 0.6 = 0.130 N of command, and there are 0.120 N
     sim = aloft(fault(What.MOTOR, Kind.WEAK, start_s=0.5, value=0.6), loop=loop)
     truths = hold(sim, 5.0)
-    assert any(t.contacts & CONTACT_GROUND for t in truths)
+    assert any(t.contacts & ContactBit.GROUND for t in truths)
 
 
 def test_the_share_of_a_weak_motor_is_that_of_the_thrust_in_hover():
@@ -207,7 +208,7 @@ def test_take_off_is_when_the_ground_has_been_left():
     told = None
     for k in range(400):
         (truth,) = fly(sim, (0.0, 0.0, 0.3), 0.01)
-        if truth.contacts & CONTACT_GROUND:
+        if truth.contacts & ContactBit.GROUND:
             left_s = truth.time_s
         if sim.faults.take_texts():
             told = 1.0 + 0.01 * k

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from logs.schema.events import ContactBit
 from sim.compiled.rotation import quaternion_from_axes, rotation_axes
 from sim.plant.params import STEP_S, load
 from sim.scenarios.scenario import TargetSpec
-from sim.world.contact import ContactBit
 from sim.world.step import apart
 from sim.world.world import World
 

@@ -7,7 +7,8 @@ import time
 import pytest
 from pymavlink.dialects.v20 import common as mav
 
-from sim.clock import NoAnswerError, StopSignal
+from flightstack.common.hangup import Stop
+from sim.clock import NoAnswerError
 from sim.px4 import session as px4_session
 from sim.px4.link import LinkClosedError, Px4Server
 from sim.px4.plant import Px4Plant
@@ -46,7 +47,7 @@ class Pair:
         self.fake = FakePx4(server.port, **options)
         self.link = server.accept()
         self.events = []
-        self.stop = StopSignal()
+        self.stop = Stop()
         self.session = Px4Session(
             self.link, Px4Plant(scenario(Start()), 1), 1, self.stop, speed=0.0, silent_max_s=SHORT_S,
             tell=self.events.append,
@@ -209,7 +210,7 @@ def test_px4_that_goes_is_noticed_at_once(pair):
 
 def test_a_stop_signal_ends_the_wait(pair):
     pair.begin()
-    pair.stop.is_set = True
+    pair.stop.ask()
     began_s = time.monotonic()
     pair.session.step()
     assert time.monotonic() - began_s < 1.0

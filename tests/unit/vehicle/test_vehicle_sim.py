@@ -6,6 +6,7 @@ import statistics
 import pytest
 
 from flightstack.core.safety.barrier import Barrier
+from logs.schema.events import ContactBit
 from sim.robot.target import TargetModel
 from sim.scenarios.scenario import (
     OdometryLink,
@@ -17,7 +18,6 @@ from sim.scenarios.scenario import (
     VelocityLoop,
     Wind,
 )
-from sim.vehicle.vehicle import CONTACT_GROUND, CONTACT_PAD, CONTACT_ROBOT, CONTACT_TUMBLED
 from tests.unit.vehicle.vehicle_sim_helpers import (
     LOOPS,
     QUIET,
@@ -115,7 +115,7 @@ def test_set_points_that_stop(loop):
     assert not sim.motors_running
     assert "reboot" in sim.arm()
     sim.advance(3000)
-    assert sim.truth().contacts & CONTACT_GROUND
+    assert sim.truth().contacts & ContactBit.GROUND
 
 
 def test_stop_set_point_stops_the_motors():
@@ -307,7 +307,7 @@ def test_a_drop_from_3_cm_onto_a_driving_pad_stays_and_travels():
     spec = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)
     sim, truths = ride(spec, (0.01, 0.02, STANDING + 0.03), 3.5)
     touched = next(i for i, t in enumerate(truths) if t.contacts)
-    assert {t.contacts for t in truths[touched:]} == {CONTACT_PAD}
+    assert {t.contacts for t in truths[touched:]} == {ContactBit.PAD}
     assert all(t.contacts == 0 for t in truths[:touched])
     assert sim.on_pad
     assert sim.landed
@@ -344,5 +344,5 @@ def test_missing_the_pad_touches_other_things():
     seen = 0
     for t in truths:
         seen |= t.contacts
-    assert seen & CONTACT_GROUND
-    assert seen & (CONTACT_ROBOT | CONTACT_TUMBLED)
+    assert seen & ContactBit.GROUND
+    assert seen & (ContactBit.ROBOT | ContactBit.TUMBLED)
