@@ -1,0 +1,237 @@
+"""A recorded flight of a real vehicle: reads Parquet or CSV by a table of columns, into SI units.
+
+World axes are level with z up (ENU where the room's x is called east); the body is FLU.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+SUFFIXES = (".parquet", ".csv")
+PWM_MAX = 65535.0  # Crazyflie firmware motors.c: 16 bit
+SAMPLES_MIN = 200  # 2 s at 100 Hz: less says nothing about a flight
+COLUMNS = Path(__file__).with_name("crazyflie_vicon.toml")
+
+
+class RecordingError(ValueError):
+    """A recording that cannot be used: says what was found, what is allowed, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """What a group of columns holds.
+
+    Attributes:
+        width: number of columns.
+        units: allowed units, each with the factor that turns it into SI (PWM: into the duty, 0 to 1).
+        required: whether a recording without it is refused.
+    """
+
+    width: int
+    units: Mapping[str, float]
+    required: bool = False
+
+
+_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3}
+_ANGLE = {"rad": 1.0, "deg": math.pi / 180.0}
+_RATE = {"rad/s": 1.0, "deg/s": math.pi / 180.0}
+_DUTY = {"PWM": 1.0 / PWM_MAX, "1": 1.0, "%": 1e-2}
+
+QUANTITIES: dict[str, Quantity] = {
+    "time": Quantity(1, {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, required=True),
+    "position": Quantity(3, _LENGTH, required=True),
+    "velocity": Quantity(3, _SPEED),
+    "attitude": Quantity(4, {"1": 1.0}, required=True),
+    "rates": Quantity(3, _RATE, required=True),
+    "pwm": Quantity(4, _DUTY, required=True),
+    "battery": Quantity(1, {"V": 1.0, "mV": 1e-3}, required=True),
+    "estimate_position": Quantity(3, _LENGTH),
+    "estimate_velocity": Quantity(3, _SPEED),
+    "estimate_attitude": Quantity(3, _ANGLE),
+    "setpoint_position": Quantity(3, _LENGTH),
+    "setpoint_yaw": Quantity(1, _ANGLE),
+    "thrust_command": Quantity(1, _DUTY),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Where the columns of a quantity are, and how they become SI units in the project's axes."""
+
+    columns: tuple[str, ...]
+    factors: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """One flight; n samples. Optional arrays are ``None`` where the file has no such columns.
+
+    Attributes:
+        name: of the file, without suffix.
+        time_s: (n,) from the first sample on.
+        position_m: (n, 3) by motion capture.
+        velocity_m_s: (n, 3) by motion capture.
+        attitude: (n, 4) unit quaternion w, x, y, z, body FLU to world, by motion capture.
+        rates_rad_s: (n, 3) gyro, body FLU.
+        duty: (n, 4) commands to the motors M1 to M4, 0 to 1.
+        battery_v: (n,) under load.
+        estimate_position_m, estimate_velocity_m_s: (n, 3) of the estimator on board.
+        estimate_attitude_rad: (n, 3) roll, pitch, yaw.
+        setpoint_position_m: (n, 3).
+        setpoint_yaw_rad: (n,).
+        thrust_command: (n,) of the PID controller, 0 to 1.
+    """
+
+    name: str
+    time_s: Floats
+    position_m: Floats
+    velocity_m_s: Floats
+    attitude: Floats
+    rates_rad_s: Floats
+    duty: Floats
+    battery_v: Floats
+    estimate_position_m: Floats | None = None
+    estimate_velocity_m_s: Floats | None = None
+    estimate_attitude_rad: Floats | None = None
+    setpoint_position_m: Floats | None = None
+    setpoint_yaw_rad: Floats | None = None
+    thrust_command: Floats | None = None
+    step_s: float = field(default=0.01)
+
+    @property
+    def by_pid(self) -> bool:
+        """Whether the PID controller flew: only then its thrust command is not zero throughout."""
+        return self.thrust_command is None or bool(np.any(self.thrust_command > 0.0))
+
+
+def read_columns(path: Path = COLUMNS) -> dict[str, Group]:
+    """Read a table of columns.
+
+    Raises:
+        RecordingError: not TOML, an unknown quantity or unit, or the wrong number of columns.
+    """
+    try:
+        tables = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise RecordingError(f"{path}: can't be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path}: not TOML: {error}") from error
+    for name in tables:
+        if name not in QUANTITIES:
+            raise RecordingError(f"{path}: [{name}]: found no such quantity; allowed: {', '.join(QUANTITIES)}")
+    for name, quantity in QUANTITIES.items():
+        if quantity.required and name not in tables:
+            raise RecordingError(f"{path}: [{name}] is missing; it needs {quantity.width} columns and a unit")
+    return {name: _group(f"{path}: [{name}]", QUANTITIES[name], table) for name, table in tables.items()}
+
+
+def _group(where: str, quantity: Quantity, table: object) -> Group:
+    if not isinstance(table, dict) or not set(table) <= {"columns", "unit", "sign"}:
+        raise RecordingError(f"{where}: found {table!r}; allowed: columns, unit, sign")
+    columns, unit = table.get("columns"), table.get("unit")
+    sign = table.get("sign", [1] * quantity.width)
+    for what, found in (("columns", columns), ("sign", sign)):
+        if not isinstance(found, list) or len(found) != quantity.width:
+            raise RecordingError(f"{where}: {what}: found {found!r}; a list of {quantity.width} is needed")
+    if not all(isinstance(c, str) for c in columns) or any(s not in (1, -1) for s in sign):
+        raise RecordingError(f"{where}: columns are names, and signs are 1 or -1; found {columns}, {sign}")
+    if unit not in quantity.units:
+        raise RecordingError(f"{where}: unit: found {unit!r}; allowed: {', '.join(quantity.units)}")
+    return Group(tuple(columns), tuple(s * quantity.units[unit] for s in sign))
+
+
+def find_recordings(folder: Path) -> list[Path]:
+    """List the files of a folder that may hold flights, by name.
+
+    Raises:
+        RecordingError: no such folder, or no such file in it.
+    """
+    if not folder.is_dir():
+        raise RecordingError(f"{folder}: found no such folder")
+    found = sorted(path for path in folder.iterdir() if path.suffix in SUFFIXES)
+    if not found:
+        raise RecordingError(f"{folder}: found no flights; files with {' or '.join(SUFFIXES)} are read")
+    return found
+
+
+def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
+    """Read one flight.
+
+    Raises:
+        RecordingError: unreadable, columns missing or not numbers, too few samples, or no time.
+    """
+    try:
+        table = pa.csv.read_csv(path) if path.suffix == ".csv" else pa.parquet.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise RecordingError(f"can't be read: {str(error).splitlines()[0]}") from error
+    arrays: dict[str, Floats] = {}
+    for name, group in columns.items():
+        missing = [column for column in group.columns if column not in table.column_names]
+        if missing and QUANTITIES[name].required:
+            raise RecordingError(
+                f"columns of {name} not found: {', '.join(missing)}; the file has "
+                f"{', '.join(table.column_names[:8])}, ...; name its columns by --columns"
+            )
+        if not missing:
+            arrays[name] = _numbers(table, group)
+    if len(arrays["time"]) < SAMPLES_MIN:
+        raise RecordingError(f"found {len(arrays['time'])} samples, at least {SAMPLES_MIN} are needed")
+    return _recording(path.stem, arrays)
+
+
+def _numbers(table: pa.Table, group: Group) -> Floats:
+    try:
+        made = [
+            factor * np.asarray(table[column].to_numpy(), dtype=np.float64)
+            for column, factor in zip(group.columns, group.factors, strict=True)
+        ]
+    except (ValueError, TypeError) as error:
+        raise RecordingError(f"columns {', '.join(group.columns)} are not numbers: {error}") from error
+    return made[0] if len(made) == 1 else np.stack(made, axis=1)
+
+
+def _recording(name: str, arrays: dict[str, Floats]) -> Recording:
+    time_s = arrays["time"] - arrays["time"][0]
+    steps = np.diff(time_s)
+    if not np.all(np.isfinite(steps)) or not np.all(steps > 0.0):
+        raise RecordingError("the time does not increase from sample to sample")
+    step_s = float(np.median(steps))
+    velocity = arrays.get("velocity")
+    if velocity is None:
+        velocity = np.gradient(arrays["position"], time_s, axis=0)
+    norm = np.linalg.norm(arrays["attitude"], axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        attitude = arrays["attitude"] / norm
+    optional = {
+        "estimate_position_m": "estimate_position",
+        "estimate_velocity_m_s": "estimate_velocity",
+        "estimate_attitude_rad": "estimate_attitude",
+        "setpoint_position_m": "setpoint_position",
+        "setpoint_yaw_rad": "setpoint_yaw",
+        "thrust_command": "thrust_command",
+    }
+    return Recording(
+        name=name,
+        time_s=time_s,
+        position_m=arrays["position"],
+        velocity_m_s=velocity,
+        attitude=attitude,
+        rates_rad_s=arrays["rates"],
+        duty=arrays["pwm"],
+        battery_v=arrays["battery"],
+        step_s=step_s,
+        **{field: arrays[key] for field, key in optional.items() if key in arrays},
+    )

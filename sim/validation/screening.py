@@ -1,0 +1,133 @@
+"""Which parts of a recorded flight can be used, and why the others cannot.
+
+Every check marks samples. A marked sample spoils ``MARGIN_S`` on both sides of it, since loggers interpolate
+over damaged values. What is left, in the air and in one piece for ``PIECE_MIN_S`` at least, is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.validation.recording import Recording
+
+Mask = NDArray[np.bool_]
+
+GAP_FACTOR = 5.0  # periods without a sample: nothing is known of what happened between
+SPEED_MAX_M_S = 6.0  # between two samples of motion capture: no Crazyflie in a room is faster
+FROZEN_S = 0.05  # motion capture repeats its last pose while it does not see the body
+ESTIMATE_OFF_M = 0.3  # an estimate farther from motion capture has diverged; good flights stay within 0.2 m
+VOLTAGE_V = (2.5, 4.4)  # of one LiPo cell under load
+ABOVE_GROUND_M = 0.15  # in the air, and away from the ground effect (3 propeller diameters)
+START_S = 0.5  # after lift-off and before landing, when the feet may touch
+MARGIN_S = 0.1
+PIECE_MIN_S = 2.0
+FLIGHT_MIN_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a part of a flight, or all of it, is left out."""
+
+    text: str
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Screened:
+    """The usable parts of a flight.
+
+    Attributes:
+        recording: all of it.
+        pieces: slices of samples, each without a gap, a damaged value or contact.
+        left_out: what else there is.
+        usable: whether anything is left to compare with.
+    """
+
+    recording: Recording
+    pieces: tuple[slice, ...]
+    left_out: tuple[Reason, ...]
+
+    @property
+    def usable(self) -> bool:
+        """Whether enough of the flight is left."""
+        return bool(self.pieces)
+
+    @property
+    def seconds(self) -> float:
+        """Time in the usable pieces, s."""
+        return sum(piece.stop - piece.start for piece in self.pieces) * self.recording.step_s
+
+
+def screen(recording: Recording) -> Screened:
+    """Find what can be used of a flight."""
+    r = recording
+    ground = np.nanmin(r.position_m[:, 2]) if np.any(np.isfinite(r.position_m[:, 2])) else 0.0
+    with np.errstate(invalid="ignore"):
+        flying = (r.position_m[:, 2] > ground + ABOVE_GROUND_M) & (r.duty.max(axis=1) > 0.0)
+    flying = ~_spread(~flying, START_S, r.step_s)
+    good = flying.copy()
+    reasons: list[Reason] = []
+    for text, bad in _damage(r):
+        spoiled = _spread(bad, MARGIN_S, r.step_s) & flying
+        if spoiled.any():
+            reasons.append(Reason(text, float(spoiled.sum() * r.step_s)))
+        good &= ~spoiled
+    pieces = tuple(p for p in _runs(good) if (p.stop - p.start) * r.step_s >= PIECE_MIN_S)
+    seconds = sum(p.stop - p.start for p in pieces) * r.step_s
+    if flying.sum() * r.step_s < FLIGHT_MIN_S:
+        text = f"in the air for {flying.sum() * r.step_s:.1f} s only, at least {FLIGHT_MIN_S:g} s are needed"
+        return Screened(r, (), (*reasons, Reason(text, r.time_s[-1])))
+    if seconds < FLIGHT_MIN_S:
+        text = f"{seconds:.1f} s left of {flying.sum() * r.step_s:.1f} s in the air"
+        return Screened(r, (), (*reasons, Reason(text, r.time_s[-1])))
+    return Screened(r, pieces, tuple(reasons))
+
+
+def _damage(r: Recording) -> Iterator[tuple[str, Mask]]:
+    """Yield each kind of damage with the samples that show it."""
+    needed = np.concatenate(
+        [r.position_m, r.velocity_m_s, r.attitude, r.rates_rad_s, r.duty, r.battery_v[:, None]], axis=1
+    )
+    yield "values missing (NaN)", ~np.isfinite(needed).all(axis=1)
+    late = np.diff(r.time_s, prepend=r.time_s[0]) > GAP_FACTOR * r.step_s
+    yield "samples missing", late
+    with np.errstate(invalid="ignore"):
+        yield "motor commands outside 0 to 65535", ((r.duty < 0.0) | (r.duty > 1.0 + 1e-6)).any(axis=1)
+        low, high = VOLTAGE_V
+        yield f"battery outside {low:g} to {high:g} V", (r.battery_v < low) | (r.battery_v > high)
+        step = np.linalg.norm(np.diff(r.position_m, axis=0, prepend=r.position_m[:1]), axis=1)
+        yield "motion capture jumps", step > SPEED_MAX_M_S * np.maximum(r.step_s, _steps(r))
+        yield "motion capture frozen", _frozen(r)
+        if r.estimate_position_m is not None:
+            off = np.linalg.norm(r.estimate_position_m - r.position_m, axis=1)
+            yield f"estimate more than {ESTIMATE_OFF_M:g} m from motion capture", ~(off <= ESTIMATE_OFF_M)
+
+
+def _steps(r: Recording) -> NDArray[np.float64]:
+    return np.diff(r.time_s, prepend=r.time_s[0] - r.step_s)
+
+
+def _frozen(r: Recording) -> Mask:
+    """Mark samples of a pose that repeats to the last bit for ``FROZEN_S``."""
+    same = np.concatenate([[False], np.all(np.diff(r.position_m, axis=0) == 0.0, axis=1)])
+    long = [run for run in _runs(same) if (run.stop - run.start) * r.step_s >= FROZEN_S]
+    mask = np.zeros(len(same), dtype=bool)
+    for run in long:
+        mask[run] = True
+    return mask
+
+
+def _spread(mask: Mask, margin_s: float, step_s: float) -> Mask:
+    """Mark what lies within ``margin_s`` of a marked sample, too."""
+    width = 2 * round(margin_s / step_s) + 1
+    return np.convolve(mask, np.ones(width), mode="same") > 0.5
+
+
+def _runs(mask: Mask) -> Iterator[slice]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        yield slice(start, stop)
