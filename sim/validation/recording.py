@@ -131,7 +131,9 @@ def read_columns(path: Path = COLUMNS) -> dict[str, Group]:
         raise RecordingError(f"{path}: not TOML: {error}") from error
     for name in tables:
         if name not in QUANTITIES:
-            raise RecordingError(f"{path}: [{name}]: found no such quantity; allowed: {', '.join(QUANTITIES)}")
+            raise RecordingError(
+                f"{path}: [{name}]: found no such quantity; allowed: {', '.join(QUANTITIES)}"
+            )
     for name, quantity in QUANTITIES.items():
         if quantity.required and name not in tables:
             raise RecordingError(f"{path}: [{name}] is missing; it needs {quantity.width} columns and a unit")

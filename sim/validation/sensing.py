@@ -6,6 +6,7 @@ What is left grows with speed: the delay varies, and markers and body axes are n
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,8 @@ BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 8.0), (8.0, 50.0))  # of the spectrum
 @dataclass(frozen=True, slots=True)
 class Trace:
     """A piece of estimate and truth at the same instants, n samples ``step_s`` apart.
+
+    It lasts longer than ``DELAY_S`` spans.
 
     Attributes:
         step_s: between two samples.
@@ -86,7 +89,7 @@ def analyse(traces: list[Trace]) -> Error:
     parts = [part - offset for part in parts]
     left = np.concatenate(parts)
     raw = np.linalg.norm(np.concatenate([t.estimate - t.truth for t in traces]), axis=1)
-    speed = np.concatenate([t.speed_m_s for t in traces])
+    speed = np.concatenate([t.speed_m_s[_inner(t.step_s)] for t in traces])
     horizontal = np.sum(left[:, :2] ** 2, axis=1)
     along, across = _along(traces, left)
     bands = np.digitize(speed, SPEED_EDGES_M_S) - 1
@@ -114,8 +117,16 @@ def _three(values: Floats) -> tuple[float, float, float]:
 
 
 def _residuals(traces: list[Trace], delay_s: float) -> list[Floats]:
-    """Estimate minus the truth of ``delay_s`` before, for each piece."""
-    return [trace.estimate - _delayed(trace.truth, delay_s / trace.step_s) for trace in traces]
+    """Estimate minus the truth of ``delay_s`` before, for the inner part of each piece."""
+    return [
+        (trace.estimate - _delayed(trace.truth, delay_s / trace.step_s))[_inner(trace.step_s)]
+        for trace in traces
+    ]
+
+
+def _inner(step_s: float) -> slice:
+    """Cut off both ends, where the truth of another time lies outside the piece."""
+    return slice(math.ceil(DELAY_S[1] / step_s), math.floor(DELAY_S[0] / step_s))
 
 
 def _delayed(values: Floats, samples: float) -> Floats:
@@ -130,10 +141,10 @@ def _centred(parts: list[Floats]) -> Floats:
 
 def _along(traces: list[Trace], left: Floats) -> tuple[float, float]:
     """Return rms along and across the horizontal direction of motion, where there is one."""
-    moves = np.concatenate([np.gradient(t.truth[:, :2], axis=0) for t in traces])
+    moves = np.concatenate([np.gradient(t.truth[:, :2], axis=0)[_inner(t.step_s)] for t in traces])
     length = np.linalg.norm(moves, axis=1)
     ahead = moves / np.maximum(length, 1e-12)[:, None]
-    moving = np.concatenate([t.speed_m_s for t in traces]) > SPEED_EDGES_M_S[1]
+    moving = np.concatenate([t.speed_m_s[_inner(t.step_s)] for t in traces]) > SPEED_EDGES_M_S[1]
     if not moving.any():
         moving = np.ones(len(left), dtype=bool)
     along = left[:, 0] * ahead[:, 0] + left[:, 1] * ahead[:, 1]
