@@ -10,6 +10,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -143,16 +144,20 @@ def read_columns(path: Path = COLUMNS) -> dict[str, Group]:
 def _group(where: str, quantity: Quantity, table: object) -> Group:
     if not isinstance(table, dict) or not set(table) <= {"columns", "unit", "sign"}:
         raise RecordingError(f"{where}: found {table!r}; allowed: columns, unit, sign")
-    columns, unit = table.get("columns"), table.get("unit")
-    sign = table.get("sign", [1] * quantity.width)
-    for what, found in (("columns", columns), ("sign", sign)):
-        if not isinstance(found, list) or len(found) != quantity.width:
-            raise RecordingError(f"{where}: {what}: found {found!r}; a list of {quantity.width} is needed")
+    columns, sign = (_list(where, table, key, quantity.width) for key in ("columns", "sign"))
+    unit = table.get("unit")
     if not all(isinstance(c, str) for c in columns) or any(s not in (1, -1) for s in sign):
         raise RecordingError(f"{where}: columns are names, and signs are 1 or -1; found {columns}, {sign}")
-    if unit not in quantity.units:
+    if not isinstance(unit, str) or unit not in quantity.units:
         raise RecordingError(f"{where}: unit: found {unit!r}; allowed: {', '.join(quantity.units)}")
     return Group(tuple(columns), tuple(s * quantity.units[unit] for s in sign))
+
+
+def _list(where: str, table: dict[str, Any], key: str, width: int) -> list[Any]:
+    found = table.get(key, [1] * width if key == "sign" else None)
+    if not isinstance(found, list) or len(found) != width:
+        raise RecordingError(f"{where}: {key}: found {found!r}; a list of {width} is needed")
+    return found
 
 
 def find_recordings(folder: Path) -> list[Path]:

@@ -59,7 +59,7 @@ class Screened:
     @property
     def seconds(self) -> float:
         """Time in the usable pieces, s."""
-        return sum(piece.stop - piece.start for piece in self.pieces) * self.recording.step_s
+        return float(sum(piece.stop - piece.start for piece in self.pieces)) * self.recording.step_s
 
 
 def screen(recording: Recording) -> Screened:
@@ -96,7 +96,7 @@ def _damage(r: Recording) -> Iterator[tuple[str, Mask]]:
     late = np.diff(r.time_s, prepend=r.time_s[0]) > GAP_FACTOR * r.step_s
     yield "samples missing", late
     with np.errstate(invalid="ignore"):
-        yield "motor commands outside 0 to 65535", ((r.duty < 0.0) | (r.duty > 1.0 + 1e-6)).any(axis=1)
+        yield "motor commands outside 0 to 65535", np.any((r.duty < 0.0) | (r.duty > 1.0 + 1e-6), axis=1)
         low, high = VOLTAGE_V
         yield f"battery outside {low:g} to {high:g} V", (r.battery_v < low) | (r.battery_v > high)
         step = np.linalg.norm(np.diff(r.position_m, axis=0, prepend=r.position_m[:1]), axis=1)

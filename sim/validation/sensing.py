@@ -135,8 +135,9 @@ def _delayed(values: Floats, samples: float) -> Floats:
 
 
 def _centred(parts: list[Floats]) -> Floats:
-    left = np.concatenate(parts)
-    return left - left.mean(axis=0)
+    left: Floats = np.concatenate(parts)
+    left -= left.mean(axis=0)
+    return left
 
 
 def _along(traces: list[Trace], left: Floats) -> tuple[float, float]:
