@@ -180,4 +180,5 @@ def load(airframe: Airframe = Airframe.CRAZYFLIE20) -> Params:
     Raises:
         ConfigError: an unknown, missing or ill-typed key.
     """
-    return from_table(Params, read_toml(Path(str(resources.files("sim.plant") / f"{airframe.value}.toml"))))
+    path = Path(str(resources.files("sim.vehicles") / f"{airframe.value}.toml"))
+    return from_table(Params, read_toml(path))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from sim.validation.recording import Floats
+from sim.flights.recording import Floats
 
 DELAY_S = (-0.1, 0.2)  # searched for the delay; clocks of radio and motion capture may differ by tens of ms
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # bands around 0.2, 0.5, 0.75 and 1 m/s

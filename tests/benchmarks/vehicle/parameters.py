@@ -41,7 +41,7 @@ def parameter_table() -> str:
     """All of crazyflie20.toml."""
     lines = ["| group | parameter | value | unit | from |", "|---|---|---|---|---|"]
     group = whole = ""
-    for line in (resources.files("sim.plant") / "crazyflie20.toml").read_text().splitlines():
+    for line in (resources.files("sim.vehicles") / "crazyflie20.toml").read_text().splitlines():
         if match := re.match(r"\[(\w+)\]\s*(?:# (.*))?$", line):
             group, whole = match[1], match[2] or ""
         elif match := re.match(r"(\w+) = ([^#]+?)\s*(?:# (.*))?$", line):

@@ -18,6 +18,8 @@ EXTRAS = {
     "logs.tools": {"export"},
     "logs.view": {"view"},
     "sim": {"sim"},
+    "sim.flights": {"sim", "export"},
+    "sim.validation": {"sim", "export", "report"},
     "sim.campaign": {"sim", "cluster", "report"},
 }
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.validation.recording import Recording
+from sim.flights.recording import Recording
 
 Mask = NDArray[np.bool_]
 

@@ -10,7 +10,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from sim.validation.recording import (
+from sim.flights.recording import (
     COLUMNS,
     PWM_MAX,
     RecordingError,
@@ -18,7 +18,7 @@ from sim.validation.recording import (
     read_columns,
     read_recording,
 )
-from sim.validation.screening import screen
+from sim.flights.screening import screen
 
 RATE_HZ = 100.0
 COLUMN_TABLE = read_columns()

@@ -1,0 +1,1 @@
+"""Recorded flights of a real vehicle: reading and screening."""
