@@ -83,11 +83,44 @@ class Files(Generic[T]):
             ConfigError: with file, key, what was found and what is allowed.
         """
         path = self.path_of(name_or_file)
-        table = read_toml(path)
+        table = self.table(path)
         try:
             return from_table(self._cls, table)
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None
+
+    def table(self, path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
+        """Parse a file; what it leaves out is that of the file which its key ``base`` names, if it has one.
+
+        Args:
+            path: of the file.
+            above: files that have this one as their base.
+
+        Raises:
+            ConfigError: a file is missing or not TOML, or is its own base.
+        """
+        table = read_toml(path)
+        name = table.pop("base", None)
+        if name is None:
+            return table
+        if not isinstance(name, str):
+            raise ConfigError(f"{path}: base: found {name!r}, the name of a {self._kind} or a file is needed")
+        try:
+            base = self.path_of(path.parent / name if (path.parent / name).is_file() else name)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: base: {error}") from None
+        if base.resolve() in (*above, path.resolve()):
+            raise ConfigError(f"{path}: base: found {name!r}, which has this file as its base; remove one")
+        return _over(self.table(base, (*above, path.resolve())), table)
+
+
+def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """A table with what another one has instead; tables below are joined, everything else is replaced."""
+    joined = dict(base)
+    for key, value in table.items():
+        below = base.get(key)
+        joined[key] = _over(below, value) if isinstance(value, dict) and isinstance(below, dict) else value
+    return joined
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -60,8 +60,13 @@ def _load(name_or_file: str) -> FlightConfig:
     path = path_of(name_or_file) if name_or_file in names() else Path(name_or_file)
     if path.is_file():
         table = read_toml(path)
-        if "onboard" not in table:
+        scenario_below = "base" in table and table["base"] not in names()
+        if "onboard" not in table and not scenario_below:
             return load(path)
+        if scenario_below:
+            from sim.scenarios.scenario import load as load_scenario
+
+            return load_scenario(path).onboard
         try:
             return from_table(FlightConfig, table["onboard"], "onboard")
         except ConfigError as error:

@@ -132,6 +132,34 @@ def test_every_scenario_loads_is_feasible_and_survives_writing(name):
     assert from_table(scenario.Scenario, tomllib.loads(dumps(loaded))) == loaded
 
 
+def test_a_file_has_what_it_leaves_out_from_its_base(tmp_path):
+    windy, late = tmp_path / "windy.toml", tmp_path / "late.toml"
+    windy.write_text('base = "lab"\nname = "windy"\n[wind]\nmean_m_s = 1.0\n')
+    late.write_text('base = "windy.toml"\n[odometry]\ndelay_s = 0.1\n')
+    lab = scenario.load("lab")
+    wanted = dataclasses.replace(
+        lab,
+        name="windy",
+        wind=dataclasses.replace(lab.wind, mean_m_s=1.0),
+        odometry=dataclasses.replace(lab.odometry, delay_s=0.1),
+    )
+    assert scenario.load(late) == wanted
+
+
+@pytest.mark.parametrize(
+    ("base", "error"),
+    [
+        ("3", r"base: found 3, the name of a scenario or a file is needed"),
+        ('"nowhere"', r"mine\.toml: base: scenario 'nowhere': neither a file nor one of: .*lab"),
+        ('"mine.toml"', r"base: found 'mine\.toml', which has this file as its base; remove one"),
+    ],
+)
+def test_a_wrong_base_is_refused(tmp_path, base, error):
+    (tmp_path / "mine.toml").write_text(f"base = {base}\n")
+    with pytest.raises(ConfigError, match=error):
+        scenario.load(tmp_path / "mine.toml")
+
+
 def test_every_string_is_read_back_as_it_was_written():
     table = {"text": 'quotes ", \\, é, tab \t, two\nlines', "list": ["a", "b"], "table": {"number": 1e-05}}
     assert tomllib.loads(dumps(table)) == table
