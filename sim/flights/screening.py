@@ -1,18 +1,22 @@
 """Which parts of a recorded flight can be used, and why the others cannot.
 
 Every check marks samples. A marked sample spoils ``MARGIN_S`` on both sides of it, since loggers interpolate
-over damaged values. What is left, in the air and in one piece for ``PIECE_MIN_S`` at least, is used.
+over damaged values. What is left, in the air and in one piece for ``PIECE_MIN_S`` at least, is used. A flight
+that is damaged for longer is not used at all: its estimator or its link were ill before a limit was crossed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.flights.recording import Recording
+from sim.flights.motion import clock_lag_s
+from sim.flights.plausible import check
+from sim.flights.recording import Group, Recording, read_recording
 
 Mask = NDArray[np.bool_]
 
@@ -20,10 +24,13 @@ GAP_FACTOR = 5.0  # periods without a sample: nothing is known of what happened 
 SPEED_MAX_M_S = 6.0  # between two samples of motion capture: no Crazyflie in a room is faster
 FROZEN_S = 0.05  # motion capture repeats its last pose while it does not see the body
 ESTIMATE_OFF_M = 0.3  # an estimate farther from motion capture has diverged; good flights stay within 0.2 m
+CLOCKS_OFF_S = 0.05  # 5 cm at 1 m/s: as much as the errors that are compared
+CLOCKS_S = 0.5  # for so long: clocks wander over seconds, a shorter difference is chance
 VOLTAGE_V = (2.5, 4.4)  # of one LiPo cell under load
 ABOVE_GROUND_M = 0.15  # in the air, and away from the ground effect (3 propeller diameters)
 START_S = 0.5  # after lift-off and before landing, when the feet may touch
 MARGIN_S = 0.1
+DAMAGED_MAX = 0.05  # share of the time in the air; the clocks do not count, since what they part is sound
 PIECE_MIN_S = 2.0
 FLIGHT_MIN_S = 5.0
 
@@ -62,29 +69,58 @@ class Screened:
         return float(sum(piece.stop - piece.start for piece in self.pieces)) * self.recording.step_s
 
 
+def load(path: Path, columns: Mapping[str, Group]) -> Screened:
+    """Read a flight, check its units and signs, and find what can be used of it.
+
+    Raises:
+        RecordingError: it cannot be read, or cannot be what the columns say.
+    """
+    recording = read_recording(path, columns)
+    check(recording, columns)
+    return screen(recording)
+
+
 def screen(recording: Recording) -> Screened:
     """Find what can be used of a flight."""
     r = recording
     ground = np.nanmin(r.position_m[:, 2]) if np.any(np.isfinite(r.position_m[:, 2])) else 0.0
     with np.errstate(invalid="ignore"):
-        flying = (r.position_m[:, 2] > ground + ABOVE_GROUND_M) & (r.duty.max(axis=1) > 0.0)
+        flying = ~((r.position_m[:, 2] <= ground + ABOVE_GROUND_M) | (r.duty.max(axis=1) <= 0.0))
     flying = ~_spread(~flying, START_S, r.step_s)
-    good = flying.copy()
     reasons: list[Reason] = []
+    ill = np.zeros_like(flying)
     for text, bad in _damage(r):
         spoiled = _spread(bad, MARGIN_S, r.step_s) & flying
         if spoiled.any():
             reasons.append(Reason(text, float(spoiled.sum() * r.step_s)))
-        good &= ~spoiled
-    pieces = tuple(p for p in _runs(good) if (p.stop - p.start) * r.step_s >= PIECE_MIN_S)
-    seconds = sum(p.stop - p.start for p in pieces) * r.step_s
-    if flying.sum() * r.step_s < FLIGHT_MIN_S:
-        text = f"in the air for {flying.sum() * r.step_s:.1f} s only, at least {FLIGHT_MIN_S:g} s are needed"
-        return Screened(r, (), (*reasons, Reason(text, r.time_s[-1])))
-    if seconds < FLIGHT_MIN_S:
-        text = f"{seconds:.1f} s left of {flying.sum() * r.step_s:.1f} s in the air"
-        return Screened(r, (), (*reasons, Reason(text, r.time_s[-1])))
+        ill |= spoiled
+    lag_s = clock_lag_s(r)
+    apart = _lasting((np.abs(lag_s) > CLOCKS_OFF_S + 0.5 * r.step_s) & flying, CLOCKS_S, r.step_s)
+    if apart.any():
+        worst_s = lag_s[apart][np.argmax(np.abs(lag_s[apart]))]
+        text = f"clocks of log and motion capture differ by up to {1000.0 * abs(worst_s):.0f} ms"
+        reasons.append(Reason(text, float(apart.sum() * r.step_s)))
+    pieces = tuple(p for p in _runs(flying & ~ill & ~apart) if (p.stop - p.start) * r.step_s >= PIECE_MIN_S)
+    air_s, ill_s = float(flying.sum() * r.step_s), float(ill.sum() * r.step_s)
+    left_s = float(sum(p.stop - p.start for p in pieces) * r.step_s)
+    whole = None
+    if air_s < FLIGHT_MIN_S:
+        whole = (
+            f"in the air for {air_s:.1f} s only, at least {FLIGHT_MIN_S:g} s are needed; "
+            f"highest {_highest_m(r):.2g} m above the ground"
+        )
+    elif ill_s > DAMAGED_MAX * air_s:
+        whole = f"damaged for {ill_s:.1f} s of {air_s:.1f} s in the air; {DAMAGED_MAX:.0%} are allowed"
+    elif left_s < FLIGHT_MIN_S:
+        whole = f"{left_s:.1f} s left of {air_s:.1f} s in the air, at least {FLIGHT_MIN_S:g} s are needed"
+    if whole is not None:
+        return Screened(r, (), (*reasons, Reason(whole, float(r.time_s[-1]))))
     return Screened(r, pieces, tuple(reasons))
+
+
+def _highest_m(r: Recording) -> float:
+    height_m = r.position_m[np.isfinite(r.position_m[:, 2]), 2]
+    return float(np.ptp(height_m)) if len(height_m) else 0.0
 
 
 def _damage(r: Recording) -> Iterator[tuple[str, Mask]]:
@@ -114,11 +150,15 @@ def _steps(r: Recording) -> NDArray[np.float64]:
 def _frozen(r: Recording) -> Mask:
     """Mark samples of a pose that repeats to the last bit for ``FROZEN_S``."""
     same = np.concatenate([[False], np.all(np.diff(r.position_m, axis=0) == 0.0, axis=1)])
-    long = [run for run in _runs(same) if (run.stop - run.start) * r.step_s >= FROZEN_S]
-    mask = np.zeros(len(same), dtype=bool)
-    for run in long:
-        mask[run] = True
-    return mask
+    return _lasting(same, FROZEN_S, r.step_s)
+
+
+def _lasting(mask: Mask, seconds: float, step_s: float) -> Mask:
+    """Keep the marks that last for some time."""
+    kept = np.zeros_like(mask)
+    for run in _runs(mask):
+        kept[run] = (run.stop - run.start) * step_s >= seconds
+    return kept
 
 
 def _spread(mask: Mask, margin_s: float, step_s: float) -> Mask:

@@ -1,0 +1,144 @@
+"""Whether the values of a recording can be what the table of columns says: units, signs, order.
+
+Each quantity is held against another one of the same flight, or against what a small quadrotor can do. Where
+a factor of ``FAR`` is between them, the unit that would fit is looked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sim.flights.motion import band, rates_rad_s
+from sim.flights.recording import QUANTITIES, Floats, Group, Recording, RecordingError
+
+FAR = 6.0  # units differ by more, except degrees of yaw from nothing
+STEP_S = (0.5e-3, 0.1)  # of recordings that show a quadrotor's motion
+ROOM_M = 50.0  # widest
+CELL_V = 3.7
+DUTY = 0.5  # in flight; batteries and vehicles leave a factor of 2
+TILT_MAX_DEG = 60.0  # median of a flight
+OPPOSITE = -0.5  # correlation of an axis with the wrong sign
+MOVES = {"attitude": 0.05, "position": 0.05, "velocity": 0.05, "tilt": 0.01}  # less is noise; SI
+
+
+class _Scale(NamedTuple):
+    """How large a quantity is against what it should be."""
+
+    name: str
+    ratio: float
+    told: str
+
+
+def check(recording: Recording, columns: Mapping[str, Group]) -> None:
+    """Refuse a recording whose values cannot be what ``columns`` says.
+
+    Raises:
+        RecordingError: names each quantity, what was found, and the unit that would fit.
+    """
+    low, high = STEP_S
+    if not low <= recording.step_s <= high:
+        scale = _Scale("time", recording.step_s / 0.01, f"samples are {recording.step_s:.3g} s apart")
+        raise RecordingError(_wrong(scale, columns) + f"; {low:g} to {high:g} s are allowed")
+    far = [scale for scale in _scales(recording) if not 1.0 / FAR <= scale.ratio <= FAR]
+    far = [scale for scale in far if _fits(scale, columns)] or far  # the others follow from those
+    found = [_wrong(scale, columns) for scale in far] + list(_turned(recording))
+    if found:
+        raise RecordingError("; ".join(found))
+
+
+def _fits(scale: _Scale, columns: Mapping[str, Group]) -> list[str]:
+    declared = abs(columns[scale.name].factors[0])
+    units = QUANTITIES[scale.name].units
+    return [u for u, factor in units.items() if 1.0 / FAR <= scale.ratio * factor / declared <= FAR]
+
+
+def _wrong(scale: _Scale, columns: Mapping[str, Group]) -> str:
+    """Say what was found and which unit would fit."""
+    declared, fits = abs(columns[scale.name].factors[0]), _fits(scale, columns)
+    unit = next(u for u, factor in QUANTITIES[scale.name].units.items() if np.isclose(factor, declared))
+    hint = f"unit {' or '.join(fits)} would fit" if fits else "no unit fits: are these its columns?"
+    return f"{scale.name}: {scale.told}, if the unit is {unit}; {hint}"
+
+
+def _scales(r: Recording) -> Iterator[_Scale]:
+    """Yield the scale of every quantity that this flight can tell."""
+    moving = np.isfinite(r.duty).all(axis=1) & (r.duty.max(axis=1) > 0.0)
+    span_m = max(_spread(r.position_m), 1e-9)
+    if span_m > ROOM_M:
+        yield _Scale("position", span_m, f"the flight is {2.0 * span_m:.3g} m wide")
+    if moving.any():
+        duty = float(np.median(r.duty[moving]))
+        yield _Scale("pwm", duty / DUTY, f"the median is {duty:.3g} of the highest command")
+    volt = float(np.nanmedian(r.battery_v)) if np.isfinite(r.battery_v).any() else CELL_V
+    yield _Scale("battery", volt / CELL_V, f"the median is {volt:.3g} V")
+    derived = np.gradient(r.position_m, r.time_s, axis=0)
+    pairs = [
+        ("velocity", r.velocity_m_s, derived, MOVES["velocity"], "derivative of the position"),
+        ("rates", r.rates_rad_s, rates_rad_s(r), MOVES["attitude"], "derivative of the attitude"),
+        ("estimate_position", r.estimate_position_m, r.position_m, MOVES["position"], "position"),
+        ("estimate_velocity", r.estimate_velocity_m_s, r.velocity_m_s, MOVES["velocity"], "velocity"),
+        ("setpoint_position", r.setpoint_position_m, r.position_m, MOVES["position"], "position"),
+    ]
+    if r.estimate_attitude_rad is not None:
+        pairs.append(
+            ("estimate_attitude", r.estimate_attitude_rad[:, :2], _roll_pitch(r), MOVES["tilt"], "attitude")
+        )  # fmt: skip
+    for name, values, reference, least, told in pairs:
+        if values is None:
+            continue
+        if name == "rates":
+            values, reference = band(values, r.step_s), band(reference, r.step_s)
+        size, true = _spread(values), _spread(reference)
+        if true > least and size > 0.0:
+            yield _Scale(name, size / true, f"{size / true:.3g} times the {told}")
+
+
+def _turned(r: Recording) -> Iterator[str]:
+    """Yield what is turned or has the wrong sign."""
+    up = _matrix(r)[:, 2, 2]
+    tilt_deg = float(np.degrees(np.arccos(np.clip(np.median(up), -1.0, 1.0))))
+    if tilt_deg > TILT_MAX_DEG:
+        yield (
+            f"attitude: tilted by {tilt_deg:.0f} degrees in the middle; columns are w, x, y, z of the "
+            "rotation from body (forward, left, up) to world (z up)"
+        )
+        return
+    yield from _signs("rates", band(r.rates_rad_s, r.step_s), band(rates_rad_s(r), r.step_s), "attitude")
+    if r.estimate_attitude_rad is not None:
+        yield from _signs("estimate_attitude", r.estimate_attitude_rad[:, :2], _roll_pitch(r), "tilt")
+
+
+def _signs(name: str, values: Floats, reference: Floats, kind: str) -> Iterator[str]:
+    good = np.isfinite(values).all(axis=1) & np.isfinite(reference).all(axis=1)
+    if _spread(reference) <= MOVES[kind] or not good.any():
+        return
+    for axis in range(values.shape[1]):
+        a, b = (v[good, axis] - v[good, axis].mean() for v in (values, reference))
+        size = float(np.sqrt((a**2).sum() * (b**2).sum()))
+        if size > 0.0 and float((a * b).sum()) / size < OPPOSITE:
+            yield f"{name}: column {axis + 1} is opposite to the attitude's; set its sign to -1, or mend the attitude"
+
+
+def _spread(values: Floats) -> float:
+    """Return the median distance from the median, over all axes: a part that is damaged does not count."""
+    good = values[np.isfinite(values).all(axis=1)]
+    return float(np.median(np.linalg.norm(good - np.median(good, axis=0), axis=1))) if len(good) else 0.0
+
+
+def _matrix(r: Recording) -> Floats:
+    good = r.attitude[np.isfinite(r.attitude).all(axis=1)]
+    if not len(good):
+        return np.eye(3)[None]
+    made: Floats = Rotation.from_quat(good, scalar_first=True).as_matrix()
+    return made
+
+
+def _roll_pitch(r: Recording) -> Floats:
+    """Return (n, 2) roll and pitch by motion capture, NaN where it is missing."""
+    w, x, y, z = r.attitude.T
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return np.stack([roll, np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))], axis=1)

@@ -1,0 +1,152 @@
+"""Values that cannot be what the table of columns says; clocks that differ."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from sim.flights.motion import clock_lag_s
+from sim.flights.recording import COLUMNS, PWM_MAX, RecordingError, read_columns
+from sim.flights.screening import load, screen
+from tests.unit.flights.test_recording import COLUMN_TABLE, RATE_HZ, flight, read
+
+
+def wobbling(seconds=16.0, late_s=0.0):
+    """A flight that rolls and pitches; the gyro is logged ``late_s`` behind, a number or an array."""
+    columns = flight(seconds)
+    t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
+
+    def attitude(at):
+        roll, pitch = 0.1 * np.sin(6.0 * at) + 0.05 * np.sin(1.7 * at), 0.08 * np.sin(4.1 * at)
+        return Rotation.from_euler("ZYX", np.stack([0.0 * at, pitch, roll], axis=1))
+
+    turned, logged = attitude(t), attitude(t - late_s)
+    for name, values in zip(("qw", "qx", "qy", "qz"), turned.as_quat(scalar_first=True).T, strict=True):
+        columns[name] = values
+    rates = np.gradient(logged.as_euler("xyz"), t, axis=0)  # small angles
+    for axis, values in zip("xyz", rates.T, strict=True):
+        columns[f"imu_gyro_{axis}"] = values
+    roll, pitch = turned.as_euler("ZYX").T[[2, 1]]
+    columns["att_stateEstimate_roll"], columns["att_stateEstimate_pitch"] = (
+        np.degrees(roll),
+        -np.degrees(pitch),
+    )
+    columns["sp_ctrltarget_x"] = columns["px"]
+    columns["sp_ctrltarget_y"] = columns["py"]
+    for axis in "xyz":
+        columns[f"est_stateEstimate_v{axis}"] = columns[f"v{axis}"]
+    return columns
+
+
+def written(tmp_path, columns):
+    path = tmp_path / "flight.parquet"
+    pa.parquet.write_table(pa.table(columns), path)
+    return path
+
+
+def test_a_flight_in_the_units_of_the_table_is_used(tmp_path):
+    found = load(written(tmp_path, wobbling()), COLUMN_TABLE)
+    assert found.usable
+    assert not found.left_out
+
+
+@pytest.mark.parametrize(
+    ("names", "factor", "says"),
+    [
+        (("px", "py", "pz"), 1000.0, "position: the flight is .* wide, .* is m; unit .*mm would fit"),
+        (("vx", "vy", "vz"), 1000.0, "^velocity: 951 times the derivative .* unit mm/s would fit$"),
+        (("imu_gyro_x", "imu_gyro_y", "imu_gyro_z"), 180.0 / math.pi, "rates: .* unit deg/s would fit"),
+        (tuple(f"motor_motor_m{i}" for i in (1, 2, 3, 4)), 1.0 / PWM_MAX, "pwm: .* is PWM; unit 1 would fit"),
+        (("pwr_pm_vbat",), 1000.0, "battery: the median is .* unit mV would fit"),
+        (tuple(f"est_stateEstimate_{a}" for a in "xyz"), 100.0, "estimate_position: .* unit cm would fit"),
+        (tuple(f"est_stateEstimate_v{a}" for a in "xyz"), 1000.0, "estimate_velocity: .* mm/s would fit"),
+        (
+            ("att_stateEstimate_roll", "att_stateEstimate_pitch"), math.pi / 180.0,
+            "estimate_attitude: .* unit rad would fit",
+        ),
+        (("sp_ctrltarget_x", "sp_ctrltarget_y"), 1000.0, "setpoint_position: .* unit mm would fit"),
+        (("imu_gyro_x", "imu_gyro_y", "imu_gyro_z"), 9000.0, "no unit fits: are these its columns"),
+        (("imu_gyro_y",), -1.0, "rates: column 2 is opposite to the attitude's; set its sign to -1"),
+        (("att_stateEstimate_pitch",), -1.0, "estimate_attitude: column 2 is opposite"),
+    ],
+)  # fmt: skip
+def test_other_units_and_signs_are_noticed_and_named(tmp_path, names, factor, says):
+    columns = wobbling()
+    for name in names:
+        columns[name] = factor * columns[name]
+    with pytest.raises(RecordingError, match=says):
+        load(written(tmp_path, columns), COLUMN_TABLE)
+
+
+def test_time_in_milliseconds_is_noticed_alone(tmp_path):
+    columns = wobbling()
+    columns["t"] = 1000.0 * (columns["t"] - columns["t"][0])
+    with pytest.raises(RecordingError, match=r"^time: samples are 10 s apart.* unit ms would fit"):
+        load(written(tmp_path, columns), COLUMN_TABLE)
+
+
+@pytest.mark.parametrize(
+    ("order", "says"), [("xwyz", "tilted by 1.. degrees"), ("xyzw", "or mend the attitude")]
+)
+def test_a_quaternion_in_another_order_is_noticed(tmp_path, order, says):
+    columns = wobbling()
+    columns["qw"], columns["qx"], columns["qy"], columns["qz"] = (columns[f"q{c}"] for c in order)
+    with pytest.raises(RecordingError, match=says):
+        load(written(tmp_path, columns), COLUMN_TABLE)
+
+
+def test_the_unit_that_is_named_makes_the_flight_usable(tmp_path):
+    columns = wobbling()
+    for axis in "xyz":
+        columns[f"imu_gyro_{axis}"] = np.degrees(columns[f"imu_gyro_{axis}"])
+    path = written(tmp_path, columns)
+    table = tmp_path / "columns.toml"
+    from sim.flights.recording import COLUMNS
+
+    table.write_text(COLUMNS.read_text().replace('unit = "rad/s"', 'unit = "deg/s"'))
+    assert load(path, read_columns(table)).usable
+
+
+def test_missing_values_do_not_disturb_the_check_of_units(tmp_path):
+    columns = wobbling()
+    for name in ("qx", "imu_gyro_x", "px", "pwr_pm_vbat", "motor_motor_m1"):
+        columns[name] = np.where(np.arange(len(columns["t"])) % 400 == 7, np.nan, columns[name])
+    found = load(written(tmp_path, columns), COLUMN_TABLE)
+    assert any("values missing" in reason.text for reason in found.left_out)
+
+
+@settings(max_examples=20, deadline=None)
+@given(late_s=st.floats(-0.2, 0.2))
+def test_the_lag_of_the_log_is_found(tmp_path_factory, late_s):
+    found = clock_lag_s(read(tmp_path_factory.mktemp("late"), wobbling(late_s=late_s)))
+    assert np.nanmedian(found) == pytest.approx(late_s, abs=0.021)
+
+
+def test_what_does_not_turn_has_no_clock(tmp_path):
+    assert np.isnan(clock_lag_s(read(tmp_path, flight()))).all()
+
+
+def test_the_part_of_a_flight_with_another_clock_is_left_out(tmp_path):
+    t = np.arange(0.0, 40.0, 1.0 / RATE_HZ)
+    found = screen(read(tmp_path, wobbling(40.0, late_s=np.where(t > 25.0, 0.12, 0.0))))
+    (reason,) = found.left_out
+    assert reason.text == "clocks of log and motion capture differ by up to 120 ms"
+    assert reason.seconds == pytest.approx(14.5, abs=2.0)
+    (piece,) = found.pieces
+    assert piece.stop / RATE_HZ == pytest.approx(25.0, abs=2.0)
+
+
+def test_a_flight_that_is_damaged_for_long_is_not_used_at_all(tmp_path):
+    columns = wobbling(30.0)
+    columns["est_stateEstimate_x"] = columns["est_stateEstimate_x"].copy()
+    columns["est_stateEstimate_x"][1000:1300] += 2.0
+    found = screen(read(tmp_path, columns))
+    assert not found.usable
+    assert "damaged for 3.2 s of" in found.left_out[-1].text
