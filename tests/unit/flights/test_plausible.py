@@ -73,7 +73,7 @@ def test_a_flight_in_the_units_of_the_table_is_used(tmp_path):
         ),
         (("sp_ctrltarget_x", "sp_ctrltarget_y"), 1000.0, "setpoint_position: .* unit mm would fit"),
         (("imu_gyro_x", "imu_gyro_y", "imu_gyro_z"), 9000.0, "no unit fits: are these its columns"),
-        (("imu_gyro_y",), -1.0, "rates: column 2 is opposite to the attitude's; set its sign to -1"),
+        (("imu_gyro_y",), -1.0, "rates: column 2 is opposite to the attitude's; set its sign"),
         (("att_stateEstimate_pitch",), -1.0, "estimate_attitude: column 2 is opposite"),
     ],
 )  # fmt: skip
@@ -108,8 +108,6 @@ def test_the_unit_that_is_named_makes_the_flight_usable(tmp_path):
         columns[f"imu_gyro_{axis}"] = np.degrees(columns[f"imu_gyro_{axis}"])
     path = written(tmp_path, columns)
     table = tmp_path / "columns.toml"
-    from sim.flights.recording import COLUMNS
-
     table.write_text(COLUMNS.read_text().replace('unit = "rad/s"', 'unit = "deg/s"'))
     assert load(path, read_columns(table)).usable
 
