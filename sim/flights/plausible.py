@@ -120,7 +120,7 @@ def _signs(name: str, values: Floats, reference: Floats, kind: str) -> Iterator[
         a, b = (v[good, axis] - v[good, axis].mean() for v in (values, reference))
         size = float(np.sqrt((a**2).sum() * (b**2).sum()))
         if size > 0.0 and float((a * b).sum()) / size < OPPOSITE:
-            yield f"{name}: column {axis + 1} is opposite to the attitude's; set its sign, or mend the attitude"
+            yield f"{name}: column {axis + 1} is opposite to the attitude; set its sign, or mend the attitude"
 
 
 def _spread(values: Floats) -> float:
