@@ -21,12 +21,12 @@ from flightstack.launch.run_options import Flies, RunOptions
 from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import PROFILES, PX4
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
-from sim.scenarios.scenario import Airframe, Scenario, StartKind
+from sim.scenarios.scenario import Scenario, StartKind
 
 _EAST_DEG = 90.0  # where the nose points
 SIMULATOR_PORT = 4560  # where PX4 of instance 0 connects to
 _ARDUPILOT_TCP = 5760  # SERIAL0 of instance 0; 10 more for each
-_PX4_CONFIG = {Airframe.CRAZYFLIE20: "px4-crazyflie", Airframe.QUAD_1000G: "px4-1kg"}
+_PX4_CONFIG = {"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}
 
 
 @dataclass
@@ -243,8 +243,8 @@ def configuration_for(flies: Flies, scenario: Scenario) -> str | None:
     if flies is Flies.ARDUPILOT:
         return "ardupilot-1kg"
     if flies is Flies.PX4_SIH:
-        return _PX4_CONFIG[Airframe.QUAD_1000G]
-    return _PX4_CONFIG[scenario.vehicle.airframe] if flies is Flies.PX4 else None
+        return _PX4_CONFIG["quad_1000g"]
+    return _PX4_CONFIG.get(scenario.vehicle.airframe) if flies is Flies.PX4 else None
 
 
 def common_options(launcher: Launcher, options: RunOptions) -> dict[str, object]:

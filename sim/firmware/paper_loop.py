@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import math
 
+from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import Record, new
 from sim.compiled.rotation import Nine, nine
 from sim.firmware.attitude import AttitudeRecord, Counts, attitude_moments
-from sim.firmware.mixer import COUNTS_MAX
+from sim.firmware.mixer import nominal_counts_per_n
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import Params
 
@@ -83,13 +84,22 @@ class PaperLoop:
     def __init__(self, params: Params, record: PaperRecord | None = None) -> None:
         self.record = r = new(PaperRecord) if record is None else record
         r.weight = self._weight = params.body.mass_kg * params.contact.gravity_m_s2
-        r.counts_per_n = COUNTS_MAX / (4.0 * params.rotor.thrust_max_n)
+        r.counts_per_n = nominal_counts_per_n(params)
         r.attitude.wx = math.nan
 
     def reset(self) -> None:
         """Forget integrals."""
         paper_reset(self.record)
 
-    def trim(self, force: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Return the set-point at which the loop, at rest, asks for ``force`` (world, N)."""
-        return (force[0] / K_V_N_S_M, force[1] / K_V_N_S_M, (force[2] - self._weight) / K_V_N_S_M)
+    def trim(self, force: Vec3, counts_per_n: float, moments: Counts = (0, 0, 0)) -> Vec3:
+        """Return the set-point at which the loop, at rest, asks for ``force`` (world, N).
+
+        Args:
+            force: nominal thrust of the hover.
+            counts_per_n: thrust counts per newton of it, of which the loop knows the nominal value only.
+            moments: counts that balance motors that differ; only an error of the attitude makes them here.
+        """
+        del moments
+        scale = counts_per_n / self.record.counts_per_n
+        fx, fy, fz = scale * force[0], scale * force[1], scale * force[2]
+        return (fx / K_V_N_S_M, fy / K_V_N_S_M, (fz - self._weight) / K_V_N_S_M)

@@ -171,19 +171,26 @@ class PidLoop:
         c.roll_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)  # PID_ROLL_RATE
         c.pitch_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)  # PID_PITCH_RATE
         c.yaw_rate = pid_record(120.0, 16.7, 0.0, 166.7, fast)  # PID_YAW_RATE
-        self._counts_per_n = COUNTS_MAX / (4.0 * params.rotor.thrust_max_n)
         c.mode = UNKNOWN
 
     def reset(self) -> None:
         """Forget integrals."""
         cascade_reset(self.record)
 
-    def trim(self, force: Vec3) -> Vec3:
-        """Load the integrals for hover at yaw 0 under ``force`` (world, N); the set-point is then zero."""
+    def trim(self, force: Vec3, counts_per_n: float, moments: Counts = (0, 0, 0)) -> Vec3:
+        """Load the integrals for hover at yaw 0 under ``force`` (world, N); the set-point is then zero.
+
+        Args:
+            force: nominal thrust of the hover.
+            counts_per_n: thrust counts per newton of it.
+            moments: counts that balance motors that differ.
+        """
         c = self.record
         c.mode = FREE
         thrust = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
         c.vx.integral = math.atan2(force[0], force[2]) * DEG / c.vx.ki
         c.vy.integral = math.asin(force[1] / thrust) * DEG / c.vy.ki
-        c.vz.integral = (thrust * self._counts_per_n - THRUST_BASE) / THRUST_SCALE / c.vz.ki
+        c.vz.integral = (thrust * counts_per_n - THRUST_BASE) / THRUST_SCALE / c.vz.ki
+        for pid, moment in zip((c.roll_rate, c.pitch_rate, c.yaw_rate), moments, strict=True):
+            pid.integral = moment / pid.ki
         return (0.0, 0.0, 0.0)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Motors, Record, reader
 from sim.firmware.estimator import Estimator, EstimatorRecord
-from sim.firmware.mixer import OFF, MapRecord, mix, motor_speed, set_up_map
+from sim.firmware.mixer import OFF, MapRecord, counts_per_n, mix, moments_of, motor_speed, set_up_map
 from sim.firmware.paper_loop import PaperLoop, PaperRecord, paper_reset, paper_update
 from sim.firmware.pid import CascadeRecord, PidLoop, cascade_reset, cascade_update
 from sim.firmware.setpoint import (
@@ -101,8 +102,9 @@ class Firmware:
         self.record = record
         self._commands, self._read_commands = record.commands, reader(record.commands)
         self._delay_ms = round(spec.setpoint_delay_s * 1000.0)
+        self._params = params
         record.gravity = gravity = params.contact.gravity_m_s2
-        set_up_map(record.thrust_map, params.rotor)
+        set_up_map(record.thrust_map, params.rotor, params.battery)
         self._inbox = Inbox(record.inbox, record.setpoint)
         self._inbox.set(STOP, 0)
         paper, pid = PaperLoop(params, record.paper), PidLoop(params, record.pid)
@@ -120,6 +122,21 @@ class Firmware:
     @commands.setter
     def commands(self, commands: Four) -> None:
         self._commands[:] = commands
+
+    def trim(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
+        """Trim the controller for hover at yaw 0; returns the velocity set-point that holds it.
+
+        Args:
+            force: of nominal motors, world frame, N.
+            motors: thrust of each as share of the mean motor's.
+            battery_v: under the load of the hover.
+        """
+        thrust_n = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+        per_n = counts_per_n(self._params, thrust_n, battery_v)
+        each = [
+            counts_per_n(self._params, thrust_n / share, battery_v) * thrust_n / share for share in motors
+        ]
+        return self.controller.trim(force, per_n, moments_of(each))
 
     def start_flying(self, setpoint: Setpoint) -> None:
         """Begin armed and in the air at time zero."""

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import resources
-from pathlib import Path
 
-from flightstack.common.strict_toml import from_table, read_toml
+from flightstack.common.strict_toml import ConfigError, from_table, read_toml
 from flightstack.core.types import Vec3
 from sim.plant.sensors import stream
-from sim.scenarios.scenario import Airframe, VehicleSpec
+from sim.scenarios.scenario import VEHICLE_FILES, VehicleSpec
 
 STEP_S = 0.001  # physics step
 CONTROL_STEP_S = 0.002  # firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
@@ -18,16 +16,21 @@ CONTROL_STEP_S = 0.002  # firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """Rigid body."""
+    """Rigid body; its drag acts ``drag_above_com_m`` above the centre of mass, along body z."""
 
     mass_kg: float
     inertia_kg_m2: Vec3
     drag_n_s_m: Vec3
+    drag_above_com_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Rotor:
-    """One motor with its propeller."""
+    """One motor with its propeller.
+
+    ``battery_compensated``: the firmware scales its duty cycles by the battery's voltage, so that counts are
+    linear in thrust; otherwise a count is a share of the battery's voltage at the motor.
+    """
 
     arm_m: float
     above_com_m: float
@@ -42,6 +45,7 @@ class Rotor:
     lag_s: float
     slow_rise_1_s: float
     slow_fall_1_rpm_s: float
+    battery_compensated: bool = True
 
     def thrust_n(self, rpm: float) -> float:
         """Static thrust of one rotor."""
@@ -67,6 +71,14 @@ class Battery:
     hover_current_a: float
     speed_at_zero_v_rpm: float
     speed_per_volt_rpm: float
+
+    def speed_rpm(self, motor_v: float) -> float:
+        """Speed that a rotor settles at with this mean voltage at its motor."""
+        return self.speed_at_zero_v_rpm + self.speed_per_volt_rpm * motor_v
+
+    def motor_v(self, speed_rpm: float) -> float:
+        """Mean voltage at the motor that holds a speed (inverse of ``speed_rpm``)."""
+        return (speed_rpm - self.speed_at_zero_v_rpm) / self.speed_per_volt_rpm
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,24 +173,34 @@ class Plant:
     mass: float = 1.0
     motor_lag: float = 1.0
     thrust: float = 1.0
+    motors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)  # thrust of M1..M4; their mean is 1
+    battery_charge: float = 1.0  # share of a full cell at the start
 
     @classmethod
     def draw(cls, spec: VehicleSpec, seed: int) -> Plant:
-        """Draw from uniform distributions of the scenario's half-widths."""
-        mass, lag, thrust = stream(seed, "plant").uniform(-1.0, 1.0, 3).tolist()
+        """Draw from uniform distributions of the scenario's half-widths and ranges."""
+        draws = stream(seed, "plant")
+        mass, lag, thrust = draws.uniform(-1.0, 1.0, 3).tolist()
+        motors = 1.0 + spec.motor_spread * draws.uniform(-1.0, 1.0, 4)
+        m1, m2, m3, m4 = (motors / motors.mean()).tolist()
         return cls(
             1.0 + spec.mass_spread * mass,
             1.0 + spec.motor_lag_spread * lag,
             1.0 + spec.thrust_spread * thrust,
+            (m1, m2, m3, m4),
+            float(draws.uniform(*spec.battery_charge)),
         )
 
 
 @cache
-def load(airframe: Airframe = Airframe.CRAZYFLIE20) -> Params:
-    """Read the parameter file of a vehicle that comes with the package.
+def load(airframe: str = "crazyflie20") -> Params:
+    """Read the parameter file of a vehicle that comes with the package, or the user's own by its path.
 
     Raises:
-        ConfigError: an unknown, missing or ill-typed key.
+        ConfigError: no such file, or an unknown, missing or ill-typed key.
     """
-    path = Path(str(resources.files("sim.vehicles") / f"{airframe.value}.toml"))
-    return from_table(Params, read_toml(path))
+    path = VEHICLE_FILES.path_of(airframe)
+    try:
+        return from_table(Params, read_toml(path))
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None

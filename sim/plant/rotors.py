@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Motors, Record, new, scalars
 from sim.plant.params import Battery, Plant, Rotor
@@ -30,6 +32,7 @@ class RotorRecord(Record):
     """Rotor speeds and the wrench they make."""
 
     rpm: Motors
+    share: Motors  # of each motor's thrust and drag torque in those of the mean motor
     thrust_n: float  # sum of the thrusts, along body z
     torque_x: float  # on the body, N m
     torque_y: float
@@ -74,14 +77,17 @@ def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
     t1, t2, t3, t4 = (p1 + p2 * r1) * r1, (p1 + p2 * r2) * r2, (p1 + p2 * r3) * r3, (p1 + p2 * r4) * r4
     if min(r1, r2, r3, r4) < ALWAYS_POSITIVE_RPM:
         t1, t2, t3, t4 = max(t1, 0.0), max(t2, 0.0), max(t3, 0.0), max(t4, 0.0)
-    f = r.cushion
-    t1, t2, t3, t4 = f[0] * t1, f[1] * t2, f[2] * t3, f[3] * t4
+    f, s = r.cushion, r.share
+    t1, t2, t3, t4 = f[0] * t1 * s[0], f[1] * t2 * s[1], f[2] * t3 * s[2], f[3] * t4 * s[3]
     spin = r.gyro * (r2 + r4 - r1 - r3)  # I_p sum(MIX_YAW_i w_i) = -h_z
     r.thrust_n = t1 + t2 + t3 + t4
     r.torque_x = r.arm * (t3 + t4 - t1 - t2) + wy * spin
     r.torque_y = r.arm * (t2 + t3 - t1 - t4) - wx * spin
     r.torque_z = (
-        (q1 + q2 * r2) * r2 + (q1 + q2 * r4) * r4 - (q1 + q2 * r1) * r1 - (q1 + q2 * r3) * r3
+        s[1] * ((q1 + q2 * r2) * r2)
+        + s[3] * ((q1 + q2 * r4) * r4)
+        - s[0] * ((q1 + q2 * r1) * r1)
+        - s[2] * ((q1 + q2 * r3) * r3)
     ) + r.reaction * (d2 + d4 - d1 - d3)
 
 
@@ -90,7 +96,7 @@ class Rotors:
 
     Args:
         rotor: static maps, lag, geometry.
-        plant: factors on thrust (and with it torque) and on the lag.
+        plant: factors on thrust (and with it torque), of all and of each motor, and on the lag.
         slow: the slow, asymmetric lag instead of the first-order one.
         step_s: time between calls of ``turn_rotors``.
         record: where to keep everything; None for a place of its own.
@@ -112,7 +118,7 @@ class Rotors:
         r.slow_rise = -math.expm1(-step_s * rotor.slow_rise_1_s / plant.motor_lag)
         r.slow_fall = step_s * rotor.slow_fall_1_rpm_s / plant.motor_lag
         r.slow = slow
-        r.cushion[:] = 1.0
+        r.cushion[:], r.share[:] = 1.0, plant.motors
 
     @property
     def rpm(self) -> Four:
@@ -161,15 +167,18 @@ def speed_limit(b: BatteryRecord) -> float:
 
 
 class BatteryModel:
-    """One cell, full at first.
+    """One cell.
 
     Args:
         battery: parameters.
         hover_rpm: speed of all rotors at which it gives its hover current.
         record: where to keep everything; None for a place of its own.
+        charge: share of a full cell at first.
     """
 
-    def __init__(self, battery: Battery, hover_rpm: float, record: BatteryRecord | None = None) -> None:
+    def __init__(
+        self, battery: Battery, hover_rpm: float, record: BatteryRecord | None = None, charge: float = 1.0
+    ) -> None:
         self.record = b = new(BatteryRecord) if record is None else record
         self._voltage = scalars(b, "voltage_v")[0]
         b.hover_power = 4.0 * hover_rpm**3
@@ -178,7 +187,14 @@ class BatteryModel:
         b.idle_current_a, b.hover_current_a = battery.idle_current_a, battery.hover_current_a
         b.speed_at_zero_v_rpm = battery.speed_at_zero_v_rpm
         b.speed_per_volt_rpm = battery.speed_per_volt_rpm
-        b.voltage_v = battery.full_v - battery.resistance_ohm * battery.idle_current_a
+        b.used_a_s = (1.0 - charge) * battery.charge_a_s
+        rest_v = battery.full_v - (battery.full_v - battery.empty_v) * (1.0 - charge)
+        b.voltage_v = rest_v - battery.resistance_ohm * battery.idle_current_a
+
+    def load(self, rpm: Sequence[float]) -> float:
+        """Put the load of these rotor speeds on the cell; returns the voltage under it."""
+        drain(self.record, np.array(rpm), 0.0)
+        return self.voltage_v
 
     @property
     def voltage_v(self) -> float:

@@ -17,6 +17,9 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Vec3
 from sim.scenarios.fault_spec import Fault
 
+Share = Annotated[float, span(0.0, 1.0)]
+VEHICLE_FILES = Files(dict, "sim.vehicles", "vehicle.airframe")  # read by ``sim.plant.params``
+
 
 class StartKind(Enum):
     """How the vehicle begins."""
@@ -40,13 +43,6 @@ class VelocityLoop(Enum):
 
     PAPER = "paper"  # eq. 8 with K1, K2 in the Mellinger attitude controller
     PID = "pid"  # Crazyflie firmware position_controller_pid.c
-
-
-class Airframe(Enum):
-    """Vehicles with a parameter file of that name in ``sim``."""
-
-    CRAZYFLIE20 = "crazyflie20"
-    QUAD_1000G = "quad_1000g"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,15 +99,23 @@ class OdometryLink:
 class VehicleSpec:
     """The simulated vehicle: its file, velocity loop, spreads of its plant, mocap of its estimator."""
 
-    airframe: Airframe = Airframe.CRAZYFLIE20
+    airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or path of one's own
     velocity_loop: VelocityLoop = VelocityLoop.PAPER
     mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0
     motor_lag_spread: Annotated[float, span(0.0, 0.9)] = 0.0
     thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0
+    motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0  # each motor's thrust about the mean of the four
+    battery_charge: tuple[Share, Share] = (1.0, 1.0)  # share of a full cell at the start, lowest and highest
     slow_motors: bool = False  # 0.136 s up, 0.108 s down instead of 0.07 s
     ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0
     mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
     setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # radio, one way (Crazyradio: 2 to 7 ms)
+
+    def __post_init__(self) -> None:
+        VEHICLE_FILES.path_of(self.airframe)
+        low, high = self.battery_charge
+        if low > high:
+            raise ConfigError(f"battery_charge: found [{low:g}, {high:g}], the lower share comes first")
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ BATTERY_EVERY_MS = 10
 class DragRecord(Record):
     """Rotor drag and weight."""
 
+    height: float  # of the point where it acts, above the centre of mass along body z, m
     xy: float  # N s/m
     along: float  # what drag along body z adds to that
     weight: float  # N
@@ -91,6 +92,10 @@ def push(v: VehicleRecord) -> None:
     force[0], force[1] = drag.xy * ax + along * zx, drag.xy * ay + along * zy
     force[2] = drag.xy * az + along * zz - drag.weight
     wrench.torque[0], wrench.torque[1], wrench.torque[2] = rotors.torque_x, rotors.torque_y, rotors.torque_z
+    if drag.height != 0.0:
+        moment = drag.height * drag.xy  # of the drag along body x and y: (0, 0, height) x force
+        wrench.torque[0] -= moment * (ax * axes[3] + ay * axes[4] + az * axes[5])
+        wrench.torque[1] += moment * (ax * axes[0] + ay * axes[1] + az * axes[2])
 
 
 @jitted

@@ -55,10 +55,11 @@ class Physics:
         pad_radius = scenario.target.pad_radius_m
         set_up_ground(r.ground, params.rotor, scenario.vehicle.ground_effect_gain, pad_radius)
         self.hover_rpm = params.rotor.rpm(self.weight_n / 4.0 / plant.thrust)
-        self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery)
+        self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery, plant.battery_charge)
         self.wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
         drag_xy, _, drag_z = params.body.drag_n_s_m
         r.drag.xy, r.drag.along, r.drag.weight = drag_xy, drag_z - drag_xy, self.weight_n
+        r.drag.height = params.body.drag_above_com_m
         judge = scenario.judge
         self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)
         cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)

@@ -91,11 +91,16 @@ class VehicleSim:
             length = math.sqrt(fx * fx + fy * fy + fz * fz)
             zx, zy, zz = fx / length, fy / length, fz / length
         self._world.set_vehicle(position, quaternion_from_axes(axes_from_force(fx, fy, fz, 1.0, 0.0)))
-        rpm = self._params.rotor.rpm(length / 4.0 / self.plant.thrust)
-        self._rotors.rpm = (rpm, rpm, rpm, rpm)
+        m1, m2, m3, m4 = (
+            self._params.rotor.rpm(length / 4.0 / self.plant.thrust / share) for share in self.plant.motors
+        )
+        self._rotors.rpm = (m1, m2, m3, m4)
+        if not self._params.rotor.battery_compensated:
+            self._battery.load(self._rotors.rpm)  # the first command depends on the voltage
         self._firmware.commands = self._rotors.rpm
         scale = self.plant.thrust
-        trim = self._firmware.controller.trim((fx / scale, fy / scale, fz / scale))
+        force = (fx / scale, fy / scale, fz / scale)
+        trim = self._firmware.trim(force, self.plant.motors, self._battery.voltage_v)
         self.trim_velocity_enu_m_s = trim
         self._firmware.start_flying(Setpoint(*trim))
 

@@ -21,7 +21,7 @@ from logs.reader.flight_data import Truth
 from logs.report.style import BOUNDARY, GRID, INK, TARGET, TRUE
 from sim.plant.params import load as load_plant
 from sim.runners.landing import Landing, land
-from sim.scenarios.scenario import Airframe, Scenario, StartKind, load
+from sim.scenarios.scenario import Scenario, StartKind, load
 
 F64 = npt.NDArray[np.float64]
 FILE = Path(__file__).parents[2] / "docs" / "figures" / "landing.svg"
@@ -46,7 +46,7 @@ def scenario() -> Scenario:
 
 def side_view(axes: Axes, truth: Truth, barrier: Barrier, touch_s: float) -> None:
     """Draw both paths from the side, and robot and barrier at three instants."""
-    robot = load_plant(Airframe.CRAZYFLIE20).robot
+    robot = load_plant("crazyflie20").robot
     x, z = truth.position_enu_m[:, 0], truth.position_enu_m[:, 2]
     shown = thinned(truth.t_s <= touch_s)
     axes.plot(x[shown], z[shown], color=TRUE, lw=1.8, label="path of the vehicle")

@@ -22,7 +22,6 @@ from sim.autopilot.watches import FENCE, STATION_LOST, STREAM_LOST, Action
 from sim.plant.params import load
 from sim.px4.airframe import PX4_OF_M, parameters
 from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
-from sim.scenarios.scenario import Airframe
 from tests.flight_suite.room import LIMITS
 from tests.unit.autopilot.autopilot_fakes import Rig
 
@@ -150,7 +149,7 @@ PX4_SIM = (DOCS / "how_to" / "px4_sim.md").read_text()
 
 
 def parameter_table():
-    found = [parameters(load(airframe)) for airframe in (Airframe.CRAZYFLIE20, Airframe.QUAD_1000G)]
+    found = [parameters(load(airframe)) for airframe in ("crazyflie20", "quad_1000g")]
     rows = [f"| {name} | {found[0][name]} | {found[1][name]} |" for name in found[0]]
     return "\n".join(["| parameter | crazyflie20 | quad_1000g |", "|---|---|---|", *rows])
 

@@ -22,12 +22,13 @@ from sim.plant.rotors import Rotors, turn_rotors
 PARAMS = load()
 WEIGHT = PARAMS.body.mass_kg * PARAMS.contact.gravity_m_s2
 HOVER_COUNTS = WEIGHT / 4.0 / 0.12 * 65535.0
+PER_N = 65535.0 / (4 * 0.12)  # counts
 LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 NO_RATES = (0.0, 0.0, 0.0)
 
 
 def speeds_of(counts, rpm_max=1e9):
-    thrust_map = set_up_map(new(MapRecord), PARAMS.rotor)
+    thrust_map = set_up_map(new(MapRecord), PARAMS.rotor, PARAMS.battery)
     return [motor_speed(thrust_map, c, rpm_max) for c in counts]
 
 
@@ -147,7 +148,9 @@ class TestPaperLoop:
     def test_trim_is_the_inverse(self):
         force = (0.03, -0.01, 0.33)
         counts, moments = paper(
-            sensed_at(axes=axes_from_force(*force, 1.0, 0.0)), Setpoint(*PaperLoop(PARAMS).trim(force)), False
+            sensed_at(axes=axes_from_force(*force, 1.0, 0.0)),
+            Setpoint(*PaperLoop(PARAMS).trim(force, PER_N)),
+            False,
         )
         assert counts * 4 * 0.12 / 65535 == pytest.approx(math.hypot(*force), rel=1e-9)
         assert moments == (0, 0, 0)
@@ -188,14 +191,14 @@ class TestPid:
     @pytest.mark.parametrize("force", [(0.05, 0.0, 0.33), (0.0, -0.05, 0.33), (0.0, 0.0, 0.4)])
     def test_trim_holds(self, force):
         loop = PidLoop(PARAMS)
-        setpoint = Setpoint(*loop.trim(force))
+        setpoint = Setpoint(*loop.trim(force, PER_N))
         counts, moments = pid(loop, sensed_at(axes=axes_from_force(*force, 1.0, 0.0)), setpoint, level=False)
         assert counts * 4 * 0.12 / 65535 == pytest.approx(math.hypot(*force), rel=1e-9)
         assert moments == pytest.approx((0, 0, 0), abs=1)
 
     def test_levelling_out_resets_and_levels(self):
         loop = PidLoop(PARAMS)
-        loop.trim((0.05, 0.0, 0.33))
+        loop.trim((0.05, 0.0, 0.33), PER_N)
         pid(loop, sensed_at(), Setpoint(), level=False)
         counts, moments = pid(loop, sensed_at(), Setpoint(1.0, 0.0, 0.0), level=True)
         assert counts == 36000.0
