@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cache
 
-from flightstack.common.strict_toml import ConfigError, from_table, read_toml
+from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.types import Vec3
 from sim.plant.sensors import stream
 from sim.scenarios.scenario import VEHICLE_FILES, VehicleSpec
@@ -201,6 +201,6 @@ def load(airframe: str = "crazyflie20") -> Params:
     """
     path = VEHICLE_FILES.path_of(airframe)
     try:
-        return from_table(Params, read_toml(path))
+        return from_table(Params, VEHICLE_FILES.table(path))
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None

@@ -99,7 +99,7 @@ class OdometryLink:
 class VehicleSpec:
     """The simulated vehicle: its file, velocity loop, spreads of its plant, mocap of its estimator."""
 
-    airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or path of one's own
+    airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or the path of another
     velocity_loop: VelocityLoop = VelocityLoop.PAPER
     mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0
     motor_lag_spread: Annotated[float, span(0.0, 0.9)] = 0.0
