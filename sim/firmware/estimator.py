@@ -141,6 +141,29 @@ def correct(e: EstimatorRecord, x: float, y: float, z: float, yaw: float) -> Non
 
 
 @jitted
+def replace_estimate(e: EstimatorRecord, state: F64, quaternion: F64, turn: F64) -> None:
+    """Believe this state from now on.
+
+    Args:
+        e: changed in place; the next ``predict`` follows with the axes.
+        state: position (m) and velocity (m/s), ENU.
+        quaternion: true attitude.
+        turn: small rotation vector of the believed attitude against the true one, body, rad.
+    """
+    s = e.sensed
+    for i in range(3):
+        s.position[i], s.velocity[i] = state[i], state[3 + i]
+    hx, hy, hz = 0.5 * turn[0], 0.5 * turn[1], 0.5 * turn[2]
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    scale = 1.0 / math.sqrt((1.0 + hx * hx + hy * hy + hz * hz) * (w * w + x * x + y * y + z * z))
+    s.quaternion[0] = scale * (w - x * hx - y * hy - z * hz)
+    s.quaternion[1] = scale * (x + w * hx + y * hz - z * hy)
+    s.quaternion[2] = scale * (y + w * hy + z * hx - x * hz)
+    s.quaternion[3] = scale * (z + w * hz + x * hy - y * hx)
+    e.since_sample_s = 0.0
+
+
+@jitted
 def turn_estimate(s: SensedState, dx: float, dy: float, dz: float) -> None:
     """Turn the attitude estimate by a small rotation vector in the world frame."""
     dx, dy, dz = 0.5 * dx, 0.5 * dy, 0.5 * dz

@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from typing import Annotated, NamedTuple
 
+import numpy as np
+
 from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Cell, Record, Vector, cell_of_numbers, new, reader
+from sim.compiled.records import F64, Cell, Record, Vector, cell, cell_of_numbers, new, reader
 from sim.plant.params import load
-from sim.plant.sensors import NS, MeasurementChannel, stream
-from sim.scenarios.scenario import OdometryLink, PathKind, TargetSpec
+from sim.plant.sensors import BLOCK, NS, MeasurementChannel, stream
+from sim.plant.state_error import DELAY, TURN, WIDTH, PastRecord, mismeasured, state_errors
+from sim.scenarios.scenario import PathKind, StateError, TargetLink, TargetSpec
 
 DRIVE_LAG_S = 0.1  # first-order lag of the drive; not documented by ROBOTIS, 0.05 to 0.15 s (assumption)
 
@@ -196,31 +199,59 @@ class TargetModel:
         self.yaw_rate_rad_s: float = pad[11]
 
 
+class TargetError:
+    """What motion capture makes of the true state; one call a sample, in order.
+
+    Args:
+        spec: errors.
+        seed: of the run.
+        rate_hz: of the samples.
+    """
+
+    def __init__(self, spec: StateError, seed: int, rate_hz: float) -> None:
+        self._rows = state_errors(spec, seed, "target", rate_hz)
+        self._left = np.empty((0, WIDTH))
+        self._past = new(PastRecord)
+        self._past.rate = rate_hz
+        self._cell, self._late = cell(self._past), self._past.late
+
+    def apply(self, model: TargetModel) -> tuple[Vec3, float, Vec3]:
+        """Position (ENU, m), heading (rad) and velocity in the body frame (m/s) as measured."""
+        if not len(self._left):
+            self._left = self._rows.take(BLOCK)
+        row, self._left = self._left[0], self._left[1:]
+        mismeasured(self._cell, np.array(model.pose.position_enu_m), np.array(model.velocity_enu_m_s), row)
+        x, y, z, vx, vy, vz = self._late.tolist()
+        yaw = model.pose.yaw_rad - model.yaw_rate_rad_s * float(row[DELAY]) + float(row[TURN + 2])
+        c, s = math.cos(yaw), math.sin(yaw)
+        return (x, y, z), yaw, (c * vx + s * vy, c * vy - s * vx, vz)
+
+
 class TargetOdometry:
     """Odometry of the target through its link.
 
     Call ``step`` at time zero and after every step of the model: it measures when a sample is due and returns
     the samples released by now, oldest first. One sample a call at most, so step at least at the link's rate.
     Yaw-rate noise is that of two wheels with the given speed noise: velocity noise over half the track.
+    With ``link.error`` a sample has the errors of a recorded flight first, then noise, loss and delay.
     """
 
-    def __init__(self, link: OdometryLink, seed: int) -> None:
+    def __init__(self, link: TargetLink, seed: int) -> None:
         p, v = link.position_noise_m, link.velocity_noise_m_s
         sigmas = (p, p, p, link.yaw_noise_rad, v, v, v, v / load().robot.wheel_half_track_m)
         self.channel = MeasurementChannel(link, sigmas, seed, "target.odometry")
+        self._error = None if link.error is None else TargetError(link.error, seed, link.rate_hz)
 
     def step(self, model: TargetModel) -> list[TargetMeasurement]:
         """Measure if due and return what has arrived."""
         now_ns = round(model.time_s * NS)
         channel = self.channel
         if now_ns >= channel.due_ns:
-            values = (
-                *model.pose.position_enu_m,
-                model.pose.yaw_rad,
-                *model.velocity_body_m_s,
-                model.yaw_rate_rad_s,
-            )
-            channel.sample(now_ns, values)
+            position, yaw = model.pose
+            velocity = model.velocity_body_m_s
+            if self._error is not None:
+                position, yaw, velocity = self._error.apply(model)
+            channel.sample(now_ns, (*position, yaw, *velocity, model.yaw_rate_rad_s))
         if now_ns < channel.release_ns:
             return []
         return [

@@ -95,9 +95,58 @@ class OdometryLink:
     dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0
 
 
+class TapeKind(Enum):
+    """What a recorded error is played back as."""
+
+    DELAY = "delay"  # time by which the recorded state was late, and what is left
+    RAW = "raw"  # offset of the recorded position and velocity, in the recorded axes
+
+
+@dataclass(frozen=True, slots=True)
+class StateError:
+    """Error of a measured state as in recorded flights: a varying delay above all, and correlated errors.
+
+    Defaults: fit to 48 flights of a Crazyflie 2.1 in a Vicon room (NanoBench, arXiv 2603.09908);
+    docs/how_it_works/own_state.md. Standard deviations, unless said otherwise.
+    """
+
+    tape: str | None = None  # folder of recorded flights; their error instead of the model below
+    tape_kind: TapeKind = TapeKind.DELAY
+    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.021  # of the position: mean of all flights
+    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.020  # from flight to flight
+    delay_shared: bool = False  # vehicle and target have the same delay but for its variation in flight
+    delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.022  # variation in flight: median flight
+    delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.06  # correlation (1 + t/T) exp(-t/T)
+    delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.015
+    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 2.0
+    delay_varies: Annotated[float, span(0.0, 2.0)] = 0.4  # of the logarithm of both, from flight to flight
+    velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.015  # delay of position less delay of velocity
+    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.014  # from flight to flight
+    position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0005  # each axis
+    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.013  # each axis, whatever the speed
+    velocity_along: Annotated[float, span(0.0, 1.0)] = 0.10  # share of the horizontal speed, along it
+    velocity_across: Annotated[float, span(0.0, 1.0)] = 0.03  # and across it
+    tilt_rad: Annotated[float, span(0.0, 0.2)] = 0.015  # misalignment of a flight, about body x and y
+    yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0017  # about body z
+    tilt_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.018  # variation in flight
+    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.006
+    error_time_s: Annotated[float, span(0.01, 10.0)] = 0.35  # correlation exp(-t/T) of all but the delay
+
+
+@dataclass(frozen=True, slots=True)
+class TargetLink(OdometryLink):
+    """Odometry of the target; with ``error`` it comes from a motion capture like that of the vehicle."""
+
+    error: StateError | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleSpec:
-    """The simulated vehicle: its file, velocity loop, spreads of its plant, mocap of its estimator."""
+    """The simulated vehicle: its file, velocity loop, spreads of its plant, mocap of its estimator.
+
+    With ``own`` the estimate on board has the errors of recorded flights. Rate and losses of ``mocap`` hold,
+    its noise and delay do not count.
+    """
 
     airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or the path of another
     velocity_loop: VelocityLoop = VelocityLoop.PAPER
@@ -109,6 +158,7 @@ class VehicleSpec:
     slow_motors: bool = False  # 0.136 s up, 0.108 s down instead of 0.07 s
     ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0
     mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
+    own: StateError | None = None
     setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # radio, one way (Crazyradio: 2 to 7 ms)
 
     def __post_init__(self) -> None:
@@ -145,7 +195,7 @@ class Scenario:
     duration_max_s: Annotated[float, span(1.0, 3600.0)] = 120.0
     start: Start = field(default_factory=Start)
     target: TargetSpec = field(default_factory=TargetSpec)
-    odometry: OdometryLink = field(default_factory=OdometryLink)
+    odometry: TargetLink = field(default_factory=TargetLink)
     vehicle: VehicleSpec = field(default_factory=VehicleSpec)
     wind: Wind = field(default_factory=Wind)
     judge: Judge = field(default_factory=Judge)

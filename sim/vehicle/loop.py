@@ -136,7 +136,7 @@ def fly(vehicle: Cell[VehicleRecord], now_ms: int, end_ms: int) -> int:
             listen(v.firmware, now_ms)
             measure_pose(v.mocap, v.world.body, now_ms)
             if not v.mocap.diverted:
-                correct_estimate(v.mocap, v.firmware.estimator, now_ms)
+                correct_estimate(v.mocap, v.firmware.estimator, v.world.body, now_ms)
             if now_ms % CONTROL_EVERY_MS == 0:
                 sense(vehicle)
                 if now_ms % PERIOD_MS == 0:

@@ -3,6 +3,9 @@
 When sample k is measured, when it arrives, its noise and whether it is lost depend on the seed alone, not on
 the flight. So all that is left to do in flight is to add the true pose. The numbers and their order are those
 of ``MeasurementChannel``.
+
+With the errors of recorded flights (``StateError``) a sample is what the estimator on board believes: it
+counts at once and replaces the estimate. A fault that diverts samples gets the same position and heading.
 """
 
 from __future__ import annotations
@@ -15,9 +18,10 @@ import numpy as np
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, I64, Cell, Record, cell
 from sim.compiled.rotation import rotation_axes
-from sim.firmware.estimator import EstimatorRecord, correct
+from sim.firmware.estimator import EstimatorRecord, correct, replace_estimate
 from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
-from sim.scenarios.scenario import OdometryLink
+from sim.plant.state_error import TURN, WIDTH, PastRecord, mismeasure, state_errors
+from sim.scenarios.scenario import OdometryLink, StateError
 from sim.world.step import BodyRecord
 
 ROWS = 512  # of samples; at most 250 are under way (500 Hz, 0.5 s)
@@ -34,6 +38,9 @@ class MocapRecord(Record):
     measuring: int  # the row that is measured next
     arriving: int  # the row that arrives next
     diverted: bool  # arriving samples are left to Python: a fault is to work on them
+    recorded: bool  # errors of recorded flights, in the rows of ``errors``
+    errors: Annotated[F64, ROWS * WIDTH]
+    past: PastRecord
 
 
 @jitted
@@ -42,8 +49,15 @@ def measure_pose(m: MocapRecord, body: BodyRecord, now_ms: int) -> None:
     while m.measured_ms[m.measuring] <= now_ms:
         axes = rotation_axes(body.quaternion)
         at = VALUES * m.measuring
-        for i in range(3):
-            m.values[at + i] += body.position[i]
+        if m.recorded:
+            row = m.errors[WIDTH * m.measuring : WIDTH * (m.measuring + 1)]
+            mismeasure(m.past, body.position, body.velocity, row)
+            for i in range(3):
+                m.values[at + i] = m.past.late[i]
+            m.values[at + 3] = row[TURN + 2]
+        else:
+            for i in range(3):
+                m.values[at + i] += body.position[i]
         m.values[at + 3] += math.atan2(axes[1], axes[0])
         m.measuring += 1
 
@@ -59,11 +73,15 @@ def next_arrived(m: MocapRecord, now_ms: int) -> int:
 
 
 @jitted
-def correct_estimate(m: MocapRecord, estimator: EstimatorRecord, now_ms: int) -> None:
+def correct_estimate(m: MocapRecord, estimator: EstimatorRecord, body: BodyRecord, now_ms: int) -> None:
     """Give the estimator what has arrived."""
     at = next_arrived(m, now_ms)
     while at >= 0:
-        correct(estimator, m.values[at], m.values[at + 1], m.values[at + 2], m.values[at + 3])
+        if m.recorded:
+            turn = m.errors[WIDTH * (m.arriving - 1) + TURN : WIDTH * m.arriving]
+            replace_estimate(estimator, m.past.late, body.quaternion, turn)
+        else:
+            correct(estimator, m.values[at], m.values[at + 1], m.values[at + 2], m.values[at + 3])
         at = next_arrived(m, now_ms)
 
 
@@ -85,11 +103,24 @@ class MocapTape:
         seed: of the run.
         record: where the rows are.
         body: the vehicle.
+        error: as in recorded flights, instead of noise and delay of the link.
     """
 
-    def __init__(self, link: OdometryLink, seed: int, record: MocapRecord, body: BodyRecord) -> None:
+    def __init__(
+        self,
+        link: OdometryLink,
+        seed: int,
+        record: MocapRecord,
+        body: BodyRecord,
+        error: StateError | None = None,
+    ) -> None:
         noise = link.position_noise_m
         self._rate_hz, self._delay_ns = link.rate_hz, round(link.delay_s * NS)
+        self._errors = None
+        self._error_rows = record.errors.reshape(ROWS, WIDTH)
+        if error is not None:
+            self._errors, self._delay_ns = state_errors(error, seed, "own", link.rate_hz), 0
+            record.recorded, record.past.rate = True, link.rate_hz
         self._losses = Losses(link, seed, "mocap.loss")
         self._noise_left = np.empty((0, VALUES))
         self._noise = NoiseRows((noise, noise, noise, link.yaw_noise_rad), seed, "mocap.noise")
@@ -111,7 +142,7 @@ class MocapTape:
         if self._measuring[0] < ROWS // 2:
             return
         done = int(self._arriving[0])
-        for rows in (self._measured_ms, self._arrives_ms, self._values):
+        for rows in (self._measured_ms, self._arrives_ms, self._values, self._error_rows):
             rows[: ROWS - done] = rows[done:].copy()
         self._measuring -= done
         self._arriving[0] = 0
@@ -130,6 +161,8 @@ class MocapTape:
         while len(self._noise_left) < len(counts):
             self._noise_left = np.concatenate((self._noise_left, self._noise.block()))
         self._values[first:], self._noise_left = np.split(self._noise_left, [len(counts)])
+        if self._errors is not None:
+            self._error_rows[first:] = self._errors.take(len(counts))
 
     def divert(self, diverted: bool) -> None:
         """Set whether arriving samples go to ``take`` instead of the estimator."""

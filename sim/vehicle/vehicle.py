@@ -58,8 +58,9 @@ class VehicleSim:
         params = physics.params
         self._gravity = params.contact.gravity_m_s2
         self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed, r.imu)
-        self._firmware = Firmware(scenario.vehicle, params, r.firmware)
-        self._mocap = MocapTape(scenario.vehicle.mocap, seed, r.mocap, r.world.body)
+        spec = scenario.vehicle
+        self._firmware = Firmware(spec, params, r.firmware)
+        self._mocap = MocapTape(spec.mocap, seed, r.mocap, r.world.body, spec.own)
         motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, physics.hover_rpm)
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
         self._ms = self._supplied_ms = 0

@@ -38,6 +38,7 @@ SHORT = ("stop_and_go", "--runs", RUNS, "--seed", 40, "--no-report")
         ("fault_link_burst", 0),
         ("fault_target_dropout", 0),
         ("fault_motor_dead", 0),
+        (str(Path(__file__).with_name("captured.toml")), 1),
     ],
 )
 def test_a_landing_equals_the_same_over_the_wires(flown, scenario, seed):

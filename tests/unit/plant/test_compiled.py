@@ -5,6 +5,7 @@ import math
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -23,6 +24,8 @@ from sim.scenarios.scenario import (
     Scenario,
     Start,
     StartKind,
+    StateError,
+    TargetLink,
     VehicleSpec,
     VelocityLoop,
     Wind,
@@ -32,7 +35,7 @@ from sim.vehicle.vehicle import VehicleSim
 STEPS = 300
 
 
-def flight(loop, kind):
+def flight(loop, kind, error=False):
     """All numbers of a gusty flight that lands, or takes off, in short."""
     mocap = OdometryLink(100.0, 0.005, 0.0, 0.005, 0.02, loss=0.02)
     spec = VehicleSpec(
@@ -41,6 +44,7 @@ def flight(loop, kind):
         mass_spread=0.1,
         thrust_spread=0.1,
         slow_motors=kind == "ground",
+        own=StateError() if error else None,
     )
     start = Start(StartKind(kind), offset_m=(0.0, 0.05, 0.03))
     onboard = FlightConfig(BarrierShape(1.0, 1.5), takeoff=Takeoff(start_offset_m=(-1.0, 0.0, 0.7)))
@@ -57,6 +61,7 @@ def flight(loop, kind):
 
 
 CASES = [(loop.value, kind.value) for loop in VelocityLoop for kind in StartKind]
+CASES.append(("pid", "hover", True))
 
 
 def flat(value):
@@ -68,8 +73,9 @@ def flat(value):
 def drives():
     """All numbers of the robots of all scenarios, with what they measure."""
     out = []
-    for name in scenario.names():
-        robot = TargetMotion(scenario.load(name), 3, TickGrid(100))
+    captured = replace(scenario.load("field"), odometry=TargetLink(50.0, error=StateError()))
+    for each in (*map(scenario.load, scenario.names()), captured):
+        robot = TargetMotion(each, 3, TickGrid(100))
         for tick in range(STEPS):
             robot.step(driving=tick > 20)
             model = robot.model

@@ -17,7 +17,7 @@ from sim.robot.target import TargetModel, TargetOdometry, arc, wrap
 from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckDecoder, DeckState, follow, reckon
 from sim.runners.landing_target import DirectTarget, in_world
-from sim.scenarios.scenario import OdometryLink, PathKind, TargetSpec
+from sim.scenarios.scenario import PathKind, StateError, TargetLink, TargetSpec
 from sim.scenarios.scenario import load as load_scenario
 
 DT = 0.01
@@ -148,7 +148,7 @@ def test_seed_decides_and_nothing_else():
 
 def test_odometry_statistics():
     spec = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.2, turn_rate_rad_s=0.3)
-    link = OdometryLink(50.0, 0.01, 0.02, 0.03, delay_s=0.06, loss=0.05)
+    link = TargetLink(50.0, 0.01, 0.02, 0.03, delay_s=0.06, loss=0.05)
     model, odometry = TargetModel(spec, 2), TargetOdometry(link, 2)
     truth, got = {}, []
     for _ in range(10_001):
@@ -176,6 +176,7 @@ SCENARIOS = {
     name: replace(load_scenario(name), target=replace(load_scenario(name).target, wait_for_landing=waits))
     for name, waits in (("fault_target_dropout", True), ("reversing", True), ("deck", False))
 }
+SCENARIOS["captured"] = replace(SCENARIOS["reversing"], odometry=TargetLink(error=StateError()))
 
 
 def tick_by_tick(scenario, seed, chosen_at):

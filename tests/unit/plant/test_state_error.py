@@ -1,0 +1,158 @@
+"""Errors as in recorded flights: correlated noise, delays into the past and ahead, the draws of a flight."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim.compiled.records import new
+from sim.plant.sensors import stream
+from sim.plant.state_error import (
+    AHEAD,
+    ASIDE,
+    DELAY,
+    DELAY_MAX_S,
+    DELAY_MIN_S,
+    PAST,
+    POSITION,
+    TURN,
+    VELOCITY,
+    VELOCITY_DELAY,
+    WIDTH,
+    Noise,
+    PastRecord,
+    mismeasure,
+    state_errors,
+)
+from sim.scenarios.scenario import StateError
+
+RATE_HZ = 100.0
+FINE = StateError(
+    delay_s=0.0, delay_spread_s=0.0, delay_fast_s=0.0, delay_slow_s=0.0, velocity_lead_s=0.0,
+    velocity_lead_spread_s=0.0, position_error_m=0.0, velocity_error_m_s=0.0, velocity_along=0.0,
+    velocity_across=0.0, tilt_rad=0.0, yaw_rad=0.0, tilt_noise_rad=0.0, yaw_noise_rad=0.0,
+)  # fmt: skip
+
+
+def drawn(spec, seed=1, count=400, purpose="own"):
+    return state_errors(spec, seed, purpose, RATE_HZ).take(count)
+
+
+@pytest.mark.parametrize(
+    ("smooth", "law"),
+    [(False, lambda x: math.exp(-x)), (True, lambda x: (1.0 + x) * math.exp(-x))],
+)
+def test_noise_has_variance_one_and_its_correlation(smooth, law):
+    noise = Noise(stream(3, "test"), 8, 0.1, 0.01, smooth=smooth).take(60_000)
+    assert noise.std() == pytest.approx(1.0, rel=0.02)
+    for steps in (1, 5, 10, 20, 60):
+        found = np.mean(noise[steps:] * noise[:-steps])
+        assert found == pytest.approx(law(0.1 * steps), abs=0.03), steps
+    assert abs(np.mean(noise[:, 0] * noise[:, 1])) < 0.05
+
+
+def test_noise_is_at_its_full_size_from_the_first_sample_on():
+    first = [Noise(stream(seed, "test"), 50, 2.0, 0.01, smooth=True).take(1) for seed in range(40)]
+    assert np.std(first) == pytest.approx(1.0, rel=0.1)
+
+
+@given(parts=st.lists(st.integers(1, 90), min_size=1, max_size=6), seed=st.integers(0, 2**64 - 1))
+def test_rows_do_not_depend_on_how_many_are_taken_at_once(parts, seed):
+    rows = state_errors(StateError(), seed, "own", RATE_HZ)
+    taken = np.concatenate([rows.take(count) for count in parts])
+    assert np.array_equal(taken, drawn(StateError(), seed, sum(parts)))
+
+
+def test_vehicle_and_target_have_other_errors_and_share_a_delay_where_asked():
+    assert not np.array_equal(drawn(StateError()), drawn(StateError(), purpose="target"))
+    assert not np.array_equal(drawn(StateError()), drawn(StateError(), seed=2))
+    base = replace(FINE, delay_s=0.02, delay_spread_s=0.02)
+    for seed in range(5):
+        own, target = (drawn(base, seed, purpose=p)[0, DELAY] for p in ("own", "target"))
+        assert own != target
+        shared = replace(base, delay_shared=True)
+        own, target = (drawn(shared, seed, purpose=p)[0, DELAY] for p in ("own", "target"))
+        assert own == target
+
+
+def test_flights_have_the_delays_of_the_parameters():
+    spec = replace(FINE, delay_s=0.03, delay_spread_s=0.01)
+    bases = [drawn(spec, seed, 1)[0, DELAY] for seed in range(400)]
+    assert np.mean(bases) == pytest.approx(0.03, abs=0.002)
+    assert np.std(bases) == pytest.approx(0.01, rel=0.15)
+    spec = replace(FINE, delay_s=0.05, delay_fast_s=0.02, delay_varies=0.3)
+    rows = [drawn(spec, seed, 300)[:, DELAY] for seed in range(300)]
+    assert np.median([row.std() for row in rows]) == pytest.approx(0.02, rel=0.1)
+    wild = drawn(replace(FINE, delay_s=0.1, delay_fast_s=0.1), count=3000)[:, DELAY]
+    assert wild.min() >= DELAY_MIN_S
+    assert wild.max() == DELAY_MAX_S
+
+
+def test_a_misalignment_stays_for_a_flight():
+    rows = drawn(replace(FINE, tilt_rad=0.02, yaw_rad=0.01))[:, TURN:]
+    assert np.all(rows == rows[0])
+    assert np.all(rows[0] != 0.0)
+    many = np.array([drawn(replace(FINE, tilt_rad=0.02), s, 1)[0, TURN:] for s in range(400)])
+    assert many.std(axis=0) == pytest.approx([0.02, 0.02, 0.0], rel=0.1)
+
+
+def measured(row, truth, *, samples=60, rate_hz=RATE_HZ):
+    """What the last of many samples says of a path."""
+    past = new(PastRecord)
+    past.rate = rate_hz
+    for k in range(samples):
+        position, velocity = truth(k / rate_hz)
+        mismeasure(past, np.array(position), np.array(velocity), row)
+    return past.late[:3].copy(), past.late[3:].copy()
+
+
+def row_of(**parts):
+    row = np.zeros(WIDTH)
+    for name, value in parts.items():
+        row[{"delay": DELAY, "velocity_delay": VELOCITY_DELAY, "ahead": AHEAD, "aside": ASIDE}[name]] = value
+    return row
+
+
+def circle(t_s):
+    return (math.cos(t_s), math.sin(t_s), 0.3 * t_s), (-math.sin(t_s), math.cos(t_s), 0.3)
+
+
+@given(delay_s=st.floats(0.0, 0.2), velocity_delay_s=st.floats(0.0, 0.2))
+def test_a_late_state_is_that_of_the_path(delay_s, velocity_delay_s):
+    position, velocity = measured(row_of(delay=delay_s, velocity_delay=velocity_delay_s), circle)
+    assert position == pytest.approx(circle(0.59 - delay_s)[0], abs=2e-5)  # straight between samples
+    assert velocity == pytest.approx(circle(0.59 - velocity_delay_s)[1], abs=2e-5)
+
+
+@given(lead_s=st.floats(0.0, 0.1))
+def test_a_state_ahead_goes_on_at_the_velocity(lead_s):
+    position, velocity = measured(row_of(delay=-lead_s, velocity_delay=-lead_s), circle)
+    now, speed = circle(0.59)
+    assert position == pytest.approx(np.array(now) + lead_s * np.array(speed), abs=1e-12)
+    assert velocity.tolist() == list(speed)
+
+
+def test_before_the_first_sample_the_vehicle_was_where_it_began():
+    position, _ = measured(row_of(delay=0.2), circle, samples=5)
+    assert position.tolist() == list(circle(0.0)[0])
+
+
+def test_the_ring_holds_the_longest_delay_at_the_highest_rate():
+    assert DELAY_MAX_S * 500.0 + 2 <= PAST
+    position, _ = measured(row_of(delay=DELAY_MAX_S), circle, samples=3 * PAST, rate_hz=500.0)
+    assert position == pytest.approx(circle((3 * PAST - 1) / 500.0 - 0.2)[0], abs=1e-5)
+
+
+def test_errors_of_the_velocity_turn_with_it_and_others_do_not():
+    _, velocity = measured(row_of(ahead=0.1, aside=0.05), lambda _: ((0.0, 0.0, 0.0), (2.0, 0.0, 1.0)))
+    assert velocity == pytest.approx((2.2, 0.1, 1.0))
+    _, velocity = measured(row_of(ahead=0.1, aside=0.05), lambda _: ((0.0, 0.0, 0.0), (0.0, -2.0, 0.0)))
+    assert velocity == pytest.approx((0.1, -2.2, 0.0))
+    row = np.zeros(WIDTH)
+    row[POSITION : POSITION + 3], row[VELOCITY : VELOCITY + 3] = (0.01, 0.02, 0.03), (0.1, 0.2, 0.3)
+    position, velocity = measured(row, lambda _: ((1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))
+    assert position == pytest.approx((1.01, 1.02, 1.03))
+    assert velocity == pytest.approx((0.1, 0.2, 0.3))
