@@ -18,7 +18,7 @@ from sim.compiled.rotation import Nine
 from sim.plant.params import CONTROL_STEP_S
 
 # paper V: K1 = diag(7, 7, 0.5)e4, K2 = diag(2, 2, 0.2)e4; the roll and pitch gains are the firmware's
-# defaults
+# defaults, the firmware's yaw gains stand in ``sim.firmware.mellinger``
 K_R_XY = 70000.0  # counts per unit of eR
 K_R_Z = 5000.0
 K_W_XY = 20000.0  # counts per rad/s
@@ -37,6 +37,8 @@ class AttitudeRecord(Record):
     wx: float  # last rates, rad/s; NaN before the first
     wy: float
     integral_z: float
+    k_r_z: float  # yaw gains, counts per unit of eR and per rad/s
+    k_w_z: float
 
 
 @jitted
@@ -63,7 +65,7 @@ def attitude_moments(a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy
     a.integral_z = max(-I_RANGE_Z, min(I_RANGE_Z, a.integral_z - ez * CONTROL_STEP_S))
     mx = -K_R_XY * ex - K_W_XY * wx - K_D_OMEGA_RP * ax
     my = -K_R_XY * ey - K_W_XY * wy - K_D_OMEGA_RP * ay
-    mz = -K_R_Z * ez - K_W_Z * wz + K_I_Z * a.integral_z
+    mz = -a.k_r_z * ez - a.k_w_z * wz + K_I_Z * a.integral_z
     mx = max(-MOMENT_MAX, min(MOMENT_MAX, mx))
     my = max(-MOMENT_MAX, min(MOMENT_MAX, my))
     mz = max(-MOMENT_MAX, min(MOMENT_MAX, mz))

@@ -1,8 +1,9 @@
 """Legacy power distribution and the thrust map: counts to rotor speed commands.
 
-After firmware power_distribution_quadrotor.c and motors.c: what a motor lacks above 65535 counts is taken
-from all four; counts are linear in thrust (65535 = THRUST_MAX) where the battery is compensated for, and
-linear in the mean voltage at the motor where it is not; below THRUST_MIN a motor stops.
+After firmware power_distribution_quadrotor.c and motors.c: what a motor lacks above full duty is taken from
+all four; counts are linear in thrust (65535 = THRUST_MAX) as far as the firmware knows its motors; below
+THRUST_MIN a motor stops. With a map to volts (``Rotor.volt_map``) full duty is the battery's voltage, which
+counts become before they are capped; without one it is 65535 counts.
 """
 
 from __future__ import annotations
@@ -11,40 +12,52 @@ import math
 from collections.abc import Sequence
 
 from sim.compiled.jit import jitted
-from sim.compiled.records import Record
+from sim.compiled.records import Motors, Record
 from sim.plant.params import Battery, Params, Rotor
 from sim.plant.rotors import Four
 
 COUNTS_MAX = 65535.0
+VOLTS_FIRST = 3.0  # Newton's method starts there
+NEWTON_STEPS = 6  # from 3 V to between 0.5 and 6 V: exact to 1e-9 V
 OFF: Four = (0.0, 0.0, 0.0, 0.0)
 
 
 @jitted
-def mix(thrust: float, moments: tuple[int, int, int]) -> Four:
-    """Counts of M1..M4 from thrust counts and moment counts about body x, y, z (FLU), capped to 0..65535."""
+def spread(thrust: float, moments: tuple[int, int, int]) -> Four:
+    """Counts of M1..M4 from thrust counts and moment counts about body x, y, z (FLU), without limits."""
     mx, my, mz = moments
     r, p = int(mx / 2), int(my / 2)  # int16 halves, cut towards zero
-    m1 = thrust - r - p - mz
-    m2 = thrust - r + p + mz
-    m3 = thrust + r + p - mz
-    m4 = thrust + r - p + mz
-    if m1 > COUNTS_MAX or m2 > COUNTS_MAX or m3 > COUNTS_MAX or m4 > COUNTS_MAX:
-        excess = max(m1, m2, m3, m4) - COUNTS_MAX
+    return (thrust - r - p - mz, thrust - r + p + mz, thrust + r + p - mz, thrust + r - p + mz)
+
+
+@jitted
+def cap(motors: Four, most: float) -> Four:
+    """Take what a motor lacks above ``most`` from all four; none falls below 0."""
+    m1, m2, m3, m4 = motors
+    if m1 > most or m2 > most or m3 > most or m4 > most:
+        excess = max(m1, m2, m3, m4) - most
         m1, m2, m3, m4 = m1 - excess, m2 - excess, m3 - excess, m4 - excess
     if m1 < 0.0 or m2 < 0.0 or m3 < 0.0 or m4 < 0.0:
         return (max(0.0, m1), max(0.0, m2), max(0.0, m3), max(0.0, m4))
     return (m1, m2, m3, m4)
 
 
+@jitted
+def mix(thrust: float, moments: tuple[int, int, int]) -> Four:
+    """Counts of M1..M4 from thrust counts and moment counts about body x, y, z (FLU), capped to 0..65535."""
+    return cap(spread(thrust, moments), COUNTS_MAX)
+
+
 class MapRecord(Record):
     """Inverse of the thrust map: rpm = (b + sqrt(b^2 + four_a counts)) inverse.
 
-    Without compensation of the battery: rpm = at_zero_rpm + share of full duty * (what it allows above that).
+    Where ``in_volts``, counts are ``volt_map`` of the motor's voltage and rpm = at_zero_rpm + per_volt_rpm V.
     """
 
-    compensated: bool
+    in_volts: bool
+    volt_map: Motors
     at_zero_rpm: float
-
+    per_volt_rpm: float
     b: float
     four_a: float
     inverse: float
@@ -56,14 +69,48 @@ def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
     """Commanded speed, rpm, not above ``rpm_max`` (what the battery allows)."""
     if counts < m.off_below:
         return 0.0
-    if not m.compensated:
-        return m.at_zero_rpm + (rpm_max - m.at_zero_rpm) * (counts / COUNTS_MAX)
     return min((m.b + math.sqrt(m.b * m.b + m.four_a * counts)) * m.inverse, rpm_max)
+
+
+@jitted
+def motor_volts(m: MapRecord, counts: float) -> float:
+    """Mean voltage that the firmware gives a motor; 0 where it stops."""
+    if counts < m.off_below:
+        return 0.0
+    k, share, volts = m.volt_map, counts / COUNTS_MAX, VOLTS_FIRST
+    for _ in range(NEWTON_STEPS):
+        value = k[0] + volts * (k[1] + volts * (k[2] + volts * k[3])) - share
+        volts -= value / (k[1] + volts * (2.0 * k[2] + volts * 3.0 * k[3]))
+    return volts
+
+
+@jitted
+def motor_speeds(m: MapRecord, thrust: float, moments: tuple[int, int, int], rpm_max: float) -> Four:
+    """Commanded speeds of M1..M4, rpm; ``rpm_max`` is what the battery allows at full duty."""
+    if m.in_volts:
+        m1, m2, m3, m4 = spread(thrust, moments)
+        each = (motor_volts(m, m1), motor_volts(m, m2), motor_volts(m, m3), motor_volts(m, m4))
+        v1, v2, v3, v4 = cap(each, (rpm_max - m.at_zero_rpm) / m.per_volt_rpm)
+        return (
+            m.at_zero_rpm + m.per_volt_rpm * v1 if v1 > 0.0 else 0.0,
+            m.at_zero_rpm + m.per_volt_rpm * v2 if v2 > 0.0 else 0.0,
+            m.at_zero_rpm + m.per_volt_rpm * v3 if v3 > 0.0 else 0.0,
+            m.at_zero_rpm + m.per_volt_rpm * v4 if v4 > 0.0 else 0.0,
+        )
+    c1, c2, c3, c4 = mix(thrust, moments)
+    return (
+        motor_speed(m, c1, rpm_max),
+        motor_speed(m, c2, rpm_max),
+        motor_speed(m, c3, rpm_max),
+        motor_speed(m, c4, rpm_max),
+    )
 
 
 def set_up_map(m: MapRecord, rotor: Rotor, battery: Battery) -> MapRecord:
     """Fill in a record for the nominal static map and the thrust limits of a rotor."""
-    m.compensated, m.at_zero_rpm = rotor.battery_compensated, battery.speed_at_zero_v_rpm
+    m.at_zero_rpm, m.per_volt_rpm = battery.speed_at_zero_v_rpm, battery.speed_per_volt_rpm
+    if rotor.volt_map is not None:
+        m.in_volts, m.volt_map[:] = True, rotor.volt_map
     n_per_count = rotor.thrust_max_n / COUNTS_MAX
     m.b = -rotor.thrust_linear_n_rpm
     m.four_a = 4.0 * rotor.thrust_square_n_rpm2 * n_per_count
@@ -72,20 +119,14 @@ def set_up_map(m: MapRecord, rotor: Rotor, battery: Battery) -> MapRecord:
     return m
 
 
-def counts_per_n(params: Params, thrust_n: float, battery_v: float) -> float:
-    """Counts per newton of all four nominal motors at this total thrust and this voltage under load."""
+def counts_per_n(params: Params, thrust_n: float) -> float:
+    """Counts per newton of all four nominal motors at this total thrust."""
     rotor = params.rotor
-    if rotor.battery_compensated:
+    if rotor.volt_map is None:
         return COUNTS_MAX / (4.0 * rotor.thrust_max_n)
     volts = params.battery.motor_v(rotor.rpm(thrust_n / 4.0))
-    return COUNTS_MAX * volts / battery_v / thrust_n
-
-
-def nominal_counts_per_n(params: Params) -> float:
-    """``counts_per_n`` of the nominal vehicle in hover, with a battery that is half empty."""
-    b = params.battery
-    under_load_v = 0.5 * (b.full_v + b.empty_v) - b.resistance_ohm * (b.idle_current_a + b.hover_current_a)
-    return counts_per_n(params, params.body.mass_kg * params.contact.gravity_m_s2, under_load_v)
+    k0, k1, k2, k3 = rotor.volt_map
+    return COUNTS_MAX * (k0 + volts * (k1 + volts * (k2 + volts * k3))) / thrust_n
 
 
 def moments_of(counts: Sequence[float]) -> tuple[int, int, int]:

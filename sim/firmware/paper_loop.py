@@ -17,8 +17,8 @@ from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import Record, new
 from sim.compiled.rotation import Nine, nine
-from sim.firmware.attitude import AttitudeRecord, Counts, attitude_moments
-from sim.firmware.mixer import nominal_counts_per_n
+from sim.firmware.attitude import K_R_Z, K_W_Z, AttitudeRecord, Counts, attitude_moments
+from sim.firmware.mixer import counts_per_n
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import Params
 
@@ -84,8 +84,9 @@ class PaperLoop:
     def __init__(self, params: Params, record: PaperRecord | None = None) -> None:
         self.record = r = new(PaperRecord) if record is None else record
         r.weight = self._weight = params.body.mass_kg * params.contact.gravity_m_s2
-        r.counts_per_n = nominal_counts_per_n(params)
+        r.counts_per_n = counts_per_n(params, self._weight)
         r.attitude.wx = math.nan
+        r.attitude.k_r_z, r.attitude.k_w_z = K_R_Z, K_W_Z
 
     def reset(self) -> None:
         """Forget integrals."""

@@ -1,8 +1,10 @@
-"""The Crazyflie's PID cascade: velocity at 100 Hz, attitude and rate at 500 Hz.
+"""The Crazyflie's PID cascade: position and velocity at 100 Hz, attitude and rate at 500 Hz.
 
 After firmware position_controller_pid.c, attitude_pid_controller.c, controller_pid.c and pid.c, gains of
 platform_defaults_cf2.h. Angles in degrees inside, as there. FLU throughout: the firmware's inverted pitch
 cancels.
+Position set-points go through the position loop, velocity set-points do not; a velocity beside a position is
+not used. A set-point of another kind is a change of mode.
 Kept: no integral limit but 5000 in the velocity loop (so it winds up), thrust never below 20000 counts in
 flight, derivative of the measurement, all integrals gone when the mode changes or the thrust is zero; the
 rate loops then also forget the rate, so that their derivative kicks once.
@@ -21,6 +23,9 @@ from sim.plant.params import CONTROL_STEP_S, Params
 
 POSITION_EVERY = 5  # firmware stabilizer_types.h: POSITION_RATE 100 Hz
 POSITION_STEP_S = POSITION_EVERY * CONTROL_STEP_S
+SPEED_MAX_M_S = (
+    1.1 * 1.0
+)  # of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX, and the same for y and z
 TILT_MAX_DEG = 20.0  # PID_VEL_ROLL_MAX, PID_VEL_PITCH_MAX
 THRUST_BASE = 36000.0  # counts, PID_VEL_THRUST_BASE
 THRUST_MIN = 20000.0  # counts, PID_VEL_THRUST_MIN
@@ -69,8 +74,11 @@ def pid_record(
 
 
 class CascadeRecord(Record):
-    """The nine PIDs and what they share."""
+    """The twelve PIDs and what they share."""
 
+    x: PidRecord  # positions to velocities; x and y in the yawed frame
+    y: PidRecord
+    z: PidRecord
     vx: PidRecord  # body velocities to tilt, degrees
     vy: PidRecord
     vz: PidRecord  # to thrust
@@ -81,19 +89,32 @@ class CascadeRecord(Record):
     pitch_rate: PidRecord
     yaw_rate: PidRecord
     calls: int  # since the last reset
-    mode: int  # LEVEL, FREE or UNKNOWN
+    mode: int  # LEVEL, FREE, TO_POSITION or UNKNOWN
     roll_wanted: float  # degrees
     pitch_wanted: float
     thrust_wanted: float  # counts
 
 
-UNKNOWN, FREE, LEVEL = -1, 0, 1
+UNKNOWN, FREE, LEVEL, TO_POSITION = -1, 0, 1, 2
 
 
 @jitted
 def cascade_reset(c: CascadeRecord) -> None:
     """Forget integrals."""
-    for pid in (c.vx, c.vy, c.vz, c.roll, c.pitch, c.yaw, c.roll_rate, c.pitch_rate, c.yaw_rate):
+    for pid in (
+        c.x,
+        c.y,
+        c.z,
+        c.vx,
+        c.vy,
+        c.vz,
+        c.roll,
+        c.pitch,
+        c.yaw,
+        c.roll_rate,
+        c.pitch_rate,
+        c.yaw_rate,
+    ):
         pid_forget(pid)
     c.roll_rate.previous = c.pitch_rate.previous = c.yaw_rate.previous = 0.0  # attitudeControllerResetAllPID
     c.calls = 0
@@ -115,13 +136,22 @@ def continued(before: float, angle: float) -> float:
 
 
 @jitted
-def velocity_pids(c: CascadeRecord, velocity: F64, setpoint: SetpointRecord, yaw: float) -> None:
+def velocity_pids(
+    c: CascadeRecord, position: F64, velocity: F64, setpoint: SetpointRecord, yaw: float
+) -> None:
     """Find the wanted tilt and thrust (100 Hz)."""
     cos, sin = math.cos(yaw), math.sin(yaw)
-    ex, ey = setpoint.vx - velocity[0], setpoint.vy - velocity[1]
-    c.pitch_wanted = clamp(pid_output(c.vx, cos * ex + sin * ey, 0.0), TILT_MAX_DEG)
-    c.roll_wanted = clamp(-pid_output(c.vy, cos * ey - sin * ex, 0.0), TILT_MAX_DEG)
-    thrust = THRUST_SCALE * pid_output(c.vz, setpoint.vz - velocity[2], 0.0) + THRUST_BASE
+    if setpoint.by_position:
+        ex, ey = setpoint.x - position[0], setpoint.y - position[1]
+        ahead = pid_output(c.x, cos * ex + sin * ey, 0.0) - (cos * velocity[0] + sin * velocity[1])
+        aside = pid_output(c.y, cos * ey - sin * ex, 0.0) - (cos * velocity[1] - sin * velocity[0])
+        up = pid_output(c.z, setpoint.z - position[2], 0.0)
+    else:
+        ex, ey = setpoint.vx - velocity[0], setpoint.vy - velocity[1]
+        ahead, aside, up = cos * ex + sin * ey, cos * ey - sin * ex, setpoint.vz
+    c.pitch_wanted = clamp(pid_output(c.vx, ahead, 0.0), TILT_MAX_DEG)
+    c.roll_wanted = clamp(-pid_output(c.vy, aside, 0.0), TILT_MAX_DEG)
+    thrust = THRUST_SCALE * pid_output(c.vz, up - velocity[2], 0.0) + THRUST_BASE
     c.thrust_wanted = max(THRUST_MIN, min(COUNTS_MAX, thrust))
 
 
@@ -130,14 +160,14 @@ def cascade_update(
     c: CascadeRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
 ) -> tuple[float, Counts]:
     """Return ``(thrust counts per motor, moment counts)``; ``level`` keeps roll and pitch at zero."""
-    mode = LEVEL if level else FREE
+    mode = LEVEL if level else TO_POSITION if setpoint.by_position else FREE
     if c.mode != mode:  # controller_pid.c: a change of mode resets all PIDs
         cascade_reset(c)
         c.mode = mode
     axes = sensed.axes
     yaw = math.atan2(axes[1], axes[0])
     if c.calls % POSITION_EVERY == 0:
-        velocity_pids(c, sensed.velocity, setpoint, yaw)
+        velocity_pids(c, sensed.position, sensed.velocity, setpoint, yaw)
     c.calls += 1
     roll_wanted, pitch_wanted = (0.0, 0.0) if level else (c.roll_wanted, c.pitch_wanted)
     roll = math.atan2(axes[5], axes[8]) * DEG
@@ -162,6 +192,9 @@ class PidLoop:
         self.record = c = new(CascadeRecord) if record is None else record
         slow, fast = POSITION_STEP_S, CONTROL_STEP_S
         g = params.velocity_gains
+        c.x = pid_record(2.0, 0.0, 0.0, 5000.0, slow, SPEED_MAX_M_S)  # PID_POS_X
+        c.y = pid_record(2.0, 0.0, 0.0, 5000.0, slow, SPEED_MAX_M_S)  # PID_POS_Y
+        c.z = pid_record(2.0, 0.5, 0.0, 5000.0, slow, SPEED_MAX_M_S)  # PID_POS_Z
         c.vx = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_X
         c.vy = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_Y
         c.vz = pid_record(g.z_p, g.z_i, 0.0, 5000.0, slow, 32.767)  # PID_VEL_Z, UINT16_MAX / 2 / thrustScale

@@ -6,27 +6,38 @@ import math
 import struct
 from typing import Annotated, NamedTuple
 
+from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Axes, Quaternion, Record, Vector, cell, scalars
 
 ROOM = 256  # set-points under way: twice as many as 0.1 s of delay and 1 kHz can be
-WIDTH = 8  # numbers of a row: time of arrival, then the fields of a set-point
+WIDTH = 12  # numbers of a row: time of arrival, then the fields of a set-point
 _ROW = struct.Struct(f"={WIDTH}d")
 
 
 class Setpoint(NamedTuple):
-    """A velocity in the world (ENU, m/s) with a yaw; ``stop`` means motors off (firmware: null set-point)."""
+    """A velocity or a position in the world (ENU, m/s, m) with a yaw; ``stop`` means motors off.
+
+    With a position the velocity is fed forward, which the Mellinger controller uses and the PID controller
+    does not. ``stop`` is the firmware's null set-point.
+    """
 
     vx: float = 0.0
     vy: float = 0.0
     vz: float = 0.0
     yaw_rad: float = 0.0
     stop: bool = False
+    position: Vec3 | None = None
 
-    def fields(self) -> tuple[float, float, float, float, bool, float, float]:
+    def fields(
+        self,
+    ) -> tuple[float, float, float, float, bool, float, float, bool, float, float, float]:
         """All fields as ``SetpointRecord`` has them."""
-        vx, vy, vz, yaw_rad, stop = self
-        return (vx, vy, vz, yaw_rad, stop, math.cos(yaw_rad), math.sin(yaw_rad))
+        vx, vy, vz, yaw_rad, stop, position = self
+        x, y, z = position or (0.0, 0.0, 0.0)
+        return (
+            vx, vy, vz, yaw_rad, stop, math.cos(yaw_rad), math.sin(yaw_rad), position is not None, x, y, z
+        )  # fmt: skip
 
 
 STOP = Setpoint(stop=True)
@@ -42,6 +53,10 @@ class SetpointRecord(Record):
     stop: bool
     cos_yaw: float
     sin_yaw: float
+    by_position: bool  # whether the position counts
+    x: float
+    y: float
+    z: float
 
 
 class SensedState(Record):
@@ -74,6 +89,7 @@ def receive(inbox: InboxRecord, s: SetpointRecord, now_ms: int) -> None:
         inbox.taken_ms = int(row[0])
         s.vx, s.vy, s.vz, s.yaw_rad = row[1], row[2], row[3], row[4]
         s.stop, s.cos_yaw, s.sin_yaw = row[5] != 0.0, row[6], row[7]
+        s.by_position, s.x, s.y, s.z = row[8] != 0.0, row[9], row[10], row[11]
         inbox.first += 1
 
 

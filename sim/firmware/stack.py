@@ -8,7 +8,8 @@ from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Motors, Record, reader
 from sim.firmware.estimator import Estimator, EstimatorRecord
-from sim.firmware.mixer import OFF, MapRecord, counts_per_n, mix, moments_of, motor_speed, set_up_map
+from sim.firmware.mellinger import MellingerLoop, MellingerRecord, mellinger_reset, mellinger_update
+from sim.firmware.mixer import OFF, MapRecord, counts_per_n, moments_of, motor_speeds, set_up_map
 from sim.firmware.paper_loop import PaperLoop, PaperRecord, paper_reset, paper_update
 from sim.firmware.pid import CascadeRecord, PidLoop, cascade_reset, cascade_update
 from sim.firmware.setpoint import (
@@ -27,7 +28,7 @@ from sim.scenarios.scenario import VehicleSpec, VelocityLoop
 BATTERY_MIN_V = 3.2  # platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE
 TILT_MAX_COS = 0.5  # arming tilted by more than 60 degrees is refused
 
-PAPER, PID = 0, 1
+PAPER, PID, MELLINGER = 0, 1, 2
 
 
 class FirmwareRecord(Record):
@@ -38,9 +39,10 @@ class FirmwareRecord(Record):
     setpoint: SetpointRecord
     supervisor: SupervisorRecord
     gravity: float
-    loop: int  # PAPER or PID
+    loop: int  # PAPER, PID or MELLINGER
     paper: PaperRecord
     pid: CascadeRecord
+    mellinger: MellingerRecord
     thrust_map: MapRecord
     commands: Motors  # rotor speed commands, rpm
 
@@ -70,6 +72,9 @@ def forget(f: FirmwareRecord) -> None:
     if f.loop == PAPER:
         paper_reset(f.paper)
         f.paper.attitude.wx = math.nan
+    elif f.loop == MELLINGER:
+        mellinger_reset(f.mellinger)
+        f.mellinger.attitude.wx = math.nan
     else:
         cascade_reset(f.pid)
 
@@ -84,11 +89,12 @@ def control(f: FirmwareRecord, rpm_max: float) -> None:
         return
     if f.loop == PAPER:
         thrust, moments = paper_update(f.paper, f.estimator.sensed, f.setpoint, f.supervisor.level)
+    elif f.loop == MELLINGER:
+        thrust, moments = mellinger_update(f.mellinger, f.estimator.sensed, f.setpoint, f.supervisor.level)
     else:
         thrust, moments = cascade_update(f.pid, f.estimator.sensed, f.setpoint, f.supervisor.level)
-    counts = mix(thrust, moments)
-    for i in range(4):
-        f.commands[i] = motor_speed(f.thrust_map, counts[i], rpm_max)
+    m1, m2, m3, m4 = motor_speeds(f.thrust_map, thrust, moments, rpm_max)
+    f.commands[0], f.commands[1], f.commands[2], f.commands[3] = m1, m2, m3, m4
 
 
 class Firmware:
@@ -110,6 +116,7 @@ class Firmware:
         paper, pid = PaperLoop(params, record.paper), PidLoop(params, record.pid)
         record.loop = {VelocityLoop.PAPER: PAPER, VelocityLoop.PID: PID}[spec.velocity_loop]
         self.controller: PaperLoop | PidLoop = paper if record.loop == PAPER else pid
+        self._mellinger = MellingerLoop(record.mellinger)
         period_s = 1.0 / spec.mocap.rate_hz
         self.estimator = Estimator(period_s, CONTROL_STEP_S, gravity, record.estimator)
         self.supervisor = Supervisor(record.supervisor)
@@ -123,20 +130,21 @@ class Firmware:
     def commands(self, commands: Four) -> None:
         self._commands[:] = commands
 
-    def trim(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
+    def trim(self, force: Vec3, motors: Four) -> Vec3:
         """Trim the controller for hover at yaw 0; returns the velocity set-point that holds it.
 
         Args:
             force: of nominal motors, world frame, N.
             motors: thrust of each as share of the mean motor's.
-            battery_v: under the load of the hover.
         """
         thrust_n = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-        per_n = counts_per_n(self._params, thrust_n, battery_v)
-        each = [
-            counts_per_n(self._params, thrust_n / share, battery_v) * thrust_n / share for share in motors
-        ]
-        return self.controller.trim(force, per_n, moments_of(each))
+        each = [counts_per_n(self._params, thrust_n / share) * thrust_n / share for share in motors]
+        return self.controller.trim(force, counts_per_n(self._params, thrust_n), moments_of(each))
+
+    def choose_mellinger(self) -> None:
+        """Fly by the Mellinger controller from now on (firmware parameter stabilizer.controller)."""
+        self.record.loop = MELLINGER
+        self._mellinger.reset()
 
     def start_flying(self, setpoint: Setpoint) -> None:
         """Begin armed and in the air at time zero."""
@@ -160,6 +168,7 @@ class Firmware:
         if refused is None and fresh:  # what came before counts for nothing
             self._inbox.set(STOP, now_ms)
             self.controller.reset()
+            self._mellinger.reset()
         return refused
 
     def disarm(self, now_ms: int) -> None:

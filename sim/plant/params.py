@@ -10,6 +10,8 @@ from flightstack.core.types import Vec3
 from sim.plant.sensors import stream
 from sim.scenarios.scenario import VEHICLE_FILES, VehicleSpec
 
+Four = tuple[float, float, float, float]
+
 STEP_S = 0.001  # physics step
 CONTROL_STEP_S = 0.002  # firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
 
@@ -28,8 +30,10 @@ class Body:
 class Rotor:
     """One motor with its propeller.
 
-    ``battery_compensated``: the firmware scales its duty cycles by the battery's voltage, so that counts are
-    linear in thrust; otherwise a count is a share of the battery's voltage at the motor.
+    ``volt_map``: what the firmware believes of its motors, share of full counts = sum of volt_map[k] V^k at
+    the motor's mean voltage V. It commands that voltage as a share of the battery's, so that a tired battery
+    saturates. None: it knows the true map, so that counts are linear in thrust and the battery limits the
+    speed only.
     """
 
     arm_m: float
@@ -45,7 +49,7 @@ class Rotor:
     lag_s: float
     slow_rise_1_s: float
     slow_fall_1_rpm_s: float
-    battery_compensated: bool = True
+    volt_map: Four | None = None
 
     def thrust_n(self, rpm: float) -> float:
         """Static thrust of one rotor."""

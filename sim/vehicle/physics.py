@@ -9,7 +9,7 @@ from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
 from sim.compiled.records import Values, cell, new, reader, scalars
 from sim.plant.ground_effect import set_up_ground
-from sim.plant.params import STEP_S, Plant, load
+from sim.plant.params import STEP_S, Params, Plant, load
 from sim.plant.rotors import BatteryModel, Rotors
 from sim.plant.vehicle_types import Truth
 from sim.plant.wind import WindModel
@@ -41,11 +41,15 @@ class Physics:
     Args:
         scenario: plant, wind, target, judge.
         seed: of the run.
+        params: of the vehicle, instead of its file's.
+        plant: what is its own, instead of what the seed draws.
     """
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
-        self.params = params = load(scenario.vehicle.airframe)
-        self.plant = plant = Plant.draw(scenario.vehicle, seed)
+    def __init__(
+        self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None
+    ) -> None:
+        self.params = params = params or load(scenario.vehicle.airframe)
+        self.plant = plant = plant or Plant.draw(scenario.vehicle, seed)
         mass_kg = params.body.mass_kg * plant.mass
         self.weight_n = mass_kg * params.contact.gravity_m_s2
         self.record = r = new(VehicleRecord)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from flightstack.core.types import ZERO, Vec3
-from sim.compiled.records import scalars
+from sim.compiled.records import Values, scalars
 from sim.compiled.rotation import quaternion_from_axes, rotation_axes
 from sim.faults.drive import BatteryFaults, MotorFaults
 from sim.faults.vehicle_faults import Faults
@@ -18,7 +18,7 @@ from sim.firmware.setpoint import STOP, Setpoint
 from sim.firmware.stack import Firmware
 from sim.firmware.supervisor import PERIOD_MS, STATES, State
 from sim.plant.imu import Imu
-from sim.plant.params import CONTROL_STEP_S, STEP_S
+from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
 from sim.plant.sensors import NS_PER_MS, ms_from, stream
 from sim.plant.vehicle_types import Estimate, Truth
 from sim.scenarios.scenario import Scenario, StartKind
@@ -48,14 +48,18 @@ class VehicleSim:
     Args:
         scenario: plant, wind, target, start, judge.
         seed: of the run.
+        params: of the vehicle, instead of its file's.
+        plant: what is its own, instead of what the seed draws.
     """
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
-        self._physics = physics = Physics(scenario, seed)
+    def __init__(
+        self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None
+    ) -> None:
+        self._physics = physics = Physics(scenario, seed, params, plant)
         r, self._vehicle, self._world = physics.record, physics.vehicle, physics.world
         self._params, self.plant, self._rotors = physics.params, physics.plant, physics.rotors
         self._battery, self._wind = physics.battery, physics.wind
-        params = physics.params
+        params = self._params
         self._gravity = params.contact.gravity_m_s2
         self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed, r.imu)
         spec = scenario.vehicle
@@ -96,12 +100,12 @@ class VehicleSim:
             self._params.rotor.rpm(length / 4.0 / self.plant.thrust / share) for share in self.plant.motors
         )
         self._rotors.rpm = (m1, m2, m3, m4)
-        if not self._params.rotor.battery_compensated:
+        if self._params.rotor.volt_map is not None:
             self._battery.load(self._rotors.rpm)  # the first command depends on the voltage
         self._firmware.commands = self._rotors.rpm
         scale = self.plant.thrust
         force = (fx / scale, fy / scale, fz / scale)
-        trim = self._firmware.trim(force, self.plant.motors, self._battery.voltage_v)
+        trim = self._firmware.trim(force, self.plant.motors)
         self.trim_velocity_enu_m_s = trim
         self._firmware.start_flying(Setpoint(*trim))
 
@@ -205,6 +209,15 @@ class VehicleSim:
         vx, vy, vz = velocity_enu_m_s
         self._firmware.send(Setpoint(vx, vy, vz, yaw_rad), self._ms - self.sent_before_ms)
 
+    def set_position(self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3 = ZERO) -> None:
+        """Send a position set-point, with the velocity to feed forward; it arrives as ``set_velocity``."""
+        setpoint = Setpoint(*velocity_enu_m_s, yaw_rad, position=position_enu_m)
+        self._firmware.send(setpoint, self._ms - self.sent_before_ms)
+
+    def choose_mellinger(self) -> None:
+        """Fly by the Mellinger controller from now on; it follows positions and no velocities."""
+        self._firmware.choose_mellinger()
+
     def stop_setpoint(self) -> None:
         """Send a stop set-point: motors off while it is the newest. It ages like any other."""
         self._firmware.send(STOP, self._ms - self.sent_before_ms)
@@ -255,6 +268,19 @@ class VehicleSim:
         limit = self._battery.rpm_max
         m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self._firmware.commands)
         return (m1, m2, m3, m4)
+
+    @property
+    def duty(self) -> tuple[float, float, float, float]:
+        """Duty cycles of M1..M4: mean voltage at the motor as share of the battery's, 0 to 1."""
+        at_zero, limit = self._params.battery.speed_at_zero_v_rpm, self._battery.rpm_max
+        m1, m2, m3, m4 = (
+            min(1.0, max(0.0, (c - at_zero) / (limit - at_zero))) for c in self._firmware.commands
+        )
+        return (m1, m2, m3, m4)
+
+    def body(self) -> Values:
+        """True position (3), velocity (3), quaternion (4, w first) and angular velocity (3)."""
+        return self._physics.body()
 
     @property
     def on_pad(self) -> bool:

@@ -22,10 +22,11 @@ UNITS = {  # ends of the parameters' names
 MODULES = (
     "sim.plant.params", "sim.plant.ground_effect", "sim.plant.rotors",
     "sim.firmware.attitude", "sim.firmware.paper_loop",
-    "sim.firmware.pid", "sim.firmware.mixer", "sim.firmware.estimator", "sim.firmware.supervisor",
-    "sim.firmware.stack", "sim.robot.target",
+    "sim.firmware.mellinger", "sim.firmware.pid", "sim.firmware.mixer", "sim.firmware.estimator",
+    "sim.firmware.supervisor", "sim.firmware.stack", "sim.robot.target",
 )  # fmt: skip
 PIDS = {
+    "x": "position x to velocity [m/s]", "y": "position y to velocity", "z": "position z to velocity",
     "vx": "velocity x to tilt [deg]", "vy": "velocity y to tilt [deg]", "vz": "velocity z to 1000 counts",
     "roll": "roll [deg] to rate [deg/s]", "pitch": "pitch", "yaw": "yaw", "roll_rate": "roll rate to counts",
     "pitch_rate": "pitch rate", "yaw_rate": "yaw rate",

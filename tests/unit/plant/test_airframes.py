@@ -87,7 +87,7 @@ def test_a_tired_battery_saturates():
         charge: max(v[2] for v in velocities(vehicle, (0.0, 0.0, 3.0), 0.4))
         for charge, vehicle in climbs.items()
     }
-    assert reached[0.0] < 0.6 * reached[1.0]
+    assert reached[0.0] < 0.9 * reached[1.0]  # 65535 counts are 1.1 times the weight; duty limits below that
 
 
 def test_motors_are_drawn_by_seed_with_a_mean_of_one():

@@ -1,0 +1,82 @@
+"""The Crazyflie's Mellinger controller with its default gains: position set-points to thrust and moments.
+
+    F = m a + kp e + kd de/dt + ki int(e),   e = set-point minus estimate, thrust = F along body z
+
+After firmware controller_mellinger.c of release 2025.12 (attitude: ``sim.firmware.attitude``). It follows
+positions only. Kept: the integrals are bounded (so that a vehicle heavier than ``MASS_KG`` hangs below its
+set-point), and grow while the set-point is out of reach; no thrust means no moments and integrals gone.
+Levelled out it holds the height of the newest set-point.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sim.compiled.jit import jitted
+from sim.compiled.records import Record, Vector, new
+from sim.compiled.rotation import nine
+from sim.firmware.attitude import AttitudeRecord, Counts, attitude_moments
+from sim.firmware.paper_loop import axes_from_force
+from sim.firmware.setpoint import SensedState, SetpointRecord
+from sim.plant.params import CONTROL_STEP_S
+
+MASS_KG = 0.029  # platform_defaults_cf2.h: CF_MASS; the recorded flights hover where this leads to
+MASS_THRUST = 132000.0  # counts per N: massThrust
+GRAVITY_M_S2 = 9.81  # physicalConstants.h
+KP_XY, KD_XY, KI_XY = 0.4, 0.2, 0.05  # N/m, N s/m, N/(m s)
+KP_Z, KD_Z, KI_Z = 1.25, 0.4, 0.05
+I_RANGE_XY, I_RANGE_Z = 2.0, 0.4  # m s
+K_R_Z, K_W_Z = 60000.0, 12000.0  # yaw: kR_z, kw_z; roll and pitch as in ``sim.firmware.attitude``
+
+
+class MellingerRecord(Record):
+    """What the controller remembers."""
+
+    integral: Vector  # of the position error, m s
+    attitude: AttitudeRecord
+
+
+@jitted
+def mellinger_update(
+    m: MellingerRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
+) -> tuple[float, Counts]:
+    """Return ``(thrust counts per motor, moment counts)``; ``level`` keeps roll and pitch at zero."""
+    p, v, i = sensed.position, sensed.velocity, m.integral
+    ex, ey, ez = setpoint.x - p[0], setpoint.y - p[1], setpoint.z - p[2]
+    i[0] = max(-I_RANGE_XY, min(I_RANGE_XY, i[0] + ex * CONTROL_STEP_S))
+    i[1] = max(-I_RANGE_XY, min(I_RANGE_XY, i[1] + ey * CONTROL_STEP_S))
+    i[2] = max(-I_RANGE_Z, min(I_RANGE_Z, i[2] + ez * CONTROL_STEP_S))
+    fx = fy = 0.0
+    fz = MASS_KG * GRAVITY_M_S2 + KP_Z * ez + KD_Z * (setpoint.vz - v[2]) + KI_Z * i[2]
+    if not level:
+        fx = KP_XY * ex + KD_XY * (setpoint.vx - v[0]) + KI_XY * i[0]
+        fy = KP_XY * ey + KD_XY * (setpoint.vy - v[1]) + KI_XY * i[1]
+    axes = nine(sensed.axes)
+    counts = (fx * axes[6] + fy * axes[7] + fz * axes[8]) * MASS_THRUST
+    desired = axes_from_force(fx, fy, fz, setpoint.cos_yaw, setpoint.sin_yaw)
+    rates = sensed.rates
+    moments = attitude_moments(m.attitude, axes, desired, rates[0], rates[1], rates[2])
+    if counts <= 0.0:
+        mellinger_reset(m)
+        return 0.0, (0, 0, 0)
+    return counts, moments
+
+
+@jitted
+def mellinger_reset(m: MellingerRecord) -> None:
+    """Forget integrals."""
+    m.integral[:] = 0.0
+    m.attitude.integral_z = 0.0
+
+
+class MellingerLoop:
+    """Sets up the controller of one vehicle."""
+
+    def __init__(self, record: MellingerRecord | None = None) -> None:
+        self.record = r = new(MellingerRecord) if record is None else record
+        r.attitude.wx = math.nan
+        r.attitude.k_r_z, r.attitude.k_w_z = K_R_Z, K_W_Z
+
+    def reset(self) -> None:
+        """Forget integrals."""
+        mellinger_reset(self.record)
