@@ -30,9 +30,9 @@ VOLTAGE_V = (2.5, 4.4)  # of one LiPo cell under load
 ABOVE_GROUND_M = 0.15  # in the air, and away from the ground effect (3 propeller diameters)
 START_S = 0.5  # after lift-off and before landing, when the feet may touch
 MARGIN_S = 0.1
-DAMAGED_MAX = 0.05  # share of the time in the air; the clocks do not count, since what they part is sound
+DAMAGED_MAX = 0.05  # share of the time in the air; gaps do not count, since what they part is sound
 PIECE_MIN_S = 2.0
-FLIGHT_MIN_S = 5.0
+FLIGHT_MIN_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,19 +88,16 @@ def screen(recording: Recording) -> Screened:
         flying = ~((r.position_m[:, 2] <= ground + ABOVE_GROUND_M) | (r.duty.max(axis=1) <= 0.0))
     flying = ~_spread(~flying, START_S, r.step_s)
     reasons: list[Reason] = []
-    ill = np.zeros_like(flying)
+    ill, good = np.zeros_like(flying), flying.copy()
     for text, bad in _damage(r):
         spoiled = _spread(bad, MARGIN_S, r.step_s) & flying
-        if spoiled.any():
-            reasons.append(Reason(text, float(spoiled.sum() * r.step_s)))
         ill |= spoiled
-    lag_s = clock_lag_s(r)
-    apart = _lasting((np.abs(lag_s) > CLOCKS_OFF_S + 0.5 * r.step_s) & flying, CLOCKS_S, r.step_s)
-    if apart.any():
-        worst_s = lag_s[apart][np.argmax(np.abs(lag_s[apart]))]
-        text = f"clocks of log and motion capture differ by up to {1000.0 * abs(worst_s):.0f} ms"
-        reasons.append(Reason(text, float(apart.sum() * r.step_s)))
-    pieces = tuple(p for p in _runs(flying & ~ill & ~apart) if (p.stop - p.start) * r.step_s >= PIECE_MIN_S)
+        _tell(reasons, text, spoiled, r.step_s)
+    for text, bad in _gaps(r, flying):
+        spoiled = _spread(bad, MARGIN_S, r.step_s) & flying
+        good &= ~spoiled
+        _tell(reasons, text, spoiled, r.step_s)
+    pieces = tuple(p for p in _runs(good & ~ill) if (p.stop - p.start) * r.step_s >= PIECE_MIN_S)
     air_s, ill_s = float(flying.sum() * r.step_s), float(ill.sum() * r.step_s)
     left_s = float(sum(p.stop - p.start for p in pieces) * r.step_s)
     whole = None
@@ -110,12 +107,19 @@ def screen(recording: Recording) -> Screened:
             f"highest {_highest_m(r):.2g} m above the ground"
         )
     elif ill_s > DAMAGED_MAX * air_s:
-        whole = f"damaged for {ill_s:.1f} s of {air_s:.1f} s in the air; {DAMAGED_MAX:.0%} are allowed"
+        whole = (
+            f"damaged for {ill_s:.1f} s of {air_s:.1f} s in the air; {100.0 * DAMAGED_MAX:g} % are allowed"
+        )
     elif left_s < FLIGHT_MIN_S:
         whole = f"{left_s:.1f} s left of {air_s:.1f} s in the air, at least {FLIGHT_MIN_S:g} s are needed"
     if whole is not None:
         return Screened(r, (), (*reasons, Reason(whole, float(r.time_s[-1]))))
     return Screened(r, pieces, tuple(reasons))
+
+
+def _tell(reasons: list[Reason], text: str, mask: Mask, step_s: float) -> None:
+    if mask.any():
+        reasons.append(Reason(text, float(mask.sum() * step_s)))
 
 
 def _highest_m(r: Recording) -> float:
@@ -124,23 +128,30 @@ def _highest_m(r: Recording) -> float:
 
 
 def _damage(r: Recording) -> Iterator[tuple[str, Mask]]:
-    """Yield each kind of damage with the samples that show it."""
-    needed = np.concatenate(
-        [r.position_m, r.velocity_m_s, r.attitude, r.rates_rad_s, r.duty, r.battery_v[:, None]], axis=1
-    )
-    yield "values missing (NaN)", ~np.isfinite(needed).all(axis=1)
-    late = np.diff(r.time_s, prepend=r.time_s[0]) > GAP_FACTOR * r.step_s
-    yield "samples missing", late
+    """Yield what is wrong with the vehicle's link or its estimator, with the samples that show it."""
     with np.errstate(invalid="ignore"):
         yield "motor commands outside 0 to 65535", np.any((r.duty < 0.0) | (r.duty > 1.0 + 1e-6), axis=1)
         low, high = VOLTAGE_V
         yield f"battery outside {low:g} to {high:g} V", (r.battery_v < low) | (r.battery_v > high)
         step = np.linalg.norm(np.diff(r.position_m, axis=0, prepend=r.position_m[:1]), axis=1)
         yield "motion capture jumps", step > SPEED_MAX_M_S * np.maximum(r.step_s, _steps(r))
-        yield "motion capture frozen", _frozen(r)
         if r.estimate_position_m is not None:
             off = np.linalg.norm(r.estimate_position_m - r.position_m, axis=1)
-            yield f"estimate more than {ESTIMATE_OFF_M:g} m from motion capture", ~(off <= ESTIMATE_OFF_M)
+            yield f"estimate more than {ESTIMATE_OFF_M:g} m from motion capture", off > ESTIMATE_OFF_M
+
+
+def _gaps(r: Recording, flying: Mask) -> Iterator[tuple[str, Mask]]:
+    """Yield what the recording does not show, though the flight went on."""
+    needed = [r.position_m, r.velocity_m_s, r.attitude, r.rates_rad_s, r.duty, r.battery_v[:, None]]
+    if r.estimate_position_m is not None:
+        needed.append(r.estimate_position_m)
+    yield "values missing (NaN)", np.any(~np.isfinite(np.concatenate(needed, axis=1)), axis=1)
+    yield "samples missing", np.diff(r.time_s, prepend=r.time_s[0]) > GAP_FACTOR * r.step_s
+    yield "motion capture frozen", _frozen(r)
+    lag_s = clock_lag_s(r)
+    apart = _lasting((np.abs(lag_s) > CLOCKS_OFF_S + 0.5 * r.step_s) & flying, CLOCKS_S, r.step_s)
+    worst_ms = 1000.0 * float(np.max(np.abs(lag_s[apart]), initial=0.0))
+    yield f"clocks of log and motion capture differ by up to {worst_ms:.0f} ms", apart
 
 
 def _steps(r: Recording) -> NDArray[np.float64]:

@@ -1,0 +1,27 @@
+"""Recorded flights for tests: a piece of one, which is everywhere, and all of them, where they are found."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PIECE = ROOT / "tests" / "data" / "flights" / "figure8_medium_6s.parquet"
+VARIABLE = "FLIGHTSTACK_FLIGHTS"
+
+
+def folder() -> Path | None:
+    """Folder of the recorded flights: the one that is named, else one beside the checkout."""
+    named = os.environ.get(VARIABLE)
+    places = [Path(named)] if named else [above / "shared" / "flights" for above in ROOT.parents[:3]]
+    return next((place for place in places if any(place.glob("*.parquet"))), None)
+
+
+def flights(*names: str) -> list[Path]:
+    """Return these flights, or all of them; skips the test where they are not found."""
+    found = folder()
+    if found is None:
+        pytest.skip(f"no recorded flights here; {VARIABLE} names their folder")
+    return [found / f"{name}.parquet" for name in names] or sorted(found.glob("*.parquet"))
