@@ -51,13 +51,15 @@ def mix(thrust: float, moments: tuple[int, int, int]) -> Four:
 class MapRecord(Record):
     """Inverse of the thrust map: rpm = (b + sqrt(b^2 + four_a counts)) inverse.
 
-    Where ``in_volts``, counts are ``volt_map`` of the motor's voltage and rpm = at_zero_rpm + per_volt_rpm V.
+    Where ``in_volts``, counts are ``volt_map`` of a voltage, whose share of the battery's is the duty cycle;
+    rpm = no_duty_rpm + duty (rpm_max - no_duty_rpm).
     """
 
     in_volts: bool
     volt_map: Motors
     at_zero_rpm: float
     per_volt_rpm: float
+    no_duty_rpm: float  # sim.plant.rotors.speed_at_no_duty
     b: float
     four_a: float
     inverse: float
@@ -74,7 +76,7 @@ def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
 
 @jitted
 def motor_volts(m: MapRecord, counts: float) -> float:
-    """Mean voltage that the firmware gives a motor; 0 where it stops."""
+    """Voltage that the firmware asks for; 0 where the motor stops."""
     if counts < m.off_below:
         return 0.0
     k, share, volts = m.volt_map, counts / COUNTS_MAX, VOLTS_FIRST
@@ -90,12 +92,14 @@ def motor_speeds(m: MapRecord, thrust: float, moments: tuple[int, int, int], rpm
     if m.in_volts:
         m1, m2, m3, m4 = spread(thrust, moments)
         each = (motor_volts(m, m1), motor_volts(m, m2), motor_volts(m, m3), motor_volts(m, m4))
-        v1, v2, v3, v4 = cap(each, (rpm_max - m.at_zero_rpm) / m.per_volt_rpm)
+        battery_v = (rpm_max - m.at_zero_rpm) / m.per_volt_rpm
+        v1, v2, v3, v4 = cap(each, battery_v)
+        per_v = (rpm_max - m.no_duty_rpm) / battery_v
         return (
-            m.at_zero_rpm + m.per_volt_rpm * v1 if v1 > 0.0 else 0.0,
-            m.at_zero_rpm + m.per_volt_rpm * v2 if v2 > 0.0 else 0.0,
-            m.at_zero_rpm + m.per_volt_rpm * v3 if v3 > 0.0 else 0.0,
-            m.at_zero_rpm + m.per_volt_rpm * v4 if v4 > 0.0 else 0.0,
+            m.no_duty_rpm + per_v * v1 if v1 > 0.0 else 0.0,
+            m.no_duty_rpm + per_v * v2 if v2 > 0.0 else 0.0,
+            m.no_duty_rpm + per_v * v3 if v3 > 0.0 else 0.0,
+            m.no_duty_rpm + per_v * v4 if v4 > 0.0 else 0.0,
         )
     c1, c2, c3, c4 = mix(thrust, moments)
     return (
@@ -119,12 +123,20 @@ def set_up_map(m: MapRecord, rotor: Rotor, battery: Battery) -> MapRecord:
     return m
 
 
-def counts_per_n(params: Params, thrust_n: float) -> float:
-    """Counts per newton of all four nominal motors at this total thrust."""
-    rotor = params.rotor
+def counts_per_n(params: Params, thrust_n: float, battery_v: float | None = None) -> float:
+    """Counts per newton of all four nominal motors at a total thrust near the hover's.
+
+    Args:
+        params: of the vehicle.
+        thrust_n: of all motors.
+        battery_v: under the hover's load; None: of a battery that is half empty.
+    """
+    rotor, battery = params.rotor, params.battery
     if rotor.volt_map is None:
         return COUNTS_MAX / (4.0 * rotor.thrust_max_n)
-    volts = params.battery.motor_v(rotor.rpm(thrust_n / 4.0))
+    if battery_v is None:
+        battery_v = 0.5 * (battery.full_v + battery.empty_v) - battery.hover_sag_v
+    volts = battery_v * battery.hover_duty(rotor.rpm(thrust_n / 4.0), battery_v)
     k0, k1, k2, k3 = rotor.volt_map
     return COUNTS_MAX * (k0 + volts * (k1 + volts * (k2 + volts * k3))) / thrust_n
 

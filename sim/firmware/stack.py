@@ -130,16 +130,20 @@ class Firmware:
     def commands(self, commands: Four) -> None:
         self._commands[:] = commands
 
-    def trim(self, force: Vec3, motors: Four) -> Vec3:
+    def trim(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
         """Trim the controller for hover at yaw 0; returns the velocity set-point that holds it.
 
         Args:
             force: of nominal motors, world frame, N.
             motors: thrust of each as share of the mean motor's.
+            battery_v: under the load of the hover.
         """
         thrust_n = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-        each = [counts_per_n(self._params, thrust_n / share) * thrust_n / share for share in motors]
-        return self.controller.trim(force, counts_per_n(self._params, thrust_n), moments_of(each))
+        each = [
+            counts_per_n(self._params, thrust_n / share, battery_v) * thrust_n / share for share in motors
+        ]
+        per_n = counts_per_n(self._params, thrust_n, battery_v)
+        return self.controller.trim(force, per_n, moments_of(each))
 
     def choose_mellinger(self) -> None:
         """Fly by the Mellinger controller from now on (firmware parameter stabilizer.controller)."""

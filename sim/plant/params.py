@@ -84,6 +84,15 @@ class Battery:
         """Mean voltage at the motor that holds a speed (inverse of ``speed_rpm``)."""
         return (speed_rpm - self.speed_at_zero_v_rpm) / self.speed_per_volt_rpm
 
+    @property
+    def hover_sag_v(self) -> float:
+        """By how much the load of the hover lowers the voltage."""
+        return self.resistance_ohm * (self.idle_current_a + self.hover_current_a)
+
+    def hover_duty(self, speed_rpm: float, voltage_v: float) -> float:
+        """Share of full duty that holds a speed near the hover's, at a voltage under the hover's load."""
+        return (self.motor_v(speed_rpm) + self.hover_sag_v) / (voltage_v + self.hover_sag_v)
+
 
 @dataclass(frozen=True, slots=True)
 class Geometry:

@@ -135,6 +135,7 @@ class BatteryRecord(Record):
     """Charge and voltage; the rest as in ``params.Battery``."""
 
     voltage_v: float  # under load
+    sag_v: float  # by which the load lowers it
     used_a_s: float
     hover_power: float  # sum of the cubes of the speeds in hover, rpm^3
     charge_a_s: float
@@ -157,7 +158,18 @@ def drain(b: BatteryRecord, rpm: F64, dt_s: float) -> None:
     current = b.idle_current_a + b.hover_current_a * power
     b.used_a_s = min(b.charge_a_s, b.used_a_s + current * dt_s)
     rest = b.full_v - (b.full_v - b.empty_v) * b.used_a_s / b.charge_a_s
-    b.voltage_v = rest - b.resistance_ohm * current
+    b.sag_v = b.resistance_ohm * current
+    b.voltage_v = rest - b.sag_v
+
+
+@jitted
+def speed_at_no_duty(b: BatteryRecord) -> float:
+    """Speed, rpm, from which that at full duty is reached in proportion to the duty cycle.
+
+    Motors draw their current in pulses, which lower the voltage by sag / duty while they last: a motor has
+    duty * (voltage at rest) - sag in the mean, where the voltage under load is (voltage at rest) - sag.
+    """
+    return b.speed_at_zero_v_rpm - b.speed_per_volt_rpm * b.sag_v
 
 
 @jitted
@@ -189,7 +201,8 @@ class BatteryModel:
         b.speed_per_volt_rpm = battery.speed_per_volt_rpm
         b.used_a_s = (1.0 - charge) * battery.charge_a_s
         rest_v = battery.full_v - (battery.full_v - battery.empty_v) * (1.0 - charge)
-        b.voltage_v = rest_v - battery.resistance_ohm * battery.idle_current_a
+        b.sag_v = battery.resistance_ohm * battery.idle_current_a
+        b.voltage_v = rest_v - b.sag_v
 
     def load(self, rpm: Sequence[float]) -> float:
         """Put the load of these rotor speeds on the cell; returns the voltage under it."""
@@ -205,3 +218,8 @@ class BatteryModel:
     def rpm_max(self) -> float:
         """Speed at full duty cycle."""
         return speed_limit(self.record)
+
+    @property
+    def rpm_no_duty(self) -> float:
+        """As ``speed_at_no_duty``."""
+        return speed_at_no_duty(self.record)

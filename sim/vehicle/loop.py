@@ -14,7 +14,7 @@ from sim.firmware.supervisor import PERIOD_MS
 from sim.plant.ground_effect import GroundRecord, ground_effect
 from sim.plant.imu import ImuRecord, measure
 from sim.plant.params import STEP_S
-from sim.plant.rotors import BatteryRecord, RotorRecord, drain, speed_limit, turn_rotors
+from sim.plant.rotors import BatteryRecord, RotorRecord, drain, speed_at_no_duty, speed_limit, turn_rotors
 from sim.plant.wind import WindRecord, blow
 from sim.vehicle.judge import ContactRecord, JudgeRecord, judge, note_contact
 from sim.vehicle.mocap import MocapRecord, correct_estimate, measure_pose
@@ -141,6 +141,7 @@ def fly(vehicle: Cell[VehicleRecord], now_ms: int, end_ms: int) -> int:
                 sense(vehicle)
                 if now_ms % PERIOD_MS == 0:
                     oversee(v.firmware, now_ms, v.imu.accel)
+                v.firmware.thrust_map.no_duty_rpm = speed_at_no_duty(v.battery)
                 control(v.firmware, speed_limit(v.battery))
                 cushion(v)
             surround(v, now_ms)

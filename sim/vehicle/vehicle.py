@@ -105,7 +105,7 @@ class VehicleSim:
         self._firmware.commands = self._rotors.rpm
         scale = self.plant.thrust
         force = (fx / scale, fy / scale, fz / scale)
-        trim = self._firmware.trim(force, self.plant.motors)
+        trim = self._firmware.trim(force, self.plant.motors, self._battery.voltage_v)
         self.trim_velocity_enu_m_s = trim
         self._firmware.start_flying(Setpoint(*trim))
 
@@ -271,8 +271,8 @@ class VehicleSim:
 
     @property
     def duty(self) -> tuple[float, float, float, float]:
-        """Duty cycles of M1..M4: mean voltage at the motor as share of the battery's, 0 to 1."""
-        at_zero, limit = self._params.battery.speed_at_zero_v_rpm, self._battery.rpm_max
+        """Duty cycles of M1..M4, 0 to 1, where the battery is not compensated for in the motors' map."""
+        at_zero, limit = self._battery.rpm_no_duty, self._battery.rpm_max
         m1, m2, m3, m4 = (
             min(1.0, max(0.0, (c - at_zero) / (limit - at_zero))) for c in self._firmware.commands
         )

@@ -65,29 +65,25 @@ def test_a_trimmed_start_holds_at_every_charge_and_with_motors_that_differ(charg
     assert max(abs(axis) for velocity in held for axis in velocity) < 0.03
 
 
-def test_a_tired_battery_leaves_the_reserve_that_the_flights_had():
-    """PWM of 50,800 at 3.7 V and of 59,000 at 3.1 V under load in hover."""
-    for charge, low_v, high_v in ((1.0, 3.65, 3.85), (0.0, 3.0, 3.1)):
-        vehicle = room(battery_charge=(charge, charge))
-        velocities(vehicle, (0.0, 0.0, 0.0), 1.0)
-        volts = vehicle.battery_v
-        assert low_v < volts < high_v
-        params = load("crazyflie21_room")
-        at_zero = params.battery.speed_rpm(0.0)
-        duty = np.mean(
-            [(rpm - at_zero) / (vehicle._battery.rpm_max - at_zero) for rpm in vehicle.truth().rotor_rpm]
-        )
-        assert duty * volts == pytest.approx(2.87, rel=0.02)
-        assert duty * 65535 == pytest.approx(2.87 / volts * 65535, rel=0.02)
+@pytest.mark.parametrize(("voltage_v", "pwm"), [(3.7, 50_800), (3.6, 53_200), (3.4, 56_300), (3.1, 59_000)])
+def test_hover_takes_the_duty_that_the_flights_had(voltage_v, pwm):
+    battery, full_v = load("crazyflie21_room").battery, 4.20
+    charge = 1.0 - (full_v - voltage_v - battery.hover_sag_v) / (battery.full_v - battery.empty_v)
+    vehicle = room(battery_charge=(charge, charge))
+    velocities(vehicle, (0.0, 0.0, 0.0), 1.0)
+    assert vehicle.battery_v == pytest.approx(voltage_v, abs=0.01)
+    limit, per_v = vehicle._battery.rpm_max, battery.speed_per_volt_rpm
+    rest_v = vehicle.battery_v + battery.hover_sag_v
+    duty = 1.0 - np.mean([(limit - rpm) / (per_v * rest_v) for rpm in vehicle.truth().rotor_rpm])
+    assert 65535 * duty == pytest.approx(pwm, rel=0.03)
 
 
 def test_a_tired_battery_saturates():
     climbs = {charge: room(battery_charge=(charge, charge)) for charge in (0.0, 1.0)}
-    reached = {
-        charge: max(v[2] for v in velocities(vehicle, (0.0, 0.0, 3.0), 0.4))
-        for charge, vehicle in climbs.items()
-    }
-    assert reached[0.0] < 0.9 * reached[1.0]  # 65535 counts are 1.1 times the weight; duty limits below that
+    for vehicle in climbs.values():
+        velocities(vehicle, (0.0, 0.0, 3.0), 0.4)
+    assert max(climbs[0.0].duty) == pytest.approx(1.0)
+    assert max(climbs[1.0].duty) < 0.9
 
 
 def test_motors_are_drawn_by_seed_with_a_mean_of_one():

@@ -169,7 +169,9 @@ def test_a_moving_set_point_is_followed_half_a_second_late(by_mellinger):
 
 
 def room_map():
-    return set_up_map(new(MapRecord), ROOM.rotor, ROOM.battery)
+    m = set_up_map(new(MapRecord), ROOM.rotor, ROOM.battery)
+    m.no_duty_rpm = ROOM.battery.speed_rpm(0.0)  # without load
+    return m
 
 
 class TestVoltMap:
@@ -196,5 +198,7 @@ class TestVoltMap:
 
     def test_counts_per_newton_are_those_that_make_it(self):
         thrust_n = 0.33
-        volts = motor_volts(room_map(), counts_per_n(ROOM, thrust_n) * thrust_n)
-        assert 4.0 * ROOM.rotor.thrust_n(ROOM.battery.speed_rpm(volts)) == pytest.approx(thrust_n)
+        battery_v, sag_v = 3.3, ROOM.battery.hover_sag_v
+        duty = motor_volts(room_map(), counts_per_n(ROOM, thrust_n, battery_v) * thrust_n) / battery_v
+        speed_rpm = ROOM.battery.speed_rpm(duty * (battery_v + sag_v) - sag_v)
+        assert 4.0 * ROOM.rotor.thrust_n(speed_rpm) == pytest.approx(thrust_n)
