@@ -93,7 +93,8 @@ def _scales(r: Recording) -> Iterator[_Scale]:
         if name == "rates":
             values, reference = band(values, r.step_s), band(reference, r.step_s)
         size, true = _spread(values), _spread(reference)
-        if true > least and size > 0.0:
+        rests = size == 0.0 and name.startswith("setpoint")  # a set-point may stand still, a sensor does not
+        if true > least and not rests:
             yield _Scale(name, size / true, f"{size / true:.3g} times the {told}")
 
 

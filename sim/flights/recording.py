@@ -182,15 +182,16 @@ def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
     """
     try:
         table = pa.csv.read_csv(path) if path.suffix == ".csv" else pa.parquet.read_table(path)
-    except (OSError, pa.ArrowException) as error:
+        names = table.column_names
+    except (OSError, ValueError, pa.ArrowException) as error:
         raise RecordingError(f"can't be read: {str(error).splitlines()[0]}") from error
     arrays: dict[str, Floats] = {}
     for name, group in columns.items():
-        missing = [column for column in group.columns if column not in table.column_names]
+        missing = [column for column in group.columns if column not in names]
         if missing and QUANTITIES[name].required:
             raise RecordingError(
                 f"columns of {name} not found: {', '.join(missing)}; the file has "
-                f"{', '.join(table.column_names[:8])}, ...; name its columns by --columns"
+                f"{', '.join(names[:8])}, ...; name its columns by --columns"
             )
         if not missing:
             arrays[name] = _numbers(table, group)
@@ -207,7 +208,9 @@ def _numbers(table: pa.Table, group: Group) -> Floats:
         ]
     except (ValueError, TypeError) as error:
         raise RecordingError(f"columns {', '.join(group.columns)} are not numbers: {error}") from error
-    return made[0] if len(made) == 1 else np.stack(made, axis=1)
+    values = made[0] if len(made) == 1 else np.stack(made, axis=1)
+    values[~np.isfinite(values)] = np.nan  # infinite is missing, too
+    return values
 
 
 def _recording(name: str, arrays: dict[str, Floats]) -> Recording:

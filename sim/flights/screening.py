@@ -104,7 +104,7 @@ def screen(recording: Recording) -> Screened:
     if air_s < FLIGHT_MIN_S:
         whole = (
             f"in the air for {air_s:.1f} s only, at least {FLIGHT_MIN_S:g} s are needed; "
-            f"highest {_highest_m(r):.2g} m above the ground"
+            f"highest {_highest_m(r):.2f} m above the ground"
         )
     elif ill_s > DAMAGED_MAX * air_s:
         whole = (

@@ -73,6 +73,7 @@ def test_a_flight_in_the_units_of_the_table_is_used(tmp_path):
         ),
         (("sp_ctrltarget_x", "sp_ctrltarget_y"), 1000.0, "setpoint_position: .* unit mm would fit"),
         (("imu_gyro_x", "imu_gyro_y", "imu_gyro_z"), 9000.0, "no unit fits: are these its columns"),
+        (("imu_gyro_x", "imu_gyro_y", "imu_gyro_z"), 0.0, "rates: 0 times .* are these its columns"),
         (("imu_gyro_y",), -1.0, "rates: column 2 is opposite to the attitude; set its sign"),
         (("att_stateEstimate_pitch",), -1.0, "estimate_attitude: column 2 is opposite"),
     ],

@@ -100,6 +100,20 @@ def test_a_file_that_is_no_parquet_is_refused(tmp_path):
         read_recording(tmp_path / "flight.parquet", COLUMN_TABLE)
 
 
+def test_names_of_columns_that_are_no_text_are_refused(tmp_path):
+    (tmp_path / "flight.csv").write_bytes(b"\xff\xfet,px\n1,2\n")
+    with pytest.raises(RecordingError, match=r"can't be read: .*decode"):
+        read_recording(tmp_path / "flight.csv", COLUMN_TABLE)
+
+
+def test_an_infinite_value_is_a_missing_one(tmp_path):
+    columns = flight()
+    columns["px"] = columns["px"].copy()
+    columns["px"][800] = np.inf
+    found = screen(read(tmp_path, columns))
+    assert [reason.text for reason in found.left_out] == ["values missing (NaN)"]
+
+
 def test_a_folder_without_flights_is_refused(tmp_path):
     with pytest.raises(RecordingError, match="found no flights"):
         find_recordings(tmp_path)
