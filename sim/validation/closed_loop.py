@@ -1,8 +1,9 @@
 """Flies the recorded set-points with the simulated vehicle and its firmware, and compares the two flights.
 
 The simulated vehicle stands where the real one stood, and gets the recorded set-points at the recorded times.
-What differs from airframe to airframe and from day to day is taken from the recording: the battery's voltage,
-and how unequal the motors are. Everything else is the vehicle file's.
+What differs from airframe to airframe and from day to day is taken from the recording's first seconds: the
+battery's voltage, the thrust of the motors against the vehicle file's, and how unequal they are. Everything
+else is the vehicle file's. The estimate on board has the errors of recorded flights, by chance.
 
 The real vehicles were given positions and no velocities, but for take-off and landing, which the firmware's
 own commander flies with velocities: only so do the Mellinger flights climb and hover as recorded.
@@ -10,6 +11,7 @@ own commander flies with velocities: only so do the Mellinger flights climb and 
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,25 +21,24 @@ from flightstack.core.parameters.ends import Takeoff
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from sim.flights.recording import Floats, Recording
 from sim.flights.screening import Mask, Screened
-from sim.plant.params import STEP_S, Battery, Params, Plant
+from sim.plant.params import STEP_S, Params, Plant
 from sim.scenarios.scenario import (
-    OdometryLink,
     Scenario,
     Start,
     StartKind,
+    StateError,
     TargetSpec,
     VehicleSpec,
     VelocityLoop,
 )
 from sim.vehicle.vehicle import VehicleSim
 
-MOCAP = OdometryLink(100.0, 0.001, 0.0, 0.005, 0.020)  # delay: median of the recorded flights
+OWN = StateError(yaw_noise_rad=0.0)  # its steps would kick the yaw loop; recorded commands have no such kicks
 SETTLE_S = 0.2  # on the ground, before the first set-point
 AWAY_M = 100.0  # where the ground robot stands
 SATURATED = 1.0 - 1e-6  # of the duty
 SIDEWAYS_M = 0.005
-LOADED_S = 2.0  # the voltage is taken from the first seconds of what is compared
-THRUST_EXPONENT = 1.5  # of the voltage at the motor, near hover
+KNOWN_S = 5.0  # of what is compared, for what differs from airframe to airframe
 
 
 class Flown(NamedTuple):
@@ -64,9 +65,16 @@ class Flown(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
-    """A flight beside its simulation; ``controller`` is pid or mellinger."""
+    """A flight beside its simulation.
+
+    Attributes:
+        controller: pid or mellinger.
+        thrust: of this airframe's motors, as share of the vehicle file's; 1 where the file is right.
+        recorded, simulated: what the two flights show.
+    """
 
     controller: str
+    thrust: float
     recorded: Flown
     simulated: Flown
 
@@ -81,12 +89,12 @@ class Track(NamedTuple):
 
 
 def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
-    """Fly the set-points of a flight; None where it has none, or does not begin on the ground.
+    """Fly the set-points of a flight; None where it has none, or they do not begin on the ground.
 
     Args:
         flight: with pieces; only what lies in them is compared.
         params: of the simulated vehicle.
-        seed: of noise.
+        seed: of noise, which is another one for every name of a flight.
     """
     r = flight.recording
     span = _commanded(r)
@@ -99,11 +107,16 @@ def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
     compared[: span.start] = compared[span.stop :] = False
     if not compared.any():
         return None
-    x, y = r.attitude[:, 1], r.attitude[:, 2]
-    recorded = Track(r.position_m, 1.0 - 2.0 * (x * x + y * y), r.duty, r.battery_v)
-    simulated = _simulate(r, span, compared, params, seed)
+    recorded = Track(r.position_m, _up(r), r.duty, r.battery_v)
+    plant = _airframe(r, compared, params)
+    simulated = _simulate(r, span, params, plant, seed ^ zlib.crc32(r.name.encode()))
+    if simulated is None:
+        return None
     return ClosedLoop(
-        "pid" if r.by_pid else "mellinger", _flown(r, recorded, compared), _flown(r, simulated, compared)
+        "pid" if r.by_pid else "mellinger",
+        plant.thrust,
+        _flown(r, recorded, compared),
+        _flown(r, simulated, compared),
     )
 
 
@@ -111,43 +124,41 @@ def _commanded(r: Recording) -> slice | None:
     """Find the samples from the first set-point to the last; None where it flies before the first."""
     if r.setpoint_position_m is None:
         return None
-    runs = np.flatnonzero((r.duty.max(axis=1) > 0.0) & np.any(r.setpoint_position_m != 0.0, axis=1))
-    if len(runs) == 0 or runs[0] == 0:
+    given = np.isfinite(r.setpoint_position_m).all(axis=1) & np.any(r.setpoint_position_m != 0.0, axis=1)
+    runs = np.flatnonzero((r.duty.max(axis=1) > 0.0) & given)
+    if len(runs) == 0 or runs[0] == 0 or not np.isfinite(r.position_m[runs[0]]).all():
         return None
     return slice(int(runs[0]), int(runs[-1]) + 1)
 
 
-def _simulate(r: Recording, span: slice, compared: Mask, params: Params, seed: int) -> Track:
-    """Fly the set-points; what lies outside ``span`` is NaN."""
+def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int) -> Track | None:
+    """Fly the set-points; what lies outside ``span`` is NaN. None where the firmware refuses to arm."""
     start, stop = span.start, span.stop
     assert r.setpoint_position_m is not None
     x, y, ground = r.position_m[start].tolist()
-    up = (
-        -params.geometry.foot_bottom_m - ground
-    )  # of the floor under the simulated vehicle, which stands lower
+    up = -params.geometry.foot_bottom_m - ground  # from recorded heights to those above the simulated floor
     scenario = Scenario(
         "closed_loop",
         "recorded set-points",
         FlightConfig(BarrierShape(1.0, 1.5), takeoff=Takeoff(start_offset_m=(0.0, 0.0, 1.0))),
         start=Start(StartKind.GROUND, ground_position_m=(x, y)),
         target=TargetSpec(position_m=(x + AWAY_M, y)),
-        vehicle=VehicleSpec(velocity_loop=VelocityLoop.PID, mocap=MOCAP),
+        vehicle=VehicleSpec(velocity_loop=VelocityLoop.PID, own=OWN),
     )
-    plant = Plant(motors=_motors(r, compared), battery_charge=_charge(r, compared, params.battery))
     vehicle = VehicleSim(scenario, seed, params, plant)
     if not r.by_pid:
         vehicle.choose_mellinger()
     vehicle.advance(round(SETTLE_S / STEP_S))
-    refused = vehicle.arm()
-    if refused is not None:
-        raise ValueError(f"the simulated vehicle can't be armed: {refused}")
+    if vehicle.arm() is not None:
+        return None
     setpoints = r.setpoint_position_m + np.array((0.0, 0.0, up))
     yaw_rad = np.zeros(len(r.time_s)) if r.setpoint_yaw_rad is None else r.setpoint_yaw_rad
     ahead = _fed_forward(r, span)
     times_ms = np.rint((r.time_s - r.time_s[start]) / STEP_S).astype(int)
     track = Track(*(np.full((len(r.time_s), *shape), np.nan) for shape in ((3,), (), (4,), ())))
     for k in range(start, stop):
-        vehicle.set_position(tuple(setpoints[k].tolist()), float(yaw_rad[k]), tuple(ahead[k].tolist()))
+        if np.isfinite(setpoints[k]).all():
+            vehicle.set_position(tuple(setpoints[k].tolist()), float(yaw_rad[k]), tuple(ahead[k].tolist()))
         if k > start:
             vehicle.advance(int(times_ms[k] - times_ms[k - 1]))
         body = vehicle.body()
@@ -159,12 +170,23 @@ def _simulate(r: Recording, span: slice, compared: Mask, params: Params, seed: i
     return track
 
 
-def _motors(r: Recording, compared: Mask) -> tuple[float, float, float, float]:
-    """Thrust of each motor at the same voltage, as share of the mean: a weak one is given more to balance."""
-    given = np.mean((r.duty[compared] * r.battery_v[compared, None]) ** THRUST_EXPONENT, axis=0)
-    share = given.mean() / given
-    m1, m2, m3, m4 = (share / share.mean()).tolist()
-    return (m1, m2, m3, m4)
+def _airframe(r: Recording, compared: Mask, params: Params) -> Plant:
+    """Find thrust, motors and battery of this airframe in the first seconds of what is compared."""
+    rotor, battery = params.rotor, params.battery
+    first = np.flatnonzero(compared)[: round(KNOWN_S / r.step_s)]
+    sag_v = battery.hover_sag_v  # a motor has duty * (voltage at rest) - sag in the mean
+    volts = r.duty[first] * (r.battery_v[first, None] + sag_v) - sag_v
+    rpm = battery.speed_at_zero_v_rpm + battery.speed_per_volt_rpm * volts
+    thrust_n = np.maximum(0.0, (rotor.thrust_linear_n_rpm + rotor.thrust_square_n_rpm2 * rpm) * rpm)
+    share = 1.0 / np.maximum(thrust_n.mean(axis=0), rotor.thrust_min_n)  # a weak motor is given more
+    share /= share.mean()
+    gained_m_s = r.velocity_m_s[first[-1], 2] - r.velocity_m_s[first[0], 2]
+    lift_m_s2 = params.contact.gravity_m_s2 + gained_m_s / (r.time_s[first[-1]] - r.time_s[first[0]])
+    thrust = params.body.mass_kg * lift_m_s2 / float((thrust_n @ share * _up(r)[first]).mean())
+    m1, m2, m3, m4 = share.tolist()
+    rest_v = float(np.median(r.battery_v[first])) + sag_v
+    charge = (rest_v - battery.empty_v) / (battery.full_v - battery.empty_v)
+    return Plant(thrust=thrust, motors=(m1, m2, m3, m4), battery_charge=charge)
 
 
 def _fed_forward(r: Recording, span: slice) -> Floats:
@@ -179,12 +201,11 @@ def _fed_forward(r: Recording, span: slice) -> Floats:
     return out
 
 
-def _charge(r: Recording, compared: Mask, battery: Battery) -> float:
-    """Charge of a cell, as share of a full one, that in hover has the recorded voltage."""
-    first = np.flatnonzero(compared)[: round(LOADED_S / r.step_s)]
-    current_a = battery.idle_current_a + battery.hover_current_a
-    rest_v = float(np.median(r.battery_v[first])) + battery.resistance_ohm * current_a
-    return (rest_v - battery.empty_v) / (battery.full_v - battery.empty_v)
+def _up(r: Recording) -> Floats:
+    """Height of the body's z axis, 1 where it is level."""
+    x, y = r.attitude[:, 1], r.attitude[:, 2]
+    up: Floats = 1.0 - 2.0 * (x * x + y * y)
+    return up
 
 
 def _flown(r: Recording, track: Track, compared: Mask) -> Flown:

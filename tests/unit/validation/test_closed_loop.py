@@ -1,0 +1,139 @@
+"""Recorded set-points flown by the simulated vehicle: flights that the simulator made, and real ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from sim.flights.recording import Recording, read_columns
+from sim.flights.screening import load as load_flight
+from sim.flights.screening import screen
+from sim.plant.params import Plant, load
+from sim.scenarios.scenario import Start, StartKind, VehicleSpec, VelocityLoop
+from sim.validation.closed_loop import OWN, fly
+from sim.vehicle.vehicle import VehicleSim
+from tests.recorded import flights
+from tests.unit.vehicle.vehicle_sim_helpers import scenario
+
+ROOM = load("crazyflie21_room")
+MARKERS_M = 0.04  # what motion capture calls the vehicle's place is higher than its centre of mass
+GROUND_TICKS, UP_TICKS, TICKS = 100, 500, 2000
+
+
+def setpoint(tick):
+    """Up to 1 m in 2 s, then circles of 0.8 m at 0.6 m/s."""
+    height = min(1.0, 0.05 + (tick - GROUND_TICKS) / 200.0)
+    angle = 0.75 * max(0.0, (tick - UP_TICKS) / 100.0)
+    return (3.0 + 0.8 * math.sin(angle), 0.8 - 0.8 * math.cos(angle), height)
+
+
+@cache
+def recorded(plant: Plant, by_mellinger=False):
+    """A flight of the simulated vehicle, in the columns of a recording."""
+    spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, own=OWN)
+    start = Start(StartKind.GROUND, ground_position_m=(3.0, 0.0))
+    sim = VehicleSim(scenario(start=start, vehicle=spec), 5, ROOM, plant)
+    if by_mellinger:
+        sim.choose_mellinger()
+    bodies, duties, volts, setpoints = [], [], [], []
+    for tick in range(TICKS):
+        if tick == GROUND_TICKS:
+            assert sim.arm() is None
+        if tick >= GROUND_TICKS:
+            sim.set_position(setpoint(tick), 0.0)
+        sim.advance(10)
+        bodies.append(sim.body())
+        duties.append(sim.duty)
+        volts.append(sim.battery_v)
+        setpoints.append(setpoint(tick) if tick >= GROUND_TICKS else (0.0, 0.0, 0.0))
+    body, higher = np.array(bodies), np.array((0.0, 0.0, MARKERS_M))
+    setpoints = np.array(setpoints)
+    setpoints[GROUND_TICKS:] += higher
+    flown = np.zeros(TICKS) if by_mellinger else np.full(TICKS, 0.5)
+    return Recording(
+        "made", 0.01 * np.arange(TICKS), body[:, :3] + higher, body[:, 3:6], body[:, 6:10], body[:, 10:13],
+        np.array(duties), np.array(volts), setpoint_position_m=setpoints, setpoint_yaw_rad=np.zeros(TICKS),
+        thrust_command=flown,
+    )  # fmt: skip
+
+
+AIRFRAME = Plant(motors=(0.93, 1.02, 1.0, 1.05), thrust=0.97, battery_charge=0.6)
+
+
+@pytest.mark.parametrize("by_mellinger", [False, True])
+def test_the_simulators_own_flight_is_found_again(by_mellinger):
+    found = fly(screen(recorded(AIRFRAME, by_mellinger)), ROOM, 0)
+    assert found is not None
+    assert found.controller == ("mellinger" if by_mellinger else "pid")
+    assert found.thrust == pytest.approx(0.97, abs=0.01)
+    a, b = found.recorded, found.simulated
+    assert a.horizontal_m > 0.2  # half a second behind at 0.6 m/s
+    assert b.horizontal_m == pytest.approx(a.horizontal_m, rel=0.15)
+    assert b.vertical_m == pytest.approx(a.vertical_m, abs=0.02)
+    assert b.duty == pytest.approx(a.duty, rel=0.01)
+    assert b.tilt_rms_rad == pytest.approx(a.tilt_rms_rad, rel=0.15)
+    assert b.tilt_p95_rad == pytest.approx(a.tilt_p95_rad, rel=0.25)
+    assert b.sag_v_s == pytest.approx(a.sag_v_s, abs=1e-3)
+
+
+def test_the_same_seed_flies_the_same_and_another_one_does_not():
+    flight = screen(recorded(AIRFRAME))
+    first, again, other = (fly(flight, ROOM, seed) for seed in (1, 1, 2))
+    assert first == again
+    assert first.simulated != other.simulated
+    assert first.recorded == other.recorded
+
+
+def test_a_tired_battery_saturates_in_both():
+    full, tired = (
+        fly(screen(recorded(replace(AIRFRAME, battery_charge=charge))), ROOM, 0) for charge in (0.6, 0.03)
+    )
+    assert full.recorded.saturated == full.simulated.saturated == 0.0
+    assert tired.recorded.saturated > 0.02
+    assert 0.5 < tired.simulated.saturated / tired.recorded.saturated < 2.0
+
+
+def test_a_plant_of_less_thrust_is_named():
+    """The thrust of the airframe says by how much the vehicle file is off."""
+    weak = replace(ROOM, body=replace(ROOM.body, mass_kg=1.1 * ROOM.body.mass_kg))
+    assert fly(screen(recorded(AIRFRAME)), weak, 0).thrust == pytest.approx(1.1 * 0.97, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"setpoint_position_m": None},
+        {"setpoint_position_m": np.zeros((TICKS, 3))},
+        {"setpoint_position_m": np.full((TICKS, 3), np.nan)},
+        {"setpoint_position_m": np.ones((TICKS, 3)), "duty": np.full((TICKS, 4), 0.8)},
+    ],
+    ids=["no column", "none sent", "not a number", "begins in the air"],
+)
+def test_without_set_points_from_the_ground_on_nothing_is_flown(change):
+    assert fly(screen(replace(recorded(AIRFRAME), **change)), ROOM, 0) is None
+
+
+def test_missing_set_points_in_flight_are_left_out():
+    holed = recorded(AIRFRAME).setpoint_position_m.copy()
+    holed[1000:1005] = np.nan
+    found = fly(screen(replace(recorded(AIRFRAME), setpoint_position_m=holed)), ROOM, 0)
+    assert all(map(math.isfinite, (*found.recorded, *found.simulated)))
+
+
+@pytest.mark.parametrize(
+    ("name", "controller"),
+    [("B3_figure8_slow_rep1", "pid"), ("B2_circle_fast_rep2", "pid"), ("B9_trefoil_slow_rep2", "mellinger")],
+)
+def test_a_real_flight_is_flown_as_it_was(name, controller):
+    found = fly(load_flight(flights(name)[0], read_columns()), ROOM, 0)
+    assert found is not None
+    assert found.controller == controller
+    assert 0.9 < found.thrust < 1.1
+    a, b = found.recorded, found.simulated
+    assert math.hypot(*b[:2]) == pytest.approx(math.hypot(*a[:2]), rel=0.25)
+    assert b.duty == pytest.approx(a.duty, rel=0.03)
+    assert b.tilt_rms_rad == pytest.approx(a.tilt_rms_rad, rel=0.3)
