@@ -38,7 +38,7 @@ SETTLE_S = 0.2  # on the ground, before the first set-point
 AWAY_M = 100.0  # where the ground robot stands
 SATURATED = 1.0 - 1e-6  # of the duty
 SIDEWAYS_M = 0.005
-KNOWN_S = 5.0  # of what is compared, for what differs from airframe to airframe
+KNOWN_S = 8.0  # of what is compared, for what differs from airframe to airframe
 
 
 class Flown(NamedTuple):
@@ -108,7 +108,7 @@ def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
     if not compared.any():
         return None
     recorded = Track(r.position_m, _up(r), r.duty, r.battery_v)
-    plant = _airframe(r, compared, params)
+    plant = _airframe(r, span.start, compared, params)
     simulated = _simulate(r, span, params, plant, seed ^ zlib.crc32(r.name.encode()))
     if simulated is None:
         return None
@@ -170,7 +170,7 @@ def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int
     return track
 
 
-def _airframe(r: Recording, compared: Mask, params: Params) -> Plant:
+def _airframe(r: Recording, start: int, compared: Mask, params: Params) -> Plant:
     """Find thrust, motors and battery of this airframe in the first seconds of what is compared."""
     rotor, battery = params.rotor, params.battery
     first = np.flatnonzero(compared)[: round(KNOWN_S / r.step_s)]
@@ -184,8 +184,12 @@ def _airframe(r: Recording, compared: Mask, params: Params) -> Plant:
     lift_m_s2 = params.contact.gravity_m_s2 + gained_m_s / (r.time_s[first[-1]] - r.time_s[first[0]])
     thrust = params.body.mass_kg * lift_m_s2 / float((thrust_n @ share * _up(r)[first]).mean())
     m1, m2, m3, m4 = share.tolist()
-    rest_v = float(np.median(r.battery_v[first])) + sag_v
+    hover_rpm = rotor.rpm(params.body.mass_kg * params.contact.gravity_m_s2 / 4.0 / thrust)
+    power = float((rpm * rpm * rpm).mean()) / hover_rpm**3  # of the hover's
+    current_a = battery.idle_current_a + battery.hover_current_a * power
+    rest_v = float(r.battery_v[first].mean()) + battery.resistance_ohm * current_a
     charge = (rest_v - battery.empty_v) / (battery.full_v - battery.empty_v)
+    charge += current_a * (r.time_s[first].mean() - r.time_s[start]) / battery.charge_a_s  # of the take-off
     return Plant(thrust=thrust, motors=(m1, m2, m3, m4), battery_charge=charge)
 
 
