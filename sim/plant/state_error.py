@@ -8,27 +8,34 @@ that is turned. ``Rows`` come from a model (``ModelRows``) or from recorded flig
 from __future__ import annotations
 
 import math
-from typing import Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated, Protocol
 
 import numpy as np
 
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Cell, Record
 from sim.plant.sensors import stream
-from sim.scenarios.scenario import StateError
+from sim.scenarios.scenario import StateError, TapeKind
+
+if TYPE_CHECKING:
+    from sim.flights.tape import Piece, Tape
 
 # columns of a row
 DELAY = 0  # of the position, s; negative: ahead
 VELOCITY_DELAY = 1  # s
 POSITION = 2  # three: error of the position, ENU, m
 AHEAD, ASIDE = 5, 6  # error of the velocity along and left of the horizontal velocity, as shares of the speed
-VELOCITY = 7  # three: error of the velocity whatever the speed, ENU, m/s
-TURN = 10  # three: turn of the measured attitude against the body, rotation vector, body FLU, rad
-WIDTH = 13
+STILL_AHEAD, STILL_ASIDE = 7, 8  # and what comes to it at any speed, m/s
+VELOCITY = 9  # three: error of the velocity in the axes of the world, ENU, m/s
+TURN = 12  # three: turn of the measured attitude against the body, rotation vector, body FLU, rad
+WIDTH = 15
 
 PAST = 128  # states kept: 0.25 s at 500 Hz
 DELAY_MAX_S = 0.2
 DELAY_MIN_S = -0.1  # beyond that a state predicted at constant velocity is no recorded one's like
+CUT_S = (3.0, 8.0)  # length of a cut from a recorded flight
+FADE_S = 0.2  # from one cut to the next
+SMOOTH_S = 0.02  # the recorded errors' correlation is round at the top: 0.98 to 0.99 after 10 ms
 SETTLED = 12.0  # times the time constant that noise runs before it is used
 
 
@@ -43,7 +50,7 @@ class PastRecord(Record):
 
 @jitted
 def _recall(past: PastRecord, delay_s: float, first: int) -> None:
-    """Write three numbers of the state of ``delay_s`` ago; velocity holds on, for what is yet to come."""
+    """Write three numbers of the state of ``delay_s`` ago, which is not negative."""
     back = max(0.0, min(delay_s * past.rate, float(min(past.count, PAST) - 1)))
     whole = int(back)
     share = back - whole
@@ -66,20 +73,38 @@ def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None
     past.count += 1
     late = past.late
     _recall(past, row[DELAY], 0)
-    _recall(past, row[VELOCITY_DELAY], 3)
+    _recall(past, abs(row[VELOCITY_DELAY]), 3)
     lead_s = max(0.0, -row[DELAY])
     for i in range(3):
         late[i] += velocity[i] * lead_s + row[POSITION + i]
-    vx, vy = late[3], late[4]
-    late[3] += row[AHEAD] * vx - row[ASIDE] * vy + row[VELOCITY]
-    late[4] += row[AHEAD] * vy + row[ASIDE] * vx + row[VELOCITY + 1]
-    late[5] += row[VELOCITY + 2]
+        if row[VELOCITY_DELAY] < 0.0:  # on by as much as it has changed; a derivative would leap at an impact
+            late[3 + i] = 2.0 * velocity[i] - late[3 + i]
+    speed = math.sqrt(late[3] * late[3] + late[4] * late[4])
+    x, y = 1.0, 0.0
+    if speed > 0.0:
+        x, y = late[3] / speed, late[4] / speed
+    along, across = row[AHEAD] * speed + row[STILL_AHEAD], row[ASIDE] * speed + row[STILL_ASIDE]
+    late[3] += along * x - across * y
+    late[4] += along * y + across * x
+    for i in range(3):
+        late[3 + i] += row[VELOCITY + i]
 
 
 @jitted
 def mismeasured(past: Cell[PastRecord], position: F64, velocity: F64, row: F64) -> None:
     """Do ``mismeasure``, called from Python."""
     mismeasure(past[0], position, velocity, row)
+
+
+@jitted
+def mismeasured_path(
+    past: Cell[PastRecord], positions: F64, velocities: F64, rows: F64, measured: F64
+) -> None:
+    """Fill ``measured`` (n, 6) along a path of n samples."""
+    for k in range(len(positions)):
+        mismeasure(past[0], positions[k], velocities[k], rows[k])
+        for i in range(6):
+            measured[k, i] = past[0].late[i]
 
 
 class Rows(Protocol):
@@ -90,31 +115,27 @@ class Rows(Protocol):
 
 
 class Noise:
-    """Correlated normal noise of several values, each of variance one.
+    """Correlated normal noise of several values, each of variance one: white noise through two lags.
 
-    First order (Ornstein-Uhlenbeck): its correlation falls as exp(-t / T). Second order (twice the same lag):
-    as (1 + t / T) exp(-t / T), so that it is smooth from sample to sample.
+    Its correlation after t is (T exp(-t / T) - S exp(-t / S)) / (T - S), (1 + t / T) exp(-t / T) where T = S.
+    So it falls with T, and is smooth from sample to sample: a leap would kick the controllers on board.
 
     Args:
         rng: source of chance.
         width: number of values.
         time_s: T.
+        smooth_s: S.
         step_s: between samples.
-        smooth: second order.
     """
 
     def __init__(
-        self, rng: np.random.Generator, width: int, time_s: float, step_s: float, *, smooth: bool = False
+        self, rng: np.random.Generator, width: int, time_s: float, smooth_s: float, step_s: float
     ) -> None:
-        keep = math.exp(-step_s / time_s)
-        rest = 1.0 - keep * keep
-        self._rng, self._width = rng, width
-        if smooth:  # variance of the process with a double pole: (1 + keep^2) / (1 - keep^2)^3
-            self._gain, self._lag = math.sqrt(rest**3 / (1.0 + keep * keep)), [1.0, -2.0 * keep, keep * keep]
-        else:
-            self._gain, self._lag = math.sqrt(rest), [1.0, -keep]
-        self._state = np.zeros((len(self._lag) - 1, width))
-        self.take(round(SETTLED * time_s / step_s) + 1)
+        p, q = math.exp(-step_s / time_s), math.exp(-step_s / smooth_s)
+        self._rng, self._width, self._lag = rng, width, [1.0, -p - q, p * q]
+        self._gain = math.sqrt((1.0 - p * q) * (1.0 - p * p) * (1.0 - q * q) / (1.0 + p * q))
+        self._state = np.zeros((2, width))
+        self.take(round(SETTLED * max(time_s, smooth_s) / step_s) + 1)
 
     def take(self, count: int) -> F64:
         """Return the next samples, (count, width)."""
@@ -124,6 +145,9 @@ class Noise:
         out, self._state = lfilter([1.0], self._lag, white, axis=0, zi=self._state)
         noise: F64 = out
         return noise
+
+
+_NOISY = (*range(POSITION, POSITION + 3), AHEAD, ASIDE, VELOCITY + 2, *range(TURN, TURN + 3))  # columns
 
 
 class ModelRows:
@@ -146,26 +170,30 @@ class ModelRows:
         self._velocity_delay_s = (
             self._base_s - spec.velocity_lead_s + spec.velocity_lead_spread_s * _within(lead)
         )
-        self._fast_s = spec.delay_fast_s * math.exp(spec.delay_varies * _within(fast))
-        self._slow_s = spec.delay_slow_s * math.exp(spec.delay_varies * _within(slow))
+        self._fast_s = spec.delay_fast_s * math.exp(spec.delay_fast_varies * _within(fast))
+        self._slow_s = spec.delay_slow_s * math.exp(spec.delay_slow_varies * _within(slow))
         self._turn = np.array((spec.tilt_rad, spec.tilt_rad, spec.yaw_rad)) * rng.standard_normal(3)
         one, two, three = rng.spawn(3)  # so that rows do not depend on how many are taken at once
-        self._fast = Noise(one, 1, spec.delay_fast_time_s, step_s, smooth=True)
-        self._slow = Noise(two, 1, spec.delay_slow_time_s, step_s, smooth=True)
-        self._state = Noise(three, WIDTH - POSITION, spec.error_time_s, step_s)
-        tilt, yaw, still = spec.tilt_noise_rad, spec.yaw_noise_rad, spec.velocity_error_m_s
-        along, across = spec.velocity_along, spec.velocity_across
+        fast_s, slow_s = spec.delay_fast_time_s, spec.delay_slow_time_s
+        self._fast, self._slow = Noise(one, 1, fast_s, fast_s, step_s), Noise(two, 1, slow_s, slow_s, step_s)
+        self._state = Noise(three, len(_NOISY), spec.error_time_s, SMOOTH_S, step_s)
+        tilt, yaw = spec.tilt_noise_rad, spec.yaw_noise_rad
         self._sigmas = np.array(
-            [*[spec.position_error_m] * 3, along, across, still, still, still, tilt, tilt, yaw]
-        )
+            [
+                *[spec.position_error_m] * 3, spec.velocity_along, spec.velocity_across,
+                spec.velocity_z_m_s, tilt, tilt, yaw,
+            ]
+        )  # fmt: skip
 
     def take(self, count: int) -> F64:
         """Errors of the next samples, (count, WIDTH)."""
-        rows = np.empty((count, WIDTH))
+        rows = np.zeros((count, WIDTH))
         delay = self._base_s + self._fast_s * self._fast.take(count) + self._slow_s * self._slow.take(count)
         rows[:, DELAY] = np.clip(delay[:, 0], DELAY_MIN_S, DELAY_MAX_S)
         rows[:, VELOCITY_DELAY] = self._velocity_delay_s
-        rows[:, POSITION:] = self._sigmas * self._state.take(count)
+        noise = self._state.take(count)
+        rows[:, _NOISY] = self._sigmas * noise
+        rows[:, STILL_AHEAD : STILL_ASIDE + 1] = self._spec.velocity_error_m_s * noise[:, 3:5]
         rows[:, TURN:] += self._turn
         return rows
 
@@ -173,6 +201,63 @@ class ModelRows:
 def _within(draw: float) -> float:
     """Cut a standard normal draw of a flight to two standard deviations: no flight was beyond."""
     return max(-2.0, min(2.0, draw))
+
+
+class TapeRows:
+    """Errors of one recorded flight, cut into pieces and joined; the cuts are drawn.
+
+    Args:
+        tape: of the flight.
+        rng: source of chance.
+        rate_hz: of the samples.
+    """
+
+    def __init__(self, tape: Tape, rng: np.random.Generator, rate_hz: float) -> None:
+        self._rng = rng
+        self._step = 1.0 / (rate_hz * tape.step_s)  # of the recording's samples per sample
+        self._pieces = [_rows(piece) for piece in tape.pieces]
+        lengths = np.array([len(piece) for piece in self._pieces], dtype=np.float64)
+        self._shares = lengths / lengths.sum()
+        self._fade = max(1, round(FADE_S * rate_hz))
+        self._cut_samples = (CUT_S[0] / tape.step_s, CUT_S[1] / tape.step_s)
+        self._left = self._cut()
+
+    def take(self, count: int) -> F64:
+        """Errors of the next samples, (count, WIDTH)."""
+        while len(self._left) < count + self._fade:
+            self._left = self._joined(self._left, self._cut())
+        rows, self._left = self._left[:count], self._left[count:]
+        return rows
+
+    def _cut(self) -> F64:
+        """Draw a part of a piece, at the rate of the samples."""
+        piece = self._pieces[int(self._rng.choice(len(self._pieces), p=self._shares))]
+        last = len(piece) - 1
+        length = min(float(last), float(self._rng.uniform(*self._cut_samples)))
+        start = float(self._rng.uniform(0.0, last - length))
+        if self._step == 1.0:
+            return piece[round(start) : round(start) + round(length)]
+        at = np.arange(start, start + length, self._step)
+        return np.stack([np.interp(at, np.arange(len(piece)), column) for column in piece.T], axis=1)
+
+    def _joined(self, before: F64, after: F64) -> F64:
+        """Go over from one cut to the next, evenly: a jump was not recorded."""
+        fade = min(self._fade, len(before), len(after))
+        share = (np.arange(1, fade + 1) / (fade + 1))[:, None]
+        between = before[len(before) - fade :] * (1.0 - share) + after[:fade] * share
+        return np.concatenate((before[: len(before) - fade], between, after[fade:]))
+
+
+def _rows(piece: Piece) -> F64:
+    from sim.flights.tape import STILL_M_S
+
+    p = piece
+    still = STILL_M_S[0] * p.along, STILL_M_S[1] * p.across
+    columns = (
+        p.delay_s, p.velocity_delay_s, p.position_m, p.along, p.across, *still, p.velocity_m_s, p.turn_rad,
+    )  # fmt: skip
+    rows: F64 = np.column_stack(columns)
+    return rows
 
 
 def state_errors(spec: StateError, seed: int, purpose: str, rate_hz: float) -> Rows:
@@ -183,5 +268,15 @@ def state_errors(spec: StateError, seed: int, purpose: str, rate_hz: float) -> R
         seed: of the run.
         purpose: whose errors.
         rate_hz: of the samples.
+
+    Raises:
+        RecordingError: the scenario names a folder of flights, and it or usable flights in it are missing.
     """
-    return ModelRows(spec, seed, purpose, rate_hz)
+    if spec.tape is None:
+        return ModelRows(spec, seed, purpose, rate_hz)
+    from sim.flights.tape import draw_tape, tape_folder  # needs pyarrow, which the model does not
+
+    rng = stream(seed, f"{purpose}.tape")
+    chooser = stream(seed, "capture.tape") if spec.delay_shared else rng
+    tape = draw_tape(tape_folder(spec.tape), chooser, raw=spec.tape_kind is TapeKind.RAW)
+    return TapeRows(tape, rng, rate_hz)

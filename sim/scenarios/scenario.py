@@ -106,31 +106,33 @@ class TapeKind(Enum):
 class StateError:
     """Error of a measured state as in recorded flights: a varying delay above all, and correlated errors.
 
-    Defaults: fit to 48 flights of a Crazyflie 2.1 in a Vicon room (NanoBench, arXiv 2603.09908);
-    docs/how_it_works/own_state.md. Standard deviations, unless said otherwise.
+    Defaults: ``sim.validation.sensing_fit.fit`` on 43 flights of a Crazyflie 2.1 in a Vicon room (NanoBench,
+    arXiv 2603.09908), see docs/how_it_works/own_state.md. Standard deviations, unless said otherwise.
     """
 
     tape: str | None = None  # folder of recorded flights; their error instead of the model below
     tape_kind: TapeKind = TapeKind.DELAY
-    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.021  # of the position: mean of all flights
-    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.020  # from flight to flight
-    delay_shared: bool = False  # vehicle and target have the same delay but for its variation in flight
-    delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.022  # variation in flight: median flight
-    delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.06  # correlation (1 + t/T) exp(-t/T)
-    delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.015
-    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 2.0
-    delay_varies: Annotated[float, span(0.0, 2.0)] = 0.4  # of the logarithm of both, from flight to flight
-    velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.015  # delay of position less delay of velocity
-    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.014  # from flight to flight
-    position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0005  # each axis
-    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.013  # each axis, whatever the speed
-    velocity_along: Annotated[float, span(0.0, 1.0)] = 0.10  # share of the horizontal speed, along it
-    velocity_across: Annotated[float, span(0.0, 1.0)] = 0.03  # and across it
+    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # of the position: mean of all flights
+    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # from flight to flight
+    delay_shared: bool = False  # vehicle and target have the same mean delay, or tapes of the same flight
+    delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # variation in flight: median flight
+    delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # correlation (1 + t/T) exp(-t/T)
+    delay_fast_varies: Annotated[float, span(0.0, 2.0)] = 0.0  # of its logarithm, from flight to flight
+    delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.011
+    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4
+    delay_slow_varies: Annotated[float, span(0.0, 2.0)] = 0.7
+    velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position less delay of velocity
+    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # from flight to flight
+    position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # each axis
+    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # horizontal axes, whatever the speed
+    velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # vertical
+    velocity_along: Annotated[float, span(0.0, 1.0)] = 0.079  # share of the horizontal speed, along it
+    velocity_across: Annotated[float, span(0.0, 1.0)] = 0.016  # and across it
     tilt_rad: Annotated[float, span(0.0, 0.2)] = 0.015  # misalignment of a flight, about body x and y
-    yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0017  # about body z
-    tilt_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.018  # variation in flight
-    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.006
-    error_time_s: Annotated[float, span(0.01, 10.0)] = 0.35  # correlation exp(-t/T) of all but the delay
+    yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0013  # about body z
+    tilt_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0055  # variation in flight; of an estimator fed so
+    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0006
+    error_time_s: Annotated[float, span(0.01, 10.0)] = 0.23  # correlation exp(-t/T) of all but the delay
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,4 +233,15 @@ def load(name_or_file: str | Path) -> Scenario:
     """
     scenario = _FILES.load(name_or_file)
     look_here(scenario.onboard.filter)
-    return scenario
+    vehicle, odometry, beside = scenario.vehicle, scenario.odometry, path_of(name_or_file).parent
+    vehicle = replace(vehicle, own=_placed(vehicle.own, beside))
+    return replace(
+        scenario, vehicle=vehicle, odometry=replace(odometry, error=_placed(odometry.error, beside))
+    )
+
+
+def _placed(error: StateError | None, folder: Path) -> StateError | None:
+    """The same with the full path of its tape, if that is in the folder."""
+    if error is None or error.tape is None or not (folder / error.tape).is_dir():
+        return error
+    return replace(error, tape=str((folder / error.tape).resolve()))

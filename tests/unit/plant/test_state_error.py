@@ -18,6 +18,8 @@ from sim.plant.state_error import (
     DELAY_MIN_S,
     PAST,
     POSITION,
+    STILL_AHEAD,
+    STILL_ASIDE,
     TURN,
     VELOCITY,
     VELOCITY_DELAY,
@@ -32,8 +34,8 @@ from sim.scenarios.scenario import StateError
 RATE_HZ = 100.0
 FINE = StateError(
     delay_s=0.0, delay_spread_s=0.0, delay_fast_s=0.0, delay_slow_s=0.0, velocity_lead_s=0.0,
-    velocity_lead_spread_s=0.0, position_error_m=0.0, velocity_error_m_s=0.0, velocity_along=0.0,
-    velocity_across=0.0, tilt_rad=0.0, yaw_rad=0.0, tilt_noise_rad=0.0, yaw_noise_rad=0.0,
+    velocity_lead_spread_s=0.0, position_error_m=0.0, velocity_error_m_s=0.0, velocity_z_m_s=0.0,
+    velocity_along=0.0, velocity_across=0.0, tilt_rad=0.0, yaw_rad=0.0, tilt_noise_rad=0.0, yaw_noise_rad=0.0,
 )  # fmt: skip
 
 
@@ -42,20 +44,23 @@ def drawn(spec, seed=1, count=400, purpose="own"):
 
 
 @pytest.mark.parametrize(
-    ("smooth", "law"),
-    [(False, lambda x: math.exp(-x)), (True, lambda x: (1.0 + x) * math.exp(-x))],
+    ("smooth_s", "law"),
+    [
+        (0.02, lambda t_s: (0.1 * math.exp(-t_s / 0.1) - 0.02 * math.exp(-t_s / 0.02)) / 0.08),
+        (0.1, lambda t_s: (1.0 + t_s / 0.1) * math.exp(-t_s / 0.1)),
+    ],
 )
-def test_noise_has_variance_one_and_its_correlation(smooth, law):
-    noise = Noise(stream(3, "test"), 8, 0.1, 0.01, smooth=smooth).take(60_000)
-    assert noise.std() == pytest.approx(1.0, rel=0.02)
-    for steps in (1, 5, 10, 20, 60):
+def test_noise_has_variance_one_and_its_correlation(smooth_s, law):
+    noise = Noise(stream(3, "test"), 8, 0.1, smooth_s, 0.001).take(200_000)
+    assert noise.std() == pytest.approx(1.0, rel=0.03)
+    for steps in (10, 50, 100, 200, 600):
         found = np.mean(noise[steps:] * noise[:-steps])
-        assert found == pytest.approx(law(0.1 * steps), abs=0.03), steps
-    assert abs(np.mean(noise[:, 0] * noise[:, 1])) < 0.05
+        assert found == pytest.approx(law(0.001 * steps), abs=0.03), steps
+    assert abs(np.mean(noise[:, 0] * noise[:, 1])) < 0.1
 
 
 def test_noise_is_at_its_full_size_from_the_first_sample_on():
-    first = [Noise(stream(seed, "test"), 50, 2.0, 0.01, smooth=True).take(1) for seed in range(40)]
+    first = [Noise(stream(seed, "test"), 50, 2.0, 2.0, 0.01).take(1) for seed in range(40)]
     assert np.std(first) == pytest.approx(1.0, rel=0.1)
 
 
@@ -83,8 +88,8 @@ def test_flights_have_the_delays_of_the_parameters():
     bases = [drawn(spec, seed, 1)[0, DELAY] for seed in range(400)]
     assert np.mean(bases) == pytest.approx(0.03, abs=0.002)
     assert np.std(bases) == pytest.approx(0.01, rel=0.15)
-    spec = replace(FINE, delay_s=0.05, delay_fast_s=0.02, delay_varies=0.3)
-    rows = [drawn(spec, seed, 300)[:, DELAY] for seed in range(300)]
+    spec = replace(FINE, delay_s=0.05, delay_fast_s=0.02, delay_fast_varies=0.3)
+    rows = [drawn(spec, seed, 1500)[:, DELAY] for seed in range(300)]
     assert np.median([row.std() for row in rows]) == pytest.approx(0.02, rel=0.1)
     wild = drawn(replace(FINE, delay_s=0.1, delay_fast_s=0.1), count=3000)[:, DELAY]
     assert wild.min() >= DELAY_MIN_S
@@ -109,10 +114,16 @@ def measured(row, truth, *, samples=60, rate_hz=RATE_HZ):
     return past.late[:3].copy(), past.late[3:].copy()
 
 
+COLUMNS = {
+    "delay": DELAY, "velocity_delay": VELOCITY_DELAY, "ahead": AHEAD, "aside": ASIDE,
+    "still_ahead": STILL_AHEAD, "still_aside": STILL_ASIDE,
+}  # fmt: skip
+
+
 def row_of(**parts):
     row = np.zeros(WIDTH)
     for name, value in parts.items():
-        row[{"delay": DELAY, "velocity_delay": VELOCITY_DELAY, "ahead": AHEAD, "aside": ASIDE}[name]] = value
+        row[COLUMNS[name]] = value
     return row
 
 
@@ -128,11 +139,18 @@ def test_a_late_state_is_that_of_the_path(delay_s, velocity_delay_s):
 
 
 @given(lead_s=st.floats(0.0, 0.1))
-def test_a_state_ahead_goes_on_at_the_velocity(lead_s):
+def test_a_state_ahead_goes_on_as_it_went(lead_s):
     position, velocity = measured(row_of(delay=-lead_s, velocity_delay=-lead_s), circle)
     now, speed = circle(0.59)
     assert position == pytest.approx(np.array(now) + lead_s * np.array(speed), abs=1e-12)
-    assert velocity.tolist() == list(speed)
+    assert velocity == pytest.approx(2.0 * np.array(speed) - circle(0.59 - lead_s)[1], abs=2e-5)
+
+
+def test_an_impact_is_not_multiplied_ahead():
+    """A derivative over one sample would make 10 m/s of it."""
+    fall = lambda t_s: ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0 if t_s < 0.585 else 0.0))  # noqa: E731
+    _, velocity = measured(row_of(velocity_delay=-0.1), fall)
+    assert velocity.tolist() == [0.0, 0.0, 1.0]
 
 
 def test_before_the_first_sample_the_vehicle_was_where_it_began():
@@ -151,6 +169,11 @@ def test_errors_of_the_velocity_turn_with_it_and_others_do_not():
     assert velocity == pytest.approx((2.2, 0.1, 1.0))
     _, velocity = measured(row_of(ahead=0.1, aside=0.05), lambda _: ((0.0, 0.0, 0.0), (0.0, -2.0, 0.0)))
     assert velocity == pytest.approx((0.1, -2.2, 0.0))
+    still = row_of(still_ahead=0.01, still_aside=0.02)
+    _, velocity = measured(still, lambda _: ((0.0, 0.0, 0.0), (0.0, -2.0, 0.0)))
+    assert velocity == pytest.approx((0.02, -2.01, 0.0))
+    _, velocity = measured(still, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    assert velocity == pytest.approx((0.01, 0.02, 0.0))
     row = np.zeros(WIDTH)
     row[POSITION : POSITION + 3], row[VELOCITY : VELOCITY + 3] = (0.01, 0.02, 0.03), (0.1, 0.2, 0.3)
     position, velocity = measured(row, lambda _: ((1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))

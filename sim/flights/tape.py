@@ -1,0 +1,208 @@
+"""Error tapes: what was wrong with the estimate on board of recorded flights, sample by sample.
+
+The estimate follows the true path closely, only late by a time that varies. So an error is split into that
+delay and what is left; both can be played back on any other path.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
+
+from sim.flights.recording import Floats, Recording, RecordingError, find_recordings, read_columns
+from sim.flights.screening import Screened, load
+
+FLIGHTS = "FLIGHTSTACK_FLIGHTS"  # environment variable that names the folder of recorded flights
+DELAY_S = (-0.1, 0.2)  # of an estimate; beyond that the clocks differ
+SPEED_MIN_M_S = 0.3  # rms: in slower flights a delay does not show
+SLOW_M_S = 0.1  # well below this speed the delay is taken to be the flight's mean, the rest is an offset
+STILL_M_S = (0.16, 0.54)  # error along and across the velocity = share * (speed + this), as flights show
+CUT_S = 0.3  # from both ends of a piece, where the truth of another time lies outside
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Errors of n samples in a row; on the recorded path they give the recorded estimate again.
+
+    Attributes:
+        delay_s: (n,) of the position behind the truth.
+        velocity_delay_s: (n,) of the velocity.
+        position_m: (n, 3) what is left of the position's error, world axes.
+        along, across: (n,) error of the velocity along and left of the horizontal velocity, as shares of the
+            speed plus ``STILL_M_S``.
+        velocity_m_s: (n, 3) what is left of the velocity's error.
+        turn_rad: (n, 3) rotation vector of the believed attitude against the true one, body FLU; the flight's
+            mean: what varies besides is more than a gyro allows, so motion capture and log have made it.
+        speed_m_s: (n,) recorded horizontal speed.
+    """
+
+    delay_s: Floats
+    velocity_delay_s: Floats
+    position_m: Floats
+    along: Floats
+    across: Floats
+    velocity_m_s: Floats
+    turn_rad: Floats
+    speed_m_s: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Tape:
+    """Errors of one flight, in pieces without a gap.
+
+    Attributes:
+        name: of the flight.
+        step_s: between samples.
+        pieces: one or more.
+    """
+
+    name: str
+    step_s: float
+    pieces: tuple[Piece, ...]
+
+
+def tape_of(flight: Screened, *, raw: bool = False) -> Tape | None:
+    """Take the errors from a flight; None where it has no estimate, is too slow or too short.
+
+    Args:
+        flight: usable or not.
+        raw: everything is an offset of position and velocity, in the world's axes; no delay.
+    """
+    r = flight.recording
+    if r.estimate_position_m is None or r.estimate_velocity_m_s is None:
+        return None
+    cut = round(CUT_S / r.step_s)
+    inner = [slice(p.start + cut, p.stop - cut) for p in flight.pieces if p.stop - p.start > 4 * cut]
+    inner = [p for p in inner if np.all(np.isfinite(r.estimate_velocity_m_s[p]))]
+    if not inner:
+        return None
+    speed_m_s = np.linalg.norm(np.concatenate([r.velocity_m_s[p] for p in inner]), axis=1)
+    if np.sqrt(np.mean(speed_m_s**2)) < SPEED_MIN_M_S:
+        return None
+    turn = _turn_rad(r, inner)
+    if raw:
+        return Tape(r.name, r.step_s, tuple(_raw(r, p, turn) for p in inner))
+    mean_s = _delay_s(r.position_m, r.estimate_position_m, inner, r.step_s)
+    velocity_mean_s = _delay_s(r.velocity_m_s, r.estimate_velocity_m_s, inner, r.step_s)
+    return Tape(r.name, r.step_s, tuple(_split(r, p, mean_s, velocity_mean_s, turn) for p in inner))
+
+
+def _raw(r: Recording, piece: slice, turn: Floats) -> Piece:
+    assert r.estimate_position_m is not None
+    assert r.estimate_velocity_m_s is not None
+    none = np.zeros(piece.stop - piece.start)
+    position = r.estimate_position_m[piece] - r.position_m[piece]
+    velocity = r.estimate_velocity_m_s[piece] - r.velocity_m_s[piece]
+    return Piece(none, none, position, none, none, velocity, np.tile(turn, (len(none), 1)), _speed(r, piece))
+
+
+def _split(r: Recording, piece: slice, mean_s: float, velocity_mean_s: float, turn: Floats) -> Piece:
+    assert r.estimate_position_m is not None
+    assert r.estimate_velocity_m_s is not None
+    velocity = r.velocity_m_s[piece]
+    other = r.estimate_position_m[piece] - r.position_m[piece] + mean_s * velocity
+    delay = mean_s - (other * velocity).sum(axis=1) / ((velocity**2).sum(axis=1) + SLOW_M_S**2)
+    delay = np.clip(delay, *DELAY_S)
+    position = r.estimate_position_m[piece] - _earlier(r.position_m, piece, delay / r.step_s)
+    velocity_delay = np.full_like(delay, velocity_mean_s)
+    velocity = _earlier(r.velocity_m_s, piece, velocity_delay / r.step_s)
+    error = r.estimate_velocity_m_s[piece] - velocity
+    speed = np.linalg.norm(velocity[:, :2], axis=1)
+    x, y = np.where(speed > 0.0, velocity[:, :2].T / np.maximum(speed, 1e-12), [[1.0], [0.0]])
+    along = (error[:, 0] * x + error[:, 1] * y) / (speed + STILL_M_S[0])
+    across = (error[:, 1] * x - error[:, 0] * y) / (speed + STILL_M_S[1])
+    error[:, :2] = 0.0
+    return Piece(
+        delay,
+        velocity_delay,
+        position,
+        along,
+        across,
+        error,
+        np.tile(turn, (len(delay), 1)),
+        _speed(r, piece),
+    )
+
+
+def _delay_s(truth: Floats, estimate: Floats, pieces: list[slice], step_s: float) -> float:
+    """Constant delay that fits best."""
+
+    def misfit(delay_s: float) -> float:
+        left = [estimate[p] - _earlier(truth, p, np.asarray(delay_s / step_s)) for p in pieces]
+        centred = np.concatenate(left)
+        return float(np.sum((centred - centred.mean(axis=0)) ** 2))
+
+    return float(minimize_scalar(misfit, bounds=DELAY_S, method="bounded", options={"xatol": 5e-4}).x)
+
+
+def _earlier(values: Floats, piece: slice, samples: Floats) -> Floats:
+    """Values of so many samples before each sample of a piece, straight between samples."""
+    at = np.arange(piece.start, piece.stop) - samples
+    return np.stack([np.interp(at, np.arange(len(values)), column) for column in values.T], axis=1)
+
+
+def _speed(r: Recording, piece: slice) -> Floats:
+    speed: Floats = np.linalg.norm(r.velocity_m_s[piece, :2], axis=1)
+    return speed
+
+
+def _turn_rad(r: Recording, pieces: list[slice]) -> Floats:
+    """Mean turn of the believed attitude, (3,)."""
+    if r.estimate_attitude_rad is None:
+        return np.zeros(3)
+    angles = np.concatenate([r.estimate_attitude_rad[p] for p in pieces])
+    true = Rotation.from_quat(np.concatenate([r.attitude[p] for p in pieces]), scalar_first=True)
+    turn: Floats = (true.inv() * Rotation.from_euler("ZYX", angles[:, ::-1])).as_rotvec().mean(axis=0)
+    return turn
+
+
+@cache
+def read_tape(path: Path, *, raw: bool = False) -> Tape | None:
+    """Make the tape of a recorded flight, once in a process; None where it gives none.
+
+    Raises:
+        RecordingError: it cannot be read, or has other columns or units.
+    """
+    return tape_of(load(path, read_columns()), raw=raw)
+
+
+def draw_tape(folder: Path, rng: np.random.Generator, *, raw: bool = False) -> Tape:
+    """Draw a flight, again if it gives no tape; no other one is read.
+
+    Raises:
+        RecordingError: no such folder, or no flight in it gives a tape.
+    """
+    paths = find_recordings(folder)
+    why = "none has an estimate and moves"
+    for number in rng.permutation(len(paths)).tolist():
+        try:
+            tape = read_tape(paths[number], raw=raw)
+        except RecordingError as error:
+            why = f"{paths[number].name}: {error}"
+            continue
+        if tape is not None:
+            return tape
+    raise RecordingError(f"{folder}: found no flight for a tape among {len(paths)} files: {why}")
+
+
+def tape_folder(name: str) -> Path:
+    """Folder of a tape: ``name`` where it is one, else the folder that ``FLIGHTSTACK_FLIGHTS`` names.
+
+    Raises:
+        RecordingError: neither is a folder.
+    """
+    folder, other = Path(name), os.environ.get(FLIGHTS, "")
+    if folder.is_dir():
+        return folder.resolve()
+    if other and not folder.is_absolute() and Path(other).is_dir():
+        return Path(other).resolve()
+    raise RecordingError(
+        f"tape: found no folder {name!r} with recorded flights beside the scenario or here, and "
+        f"{FLIGHTS} is {'not set' if not other else repr(other)}; set it to the folder of the flights"
+    )

@@ -1,0 +1,88 @@
+"""Parameters of own-state errors: those put in are found again, the defaults are those of real flights."""
+
+import numpy as np
+import pytest
+
+from sim.compiled.records import cell, new
+from sim.flights.recording import Recording, read_columns
+from sim.flights.screening import Screened, load
+from sim.plant.state_error import PastRecord, mismeasured_path, state_errors
+from sim.scenarios.scenario import StateError
+from sim.validation.sensing import compare
+from sim.validation.sensing_fit import fit
+from tests.recorded import flights
+
+PUT_IN = StateError(
+    delay_s=0.04, delay_spread_s=0.01, delay_fast_s=0.015, delay_fast_varies=0.2, delay_slow_s=0.012,
+    delay_slow_time_s=0.5, delay_slow_varies=0.0, velocity_lead_s=0.01, velocity_along=0.05,
+    velocity_across=0.03, velocity_error_m_s=0.01, velocity_z_m_s=0.01,
+)  # fmt: skip
+
+
+def made(seed, error, seconds=30.0):
+    """A flight on figures of eight at 0.2 to 1 m/s, with the estimate of the model."""
+    t = np.arange(0.0, seconds, 0.01)
+    rng = np.random.default_rng(seed)
+    pace = rng.uniform(0.4, 1.0)
+    position = np.stack([np.sin(pace * t), 0.4 * np.sin(2.0 * pace * t), 1.0 + 0.0 * t], axis=1)
+    velocity = np.gradient(position, t, axis=0)
+    past, states = new(PastRecord), np.empty((len(t), 6))
+    past.rate = 100.0
+    rows = state_errors(error, seed, "own", 100.0).take(len(t))
+    mismeasured_path(cell(past), position, velocity, rows, states)
+    upright, none = np.tile((1.0, 0.0, 0.0, 0.0), (len(t), 1)), np.zeros((len(t), 4))
+    recording = Recording(
+        f"made {seed}", t, position, velocity, upright, none[:, :3], none, none[:, 0] + 3.7,
+        estimate_position_m=states[:, :3], estimate_velocity_m_s=states[:, 3:],
+    )  # fmt: skip
+    return Screened(recording, (slice(0, len(t)),), ())
+
+
+def test_what_was_put_in_is_found():
+    found = fit([made(seed, PUT_IN) for seed in range(40)])
+    for name, allowed in {
+        "delay_s": 0.15, "delay_spread_s": 0.35, "delay_fast_s": 0.2, "delay_fast_time_s": 0.25,
+        "delay_slow_s": 0.3, "velocity_along": 0.25, "velocity_across": 0.35, "velocity_z_m_s": 0.1,
+        "velocity_error_m_s": 0.35,
+    }.items():  # fmt: skip
+        assert getattr(found, name) == pytest.approx(getattr(PUT_IN, name), rel=allowed), name
+
+
+def pooled(found, quantity):
+    """Sizes in the bands of speed, simulated over recorded, and the difference of the delays, s."""
+    pairs = [(getattr(each.simulated, quantity), getattr(each.recorded, quantity)) for each in found]
+    sizes = np.sqrt(np.nanmean(np.square([[e.by_speed for e in pair] for pair in pairs]), axis=0))
+    return sizes[0] / sizes[1], np.mean([a.delay_s - b.delay_s for a, b in pairs])
+
+
+def test_simulated_estimates_are_like_those_that_the_same_model_made():
+    found = [compare(made(seed, PUT_IN), 1000 + seed, PUT_IN) for seed in range(12)]
+    for quantity in ("position", "velocity"):
+        ratio, delay_s = pooled(found, quantity)
+        assert ratio[:3] == pytest.approx(np.ones(3), abs=0.25), quantity
+        assert abs(delay_s) < 0.008
+    other = [compare(made(seed, PUT_IN), 1000 + seed, StateError(delay_fast_s=0.06)) for seed in range(4)]
+    assert np.all(pooled(other, "position")[0][:3] > 1.5)
+
+
+def test_without_an_estimate_there_is_nothing_to_compare():
+    flight = made(1, PUT_IN)
+    r = flight.recording
+    bare = Recording(
+        r.name, r.time_s, r.position_m, r.velocity_m_s, r.attitude, r.rates_rad_s, r.duty, r.battery_v
+    )
+    assert compare(Screened(bare, flight.pieces, ()), 1) is None
+    assert compare(Screened(r, (slice(0, 50),), ()), 1) is None
+    with pytest.raises(ValueError, match="found 0 flights with an estimate, at least 3 are needed"):
+        fit([Screened(bare, flight.pieces, ())])
+
+
+def test_the_defaults_are_like_the_recorded_flights():
+    """A third of them; the table in docs/how_it_works/own_state.md has all."""
+    columns = read_columns()
+    recorded = [load(path, columns) for path in flights()[::3]]
+    found = [compare(flight, number) for number, flight in enumerate(recorded) if flight.usable]
+    for quantity in ("position", "velocity"):
+        ratio, delay_s = pooled([each for each in found if each is not None], quantity)
+        assert ratio == pytest.approx(np.ones(len(ratio)), abs=0.35), quantity
+        assert abs(delay_s) < 0.012
