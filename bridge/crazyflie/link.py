@@ -21,7 +21,13 @@ from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
 from cflib.crtp.crtpstack import CRTPPort
 
-from bridge.crazyflie.state import HEALTH_PERIOD_MS, HEALTH_VARIABLES, STATE_PERIOD_MS, STATE_VARIABLES
+from bridge.crazyflie.state import (
+    FETCHED_AS,
+    HEALTH_PERIOD_MS,
+    HEALTH_VARIABLES,
+    STATE_PERIOD_MS,
+    STATE_VARIABLES,
+)
 from bridge.crazyflie.types import (
     ArmReply,
     Arrived,
@@ -220,7 +226,7 @@ class CrazyflieLink:
         for _ in range(LOG_TRIES):
             block = LogConfig(name, period_ms)
             for variable in variables:
-                block.add_variable(variable)
+                block.add_variable(variable, FETCHED_AS.get(variable))
             crazyflie.log.add_config(block)
             block.data_received_cb.add_callback(take)
             block.start()

@@ -6,6 +6,7 @@ if it were new. A Crazyflie that is not heard sends no heartbeat, only the text 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +17,7 @@ from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.state import LATE_MAX_S, STATE_PERIOD_MS, BootClock, decode_health, decode_state
 from bridge.crazyflie.types import ArmReply, Arrived, Connected, HealthBlock, Lost, ParamValue, StateBlock
 from bridge.crazyflie.vehicle import Vehicle
+from bridge.frames import yaw_from_quaternion, yaw_ned_from_enu
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.autopilots import CRAZYFLIE_MARK
 from bridge.mavlink.server import telemetry
@@ -58,6 +60,14 @@ def _home_position(s: Snapshot[Vehicle]) -> Message:
     return telemetry.home_position(s, 0, 0)  # its place on earth is not known
 
 
+def _vfr_hud(s: Snapshot[Vehicle]) -> Message:
+    health, (vx, vy, vz) = s.vehicle.health, s.estimate.velocity_enu_m_s
+    percent = round(100 * health.throttle) if health is not None else 0
+    speed, yaw_rad = math.hypot(vx, vy), yaw_ned_from_enu(yaw_from_quaternion(s.estimate.quaternion))
+    heading = round(math.degrees(yaw_rad)) % 360
+    return _M.MAVLink_vfr_hud_message(speed, speed, heading, percent, s.estimate.position_enu_m[2], vz)
+
+
 BUILDERS: dict[int, Builder[Vehicle]] = {
     _M.MAVLINK_MSG_ID_ATTITUDE: telemetry.attitude,
     _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: telemetry.attitude_quaternion,
@@ -66,6 +76,7 @@ BUILDERS: dict[int, Builder[Vehicle]] = {
     _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: telemetry.extended_sys_state,
     _M.MAVLINK_MSG_ID_BATTERY_STATUS: telemetry.battery_status,
     _M.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
+    _M.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
 }
 
 

@@ -22,7 +22,10 @@ STATE_VARIABLES: tuple[str, ...] = (
 HEALTH_PERIOD_MS = 100
 HEALTH_VARIABLES: tuple[str, ...] = (
     *(f"kalman.varP{axis}" for axis in "XYZ"), "pm.state", "pm.batteryLevel",
+    *(f"motor.m{number}" for number in (1, 2, 3, 4)),
 )  # fmt: skip
+FETCHED_AS: Mapping[str, str] = dict.fromkeys(HEALTH_VARIABLES[-4:], "uint16_t")  # older firmware has 32 bits
+_PWM_MAX = 65535.0
 LATE_MAX_S = 0.2  # s; a packet that was held up longer is not the present any more
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # a clock that falls back further is a restart, less is a packet out of order
@@ -96,7 +99,7 @@ def decode_state(block: StateBlock, boot_ms: int, at_s: float) -> CrazyflieState
 
 
 def decode_health(block: HealthBlock, at_s: float) -> Health:
-    """Turn a packet into what it says of estimate and battery.
+    """Turn a packet into what it says of estimate, battery and motors.
 
     Raises:
         KeyError: a variable is missing.
@@ -104,7 +107,8 @@ def decode_health(block: HealthBlock, at_s: float) -> Health:
     """
     v: Mapping[str, float] = block.values
     variance = (v["kalman.varPX"], v["kalman.varPY"], v["kalman.varPZ"])
-    return Health(at_s, variance, Power(int(v["pm.state"])), int(v["pm.batteryLevel"]))
+    throttle = sum(v[name] for name in HEALTH_VARIABLES[-4:]) / (4.0 * _PWM_MAX)
+    return Health(at_s, variance, Power(int(v["pm.state"])), int(v["pm.batteryLevel"]), throttle)
 
 
 def decompress_quaternion(packed: int) -> Quat:

@@ -147,6 +147,7 @@ class Health:
     variance_m2: Vec3  # of the position estimate
     power: Power
     battery_percent: int
+    throttle: float = 0.0  # mean of the motors' PWM, 0 to 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from flightstack.core.memory import State
+from flightstack.core.memory import ReserveState, State
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
 from flightstack.core.mission.machine import Mission, Transition
 from flightstack.core.parameters.flight import FlightConfig
@@ -21,9 +21,11 @@ from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.snapshot import Snapshot, snapshot_of
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.target.reserve import ReserveEstimate
 from flightstack.core.target.track import TargetTrack, Verdict
 from flightstack.core.types import (
     ZERO,
+    Charge,
     FilterStatus,
     Inputs,
     Landed,
@@ -84,6 +86,7 @@ class Outputs(NamedTuple):
         finished: the flight is over.
         target_accepted: samples of the target so far.
         target_rejected: the same, refused.
+        reserve: largest thrust over weight; NaN while it is not known, or without a table [reserve].
     """
 
     phase: Phase
@@ -98,6 +101,7 @@ class Outputs(NamedTuple):
     finished: bool
     target_accepted: int
     target_rejected: int
+    reserve: float = math.nan
 
 
 def _level(transition: Transition) -> int:
@@ -122,10 +126,14 @@ class Controller:
         self.track = TargetTrack(config.checks)
         self.plausibility = Plausibility(config)
         self._strategy = strategy_of(config)
-        self._mission = Mission(config, self.barrier, self._strategy, self.track, self.plausibility)
+        self._period_s = 1.0 / config.loop.rate_hz
+        most, table = self._strategy.acceleration_max_m_s2, config.reserve
+        self._reserve = ReserveEstimate(table, most, self._period_s) if table is not None else None
+        self._mission = Mission(
+            config, self.barrier, self._strategy, self.track, self.plausibility, self._reserve
+        )
         self.memory = self._mission.memory
         self._filter = self._strategy.program()
-        self._period_s = 1.0 / config.loop.rate_hz
         limits = config.limits
         self._gate = Gate(
             self._strategy.rate_1_s,
@@ -133,16 +141,16 @@ class Controller:
             limits.altitude_max_m,
             self._period_s,
         )
-        step = tuple(a * self._period_s for a in self._strategy.acceleration_max_m_s2)
+        step = tuple(a * self._period_s for a in most)
         self._slew_step: Vec3 = (step[0], step[1], step[2])
+        self._up_step = math.inf  # besides, m/s
 
     @property
     def state(self) -> State:
         """What it remembers; still in use, so to be written down before the next step."""
         strategy = self._strategy
-        return State(
-            self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory
-        )
+        known = (self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory)
+        return State(*known) if self._reserve is None else ReserveState(*known, self._reserve.memory)
 
     def restore(self, state: State) -> None:
         """Go on from a state that was written down."""
@@ -150,6 +158,8 @@ class Controller:
         self.track.memory = state.track
         self._strategy.motion, self._strategy.tracking = state.motion, state.tracking
         self.plausibility.memory = state.plausibility
+        if self._reserve is not None and isinstance(state, ReserveState):
+            self._reserve.memory = state.reserve
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
         """Run one tick.
@@ -161,7 +171,7 @@ class Controller:
         """
         memory, strategy, plausibility = self.memory, self._strategy, self.plausibility
         if inputs.own is not None and not inputs.own.is_finite:  # it would stay in every memory
-            inputs = Inputs(None, inputs.status, inputs.target_samples, inputs.operator)
+            inputs = Inputs(None, inputs.status, inputs.target_samples, inputs.operator, inputs.power)
         self.track.memory.settled = memory.phase is not Phase.WAIT
         events = self._take_samples(inputs)
         target = strategy.target(self.track, now_s)
@@ -171,10 +181,14 @@ class Controller:
             wanted = self._flown(inputs.own, inputs.status, now_s) if plausibility.believes(now_s) else None
             plausibility.follow(wanted, inputs.own.velocity_enu_m_s)
             own = strategy.vehicle(inputs.own)
-            inputs = Inputs(own, inputs.status, inputs.target_samples, inputs.operator)
+            inputs = Inputs(own, inputs.status, inputs.target_samples, inputs.operator, inputs.power)
             strategy.observe(own.velocity_enu_m_s, commanding=flown)
-        believed, follows = plausibility.believes(now_s), plausibility.follows
-        snapshot = snapshot_of(self.config, inputs, target, now_s, believed=believed, follows=follows)
+        believed, follows, charge = plausibility.believes(now_s), plausibility.follows, Charge.FIT
+        if self._reserve is not None:
+            charge = self._weigh(self._reserve, inputs, now_s)
+        snapshot = snapshot_of(
+            self.config, inputs, target, now_s, believed=believed, follows=follows, charge=charge
+        )
         transition = self._mission.step(snapshot, command_failed=command_failed, now_s=now_s)
         if transition is not None:
             events.append(Event(_level(transition), transition.text))
@@ -195,7 +209,19 @@ class Controller:
             finished=self._mission.finished(inputs.status, now_s),
             target_accepted=self.track.accepted,
             target_rejected=self.track.rejected,
+            reserve=self._reserve.reserve if self._reserve is not None else math.nan,
         )
+
+    def _weigh(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
+        """Estimate the thrust reserve, and limit what is commanded in this tick to what it allows."""
+        own, memory, strategy, t = inputs.own, self.memory, self._strategy, self._period_s
+        rise_m_s = own.velocity_enu_m_s[2] if own is not None else 0.0
+        # near the pad the ground effect helps, and on it the pad does
+        flies = memory.commanding and own is not None and memory.phase is not Phase.TOUCHDOWN
+        estimate.step(inputs.power, inputs.status, rise_m_s, now_s, flies=flies)
+        x, y, z = strategy.acceleration_max_m_s2 = estimate.acceleration_max_m_s2
+        self._slew_step, self._up_step = (x * t, y * t, self._slew_step[2]), z * t
+        return estimate.charge
 
     def _take_samples(self, inputs: Inputs) -> list[Event]:
         events = []
@@ -253,7 +279,7 @@ class Controller:
         mx, my, mz = self.config.limits.velocity_max_m_s
         x, y, z = bx - sx, by - sy, bz - sz
         lower = (x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz)
-        x, y, z = bx + sx, by + sy, bz + sz
+        x, y, z = bx + sx, by + sy, bz + (sz if sz < self._up_step else self._up_step)
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def _command(
@@ -276,7 +302,7 @@ class Controller:
             )
         else:
             most = self.config.limits.velocity_max_m_s
-            wanted = slew(self._base(snapshot), limit(asked.velocity, most), self._slew_step)
+            wanted = slew(self._base(snapshot), limit(asked.velocity, most), self._slew_step, self._up_step)
         least_z_m_s = self._least_z_m_s(snapshot)
         setpoint = self._strategy.setpoint(self._base(snapshot), wanted, snapshot, least_z_m_s)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan

@@ -108,6 +108,15 @@ class PlausibilityMemory:
 
 
 @dataclass(slots=True)
+class ReserveMemory:
+    """Of the estimate of the thrust reserve."""
+
+    effort: float = nan  # smoothed (throttle / highest)^p, upward part; NaN before the first
+    rise_m_s: float = 0.0  # vertical velocity, smoothed alike: what is missing of it was acceleration
+    tired: bool = False  # it fell below the least; in flight it stays so
+
+
+@dataclass(slots=True)
 class State:
     """All of it: with a configuration and the inputs to come it determines every further output."""
 
@@ -116,3 +125,10 @@ class State:
     motion: MotionMemory
     tracking: TrackingMemory
     plausibility: PlausibilityMemory
+
+
+@dataclass(slots=True)
+class ReserveState(State):
+    """The same with a table [reserve]: logs of flights without one keep their layout."""
+
+    reserve: ReserveMemory

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.target.track import TargetState
-from flightstack.core.types import Inputs, OwnState, Vec3
+from flightstack.core.types import Charge, Inputs, OwnState, Vec3
 
 FUTURE_MAX_S = 0.05  # s a state may be ahead of our clock: one sample; more is as wrong as an old state
 
@@ -47,6 +47,7 @@ class Snapshot:
         link_ok: the heartbeat is young enough.
         e_m: position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known.
         follows: the vehicle flies the commanded velocity.
+        charge: what the battery is fit for; without a table [reserve] it always is.
         good: all inputs can be flown by.
         relative: vehicle relative to target; ``None`` unless both are known.
     """
@@ -58,6 +59,7 @@ class Snapshot:
     link_ok: bool
     e_m: Vec3 | None
     follows: bool = True
+    charge: Charge = Charge.FIT
     good: bool = field(init=False)
     relative: Relative | None = field(init=False)
 
@@ -78,6 +80,7 @@ def snapshot_of(
     *,
     believed: bool = True,
     follows: bool = True,
+    charge: Charge = Charge.FIT,
 ) -> Snapshot:
     """Judge the ages of this tick's inputs.
 
@@ -88,6 +91,7 @@ def snapshot_of(
         now_s: stack clock.
         believed: the vehicle's state is plausible.
         follows: the vehicle flies the commanded velocity.
+        charge: what the battery is fit for.
     """
     checks, own, status = config.checks, inputs.own, inputs.status
     own_ok = believed and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
@@ -97,4 +101,4 @@ def snapshot_of(
     if own is not None and target is not None:
         p, q = own.position_enu_m, target.position_enu_m
         e_m = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
-    return Snapshot(inputs, target, own_ok, target_ok, link_ok, e_m, follows)
+    return Snapshot(inputs, target, own_ok, target_ok, link_ok, e_m, follows, charge)

@@ -72,6 +72,14 @@ class Landed(IntEnum):
     LANDING = 4
 
 
+class Charge(IntEnum):
+    """What the battery is fit for, by its voltage and the thrust reserve."""
+
+    FIT = 0
+    UNKNOWN = 1  # no voltage and no throttle has come lately
+    TIRED = 2  # too low to begin a landing, or in flight to go on with it
+
+
 class Operator(IntEnum):
     """Commands of a person, above every phase."""
 
@@ -126,6 +134,16 @@ class VehicleStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class Power:
+    """What the vehicle says of its battery and its motors; NaN for what it does not say."""
+
+    arrival_s: float  # of the newest message that told one of them
+    voltage_v: float  # of the battery, as it is loaded now
+    throttle: float  # mean of the motors' commands, 0 to 1
+    cos_tilt: float  # of the angle between the body's z axis and up
+
+
+@dataclass(frozen=True, slots=True)
 class Inputs:
     """Everything one tick may look at: the newest of each link, and the samples that came since the last."""
 
@@ -133,3 +151,4 @@ class Inputs:
     status: VehicleStatus | None = None
     target_samples: tuple[TargetSample, ...] = ()
     operator: Operator = Operator.NONE
+    power: Power | None = None  # asked for by a configuration with a table [reserve] only

@@ -10,15 +10,16 @@ from bridge.target.odometry import RawSample
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
-from flightstack.core.memory import State
+from flightstack.core.memory import ReserveState, State
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
 from logs.schema.codec_mavlink import PeerNames, pack_mavlink
-from logs.schema.controller_rows import TickInputs, pack_controller_input, step_row
+from logs.schema.controller_rows import TickInputs, pack_controller_input, power_row, step_row
 from logs.schema.events import CONTROLLER, ONBOARD, pack_log
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import (
     CONTROLLER_INPUT,
+    CONTROLLER_POWER,
     CONTROLLER_STATE,
     CONTROLLER_STEP,
     LOG,
@@ -51,10 +52,26 @@ class FeedLike(Protocol):
 
 
 class OnboardLog:
-    """Turns one tick into log messages, and every so often into live ones."""
+    """Turns one tick into log messages, and every so often into live ones.
+
+    Args:
+        feed: to the recorder.
+        session: of the live topics.
+        namespace: first part of the topics.
+        rate_hz: of the ticks.
+        lockstep: in simulated time.
+        reserve: the thrust reserve is estimated.
+    """
 
     def __init__(
-        self, feed: FeedLike, session: zenoh_link.Session, namespace: str, rate_hz: int, lockstep: bool
+        self,
+        feed: FeedLike,
+        session: zenoh_link.Session,
+        namespace: str,
+        rate_hz: int,
+        lockstep: bool,
+        *,
+        reserve: bool = False,
     ) -> None:
         self._feed = feed
         self._odom = feed.channel(f"/{namespace}/target/odom", ODOMETRY)
@@ -64,6 +81,7 @@ class OnboardLog:
         }
         self._input = feed.channel(f"/{namespace}/controller/input", CONTROLLER_INPUT)
         self._step = feed.channel(f"/{namespace}/controller/step", CONTROLLER_STEP)
+        self._power = feed.channel(f"/{namespace}/controller/power", CONTROLLER_POWER) if reserve else None
         self._state = feed.channel(f"/{namespace}/controller/state", CONTROLLER_STATE)
         self._timing = feed.channel(f"/{namespace}/loop/timing", LOOP_TIMING)
         self._rosout = feed.channel("/rosout", LOG)
@@ -76,7 +94,7 @@ class OnboardLog:
         self._lockstep = lockstep
         self._every = max(1, round(rate_hz / STATUS_HZ))
         self._state_every = max(1, round(rate_hz / STATE_HZ))
-        self._state_text = StateText(State)
+        self._state_text = StateText[State](ReserveState if reserve else State)
         encoding = "application/cdr;flightstack_msgs/msg/"
         self._live_step = zenoh_link.dropping_publisher(
             session, f"{namespace}/controller/step", encoding + "ControllerStep"
@@ -123,6 +141,9 @@ class OnboardLog:
             )
         given = TickInputs(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)
         self._feed.write(self._input, unix_ns, unix_ns, tick.number, pack_controller_input(given))
+        if self._power is not None:
+            power = power_row(tick, taken.inputs.power, out.reserve).pack()
+            self._feed.write(self._power, unix_ns, unix_ns, tick.number, power)
         for event in out.events:
             self.event(unix_ns, event.level, event.text, CONTROLLER)
         row = step_row(tick, out)

@@ -13,6 +13,7 @@ from bridge.mavlink.preflight.talk import Report, examine
 from bridge.mavlink.profiles.autopilots import profile
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_of
+from flightstack.core.target.reserve import too_low
 
 _SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE)
 
@@ -80,6 +81,9 @@ def check(
         endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
         stopped=stopped, say=say,
     )  # fmt: skip
+    table = config.reserve  # a voltage that has not come yet, the controller waits for
+    if table is not None and report.rest_v is not None and report.problem is None:
+        report = replace(report, problem=too_low(table, report.rest_v) or None)
     if endpoint.baud is None:
         return report
     took_s = time.monotonic() - began_s

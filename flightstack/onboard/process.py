@@ -127,6 +127,7 @@ class Onboard:
             profile=chosen,
             origin=Origin(*origin) if origin is not None else None,
             line=line,
+            power=config.reserve is not None,
         )
         self.log_file: Path | None = None
         recorder = options.recorder
@@ -136,7 +137,10 @@ class Onboard:
         socket = str(recorder) if recorder is not None else None
         self.feed = Feed.connect(socket, "onboard", lossless=options.lockstep)
         self._describe()
-        self.log = OnboardLog(self.feed, self.wires.session, options.namespace, rate_hz, options.lockstep)
+        self.log = OnboardLog(
+            self.feed, self.wires.session, options.namespace, rate_hz, options.lockstep,
+            reserve=config.reserve is not None,
+        )  # fmt: skip
         self.health = LiveHealth(self.wires.session, options.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap
         lockstep = options.lockstep  # there wall time has no part in what is said

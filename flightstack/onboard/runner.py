@@ -15,7 +15,7 @@ from bridge.target.odometry import OdometryError, RawSample, SampleSource, sampl
 from flightstack.common.pacing import RealTimePacer, Tick
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.memory import Memory
-from flightstack.core.types import Inputs, Operator, OwnState, TargetSample, VehicleStatus
+from flightstack.core.types import Inputs, Operator, OwnState, Power, TargetSample, VehicleStatus
 from flightstack.onboard.leaving import Ended
 
 
@@ -45,11 +45,12 @@ class Taken(NamedTuple):
 
 
 class VehicleInputs(NamedTuple):
-    """Newest state and status of the vehicle, and whether a requested mode was given up."""
+    """Newest state, status, battery and motors of the vehicle; whether a requested mode was given up."""
 
     own: OwnState | None
     status: VehicleStatus | None
     command_failed: bool
+    power: Power | None = None
 
 
 class ClockStoppedError(RuntimeError):
@@ -140,8 +141,8 @@ class Runner:
         began_s = time.perf_counter()
         now_s, controller = tick.now_s, self._controller
         arrived = self._target.samples(now_s)
-        own, status, command_failed = self._vehicle.read()
-        inputs = Inputs(own, status, arrived.samples, self._ending.operator(status, now_s))
+        own, status, command_failed, power = self._vehicle.read()
+        inputs = Inputs(own, status, arrived.samples, self._ending.operator(status, now_s), power)
         out = controller.step(inputs, now_s, command_failed=command_failed)
         self._vehicle.answer(out, now_s)
         exec_s = time.perf_counter() - began_s
@@ -195,7 +196,7 @@ class LinkedVehicle:
     def read(self) -> VehicleInputs:
         """Return what the link has decoded."""
         link = self.link
-        return VehicleInputs(link.own, link.status, link.failed is not None)
+        return VehicleInputs(link.own, link.status, link.failed is not None, link.power)
 
     def answer(self, out: Outputs, now_s: float) -> None:
         """Send set-point and commands in one datagram, and in lockstep the answer that ends the tick."""

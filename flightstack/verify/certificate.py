@@ -52,7 +52,7 @@ def paper_checks(config: FlightConfig) -> list[Check]:
 
 def robust_checks(config: FlightConfig) -> list[Check]:
     """Checks of the robust filter."""
-    x, fed_back = extremes(config), config.velocity_feedback.horizontal
+    x, fed_back, table = extremes(config), config.velocity_feedback.horizontal, config.reserve
     return [
         paper.feasible(config, x.shape, x.target_climb_m_s),
         robust.recovers(config, x),
@@ -69,6 +69,7 @@ def robust_checks(config: FlightConfig) -> list[Check]:
         touchdown.altitude(config, x),
         robust.climb(config, x),
         robust.slew(config, x),
+        *([robust.reserve(config, table, x)] if table is not None else []),
         robust.holds(config, x),
         robust.estimator(config, x),
         *(feedback.comes_to_rest(config) if fed_back else [touchdown.damping(config, x)]),

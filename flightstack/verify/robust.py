@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable
 
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.envelope import Extremes
 from flightstack.verify.paper import shortfall
@@ -96,16 +97,21 @@ def climb(config: FlightConfig, x: Extremes) -> Check:
     )
 
 
-def slew(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the needed vertical velocity rises no faster than the vertical velocity may change."""
-    rate_1_s, az = config.robust.rate_1_s, config.robust.acceleration_max_m_s2[2]
+def demand_growth(config: FlightConfig, x: Extremes) -> Most:
+    """Return how fast the needed vertical velocity rises at most while the target is followed, m/s^2."""
+    rate_1_s = config.robust.rate_1_s
 
     def growth(d: Span) -> float:
         slope = x.shape.slope(d)
         used = max(0.0, -slope.low) * x.box_speed_m_s + max(0.0, slope.high) * x.slip_m_s
         return demand_change(config, x, x.shape, d) + rate_1_s * used
 
-    worst = outside(x, growth)
+    return outside(x, growth)
+
+
+def slew(config: FlightConfig, x: Extremes) -> Check:
+    """Check that the needed vertical velocity rises no faster than the vertical velocity may change."""
+    worst, az = demand_growth(config, x), config.robust.acceleration_max_m_s2[2]
     return Check(
         "acceleration",
         "while the target is followed, the needed vertical velocity changes no faster than the limit",
@@ -113,6 +119,25 @@ def slew(config: FlightConfig, x: Extremes) -> Check:
         "m/s^2",
         f"at {worst.at[0]:.3g} m it may change with {worst.bound:.3g} m/s^2, allowed are {az:g}",
         "raise robust.acceleration_max_m_s2[2], or lower its horizontal part or limits.velocity_max_m_s",
+        Need.PROOF,
+    )
+
+
+def reserve(config: FlightConfig, table: Reserve, x: Extremes) -> Check:
+    """Check that the acceleration of ``slew`` is there down to the lowest voltage."""
+    worst = demand_growth(config, x)
+    low_v, least = table.lowest_voltage_v, table.at(table.lowest_voltage_v)
+    up_m_s2 = table.share * (least - 1.0) * GRAVITY_M_S2
+    enough_v = table.voltage_v(1.0 + max(0.0, worst.bound) / (table.share * GRAVITY_M_S2))
+    return Check(
+        "thrust reserve",
+        "the battery climbs as quickly as the barrier may ask for, down to its lowest voltage",
+        up_m_s2 - worst.bound,
+        "m/s^2",
+        f"at {low_v:g} V thrust is {least:.3g} times the weight, which climbs with {up_m_s2:.3g} m/s^2; at "
+        f"{worst.at[0]:.3g} m {worst.bound:.3g} are needed, which takes {enough_v:.3g} V",
+        f"raise reserve.lowest_voltage_v to {math.ceil(100.0 * enough_v) / 100.0:g}, or reserve.share, or "
+        "lower what is needed, as the check acceleration says",
         Need.PROOF,
     )
 

@@ -7,6 +7,7 @@ read once, from its start to its end or its break, and only one tick is held in 
 from __future__ import annotations
 
 import copy
+import dataclasses
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from logs.reader.flight_data import ATTACHMENT
 from logs.reader.reader import LogError, LogFile
 from logs.schema.codec_mavlink import unpack_mavlink
-from logs.schema.controller_rows import TickInputs, unpack_controller_input
+from logs.schema.controller_rows import TickInputs, unpack_controller_input, unpack_power
 from logs.schema.events import CONTROLLER, ONBOARD
 from logs.schema.rows import ControllerStateRow, LogRow
 from logs.schema.schemas import CONTROLLER_INPUT
@@ -39,6 +40,7 @@ class TickRecord:
         unix_ns: time of the tick in the log.
         given: inputs, None if the log breaks before them.
         step: decisions as recorded, None if the log breaks before them.
+        power: battery, motors and thrust reserve as recorded, None of a flight that did not look at them.
         state: snapshot after the tick, None in most ticks.
         events: what the controller said, as recorded.
         said: what else the onboard process said.
@@ -49,6 +51,7 @@ class TickRecord:
     unix_ns: int
     given: TickInputs | None = None
     step: bytes | None = None
+    power: bytes | None = None
     state: ControllerStateRow | None = None
     events: list[LogRow] = field(default_factory=list)
     said: list[LogRow] = field(default_factory=list)
@@ -127,8 +130,9 @@ class FlightInputs:
         """
         given, step = self.topic("controller/input"), self.topic("controller/step")
         state, odometry = self.topic("controller/state"), self.topic("target/odom")
+        power = self.topic("controller/power")
         tick: TickRecord | None = None
-        for message in self.log.messages({given, step, state, odometry, SOURCE, SINK, ROSOUT}):
+        for message in self.log.messages({given, step, state, power, odometry, SOURCE, SINK, ROSOUT}):
             topic, data = message.topic, message.data
             try:
                 said = LogRow.unpack(data) if topic == ROSOUT else None
@@ -146,6 +150,9 @@ class FlightInputs:
                     tick.given = unpack_controller_input(data)
                 elif topic == step:
                     tick.step = data
+                elif topic == power and tick.given is not None:  # it follows the other inputs
+                    inputs = dataclasses.replace(tick.given.inputs, power=unpack_power(data))
+                    tick.given, tick.power = tick.given._replace(inputs=inputs), data
                 elif topic == state:
                     snapshot = ControllerStateRow.unpack(data)
                     if snapshot.stamp_ns == tick.unix_ns:  # else an older one, from before a cut

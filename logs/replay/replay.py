@@ -16,7 +16,7 @@ from pathlib import Path
 from bridge.mavlink.profiles.autopilots import AUTO, PROFILES, PX4
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller, Outputs
-from flightstack.core.memory import Memory, State
+from flightstack.core.memory import Memory, ReserveState, State
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard.runner import Arrived, Runner, Taken, VehicleInputs
@@ -24,10 +24,10 @@ from flightstack.onboard.state_text import StateText, StateTextError
 from logs.replay.compare import Tally, TickDifference, fields_of, values_of
 from logs.replay.read import ROSOUT, FlightInputs, ReplayError, TickRecord
 from logs.replay.wire import WireReplay
-from logs.schema.controller_rows import TickInputs, step_row
+from logs.schema.controller_rows import TickInputs, power_row, step_row
 from logs.schema.events import CONTROLLER
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, LogRow
-from logs.schema.schemas import CONTROLLER_STEP
+from logs.schema.schemas import CONTROLLER_POWER, CONTROLLER_STEP
 
 __all__ = ["FlightInputs", "PhaseChange", "ReplayError", "Result", "TickDifference", "replay"]
 
@@ -137,7 +137,7 @@ class _RecordedTick:
         inputs = self.given.inputs
         if self.wire is not None:
             self.wire_found += self.wire.take(self.record, self.given)
-        return VehicleInputs(inputs.own, inputs.status, self.given.command_failed)
+        return VehicleInputs(inputs.own, inputs.status, self.given.command_failed, inputs.power)
 
     def answer(self, out: Outputs, now_s: float) -> None:
         """Compare the frames that would be sent."""
@@ -160,7 +160,7 @@ class _Run:
         self.config = config if config is not None else flight.config()
         self.controller = Controller(self.config)
         self.result = Result(flight.log.path)
-        self.text = StateText(State)
+        self.text = StateText[State](State if self.config.reserve is None else ReserveState)
         self.recorded = _RecordedTick()
         parts = (self.recorded,) * 4
         self.runner = Runner(self.controller, *parts, sink=self)
@@ -268,6 +268,13 @@ class _Run:
         found = [
             TickDifference(topic, tick, *each) for each in fields_of(CONTROLLER_STEP, record.step, replayed)
         ]
+        if record.power is not None and not self.changed:
+            again = power_row(at, given.inputs.power, out.reserve).pack()
+            power = self.flight.topic("controller/power")
+            found += [
+                TickDifference(power, tick, *each)
+                for each in fields_of(CONTROLLER_POWER, record.power, again)
+            ]
         events = [LogRow(given.stamp_ns, e.level, CONTROLLER, e.text, "", "", 0) for e in out.events]
         if record.events != events:
             found += [

@@ -88,6 +88,7 @@ class WireReplay:
             profile=profile(autopilot),
             origin=Origin(*origin) if origin is not None else None,
             endpoint=self._endpoint,
+            power=config.reserve is not None,
         )
         self._vehicle = LinkedVehicle(self._link, lockstep=lockstep)
 
@@ -102,8 +103,8 @@ class WireReplay:
             self._endpoint.incoming.clear()
             return [TickDifference(SOURCE, given.tick, "frame", "a decodable frame", repr(error))]
         arrived = decoded([RawSample(payload) for payload in record.odometry], given.now_s)
-        own, status, command_failed = self._vehicle.read()
-        inputs = Inputs(own, status, arrived.samples, given.inputs.operator)
+        own, status, command_failed, power = self._vehicle.read()
+        inputs = Inputs(own, status, arrived.samples, given.inputs.operator, power)
         found = list(values_of(given.inputs, inputs))
         found += values_of(given.command_failed, command_failed, "command_failed")
         differences = [TickDifference("wire, inputs", given.tick, *each) for each in found]

@@ -12,13 +12,24 @@ from typing import Any, NamedTuple
 
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
-from flightstack.core.types import ZERO, Inputs, Landed, Mode, Operator, OwnState, TargetSample, VehicleStatus
-from logs.schema.rows import ControllerInputRow, ControllerStepRow
+from flightstack.core.types import (
+    ZERO,
+    Inputs,
+    Landed,
+    Mode,
+    Operator,
+    OwnState,
+    Power,
+    TargetSample,
+    VehicleStatus,
+)
+from logs.schema.rows import ControllerInputRow, ControllerPowerRow, ControllerStepRow
 from logs.schema.schemas import TARGET_SAMPLE, fields_of
 
 _SAMPLE_FIELDS = tuple(field.name for field in fields_of(TARGET_SAMPLE))
 _sample_values = attrgetter(*_SAMPLE_FIELDS)
 _NO_STATUS = (False, 0, 0, False, 0.0)
+_NO_POWER = (0.0, 0.0, 0.0, 0.0)
 _NO_OWN = (0.0, 0.0, ZERO, ZERO, 0.0)
 
 
@@ -74,6 +85,24 @@ def unpack_controller_input(data: bytes) -> TickInputs:
 
 def _sample(values: Iterable[Any]) -> TargetSample:
     return TargetSample(**dict(zip(_SAMPLE_FIELDS, values, strict=True)))
+
+
+def power_row(tick: Tick, power: Power | None, reserve: float) -> ControllerPowerRow:
+    """What a tick was told of battery and motors, and its estimate of the thrust reserve."""
+    told = (
+        (power.arrival_s, power.voltage_v, power.throttle, power.cos_tilt) if power is not None else _NO_POWER
+    )
+    return ControllerPowerRow(tick.unix_ns, tick.number, power is not None, *told, reserve)
+
+
+def unpack_power(data: bytes) -> Power | None:
+    """Return what the tick of a CDR payload of ``power_row`` was told.
+
+    Raises:
+        ValueError: cut short or too long.
+    """
+    row = ControllerPowerRow.unpack(data)
+    return Power(row.arrival_s, row.voltage_v, row.throttle, row.cos_tilt) if row.told else None
 
 
 def step_row(tick: Tick, out: Outputs) -> ControllerStepRow:

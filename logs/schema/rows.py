@@ -18,6 +18,7 @@ from typing import Any
 from logs.schema.cdr import CODES, HEADER_TYPE, TIME_TYPES, codec
 from logs.schema.schemas import (
     CONTROLLER_INPUT,
+    CONTROLLER_POWER,
     CONTROLLER_STATE,
     CONTROLLER_STEP,
     HEALTH,
@@ -28,7 +29,10 @@ from logs.schema.schemas import (
     fields_of,
 )
 
-ROWS = (CONTROLLER_STEP, CONTROLLER_INPUT, CONTROLLER_STATE, LOOP_TIMING, TRUE_STATE, HEALTH, LOG)
+ROWS = (
+    CONTROLLER_STEP, CONTROLLER_INPUT, CONTROLLER_POWER, CONTROLLER_STATE,
+    LOOP_TIMING, TRUE_STATE, HEALTH, LOG,
+)  # fmt: skip
 COLUMNS = (CONTROLLER_STEP, LOOP_TIMING, TRUE_STATE)
 
 

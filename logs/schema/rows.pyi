@@ -84,6 +84,19 @@ class ControllerInputRow(NamedTuple):
     @staticmethod
     def unpack(data: bytes) -> ControllerInputRow: ...
 
+class ControllerPowerRow(NamedTuple):
+    stamp_ns: int
+    tick: int
+    told: bool
+    arrival_s: float
+    voltage_v: float
+    throttle: float
+    cos_tilt: float
+    reserve: float
+    def pack(self) -> bytes: ...
+    @staticmethod
+    def unpack(data: bytes) -> ControllerPowerRow: ...
+
 class ControllerStateRow(NamedTuple):
     stamp_ns: int
     tick: int

@@ -21,6 +21,7 @@ from logs.schema import mavlink_types
 CONTROLLER_STEP = "flightstack_msgs/msg/ControllerStep"
 CONTROLLER_INPUT = "flightstack_msgs/msg/ControllerInput"
 CONTROLLER_STATE = "flightstack_msgs/msg/ControllerState"
+CONTROLLER_POWER = "flightstack_msgs/msg/ControllerPower"
 TARGET_SAMPLE = "flightstack_msgs/msg/TargetSample"
 LOOP_TIMING = "flightstack_msgs/msg/LoopTiming"
 TRUE_STATE = "flightstack_msgs/msg/TrueState"
@@ -40,6 +41,7 @@ _OURS = {
     TARGET_SAMPLE: "TargetSample.msg",
     CONTROLLER_INPUT: "ControllerInput.msg",
     CONTROLLER_STATE: "ControllerState.msg",
+    CONTROLLER_POWER: "ControllerPower.msg",
     LOOP_TIMING: "LoopTiming.msg",
     TRUE_STATE: "TrueState.msg",
     HEALTH: "Health.msg",

@@ -62,7 +62,8 @@ def _gps_raw_int(s: Snapshot[Flight]) -> Message:
 def _vfr_hud(s: Snapshot[Flight]) -> Message:
     vx, vy, vz = s.estimate.velocity_enu_m_s
     speed, height = math.hypot(vx, vy), s.estimate.position_enu_m[2]
-    return dialect.MAVLink_vfr_hud_message(speed, speed, round(_heading_deg(s)) % 360, 0, height, vz)
+    percent, heading = round(25 * sum(s.vehicle.vehicle.duty)), round(_heading_deg(s)) % 360
+    return dialect.MAVLink_vfr_hud_message(speed, speed, heading, percent, height, vz)
 
 
 def _altitude(s: Snapshot[Flight]) -> Message:

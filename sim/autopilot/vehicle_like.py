@@ -47,6 +47,10 @@ class VehicleLike(Protocol):
     def motor_commands(self) -> tuple[float, float, float, float]:
         """Commands of the motors M1 to M4, 0 to 1 of the highest speed there is now."""
 
+    @property
+    def duty(self) -> tuple[float, float, float, float]:
+        """Duty cycles of the motors M1 to M4, 0 to 1; with the battery's voltage they make the motors'."""
+
     def arm(self) -> str | None:
         """Arm; the reason if refused."""
 

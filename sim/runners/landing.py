@@ -242,6 +242,7 @@ class _Companion:
             rate_hz=rate_hz,
             defer_timesync=True,
             endpoint=there,
+            power=config.reserve is not None,
         )
         vehicle = VehicleSim(scenario, seed)
         autopilot = Autopilot(vehicle, rate_hz, trim_enu_m_s=vehicle.trim_velocity_enu_m_s)

@@ -73,7 +73,7 @@ class Bench:
         params = {name: f"{p.value:g}" for name, p in self.firmware.params.items()}
         self._take(Connected(self.firmware.protocol, params))
         for number, names, period in ((1, [*list(LOGS)[:11], "pm.vbatMV"], 1), (2, list(LOGS)[-3:], 10)):
-            names = names if number == 1 else [*names, "pm.state", "pm.batteryLevel"]
+            names = names if number == 1 else [*names, "pm.state", "pm.batteryLevel", *list(LOGS)[-7:-3]]
             ids = b"".join(bytes((0, i & 0xFF, i >> 8)) for i in (list(LOGS).index(n) for n in names))
             self.firmware.packet(b"\x5d\x06" + bytes((number,)) + ids, self.now_s)
             self.firmware.packet(b"\x5d\x03" + bytes((number, period)), self.now_s)

@@ -169,6 +169,10 @@ class Firmware:
             "pm.vbatMV": round(1000 * self.battery_v),
             "pm.state": self.power_state,
             "pm.batteryLevel": 90,
+            **{
+                f"motor.m{number}": (50_000 + 1_000 * number) * self.supervisor.armed
+                for number in range(1, 5)
+            },
             **{f"kalman.varP{axis}": variance for axis in "XYZ"},
         }
 
@@ -247,6 +251,7 @@ LOGS = {
     "pm.vbatMV": "u16",
     "pm.state": "i8",
     "pm.batteryLevel": "u8",
+    **{f"motor.m{number}": "u16" for number in range(1, 5)},
     **{f"kalman.varP{axis}": "f" for axis in "XYZ"},
 }
 

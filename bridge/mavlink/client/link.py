@@ -26,7 +26,7 @@ from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles.autopilots import PX4, found, refusal
 from bridge.mavlink.profiles.profile import Profile
 from bridge.mavlink.signing.key import SigningKey
-from flightstack.core.types import Landed, OwnState, Request, VehicleStatus
+from flightstack.core.types import Landed, OwnState, Power, Request, VehicleStatus
 
 __all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "VehicleLink", "VehicleState"]
 
@@ -34,6 +34,7 @@ COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _HEARTBEAT_S = 1.0  # s; every autopilot judges a link by heartbeats of 1 Hz
 _HELLO_S = 0.2  # s of wall time between heartbeats until the vehicle has been heard
 _LANDED_STATE_HZ = 5.0  # Hz; as often as PX4 sends it by itself
+_THROTTLE_HZ = 10.0  # Hz of VFR_HUD, where the thrust reserve is estimated
 _TEXTS_MAX = 256  # texts kept until somebody takes them
 _HELD_MAX = 4096  # messages kept in lockstep until their tick is known
 _RESTARTED = "restarted, or heard again after a silence: what does not come is asked for again"
@@ -74,6 +75,7 @@ class VehicleLink:
         origin: Origin | None = None,
         endpoint: Endpoint | None = None,
         line: LinePlan | None = None,
+        power: bool = False,
     ) -> None:
         """Open the link.
 
@@ -90,6 +92,7 @@ class VehicleLink:
             origin: where its local coordinates begin, told to a vehicle that needs it and does not know.
             endpoint: takes the place of one opened here, and of the URL and key.
             line: lower rates of position, attitude and set-points, for a slow serial line.
+            power: ask for the throttle, and keep what is told of battery and motors.
 
         Raises:
             ValueError: bad URL or id, a rate or height that is not positive, or a network without a key.
@@ -102,6 +105,9 @@ class VehicleLink:
         self.state = VehicleState(profile)
         self.counters = LinkCounters()
         self.defer_timesync = defer_timesync
+        self._power = power
+        if power:
+            self.state.watch_power()
         self.refused: str | None = None
         self._target = (system_id, component_id)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
@@ -138,6 +144,11 @@ class VehicleLink:
     def status(self) -> VehicleStatus | None:
         """Newest status of the vehicle; ``arrival_s`` is that of its heartbeat, which comes once a second."""
         return self.state.status
+
+    @property
+    def power(self) -> Power | None:
+        """Newest state of battery and motors; None where it was not asked for, or has not come."""
+        return self.state.power
 
     @property
     def failed(self) -> str | None:
@@ -266,6 +277,7 @@ class VehicleLink:
             dialect.MAVLINK_MSG_ID_ATTITUDE: state_hz,
             dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_STATE_HZ,
             **profile.asked_hz,
+            **({dialect.MAVLINK_MSG_ID_VFR_HUD: _THROTTLE_HZ} if self._power else {}),
         }
         return _Wants(
             CommandSequencer(profile, *self._target, self._takeoff_height_m),

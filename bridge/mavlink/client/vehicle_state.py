@@ -12,7 +12,7 @@ from bridge.frames import enu_from_ned, yaw_enu_from_ned
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.autopilots import refusal
 from bridge.mavlink.profiles.profile import Profile
-from flightstack.core.types import Landed, Mode, OwnState, VehicleStatus
+from flightstack.core.types import Landed, Mode, OwnState, Power, VehicleStatus
 
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
@@ -20,6 +20,7 @@ _RESTART_S = 1.0  # s; a boot clock that falls back further than this is a reboo
 _SILENT_S = 2.5  # s without a heartbeat, which comes at 1 Hz: it may have restarted meanwhile
 _YAW_AGE_MAX_S = 0.5  # s between a position and the attitude its heading is taken from
 _LARGEST = 1e6  # m, m/s: a number beyond this is damage
+_THROTTLE_AGE_MAX_S = 1.0  # s; an older throttle, from VFR_HUD, counts as not told
 _VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
 _LANDED = {state.value: state for state in Landed}
 
@@ -50,6 +51,7 @@ class VehicleState:
         status: newest status, None until a heartbeat has come; ``arrival_s`` is the heartbeat's.
         home_amsl_m: altitude of home above sea level, None until HOME_POSITION has come.
         battery: newest battery state, None until SYS_STATUS has come.
+        power: newest of battery and motors, None until one has come; kept only after ``watch_power``.
         autopilot: MAV_AUTOPILOT of the newest heartbeat, None before.
         type: MAV_TYPE of the newest heartbeat, None before.
         profile: what the modes are read by; None while it is not known, and then there is no status.
@@ -72,6 +74,9 @@ class VehicleState:
         self._following = profile is None or profile.stream_in_takeoff
         self._custom_mode = 0
         self.battery: Battery | None = None
+        self.power: Power | None = None
+        self._throttle, self._throttle_s, self._cos_tilt = math.nan, -math.inf, math.nan
+        self._watches_power = False
         self._yaw_enu_rad: float | None = None
         self._yaw_time_s = 0.0
         self._landed = Landed.UNKNOWN
@@ -85,6 +90,11 @@ class VehicleState:
             dialect.MAVLINK_MSG_ID_HOME_POSITION: self._on_home,
             dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._on_origin,
         }
+
+    def watch_power(self) -> None:
+        """Keep ``power`` from now on."""
+        self._watches_power = True
+        self._handlers[dialect.MAVLINK_MSG_ID_VFR_HUD] = self._on_vfr_hud
 
     @property
     def following(self) -> bool:
@@ -132,6 +142,8 @@ class VehicleState:
             # the age of a heading is judged against the position's own time stamp
             self._yaw_enu_rad = yaw_enu_from_ned(m.yaw)
             self._yaw_time_s = time_s
+            if self._watches_power:
+                self._cos_tilt = math.cos(m.roll) * math.cos(m.pitch)
 
     def _on_heartbeat(self, m: Message, arrival_s: float) -> None:
         if arrival_s - self._beat_s > _SILENT_S:
@@ -167,6 +179,23 @@ class VehicleState:
         self.battery = Battery(arrival_s, voltage_v, share)
         self._ready = bool(m.onboard_control_sensors_health & _PREARM)
         self._refresh()
+        if self._watches_power:
+            self._tell_power(arrival_s)
+
+    def _on_vfr_hud(self, m: Message, arrival_s: float) -> None:
+        self._throttle, self._throttle_s = m.throttle * 1e-2, arrival_s  # percent
+        self._tell_power(arrival_s)
+
+    def _tell_power(self, arrival_s: float) -> None:
+        battery = self.battery
+        voltage_v = battery.voltage_v if battery is not None else None
+        told = arrival_s - self._throttle_s <= _THROTTLE_AGE_MAX_S
+        self.power = Power(
+            arrival_s,
+            voltage_v if voltage_v is not None else math.nan,
+            self._throttle if told else math.nan,
+            self._cos_tilt,
+        )
 
     def _on_home(self, m: Message, _arrival_s: float) -> None:
         self.home_amsl_m = m.altitude * 1e-3  # mm

@@ -23,6 +23,7 @@ _HEARTBEAT_S = 1.0
 _VERSION_S = 0.5  # s between two tries
 _VERSION_TRIES = 4
 _SAY_S = 2.0  # s between two sentences about what is waited for
+_VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # s between two looks
 _READ_MAX_S = 30.0  # s for everything, once the vehicle is heard
 
@@ -37,6 +38,7 @@ class Report:
         findings: one for each rule; none when it did not come so far.
         problem: why it is not flown whatever its parameters, None when nothing speaks against it.
         line: what the flight needs of a serial line, and what was measured on it; None of other links.
+        rest_v: voltage of its battery; None while it is armed, and where it did not say.
     """
 
     profile: Profile | None
@@ -44,6 +46,7 @@ class Report:
     findings: tuple[Finding, ...]
     problem: str | None
     line: str | None = None
+    rest_v: float | None = None
 
     @property
     def blocking(self) -> tuple[Finding, ...]:
@@ -102,7 +105,7 @@ def examine(
     if profile is None or reader is None:
         return Report(None, None, (), f"{talk.waits_for()}; within {wait_s:g} s, is the vehicle's link up?")
     findings = judge(talk.rules, reader.values, reader.missing, needs, accepted)
-    return Report(profile, talk.version, tuple(findings), None)
+    return Report(profile, talk.version, tuple(findings), None, rest_v=talk.rest_v)
 
 
 class _Talk:
@@ -116,6 +119,8 @@ class _Talk:
         self.reader: ParameterReader | None = None
         self.rules: tuple[Rule, ...] = ()
         self.heard = False
+        self.rest_v: float | None = None
+        self._armed = False
         self._peer: Peer | None = None
         self._said_s = -math.inf
         self._version_s = -math.inf
@@ -182,6 +187,11 @@ class _Talk:
 
     def _take(self, message: Message) -> None:
         kind = message.get_msgId()
+        if kind == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+        elif kind == dialect.MAVLINK_MSG_ID_SYS_STATUS:
+            known = message.voltage_battery != _VOLTAGE_UNKNOWN and not self._armed
+            self.rest_v = message.voltage_battery * 1e-3 if known else None
         if kind == dialect.MAVLINK_MSG_ID_HEARTBEAT and not self.heard:
             self.heard = True
             self.refused = refusal(message.autopilot, message.type, self._chosen)

@@ -18,7 +18,7 @@ from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState
-from flightstack.core.types import Landed, Mode, Operator, OwnState, Phase, Vec3
+from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3
 
 OVER_PAD_LEFT = 1.5  # times the radius at which the cone over the pad is entered
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
@@ -119,7 +119,9 @@ def condition_flags(
         flags |= C.COMMAND_FAILED
     if now_s - memory.good_since_s >= config.checks.recovery_time_s:
         flags |= C.RECOVERED
-    if memory.retries < config.checks.retries_max:
+    if snapshot.charge is Charge.TIRED:
+        flags |= C.TIRED if _better_beside(barrier, memory, snapshot) else 0
+    elif memory.retries < config.checks.retries_max:
         flags |= C.RETRIES_LEFT
     if inputs.status is not None:
         flags |= _status_flags(memory, snapshot)
@@ -138,6 +140,16 @@ def condition_flags(
     return flags | _place_flags(config, strategy, barrier, memory, at) if at is not None else flags
 
 
+def _better_beside(barrier: Barrier, memory: Memory, snapshot: Snapshot) -> bool:
+    """Whether a tired vehicle lands beside the target.
+
+    Inside the ring of the boundary the pad is the shortest way down: flying clear climbs, and leads out over
+    the ring.
+    """
+    at = snapshot.relative if snapshot.good else None
+    return memory.phase is not Phase.APPROACH or at is None or at.d_m > barrier.peak_distance_m
+
+
 def _status_flags(memory: Memory, snapshot: Snapshot) -> int:
     status = snapshot.inputs.status
     assert status is not None
@@ -152,7 +164,7 @@ def _status_flags(memory: Memory, snapshot: Snapshot) -> int:
         flags |= C.WAS_EXTERNAL
     if status.landed is Landed.ON_GROUND:
         flags |= C.STANDING
-    if snapshot.good and (status.ready_to_arm or status.armed):
+    if snapshot.good and (status.ready_to_arm or status.armed) and snapshot.charge is Charge.FIT:
         flags |= C.READY
     return flags
 
@@ -188,6 +200,7 @@ class Known(NamedTuple):
         plausibility: of the own state and of following.
         refusal: why the newest sample of the target was refused; empty: it was not.
         now_s: stack clock.
+        battery: what is wrong with it, where something is.
     """
 
     checks: Checks
@@ -195,6 +208,7 @@ class Known(NamedTuple):
     plausibility: Plausibility
     refusal: str
     now_s: float
+    battery: str = ""
 
 
 def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
@@ -208,7 +222,7 @@ def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
     asked = (rule.when | rule.about) & flags
     told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
     if not told and rule.about & ~flags & Condition.READY:
-        told = ["the vehicle does not say that it is ready to arm"]
+        told = [known.battery or "the vehicle does not say that it is ready to arm"]
     return f"{rule.reason}: {', '.join(told)}" if told else rule.reason
 
 
@@ -261,5 +275,6 @@ _NUMBERS: Mapping[Condition, Callable[[Known], str]] = MappingProxyType(
         Condition.LINK_LOST: _heartbeat,
         Condition.TARGET_LOST: _target,
         Condition.NOT_FOLLOWING: _follow,
+        Condition.TIRED: lambda known: known.battery,
     }
 )

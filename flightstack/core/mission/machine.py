@@ -19,6 +19,7 @@ from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.target.reserve import ReserveEstimate
 from flightstack.core.target.track import TargetTrack
 from flightstack.core.types import Landed, Mode, Phase, VehicleStatus
 
@@ -85,6 +86,7 @@ class Mission:
         strategy: the safety filter.
         track: of the target, for the reasons.
         plausibility: of the vehicle's state, for the reasons.
+        reserve: of thrust, for the reasons; None without a table [reserve].
     """
 
     def __init__(
@@ -94,10 +96,11 @@ class Mission:
         strategy: Strategy,
         track: TargetTrack,
         plausibility: Plausibility,
+        reserve: ReserveEstimate | None = None,
     ) -> None:
         self.memory = Memory()
         self._config, self._barrier, self._strategy = config, barrier, strategy
-        self._track, self._plausibility = track, plausibility
+        self._track, self._plausibility, self._reserve = track, plausibility, reserve
 
     def step(self, snapshot: Snapshot, *, command_failed: bool, now_s: float) -> Transition | None:
         """Advance by one tick.
@@ -213,8 +216,9 @@ class Mission:
         if rule is None:
             return None
         before, after = memory.phase, rule.to
-        refusal = self._track.memory.refusal
-        why = reason(rule, flags, Known(self._config.checks, snapshot, self._plausibility, refusal, now_s))
+        refusal, battery = self._track.memory.refusal, self._reserve.text if self._reserve else ""
+        known = Known(self._config.checks, snapshot, self._plausibility, refusal, now_s, battery)
+        why = reason(rule, flags, known)
         if before in RETRY_FROM and after in RETRY_TO:
             memory.retries += 1
         if after is Phase.APPROACH and memory.started_s == math.inf:

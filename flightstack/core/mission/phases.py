@@ -45,9 +45,10 @@ class Condition(IntEnum):
     COMMAND_FAILED = 1 << 20  # the vehicle refused a command for good
     DRIFTED = 1 << 21  # about to leave the corridor above the pad while still above the cone
     NOT_FOLLOWING = 1 << 22  # the vehicle does not fly the commanded velocity
-    LAND_ASKED = 1 << 23  # operator's abort by the vehicle's own landing
-    TARGET_KNOWN = 1 << 24  # some position of the target, however old
-    ON_PAD = 1 << 25  # contact in the touchdown
+    TIRED = 1 << 23  # the battery is too low: it begins no landing, and goes around no more
+    LAND_ASKED = 1 << 24  # operator's abort by the vehicle's own landing
+    TARGET_KNOWN = 1 << 25  # some position of the target, however old
+    ON_PAD = 1 << 26  # contact in the touchdown
 
 
 C = Condition
@@ -69,6 +70,7 @@ class Rule(Generic[To]):
 
 
 _LOSSES = C.OWN_LOST | C.LINK_LOST | C.TARGET_LOST
+_TO_BEGIN = _LOSSES | C.TIRED | C.READY
 _OPERATOR = (
     Rule(C.EMERGENCY, Phase.ABORT, "emergency stop"),
     Rule(C.ABORT_ASKED, Phase.ABORT, "abort asked by the operator"),
@@ -80,6 +82,7 @@ _IN_FLIGHT = (
     Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
     Rule(C.NOT_FOLLOWING, Phase.ABORT, "the vehicle does not fly what it is told"),
 )
+_TIRED = Rule(C.TIRED, Phase.ABORT, "the battery is too low to land on the target")
 _INPUTS = (
     Rule(C.OWN_LOST, Phase.HOLD, "own state lost"),
     Rule(C.LINK_LOST, Phase.HOLD, "heartbeat lost"),
@@ -90,19 +93,22 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
     Phase.WAIT: (
         *_OPERATOR,
         Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
-        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "inputs did not become ready in time", about=_LOSSES | C.READY),
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "inputs did not become ready in time", about=_TO_BEGIN),
+        Rule(C.TIRED | C.EXTERNAL, Phase.ABORT, _TIRED.reason, unless=C.STANDING),
         Rule(C.READY | C.EXTERNAL, Phase.APPROACH, "flying and all inputs fresh", unless=C.STANDING),
         Rule(C.READY | C.STANDING, Phase.TAKEOFF, "all inputs fresh"),
     ),
     Phase.TAKEOFF: (
         *_IN_FLIGHT,
         *_INPUTS,
+        _TIRED,
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time"),
         Rule(C.AT_START | C.EXTERNAL, Phase.APPROACH, "start reached"),
     ),
     Phase.APPROACH: (
         *_IN_FLIGHT,
         *_INPUTS,
+        _TIRED,
         Rule(C.LANDING_TIME_OVER, Phase.ABORT, "landing took too long"),
         Rule(C.OVER_PAD, Phase.LAND, "inside the descending cone"),
     ),
@@ -129,12 +135,14 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         Rule(C.RECOVERED | C.RETRIES_LEFT, Phase.TAKEOFF, "inputs good again"),
         Rule(C.PHASE_TIME_OVER | C.OWN_LOST, Phase.ABORT, "own state stayed lost"),
         Rule(C.PHASE_TIME_OVER | C.LINK_LOST, Phase.ABORT, "heartbeat stayed lost"),
+        Rule(C.TIRED, Phase.ABORT, _TIRED.reason, unless=C.OWN_LOST | C.LINK_LOST),
         Rule(C.PHASE_TIME_OVER, Phase.CLIMB, "target stayed lost", about=C.TARGET_LOST),
     ),
     Phase.CLIMB: (
         *_IN_FLIGHT,
         Rule(C.OWN_LOST, Phase.ABORT, "own state lost in the climb"),
         Rule(C.LINK_LOST, Phase.ABORT, "heartbeat lost in the climb"),
+        _TIRED,
         Rule(C.RECOVERED | C.STARTED | C.RETRIES_LEFT | C.HIGH_ENOUGH, Phase.APPROACH, "target back"),
         Rule(C.RECOVERED | C.RETRIES_LEFT | C.HIGH_ENOUGH, Phase.TAKEOFF, "target back", unless=C.STARTED),
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "target did not come back", about=C.TARGET_LOST),

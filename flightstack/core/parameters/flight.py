@@ -11,6 +11,7 @@ from typing import Annotated
 from flightstack.common.strict_toml import ConfigError, Each, span
 from flightstack.core.parameters.ends import Contact, Retreat, Takeoff, Touchdown
 from flightstack.core.parameters.filters import FILTERS, check_name, named
+from flightstack.core.parameters.reserve import Reserve
 from flightstack.core.parameters.robust import (
     Envelope,
     OwnStateLink,
@@ -154,6 +155,7 @@ class FlightConfig:
     target: TargetLink = field(default_factory=TargetLink)
     envelope: Envelope = field(default_factory=Envelope)  # what `check` proves it for
     vehicle: VehicleSide = field(default_factory=VehicleSide)
+    reserve: Reserve | None = None  # without it the battery limits nothing, and its state is not asked for
 
     def __post_init__(self) -> None:
         peak = self.barrier.build().peak_height_m

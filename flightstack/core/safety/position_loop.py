@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from flightstack.core.types import Vec3
 
 
@@ -27,10 +29,13 @@ def limit(velocity: Vec3, velocity_max_m_s: Vec3) -> Vec3:
     return (clip(vx, -mx, mx), clip(vy, -my, my), clip(vz, -mz, mz))
 
 
-def slew(previous: Vec3, wanted: Vec3, step_max_m_s: Vec3) -> Vec3:
-    """Move from the previous command towards the wanted one by at most ``step_max_m_s`` on each axis."""
+def slew(previous: Vec3, wanted: Vec3, step_max_m_s: Vec3, up_max_m_s: float = math.inf) -> Vec3:
+    """Move from the previous command towards the wanted one by at most ``step_max_m_s`` on each axis.
+
+    Upwards by at most ``up_max_m_s``, too: a tired battery has less to climb with than to sink with.
+    """
     return (
         previous[0] + clip(wanted[0] - previous[0], -step_max_m_s[0], step_max_m_s[0]),
         previous[1] + clip(wanted[1] - previous[1], -step_max_m_s[1], step_max_m_s[1]),
-        previous[2] + clip(wanted[2] - previous[2], -step_max_m_s[2], step_max_m_s[2]),
+        previous[2] + clip(wanted[2] - previous[2], -step_max_m_s[2], min(step_max_m_s[2], up_max_m_s)),
     )

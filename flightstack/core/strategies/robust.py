@@ -153,7 +153,17 @@ class RobustFilter(Strategy):
         v, t = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s
         left_m = h_m + self._lag_z_s * min(0.0, v[2] - before_m_s[2])
         inward = gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1])
-        return t[2] - self.rate_1_s * left_m - inward
+        return t[2] - min(self.rate_1_s * left_m, self._braked_m_s(left_m)) - inward
+
+    def _braked_m_s(self, left_m: float) -> float:
+        """Fastest descent that the upward acceleration left ends within a height; inf with all of it.
+
+        The acceleration is what the thrust reserve allows in this tick; the configured one is quick enough
+        for the rates of the filter, which the certificate shows.
+        """
+        if self._config.reserve is None:
+            return math.inf
+        return math.sqrt(2.0 * BRAKING * self.acceleration_max_m_s2[2] * max(0.0, left_m))
 
     def program(self) -> Program:
         """The quadratic program."""
@@ -167,7 +177,8 @@ class RobustFilter(Strategy):
         above = e[2] - robust.wait_height_m - self._ahead_m(at)
         x, y, z = nominal_velocity((e[0], e[1], above), (over, over, gain), t)
         if above > 0.0:
-            z = min(max(z, t[2] - robust.descent_max_m_s), t[2] - robust.descent_min_m_s)
+            fastest_m_s = min(robust.descent_max_m_s, self._braked_m_s(above))
+            z = min(max(z, t[2] - fastest_m_s), t[2] - robust.descent_min_m_s)
         return (x, y, z)
 
     def _ahead_m(self, at: Relative) -> float:

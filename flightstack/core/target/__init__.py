@@ -1,1 +1,1 @@
-"""Target samples: plausibility, tracking, Kalman filter."""
+"""What is estimated: the target, whether the own state can be true, the thrust reserve."""

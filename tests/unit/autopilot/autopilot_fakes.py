@@ -44,6 +44,7 @@ class FakeVehicle:
     setpoints: int = 0
     stops: int = 0
     motor_commands: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    duty: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     reboots: int = 0
     failures: dict[tuple[int, int], int] = field(default_factory=dict)  # (unit, instance) to type
     failure_refusal: str | None = None

@@ -138,9 +138,11 @@ def through_the_wire(message):
     return parser.decode(bytearray(pack(message, 0, 1, 1)))
 
 
-def read(bench: Bench) -> VehicleState:
+def read(bench: Bench, *, power: bool = False) -> VehicleState:
     """What the flight stack makes of the telemetry."""
     state = VehicleState(profile("px4"))
+    if power:
+        state.watch_power()
     for at_s, message in bench.out:
         state.update(through_the_wire(message), at_s)
     return state
@@ -172,6 +174,17 @@ def test_the_flight_stack_reads_its_state():
     assert state.own.position_enu_m == pytest.approx(bench.firmware.plant.position, abs=5e-3)
     assert state.counters.not_finite == state.counters.out_of_order == state.counters.without_yaw == 0
     assert state.battery.voltage_v == pytest.approx(4.1)
+
+
+def test_the_throttle_is_the_mean_of_the_motors_and_comes_when_it_is_asked_for():
+    bench = Bench().offboard()
+    assert not bench.times("VFR_HUD")
+    assert bench.result(511, mav.MAVLINK_MSG_ID_VFR_HUD, 1e5) == 0
+    bench.run(1.0)
+    assert len(bench.times("VFR_HUD")) == pytest.approx(10, abs=1)
+    state = read(bench, power=True)
+    assert state.power.throttle == pytest.approx(0.80)  # of 52,500, in whole percents
+    assert (state.power.voltage_v, state.power.cos_tilt) == pytest.approx((4.1, 1.0), abs=0.01)
 
 
 def test_messages_it_does_not_have_and_messages_of_a_crazyflie_not_heard_are_refused():

@@ -10,7 +10,7 @@ from bridge.mavlink.preflight.talk import examine
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4, recorded_version
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.onboard.preflight import lines, needs_of, record, verdict
+from flightstack.onboard.preflight import check, lines, needs_of, record, verdict
 from sim.autopilot.autopilot import Autopilot
 from sim.autopilot.profiles import ARDUPILOT as PLAYS_ARDUPILOT
 from sim.autopilot.profiles import PX4 as PLAYS_PX4
@@ -150,9 +150,9 @@ def test_accepted_names_are_checked():
 class Vehicle:
     """The simulated autopilot on a socket, answered for by a thread until it is closed."""
 
-    def __init__(self, profile=PLAYS_PX4, *, mute=(), heartbeat=None):
+    def __init__(self, profile=PLAYS_PX4, *, mute=(), heartbeat=None, fake=None):
         self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1)
-        self.autopilot = Autopilot(FakeVehicle(), RATE_HZ, profile=profile)
+        self.autopilot = Autopilot(fake or FakeVehicle(), RATE_HZ, profile=profile)
         self.asked = []
         self._mute, self._heartbeat = mute, heartbeat
         self._over = threading.Event()
@@ -288,3 +288,28 @@ def test_nobody_there_is_a_failure_in_the_time_given():
 def test_the_operator_may_break_it_off():
     report = talk(Vehicle(mute=("PARAM_VALUE",)), stopped=lambda: True)
     assert report.problem == "broken off by the operator"
+
+
+@pytest.mark.parametrize(
+    ("volts", "armed", "table", "refused"),
+    [
+        (3.62, False, True, True),
+        (3.66, False, True, False),
+        (3.62, True, True, False),
+        (3.4, False, False, False),
+    ],
+)
+def test_a_battery_too_low_to_land_is_refused_with_what_it_needs(volts, armed, table, refused):
+    """At rest: one that is armed shows its voltage under load, which the controller judges."""
+    reserve = {"hover_throttle": 0.78, "hover_voltage_v": 3.7, "lowest_voltage_v": 3.2, "sag_v": 0.4}
+    section = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, **({"reserve": reserve} if table else {})}
+    vehicle = Vehicle(fake=FakeVehicle(battery_v=volts, armed=armed))
+    endpoint = Endpoint(vehicle.url, 1, 191)
+    try:
+        report = check(endpoint, from_table(FlightConfig, section), "auto", 1, wait_s=10.0)
+    finally:
+        endpoint.close()
+        vehicle.close()
+    told = verdict(report) or ""
+    assert ("the battery has 3.62 V at rest, at least 3.65 V are needed" in told) == refused
+    assert ("charge or change it" in told) == refused

@@ -282,3 +282,19 @@ def test_names_are_unique():
     for kind in ("paper", "robust"):
         names = [check.name for check in checks(config(filter=kind))]
         assert len(names) == len(set(names))
+
+
+def test_the_voltage_that_the_reserve_check_names_is_the_lowest_that_it_proves():
+    table = {"hover_throttle": 0.78, "hover_voltage_v": 3.7, "lowest_voltage_v": 3.2, "sag_v": 0.4}
+    tired = one("thrust reserve", reserve=table)
+    assert not tired.proven
+    assert tired.need is Need.PROOF
+    named_v = float(tired.remedy.split(" to ")[1].split(",")[0])
+    assert "raise reserve.lowest_voltage_v" in tired.remedy
+    assert one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v}).proven
+    assert not one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v - 0.02}).proven
+    fresh = one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v})
+    # what is needed is what the check of the limit needs, too
+    needed = config().robust.acceleration_max_m_s2[2] - rooms()["acceleration"]
+    assert f"{needed:.3g} are needed" in fresh.worst
+    assert "thrust reserve" not in rooms()

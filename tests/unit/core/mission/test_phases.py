@@ -1,4 +1,4 @@
-"""Every set of conditions in every phase, 2^23 of them, against a second writing of the rules."""
+"""Every set of conditions in every phase, 2^24 of them, against a second writing of the rules."""
 
 import random
 
@@ -13,6 +13,7 @@ BITS = len(Condition) - 3  # the ways of aborting alone ask for the last ones
 FINAL = (Phase.LANDED, Phase.ABORT)
 GOING_ON = [p for p in Phase if p not in FINAL]
 STAY = (None, "")
+TOO_LOW = (Phase.ABORT, "the battery is too low to land on the target")
 
 
 class Word:
@@ -66,6 +67,7 @@ def expected_rules(phase, w):
                 *operator(w),
                 (w.command_failed, Phase.ABORT, "the vehicle refused a command"),
                 (w.phase_time_over, Phase.ABORT, "inputs did not become ready in time"),
+                (w.tired & w.external & ~w.standing, *TOO_LOW),
                 (w.ready & w.external & ~w.standing, Phase.APPROACH, "flying and all inputs fresh"),
                 (w.ready & w.standing, Phase.TAKEOFF, "all inputs fresh"),
             ]
@@ -73,6 +75,7 @@ def expected_rules(phase, w):
             return [
                 *in_flight(w),
                 *inputs(w),
+                (w.tired, *TOO_LOW),
                 (w.phase_time_over, Phase.ABORT, "start not reached in time"),
                 (w.at_start & w.external, Phase.APPROACH, "start reached"),
             ]
@@ -80,6 +83,7 @@ def expected_rules(phase, w):
             return [
                 *in_flight(w),
                 *inputs(w),
+                (w.tired, *TOO_LOW),
                 (w.landing_time_over, Phase.ABORT, "landing took too long"),
                 (w.over_pad, Phase.LAND, "inside the descending cone"),
             ]
@@ -108,6 +112,7 @@ def expected_rules(phase, w):
                 (again, Phase.TAKEOFF, "inputs good again"),
                 (w.phase_time_over & w.own_lost, Phase.ABORT, "own state stayed lost"),
                 (w.phase_time_over & w.link_lost, Phase.ABORT, "heartbeat stayed lost"),
+                (w.tired & ~w.own_lost & ~w.link_lost, *TOO_LOW),
                 (w.phase_time_over, Phase.CLIMB, "target stayed lost"),
             ]
         case Phase.CLIMB:
@@ -115,6 +120,7 @@ def expected_rules(phase, w):
                 *in_flight(w),
                 (w.own_lost, Phase.ABORT, "own state lost in the climb"),
                 (w.link_lost, Phase.ABORT, "heartbeat lost in the climb"),
+                (w.tired, *TOO_LOW),
                 (again & w.high_enough & w.started, Phase.APPROACH, "target back"),
                 (again & w.high_enough & ~w.started, Phase.TAKEOFF, "target back"),
                 (w.phase_time_over, Phase.ABORT, "target did not come back"),
@@ -164,7 +170,7 @@ def mentioned(phase):
 
 def test_conditions_are_one_bit_each_and_phases_are_numbered_as_in_the_log():
     assert [int(c) for c in Condition] == [1 << n for n in range(BITS + 3)]
-    assert len(Condition.__members__) == BITS + 3 == 26
+    assert len(Condition.__members__) == BITS + 3 == 27
     asked = 0
     for rules in TABLE.values():
         for rule in rules:

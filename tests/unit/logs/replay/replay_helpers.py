@@ -53,7 +53,9 @@ def record(path: Path, world: World, seconds: float, *, until=None, config: Flig
     feed = FileFeed(path)
     feed.file.attachment("onboard.toml", "application/toml", 0, dumps(config).encode())
     feed.file.metadata("onboard", {"namespace": "cf1"})
-    log = OnboardLog(feed, NoSession(), "cf1", config.loop.rate_hz, lockstep=True)
+    log = OnboardLog(
+        feed, NoSession(), "cf1", config.loop.rate_hz, lockstep=True, reserve=config.reserve is not None
+    )
     for number in range(round(seconds / DT_S)):
         tick = Tick(number, world.t_s, EPOCH_NS + round(world.t_s * 1e9), 0.0, 0.0)
         given = world.inputs()

@@ -1,6 +1,7 @@
 """A log is proof: one changed bit in it, or a controller that decides otherwise, is found and named."""
 
 import json
+import math
 import struct
 from dataclasses import replace as with_
 
@@ -10,7 +11,8 @@ from click.testing import CliRunner
 from flightstack.cli.main import main
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.mission.machine import Mission
-from flightstack.core.types import OwnState, Phase
+from flightstack.core.parameters.reserve import Reserve
+from flightstack.core.types import OwnState, Phase, Power
 from logs.reader.reader import LogFile
 from logs.replay.compare import fields_of, places_of
 from logs.replay.replay import ReplayError, replay
@@ -333,3 +335,48 @@ def test_a_wrong_setting_is_refused(recorded, setting, words):
 def test_schemas_of_the_new_topics_are_in_the_log(recorded):
     found = {m.topic: m.schema for m in LogFile(recorded).messages({INPUT, STATE})}
     assert found == {INPUT: schemas.CONTROLLER_INPUT, STATE: schemas.CONTROLLER_STATE}
+
+
+RESERVE = Reserve(hover_throttle=0.78, hover_voltage_v=3.7, lowest_voltage_v=3.2, sag_v=0.4)
+POWER = "/cf1/controller/power"
+
+
+@pytest.fixture(scope="module")
+def powered(tmp_path_factory):
+    """A flight with a thrust reserve, whose battery sags."""
+
+    def told(world, inputs):
+        said = None if world.t_s < 0.05 else Power(world.t_s, 3.9 - 0.1 * world.t_s, 0.8, 0.99)
+        return with_(inputs, power=said)
+
+    config = with_(CONFIG, reserve=RESERVE)
+    world = World(config, position=(-0.6, 0.2, 0.95), fault=told, fault_from_s=0.0)
+    path = record(tmp_path_factory.mktemp("powered") / "flight.mcap", world, 3.0, config=config)
+    assert not math.isnan(world.outputs[-1].reserve)
+    return path
+
+
+def test_a_flight_with_a_thrust_reserve_replays_bit_by_bit(powered, tmp_path):
+    result = replay(powered)
+    assert result.equal, result.outputs.first + result.states.first
+    assert (result.start, result.compared) == ("tick 0", result.last_tick + 1)
+    late = lambda m: m.topic == "/rosout" or m.sequence >= 37  # noqa: E731
+    result = replay(rewritten(powered, tmp_path / "late.mcap", when=late))
+    assert result.equal, result.outputs.first + result.states.first
+    assert (result.start, result.first_tick) == ("the state after tick 100", 101)
+
+
+@pytest.mark.parametrize("byte", [-1, -9, -25])
+def test_what_was_told_of_the_battery_counts(powered, tmp_path, byte):
+    """Of the estimate itself, of the tilt and of the voltage: the last bits of the message."""
+    changed = at(POWER, lambda data: flipped(data, byte), TICK)
+    result = replay(rewritten(powered, tmp_path / "changed.mcap", change=changed))
+    assert result.outputs.first[0].tick == TICK
+    assert result.outputs.first[0].topic == POWER
+
+
+def test_a_flight_without_a_thrust_reserve_has_the_layout_of_old_logs(recorded):
+    topics = {m.topic for m in LogFile(recorded).messages()}
+    assert POWER not in topics
+    layouts = {ControllerStateRow.unpack(m.data).layout for m in LogFile(recorded).messages({STATE})}
+    assert all(layout.startswith("1 State(") and "reserve" not in layout for layout in layouts)

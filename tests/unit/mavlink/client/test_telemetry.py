@@ -377,3 +377,26 @@ def test_senders_are_counted_one_by_one_but_not_without_bound():
     assert counters.foreign == 510
     assert len(counters.senders) == 16
     assert counters.senders[1, 1] == 256
+
+
+def test_battery_throttle_and_tilt_are_kept_once_asked_for(state):
+    def messages(now_s, percent):
+        state.update(attitude(round(1000 * now_s), roll=0.3, pitch=0.4), now_s)
+        state.update(dialect.MAVLink_sys_status_message(0, 0, 0, 0, 3456, -1, -1, 0, 0, 0, 0, 0, 0), now_s)
+        if percent is not None:
+            state.update(dialect.MAVLink_vfr_hud_message(0, 0, 0, percent, 0, 0), now_s)
+
+    messages(1.0, 87)
+    assert state.power is None
+    state.watch_power()
+    messages(2.0, None)
+    assert (state.power.arrival_s, state.power.voltage_v) == (2.0, 3.456)
+    assert math.isnan(state.power.throttle)
+    messages(2.5, 87)
+    assert state.power.throttle == pytest.approx(0.87)
+    assert state.power.cos_tilt == pytest.approx(math.cos(0.3) * math.cos(0.4))
+    messages(4.0, None)  # the throttle does not come any more
+    assert math.isnan(state.power.throttle)
+    unknown = dialect.MAVLink_sys_status_message(0, 0, 0, 0, 0xFFFF, -1, -1, 0, 0, 0, 0, 0, 0)
+    state.update(unknown, 5.0)
+    assert math.isnan(state.power.voltage_v)

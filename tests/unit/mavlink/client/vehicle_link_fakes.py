@@ -25,8 +25,8 @@ def position(time_ms=0, x=1.0, y=2.0, z=-3.0, vx=0.1, vy=0.2, vz=-0.3):
     return dialect.MAVLink_local_position_ned_message(time_ms, x, y, z, vx, vy, vz)
 
 
-def attitude(time_ms=0, yaw=0.0, roll=0.0):
-    return dialect.MAVLink_attitude_message(time_ms, roll, 0.0, yaw, 0.0, 0.0, 0.0)
+def attitude(time_ms=0, yaw=0.0, roll=0.0, pitch=0.0):
+    return dialect.MAVLink_attitude_message(time_ms, roll, pitch, yaw, 0.0, 0.0, 0.0)
 
 
 def status(arrival_s=0.0, *, armed=False, mode=Mode.HOLD, landed=Landed.ON_GROUND):

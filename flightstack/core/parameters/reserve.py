@@ -1,0 +1,84 @@
+"""How much thrust the vehicle has left above its weight, by its battery's voltage, and who may use how much.
+
+The reserve is the largest thrust divided by the weight. Thrust grows with (throttle x voltage)^p, so that the
+throttle of level flight grows as the voltage falls. At the voltage of level flight the largest thrust is
+
+    r = (throttle_max / hover throttle)^p,    hover throttle = hover_throttle hover_voltage_v / voltage
+
+times the weight; but more thrust takes more current, by its power 1.5, and the voltage sags with it: by sag_v
+from rest to level flight. To first order that leaves of r - 1 the share 1 / (1 + 1.5 p sag_v / voltage).
+
+Recorded Crazyflies 2.1 with markers hover at 0.78 of full PWM at 3.7 V and at 0.90 at 3.1 V, with p = 1.5;
+their motors differ by 9 %, so that the first one is at its end at a mean of about 0.95.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from flightstack.common.strict_toml import ConfigError, span
+
+GRAVITY_M_S2 = 9.81
+LEAST_M_S2 = 0.1  # of acceleration that is always granted: with none a velocity could not change any more
+
+
+@dataclass(frozen=True, slots=True)
+class Reserve:
+    """The battery and the thrust that it allows; a configuration without this table has no such limits."""
+
+    hover_throttle: Annotated[float, span(0.05, 1.0)]  # mean of the motors in level flight ...
+    hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # ... at this voltage, in flight
+    lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # in flight; the certificate holds down to it
+    sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # by which the voltage falls from rest to hover
+    start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # above the lowest voltage, to begin a landing
+    throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # highest mean: beyond it single motors are at 1
+    thrust_exponent: Annotated[float, span(0.5, 3.0)] = 1.5  # p above
+    share: Annotated[float, span(0.1, 1.0)] = 0.5  # for velocities wanted; the rest is for wind and attitude
+    smoothing_s: Annotated[float, span(0.2, 20.0)] = 2.0  # of the estimate in flight
+
+    def __post_init__(self) -> None:
+        least = self.at(self.lowest_voltage_v)
+        if not least > 1.0:
+            lift_v = self.voltage_v(1.0)
+            raise ConfigError(
+                f"lowest_voltage_v: found {self.lowest_voltage_v:g}; there the vehicle does not lift its "
+                f"weight (reserve {least:.3g}); allowed is more than {lift_v:.3g}, or less hover_throttle"
+            )
+
+    def at(self, voltage_v: float) -> float:
+        """Reserve at a voltage in flight, as the two declared numbers of level flight say."""
+        return self.left(self.effort(self.hover_throttle * self.hover_voltage_v / voltage_v), voltage_v)
+
+    def effort(self, throttle: float) -> float:
+        """Thrust at a throttle as a share of the largest at the same voltage."""
+        return math.pow(throttle / self.throttle_max, self.thrust_exponent)
+
+    def left(self, effort: float, voltage_v: float) -> float:
+        """Reserve for an effort of level flight; the voltage in flight, which sags when the thrust rises."""
+        sags = 1.5 * self.thrust_exponent * self.sag_v / voltage_v
+        return 1.0 + (1.0 / effort - 1.0) / (1.0 + sags)
+
+    def voltage_v(self, reserve: float) -> float:
+        """Voltage in flight at which the reserve is this one; the inverse of ``at``."""
+        least_v = self.hover_throttle * self.hover_voltage_v / self.throttle_max
+        voltage_v = least_v
+        for _ in range(30):  # a contraction: a step of the voltage changes the sag by a fraction of it
+            sags = 1.5 * self.thrust_exponent * self.sag_v / voltage_v
+            voltage_v = least_v * math.pow(1.0 + (reserve - 1.0) * (1.0 + sags), 1.0 / self.thrust_exponent)
+        return voltage_v
+
+    @property
+    def start_voltage_v(self) -> float:
+        """Voltage in flight from which a landing may begin."""
+        return self.lowest_voltage_v + self.start_margin_v
+
+    def up_m_s2(self, reserve: float) -> float:
+        """Upward acceleration that may be wanted with this reserve."""
+        return max(LEAST_M_S2, self.share * (reserve - 1.0) * GRAVITY_M_S2)
+
+    def level_m_s2(self, reserve: float) -> float:
+        """Horizontal acceleration that may be wanted on x and on y besides: the thrust left over tilts."""
+        lift = reserve / (1.0 + self.share * (reserve - 1.0)) if reserve > 1.0 else 1.0
+        return max(LEAST_M_S2, GRAVITY_M_S2 * math.sqrt(0.5 * (lift * lift - 1.0)))

@@ -1,0 +1,137 @@
+"""Estimates the thrust reserve in flight, and what it allows: accelerations, and whether to land at all.
+
+In flight the throttle tells: its power p, upwards, is the thrust as a share of the largest. Averaged over a
+few seconds that is the weight, but for the acceleration in this time. The same low-pass of the vertical
+velocity gives the average of that exactly, without a derivative: it is (v - smoothed v) / smoothing time.
+Until then, and where no throttle comes, the voltage tells. Missing data are no reserve: then the least one
+counts, for which the certificate holds.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.memory import ReserveMemory
+from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve
+from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
+
+LEAST_LIFT = 0.1  # of the weight, averaged over seconds: below it the vehicle falls, and nothing is told
+AGE_MAX_S = 3.0  # s; the voltage comes once a second, two may be lost
+
+
+class ReserveEstimate:
+    """Call ``step`` once a tick; ``memory`` is all that it remembers.
+
+    Args:
+        table: of the configuration.
+        most_m_s2: acceleration of the velocity wanted, with all reserve.
+        period_s: of a tick.
+
+    Attributes:
+        reserve: largest thrust over weight; NaN while it is not known.
+        charge: what the battery is fit for.
+        acceleration_max_m_s2: of the velocity wanted, ENU; upwards on z.
+    """
+
+    def __init__(self, table: Reserve, most_m_s2: Vec3, period_s: float) -> None:
+        self.memory = ReserveMemory()
+        self._table, self._most_m_s2 = table, most_m_s2
+        self._share = min(1.0, period_s / table.smoothing_s)
+        self._least = table.at(table.lowest_voltage_v)
+        self._power: Power | None = None
+        self._standing = False
+        self.reserve, self.charge = math.nan, Charge.UNKNOWN
+        self.acceleration_max_m_s2 = self._allowed()
+
+    def step(
+        self, power: Power | None, status: VehicleStatus | None, rise_m_s: float, now_s: float, *, flies: bool
+    ) -> None:
+        """Take what is known in this tick.
+
+        Args:
+            power: newest of the vehicle.
+            status: newest of the vehicle.
+            rise_m_s: vertical velocity.
+            now_s: stack clock.
+            flies: it flies our velocities, away from the ground, so that its throttle is that of a flight.
+        """
+        memory, table = self.memory, self._table
+        fresh = power is not None and now_s - power.arrival_s <= AGE_MAX_S
+        self._power = power if fresh else None
+        self._standing = status is None or not status.armed
+        if self._standing:
+            memory.effort, memory.tired = math.nan, False
+        effort = self._effort(flies)
+        if math.isnan(effort):
+            self.reserve = math.nan
+        else:
+            if math.isnan(memory.effort):
+                memory.effort, memory.rise_m_s = effort, rise_m_s
+            memory.effort += self._share * (effort - memory.effort)
+            memory.rise_m_s += (self._share if flies else 1.0) * (rise_m_s - memory.rise_m_s)
+            gained = (rise_m_s - memory.rise_m_s) / (table.smoothing_s * GRAVITY_M_S2)
+            flight_v = self._flight_v()
+            voltage_v = flight_v if flight_v > 0.0 else table.lowest_voltage_v
+            self.reserve = table.left(memory.effort / max(LEAST_LIFT, 1.0 + gained), voltage_v)
+        self._judge(status)
+        self.acceleration_max_m_s2 = self._allowed()
+
+    @property
+    def text(self) -> str:
+        """What is wrong with the battery, what is needed and what to do; empty: nothing."""
+        table, power = self._table, self._power
+        if self.charge is Charge.FIT:
+            return ""
+        if power is None or self.charge is Charge.UNKNOWN:
+            return "the vehicle tells no battery voltage (SYS_STATUS)"
+        if self._standing:
+            return too_low(table, power.voltage_v)
+        return (
+            f"the thrust reserve is {self.reserve:.2f} at {power.voltage_v:.2f} V, {self._least:.2f} needed "
+            f"(reserve.lowest_voltage_v is {table.lowest_voltage_v:g}): change the battery"
+        )
+
+    def _effort(self, flies: bool) -> float:
+        """Weight over largest thrust as this tick tells it, upward acceleration not yet taken out."""
+        table, power = self._table, self._power
+        if power is None:
+            return math.nan
+        if flies and power.throttle > 0.0 and math.isfinite(power.cos_tilt):
+            return table.effort(power.throttle) * power.cos_tilt
+        flight_v = self._flight_v()
+        if not flight_v > 0.0:
+            return math.nan
+        return table.effort(table.hover_throttle * table.hover_voltage_v / flight_v)
+
+    def _flight_v(self) -> float:
+        """Voltage in flight, or at rest what will be left of it there; NaN: not told."""
+        if self._power is None:
+            return math.nan
+        return self._power.voltage_v - (self._table.sag_v if self._standing else 0.0)
+
+    def _judge(self, status: VehicleStatus | None) -> None:
+        memory, table, power = self.memory, self._table, self._power
+        if power is None or math.isnan(self.reserve):
+            self.charge = Charge.TIRED if memory.tired else Charge.UNKNOWN
+            return
+        if self._standing:
+            memory.tired = self._flight_v() < table.start_voltage_v
+        elif status is not None and status.landed is not Landed.ON_GROUND:  # spinning up, it tells neither
+            memory.tired = memory.tired or self.reserve < self._least
+        self.charge = Charge.TIRED if memory.tired else Charge.FIT
+
+    def _allowed(self) -> Vec3:
+        reserve = self._least if math.isnan(self.reserve) else self.reserve
+        (x, y, z), level_m_s2 = self._most_m_s2, self._table.level_m_s2(reserve)
+        return (min(x, level_m_s2), min(y, level_m_s2), min(z, self._table.up_m_s2(reserve)))
+
+
+def too_low(table: Reserve, voltage_v: float) -> str:
+    """Why a battery with this voltage at rest begins no landing; empty: it may."""
+    least_v = table.start_voltage_v + table.sag_v
+    if voltage_v >= least_v:
+        return ""
+    return (
+        f"the battery has {voltage_v:.2f} V at rest, at least {least_v:.2f} V are needed to land safely "
+        "(reserve.lowest_voltage_v + start_margin_v + sag_v): charge or change it"
+    )

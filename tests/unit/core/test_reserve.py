@@ -1,0 +1,267 @@
+"""The thrust reserve: by voltage, in flight by throttle, and what a tired battery is still told to fly."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flightstack.common.strict_toml import ConfigError
+from flightstack.core.controller import Controller
+from flightstack.core.memory import ReserveState
+from flightstack.core.parameters.reserve import GRAVITY_M_S2, LEAST_M_S2, Reserve
+from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate, too_low
+from flightstack.core.types import Charge, Inputs, Landed, Mode, Phase, Power, VehicleStatus
+from flightstack.onboard.state_text import StateText
+from tests.point_mass import World
+from tests.unit.core.core_helpers import config
+
+MOST_M_S2 = (2.0, 2.0, 2.5)
+TABLE = {"hover_throttle": 0.78, "hover_voltage_v": 3.7, "lowest_voltage_v": 3.2, "sag_v": 0.4}
+RESERVE = Reserve(**TABLE)
+LEAST = RESERVE.at(3.2)
+STANDS = VehicleStatus(0.0, False, Mode.HOLD, Landed.ON_GROUND, True)
+FLIES = VehicleStatus(0.0, True, Mode.EXTERNAL, Landed.IN_AIR, True)
+STEP_S = 0.01
+
+
+def estimate(table=RESERVE):
+    return ReserveEstimate(table, MOST_M_S2, STEP_S)
+
+
+def power(now_s=0.0, volts=3.7, throttle=0.78, tilt_rad=0.0):
+    return Power(now_s, volts, throttle, math.cos(tilt_rad))
+
+
+def fly(found, seconds, throttle, volts=3.7, rise_m_s=lambda _t: 0.0, tilt_rad=0.0):
+    for n in range(round(seconds / STEP_S)):
+        t = n * STEP_S
+        said = power(t, volts, throttle(t) if callable(throttle) else throttle, tilt_rad)
+        found.step(said, FLIES, rise_m_s(t), t, flies=True)
+    return found
+
+
+tables = st.builds(
+    Reserve,
+    hover_throttle=st.floats(0.3, 0.8),
+    hover_voltage_v=st.floats(3.5, 4.0),
+    lowest_voltage_v=st.just(3.4),
+    sag_v=st.floats(0.0, 0.5),
+    thrust_exponent=st.floats(1.0, 2.2),
+)
+
+
+@given(tables, st.floats(3.4, 4.2))
+def test_voltage_and_reserve_are_each_others_inverse_and_rise_together(table, volts):
+    assert table.voltage_v(table.at(volts)) == pytest.approx(volts, abs=1e-6)
+    assert table.at(volts + 0.01) > table.at(volts)
+
+
+def test_the_recorded_vehicles_reserve():
+    """0.78 of full PWM at 3.7 V leaves 1.46, 0.90 at 3.1 V 1.17, with motors alike and without sag."""
+    assert Reserve(0.78, 3.7, 3.7, throttle_max=1.0).at(3.7) == pytest.approx(1.46, abs=0.01)
+    assert Reserve(0.90, 3.1, 3.1, throttle_max=1.0).at(3.1) == pytest.approx(1.17, abs=0.01)
+    assert Reserve(0.90, 3.1, 3.1, sag_v=0.44).at(3.1) == pytest.approx(1.064, abs=0.005)
+
+
+def test_a_lowest_voltage_that_lifts_nothing_is_refused_with_the_one_that_does():
+    with pytest.raises(ConfigError, match=r"found 2\.9.*allowed is more than 3\.04") as told:
+        Reserve(**TABLE | {"lowest_voltage_v": 2.9})
+    assert "hover_throttle" in str(told.value)
+    with pytest.raises(ConfigError, match=r"reserve: found 2\.9|reserve.*lowest_voltage_v"):
+        config(reserve=TABLE | {"lowest_voltage_v": 2.9})
+    with pytest.raises(ConfigError, match=r"reserve\.hover_throttle: missing"):
+        config(reserve={"hover_voltage_v": 3.7, "lowest_voltage_v": 3.2})
+
+
+@given(st.floats(1.0, 1.6), st.floats(0.1, 1.0))
+def test_all_accelerations_together_are_no_more_than_the_thrust(reserve, share):
+    table = replace(RESERVE, share=share)
+    up, level = table.up_m_s2(reserve), table.level_m_s2(reserve)
+    if min(up, level) > LEAST_M_S2:
+        assert math.hypot(level, level, GRAVITY_M_S2 + up) <= reserve * GRAVITY_M_S2 + 1e-9
+
+
+@given(st.floats(0.6, 0.93), st.floats(0.0, 0.3), st.floats(0.2, 2.0), st.floats(0.0, 0.5))
+def test_neither_climbs_nor_tilt_disturb_the_estimate(hover, sway_m_s, rate_1_s, tilt_rad):
+    """Throttle follows the acceleration exactly; the vertical velocity alone takes it out again."""
+
+    def rise(t):
+        return sway_m_s * math.sin(rate_1_s * t)
+
+    def throttle(t):
+        gained = (rise(t) - rise(t - STEP_S)) / STEP_S / GRAVITY_M_S2
+        return hover * ((1.0 + gained) / math.cos(tilt_rad)) ** (1.0 / RESERVE.thrust_exponent)
+
+    found = fly(estimate(), 20.0, throttle, rise_m_s=rise, tilt_rad=tilt_rad)
+    assert found.reserve == pytest.approx(RESERVE.left(RESERVE.effort(hover), 3.7), rel=2e-3)
+
+
+def test_before_the_throttle_tells_the_voltage_does():
+    found = estimate()
+    found.step(power(volts=3.9), STANDS, 0.0, 0.0, flies=False)
+    assert found.reserve == pytest.approx(RESERVE.at(3.9 - RESERVE.sag_v))  # it will sag when it flies
+    found.step(power(volts=3.5, throttle=math.nan), FLIES, 0.0, 0.01, flies=True)
+    found = estimate()
+    found.step(power(volts=3.5, throttle=math.nan), FLIES, 0.0, 0.0, flies=True)
+    assert found.reserve == pytest.approx(RESERVE.at(3.5))
+
+
+def test_a_heavier_vehicle_than_declared_shows_in_flight():
+    """At the same voltage it needs more throttle: the voltage alone would not tell."""
+    found = fly(estimate(), 10.0, 0.9)
+    assert found.reserve < RESERVE.at(3.7) - 0.15
+    assert found.acceleration_max_m_s2[2] == pytest.approx(0.5 * (found.reserve - 1.0) * GRAVITY_M_S2)
+
+
+@pytest.mark.parametrize("said", [None, power(0.0, math.nan, math.nan)])
+def test_without_data_the_least_reserve_counts_and_nothing_is_begun(said):
+    found = estimate()
+    found.step(said, STANDS, 0.0, 0.1, flies=False)
+    assert found.charge is Charge.UNKNOWN
+    assert "tells no battery voltage" in found.text
+    assert math.isnan(found.reserve)
+    assert found.acceleration_max_m_s2[2] == pytest.approx(RESERVE.up_m_s2(LEAST))
+
+
+def test_data_that_stop_in_flight_are_no_reserve_and_no_reason_to_abort():
+    found = fly(estimate(), 5.0, 0.78)
+    assert found.charge is Charge.FIT
+    assert found.text == ""
+    found.step(power(5.0), FLIES, 0.0, 5.0 + AGE_MAX_S + 0.1, flies=True)
+    assert found.charge is Charge.UNKNOWN
+    assert found.acceleration_max_m_s2[2] == pytest.approx(RESERVE.up_m_s2(LEAST))
+
+
+def test_in_flight_a_tired_battery_stays_tired_until_the_vehicle_stands_disarmed():
+    found = fly(estimate(), 5.0, 0.95, volts=3.2)
+    assert found.charge is Charge.TIRED
+    for number in ("1.0", "3.20 V", f"{LEAST:.2f}", "change the battery"):
+        assert number in found.text
+    fly(found, 20.0, 0.7)
+    assert found.reserve > LEAST
+    assert found.charge is Charge.TIRED
+    found.step(power(20.0, 4.1), STANDS, 0.0, 20.0, flies=False)
+    assert found.charge is Charge.FIT
+
+
+def test_at_rest_the_sag_to_come_and_the_flight_itself_are_counted_in():
+    least_v = 3.2 + 0.05 + 0.4
+    assert too_low(RESERVE, least_v) == ""
+    text = too_low(RESERVE, least_v - 0.01)
+    assert "3.64 V" in text
+    assert "3.65 V" in text
+    assert "charge or change it" in text
+    found = estimate()
+    found.step(power(volts=least_v - 0.01), STANDS, 0.0, 0.0, flies=False)
+    assert found.charge is Charge.TIRED
+    assert found.text == text
+
+
+CONFIG = config(reserve=TABLE, checks={"wait_time_max_s": 2.0})
+
+
+def told(volts, throttle, from_s=0.0):
+    """Adds what a vehicle says of its battery to the inputs of ``World``."""
+
+    def fault(world, inputs):
+        said = Power(world.t_s, volts, throttle, 1.0) if world.t_s >= from_s else None
+        return replace(inputs, power=said)
+
+    return {"fault": fault, "fault_from_s": 0.0, "fault_to_s": math.inf}
+
+
+def flown(seconds, **changes):
+    world = World(CONFIG, position=(-1.5, 0.2, 1.6), **changes)
+    while world.t_s < seconds and not (world.outputs and world.outputs[-1].finished):
+        world.step()
+    return world
+
+
+def upward(world):
+    """Upward accelerations of the velocity wanted, with the reserve of the tick."""
+    ticks = [(o.wanted[2], o.reserve) for o in world.outputs if o.wanted is not None]
+    return [((b - a) / STEP_S, reserve) for (a, _), (b, reserve) in itertools.pairwise(ticks)]
+
+
+def test_no_upward_acceleration_beyond_the_reserve_is_commanded():
+    fresh, tired = upward(flown(6.0, **told(4.0, 0.6))), upward(flown(6.0, **told(3.3, 0.89)))
+    assert all(up <= RESERVE.up_m_s2(reserve) + 1e-9 for up, reserve in fresh + tired)
+    assert max(up for up, _ in tired) < 0.5 < max(up for up, _ in fresh)
+
+
+def test_a_tired_battery_keeps_a_vehicle_on_the_ground_and_the_reason_says_why():
+    ground = {"position": (-1.5, 0.2, 0.0), "armed": False, "landed": Landed.ON_GROUND}
+    world = World(CONFIG, **ground, **told(3.5, 0.0))
+    while world.t_s < 3.0:
+        world.step()
+    assert world.phase is Phase.ABORT
+    assert not world.sent
+    assert "the battery has 3.50 V at rest" in world.texts[-1]
+    silent = World(CONFIG, **ground, **told(4.1, 0.0, from_s=99.0))
+    while silent.t_s < 3.0:
+        silent.step()
+    assert silent.phase is Phase.ABORT
+    assert "tells no battery voltage" in silent.texts[-1]
+
+
+def test_found_in_the_air_too_tired_it_flies_clear_at_once():
+    world = flown(1.0, mode=Mode.EXTERNAL, **told(3.1, 0.95))
+    assert world.phase is Phase.ABORT
+    assert "the battery is too low to land on the target: the thrust reserve is" in world.texts[0]
+
+
+def test_outside_the_ring_a_vehicle_that_tires_lands_beside_and_inside_on_the_pad():
+    def tires(distance_m):
+        def fault(world, inputs):
+            near = math.hypot(*world.relative()[:2]) < distance_m
+            return replace(inputs, power=Power(world.t_s, 3.6 if not near else 3.1, math.nan, 1.0))
+
+        return {"fault": fault, "fault_from_s": 0.0, "fault_to_s": math.inf}
+
+    ring_m = CONFIG.barrier.build().peak_distance_m
+    beside, onto = flown(30.0, **tires(1.4)), flown(30.0, solid_pad=True, **tires(0.6 * ring_m))
+    assert beside.phase is Phase.ABORT
+    assert not any(o.phase is Phase.ABORT for o in onto.outputs)
+    assert onto.phase is Phase.LANDED
+
+
+def test_no_go_around_is_left_for_a_tired_battery():
+    world = flown(3.0, **told(3.6, 0.8))
+    controller = world.controller
+    snapshot = world.outputs[-1].snapshot
+    mission = controller._mission
+    flags = {
+        c: mission.flags(replace_charge(snapshot, c), command_failed=False, now_s=world.t_s) for c in Charge
+    }
+    left = {c: bool(f & (1 << 16)) for c, f in flags.items()}
+    assert left == {Charge.FIT: True, Charge.UNKNOWN: True, Charge.TIRED: False}
+
+
+def replace_charge(snapshot, charge):
+    snapshot.charge = charge
+    return snapshot
+
+
+def test_restored_from_its_text_it_goes_on_to_the_bit():
+    text = StateText(ReserveState)
+    world = flown(2.0, **told(3.4, 0.86))
+    again = Controller(CONFIG)
+    again.restore(text.loads(text.layout, text.dumps(world.controller.state)))
+    for _ in range(100):
+        inputs, now_s = world.inputs(), world.t_s
+        assert again.step(inputs, now_s).wanted == world.step().wanted
+        assert again._reserve.memory == world.controller._reserve.memory
+
+
+def test_without_the_table_battery_and_throttle_change_nothing():
+    bare = config(checks={"wait_time_max_s": 2.0})
+    worlds = [World(bare, **told(v, u)) for v, u in ((4.1, 0.5), (3.0, 1.0))]
+    for _ in range(300):
+        a, b = (world.step() for world in worlds)
+        assert a.wanted == b.wanted
+        assert a.phase is b.phase
+        assert math.isnan(a.reserve)
+    assert Inputs().power is None
