@@ -23,7 +23,7 @@ F = TypeVar("F", bound=Callable[..., object])
 
 HERE = Path(__file__).parent
 # rooms of the simulator whose functions are compiled
-ROOMS = ("compiled", "plant", "world", "firmware", "vehicle", "robot")
+ROOMS = ("compiled", "plant", "world", "firmware", "vehicle", "robot", "validation")
 OFF = "NUMBA_DISABLE_JIT"  # numba's own switch
 
 

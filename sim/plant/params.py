@@ -18,12 +18,17 @@ CONTROL_STEP_S = 0.002  # firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """Rigid body; its drag acts ``drag_above_com_m`` above the centre of mass, along body z."""
+    """Rigid body.
+
+    Its drag acts ``drag_above_com_m`` above the centre of mass, along body z. ``rate_damping_n_m_s`` makes a
+    torque against roll and pitch rates: rotors that sink into their own wind pull harder.
+    """
 
     mass_kg: float
     inertia_kg_m2: Vec3
     drag_n_s_m: Vec3
     drag_above_com_m: float = 0.0
+    rate_damping_n_m_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from sim.firmware.stack import FirmwareRecord, control, listen, oversee
 from sim.firmware.supervisor import PERIOD_MS
 from sim.plant.ground_effect import GroundRecord, ground_effect
 from sim.plant.imu import ImuRecord, measure
-from sim.plant.params import STEP_S
+from sim.plant.params import STEP_S, Body
 from sim.plant.rotors import BatteryRecord, RotorRecord, drain, speed_at_no_duty, speed_limit, turn_rotors
 from sim.plant.wind import WindRecord, blow
 from sim.vehicle.judge import ContactRecord, JudgeRecord, judge, note_contact
@@ -28,10 +28,17 @@ BATTERY_EVERY_MS = 10
 class DragRecord(Record):
     """Rotor drag and weight."""
 
-    height: float  # of the point where it acts, above the centre of mass along body z, m
+    moment: float  # about the centre of mass, of the drag along body x and y, N m per m/s
+    damping: float  # torque against roll and pitch rate, N m s
     xy: float  # N s/m
     along: float  # what drag along body z adds to that
     weight: float  # N
+
+
+def set_up_drag(drag: DragRecord, body: Body, weight_n: float) -> None:
+    """Fill in a record."""
+    drag.xy, drag.along, drag.weight = body.drag_n_s_m[0], body.drag_n_s_m[2] - body.drag_n_s_m[0], weight_n
+    drag.moment, drag.damping = body.drag_above_com_m * body.drag_n_s_m[0], body.rate_damping_n_m_s
 
 
 class VehicleRecord(Record):
@@ -92,10 +99,10 @@ def push(v: VehicleRecord) -> None:
     force[0], force[1] = drag.xy * ax + along * zx, drag.xy * ay + along * zy
     force[2] = drag.xy * az + along * zz - drag.weight
     wrench.torque[0], wrench.torque[1], wrench.torque[2] = rotors.torque_x, rotors.torque_y, rotors.torque_z
-    if drag.height != 0.0:
-        moment = drag.height * drag.xy  # of the drag along body x and y: (0, 0, height) x force
-        wrench.torque[0] -= moment * (ax * axes[3] + ay * axes[4] + az * axes[5])
-        wrench.torque[1] += moment * (ax * axes[0] + ay * axes[1] + az * axes[2])
+    if drag.moment != 0.0 or drag.damping != 0.0:
+        beside, ahead = ax * axes[3] + ay * axes[4] + az * axes[5], ax * axes[0] + ay * axes[1] + az * axes[2]
+        wrench.torque[0] -= drag.moment * beside + drag.damping * body.rates[0]
+        wrench.torque[1] += drag.moment * ahead - drag.damping * body.rates[1]
 
 
 @jitted

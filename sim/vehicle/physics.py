@@ -16,7 +16,7 @@ from sim.plant.wind import WindModel
 from sim.robot.target import TargetModel
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.judge import GAP_MS, NONE_MS
-from sim.vehicle.loop import WIND_EVERY_MS, VehicleRecord
+from sim.vehicle.loop import WIND_EVERY_MS, VehicleRecord, set_up_drag
 from sim.world.world import World
 
 AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
@@ -61,9 +61,7 @@ class Physics:
         self.hover_rpm = params.rotor.rpm(self.weight_n / 4.0 / plant.thrust)
         self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery, plant.battery_charge)
         self.wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
-        drag_xy, _, drag_z = params.body.drag_n_s_m
-        r.drag.xy, r.drag.along, r.drag.weight = drag_xy, drag_z - drag_xy, self.weight_n
-        r.drag.height = params.body.drag_above_com_m
+        set_up_drag(r.drag, params.body, self.weight_n)
         judge = scenario.judge
         self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)
         cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)

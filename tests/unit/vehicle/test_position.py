@@ -175,7 +175,7 @@ def room_map():
 
 
 class TestVoltMap:
-    @given(st.floats(0.11, 2.0))
+    @given(st.floats(0.12, 2.0))
     def test_volts_are_the_inverse_of_the_firmwares_map(self, share):
         volts = motor_volts(room_map(), share * COUNTS_MAX)
         assert 0.5 < volts < 6.0
