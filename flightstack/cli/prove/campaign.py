@@ -6,18 +6,17 @@ import json
 import os
 import signal
 import sys
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 
 from flightstack.cli import options as shared
 from flightstack.cli.options import takes
+from flightstack.cli.prove.progress import Bar
 from flightstack.core.parameters.filters import short_name
 
 if TYPE_CHECKING:
@@ -75,13 +74,14 @@ def campaign(options: CampaignOptions) -> None:
     console = Console(stderr=options.as_json, highlight=False)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     try:
-        with _Bar(console, wanted) as bar:
+        title = f"{scenario.name}, filter {scenario.onboard.filter}"
+        with Bar(console, title, wanted.runs) as bar:
             flown = core.fly(
                 wanted,
                 folder,
                 workers=options.workers or os.cpu_count() or 1,
                 cluster=options.cluster,
-                on_row=bar.row,
+                on_row=lambda row: bar.done(row.outcome, *(["violations"] if row.violation else [])),
             )
     except (WorkersError, ClusterError) as error:
         click.echo(f"flightstack: {error}", err=True)
@@ -90,34 +90,6 @@ def campaign(options: CampaignOptions) -> None:
     if options.require is not None:
         status = max(status, _check(flown, options.require, options.against))
     sys.exit(status)
-
-
-class _Bar:
-    """Progress bar with the number of each outcome so far."""
-
-    def __init__(self, console: Console, wanted: Plan) -> None:
-        self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-            TextColumn("{task.fields[told]}"), console=console, disable=not console.is_terminal,
-        )  # fmt: skip
-        title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter}"
-        self._task = self._progress.add_task(title, total=wanted.runs, told="")
-        self._counts: Counter[str] = Counter()
-
-    def __enter__(self) -> _Bar:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def row(self, row: Any) -> None:
-        """Count a row."""
-        self._counts[row.outcome] += 1
-        if row.violation:
-            self._counts["violations"] += 1
-        told = "  ".join(f"{number} {name}" for name, number in sorted(self._counts.items()))
-        self._progress.update(self._task, advance=1, told=told)
 
 
 def _tell(

@@ -1,0 +1,33 @@
+"""The progress bar of verbs that compute for long, with a count of what has come so far."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+class Bar:
+    """Progress of a known number of things; nothing is shown where the output is no terminal."""
+
+    def __init__(self, console: Console, title: str, total: int | None) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+            TextColumn("{task.fields[told]}"), console=console, disable=not console.is_terminal,
+        )  # fmt: skip
+        self._task = self._progress.add_task(title, total=total, told="")
+        self._counts: Counter[str] = Counter()
+
+    def __enter__(self) -> Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def done(self, *kinds: str) -> None:
+        """Count one thing, under each of these kinds."""
+        self._counts.update(kinds)
+        told = "  ".join(f"{number} {name}" for name, number in sorted(self._counts.items()))
+        self._progress.update(self._task, advance=1, told=told)

@@ -1,0 +1,148 @@
+"""The verb ``validate``: compares the simulator with recorded flights of a real vehicle."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from flightstack.cli import options as shared
+from flightstack.cli.options import takes
+from flightstack.cli.prove.progress import Bar
+
+PASSED, FAILED = 0, 1
+PAGE, SUMMARY = "validate.html", "validate.json"
+
+
+@dataclass(frozen=True)
+class ValidateOptions(shared.Result):
+    """Options of ``validate``."""
+
+    folder: Path = shared.argument(
+        metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path)
+    )
+    columns: Path | None = shared.option(
+        "--columns", type=shared.EXISTING_FILE, metavar="FILE",
+        help="TOML with the recordings' columns, units and signs; default: those of NanoBench.",
+    )  # fmt: skip
+    vehicle: str | None = shared.option(
+        "--vehicle", metavar="NAME_OR_FILE",
+        help="Vehicle to simulate: a name of sim/vehicles or a file; default: crazyflie21_room.",
+    )  # fmt: skip
+    shuffle_pwm: bool = shared.option(
+        "--shuffle-pwm", is_flag=True,
+        help="Control experiment: the motor commands in random order; it must fail.",
+    )  # fmt: skip
+    seed: int = shared.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Random seed.")
+    workers: int | None = shared.option(
+        "--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one for each processor."
+    )
+    out: Path | None = shared.option(
+        "--out", type=shared.FOLDER, help="Folder for page and JSON; default: a new folder in runs/."
+    )
+
+
+@click.command()
+@takes(ValidateOptions)
+def validate(options: ValidateOptions) -> None:
+    """Compare the simulator with the recorded flights in DIR (Parquet, CSV): plant, closed loop, own state.
+
+    Flights and parts of them that cannot be used are told with the reason (docs/how_to/validate.md).
+
+    Exit status: 0 all criteria are met, 1 one is missed or no flight is left, 2 wrong input.
+    """
+    from flightstack.onboard.recording import new_folder
+
+    try:
+        from sim.flights.recording import RecordingError, find_recordings
+        from sim.validation import run as core
+        from sim.validation.criteria import judge
+        from sim.validation.summary import reasons, summary
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in ("pyarrow", "mujoco", "numba"):
+            raise
+        raise ValueError(
+            f"`validate` needs {error.name}: pip install 'crazyflie-flightstack[sim,export]'"
+        ) from None
+
+    plan = core.Plan(
+        options.folder, options.columns, options.vehicle or core.VEHICLE, options.shuffle_pwm, options.seed
+    )
+    console = Console(stderr=options.as_json, highlight=False)
+    try:
+        paths = find_recordings(plan.folder)
+    except RecordingError as error:
+        console.print(str(error), soft_wrap=True, markup=False)
+        paths = []
+    try:
+        with Bar(console, f"flights of {plan.folder}", len(paths)) as bar:
+            flights = core.run(
+                plan,
+                paths,
+                options.workers or os.cpu_count() or 1,
+                on_flight=lambda one: bar.done("used" if one.used else "left out"),
+            )
+    except BrokenProcessPool:
+        click.echo("flightstack: a worker process was killed; is the machine out of memory?", err=True)
+        sys.exit(FAILED)
+    told = summary(plan, flights, judge(flights))
+    for flight in flights:
+        if flight.left_out:
+            what = "left out in part" if flight.used else "left out"
+            console.print(
+                f"{flight.name}: {what}: {'; '.join(reasons(flight))}", soft_wrap=True, markup=False
+            )
+    folder = options.out or new_folder("validate")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
+    page = _page(folder / PAGE, told) if options.with_report else None
+    if options.as_json:
+        click.echo(json.dumps(told))
+    else:
+        _tell(console, told)
+        if page is not None:
+            console.print(f"report  {page}", soft_wrap=True)
+    sys.exit(PASSED if told["passed"] else FAILED)
+
+
+def _page(path: Path, told: dict[str, Any]) -> Path | None:
+    """Write the page; the numbers count without it, too."""
+    from logs.report.page import ReportError
+
+    try:
+        from sim.validation.page import render
+
+        path.write_text(render(told), encoding="utf-8")
+    except ReportError as error:
+        click.echo(f"flightstack: {error}", err=True)
+        return None
+    return path
+
+
+def _tell(console: Console, told: dict[str, Any]) -> None:
+    """Print the table of criteria, and the causes."""
+    title = f"{told['used']} of {told['flights']} flights, {told['used_s']:.0f} s, beside {told['vehicle']}"
+    table = Table(
+        "error", "limit", "found (95 %)", "", box=SIMPLE, pad_edge=False, title=title, title_justify="left"
+    )
+    for part in dict.fromkeys(one["part"] for one in told["criteria"]):
+        table.add_section()
+        table.add_row(f"[bold]{part}[/]")
+        for one in told["criteria"]:
+            if one["part"] == part:
+                mark = "met" if one["met"] else "[bold red]missed[/]"
+                table.add_row(one["text"], one["limit"], one["found"], mark)
+    if told["used"]:
+        console.print(table)
+    console.print("passed" if told["passed"] else "not passed")
+    for cause in told["causes"]:
+        console.print(f"  {cause}", soft_wrap=True, markup=False)

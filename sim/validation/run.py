@@ -1,0 +1,138 @@
+"""Compares the simulator with each flight of a folder, in worker processes.
+
+A flight that cannot be read, or of which nothing is left, is told with its reasons; the others are compared.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import active_children, get_context
+from pathlib import Path
+from zlib import crc32
+
+from sim.flights.recording import COLUMNS, Group, RecordingError, read_columns
+from sim.flights.screening import Reason, load
+from sim.plant.params import Params
+from sim.plant.params import load as load_vehicle
+from sim.validation import closed_loop, open_loop, sensing
+from sim.validation.closed_loop import ClosedLoop
+from sim.validation.open_loop import OpenLoop
+from sim.validation.sensing import Sensing
+
+VEHICLE = "crazyflie21_room"  # the vehicle of the recorded flights that the project was compared with
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to compare with what.
+
+    Attributes:
+        folder: of recorded flights.
+        columns: table of columns; None: that of `crazyflie_vicon.toml`.
+        vehicle: name or file of the simulated vehicle.
+        shuffle_pwm: whether the open loop gets the motor commands in random order; then it must fail.
+        seed: of everything random.
+    """
+
+    folder: Path
+    columns: Path | None = None
+    vehicle: str = VEHICLE
+    shuffle_pwm: bool = False
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One flight beside the simulator.
+
+    Attributes:
+        name: of the file, without suffix.
+        used_s: time that was compared; 0 if the flight is left out.
+        left_out: parts that were not used, or all of it, with the reasons.
+        open_loop, closed_loop, sensing: None where the flight is left out, or has not the columns.
+        shuffled: open loop with the motor commands in random order.
+    """
+
+    name: str
+    used_s: float
+    left_out: tuple[Reason, ...]
+    open_loop: OpenLoop | None = None
+    closed_loop: ClosedLoop | None = None
+    sensing: Sensing | None = None
+    shuffled: OpenLoop | None = None
+
+    @property
+    def used(self) -> bool:
+        """Whether anything of the flight was compared."""
+        return self.used_s > 0.0
+
+
+def compare(path: Path, columns: dict[str, Group], params: Params, plan: Plan) -> Compared:
+    """Compare one flight; random numbers depend on its name, not on its place in the folder."""
+    try:
+        flight = load(path, columns)
+    except RecordingError as error:
+        return Compared(path.stem, 0.0, (Reason(str(error), 0.0),))
+    if not flight.usable:
+        return Compared(path.stem, 0.0, flight.left_out)
+    seed = plan.seed + crc32(path.stem.encode())
+    return Compared(
+        path.stem,
+        flight.seconds,
+        flight.left_out,
+        open_loop.compare(flight, params, shuffle_seed=seed if plan.shuffle_pwm else None),
+        closed_loop.fly(flight, params, seed),
+        sensing.compare(flight, seed),
+        open_loop.compare(flight, params, shuffle_seed=seed + 1),
+    )
+
+
+def run(
+    plan: Plan, paths: Sequence[Path], workers: int, on_flight: Callable[[Compared], None]
+) -> list[Compared]:
+    """Compare flights.
+
+    Args:
+        plan: what to compare with what.
+        paths: of the recordings.
+        workers: number of processes.
+        on_flight: called with each flight as it is done, in any order.
+
+    Returns:
+        The flights by name.
+
+    Raises:
+        RecordingError: the table of columns is wrong.
+        ConfigError: the vehicle's file is wrong.
+        BrokenProcessPool: a process was killed.
+    """
+    columns, params = read_columns(plan.columns or COLUMNS), load_vehicle(plan.vehicle)
+    done: list[Compared] = []
+    for one in _each(partial(compare, columns=columns, params=params, plan=plan), paths, workers):
+        on_flight(one)
+        done.append(one)
+    return sorted(done, key=lambda one: one.name)
+
+
+def _each(work: Callable[[Path], Compared], paths: Sequence[Path], workers: int) -> Iterator[Compared]:
+    """Yield results as they come; Ctrl-C ends the processes at once."""
+    if workers == 1 or len(paths) <= 1:
+        yield from map(work, paths)
+        return
+    pool = ProcessPoolExecutor(
+        min(workers, len(paths)), get_context("spawn"), initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    )  # fmt: skip
+    try:
+        for future in as_completed([pool.submit(work, path) for path in paths]):
+            yield future.result()
+    except BaseException:
+        for process in active_children():
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)

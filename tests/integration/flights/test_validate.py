@@ -1,0 +1,204 @@
+"""``validate``: a piece of a flight everywhere, whole flights where they are; every kind of bad input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+import pytest
+
+from sim.flights.recording import COLUMNS
+from tests import recorded
+from tests.integration.logs.test_report_page import Page, browse, errors  # noqa: F401
+from tests.integration.runs import called
+
+HORIZONS = ("0.1", "0.25", "0.5")
+FIGURES = 4
+
+
+def validate(folder, out, *options, code=None):
+    """Run the verb; returns its JSON and what it said."""
+    few = (
+        len(list(folder.iterdir())) < 20
+    )  # compared in this process, which has loaded and compiled everything
+    workers = ("--workers", 1) if few else ()
+    done = called("validate", folder, "--json", "--out", out, *workers, *options)
+    assert "Traceback" not in done.err
+    told = done.json
+    assert done.code == (0 if told["passed"] else 1) if code is None else done.code == code, done.err
+    assert told["flights"] == told["used"] + len(told["left_out"])
+    assert bool(told["causes"]) != told["passed"]
+    return told, done.err
+
+
+def table():
+    """Columns of the piece of flight, as arrays that may be changed."""
+    read = pa.parquet.read_table(recorded.PIECE)
+    return {name: np.array(read[name]) for name in read.column_names}
+
+
+def write(path, columns):
+    made = pa.table(columns)
+    (pa.csv.write_csv if path.suffix == ".csv" else pa.parquet.write_table)(made, path)
+
+
+def changed(names, change):
+    columns = table()
+    for name in names:
+        columns[name] = change(columns[name])
+    return columns
+
+
+GYRO = [f"imu_gyro_{axis}" for axis in "xyz"]
+PWM = [f"motor_motor_m{number}" for number in (1, 2, 3, 4)]
+
+
+def nan_for_a_while(values):
+    values = values.astype(float)
+    values[210:215] = np.nan
+    return values
+
+
+BAD = {
+    "degrees": (changed(GYRO, np.degrees), "unit deg/s would fit"),
+    "duty": (changed(PWM, lambda v: v / 65535.0), "unit 1 would fit"),
+    "ground": (changed(["pz"], lambda v: 0.03 + 0.0 * v), "in the air for 0.0 s only"),
+    "millimetres": (changed(["px", "py", "pz"], lambda v: 1000.0 * v), "mm would fit"),
+    "names": ({f"other_{name}": v for name, v in table().items()}, "columns of time not found: t"),
+    "nan": (changed(["px"], lambda v: v * np.nan), "0.0 s left of 4.0 s in the air"),
+    "short": ({name: v[:10] for name, v in table().items()}, "found 10 samples, at least 200 are needed"),
+    "text": (table() | {"pz": np.array(["high"] * 600)}, "are not numbers"),
+}
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory):
+    """A folder of one good flight, one with a hole, and every kind of bad one; result, and what was said."""
+    folder = tmp_path_factory.mktemp("mixed")
+    shutil.copy(recorded.PIECE, folder / "good.parquet")
+    write(folder / "hole.csv", changed(["qx"], nan_for_a_while))
+    for name, (columns, _) in BAD.items():
+        write(folder / f"{name}.csv", columns)
+    (folder / "broken.parquet").write_bytes(b"no parquet")
+    (folder / "notes.txt").write_text("not read")
+    return validate(folder, tmp_path_factory.mktemp("out"))
+
+
+def test_bad_flights_are_told_one_line_each_and_the_others_go_on(mixed):
+    told, said = mixed
+    assert told["flights"] == len(BAD) + 3
+    assert [one["name"] for one in told["by_flight"]] == ["good", "hole"]
+    reasons = {one["name"]: "; ".join(one["reasons"]) for one in told["left_out"]}
+    assert set(reasons) == {*BAD, "broken"}
+    for name, (_, says) in BAD.items():
+        assert says in reasons[name]
+        (line,) = (line for line in said.splitlines() if line.startswith(f"{name}: left out: "))
+        assert says in line
+    (cut,) = told["cut"]
+    assert cut["name"] == "hole"
+    assert "values missing" in cut["reasons"][0]
+
+
+def test_csv_and_parquet_tell_the_same_and_every_part_is_there(mixed):
+    told, _ = mixed
+    for quantity in ("position_m", "velocity_m_s", "attitude_rad"):
+        for horizon in HORIZONS:
+            errors = told["open_loop"][horizon][quantity]
+            assert all(errors[p] > 0.0 for p in ("model", "constant_velocity", "ideal"))
+    good, hole = told["by_flight"]
+    assert good["closed_loop"]["controller"] == hole["closed_loop"]["controller"] == "pid"
+    assert good["used_s"] > hole["used_s"] > 3.0
+    assert told["sensing"]["position"]["recorded"]["delay_s"]["value"] is not None
+
+
+def test_nothing_left_is_exit_status_1(tmp_path):
+    told, said = validate(tmp_path, tmp_path / "out", code=1)
+    assert "found no flights" in said
+    assert told["causes"] == ["nothing is left to compare with"]
+    columns, says = BAD["short"]
+    write(tmp_path / "short.parquet", columns)
+    told, said = validate(tmp_path, tmp_path / "out", code=1)
+    assert says in said
+    assert (told["flights"], told["used"], told["passed"]) == (1, 0, False)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("nowhere",), "nowhere"),
+        ((recorded.PIECE.parent, "--vehicle", "nothing"), "neither a file nor one of"),
+        ((recorded.PIECE.parent, "--columns", recorded.PIECE), "not TOML"),
+    ],
+)
+def test_wrong_input_exits_2(tmp_path, words, says):
+    done = called("validate", *words, "--out", tmp_path)
+    assert done.code == 2
+    assert says in done.err
+    assert "Traceback" not in done.err
+
+
+def test_other_names_and_units_are_read_by_a_table_of_columns(tmp_path):
+    columns = changed(GYRO, np.degrees)
+    columns["seconds"] = columns.pop("t")
+    write(tmp_path / "flight.csv", columns)
+    mapped = COLUMNS.read_text().replace('["t"]', '["seconds"]').replace('"rad/s"', '"deg/s"')
+    (tmp_path / "columns.toml").write_text(mapped)
+    told, _ = validate(tmp_path, tmp_path / "out", "--columns", tmp_path / "columns.toml")
+    assert told["used"] == 1
+
+
+def test_the_terminal_shows_criteria_and_causes_and_the_page_opens(tmp_path, monkeypatch, browse):  # noqa: F811
+    monkeypatch.setenv("COLUMNS", "120")
+    done = called("validate", recorded.PIECE.parent, "--out", tmp_path, "--workers", 1)
+    assert "1 of 1 flights, 4 s, beside crazyflie21_room" in done.out
+    assert "position after 0.1 s / constant velocity" in " ".join(done.out.split())
+    told = json.loads((tmp_path / "validate.json").read_text())
+    assert all(cause in " ".join(done.out.split()) for cause in told["causes"])
+    dom, console = browse(tmp_path / "validate.html")
+    assert errors(console) == []
+    seen = Page(dom)
+    assert seen.body["data-figures"] == seen.body["data-figures-drawn"] == str(FIGURES)
+    assert "figure8_medium_6s" in seen.text
+
+
+@pytest.fixture
+def some(tmp_path):
+    """A folder of whole flights of each kind; skips where there are none."""
+    names = ("B2_circle_fast_rep1", "B3_figure8_medium_rep1", "B7_oval_slow_rep2", "B9_trefoil_slow_rep1")
+    folder = tmp_path / "some"
+    folder.mkdir()
+    for path in recorded.flights(*names):
+        (folder / path.name).symlink_to(path)
+    return folder
+
+
+def test_motor_commands_in_random_order_fail(some, tmp_path):
+    told, _ = validate(some, tmp_path / "out", "--shuffle-pwm", "--no-report", code=1)
+    assert told["causes"][0].startswith("the motor commands were shuffled")
+    assert "the motor commands tell nothing: in random order they predict as well" in told["causes"]
+
+
+def test_a_plant_with_wrong_thrust_fails_and_is_named(some, tmp_path):
+    right, _ = validate(some, tmp_path / "right", "--no-report")
+    assert not any(cause.startswith("the plant's thrust is") for cause in right["causes"])
+    for factor in (0.9, 1.1):
+        vehicle = tmp_path / f"vehicle_{factor}.toml"
+        vehicle.write_text(f'base = "crazyflie21_room"\n[body]\nmass_kg = {0.0319 / factor}\n')
+        told, _ = validate(some, tmp_path / "out", "--no-report", "--vehicle", vehicle, code=1)
+        of_right, ratio = (one["criteria"][0]["value"] for one in (right, told))
+        assert ratio / of_right == pytest.approx(factor, abs=0.02)
+        assert told["causes"][0] == f"the plant's thrust is {ratio:.2f} times the recorded one"
+
+
+@pytest.mark.slow
+def test_the_flights_that_were_recorded_pass(tmp_path):
+    every = recorded.flights()
+    told, _ = validate(every[0].parent, tmp_path)
+    assert told["flights"] == len(every)
+    out = {one["name"] for one in told["left_out"]}
+    assert out >= {"B6_linear_ramp_rep1", "B7_oval_slow_rep1"} & {path.stem for path in every}
+    assert told["passed"], told["causes"]

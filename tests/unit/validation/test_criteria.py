@@ -1,0 +1,175 @@
+"""Criteria and summary of a comparison with recorded flights."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sim.flights.screening import Reason
+from sim.validation import closed_loop, open_loop, sensing
+from sim.validation.criteria import CRITERIA, causes, judge, median_ratio, over_flights, share_within
+from sim.validation.run import Compared, Plan
+from sim.validation.summary import summary
+
+PLAN = Plan(Path("flights"))
+FLOWN = closed_loop.Flown(0.1, 0.02, 0.85, 0.05, 0.1, 0.2, 0.01)
+ERROR = sensing.Error(
+    0.02, (0.0, 0.0, 0.0), (0.013, 0.013, 0.006), 0.018, 0.002, 0.016, 0.05, (0.002, 0.01, 0.014, 0.025), 0.1,
+    (0.3, 0.4, 0.2, 0.1),
+)  # fmt: skip
+
+
+def horizon(seconds, position=0.35, velocity=0.4):
+    """Errors of a model, over those of constant velocity."""
+    return open_loop.Horizon(
+        seconds,
+        open_loop.Compared(position * 0.02, 0.02, 0.9 * 0.02),
+        open_loop.Compared(velocity * 0.15, 0.15, 0.9 * 0.15),
+        open_loop.Compared(0.02, 0.04, 0.03),
+    )
+
+
+def flight(name="a", *, thrust=1.01, simulated=FLOWN, sensed=ERROR, worse=1.0):
+    horizons = tuple(horizon(seconds, 0.35 * worse, 0.4 * worse) for seconds in (0.1, 0.25, 0.5))
+    random = tuple(horizon(seconds, 0.7, 0.8) for seconds in (0.1, 0.25, 0.5))
+    return Compared(
+        name, 20.0, (),
+        open_loop.OpenLoop(horizons=horizons, thrust_ratio=thrust, starts=200),
+        closed_loop.ClosedLoop(controller="pid", thrust=1.0, recorded=FLOWN, simulated=simulated),
+        sensing.Sensing(sensing.Errors(ERROR, ERROR), sensing.Errors(sensed, sensed)),
+        open_loop.OpenLoop(horizons=random, thrust_ratio=thrust, starts=200),
+    )  # fmt: skip
+
+
+def missed(*flights):
+    return {verdict.criterion.text for verdict in judge(flights) if not verdict.met}
+
+
+def test_flights_that_the_simulator_flies_pass():
+    assert missed(*(flight(name) for name in "abcde")) == set()
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"thrust": 1.1}, "thrust, plant / recording"),
+        ({"thrust": 0.9}, "thrust, plant / recording"),
+        ({"simulated": FLOWN._replace(duty=0.88)}, "PWM in hover, median difference"),
+        ({"simulated": FLOWN._replace(saturated=0.11)}, "saturated time / recorded"),
+        ({"simulated": FLOWN._replace(horizontal_m=0.07)}, "flights with tracking within 25 %"),
+        ({"sensed": replace(ERROR, delay_s=0.03)}, "delay of position - recorded"),
+        (
+            {"sensed": replace(ERROR, by_speed=(0.002, 0.01, 0.018, 0.025))},
+            "position at 0.65 to 0.85 m/s / recorded",
+        ),
+    ],
+)
+def test_each_part_can_fail_alone(change, text):
+    found = missed(*(flight(name, **change) for name in "abcde"))
+    assert text in found
+    assert {t.replace("velocity", "position") for t in found} == {text}
+
+
+def test_a_model_that_does_not_know_the_commands_is_missed_at_every_horizon():
+    found = missed(*(flight(name, worse=2.6) for name in "abc"))
+    assert {
+        f"{q} after {h:g} s / constant velocity" for q in ("position", "velocity") for h in (0.1, 0.25, 0.5)
+    } < found
+    assert "position after 0.1 s / ideal body" in found
+    assert "velocity after 0.1 s / commands in random order" in found
+
+
+def test_a_minority_of_flights_may_differ():
+    odd = FLOWN._replace(horizontal_m=0.3)
+    four = [flight(name) for name in "abcd"]
+    assert missed(*four, flight("e", simulated=odd)) == set()
+    two = [flight(name, simulated=odd) for name in "ef"]
+    assert "flights with tracking within 25 %" in missed(*four, *two)
+
+
+def test_wrong_thrust_is_the_first_cause_and_named():
+    told = causes(judge([flight(name, thrust=1.1, worse=2.0) for name in "abc"]))
+    assert told[0] == "the plant's thrust is 1.10 times the recorded one"
+    assert told[1] == "the motor commands tell nothing: in random order they predict as well"
+    assert told[2].startswith("the recorded motor commands do not move the plant as they moved the vehicle: ")
+    assert "position after 0.1 s / constant velocity: 0.7 " in told[2]
+    assert "limit ≤ 0.5" in told[2]
+
+
+def test_what_no_flight_tells_is_not_met_and_said():
+    verdicts = judge([replace(flight(name), sensing=None) for name in "ab"])
+    assert all(not v.met and v.told == "no flight tells" for v in verdicts if v.criterion.part == "sensing")
+    (cause,) = causes(verdicts)
+    assert cause.startswith("sensing is not judged by any flight: ")
+
+
+def test_no_flights_meet_nothing():
+    assert not any(verdict.met for verdict in judge([]))
+    told = summary(PLAN, [], judge([]))
+    assert (told["passed"], told["flights"], told["used"]) == (False, 0, 0)
+    assert told["causes"] == ["nothing is left to compare with"]
+
+
+def test_the_summary_is_json_and_counts_every_flight_once():
+    out = Compared("bad", 0.0, (Reason("in the air for 0.0 s only", 3.0),))
+    cut = replace(flight("cut"), left_out=(Reason("values missing (NaN)", 1.23),))
+    slow = replace(ERROR, by_speed=(0.002, float("nan"), 0.01, 0.02))
+    flights = [out, cut, flight("good", sensed=slow)]
+    told = json.loads(json.dumps(summary(PLAN, flights, judge(flights)), allow_nan=False))
+    assert told["flights"] == told["used"] + len(told["left_out"]) == 3
+    assert told["left_out"] == [{"name": "bad", "reasons": ["in the air for 0.0 s only"]}]
+    assert told["cut"] == [{"name": "cut", "reasons": ["values missing (NaN) (1.2 s)"]}]
+    assert list(told["open_loop"]) == ["0.1", "0.25", "0.5"]
+    for errors in told["open_loop"].values():
+        for quantity in ("position_m", "velocity_m_s", "attitude_rad"):
+            assert (
+                errors[quantity]["model"] < errors[quantity]["ideal"] < errors[quantity]["constant_velocity"]
+            )
+    assert told["closed_loop"]["duty"]["recorded"]["value"] == pytest.approx(0.85)
+    assert told["sensing"]["position"]["simulated"]["by_speed"][1]["value"] == pytest.approx(0.01)
+    assert told["passed"]
+    assert told["causes"] == []
+
+
+def test_a_shuffled_run_says_so_before_its_causes():
+    flights = [flight(name, worse=2.6) for name in "abc"]
+    told = summary(replace(PLAN, shuffle_pwm=True), flights, judge(flights))
+    assert not told["passed"]
+    assert told["causes"][0] == "the motor commands were shuffled in time (--shuffle-pwm)"
+
+
+@settings(max_examples=30)
+@given(values=st.lists(st.floats(0.01, 100.0), min_size=2, max_size=20))
+def test_an_interval_holds_the_median_and_lies_within_the_flights(values):
+    found = over_flights(np.median, [*values, float("nan")])
+    ordered = [min(values), found.low, found.value, found.high, max(values)]
+    assert ordered == pytest.approx(sorted(ordered), rel=1e-12)
+    assert over_flights(np.median, values) == found
+
+
+def test_the_interval_shrinks_with_flights():
+    chance = np.random.default_rng(1)
+    few, many = (over_flights(np.median, chance.normal(1.0, 0.1, n)) for n in (10, 160))
+    assert many.high - many.low < 0.5 * (few.high - few.low)
+
+
+def test_statistics_of_pairs():
+    a, b = np.array([1.0, 1.2, 2.0, 0.7]), np.array([1.0, 1.0, 1.0, 1.0])
+    assert median_ratio(a, b, axis=-1) == pytest.approx(1.1)
+    assert share_within(a, b, axis=-1) == 0.5
+    assert over_flights(median_ratio, [2.0], [4.0]).value == 0.5
+    assert over_flights(median_ratio, [], []) is None
+
+
+def test_every_criterion_has_a_limit_that_can_be_missed_and_a_reason():
+    assert len({criterion.text for criterion in CRITERIA}) == len(CRITERIA)
+    for criterion in CRITERIA:
+        assert criterion.low < criterion.high
+        assert np.isfinite([criterion.low, criterion.high]).any()
+        assert len(criterion.reason) > 10
