@@ -173,6 +173,7 @@ class ModelRows:
         self._fast_s = spec.delay_fast_s * math.exp(spec.delay_fast_varies * _within(fast))
         self._slow_s = spec.delay_slow_s * math.exp(spec.delay_slow_varies * _within(slow))
         self._turn = np.array((spec.tilt_rad, spec.tilt_rad, spec.yaw_rad)) * rng.standard_normal(3)
+        self._scale = spec.velocity_scale * _within(float(rng.standard_normal()))
         one, two, three = rng.spawn(3)  # so that rows do not depend on how many are taken at once
         fast_s, slow_s = spec.delay_fast_time_s, spec.delay_slow_time_s
         self._fast, self._slow = Noise(one, 1, fast_s, fast_s, step_s), Noise(two, 1, slow_s, slow_s, step_s)
@@ -193,6 +194,7 @@ class ModelRows:
         rows[:, VELOCITY_DELAY] = self._velocity_delay_s
         noise = self._state.take(count)
         rows[:, _NOISY] = self._sigmas * noise
+        rows[:, AHEAD] += self._scale
         rows[:, STILL_AHEAD : STILL_ASIDE + 1] = self._spec.velocity_error_m_s * noise[:, 3:5]
         rows[:, TURN:] += self._turn
         return rows

@@ -124,9 +124,12 @@ class StateError:
     velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position less delay of velocity
     velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # from flight to flight
     position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # each axis
-    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # horizontal axes, whatever the speed
+    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # horizontal axes, whatever the speed
     velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # vertical
-    velocity_along: Annotated[float, span(0.0, 1.0)] = 0.079  # share of the horizontal speed, along it
+    velocity_scale: Annotated[float, span(0.0, 1.0)] = 0.056  # share of the speed, constant in a flight
+    velocity_along: Annotated[float, span(0.0, 1.0)] = (
+        0.064  # share of the horizontal speed that varies, along it
+    )
     velocity_across: Annotated[float, span(0.0, 1.0)] = 0.016  # and across it
     tilt_rad: Annotated[float, span(0.0, 0.2)] = 0.015  # misalignment of a flight, about body x and y
     yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0013  # about body z

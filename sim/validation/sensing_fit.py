@@ -57,7 +57,8 @@ def fit(flights: Sequence[Screened]) -> StateError:
         [_autocovariance([_centred(_velocity_error(p)) for p in t.pieces], lags) for t in tapes], axis=0
     )
     other_s = float(np.interp(-np.exp(-1.0), -others / others[0], lags_s))
-    along, across, still, vertical = _velocity(tapes)
+    scales = np.array([_scale(tape) for tape in tapes])
+    along, across, still, vertical = _velocity(tapes, scales)
     found = {
         "delay_s": base.mean(), "delay_spread_s": base.std(ddof=1),
         "delay_fast_s": fast, "delay_fast_time_s": fast_s, "delay_fast_varies": fast_varies,
@@ -65,7 +66,7 @@ def fit(flights: Sequence[Screened]) -> StateError:
         "velocity_lead_s": lead.mean(), "velocity_lead_spread_s": lead.std(ddof=1),
         "position_error_m": _rms(np.concatenate([_all(t, "position_m") for t in tapes])),
         "velocity_error_m_s": still, "velocity_z_m_s": vertical,
-        "velocity_along": along, "velocity_across": across,
+        "velocity_scale": _rms(scales), "velocity_along": along, "velocity_across": across,
         "tilt_rad": _rms(turns[:, :2]), "yaw_rad": _rms(turns[:, 2]),
         "error_time_s": other_s,
     }  # fmt: skip
@@ -131,11 +132,18 @@ def _spread(sizes: Floats) -> tuple[float, float]:
     return median, math.sqrt(max(0.0, math.log(max(_rms(sizes), 1e-12) / max(median, 1e-12))))
 
 
-def _velocity(tapes: Sequence[Tape]) -> tuple[float, float, float, float]:
+def _scale(tape: Tape) -> float:
+    """Share of the speed by which the velocity is too high throughout a flight."""
+    speed = _all(tape, "speed_m_s")
+    along = np.concatenate([_velocity_error(piece)[:, 0] for piece in tape.pieces])
+    return float(np.dot(along, speed) / np.dot(speed, speed))
+
+
+def _velocity(tapes: Sequence[Tape], scales: Floats) -> tuple[float, float, float, float]:
     """Return the errors of the velocity: along and across as shares of the speed, at rest, and vertical."""
-    pieces = [piece for tape in tapes for piece in tape.pieces]
-    speed = np.concatenate([piece.speed_m_s for piece in pieces])
-    error = np.concatenate([_velocity_error(piece) for piece in pieces])
+    speed = np.concatenate([_all(tape, "speed_m_s") for tape in tapes])
+    error = np.concatenate([_velocity_error(piece) for tape in tapes for piece in tape.pieces])
+    error[:, 0] -= speed * np.repeat(scales, [len(_all(tape, "speed_m_s")) for tape in tapes])
     bands = [band for band in np.array_split(np.argsort(speed), SPEEDS) if len(band)]
     speeds = np.array([speed[band].mean() for band in bands])
     sizes = np.array([[_rms(error[band, axis]) for axis in (0, 1)] for band in bands])

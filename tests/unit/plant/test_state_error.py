@@ -35,7 +35,8 @@ RATE_HZ = 100.0
 FINE = StateError(
     delay_s=0.0, delay_spread_s=0.0, delay_fast_s=0.0, delay_slow_s=0.0, velocity_lead_s=0.0,
     velocity_lead_spread_s=0.0, position_error_m=0.0, velocity_error_m_s=0.0, velocity_z_m_s=0.0,
-    velocity_along=0.0, velocity_across=0.0, tilt_rad=0.0, yaw_rad=0.0, tilt_noise_rad=0.0, yaw_noise_rad=0.0,
+    velocity_scale=0.0, velocity_along=0.0, velocity_across=0.0, tilt_rad=0.0, yaw_rad=0.0,
+    tilt_noise_rad=0.0, yaw_noise_rad=0.0,
 )  # fmt: skip
 
 
@@ -102,6 +103,12 @@ def test_a_misalignment_stays_for_a_flight():
     assert np.all(rows[0] != 0.0)
     many = np.array([drawn(replace(FINE, tilt_rad=0.02), s, 1)[0, TURN:] for s in range(400)])
     assert many.std(axis=0) == pytest.approx([0.02, 0.02, 0.0], rel=0.1)
+
+
+def test_a_flight_has_its_own_scale_of_the_velocity():
+    scales = [drawn(replace(FINE, velocity_scale=0.05), seed, 3)[:, AHEAD] for seed in range(400)]
+    assert all(np.all(row == row[0]) for row in scales)
+    assert np.std([row[0] for row in scales]) == pytest.approx(0.05, rel=0.1)
 
 
 def measured(row, truth, *, samples=60, rate_hz=RATE_HZ):

@@ -15,7 +15,7 @@ from tests.recorded import flights
 PUT_IN = StateError(
     delay_s=0.04, delay_spread_s=0.01, delay_fast_s=0.015, delay_fast_varies=0.2, delay_slow_s=0.012,
     delay_slow_time_s=0.5, delay_slow_varies=0.0, velocity_lead_s=0.01, velocity_along=0.05,
-    velocity_across=0.03, velocity_error_m_s=0.01, velocity_z_m_s=0.01,
+    velocity_scale=0.04, velocity_across=0.03, velocity_error_m_s=0.01, velocity_z_m_s=0.01,
 )  # fmt: skip
 
 
@@ -43,7 +43,7 @@ def test_what_was_put_in_is_found():
     for name, allowed in {
         "delay_s": 0.15, "delay_spread_s": 0.35, "delay_fast_s": 0.2, "delay_fast_time_s": 0.25,
         "delay_slow_s": 0.3, "velocity_along": 0.25, "velocity_across": 0.35, "velocity_z_m_s": 0.1,
-        "velocity_error_m_s": 0.35,
+        "velocity_error_m_s": 0.35, "velocity_scale": 0.35,
     }.items():  # fmt: skip
         assert getattr(found, name) == pytest.approx(getattr(PUT_IN, name), rel=allowed), name
 
