@@ -157,6 +157,14 @@ class WindShape:
 
 
 @dataclass(frozen=True, slots=True)
+class TorqueNoiseShape:
+    """Standard deviations and correlation times of the torque noise about body x, y, z; none by default."""
+
+    rms_n_m: Vec3 = (0.0, 0.0, 0.0)
+    time_s: Vec3 = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
 class VelocityGains:
     """Gains of the PID loop from velocity to degrees of tilt, and to thousands of thrust counts.
 
@@ -182,6 +190,7 @@ class Params:
     imu: Imu
     wind: WindShape
     velocity_gains: VelocityGains = field(default_factory=VelocityGains)
+    torque_noise: TorqueNoiseShape = field(default_factory=TorqueNoiseShape)
 
 
 @dataclass(frozen=True, slots=True)

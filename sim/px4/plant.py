@@ -117,7 +117,7 @@ class Px4Plant:
         end_ms = self._ms + steps
         while self._ms < end_ms:
             if self._ms >= self._supplied_ms:
-                self._wind.top_up()
+                self._physics.top_up()
                 self._supplied_ms = self._ms + SUPPLY_MS
             stop_ms = min(end_ms, self._supplied_ms)
             self._ms = fly_commanded(self._vehicle, self.wanted, self._ms, stop_ms)

@@ -152,7 +152,7 @@ def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int
     if vehicle.arm() is not None:
         return None
     setpoints = r.setpoint_position_m + np.array((0.0, 0.0, up))
-    yaw_rad = np.zeros(len(r.time_s)) if r.setpoint_yaw_rad is None else r.setpoint_yaw_rad
+    yaw_rad = np.zeros(len(r.time_s)) if r.setpoint_yaw_rad is None else np.nan_to_num(r.setpoint_yaw_rad)
     ahead = _fed_forward(r, span)
     times_ms = np.rint((r.time_s - r.time_s[start]) / STEP_S).astype(int)
     track = Track(*(np.full((len(r.time_s), *shape), np.nan) for shape in ((3,), (), (4,), ())))
@@ -202,7 +202,7 @@ def _fed_forward(r: Recording, span: slice) -> Floats:
     end = int(np.argmax(sideways)) if sideways.any() else len(setpoints)
     if end > 2:
         out[span.start : span.start + end, 2] = np.gradient(setpoints[:end, 2], r.time_s[span][:end])
-    return out
+    return np.nan_to_num(out)
 
 
 def _up(r: Recording) -> Floats:

@@ -15,6 +15,7 @@ from sim.plant.ground_effect import GroundRecord, ground_effect
 from sim.plant.imu import ImuRecord, measure
 from sim.plant.params import STEP_S, Body
 from sim.plant.rotors import BatteryRecord, RotorRecord, drain, speed_at_no_duty, speed_limit, turn_rotors
+from sim.plant.torque_noise import TorqueNoiseRecord, shake
 from sim.plant.wind import WindRecord, blow
 from sim.vehicle.judge import ContactRecord, JudgeRecord, judge, note_contact
 from sim.vehicle.mocap import MocapRecord, correct_estimate, measure_pose
@@ -49,6 +50,7 @@ class VehicleRecord(Record):
     ground: GroundRecord
     battery: BatteryRecord
     wind: WindRecord
+    torque_noise: TorqueNoiseRecord
     drag: DragRecord
     imu: ImuRecord
     firmware: FirmwareRecord
@@ -103,13 +105,17 @@ def push(v: VehicleRecord) -> None:
         beside, ahead = ax * axes[3] + ay * axes[4] + az * axes[5], ax * axes[0] + ay * axes[1] + az * axes[2]
         wrench.torque[0] -= drag.moment * beside + drag.damping * body.rates[0]
         wrench.torque[1] += drag.moment * ahead - drag.damping * body.rates[1]
+    if v.torque_noise.on and rotors.thrust_n > 0.0:
+        for i in range(3):
+            wrench.torque[i] += v.torque_noise.now[i]
 
 
 @jitted
 def surround(v: VehicleRecord, now_ms: int) -> None:
-    """Go on with wind and battery."""
+    """Go on with wind, torque noise and battery."""
     if now_ms % WIND_EVERY_MS == 0:
         blow(v.wind)
+        shake(v.torque_noise)
     if now_ms % BATTERY_EVERY_MS == 0:
         drain(v.battery, v.rotors.rpm, BATTERY_EVERY_MS * STEP_S)
 

@@ -11,6 +11,7 @@ from sim.compiled.records import Values, cell, new, reader, scalars
 from sim.plant.ground_effect import set_up_ground
 from sim.plant.params import STEP_S, Params, Plant, load
 from sim.plant.rotors import BatteryModel, Rotors
+from sim.plant.torque_noise import TorqueNoise
 from sim.plant.vehicle_types import Truth
 from sim.plant.wind import WindModel
 from sim.robot.target import TargetModel
@@ -61,6 +62,7 @@ class Physics:
         self.hover_rpm = params.rotor.rpm(self.weight_n / 4.0 / plant.thrust)
         self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery, plant.battery_charge)
         self.wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
+        self._torque_noise = TorqueNoise(params.torque_noise, seed, WIND_EVERY_MS * STEP_S, r.torque_noise)
         set_up_drag(r.drag, params.body, self.weight_n)
         judge = scenario.judge
         self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)
@@ -77,6 +79,11 @@ class Physics:
         target = TargetModel(scenario.target, seed)
         pose = target.pose
         self.world.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
+
+    def top_up(self) -> None:
+        """Draw random numbers of wind and torque noise for at least 340 of their steps."""
+        self.wind.top_up()
+        self._torque_noise.top_up()
 
     def on_pad(self, now_ms: int) -> bool:
         """In contact with the pad's top (true contact; bounces shorter than 30 ms don't count)."""

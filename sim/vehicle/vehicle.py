@@ -148,7 +148,7 @@ class VehicleSim:
     def _supply(self) -> None:
         """Draw random numbers in advance for the compiled code."""
         self._imu.top_up()
-        self._wind.top_up()
+        self._physics.top_up()
         self._mocap.top_up()
         self._supplied_ms = min(self._ms + SUPPLY_MS, self._mocap.drawn_until_ms)
 

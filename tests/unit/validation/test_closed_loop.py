@@ -118,9 +118,10 @@ def test_without_set_points_from_the_ground_on_nothing_is_flown(change):
 
 
 def test_missing_set_points_in_flight_are_left_out():
-    holed = recorded(AIRFRAME).setpoint_position_m.copy()
-    holed[1000:1005] = np.nan
-    found = fly(screen(replace(recorded(AIRFRAME), setpoint_position_m=holed)), ROOM, 0)
+    holed, yaw = recorded(AIRFRAME).setpoint_position_m.copy(), np.zeros(TICKS)
+    holed[200:205] = holed[1000:1005] = yaw[1100:1105] = np.nan
+    flight = replace(recorded(AIRFRAME, True), setpoint_position_m=holed, setpoint_yaw_rad=yaw)
+    found = fly(screen(flight), ROOM, 0)
     assert all(map(math.isfinite, (*found.recorded, *found.simulated)))
 
 

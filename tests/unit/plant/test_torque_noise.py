@@ -1,0 +1,82 @@
+"""Torque noise of a vehicle: its size and time, where it is off, and what it does in flight."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.plant.params import Plant, TorqueNoiseShape, load
+from sim.plant.torque_noise import TorqueNoise, shake
+from sim.scenarios.scenario import Start, StartKind, VehicleSpec, VelocityLoop
+from sim.vehicle.vehicle import VehicleSim
+from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario
+
+STEP_S = 0.005
+SHAPE = TorqueNoiseShape((4e-5, 2e-5, 0.0), (0.1, 0.25, 1.0))
+ROOM = load("crazyflie21_room")
+
+
+def drawn(seed, steps=20_000):
+    noise = TorqueNoise(SHAPE, seed, STEP_S)
+    out = np.empty((steps, 3))
+    for k in range(steps):
+        noise.top_up()
+        shake(noise.record)
+        out[k] = noise.record.now
+    return out
+
+
+def test_each_axis_has_its_size_and_its_time():
+    torque = np.concatenate([drawn(seed) for seed in range(3)])
+    assert torque.std(axis=0)[:2] == pytest.approx(SHAPE.rms_n_m[:2], rel=0.05)
+    assert not torque[:, 2].any()
+    for axis in (0, 1):
+        lag = round(SHAPE.time_s[axis] / STEP_S)
+        together = float(np.mean(torque[lag:, axis] * torque[:-lag, axis]) / np.mean(torque[:, axis] ** 2))
+        assert together == pytest.approx(math.exp(-1.0), abs=0.06)
+    assert abs(np.corrcoef(torque[:, 0], torque[:, 1])[0, 1]) < 0.05
+
+
+def test_the_seed_decides():
+    assert np.array_equal(drawn(4, 50), drawn(4, 50))
+    assert not np.array_equal(drawn(4, 50), drawn(5, 50))
+
+
+def test_it_is_off_unless_a_vehicles_file_asks_for_it():
+    assert load().torque_noise == TorqueNoiseShape()
+    assert not TorqueNoise(TorqueNoiseShape(), 1, STEP_S).record.on
+    assert ROOM.torque_noise.rms_n_m[0] > 0.0
+
+
+def hovering(params):
+    """Rates and differences of the motors in hover."""
+    spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, mocap=QUIET)
+    sim = VehicleSim(scenario(vehicle=spec), 3, params, Plant())
+    rates, roll = [], []
+    for _ in range(500):
+        sim.set_velocity((0.0, 0.0, 0.0), 0.0)
+        sim.advance(10)
+        rates.append(sim.body()[10:])
+        m1, m2, m3, m4 = sim.duty
+        roll.append((m3 + m4 - m1 - m2) / 4.0)
+    return np.std(rates, axis=0), float(np.std(roll))
+
+
+def test_in_flight_the_motors_balance_it():
+    """4.5e-5 N m are 0.25 % of duty: the motors show it as far as the loop is quick enough."""
+    still = replace(ROOM, torque_noise=TorqueNoiseShape())
+    (quiet_rates, quiet_roll), (rates, roll) = hovering(still), hovering(ROOM)
+    assert (rates[:2] > 1.5 * quiet_rates[:2]).all()
+    assert rates[0] < 0.2
+    assert 0.001 < math.sqrt(roll**2 - quiet_roll**2) < 0.005
+
+
+def test_a_vehicle_that_stands_is_left_alone():
+    spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, mocap=QUIET)
+    sim = VehicleSim(scenario(start=Start(StartKind.GROUND), vehicle=spec), 3, ROOM, Plant())
+    record = sim._physics.record
+    for _ in range(20):
+        sim.advance(50)
+        assert record.torque_noise.now[0] != 0.0
+        assert not record.world.wrench.torque.any()
