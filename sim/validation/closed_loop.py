@@ -33,7 +33,6 @@ from sim.scenarios.scenario import (
 )
 from sim.vehicle.vehicle import VehicleSim
 
-OWN = StateError(yaw_noise_rad=0.0)  # its steps would kick the yaw loop; recorded commands have no such kicks
 SETTLE_S = 0.2  # on the ground, before the first set-point
 AWAY_M = 100.0  # where the ground robot stands
 SATURATED = 1.0 - 1e-6  # of the duty
@@ -143,7 +142,7 @@ def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int
         FlightConfig(BarrierShape(1.0, 1.5), takeoff=Takeoff(start_offset_m=(0.0, 0.0, 1.0))),
         start=Start(StartKind.GROUND, ground_position_m=(x, y)),
         target=TargetSpec(position_m=(x + AWAY_M, y)),
-        vehicle=VehicleSpec(velocity_loop=VelocityLoop.PID, own=OWN),
+        vehicle=VehicleSpec(velocity_loop=VelocityLoop.PID, own=StateError()),
     )
     vehicle = VehicleSim(scenario, seed, params, plant)
     if not r.by_pid:

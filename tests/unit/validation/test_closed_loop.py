@@ -12,14 +12,14 @@ import pytest
 from sim.flights.recording import Recording, read_columns
 from sim.flights.screening import load as load_flight
 from sim.flights.screening import screen
-from sim.plant.params import Plant, load
-from sim.scenarios.scenario import Start, StartKind, VehicleSpec, VelocityLoop
-from sim.validation.closed_loop import OWN, fly
+from sim.plant.params import Plant, TorqueNoiseShape, load
+from sim.scenarios.scenario import Start, StartKind, StateError, VehicleSpec, VelocityLoop
+from sim.validation.closed_loop import fly
 from sim.vehicle.vehicle import VehicleSim
 from tests.recorded import flights
 from tests.unit.vehicle.vehicle_sim_helpers import scenario
 
-ROOM = load("crazyflie21_room")
+ROOM = replace(load("crazyflie21_room"), torque_noise=TorqueNoiseShape())  # chance would hide what is tested
 MARKERS_M = 0.04  # what motion capture calls the vehicle's place is higher than its centre of mass
 GROUND_TICKS, UP_TICKS, TICKS = 100, 500, 2000
 
@@ -34,7 +34,7 @@ def setpoint(tick):
 @cache
 def recorded(plant: Plant, by_mellinger=False):
     """A flight of the simulated vehicle, in the columns of a recording."""
-    spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, own=OWN)
+    spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, own=StateError())
     start = Start(StartKind.GROUND, ground_position_m=(3.0, 0.0))
     sim = VehicleSim(scenario(start=start, vehicle=spec), 5, ROOM, plant)
     if by_mellinger:
@@ -130,7 +130,7 @@ def test_missing_set_points_in_flight_are_left_out():
     [("B3_figure8_slow_rep1", "pid"), ("B2_circle_fast_rep2", "pid"), ("B9_trefoil_slow_rep2", "mellinger")],
 )
 def test_a_real_flight_is_flown_as_it_was(name, controller):
-    found = fly(load_flight(flights(name)[0], read_columns()), ROOM, 0)
+    found = fly(load_flight(flights(name)[0], read_columns()), load("crazyflie21_room"), 0)
     assert found is not None
     assert found.controller == controller
     assert 0.9 < found.thrust < 1.1
