@@ -135,9 +135,14 @@ def reserve(config: FlightConfig, table: Reserve, x: Extremes) -> Check:
         up_m_s2 - worst.bound,
         "m/s^2",
         f"at {low_v:g} V thrust is {least:.3g} times the weight, which climbs with {up_m_s2:.3g} m/s^2; at "
-        f"{worst.at[0]:.3g} m {worst.bound:.3g} are needed, which takes {enough_v:.3g} V",
-        f"raise reserve.lowest_voltage_v to {math.ceil(100.0 * enough_v) / 100.0:g}, or reserve.share, or "
-        "lower what is needed, as the check acceleration says",
+        f"{worst.at[0]:.3g} m {worst.bound:.3g} are needed, which "
+        + (f"takes {enough_v:.3g} V" if enough_v < math.inf else "no voltage gives"),
+        (
+            f"raise reserve.lowest_voltage_v to {math.ceil(100.0 * enough_v) / 100.0:g} or reserve.share, or "
+            if enough_v < math.inf
+            else "raise reserve.share, or "
+        )
+        + "lower what is needed, as the check acceleration says",
         Need.PROOF,
     )
 

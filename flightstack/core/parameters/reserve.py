@@ -8,6 +8,9 @@ throttle of level flight grows as the voltage falls. At the voltage of level fli
 times the weight; but more thrust takes more current, by its power 1.5, and the voltage sags with it: by sag_v
 from rest to level flight. To first order that leaves of r - 1 the share 1 / (1 + 1.5 p sag_v / voltage).
 
+A firmware that compensates the battery ends its thrust command at a fixed voltage at the motors, so that a
+full battery lifts no more than that: the largest throttle is motor_voltage_max_v / voltage, if that is less.
+
 Recorded Crazyflies 2.1 with markers hover at 0.78 of full PWM at 3.7 V and at 0.90 at 3.1 V, with p = 1.5;
 their motors differ by 9 %, so that the first one is at its end at a mean of about 0.95.
 """
@@ -34,17 +37,20 @@ class Reserve:
     sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # by which the voltage falls from rest to hover
     start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # above the lowest voltage, to begin a landing
     throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # highest mean: beyond it single motors are at 1
+    # at the highest thrust command, mean of the motors, where the firmware compensates the battery
+    motor_voltage_max_v: Annotated[float, span(0.1, 100.0)] | None = None
     thrust_exponent: Annotated[float, span(0.5, 3.0)] = 1.5  # p above
     share: Annotated[float, span(0.1, 1.0)] = 0.5  # for velocities wanted; the rest is for wind and attitude
-    smoothing_s: Annotated[float, span(0.2, 20.0)] = 2.0  # of the estimate in flight
+    smoothing_s: Annotated[float, span(0.2, 20.0)] = 1.0  # of the estimate in flight
 
     def __post_init__(self) -> None:
         least = self.at(self.lowest_voltage_v)
         if not least > 1.0:
             lift_v = self.voltage_v(1.0)
+            more = f"more than {lift_v:.3g}" if lift_v < math.inf else "a higher motor_voltage_max_v"
             raise ConfigError(
                 f"lowest_voltage_v: found {self.lowest_voltage_v:g}; there the vehicle does not lift its "
-                f"weight (reserve {least:.3g}); allowed is more than {lift_v:.3g}, or less hover_throttle"
+                f"weight (reserve {least:.3g}); allowed is {more}, or less hover_throttle"
             )
 
     def at(self, voltage_v: float) -> float:
@@ -52,17 +58,23 @@ class Reserve:
         return self.left(self.effort(self.hover_throttle * self.hover_voltage_v / voltage_v), voltage_v)
 
     def effort(self, throttle: float) -> float:
-        """Thrust at a throttle as a share of the largest at the same voltage."""
+        """Thrust at a throttle as a share of that at ``throttle_max`` and the same voltage."""
         return math.pow(throttle / self.throttle_max, self.thrust_exponent)
 
     def left(self, effort: float, voltage_v: float) -> float:
         """Reserve for an effort of level flight; the voltage in flight, which sags when the thrust rises."""
         sags = 1.5 * self.thrust_exponent * self.sag_v / voltage_v
-        return 1.0 + (1.0 / effort - 1.0) / (1.0 + sags)
+        reserve = 1.0 + (1.0 / effort - 1.0) / (1.0 + sags)
+        if self.motor_voltage_max_v is None:
+            return reserve
+        return min(reserve, self.effort(self.motor_voltage_max_v / voltage_v) / effort)
 
     def voltage_v(self, reserve: float) -> float:
-        """Voltage in flight at which the reserve is this one; the inverse of ``at``."""
-        least_v = self.hover_throttle * self.hover_voltage_v / self.throttle_max
+        """Voltage in flight from which the reserve is this one; inf: at none."""
+        hover_v, most_v = self.hover_throttle * self.hover_voltage_v, self.motor_voltage_max_v
+        if most_v is not None and math.pow(most_v / hover_v, self.thrust_exponent) < reserve:
+            return math.inf
+        least_v = hover_v / self.throttle_max
         voltage_v = least_v
         for _ in range(30):  # a contraction: a step of the voltage changes the sag by a fraction of it
             sags = 1.5 * self.thrust_exponent * self.sag_v / voltage_v

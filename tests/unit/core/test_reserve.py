@@ -66,6 +66,17 @@ def test_the_recorded_vehicles_reserve():
     assert Reserve(0.90, 3.1, 3.1, sag_v=0.44).at(3.1) == pytest.approx(1.064, abs=0.005)
 
 
+def test_a_firmware_that_compensates_the_battery_ends_at_its_own_limit():
+    """A full battery lifts no more then, and only a tired one less."""
+    table = replace(RESERVE, motor_voltage_max_v=3.07)
+    assert table.at(4.0) == table.at(3.7) == pytest.approx((3.07 / (0.78 * 3.7)) ** 1.5)
+    assert table.at(3.2) == RESERVE.at(3.2) < table.at(3.7) < RESERVE.at(3.7)
+    assert table.voltage_v(table.at(3.7) + 0.01) == math.inf
+    assert table.voltage_v(table.at(3.15)) == pytest.approx(3.15)
+    with pytest.raises(ConfigError, match="a higher motor_voltage_max_v"):
+        replace(RESERVE, motor_voltage_max_v=2.8)
+
+
 def test_a_lowest_voltage_that_lifts_nothing_is_refused_with_the_one_that_does():
     with pytest.raises(ConfigError, match=r"found 2\.9.*allowed is more than 3\.04") as told:
         Reserve(**TABLE | {"lowest_voltage_v": 2.9})

@@ -289,7 +289,7 @@ def test_the_voltage_that_the_reserve_check_names_is_the_lowest_that_it_proves()
     tired = one("thrust reserve", reserve=table)
     assert not tired.proven
     assert tired.need is Need.PROOF
-    named_v = float(tired.remedy.split(" to ")[1].split(",")[0])
+    named_v = float(tired.remedy.split(" to ")[1].split(" or ")[0])
     assert "raise reserve.lowest_voltage_v" in tired.remedy
     assert one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v}).proven
     assert not one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v - 0.02}).proven
@@ -298,3 +298,6 @@ def test_the_voltage_that_the_reserve_check_names_is_the_lowest_that_it_proves()
     needed = config().robust.acceleration_max_m_s2[2] - rooms()["acceleration"]
     assert f"{needed:.3g} are needed" in fresh.worst
     assert "thrust reserve" not in rooms()
+    limited = one("thrust reserve", reserve=table | {"motor_voltage_max_v": 3.07})
+    assert "which no voltage gives" in limited.worst
+    assert limited.remedy.startswith("raise reserve.share")
