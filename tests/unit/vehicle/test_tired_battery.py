@@ -60,7 +60,7 @@ def test_what_is_not_landed_with_the_reserve_is_declared(landings):
 
 
 def test_the_estimate_in_flight_is_that_of_the_steepest_climb():
-    """Measured with this vehicle and battery: 1.03 to 1.06, more or less by the spreads of mass and thrust."""
+    """Measured with this vehicle and battery: 1.03 to 1.06, by its spreads more or less."""
     _, _, reserves = flown(tired(0.1, RESERVE), 2)
     assert 0.98 < min(reserves) <= max(reserves) < 1.12
 
