@@ -146,4 +146,5 @@ def _verdict(verdict: Verdict) -> dict[str, Any]:
         "found": verdict.told,
         **_of(verdict.found),
         "met": verdict.met,
+        "word": verdict.word,
     }

@@ -139,7 +139,7 @@ def _tell(console: Console, told: dict[str, Any]) -> None:
         table.add_row(f"[bold]{part}[/]")
         for one in told["criteria"]:
             if one["part"] == part:
-                mark = "met" if one["met"] else "[bold red]missed[/]"
+                mark = one["word"] if one["met"] else f"[bold red]{one['word']}[/]"
                 table.add_row(one["text"], one["limit"], one["found"], mark)
     if told["used"]:
         console.print(table)

@@ -35,14 +35,14 @@ def horizon(seconds, position=0.35, velocity=0.4):
     )
 
 
-def flight(name="a", *, thrust=1.01, simulated=FLOWN, sensed=ERROR, worse=1.0):
+def flight(name="a", *, thrust=1.01, flown=FLOWN, simulated=FLOWN, recorded=ERROR, sensed=ERROR, worse=1.0):
     horizons = tuple(horizon(seconds, 0.35 * worse, 0.4 * worse) for seconds in (0.1, 0.25, 0.5))
     random = tuple(horizon(seconds, 0.7, 0.8) for seconds in (0.1, 0.25, 0.5))
     return Compared(
         name, 20.0, (),
         open_loop.OpenLoop(horizons=horizons, thrust_ratio=thrust, starts=200),
-        closed_loop.ClosedLoop(controller="pid", thrust=1.0, recorded=FLOWN, simulated=simulated),
-        sensing.Sensing(sensing.Errors(ERROR, ERROR), sensing.Errors(sensed, sensed)),
+        closed_loop.ClosedLoop(controller="pid", thrust=1.0, recorded=flown, simulated=simulated),
+        sensing.Sensing(sensing.Errors(recorded, recorded), sensing.Errors(sensed, sensed)),
         open_loop.OpenLoop(horizons=random, thrust_ratio=thrust, starts=200),
     )  # fmt: skip
 
@@ -107,6 +107,39 @@ def test_what_no_flight_tells_is_not_met_and_said():
     assert all(not v.met and v.told == "no flight tells" for v in verdicts if v.criterion.part == "sensing")
     (cause,) = causes(verdicts)
     assert cause.startswith("sensing is not judged by any flight: ")
+
+
+def test_a_speed_that_nobody_flew_is_open():
+    slow = replace(ERROR, by_speed=(0.002, 0.01, float("nan"), float("nan")))
+    words = {
+        v.criterion.text: v.word for v in judge([flight(name, recorded=slow, sensed=slow) for name in "ab"])
+    }
+    assert words["position at 0.35 to 0.65 m/s / recorded"] == "met"
+    assert words["position at 0.85 to 1.5 m/s / recorded"] == "open"
+    assert "missed" not in words.values()
+
+
+def test_chance_explains_some_of_a_difference_and_not_more():
+    """Errors of flights that differ by a factor of three, simulated ones a third or six times larger."""
+
+    def word(factor):
+        sizes = np.geomspace(0.006, 0.018, 8)
+        errors = [replace(ERROR, by_speed=(0.002, size, 0.014, 0.025)) for size in sizes]
+        large = [replace(ERROR, by_speed=(0.002, factor * size, 0.014, 0.025)) for size in sizes[::-1]]
+        flights = [
+            flight(str(i), recorded=a, sensed=b) for i, (a, b) in enumerate(zip(errors, large, strict=True))
+        ]
+        found = {v.criterion.text: v.word for v in judge(flights)}
+        return found["position at 0.35 to 0.65 m/s / recorded"]
+
+    assert [word(factor) for factor in (1.1, 1.33, 6.0)] == ["met", "open", "missed"]
+
+
+def test_rare_saturation_counts_as_none():
+    rare, none = (FLOWN._replace(saturated=share) for share in (0.004, 0.0))
+    assert missed(*(flight(name, flown=rare, simulated=none) for name in "ab")) == set()
+    often = FLOWN._replace(saturated=0.08)
+    assert "saturated time / recorded" in missed(*(flight(n, flown=rare, simulated=often) for n in "ab"))
 
 
 def test_no_flights_meet_nothing():
