@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 import numpy as np
+from rich.console import Console
 
+from flightstack.cli import options as shared
+from flightstack.cli.options import takes
+from flightstack.cli.prove.progress import Bar
 from flightstack.core.types import FilterStatus, Phase
 
 if TYPE_CHECKING:
@@ -34,26 +39,97 @@ class Found(NamedTuple):
     missing: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """Options of ``identify``."""
+
+    logs: tuple[Path, ...] = shared.argument(
+        metavar="[LOG...]", nargs=-1, type=click.Path(exists=True, dir_okay=False, path_type=Path)
+    )
+    flights: Path | None = shared.option(
+        "--flights", type=click.Path(exists=True, file_okay=False, path_type=Path), metavar="DIR",
+        help="Fit a vehicle's file to the recorded flights in DIR (Parquet, CSV) instead.",
+    )  # fmt: skip
+    vehicle: str = shared.option(
+        "--vehicle", metavar="NAME_OR_FILE", default="crazyflie21_room",
+        help="With --flights: the file that the fit starts from.",
+    )  # fmt: skip
+    columns: Path | None = shared.option(
+        "--columns", type=shared.EXISTING_FILE, metavar="FILE",
+        help="With --flights: TOML with the recordings' columns, units and signs; default: NanoBench's.",
+    )  # fmt: skip
+    leave_out: bool = shared.option(
+        "--leave-out", is_flag=True,
+        help="With --flights: also predict each kind of path by a fit to the other kinds.",
+    )  # fmt: skip
+    out: Path | None = shared.option(
+        "--out", type=shared.FILE, metavar="FILE", help="With --flights: write the vehicle's file there."
+    )
+    as_json: bool = shared.option("--json", is_flag=True, help="Print one JSON object instead of TOML.")
+
+
 @click.command()
-@click.argument(
-    "logs",
-    metavar="LOG...",
-    nargs=-1,
-    required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of TOML.")
-def identify(logs: tuple[Path, ...], as_json: bool) -> None:
+@takes(IdentifyOptions)
+def identify(options: IdentifyOptions) -> None:
     """Find how a vehicle answers velocity set-points, and how good its measurements are, in flight LOGs.
 
     Prints the sections of a configuration; several flights, of several vehicles, give their spread.
+    With --flights, fits thrust, motor lag, drag, inertia and battery to recorded flights and prints the file
+    of a vehicle.
 
     Exit status: 0 found, 2 wrong input or flights that do not show it; the text says what to fly.
     """
+    if options.flights is not None:
+        if options.logs:
+            raise click.UsageError(f"found --flights and {len(options.logs)} LOG; give one of them")
+        _identify_vehicle(options, options.flights)
+        return
+    if not options.logs:
+        raise click.UsageError("found neither LOG nor --flights; give logs of flights, or --flights DIR")
     from logs.reader.flight import load_flight
 
+    logs = options.logs
     found = gather([load_flight(path) for path in logs])
-    click.echo(json.dumps(_as_json(found)) if as_json else _as_toml(found, len(logs)), nl=as_json)
+    click.echo(
+        json.dumps(_as_json(found)) if options.as_json else _as_toml(found, len(logs)), nl=options.as_json
+    )
+
+
+def _identify_vehicle(options: IdentifyOptions, folder: Path) -> None:
+    """Fit a vehicle's file to recorded flights."""
+    from sim.flights.recording import COLUMNS, find_recordings, read_columns
+    from sim.plant.params import load
+    from sim.validation import identified
+    from sim.validation.fit import together
+
+    columns, params = read_columns(options.columns or COLUMNS), load(options.vehicle)
+    console = Console(stderr=True, highlight=False)
+    with Bar(console, "flights", len(find_recordings(folder))) as bar:
+        found = identified.gather(folder, columns, params, bar.done)
+    for name, reason in found.left_out:
+        console.print(f"left out {name}: {reason}", markup=False, soft_wrap=True)
+    fit = together(found.fits)
+    text = identified.toml(fit, params, options.vehicle)
+    left = identified.leave_one_out(found, params) if options.leave_out else []
+    if options.out is not None:
+        options.out.write_text(text)
+    if options.as_json:
+        told = {
+            "flights": len(found.flights) + len(found.left_out),
+            "used": len(found.flights),
+            "left_out": dict(found.left_out),
+            "numbers": {name: asdict(number) for name, number in fit.numbers.items()},
+            "leave_out": [asdict(row) for row in left],
+        }
+        click.echo(json.dumps(told))
+        return
+    click.echo(text, nl=False)
+    for row in left:
+        numbers = "; ".join(
+            f"{name} {' '.join(f'{ratio:.2f}' for ratio in ratios)}"
+            for name, ratios in (("position", row.position), ("velocity", row.velocity))
+        )
+        click.echo(f"# without {row.kind} ({row.flights}): errors over those of constant velocity: {numbers}")
 
 
 def gather(flights: list[Flight]) -> Found:
