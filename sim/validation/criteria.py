@@ -185,7 +185,7 @@ MEANING = {
 }
 _HALF = "a model that knows the motor commands must halve the error of one that knows nothing"
 _TORQUE = (
-    "torque that no command shows is integrated twice: 0.65 was reached, 0.25 with the recorded attitude"
+    "torque that no command shows is integrated twice: 0.63 was reached, 0.25 with the recorded attitude"
 )
 OPEN_LOOP_MAX = {  # of the error of constant velocity: position, velocity
     0.1: ((0.5, _HALF), (0.5, _HALF)),
