@@ -196,8 +196,11 @@ def test_the_tables_are_the_codes(name):
     assert within == tables()[name], "run: python -m tests.unit.verify.certificate_page"
 
 
+RESERVE = {"hover_throttle": 0.6, "hover_voltage_v": 3.7, "lowest_voltage_v": 3.2}
+
+
 def test_every_parameter_it_names_exists():
-    known = to_table(config())
+    known = to_table(config(reserve=RESERVE))
     keys = {key for section in known.values() if isinstance(section, dict) for key in section}
     named = set(re.findall(r"`(?:(\w+)\.)?(\w+_(?:s|m|m_s|m_s2|1_s|hz|sqrthz|factor|spread))`", TEXT))
     assert len(named) > 15
@@ -209,7 +212,8 @@ def test_every_parameter_it_names_exists():
 
 def test_every_check_it_names_exists():
     plain, fed_back = config(), config(velocity_feedback={"horizontal": True})
-    names = {check.name for settings in (plain, fed_back) for check in checks(settings)}
+    weighed = config(reserve=RESERVE)
+    names = {check.name for settings in (plain, fed_back, weighed) for check in checks(settings)}
     for named in re.findall(r"[Cc]heck \*([a-z ]+)\*", TEXT):
         assert named in names, named
 
