@@ -374,8 +374,7 @@ def test_senders_are_counted_one_by_one_but_not_without_bound():
     for system in range(1, 256):
         counters.add_foreign((system, 1))
         counters.add_foreign((1, 1))
-    assert counters.foreign == 510
-    assert len(counters.senders) == 16
+    assert (counters.foreign, len(counters.senders)) == (510, 16)
     assert counters.senders[1, 1] == 256
 
 
@@ -387,7 +386,7 @@ def test_battery_throttle_and_tilt_are_kept_once_asked_for(state):
             state.update(dialect.MAVLink_vfr_hud_message(0, 0, 0, percent, 0, 0), now_s)
 
     messages(1.0, 87)
-    assert state.power is None
+    assert state.power is None  # nobody asked
     state.watch_power()
     messages(2.0, None)
     assert (state.power.arrival_s, state.power.voltage_v) == (2.0, 3.456)
@@ -397,6 +396,5 @@ def test_battery_throttle_and_tilt_are_kept_once_asked_for(state):
     assert state.power.cos_tilt == pytest.approx(math.cos(0.3) * math.cos(0.4))
     messages(4.0, None)  # the throttle does not come any more
     assert math.isnan(state.power.throttle)
-    unknown = dialect.MAVLink_sys_status_message(0, 0, 0, 0, 0xFFFF, -1, -1, 0, 0, 0, 0, 0, 0)
-    state.update(unknown, 5.0)
+    state.update(dialect.MAVLink_sys_status_message(0, 0, 0, 0, 0xFFFF, -1, -1, 0, 0, 0, 0, 0, 0), 5.0)
     assert math.isnan(state.power.voltage_v)
