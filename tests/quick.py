@@ -13,6 +13,7 @@ from pathlib import Path
 from types import FrameType
 
 import pytest
+from pluggy import Result
 
 ROOT = Path(__file__).parents[1]
 CPU_MAX_S = 2.5  # s for a test, and for its fixtures
@@ -41,9 +42,10 @@ def mark_slow(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.slow)
 
 
-def _bounded(item: pytest.Item) -> Generator[None, object, object]:
+def _bounded(item: pytest.Item) -> Generator[None, Result[None], None]:
     if not item.config.getoption("--quick"):
-        return (yield)
+        yield
+        return
     reason = f"needs more than {CPU_MAX_S:g} s of processor time: mark it slow; `make test` runs it whole"
     over: list[int] = []
 
@@ -54,24 +56,20 @@ def _bounded(item: pytest.Item) -> Generator[None, object, object]:
 
     previous = signal.signal(signal.SIGPROF, break_off)
     signal.setitimer(signal.ITIMER_PROF, CPU_MAX_S)
-    try:
-        return (yield)
-    except Exception:
-        if over:  # a library that was interrupted may raise an error of its own
-            pytest.skip(reason)
-        raise
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, previous)
+    outcome = yield
+    signal.setitimer(signal.ITIMER_PROF, 0.0)
+    signal.signal(signal.SIGPROF, previous)
+    if over:  # a library that was interrupted may have raised an error of its own
+        outcome.force_exception(pytest.skip.Exception(reason))
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_setup(item: pytest.Item) -> Generator[None, object, object]:
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None, Result[None], None]:
     """Bound the fixtures of a test."""
-    return (yield from _bounded(item))
+    yield from _bounded(item)
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, Result[None], None]:
     """Bound a test."""
-    return (yield from _bounded(item))
+    yield from _bounded(item)

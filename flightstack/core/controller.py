@@ -213,7 +213,7 @@ class Controller:
         )
 
     def _weigh(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
-        """Estimate the thrust reserve, and limit what is commanded in this tick to what it allows."""
+        """Estimate the thrust reserve, and limit the accelerations of this tick to those that it allows."""
         own, memory, strategy, t = inputs.own, self.memory, self._strategy, self._period_s
         rise_m_s = own.velocity_enu_m_s[2] if own is not None else 0.0
         # near the pad the ground effect helps, and on it the pad does

@@ -99,7 +99,7 @@ def _scales(r: Recording) -> Iterator[_Scale]:
 
 
 def _turned(r: Recording) -> Iterator[str]:
-    """Yield what is turned or has the wrong sign."""
+    """Yield each group of columns whose axes are turned, or whose sign is wrong."""
     up = _matrix(r)[:, 2, 2]
     tilt_deg = float(np.degrees(np.arccos(np.clip(np.median(up), -1.0, 1.0))))
     if tilt_deg > TILT_MAX_DEG:

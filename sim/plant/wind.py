@@ -11,8 +11,9 @@ import math
 from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import Record, Vector, new, reader
+from sim.plant.correlated_noise import CorrelatedNoise, NoiseRecord, vary
 from sim.plant.params import WindShape
-from sim.plant.sensors import Tape, TapeRecord, stream, take
+from sim.plant.sensors import stream
 from sim.scenarios.scenario import Wind
 
 
@@ -21,20 +22,16 @@ class WindRecord(Record):
 
     now: Vector
     steady: Vector  # the mean
-    gust: Vector
-    decay: Vector  # of the gust in one step
-    kick: Vector  # standard deviation that one step adds
-    gusty: bool
-    noise: TapeRecord
+    gust: NoiseRecord
 
 
 @jitted
 def blow(w: WindRecord) -> None:
-    """Advance the gusts by one step; takes three numbers from the tape."""
-    if w.gusty:
+    """Advance the gusts by one step; takes three numbers from their tape."""
+    vary(w.gust)
+    if w.gust.on:
         for i in range(3):
-            w.gust[i] = w.decay[i] * w.gust[i] + w.kick[i] * take(w.noise)
-            w.now[i] = w.steady[i] + w.gust[i]
+            w.now[i] = w.steady[i] + w.gust.now[i]
 
 
 class WindModel:
@@ -61,19 +58,14 @@ class WindModel:
             0.0,
         )
         r.steady[:] = self.mean_enu_m_s
-        r.gusty = wind.gust_rms_m_s > 0.0
-        self._tape = Tape(seed, "wind.gust", r.noise)
         rms_h, rms_v = wind.gust_rms_m_s, wind.gust_rms_m_s * shape.vertical_share
         times = (shape.horizontal_time_s, shape.horizontal_time_s, shape.vertical_time_s)
-        for i, (rms, time) in enumerate(zip((rms_h, rms_h, rms_v), times, strict=True)):
-            decay = math.exp(-step_s / time)  # exact discretisation
-            r.decay[i], r.kick[i] = decay, rms * math.sqrt(1.0 - decay**2)
-            r.gust[i] = rms * take(r.noise)  # stationary from the start
-            r.now[i] = r.steady[i] + r.gust[i]
+        self._gust = CorrelatedNoise((rms_h, rms_h, rms_v), times, seed, "wind.gust", step_s, r.gust)
+        r.now[:] = r.steady + r.gust.now
 
     def top_up(self) -> None:
         """Draw noise for at least 340 steps."""
-        self._tape.top_up()
+        self._gust.top_up()
 
     def step(self) -> None:
         """Advance by ``step_s``."""

@@ -11,11 +11,11 @@ from sim.compiled.rotation import rotation_axes
 from sim.firmware.estimator import predict
 from sim.firmware.stack import FirmwareRecord, control, listen, oversee
 from sim.firmware.supervisor import PERIOD_MS
+from sim.plant.correlated_noise import NoiseRecord, vary
 from sim.plant.ground_effect import GroundRecord, ground_effect
 from sim.plant.imu import ImuRecord, measure
 from sim.plant.params import STEP_S, Body
 from sim.plant.rotors import BatteryRecord, RotorRecord, drain, speed_at_no_duty, speed_limit, turn_rotors
-from sim.plant.torque_noise import TorqueNoiseRecord, shake
 from sim.plant.wind import WindRecord, blow
 from sim.vehicle.judge import ContactRecord, JudgeRecord, judge, note_contact
 from sim.vehicle.mocap import MocapRecord, correct_estimate, measure_pose
@@ -50,7 +50,7 @@ class VehicleRecord(Record):
     ground: GroundRecord
     battery: BatteryRecord
     wind: WindRecord
-    torque_noise: TorqueNoiseRecord
+    torque_noise: NoiseRecord
     drag: DragRecord
     imu: ImuRecord
     firmware: FirmwareRecord
@@ -115,7 +115,7 @@ def surround(v: VehicleRecord, now_ms: int) -> None:
     """Go on with wind, torque noise and battery."""
     if now_ms % WIND_EVERY_MS == 0:
         blow(v.wind)
-        shake(v.torque_noise)
+        vary(v.torque_noise)
     if now_ms % BATTERY_EVERY_MS == 0:
         drain(v.battery, v.rotors.rpm, BATTERY_EVERY_MS * STEP_S)
 

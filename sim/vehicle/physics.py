@@ -8,10 +8,10 @@ from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
 from sim.compiled.records import Values, cell, new, reader, scalars
+from sim.plant.correlated_noise import CorrelatedNoise
 from sim.plant.ground_effect import set_up_ground
 from sim.plant.params import STEP_S, Params, Plant, load
 from sim.plant.rotors import BatteryModel, Rotors
-from sim.plant.torque_noise import TorqueNoise
 from sim.plant.vehicle_types import Truth
 from sim.plant.wind import WindModel
 from sim.robot.target import TargetModel
@@ -62,7 +62,10 @@ class Physics:
         self.hover_rpm = params.rotor.rpm(self.weight_n / 4.0 / plant.thrust)
         self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery, plant.battery_charge)
         self.wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
-        self._torque_noise = TorqueNoise(params.torque_noise, seed, WIND_EVERY_MS * STEP_S, r.torque_noise)
+        shape, step_s = params.torque_noise, WIND_EVERY_MS * STEP_S
+        self._torque_noise = CorrelatedNoise(
+            shape.rms_n_m, shape.time_s, seed, "torque.noise", step_s, r.torque_noise
+        )
         set_up_drag(r.drag, params.body, self.weight_n)
         judge = scenario.judge
         self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)

@@ -46,7 +46,7 @@ class ReserveEstimate:
     def step(
         self, power: Power | None, status: VehicleStatus | None, rise_m_s: float, now_s: float, *, flies: bool
     ) -> None:
-        """Take what is known in this tick.
+        """Update the estimate of the reserve with the inputs of this tick.
 
         Args:
             power: newest of the vehicle.
@@ -78,7 +78,7 @@ class ReserveEstimate:
 
     @property
     def text(self) -> str:
-        """What is wrong with the battery, what is needed and what to do; empty: nothing."""
+        """Why the battery is not fit to land with, and what to do; empty where it is fit."""
         table, power = self._table, self._power
         if self.charge is Charge.FIT:
             return ""

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.plant.correlated_noise import CorrelatedNoise, vary
 from sim.plant.params import Plant, TorqueNoiseShape, load
-from sim.plant.torque_noise import TorqueNoise, shake
 from sim.scenarios.scenario import Start, StartKind, VehicleSpec, VelocityLoop
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario
@@ -18,11 +18,11 @@ ROOM = load("crazyflie21_room")
 
 
 def drawn(seed, steps=20_000):
-    noise = TorqueNoise(SHAPE, seed, STEP_S)
+    noise = CorrelatedNoise(SHAPE.rms_n_m, SHAPE.time_s, seed, "torque.noise", STEP_S)
     out = np.empty((steps, 3))
     for k in range(steps):
         noise.top_up()
-        shake(noise.record)
+        vary(noise.record)
         out[k] = noise.record.now
     return out
 
@@ -45,7 +45,8 @@ def test_the_seed_decides():
 
 def test_it_is_off_unless_a_vehicles_file_asks_for_it():
     assert load().torque_noise == TorqueNoiseShape()
-    assert not TorqueNoise(TorqueNoiseShape(), 1, STEP_S).record.on
+    off = TorqueNoiseShape()
+    assert not CorrelatedNoise(off.rms_n_m, off.time_s, 1, "torque.noise", STEP_S).record.on
     assert ROOM.torque_noise.rms_n_m[0] > 0.0
 
 

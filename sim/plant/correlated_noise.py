@@ -1,0 +1,65 @@
+"""Noise on three axes that is correlated in time: gusts, and torque on the body that nothing else explains.
+
+Each axis is an Ornstein-Uhlenbeck process.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.types import Vec3
+from sim.compiled.jit import jitted
+from sim.compiled.records import Record, Vector, new
+from sim.plant.sensors import Tape, TapeRecord, take
+
+
+class NoiseRecord(Record):
+    """Values on three axes, in the unit of their standard deviation."""
+
+    now: Vector
+    decay: Vector  # in one step
+    kick: Vector  # standard deviation that one step adds
+    on: bool
+    tape: TapeRecord
+
+
+@jitted
+def vary(n: NoiseRecord) -> None:
+    """Advance by one step; takes three numbers from the tape."""
+    if n.on:
+        for i in range(3):
+            n.now[i] = n.decay[i] * n.now[i] + n.kick[i] * take(n.tape)
+
+
+class CorrelatedNoise:
+    """Sets up the noise of one purpose.
+
+    Args:
+        rms: standard deviation on each axis; off where all are zero.
+        time_s: correlation time of each axis.
+        seed: of the run.
+        purpose: name of the random stream.
+        step_s: time between calls of ``vary``.
+        record: where to keep everything; None for a place of its own.
+    """
+
+    def __init__(
+        self,
+        rms: Vec3,
+        time_s: Vec3,
+        seed: int,
+        purpose: str,
+        step_s: float,
+        record: NoiseRecord | None = None,
+    ) -> None:
+        self.record = r = new(NoiseRecord) if record is None else record
+        self._tape = Tape(seed, purpose, r.tape)
+        r.on = any(axis > 0.0 for axis in rms)
+        for i, (axis, time) in enumerate(zip(rms, time_s, strict=True)):
+            decay = math.exp(-step_s / time)  # exact discretisation
+            r.decay[i], r.kick[i] = decay, axis * math.sqrt(1.0 - decay**2)
+            r.now[i] = axis * take(r.tape)  # stationary from the start
+
+    def top_up(self) -> None:
+        """Draw numbers for at least 340 steps."""
+        self._tape.top_up()
