@@ -272,6 +272,19 @@ class Flight(Signing, Ros2, Zenoh):
     autopilot: str = autopilot
 
 
+def without_recordings(error: ModuleNotFoundError, what: str) -> Exception:
+    """Return what to raise when recorded flights cannot be read or simulated, or the error as it is.
+
+    Args:
+        error: of the import.
+        what: verb or option that needs it.
+    """
+    package = (error.name or "").partition(".")[0]
+    if package not in ("pyarrow", "mujoco", "numba"):
+        return error
+    return ValueError(f"`{what}` needs {package}: pip install 'crazyflie-flightstack[sim,export]'")
+
+
 def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
     """Return what to raise when a viewer cannot be imported: Rerun is missing, or the error as it is.
 

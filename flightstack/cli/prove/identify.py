@@ -97,10 +97,13 @@ def identify(options: IdentifyOptions) -> None:
 
 def _identify_vehicle(options: IdentifyOptions, folder: Path) -> None:
     """Fit a vehicle's file to recorded flights."""
-    from sim.flights.recording import COLUMNS, find_recordings, read_columns
-    from sim.plant.params import load
-    from sim.validation import identified
-    from sim.validation.fit import together
+    try:
+        from sim.flights.recording import COLUMNS, find_recordings, read_columns
+        from sim.plant.params import load
+        from sim.validation import identified
+        from sim.validation.fit import together
+    except ModuleNotFoundError as error:
+        raise shared.without_recordings(error, "identify --flights") from None
 
     columns, params = read_columns(options.columns or COLUMNS), load(options.vehicle)
     console = Console(stderr=True, highlight=False)

@@ -68,11 +68,7 @@ def validate(options: ValidateOptions) -> None:
         from sim.validation.criteria import judge
         from sim.validation.summary import reasons, summary
     except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in ("pyarrow", "mujoco", "numba"):
-            raise
-        raise ValueError(
-            f"`validate` needs {error.name}: pip install 'crazyflie-flightstack[sim,export]'"
-        ) from None
+        raise shared.without_recordings(error, "validate") from None
 
     plan = core.Plan(
         options.folder, options.columns, options.vehicle or core.VEHICLE, options.shuffle_pwm, options.seed
