@@ -29,7 +29,9 @@ SLOW = (
     "plant/test_physics.py",
     "plant/test_vehicle_docs.py",
     "plant/test_world.py",
+    "validation/test_sensing_fit.py",
     "vehicle/test_landing.py",
+    "vehicle/test_tired_battery.py",
     "verify/test_*.py",
 )
 
