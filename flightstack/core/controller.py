@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from flightstack.core.memory import ReserveState, State
+from flightstack.core.memory import ReserveMemory, State, WholeState
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
 from flightstack.core.mission.machine import Mission, Transition
 from flightstack.core.parameters.flight import FlightConfig
@@ -117,6 +117,11 @@ def _follows_in_the_air(status: VehicleStatus | None) -> bool:
     return status.landed is not Landed.ON_GROUND
 
 
+def has_more(config: FlightConfig) -> bool:
+    """Whether the state of this configuration is a ``WholeState``."""
+    return config.reserve is not None or config.own.learns
+
+
 class Controller:
     """The pure core. ``state`` is all that a step depends on besides its inputs and the configuration."""
 
@@ -150,7 +155,9 @@ class Controller:
         """What it remembers; still in use, so to be written down before the next step."""
         strategy = self._strategy
         known = (self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory)
-        return State(*known) if self._reserve is None else ReserveState(*known, self._reserve.memory)
+        if not has_more(self.config):
+            return State(*known)
+        return WholeState(*known, self._reserve.memory if self._reserve else ReserveMemory(), strategy.own)
 
     def restore(self, state: State) -> None:
         """Go on from a state that was written down."""
@@ -158,8 +165,10 @@ class Controller:
         self.track.memory = state.track
         self._strategy.motion, self._strategy.tracking = state.motion, state.tracking
         self.plausibility.memory = state.plausibility
-        if self._reserve is not None and isinstance(state, ReserveState):
-            self._reserve.memory = state.reserve
+        if isinstance(state, WholeState):
+            self._strategy.own = state.own
+            if self._reserve is not None:
+                self._reserve.memory = state.reserve
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
         """Run one tick.

@@ -116,6 +116,28 @@ class ReserveMemory:
     tired: bool = False  # it fell below the least; in flight it stays so
 
 
+# position m, velocity m/s, acceleration by the vehicle's loop m/s^2, error of the velocity told m/s, and
+# acceleration by gusts and turning moments m/s^2
+AxisState = tuple[float, float, float, float, float]
+AT_REST: AxisState = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(slots=True)
+class OwnMemory:
+    """Of the estimator of the own state."""
+
+    time_s: float = nan  # of the newest sample; NaN before the first
+    x: AxisState = AT_REST  # at that time, like the rest
+    y: AxisState = AT_REST
+    z_m: float = 0.0
+    z_error_m_s: float = 0.0  # of the vertical velocity told
+    x_now: AxisState = AT_REST  # carried on over the delay
+    y_now: AxisState = AT_REST
+    sent_m_s: Vec3 = ZERO  # newest set-point
+    # set-points of the last ticks, oldest first: the newest sample does not show all of them yet
+    pending: tuple[Vec3, Vec3, Vec3, Vec3] = (ZERO, ZERO, ZERO, ZERO)
+
+
 @dataclass(slots=True)
 class State:
     """All of it: with a configuration and the inputs to come it determines every further output."""
@@ -128,7 +150,8 @@ class State:
 
 
 @dataclass(slots=True)
-class ReserveState(State):
-    """The same with a table [reserve]: logs of flights without one keep their layout."""
+class WholeState(State):
+    """The same with what only some configurations ask for: logs of the others keep their layout."""
 
     reserve: ReserveMemory
+    own: OwnMemory

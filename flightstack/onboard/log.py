@@ -10,7 +10,7 @@ from bridge.target.odometry import RawSample
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
-from flightstack.core.memory import ReserveState, State
+from flightstack.core.memory import State, WholeState
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
 from logs.schema.codec_mavlink import PeerNames, pack_mavlink
@@ -61,6 +61,7 @@ class OnboardLog:
         rate_hz: of the ticks.
         lockstep: in simulated time.
         reserve: the thrust reserve is estimated.
+        whole: the controller's state is a ``WholeState``.
     """
 
     def __init__(
@@ -72,6 +73,7 @@ class OnboardLog:
         lockstep: bool,
         *,
         reserve: bool = False,
+        whole: bool = False,
     ) -> None:
         self._feed = feed
         self._odom = feed.channel(f"/{namespace}/target/odom", ODOMETRY)
@@ -94,7 +96,7 @@ class OnboardLog:
         self._lockstep = lockstep
         self._every = max(1, round(rate_hz / STATUS_HZ))
         self._state_every = max(1, round(rate_hz / STATE_HZ))
-        self._state_text = StateText[State](ReserveState if reserve else State)
+        self._state_text = StateText[State](WholeState if whole else State)
         encoding = "application/cdr;flightstack_msgs/msg/"
         self._live_step = zenoh_link.dropping_publisher(
             session, f"{namespace}/controller/step", encoding + "ControllerStep"

@@ -4,7 +4,8 @@
 loop over the pad around it, and the delay as a first-order Padé element. A depends on the vehicle linearly
 through W = w^2 and D = 2 z w. So over a small piece of the spread, with (W, D) in a rectangle, a quadratic
 Lyapunov function that decays at the rectangle's four corners decays in all of it (a convex hull of matrices):
-nothing can hide between. Pieces for which that fails are halved.
+nothing can hide between. Pieces for which that fails are halved. Where the own state is estimated
+(``own.velocity_error_m_s``), the estimator's states take the place of the observer's.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.target.own_estimator import PUSH_TIME_S, steady_gains
 from flightstack.verify.types import Check, Need
 
 F64 = npt.NDArray[np.float64]
@@ -35,6 +37,8 @@ def linear(config: FlightConfig, faster: float, damped: float | None = None) -> 
     and disturbance of the observer; smoothed derivative of the velocity wanted.
     """
     damped = faster if damped is None else damped
+    if config.own.learns:
+        return _estimated(config, faster, damped)
     loop, feedback, period_s = config.velocity_loop, config.velocity_feedback, 1.0 / config.loop.rate_hz
     gain, told_s = config.robust.gain_over_pad_1_s, config.own.delay_s
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
@@ -58,6 +62,42 @@ def linear(config: FlightConfig, faster: float, damped: float | None = None) -> 
             w * w * (u - observed) - drag * dm,
             observer * observer * missed,
             (wanted_slope - s) / max(loop.slope_time_s, period_s),
+        ]
+    )
+
+
+def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
+    """Return the same with the estimator of the own state, whose gains act a tick each.
+
+    States: position against the target, velocity, acceleration; what the delay holds of position and of
+    velocity; the estimator's five, of the time of the measurement; smoothed derivative of the velocity
+    wanted.
+    """
+    loop, feedback, period_s = config.velocity_loop, config.velocity_feedback, 1.0 / config.loop.rate_hz
+    gain, told_s = config.robust.gain_over_pad_1_s, config.own.delay_s
+    w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
+    late_s = told_s + TICKS_LATE * period_s
+    p, v, a, held_p, held_v, q, m, dm, e, f, s = np.eye(11)
+    position, velocity = held_p - p - q, held_v - v - m - e  # what the measurements miss
+    now_p, now_m = q + told_s * m, m + told_s * (dm + f)
+    aim = s + feedback.error_rate_1_s * (-gain * now_p - now_m) - f
+    u = now_m + e + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)  # as sent
+    gains = steady_gains(loop, config.own, period_s)
+    added = [(k * position + j * velocity) / period_s for k, j in zip(*gains, strict=True)]
+    fades_1_s, push_fades_1_s = 1.0 / config.own.velocity_error_time_s, 1.0 / PUSH_TIME_S
+    return np.array(
+        [
+            v,
+            a,
+            (faster * w) ** 2 * (u - v) - damped * drag * a,
+            (2.0 * p - held_p) * 2.0 / late_s,
+            (2.0 * v - held_v) * 2.0 / late_s,
+            m + added[0],
+            dm + f + added[1],
+            w * w * (u - m - e) - drag * dm + added[2],
+            added[3] - fades_1_s * e,
+            added[4] - push_fades_1_s * f,
+            (-gain * now_m - s) / max(loop.slope_time_s, period_s),
         ]
     )
 

@@ -194,6 +194,16 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
 
 def drift(config: FlightConfig, x: Extremes) -> Check:
     """Check that the vehicle stays over the pad from the commit to contact."""
+    if config.velocity_feedback.horizontal and config.own.learns:
+        return Check(
+            "drift",
+            "after the commit the vehicle touches the pad, for any motion of a target that it followed",
+            -math.inf,
+            "m",
+            "no bound is known for a vehicle that estimates its own state (own.velocity_error_m_s)",
+            "campaigns show how far from the middle it touches",
+            Need.PROOF,
+        )
     if config.velocity_feedback.horizontal:
         farthest, vehicle = follow_m(config, x)
         claim = "after the commit the vehicle touches the pad, for any motion of a target that it followed"

@@ -63,6 +63,15 @@ class OwnStateLink:
 
     delay_s: Annotated[float, span(0.0, 0.2)] = 0.01  # age of a position when it arrives
     position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.002  # standard deviation on each axis
+    # standard deviation of the velocity's error on each axis, which is learned; 0: the velocity is believed
+    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.0
+    velocity_error_time_s: Annotated[float, span(0.05, 20.0)] = 0.5  # correlation exp(-t/T) of that error
+    velocity_error_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.2  # most that is believed to be an error
+
+    @property
+    def learns(self) -> bool:
+        """Whether an error of the velocity is learned."""
+        return self.velocity_error_m_s > 0.0
 
 
 @dataclass(frozen=True, slots=True)

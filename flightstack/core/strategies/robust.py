@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.memory import MotionMemory, TrackingMemory
+from flightstack.core.memory import MotionMemory, OwnMemory, TrackingMemory
 from flightstack.core.parameters.ends import TouchdownRule
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
@@ -21,6 +21,7 @@ from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.core.target.estimator import TargetEstimator
+from flightstack.core.target.own_estimator import OwnEstimator
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import OwnState, TargetSample, Vec3
 
@@ -45,9 +46,11 @@ class RobustFilter(Strategy):
         self._config, self._barrier = config, barrier
         self._most = config.limits.velocity_max_m_s
         self._estimator = TargetEstimator(config.target)
+        loop, period_s, learns = config.velocity_loop, 1.0 / config.loop.rate_hz, config.own.learns
         self._tracking = VelocityTracking(
-            config.velocity_loop, 1.0 / config.loop.rate_hz, config.velocity_feedback, config.own.delay_s
+            loop, period_s, config.velocity_feedback, 0.0 if learns else config.own.delay_s
         )
+        self._own = OwnEstimator(config.own, loop, period_s) if learns else None
         self._slope = barrier.slope(config.touchdown.pad_radius_m)  # steepest outside the pad
         self._lag_z_s = config.velocity_loop.lag_z_s
         # so that the margin is there in full where judging begins, at the pad's edge
@@ -95,6 +98,16 @@ class RobustFilter(Strategy):
     def tracking(self, memory: TrackingMemory) -> None:
         self._tracking.memory = memory
 
+    @property
+    def own(self) -> OwnMemory:
+        """State of what is learned of the own state."""
+        return self._own.memory if self._own is not None else OwnMemory()
+
+    @own.setter
+    def own(self, memory: OwnMemory) -> None:
+        if self._own is not None:
+            self._own.memory = memory
+
     def take(self, sample: TargetSample) -> None:
         """Update the Kalman filter of the target."""
         self._estimator.update(
@@ -127,7 +140,9 @@ class RobustFilter(Strategy):
         )
 
     def vehicle(self, own: OwnState) -> OwnState:
-        """Moved on by its delay."""
+        """Moved on by its delay; estimated from all that is known where its velocity is not believed."""
+        if self._own is not None:
+            return self._own.step(own)
         t, (x, y, z), (vx, vy, vz) = self._config.own.delay_s, own.position_enu_m, own.velocity_enu_m_s
         position = (x + t * vx, y + t * vy, z + t * vz)
         return OwnState(own.arrival_s, own.source_time_s, position, own.velocity_enu_m_s, own.yaw_rad)
@@ -135,6 +150,16 @@ class RobustFilter(Strategy):
     def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
         """Learn the disturbance."""
         self._tracking.observe(velocity_enu_m_s, commanding=commanding)
+        if self._own is None:
+            return
+        if not commanding:
+            self._own.forget()
+        elif self._config.velocity_feedback.horizontal:
+            memory, (dx, dy) = self._tracking.memory, self._own.disturbance_m_s
+            (_, vx, ax, *_), (_, vy, ay, *_) = self._own.memory.x_now, self._own.memory.y_now
+            memory.model_m_s = (vx, vy, memory.model_m_s[2])
+            memory.model_m_s2 = (ax, ay, memory.model_m_s2[2])
+            memory.disturbance_m_s = (dx, dy, memory.disturbance_m_s[2])
 
     def barrier(self, snapshot: Snapshot) -> RobustBarrier:
         """The barrier with a margin for what is uncertain now."""
@@ -248,4 +273,5 @@ class RobustFilter(Strategy):
         """Corrected for lag and disturbance."""
         own = snapshot.inputs.own
         velocity = own.velocity_enu_m_s if own is not None else wanted_m_s
-        return self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s)
+        setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s)
+        return setpoint if self._own is None else self._own.told(setpoint, self._most)

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.memory import MotionMemory, TrackingMemory
+from flightstack.core.memory import MotionMemory, OwnMemory, TrackingMemory
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import ActiveBarrier, Barrier
@@ -57,6 +57,16 @@ class Strategy(ABC):
     @abstractmethod
     def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
         """Set all attributes."""
+
+    @property
+    def own(self) -> OwnMemory:
+        """State of what is learned of the vehicle's own state; a filter that learns nothing has none."""
+        return OwnMemory()
+
+    @own.setter
+    def own(self, memory: OwnMemory) -> None:
+        """Go on from one that was written down."""
+        del memory
 
     @staticmethod
     @abstractmethod

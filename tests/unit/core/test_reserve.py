@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
-from flightstack.core.memory import ReserveState
+from flightstack.core.memory import WholeState
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, LEAST_M_S2, Reserve
 from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate, too_low
 from flightstack.core.types import Charge, Inputs, Landed, Mode, Phase, Power, VehicleStatus
@@ -257,7 +257,7 @@ def replace_charge(snapshot, charge):
 
 
 def test_restored_from_its_text_it_goes_on_to_the_bit():
-    text = StateText(ReserveState)
+    text = StateText(WholeState)
     world = flown(2.0, **told(3.4, 0.86))
     again = Controller(CONFIG)
     again.restore(text.loads(text.layout, text.dumps(world.controller.state)))

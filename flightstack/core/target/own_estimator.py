@@ -1,0 +1,187 @@
+"""Estimates the own state from positions that come late and velocities that are wrong.
+
+An estimate on board that is fed with late positions tells velocities that are wrong for a part of a second
+and by a share of the speed for a whole flight (docs/how_it_works/own_state.md). The vehicle's velocity loop
+flies the velocity that is told. Horizontally each axis has the position p, the velocity v, the acceleration
+a that the loop gives, the error e of the velocity told, and the acceleration f of gusts and turning moments:
+
+    p' = v,   v' = a + f,   a' = w^2 (u - v - e) - 2 z w a,   e' = -e / T + noise,   f' = -f / T_f + noise
+
+with p and v + e measured. A steady Kalman filter estimates all five for the time of the measurement, and
+the same model carries them on over the delay with the set-points u that are on their way. Upwards, where the
+thrust ends first and the model with it, only p and e are learned:
+
+    q' = v - e + 2 w (p - q),      e' = -w^2 (p - q),      w = 1 / T
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+from flightstack.core.memory import AxisState, OwnMemory
+from flightstack.core.parameters.robust import OwnStateLink, VelocityLoop
+from flightstack.core.safety.position_loop import clip
+from flightstack.core.types import OwnState, Vec3
+
+KNOWN = 4  # set-points kept: those of 30 ms at 100 Hz, and the one before them
+GAP_MAX_S = 0.2  # s without a sample; then it begins anew
+TELLS_M_S = 0.01  # noise of a velocity told, from sample to sample
+
+PUSH_M_S2 = 0.15  # rms of f: recorded turning moments, a tilt of the estimate by 0.015 rad, gusts of 0.3 m/s
+PUSH_TIME_S = 1.0  # between that of the moments, 0.1 s, and that of a tilt, all the flight
+PERIODS = 600  # of the Riccati recursion: 6 s at 100 Hz, many times the slowest time constant
+
+Matrix = list[list[float]]
+
+
+class Gains(NamedTuple):
+    """What a position and a velocity that were missed add to each of the five states."""
+
+    position: tuple[float, float, float, float, float]
+    velocity: tuple[float, float, float, float, float]
+
+
+@lru_cache(maxsize=16)
+def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gains:
+    """Gains of the steady Kalman filter; plain floats, so that every machine finds the same bits."""
+    t, w, two_zw = period_s, loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
+    step = [
+        [1.0, t, 0.0, 0.0, 0.0],
+        [0.0, 1.0, t, 0.0, t],
+        [0.0, -t * w * w, 1.0 - t * two_zw, -t * w * w, 0.0],
+        [0.0, 0.0, 0.0, 1.0 - t / link.velocity_error_time_s, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 1.0 - t / PUSH_TIME_S],
+    ]
+    error, push = link.velocity_error_m_s, PUSH_M_S2
+    noise = [
+        0.0, 0.0, 0.0,
+        2.0 * t * error * error / link.velocity_error_time_s, 2.0 * t * push * push / PUSH_TIME_S,
+    ]  # fmt: skip
+    tells = ((1.0, 0.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 1.0, 0.0))
+    variances = (link.position_noise_m**2, TELLS_M_S**2)
+    p: Matrix = [[1e-2 if i == j else 0.0 for j in range(5)] for i in range(5)]
+    gains: list[list[float]] = [[0.0] * 5, [0.0] * 5]
+    for _ in range(PERIODS):
+        half = [[sum(step[i][k] * p[k][j] for k in range(5)) for j in range(5)] for i in range(5)]
+        p = [[sum(half[i][k] * step[j][k] for k in range(5)) for j in range(5)] for i in range(5)]
+        for i in range(5):
+            p[i][i] += noise[i]
+        before = [row[:] for row in p]
+        (c0, c1), (r0, r1) = tells, variances
+        to0 = [sum(row[k] * c0[k] for k in range(5)) for row in before]
+        to1 = [sum(row[k] * c1[k] for k in range(5)) for row in before]
+        s00 = sum(c0[k] * to0[k] for k in range(5)) + r0
+        s01 = sum(c0[k] * to1[k] for k in range(5))
+        s11 = sum(c1[k] * to1[k] for k in range(5)) + r1
+        det = s00 * s11 - s01 * s01
+        gains = [
+            [(to0[i] * s11 - to1[i] * s01) / det for i in range(5)],
+            [(to1[i] * s00 - to0[i] * s01) / det for i in range(5)],
+        ]
+        p = [[before[i][j] - gains[0][i] * to0[j] - gains[1][i] * to1[j] for j in range(5)] for i in range(5)]
+    (a0, a1, a2, a3, a4), (b0, b1, b2, b3, b4) = gains
+    return Gains((a0, a1, a2, a3, a4), (b0, b1, b2, b3, b4))
+
+
+class OwnEstimator:
+    """Call ``step`` once a tick, and ``told`` for each set-point; ``memory`` is all that it remembers.
+
+    Args:
+        link: how the own state comes.
+        loop: the vehicle's velocity loop.
+        period_s: of a tick.
+    """
+
+    def __init__(self, link: OwnStateLink, loop: VelocityLoop, period_s: float) -> None:
+        self.memory = OwnMemory()
+        self._gains = steady_gains(loop, link, period_s)
+        self._period_s, self._delay_s = period_s, link.delay_s
+        self._rate_2_s2, self._drag_1_s = loop.rate_xy_1_s**2, 2.0 * loop.damping * loop.rate_xy_1_s
+        self._push_1_s = loop.rate_xy_1_s / (2.0 * loop.damping)  # push over the disturbance of the velocity
+        self._fades = 1.0 - period_s / link.velocity_error_time_s
+        self._push_fades = 1.0 - period_s / PUSH_TIME_S
+        self._rate_up_1_s, self._most_m_s = 1.0 / link.velocity_error_time_s, link.velocity_error_max_m_s
+        ahead = max(1, round(link.delay_s / period_s))  # ticks from the newest sample to now
+        self._oldest = max(0, KNOWN - 1 - ahead)  # of a longer delay the last set-points stand for all
+        self._after = tuple(max(0, KNOWN - ahead + k) for k in range(ahead))
+        self._gap_max = round(GAP_MAX_S / period_s)
+
+    def step(self, own: OwnState) -> OwnState:
+        """Return the state of now from the newest one received."""
+        memory = self.memory
+        memory.pending = (*memory.pending[1:], memory.sent_m_s)
+        elapsed_s = own.source_time_s - memory.time_s
+        if not 0.0 <= elapsed_s <= GAP_MAX_S:  # NaN before the first
+            self._begin(own)
+        elif elapsed_s > 0.0:
+            memory.time_s = own.source_time_s
+            self._learn(own, elapsed_s)
+        x, y = memory.x, memory.y
+        for k in self._after:
+            ux, uy, _ = memory.pending[k]
+            x, y = self._moved(x, ux), self._moved(y, uy)
+        memory.x_now, memory.y_now = x, y
+        (px, vx, *_), (py, vy, *_) = x, y
+        z_m, z_m_s = memory.z_m, own.velocity_enu_m_s[2] - memory.z_error_m_s
+        return OwnState(
+            own.arrival_s,
+            own.source_time_s,
+            (px, py, z_m + self._delay_s * z_m_s),
+            (vx, vy, z_m_s),
+            own.yaw_rad,
+        )
+
+    def told(self, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
+        """Velocity that the vehicle tells when it flies this one: the set-point to send."""
+        (x, y, z), (mx, my, mz), memory = velocity_m_s, most_m_s, self.memory
+        ex, ey, ez = memory.x_now[3], memory.y_now[3], memory.z_error_m_s
+        memory.sent_m_s = (clip(x + ex, -mx, mx), clip(y + ey, -my, my), clip(z + ez, -mz, mz))
+        return memory.sent_m_s
+
+    def forget(self) -> None:
+        """Begin anew with the next sample: what the vehicle flew is not known."""
+        self.memory.time_s = float("nan")
+
+    def _begin(self, own: OwnState) -> None:
+        (px, py, pz), (vx, vy, _) = own.position_enu_m, own.velocity_enu_m_s
+        memory = self.memory
+        memory.time_s, memory.z_m, memory.z_error_m_s = own.source_time_s, pz, 0.0
+        memory.x, memory.y = (px, vx, 0.0, 0.0, 0.0), (py, vy, 0.0, 0.0, 0.0)
+        told = (vx, vy, 0.0)
+        memory.pending = (told, told, told, told)
+
+    def _learn(self, own: OwnState, elapsed_s: float) -> None:
+        (px, py, pz), (vx, vy, vz), memory = own.position_enu_m, own.velocity_enu_m_s, self.memory
+        ux, uy, _ = memory.pending[self._oldest]
+        for _ in range(min(self._gap_max, max(1, round(elapsed_s / self._period_s)))):
+            memory.x, memory.y = self._moved(memory.x, ux), self._moved(memory.y, uy)
+        memory.x, memory.y = self._corrected(memory.x, px, vx), self._corrected(memory.y, py, vy)
+        w, most = self._rate_up_1_s, self._most_m_s
+        q, e = memory.z_m + (vz - memory.z_error_m_s) * elapsed_s, memory.z_error_m_s
+        missed = pz - q
+        memory.z_m = q + min(1.0, 2.0 * w * elapsed_s) * missed
+        memory.z_error_m_s = clip(e - w * w * elapsed_s * missed, -most, most)
+
+    def _moved(self, axis: AxisState, u: float) -> AxisState:
+        """A tick later."""
+        t, (p, v, a, e, f) = self._period_s, axis
+        return (
+            p + t * v,
+            v + t * (a + f),
+            a + t * (self._rate_2_s2 * (u - v - e) - self._drag_1_s * a),
+            self._fades * e,
+            self._push_fades * f,
+        )
+
+    def _corrected(self, axis: AxisState, p_m: float, v_m_s: float) -> AxisState:
+        (p, v, a, e, f), most = axis, self._most_m_s
+        (kp, kv, ka, ke, kf), (lp, lv, la, le, lf) = self._gains
+        i, j = p_m - p, v_m_s - v - e
+        e = clip(e + ke * i + le * j, -most, most)
+        return (p + kp * i + lp * j, v + kv * i + lv * j, a + ka * i + la * j, e, f + kf * i + lf * j)
+
+    @property
+    def disturbance_m_s(self) -> tuple[float, float]:
+        """What the push adds to the velocity in the end, on x and y."""
+        return self.memory.x_now[4] / self._push_1_s, self.memory.y_now[4] / self._push_1_s

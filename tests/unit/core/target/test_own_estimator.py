@@ -1,0 +1,188 @@
+"""The estimator of the own state: late positions, wrong velocities, and a model of the velocity loop."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_are
+
+from flightstack.core.controller import Controller
+from flightstack.core.memory import OwnMemory, WholeState
+from flightstack.core.parameters.robust import OwnStateLink, VelocityLoop
+from flightstack.core.target.own_estimator import (
+    GAP_MAX_S,
+    PUSH_M_S2,
+    PUSH_TIME_S,
+    TELLS_M_S,
+    OwnEstimator,
+    steady_gains,
+)
+from flightstack.core.types import ZERO, OwnState
+from flightstack.onboard.state_text import StateText
+from tests.point_mass import World
+from tests.unit.core.core_helpers import config
+
+PERIOD_S = 0.01
+LOOP = VelocityLoop(rate_xy_1_s=5.8, damping=0.6)
+LINK = OwnStateLink(delay_s=0.02, position_noise_m=0.01, velocity_error_m_s=0.02, velocity_error_time_s=0.7)
+MOST = (0.7, 0.7, 0.7)
+LEFT = 0.3  # of a constant error: the filter holds it for one that fades
+
+
+class Vehicle:
+    """Two horizontal axes with the velocity loop of the model, a wrong velocity, and a delay of its state."""
+
+    def __init__(self, error_m_s=(0.0, 0.0, 0.0), delay_ticks=2):
+        self.error_m_s, self.delay = np.array(error_m_s), delay_ticks
+        self.p, self.v, self.a = np.zeros(3), np.zeros(3), np.zeros(3)
+        self.tick, self.past = 0, []
+
+    def fly(self, setpoint_m_s):
+        w, z = LOOP.rate_xy_1_s, LOOP.damping
+        u = np.array(setpoint_m_s)
+        a = self.a + PERIOD_S * (w * w * (u - self.v - self.error_m_s) - 2.0 * z * w * self.a)
+        self.p = self.p + PERIOD_S * self.v
+        self.v = self.v + PERIOD_S * self.a
+        self.a = a
+        self.tick += 1
+
+    def state(self):
+        t = self.tick * PERIOD_S
+        self.past.append(OwnState(t, t, tuple(self.p), tuple(self.v + self.error_m_s), 0.0))
+        return self.past[max(0, len(self.past) - 1 - self.delay)]
+
+
+def wanted(t_s):
+    return (0.3 * math.sin(2.0 * t_s), 0.2 * math.cos(1.3 * t_s) - 0.2, 0.0)
+
+
+def follow(vehicle, estimator, seconds, *, lost=()):
+    """Fly a changing velocity; returns the last true and estimated states."""
+    found = None
+    for k in range(round(seconds / PERIOD_S)):
+        own = vehicle.state()
+        if k not in lost:
+            found = estimator.step(own)
+            estimator.told(wanted(k * PERIOD_S), MOST)
+        vehicle.fly(estimator.memory.sent_m_s)
+    return found
+
+
+def test_gains_are_those_of_the_riccati_equation():
+    t, w, two_zw = PERIOD_S, LOOP.rate_xy_1_s, 2.0 * LOOP.damping * LOOP.rate_xy_1_s
+    step = np.eye(5) + t * np.array(
+        [
+            [0, 1, 0, 0, 0],
+            [0, 0, 1, 0, 1],
+            [0, -w * w, -two_zw, -w * w, 0],
+            [0, 0, 0, -1 / LINK.velocity_error_time_s, 0],
+            [0, 0, 0, 0, -1 / PUSH_TIME_S],
+        ]
+    )
+    told = np.array([[1.0, 0, 0, 0, 0], [0, 1, 0, 1, 0]])
+    noise = np.diag(
+        [0, 0, 0, 2 * t * LINK.velocity_error_m_s**2 / LINK.velocity_error_time_s,
+         2 * t * PUSH_M_S2**2 / PUSH_TIME_S]
+    )  # fmt: skip
+    measured = np.diag([LINK.position_noise_m**2, TELLS_M_S**2])
+    p = solve_discrete_are(step.T, told.T, noise, measured)
+    expected = p @ told.T @ np.linalg.inv(told @ p @ told.T + measured)
+    found = np.array(steady_gains(LOOP, LINK, PERIOD_S)).T
+    assert found == pytest.approx(expected, rel=2e-3, abs=2e-4)
+
+
+def test_state_of_now_comes_out_of_a_late_one():
+    vehicle, estimator = Vehicle(), OwnEstimator(LINK, LOOP, PERIOD_S)
+    past, errors = [], []
+    for k in range(600):
+        past.append((vehicle.p, vehicle.v))
+        found = estimator.step(vehicle.state())
+        estimator.told(wanted(k * PERIOD_S), MOST)
+        vehicle.fly(estimator.memory.sent_m_s)
+        errors.append(np.hypot(*(np.array(found.position_enu_m) - past[-1][0])[:2]))
+    late = [np.hypot(*(b[0] - a[0])[:2]) for a, b in zip(past, past[2:], strict=False)]
+    assert max(late[200:]) > 5e-3  # what a believed position would be off by
+    assert max(errors[200:]) < 1e-3
+
+
+@pytest.mark.parametrize("error_m_s", [(0.08, -0.04, 0.05), (-0.03, 0.06, -0.08), (0.0, 0.0, 0.0)])
+def test_a_constant_error_of_the_velocity_is_learned(error_m_s):
+    vehicle, estimator = Vehicle(error_m_s), OwnEstimator(LINK, LOOP, PERIOD_S)
+    found = follow(vehicle, estimator, 12.0)
+    missed = np.abs(np.array(found.velocity_enu_m_s) - vehicle.v)
+    assert max(missed[:2]) < 2e-3 + LEFT * max(map(abs, error_m_s[:2]))
+    assert missed[2] < 5e-3
+
+
+def test_lost_samples_are_bridged_by_the_model():
+    whole, holed = Vehicle(), Vehicle()
+    a = follow(whole, OwnEstimator(LINK, LOOP, PERIOD_S), 4.0)
+    b = follow(holed, OwnEstimator(LINK, LOOP, PERIOD_S), 4.0, lost=range(380, 388))
+    assert np.array(b.position_enu_m) == pytest.approx(np.array(a.position_enu_m), abs=0.01)
+
+
+def test_after_a_gap_it_begins_anew_with_what_is_told():
+    vehicle, estimator = Vehicle((0.05, 0.0, 0.0)), OwnEstimator(LINK, LOOP, PERIOD_S)
+    follow(vehicle, estimator, 5.0)
+    later = OwnState(9.0, 9.0 + GAP_MAX_S, (1.0, 2.0, 3.0), (0.1, 0.0, 0.0), 0.3)
+    found = estimator.step(later)
+    assert found.velocity_enu_m_s == (0.1, 0.0, 0.0)
+    assert found.position_enu_m == pytest.approx((1.0, 2.0, 3.0), abs=0.01)
+    assert found.yaw_rad == 0.3
+    assert estimator.memory.z_error_m_s == 0.0
+
+
+def test_forgotten_it_believes_the_next_sample():
+    vehicle, estimator = Vehicle((0.05, 0.0, 0.02)), OwnEstimator(LINK, LOOP, PERIOD_S)
+    follow(vehicle, estimator, 5.0)
+    estimator.forget()
+    own = vehicle.state()
+    assert estimator.step(own).velocity_enu_m_s == own.velocity_enu_m_s
+
+
+@given(
+    jumps=st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=60),
+    most=st.floats(0.01, 0.5),
+)
+def test_the_error_learned_is_bounded_whatever_is_told(jumps, most):
+    link = OwnStateLink(velocity_error_m_s=0.02, velocity_error_max_m_s=most)
+    estimator = OwnEstimator(link, LOOP, PERIOD_S)
+    for k, (p, v) in enumerate(jumps):
+        estimator.step(OwnState(k * 0.01, k * 0.01, (p, -p, p), (v, p, v), 0.0))
+        told = estimator.told(ZERO, MOST)
+        assert max(map(abs, told)) <= most + 1e-12
+
+
+def test_the_set_point_never_leaves_the_limits():
+    estimator = OwnEstimator(LINK, LOOP, PERIOD_S)
+    follow(Vehicle((0.15, -0.15, 0.1)), estimator, 5.0)
+    x, y, z = estimator.told((0.7, -0.7, 0.7), MOST)
+    assert (x, y) == (0.7, -0.7)
+    assert 0.0 < z <= 0.7
+
+
+def test_a_flight_restored_from_its_text_goes_on_to_the_bit():
+    learns = config(
+        own={"velocity_error_m_s": 0.02, "velocity_error_time_s": 0.7}, velocity_feedback={"horizontal": True}
+    )
+    world, text = World(learns), StateText(WholeState)
+    for _ in range(300):
+        world.step()
+    again = Controller(learns)
+    again.restore(text.loads(text.layout, text.dumps(world.controller.state)))
+    moved = False
+    for _ in range(100):
+        inputs, now_s = world.inputs(), world.t_s
+        mine, theirs = again.step(inputs, now_s), world.step()
+        assert mine.setpoint.velocity_enu_m_s == theirs.setpoint.velocity_enu_m_s
+        assert again._strategy.own == world.controller._strategy.own
+        moved = moved or again._strategy.own.x[1] != 0.0
+    assert moved
+
+
+def test_a_believed_velocity_needs_no_estimator():
+    world = World(config())
+    world.step()
+    assert world.controller._strategy.own == OwnMemory()
