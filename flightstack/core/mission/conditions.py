@@ -137,7 +137,7 @@ def condition_flags(
     if memory.phase is Phase.TOUCHDOWN and memory.contact:
         flags |= C.ON_PAD
     at = snapshot.relative if snapshot.good else None
-    return flags | _place_flags(config, strategy, barrier, memory, at) if at is not None else flags
+    return flags | _place_flags(config, strategy, barrier, memory, at, now_s) if at is not None else flags
 
 
 def _better_beside(barrier: Barrier, memory: Memory, snapshot: Snapshot) -> bool:
@@ -170,7 +170,7 @@ def _status_flags(memory: Memory, snapshot: Snapshot) -> int:
 
 
 def _place_flags(
-    config: FlightConfig, strategy: Strategy, barrier: Barrier, memory: Memory, at: Relative
+    config: FlightConfig, strategy: Strategy, barrier: Barrier, memory: Memory, at: Relative, now_s: float
 ) -> int:
     own, touchdown, flags = at.own, config.touchdown, 0
     if memory.phase is Phase.TAKEOFF and memory.climbed:
@@ -184,11 +184,20 @@ def _place_flags(
     radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
     if at.d_m <= radius and at.e_m[2] < max(barrier.peak_height_m, touchdown.height_m):
         flags |= C.OVER_PAD
-    if strategy.may_touch(at):
+    if strategy.may_touch(at) and not waits_for_calm(config, memory, at, now_s):
         flags |= C.TOUCH
     if memory.phase is Phase.TOUCHDOWN and not memory.contact and strategy.drifts(at):
         flags |= C.DRIFTED
     return flags
+
+
+def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: float) -> bool:
+    """Whether the target is fast now and may be slower soon; a vehicle that is on the pad already stays."""
+    touchdown, (vx, vy, _) = config.touchdown, at.target.velocity_enu_m_s
+    if touchdown.calm_wait_s == 0.0 or now_s - memory.started_s >= touchdown.calm_wait_s:
+        return False
+    on_pad = at.e_m[2] <= touchdown.feet_below_reference_m + config.contact.gap_m
+    return not on_pad and math.hypot(vx, vy) >= touchdown.calm_speed_m_s
 
 
 class Known(NamedTuple):

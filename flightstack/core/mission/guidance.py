@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.mission.conditions import high_enough_m, start_point
+from flightstack.core.mission.conditions import high_enough_m, start_point, waits_for_calm
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
@@ -84,8 +84,11 @@ def _land(s: Situation) -> NominalCommand:
     at = s.snapshot.relative
     if at is None:
         return NominalCommand(Request.EXTERNAL)
-    velocity = s.strategy.approach_m_s(at, over_pad=s.memory.phase is Phase.LAND)
-    return NominalCommand(Request.EXTERNAL, velocity, filtered=True)
+    x, y, z = s.strategy.approach_m_s(at, over_pad=s.memory.phase is Phase.LAND)
+    if waits_for_calm(s.config, s.memory, at, at.own.arrival_s):
+        below_m = s.config.touchdown.calm_height_m - at.e_m[2]
+        z = max(z, at.target.velocity_enu_m_s[2] + s.config.position_loop.gain_1_s[2] * below_m)
+    return NominalCommand(Request.EXTERNAL, (x, y, z), filtered=True)
 
 
 def _touchdown(s: Situation) -> NominalCommand:

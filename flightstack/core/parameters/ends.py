@@ -41,6 +41,10 @@ class Touchdown:
     pad_radius_m: Annotated[float, span(0.03, 2.0)] = 0.10
     feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # Crazyflie 2.0, CAD
     target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # TurtleBot3 Burger wheel limit
+    # errors of a late own state grow with the speed: for so long from the landing's begin it waits ...
+    calm_wait_s: Annotated[float, span(0.0, 60.0)] = 0.0
+    calm_speed_m_s: Annotated[float, span(0.01, 3.0)] = 0.21  # ... until the target is slower than this ...
+    calm_height_m: Annotated[float, span(0.05, 3.0)] = 0.25  # ... so high above the pad
     descent_m_s: Annotated[float, span(0.02, 1.0)] = 0.2  # paper filter: relative to the pad, to contact
     # without an own state it sinks on with its last set-point: by then it stands
     blind_time_s: Annotated[float, span(0.0, 5.0)] = 0.4
