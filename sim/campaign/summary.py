@@ -184,6 +184,7 @@ class Tier(Enum):
     """Names of the scenarios that have limits."""
 
     LAB = "lab"
+    ROOM = "room"
     FIELD = "field"
     STORM = "storm"
     DECK = "deck"
@@ -212,6 +213,7 @@ class Limits:
 
 LIMITS: dict[Tier, Limits] = {
     Tier.LAB: Limits(0.999, 0.0, (0.010, 0.025), 0.25, 0.10, 1.25),
+    Tier.ROOM: Limits(0.995, 0.0, (0.020, 0.040), 0.40, 0.25, None),
     Tier.FIELD: Limits(0.995, 0.0, (0.020, 0.050), 0.30, 0.15, 1.25),
     Tier.STORM: Limits(0.97, 0.001, (0.040, 0.080), 0.40, 0.25, None),
     Tier.DECK: Limits(0.995, 0.0, (0.020, 0.050), 0.35, 0.15, None),

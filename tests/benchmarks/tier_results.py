@@ -13,7 +13,7 @@ from sim.campaign.summary import LIMITS, Tier, misses, summary
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "reference" / "results.md"
-TIERS = ("lab", "field", "storm", "deck")
+TIERS = ("lab", "room", "field", "storm", "deck")
 FILTERS = ("robust", "paper")
 
 HEAD = """# Seeded landings in four tiers

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sim.campaign.run import Flown, Plan
 
 COMPLETE, INCOMPLETE = 0, 1
-_TIERS = ("lab", "field", "storm", "deck")
+_TIERS = ("lab", "room", "field", "storm", "deck")
 
 
 @dataclass(frozen=True)

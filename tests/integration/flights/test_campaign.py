@@ -32,6 +32,7 @@ SHORT = ("stop_and_go", "--runs", RUNS, "--seed", 40, "--no-report")
     [
         ("paper_moving_1", 0),  # from the ground
         ("lab", 1),
+        ("room", 1),  # errors of the own state, a state that is estimated, a thrust reserve
         ("storm", 1),  # drop-outs, wind
         ("deck", 2),
         ("unsafe", 0),
