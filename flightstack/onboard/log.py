@@ -61,7 +61,7 @@ class OnboardLog:
         rate_hz: of the ticks.
         lockstep: in simulated time.
         reserve: the thrust reserve is estimated.
-        whole: the controller's state is a ``WholeState``.
+        learns: an error of the own velocity is learned.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class OnboardLog:
         lockstep: bool,
         *,
         reserve: bool = False,
-        whole: bool = False,
+        learns: bool = False,
     ) -> None:
         self._feed = feed
         self._odom = feed.channel(f"/{namespace}/target/odom", ODOMETRY)
@@ -96,7 +96,7 @@ class OnboardLog:
         self._lockstep = lockstep
         self._every = max(1, round(rate_hz / STATUS_HZ))
         self._state_every = max(1, round(rate_hz / STATE_HZ))
-        self._state_text = StateText[State](WholeState if whole else State)
+        self._state_text = StateText[State](WholeState if reserve or learns else State)
         encoding = "application/cdr;flightstack_msgs/msg/"
         self._live_step = zenoh_link.dropping_publisher(
             session, f"{namespace}/controller/step", encoding + "ControllerStep"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 from flightstack.common.strict_toml import ConfigError, from_table
@@ -217,6 +217,23 @@ class Plant:
             (m1, m2, m3, m4),
             float(draws.uniform(*spec.battery_charge)),
         )
+
+
+def able_to_hover(plant: Plant, params: Params, reserve: float) -> Plant:
+    """Return the same with at least the charge at which each motor can give its share of this reserve.
+
+    Args:
+        plant: as drawn.
+        params: of the vehicle.
+        reserve: thrust over weight, of the weakest motor.
+    """
+    battery, rotor = params.battery, params.rotor
+    thrust_n = 0.25 * reserve * params.body.mass_kg * plant.mass * params.contact.gravity_m_s2 / plant.thrust
+    most_v = max(battery.motor_v(rotor.rpm(thrust_n / motor)) for motor in plant.motors)
+    current_a = battery.idle_current_a + battery.hover_current_a * reserve**1.5
+    rest_v = most_v + battery.resistance_ohm * current_a
+    charge = min(1.0, (rest_v - battery.empty_v) / (battery.full_v - battery.empty_v))
+    return replace(plant, battery_charge=max(plant.battery_charge, charge))
 
 
 @cache

@@ -160,6 +160,8 @@ class VehicleSpec:
     thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0
     motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0  # each motor's thrust about the mean of the four
     battery_charge: tuple[Share, Share] = (1.0, 1.0)  # share of a full cell at the start, lowest and highest
+    # least thrust over weight of the weakest motor; with less it begins with a fuller battery
+    hover_reserve: Annotated[float, span(0.0, 1.5)] = 0.0
     slow_motors: bool = False  # 0.136 s up, 0.108 s down instead of 0.07 s
     ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0
     mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))

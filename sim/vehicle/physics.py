@@ -10,7 +10,7 @@ from logs.schema.events import ContactBit
 from sim.compiled.records import Values, cell, new, reader, scalars
 from sim.plant.correlated_noise import CorrelatedNoise
 from sim.plant.ground_effect import set_up_ground
-from sim.plant.params import STEP_S, Params, Plant, load
+from sim.plant.params import STEP_S, Params, Plant, able_to_hover, load
 from sim.plant.rotors import BatteryModel, Rotors
 from sim.plant.vehicle_types import Truth
 from sim.plant.wind import WindModel
@@ -50,7 +50,10 @@ class Physics:
         self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None
     ) -> None:
         self.params = params = params or load(scenario.vehicle.airframe)
-        self.plant = plant = plant or Plant.draw(scenario.vehicle, seed)
+        if plant is None:
+            plant, reserve = Plant.draw(scenario.vehicle, seed), scenario.vehicle.hover_reserve
+            plant = able_to_hover(plant, params, reserve) if reserve > 0.0 else plant
+        self.plant = plant
         mass_kg = params.body.mass_kg * plant.mass
         self.weight_n = mass_kg * params.contact.gravity_m_s2
         self.record = r = new(VehicleRecord)

@@ -8,7 +8,7 @@ import pytest
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config.files import load as load_config
 from flightstack.verify.certificate import problems
-from sim.plant.params import Plant, load
+from sim.plant.params import Plant, able_to_hover, load
 from sim.scenarios.scenario import VEHICLE_FILES, StartKind, VehicleSpec, VelocityLoop, Wind
 from sim.scenarios.scenario import load as load_scenario
 from sim.vehicle.vehicle import VehicleSim
@@ -84,6 +84,22 @@ def test_a_tired_battery_saturates():
         velocities(vehicle, (0.0, 0.0, 3.0), 0.4)
     assert max(climbs[0.0].duty) == pytest.approx(1.0)
     assert max(climbs[1.0].duty) < 0.9
+
+
+def test_a_vehicle_that_is_asked_to_hover_has_the_charge_for_it():
+    spread = {"motor_spread": 0.12, "thrust_spread": 0.04, "battery_charge": (0.0, 0.05)}
+    params, spec = load("crazyflie21_room"), VehicleSpec("crazyflie21_room", **spread)
+    drawn = [Plant.draw(spec, seed) for seed in range(40)]
+    able = [able_to_hover(plant, params, 1.04) for plant in drawn]
+    charges = [(a.battery_charge, b.battery_charge) for a, b in zip(drawn, able, strict=True)]
+    assert all(b >= a for a, b in charges)
+    assert all(replace(b, battery_charge=a.battery_charge) == a for a, b in zip(drawn, able, strict=True))
+    seed = max(range(40), key=lambda n: charges[n][1] - charges[n][0])  # the weakest
+    climbs = [
+        velocities(room(seed, hover_reserve=reserve, **spread), (0.0, 0.0, 0.3), 1.5)[-1][2]
+        for reserve in (0.0, 1.04)
+    ]
+    assert climbs[0] < 0.0 < 0.1 < climbs[1]
 
 
 def test_motors_are_drawn_by_seed_with_a_mean_of_one():
