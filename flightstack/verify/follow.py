@@ -37,8 +37,10 @@ def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 
     Returns:
         The distance in m, infinite if none is proven; and how many times as fast as declared that vehicle's
-        velocity loop is.
+        velocity loop is. For a vehicle that estimates its own state no bound is known: infinite.
     """
+    if config.own.learns:
+        return math.inf, 1.0
     spread = config.envelope.lag_spread
     low, high = 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)
     pieces = [(*_reach_m(config, x, low, high), low, high)]

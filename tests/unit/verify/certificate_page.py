@@ -14,7 +14,7 @@ from flightstack.verify.touchdown import descent_time_s, drift_m
 from sim.scenarios import scenario
 
 PAGE = Path(__file__).parents[3] / "docs" / "how_it_works" / "robust_filter.md"
-TIERS = ("lab", "field", "storm", "deck")
+TIERS = ("lab", "room", "field", "storm", "deck")
 BEGIN, END = "<!-- table: {} -->", "<!-- end -->"
 
 
