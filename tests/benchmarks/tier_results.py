@@ -19,10 +19,10 @@ FILTERS = ("robust", "paper")
 HEAD = """# Seeded landings in five tiers
 
 What the tiers ask of an odometry link, a wind, a plant and a robot stands in `sim/scenarios/lab.toml`,
-`room.toml`, `field.toml`, `storm.toml` and `deck.toml`; the limits of the robust filter in `sim/campaign/summary.py`. Each
-landing is the one that `flightstack sitl --scenario TIER --seed N --lockstep` flies, to the last bit, judged
-from true states every millisecond. A violation is h below -5 mm outside the pad in a run that began with
-h >= 0. The upper bound is one-sided, 95 % (Clopper-Pearson).
+`room.toml`, `field.toml`, `storm.toml` and `deck.toml`; the limits of the robust filter in
+`sim/campaign/summary.py`. Each landing is the one that `flightstack sitl --scenario TIER --seed N
+--lockstep` flies, to the last bit, judged from true states every millisecond. A violation is h below -5 mm
+outside the pad in a run that began with h >= 0. The upper bound is one-sided, 95 % (Clopper-Pearson).
 
 Made by `{command}`. It goes on where
 it was interrupted; the table says how many landings there are so far.
@@ -42,14 +42,15 @@ How the storm is landed in, and what was tried: [storm.md](../how_it_works/storm
 vehicle, came 11 mm below the barrier while the deck rose under it; with 0.4 m/s three others gave up in the
 air, high above it, because they did not fly what they were told.
 
-In `room` all six failures began on the pad: the robot set off while the vehicle came down, it touched 5 to 8 cm from
-the middle, and slid over the edge before it counted as landed. Nothing came below the barrier before it touched.
+In `room` all six failures began on the pad: the robot set off while the vehicle came down, it touched 5 to 8
+cm from the middle, and slid over the edge before it counted as landed. Nothing came below the barrier before
+it touched.
 
-The figures of the other tiers were flown before the set-point of the touchdown was bounded (`robust.descent_lead_max_m_s`),
-before an abort stayed clear while it lands, and before the simulated body was integrated directly in free
-flight. The last of these changed 2 of 1,200 outcomes (paper filter). Of 200 landings of each tier since then,
-robust filter, all landed without a violation; median / 95 % error 0.6 / 1.7 cm (`lab`), 1.5 / 2.8 cm
-(`field`), 1.5 / 3.5 cm (`storm`), 1.4 / 3.0 cm (`deck`).
+The figures of the other tiers were flown before the set-point of the touchdown was bounded
+(`robust.descent_lead_max_m_s`), before an abort stayed clear while it lands, and before the simulated body
+was integrated directly in free flight. The last of these changed 2 of 1,200 outcomes (paper filter). Of 200
+landings of each tier since then, robust filter, all landed without a violation; median / 95 % error 0.6 /
+1.7 cm (`lab`), 1.5 / 2.8 cm (`field`), 1.5 / 3.5 cm (`storm`), 1.4 / 3.0 cm (`deck`).
 """
 ASKED_COLUMNS = ("tier", "landed", "violations", "error", "speed", "time", "result")
 COLUMNS = (
