@@ -42,9 +42,10 @@ How the storm is landed in, and what was tried: [storm.md](../how_it_works/storm
 vehicle, came 11 mm below the barrier while the deck rose under it; with 0.4 m/s three others gave up in the
 air, high above it, because they did not fly what they were told.
 
-In `room` all six failures began on the pad: the robot set off while the vehicle came down, it touched 5 to 8
-cm from the middle, and slid over the edge before it counted as landed. Nothing came below the barrier before
-it touched.
+In `room` all six failures began on the pad; before they touched it, none came below the barrier. Five
+touched 5 to 8 cm from the middle, since the robot had set off in the last half second of the descent, and
+slid over the edge. The sixth gave up as it touched, 1 cm from the middle, and the autopilot's own landing
+took it off the pad.
 
 The figures of the other tiers were flown before the set-point of the touchdown was bounded
 (`robust.descent_lead_max_m_s`), before an abort stayed clear while it lands, and before the simulated body
