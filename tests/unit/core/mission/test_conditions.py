@@ -1,4 +1,4 @@
-"""Each condition flag: when it is set, and when it is not; contact, which is remembered."""
+"""Each condition flag: when it is set, and when it is not."""
 
 import math
 from dataclasses import replace
@@ -7,57 +7,21 @@ import pytest
 
 from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import high_enough_m, start_point
-from flightstack.core.mission.machine import Mission
-from flightstack.core.mission.phases import Condition
-from flightstack.core.snapshot import snapshot_of
-from flightstack.core.strategies.robust import COMMANDED_SHARE, DRIFT_SHARE, STOPPED_SHARE
-from flightstack.core.strategies.strategy import strategy_of
-from flightstack.core.target.plausibility import Plausibility
-from flightstack.core.target.track import TargetState, TargetTrack
-from flightstack.core.types import Inputs, Landed, Mode, Operator, OwnState, Phase, VehicleStatus
-from tests.point_mass import World
+from flightstack.core.strategies.robust import DRIFT_SHARE
+from flightstack.core.target.track import TargetState
+from flightstack.core.types import Landed, Mode, Operator, Phase
 from tests.unit.core.core_helpers import config
-
-NOW_S = 100.0
-STILL = (0.0, 0.0, 0.0)
-PAD = (3.0, -2.0, 0.2)
-C = Condition
-
-
-def starting(filter="robust", **sections):
-    """A configuration with a point where the landing begins."""
-    return config(filter, takeoff={"start_offset_m": [-1.4, 0.5, 0.72]}, **sections)
-
-
-ROBUST, PAPER = starting(), starting("paper")
-BARRIER = ROBUST.barrier.build()
-
-
-def tick(
-    settings=ROBUST, e=(1.0, 0.0, 1.0), velocity=STILL, target_velocity=STILL, *, now_s=NOW_S, memory=None,
-    sigma_m=0.0, own_age_s=0.01, target_age_s=0.03, status_age_s=0.2, armed=True, mode=Mode.EXTERNAL,
-    landed=Landed.IN_AIR, ready=True, operator=Operator.NONE, failed=False, follows=True, believed=True,
-    without=(),
-):  # fmt: skip
-    """Flags of one tick; everything is well unless told otherwise."""
-    position = tuple(a + b for a, b in zip(e, PAD, strict=True))
-    own = OwnState(now_s - own_age_s, 0.0, position, velocity, 0.0)
-    status = VehicleStatus(now_s - status_age_s, armed, mode, landed, ready)
-    target = TargetState(target_age_s, PAD, target_velocity, 0.0, sigma_m)
-    inputs = Inputs(
-        None if "own" in without else own, None if "status" in without else status, (), operator
-    )  # fmt: skip
-    known = None if "target" in without else target
-    seen = snapshot_of(settings, inputs, known, now_s, believed=believed, follows=follows)
-    strategy = strategy_of(settings)
-    mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
-    mission.memory = memory if memory is not None else Memory()
-    return mission.flags(seen, command_failed=failed, now_s=now_s)
-
-
-def names(word):
-    return {c.name for c in Condition if word & c}
-
+from tests.unit.core.mission.mission_helpers import (
+    BARRIER,
+    NOW_S,
+    PAD,
+    PAPER,
+    ROBUST,
+    STILL,
+    names,
+    starting,
+    tick,
+)
 
 WELL = {"ARMED", "WAS_ARMED", "EXTERNAL", "WAS_EXTERNAL", "READY", "RETRIES_LEFT", "TARGET_KNOWN"}
 
@@ -273,140 +237,8 @@ def test_it_goes_around_when_it_is_going_to_leave_the_corridor():
         assert drifted(ROBUST, (x, 0.0, 0.2), velocity=(5.0, 0.0, 0.0)) is expected
 
 
-def test_a_contact_counts_in_the_touchdown_alone():
-    for phase in Phase:
-        found = names(tick(memory=Memory(phase=phase, contact=True)))
-        assert ("ON_PAD" in found) is (phase is Phase.TOUCHDOWN)
-    assert "ON_PAD" not in names(tick(memory=Memory(phase=Phase.TOUCHDOWN)))
-
-
 def test_a_target_that_was_known_once_stays_known():
     memory = Memory()
     assert "TARGET_KNOWN" not in names(tick(memory=memory, target_age_s=9.0))
     tick(memory=memory)
     assert "TARGET_KNOWN" in names(tick(memory=memory, without=("target",)))
-
-
-ON_PAD = (0.02, 0.0, 0.0144)
-
-
-def contact_after(settings, memory, seconds, **changes):
-    """Whether contact is found, ticking every 10 ms."""
-    for n in range(round(seconds / 0.01) + 1):
-        tick(settings, memory=memory, now_s=NOW_S + 0.01 * n, **changes)
-    return memory.contact
-
-
-@pytest.mark.parametrize("settings", [PAPER, ROBUST])
-def test_contact_is_standing_there_for_a_while_or_saying_so(settings):
-    def down(**changes):
-        return Memory(phase=Phase.TOUCHDOWN, **changes)
-
-    assert contact_after(settings, down(), 0.0, e=ON_PAD, landed=Landed.ON_GROUND)
-    contact = settings.contact
-    assert not contact_after(settings, down(), contact.time_s - 0.02, e=ON_PAD)
-    assert contact_after(settings, down(), contact.time_s + 0.01, e=ON_PAD)
-    high = (*ON_PAD[:2], settings.touchdown.feet_below_reference_m + contact.gap_m + 1e-6)
-    assert not contact_after(settings, down(), 1.0, e=high)
-    assert not contact_after(settings, down(), 1.0, e=(settings.touchdown.pad_radius_m + 1e-6, 0.0, 0.0144))
-    fast = (0.0, 0.0, -1.01 * contact.speed_m_s)
-    assert not contact_after(settings, down(), 1.0, e=ON_PAD, velocity=fast, landed=Landed.ON_GROUND)
-    assert not contact_after(
-        settings, down(), 1.0, e=ON_PAD, target_velocity=(0.0, 0.0, 1.01 * contact.speed_m_s)
-    )
-    assert contact_after(settings, down(), 1.0, e=ON_PAD, velocity=tuple(0.9 * v for v in fast))
-    assert contact_after(settings, down(contact=True), 0.0, e=(2.0, 0.0, 2.0))  # once is enough
-    assert not contact_after(settings, Memory(phase=Phase.LAND), 1.0, e=ON_PAD, landed=Landed.ON_GROUND)
-
-
-def test_contact_starts_anew_when_it_bounces():
-    memory = Memory(phase=Phase.TOUCHDOWN)
-    for n in range(40):
-        up = n % 8 == 7
-        tick(PAPER, e=(*ON_PAD[:2], 0.05 if up else 0.0144), memory=memory, now_s=NOW_S + 0.01 * n)
-        assert not memory.contact
-
-
-def test_a_descent_that_stopped_low_over_the_pad_is_contact():
-    r, stopped_s = ROBUST.robust, ROBUST.contact.stopped_time_s
-    told = (0.0, 0.0, -1.01 * COMMANDED_SHARE * r.descent_m_s)
-    slow = (0.0, 0.0, -0.99 * STOPPED_SHARE * r.descent_m_s)
-    low = (0.02, 0.0, 0.9 * r.touch_height_m)
-
-    def found(seconds, command=told, **changes):
-        changes = {"e": low, "velocity": slow, **changes}
-        return contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=command), seconds, **changes)
-
-    assert found(stopped_s + 0.01)
-    assert not found(stopped_s - 0.02)
-    assert not found(1.0, command=tuple(0.98 * v for v in told))
-    assert not found(1.0, velocity=tuple(1.02 * v for v in slow))
-    assert not found(1.0, e=(*low[:2], 1.01 * r.touch_height_m))
-    assert not found(1.0, e=(0.0, 1.01 * ROBUST.touchdown.pad_radius_m, low[2]))
-    # both velocities are those against the pad
-    rising = (0.0, 0.0, 0.3)
-    assert found(
-        0.05, command=(0.0, 0.0, told[2] + 0.3), velocity=(0.0, 0.0, slow[2] + 0.3), target_velocity=rising
-    )
-    assert not found(1.0, target_velocity=(0.0, 0.0, -0.3))
-    memory = Memory(phase=Phase.TOUCHDOWN, command=told)
-    assert not contact_after(PAPER, memory, 1.0, e=low, velocity=slow)
-
-
-def test_a_target_out_of_sight_in_the_last_centimetres():
-    r = ROBUST.robust
-    gone = {"target_age_s": 9.0, "e": (0.02, 0.0, 0.9 * r.touch_height_m)}
-    told = (0.0, 0.0, -r.descent_m_s)
-    for settings in (PAPER, ROBUST):
-        memory = Memory(phase=Phase.TOUCHDOWN)
-        assert not contact_after(settings, memory, 1.0, **gone)
-        assert contact_after(settings, memory, 0.0, landed=Landed.ON_GROUND, **gone)
-        assert not contact_after(settings, Memory(phase=Phase.LAND), 1.0, landed=Landed.ON_GROUND, **gone)
-    stopped_s = ROBUST.contact.stopped_time_s
-    assert contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=told), stopped_s + 0.01, **gone)
-    assert not contact_after(PAPER, Memory(phase=Phase.TOUCHDOWN, command=told), 1.0, **gone)
-    high = {**gone, "e": (0.02, 0.0, 1.1 * r.touch_height_m)}
-    assert not contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=told), 1.0, **high)
-    blind = {**gone, "own_age_s": 9.0}
-    assert not contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=told), 1.0, **blind)
-
-
-CALM = config(
-    touchdown={"calm_wait_s": 12.0, "calm_speed_m_s": 0.05, "calm_height_m": 0.3}
-)  # the robot: 0.1 m/s
-
-
-def touches_s(settings):
-    """Time from the landing's begin to the commit, and the lowest height over the pad before it."""
-    world = World(settings)
-    world.run(30.0, until=lambda w: w.phase is Phase.TOUCHDOWN)
-    assert world.phase is Phase.TOUCHDOWN
-    return world.t_s - world.controller.memory.started_s, min(
-        o.snapshot.e_m[2] for o in world.outputs if o.phase is Phase.LAND
-    )
-
-
-def test_over_a_fast_target_it_waits_for_a_slower_one_but_not_for_ever():
-    at_once_s, _ = touches_s(config())
-    waited_s, lowest_m = touches_s(CALM)
-    assert at_once_s < 9.0
-    assert 12.0 <= waited_s < 15.0
-    assert lowest_m > 0.1
-
-
-def test_while_it_waits_for_a_slower_target_it_stays_high():
-    world = World(CALM)
-    world.run(30.0, until=lambda w: w.controller.memory.started_s < w.t_s - 11.5)
-    heights_m = [o.snapshot.e_m[2] for o in world.outputs if o.phase is Phase.LAND]
-    assert min(heights_m) == pytest.approx(0.3, abs=0.03)
-
-
-def test_a_slow_target_is_not_waited_for():
-    slow = config(touchdown={"calm_wait_s": 12.0, "calm_speed_m_s": 0.2, "calm_height_m": 0.3})
-    assert touches_s(slow) == touches_s(config())
-
-
-@pytest.mark.parametrize(("height_m", "waits"), [(0.02, False), (0.1, True)])
-def test_a_vehicle_that_is_on_the_pad_already_stays_there(height_m, waits):
-    at = tick(CALM, (0.0, 0.0, height_m), target_velocity=(0.1, 0.0, 0.0), velocity=(0.1, 0.0, 0.0))
-    assert bool(at & C.TOUCH) is not waits

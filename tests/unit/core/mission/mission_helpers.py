@@ -1,0 +1,50 @@
+"""One tick of the mission machine: the flags that it sets for inputs at choice."""
+
+from flightstack.core.memory import Memory
+from flightstack.core.mission.machine import Mission
+from flightstack.core.mission.phases import Condition
+from flightstack.core.snapshot import snapshot_of
+from flightstack.core.strategies.strategy import strategy_of
+from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.target.track import TargetState, TargetTrack
+from flightstack.core.types import Inputs, Landed, Mode, Operator, OwnState, VehicleStatus
+from tests.unit.core.core_helpers import config
+
+NOW_S = 100.0
+STILL = (0.0, 0.0, 0.0)
+PAD = (3.0, -2.0, 0.2)
+
+
+def starting(filter="robust", **sections):
+    """A configuration with a point where the landing begins."""
+    return config(filter, takeoff={"start_offset_m": [-1.4, 0.5, 0.72]}, **sections)
+
+
+ROBUST, PAPER = starting(), starting("paper")
+BARRIER = ROBUST.barrier.build()
+
+
+def tick(
+    settings=ROBUST, e=(1.0, 0.0, 1.0), velocity=STILL, target_velocity=STILL, *, now_s=NOW_S, memory=None,
+    sigma_m=0.0, own_age_s=0.01, target_age_s=0.03, status_age_s=0.2, armed=True, mode=Mode.EXTERNAL,
+    landed=Landed.IN_AIR, ready=True, operator=Operator.NONE, failed=False, follows=True, believed=True,
+    without=(),
+):  # fmt: skip
+    """Flags of one tick; everything is well unless told otherwise."""
+    position = tuple(a + b for a, b in zip(e, PAD, strict=True))
+    own = OwnState(now_s - own_age_s, 0.0, position, velocity, 0.0)
+    status = VehicleStatus(now_s - status_age_s, armed, mode, landed, ready)
+    target = TargetState(target_age_s, PAD, target_velocity, 0.0, sigma_m)
+    inputs = Inputs(
+        None if "own" in without else own, None if "status" in without else status, (), operator
+    )  # fmt: skip
+    known = None if "target" in without else target
+    seen = snapshot_of(settings, inputs, known, now_s, believed=believed, follows=follows)
+    strategy = strategy_of(settings)
+    mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
+    mission.memory = memory if memory is not None else Memory()
+    return mission.flags(seen, command_failed=failed, now_s=now_s)
+
+
+def names(word):
+    return {c.name for c in Condition if word & c}
