@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -150,8 +151,9 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         "lower velocity_feedback.error_rate_1_s, velocity_feedback.observer_rate_1_s or "
         "robust.gain_over_pad_1_s, or raise loop.rate_hz"
     )
-    told, _ = decay_1_s(config, 1.0, 1.0)
-    least, where = decay_1_s(config, 1.0 / (1.0 + spread), 1.0 / (1.0 - spread))
+    flown = {robust: replace(config, robust=robust) for robust in (config.robust, config.robust.descending)}
+    told = min(decay_1_s(one, 1.0, 1.0)[0] for one in flown.values())
+    least, where = min(decay_1_s(one, 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)) for one in flown.values())
     return [
         Check(
             "velocity feedback",

@@ -13,6 +13,7 @@ Off-diagonal terms are positive, so that the system with equality lies above eve
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -131,7 +132,10 @@ def in_time(config: FlightConfig, x: Extremes) -> Check:
 
 def damping(config: FlightConfig, x: Extremes) -> Check:
     """Check that the position loop is damped for the slowest vehicle, even without the set-point's lead."""
-    gain = config.robust.gain_over_pad_1_s
+    robust = config.robust
+    gain, key = max(
+        (robust.gain_over_pad_1_s, "gain_over_pad_1_s"), (robust.gain_descent_1_s, "gain_descent_1_s")
+    )
     found = 0.5 / math.sqrt(gain * x.lag_xy_s) if x.lag_xy_s > 0.0 else math.inf
     return Check(
         "position loop",
@@ -139,7 +143,7 @@ def damping(config: FlightConfig, x: Extremes) -> Check:
         found - DAMPING_MIN,
         "",
         f"gain {gain:.3g} 1/s at a lag of {x.lag_xy_s:.3g} s: damping {found:.3g}",
-        "lower robust.gain_over_pad_1_s",
+        f"lower robust.{key}",
         Need.PROOF,
     )
 
@@ -194,6 +198,7 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
 
 def drift(config: FlightConfig, x: Extremes) -> Check:
     """Check that the vehicle stays over the pad from the commit to contact."""
+    config = replace(config, robust=config.robust.descending)
     if config.velocity_feedback.horizontal:
         farthest, vehicle = follow_m(config, x)
         claim = "after the commit the vehicle touches the pad, for any motion of a target that it followed"

@@ -28,6 +28,7 @@ _TIME = r"(?: *[0-9.]+ s  )?"
 _CHANGE = rf"(?P<before>{_PHASES})(?: -> (?P<after>{_PHASES}))?"
 _TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))?", re.DOTALL)
 LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
+SLIDING_TIME_S = 0.15  # contact is seen 0.1 s late by a late own state, and the motors need 0.05 s
 ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
 RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
 RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
@@ -177,7 +178,7 @@ class Mission:
         contact, status, at = self.memory.contact, snapshot.inputs.status, snapshot.relative
         standing = status is not None and status.landed is Landed.ON_GROUND
         if snapshot.good and at is not None:
-            on_pad = at.d_m <= self._config.touchdown.pad_radius_m
+            on_pad = at.d_m <= self._config.touchdown.pad_radius_m + self._config.contact.beyond_m
             return (
                 contact or (self._stopped(at, now_s) and on_pad) or self._stands(at, on_pad, standing, now_s)
             )
@@ -201,13 +202,21 @@ class Mission:
     def _stands(self, at: Relative, on_pad: bool, standing: bool, now_s: float) -> bool:
         """The vehicle says that it stands, or it is on the pad and no longer sinks though it should."""
         memory, config = self.memory, self._config
-        near = on_pad and at.e_m[2] - config.touchdown.feet_below_reference_m < config.contact.gap_m
+        gap_m = at.e_m[2] - config.touchdown.feet_below_reference_m
+        if on_pad and config.contact.sliding_gap_m > max(0.0, gap_m) and self._slides(at):
+            return True
+        near = on_pad and gap_m < config.contact.gap_m
         sinking_m_s = at.target.velocity_enu_m_s[2] - at.own.velocity_enu_m_s[2]
         if not near or sinking_m_s > config.contact.speed_m_s:
             memory.contact_since_s = math.inf
             return False
         memory.contact_since_s = min(memory.contact_since_s, now_s)
         return standing or now_s - memory.contact_since_s >= config.contact.time_s
+
+    def _slides(self, at: Relative) -> bool:
+        """Going to slide off the pad before its motors stand."""
+        soon_m = at.d_m + SLIDING_TIME_S * math.hypot(*at.slip_m_s)
+        return soon_m > self._config.contact.sliding_radius_m
 
     def _change(self, snapshot: Snapshot, flags: int, now_s: float) -> Transition | None:
         """Change the phase by its table."""

@@ -56,6 +56,10 @@ class Contact:
     """What tells that the vehicle stands on the pad."""
 
     gap_m: Annotated[float, span(0.001, 0.5)] = 0.01  # of its feet: noise of two positions, tilt of the pad
+    beyond_m: Annotated[float, span(0.0, 0.5)] = 0.0  # outside the pad's edge: errors of two positions
+    # a vehicle that slides is off the pad before the others tell: it stands below this height, if ...
+    sliding_gap_m: Annotated[float, span(0.0, 0.1)] = 0.0
+    sliding_radius_m: Annotated[float, span(0.005, 1.0)] = 0.05  # ... it is soon so far from the middle
     speed_m_s: Annotated[float, span(0.005, 0.5)] = 0.05  # sinking slower than that, something holds it up
     time_s: Annotated[float, span(0.01, 2.0)] = 0.1  # of that
     stopped_time_s: Annotated[float, span(0.0, 1.0)] = 0.03  # told to sink and not sinking, low over the pad

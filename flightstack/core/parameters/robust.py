@@ -7,7 +7,7 @@ The vehicle's numbers are identified from a log.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from flightstack.common.strict_toml import Each, span
@@ -116,6 +116,7 @@ class Robust:
     )  # of the wanted velocity
     gain_1_s: Annotated[float, span(0.1, 5.0)] = 1.2  # position loop on the way to the pad
     gain_over_pad_1_s: Annotated[float, span(0.1, 5.0)] = 2.0  # the same horizontally, over the pad
+    gain_descent_1_s: Annotated[float, span(0.0, 5.0)] = 0.0  # the same after the commit; 0: as over the pad
     descent_min_m_s: Annotated[float, span(0.01, 1.0)] = 0.1  # slowest on the way, above the waiting height
     descent_max_m_s: Annotated[float, span(0.05, 10.0)] = 1.0  # fastest on the way, relative to the pad
     wait_height_m: Annotated[float, span(0.03, 3.0)] = 0.1  # above the pad until it may go down
@@ -126,6 +127,16 @@ class Robust:
     descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # relative to the pad, to contact
     descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # set-point faster than that, for the lag
     touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # below it a stopped descent is contact
+
+    @property
+    def to_contact_1_s(self) -> float:
+        """Gain of the horizontal position loop after the commit."""
+        return self.gain_descent_1_s or self.gain_over_pad_1_s
+
+    @property
+    def descending(self) -> Robust:
+        """The same with one gain over the pad: that after the commit."""
+        return replace(self, gain_over_pad_1_s=self.to_contact_1_s)
 
     def margin_m(self, slope: float, sigma_xy_m: float, sigma_z_m: float) -> float:
         """Margin on h that covers tracking and position errors.

@@ -228,7 +228,7 @@ class RobustFilter(Strategy):
         robust, touchdown, t = self._config.robust, self._config.touchdown, at.target.velocity_enu_m_s
         if touchdown.rule is TouchdownRule.PAPER and at.e_m[2] < touchdown.height_m:
             return None
-        gain = robust.gain_over_pad_1_s
+        gain = robust.to_contact_1_s
         x, y, _ = nominal_velocity(at.e_m, (gain, gain, gain), t)
         return (x, y, t[2] - robust.descent_m_s)
 

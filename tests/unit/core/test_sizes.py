@@ -63,11 +63,14 @@ def flags(settings, phase, e, velocity=ZERO, *, after_s=0.0, own_ok=True, memory
     return found, memory
 
 
-def contact(settings, height_m, velocity=ZERO, after_s=0.2, command=ZERO):
+def contact(settings, height_m, velocity=ZERO, after_s=0.2, command=ZERO, x_m=0.0):
     memory = Memory(own_ok_s=0.0, command=command)
-    return flags(settings, Phase.TOUCHDOWN, (0.0, 0.0, height_m), velocity, after_s=after_s, memory=memory)[
-        1
-    ].contact
+    flags(settings, Phase.TOUCHDOWN, (x_m, 0.0, height_m), velocity, after_s=after_s, memory=memory)
+    return memory.contact
+
+
+def sliding(settings):
+    return replace(settings, contact=replace(settings.contact, sliding_gap_m=0.02))
 
 
 def learned(settings):
@@ -129,6 +132,11 @@ CHANGES = [
      lambda c: bool(flags(c, Phase.TOUCHDOWN, (0.0, 0.0, 0.2), after_s=3.0)[0] & Condition.PHASE_TIME_OVER),
      (True, False)),
     ("contact", "gap_m", 0.05, lambda c: contact(c, 0.0144 + 0.03), (False, True)),
+    ("contact", "beyond_m", 0.02, lambda c: contact(c, 0.0144, x_m=0.11), (False, True)),
+    ("contact", "sliding_gap_m", 0.02,
+     lambda c: contact(c, 0.0144 + 0.01, (0.0, 0.0, -0.3), x_m=0.06), (False, True)),
+    ("contact", "sliding_radius_m", 0.07,
+     lambda c: contact(sliding(c), 0.0144 + 0.01, (0.0, 0.0, -0.3), x_m=0.06), (True, False)),
     ("contact", "speed_m_s", 0.1, lambda c: contact(c, 0.0144, (0.0, 0.0, -0.08)), (False, True)),
     ("contact", "time_s", 0.5, lambda c: contact(c, 0.0144), (True, False)),
     ("contact", "stopped_time_s", 0.5,
@@ -197,6 +205,16 @@ def test_the_certificate_knows_each_size_from_both_sides(name, filter, section, 
     found = one(name, config(filter, **{section: {key: fails}}))
     assert not found.proven
     assert section in found.remedy or name == "altitude"
+
+
+def test_the_certificate_knows_the_gain_after_the_commit():
+    slow, hard = ({"robust": {"gain_descent_1_s": gain}} for gain in (0.7, 3.0))
+    same = one("drift", config(robust={"gain_over_pad_1_s": 0.7}))
+    assert one("drift", config(**slow)).room == same.room != one("drift", config()).room
+    assert one("position loop", config(**slow)).room == one("position loop", config()).room
+    found = one("position loop", config(**hard))
+    assert not found.proven
+    assert found.remedy == "lower robust.gain_descent_1_s"
 
 
 def test_a_longer_time_for_the_descent_is_more_time_to_drift():

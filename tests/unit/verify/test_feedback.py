@@ -90,6 +90,7 @@ def test_a_loop_that_swings_with_a_quicker_vehicle_is_not_proven_but_may_fly():
         {"velocity_feedback": {**FEEDBACK, "error_rate_1_s": 20.0, "tilt_rate_1_s": 30.0}},
         {"loop": {"rate_hz": 20}},
         {"own": {"delay_s": 0.15}},
+        {"robust": {"gain_descent_1_s": 5.0}, "own": {"delay_s": 0.06}},
     ],
 )
 def test_a_loop_that_swings_by_itself_must_not_fly(wrong):

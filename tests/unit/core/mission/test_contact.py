@@ -1,11 +1,16 @@
 """Contact with the pad: what tells it, and that it is remembered."""
 
+import math
+
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from flightstack.core.memory import Memory
+from flightstack.core.mission.machine import SLIDING_TIME_S
 from flightstack.core.strategies.robust import COMMANDED_SHARE, STOPPED_SHARE
 from flightstack.core.types import Landed, Phase
-from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, names, tick
+from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, names, starting, tick
 
 
 def test_a_contact_counts_in_the_touchdown_alone():
@@ -79,6 +84,37 @@ def test_a_descent_that_stopped_low_over_the_pad_is_contact():
     assert not found(1.0, target_velocity=(0.0, 0.0, -0.3))
     memory = Memory(phase=Phase.TOUCHDOWN, command=told)
     assert not contact_after(PAPER, memory, 1.0, e=low, velocity=slow)
+
+
+def test_contact_counts_as_far_outside_the_edge_as_two_positions_err():
+    wide = starting(contact={"beyond_m": 0.02})
+    for settings, beyond_m in ((ROBUST, 0.0), (wide, 0.02)):
+        edge_m = settings.touchdown.pad_radius_m + beyond_m
+        for e_m, found in ((edge_m - 1e-6, True), (edge_m + 1e-6, False)):
+            memory = Memory(phase=Phase.TOUCHDOWN)
+            assert contact_after(settings, memory, 1.0, e=(0.0, e_m, ON_PAD[2])) is found
+
+
+@given(
+    st.floats(0.0, 0.12),
+    st.floats(0.0, 0.5),
+    st.floats(-0.02, 0.05),
+    st.floats(-3.1, 3.1),
+    st.sampled_from([0.0, 0.012]),
+)
+def test_a_vehicle_that_slides_is_in_contact_at_once(d_m, slip_m_s, gap_m, heading, sliding_gap_m):
+    settings = starting(contact={"sliding_gap_m": sliding_gap_m})
+    velocity = (slip_m_s * math.cos(heading) + 0.2, slip_m_s * math.sin(heading), -0.3)
+    moves = {"velocity": velocity, "target_velocity": (0.2, 0.0, 0.0)}
+    e = (0.0, d_m, settings.touchdown.feet_below_reference_m + gap_m)
+    memory = Memory(phase=Phase.TOUCHDOWN)
+    tick(settings, e=e, memory=memory, **moves)
+    soon_m = d_m + SLIDING_TIME_S * slip_m_s
+    assume(abs(soon_m - settings.contact.sliding_radius_m) > 1e-9 and abs(gap_m - sliding_gap_m) > 1e-9)
+    assume(abs(d_m - settings.touchdown.pad_radius_m) > 1e-9)
+    on_pad = d_m < settings.touchdown.pad_radius_m
+    slides = soon_m > settings.contact.sliding_radius_m
+    assert memory.contact is (on_pad and slides and sliding_gap_m > max(0.0, gap_m))
 
 
 def test_a_target_out_of_sight_in_the_last_centimetres():

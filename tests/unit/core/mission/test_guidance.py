@@ -205,6 +205,11 @@ def test_by_contact_it_descends_until_there_is_contact():
     found = asked(Phase.TOUCHDOWN, ROBUST, (0.03, -0.02, 0.1))
     gain = r.gain_over_pad_1_s
     assert found.velocity == pytest.approx((0.1 - gain * 0.03, -0.05 + gain * 0.02, 0.02 - r.descent_m_s))
+    own = config(robust={"gain_descent_1_s": 0.7})
+    found = asked(Phase.TOUCHDOWN, own, (0.03, -0.02, 0.1))
+    assert found.velocity[:2] == pytest.approx((0.1 - 0.7 * 0.03, -0.05 + 0.7 * 0.02))
+    over = asked(Phase.LAND, own, (0.03, -0.02, 0.3))
+    assert over == asked(Phase.LAND, ROBUST, (0.03, -0.02, 0.3))
 
 
 def test_by_the_papers_rule_the_motors_go_off_below_its_height():
