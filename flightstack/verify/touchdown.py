@@ -13,7 +13,6 @@ Off-diagonal terms are positive, so that the system with equality lies above eve
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -198,7 +197,7 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
 
 def drift(config: FlightConfig, x: Extremes) -> Check:
     """Check that the vehicle stays over the pad from the commit to contact."""
-    config = replace(config, robust=config.robust.descending)
+    config = config.descending
     if config.velocity_feedback.horizontal:
         farthest, vehicle = follow_m(config, x)
         claim = "after the commit the vehicle touches the pad, for any motion of a target that it followed"

@@ -44,11 +44,11 @@ air, high above it, because they did not fly what they were told.
 
 In `room` seeds 1 to 10,000 were flown before, with the contact rules and the gain of the other tiers: five
 vehicles slid over the pad's edge, since the robot had set off in the last half second of the descent, and
-one gave up as it touched. `contact.sliding_gap_m`, `contact.beyond_m` and `robust.gain_descent_1_s` were
-chosen on the 160 of those landings that slid most or touched farthest from the middle. Recorded errors
-instead of the model's (`tape`, [own_state.md](../how_it_works/own_state.md)) played no part in that: of
-2,000 landings with tapes 2,000 landed without a violation, lowest h outside the pad +16 mm, error 1.4 / 3.4
-cm, touchdown speed 0.29 / 0.15 m/s, 6.0 s.
+one gave up as it touched. `contact.sliding_gap_m`, `contact.beyond_m`, `robust.gain_descent_1_s` and
+`checks.follow_lag_max_s` were chosen on the 160 of those landings that slid most or touched farthest from
+the middle. Recorded errors instead of the model's (`tape`, [own_state.md](../how_it_works/own_state.md))
+played no part in that: of 2,000 landings with tapes 2,000 landed without a violation, lowest h outside the
+pad +16 mm, error 1.4 / 3.4 cm, touchdown speed 0.29 / 0.15 m/s, 6.0 s.
 
 The figures of the other tiers were flown before the set-point of the touchdown was bounded
 (`robust.descent_lead_max_m_s`), before an abort stayed clear while it lands, and before the simulated body

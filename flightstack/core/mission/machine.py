@@ -180,7 +180,10 @@ class Mission:
         if snapshot.good and at is not None:
             on_pad = at.d_m <= self._config.touchdown.pad_radius_m + self._config.contact.beyond_m
             return (
-                contact or (self._stopped(at, now_s) and on_pad) or self._stands(at, on_pad, standing, now_s)
+                contact
+                or (self._stopped(at, now_s) and on_pad)
+                or (on_pad and self._slides(at))
+                or self._stands(at, on_pad, standing, now_s)
             )
         if not snapshot.own_ok:
             return contact or standing
@@ -202,10 +205,7 @@ class Mission:
     def _stands(self, at: Relative, on_pad: bool, standing: bool, now_s: float) -> bool:
         """The vehicle says that it stands, or it is on the pad and no longer sinks though it should."""
         memory, config = self.memory, self._config
-        gap_m = at.e_m[2] - config.touchdown.feet_below_reference_m
-        if on_pad and config.contact.sliding_gap_m > max(0.0, gap_m) and self._slides(at):
-            return True
-        near = on_pad and gap_m < config.contact.gap_m
+        near = on_pad and at.e_m[2] - config.touchdown.feet_below_reference_m < config.contact.gap_m
         sinking_m_s = at.target.velocity_enu_m_s[2] - at.own.velocity_enu_m_s[2]
         if not near or sinking_m_s > config.contact.speed_m_s:
             memory.contact_since_s = math.inf
@@ -214,9 +214,11 @@ class Mission:
         return standing or now_s - memory.contact_since_s >= config.contact.time_s
 
     def _slides(self, at: Relative) -> bool:
-        """Going to slide off the pad before its motors stand."""
-        soon_m = at.d_m + SLIDING_TIME_S * math.hypot(*at.slip_m_s)
-        return soon_m > self._config.contact.sliding_radius_m
+        """Low over the pad, and going to slide off it before the motors stand."""
+        contact, gap_m = self._config.contact, at.e_m[2] - self._config.touchdown.feet_below_reference_m
+        if contact.sliding_gap_m <= max(0.0, gap_m):  # of 0 it is off, also where the feet seem to be lower
+            return False
+        return at.d_m + SLIDING_TIME_S * math.hypot(*at.slip_m_s) > contact.sliding_radius_m
 
     def _change(self, snapshot: Snapshot, flags: int, now_s: float) -> Transition | None:
         """Change the phase by its table."""

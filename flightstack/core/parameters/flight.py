@@ -5,7 +5,7 @@ Classes are tables of the file, fields are keys and carry their unit. ``flightst
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 from flightstack.common.strict_toml import ConfigError, Each, span
@@ -156,6 +156,11 @@ class FlightConfig:
     envelope: Envelope = field(default_factory=Envelope)  # what `check` proves it for
     vehicle: VehicleSide = field(default_factory=VehicleSide)
     reserve: Reserve | None = None  # without it the battery limits nothing, and its state is not asked for
+
+    @property
+    def descending(self) -> FlightConfig:
+        """The same with one gain over the pad: that after the commit."""
+        return replace(self, robust=replace(self.robust, gain_over_pad_1_s=self.robust.to_contact_1_s))
 
     def __post_init__(self) -> None:
         peak = self.barrier.build().peak_height_m

@@ -7,7 +7,7 @@ The vehicle's numbers are identified from a log.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 from flightstack.common.strict_toml import Each, span
@@ -132,11 +132,6 @@ class Robust:
     def to_contact_1_s(self) -> float:
         """Gain of the horizontal position loop after the commit."""
         return self.gain_descent_1_s or self.gain_over_pad_1_s
-
-    @property
-    def descending(self) -> Robust:
-        """The same with one gain over the pad: that after the commit."""
-        return replace(self, gain_over_pad_1_s=self.to_contact_1_s)
 
     def margin_m(self, slope: float, sigma_xy_m: float, sigma_z_m: float) -> float:
         """Margin on h that covers tracking and position errors.
