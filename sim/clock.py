@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable
 
 from flightstack.common.hangup import Stop
+from flightstack.common.pacing import Silence
 
 NS_PER_S = 1_000_000_000
 STARTUP_S = 60.0  # s of wall time the processes of a run give each other to come up, compiling included
-SILENCE_S = 3.0  # s of wall time without an answer after which a process counts as dead
 _PAUSE_S = 50e-6  # s; with the system's timer slack about 0.1 ms
 
 
@@ -53,7 +53,7 @@ def wait_until(
     Args:
         done: what is waited for.
         stop: ends the wait.
-        timeout_s: wall time.
+        timeout_s: wall time; a pause of the machine is not counted.
         pause_s: sleep between two looks.
         yields: looks that only give up the processor, before the first sleep.
 
@@ -62,9 +62,9 @@ def wait_until(
     """
     if done() or stop.is_set:
         return True
-    deadline_s = time.monotonic() + timeout_s
+    silence = Silence()
     looks = 0
-    while time.monotonic() < deadline_s:
+    while silence.look() < timeout_s:
         looks += 1
         time.sleep(0.0 if looks <= yields else pause_s)
         if done() or stop.is_set:

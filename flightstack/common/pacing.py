@@ -19,6 +19,9 @@ EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simul
 PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/how_it_works/lockstep.md
 RUN_AHEAD_TICKS = 20  # how far the target may be ahead of the onboard process's credit
 NO_GO = -1  # the target may not drive yet
+TARGET_SILENT_S = 5.0  # s without the target's answer in lockstep after which it counts as dead
+COMPANION_SILENT_S = 10.0  # s, the same for the onboard process: longer than it waits for target and recorder
+_LOOK_MAX_S = 0.1  # s
 PRIORITY = 10  # of 1 to 99 under SCHED_FIFO: above all ordinary processes, below the kernel's own threads
 _DAY_NS = 86_400_000_000_000
 
@@ -57,6 +60,24 @@ class Tick:
     period_s: float  # since the last tick began, wall time in lockstep; 0 for the first
     lateness_s: float  # behind the deadline; 0 in lockstep
     overruns: int = 0  # deadlines missed so far
+
+
+class Silence:
+    """How long another process has not answered, in lockstep, where only its death may count.
+
+    Time counts while this process looks: a machine that pauses pauses both, and its pause is one short look.
+    """
+
+    def __init__(self) -> None:
+        self._looked_s = time.monotonic()
+        self._silent_s = 0.0
+
+    def look(self) -> float:
+        """Return the seconds of silence; call at least every 0.1 s."""
+        now_s = time.monotonic()
+        self._silent_s += min(now_s - self._looked_s, _LOOK_MAX_S)
+        self._looked_s = now_s
+        return self._silent_s
 
 
 class RealTimePacer:

@@ -11,14 +11,21 @@ from collections.abc import Callable
 
 from bridge.target.odometry import RawSample, SampleSource
 from bridge.zenoh import zenoh_link
-from flightstack.common.pacing import NO_GO, PAIR, RUN_AHEAD_TICKS, LockstepClock, Tick
+from flightstack.common.pacing import (
+    NO_GO,
+    PAIR,
+    RUN_AHEAD_TICKS,
+    TARGET_SILENT_S,
+    LockstepClock,
+    Silence,
+    Tick,
+)
 from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
 
 CREDIT_EVERY = 10  # ticks
 WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
 FIRST_WAIT_MAX_S = 30.0  # s of wall time until vehicle and target have shown up
-LATER_WAIT_MAX_S = 3.0  # s of wall time after which a target that stopped counts as gone
 LOST_RUN_MAX_S = 15.0  # s of wall time without the vehicle after which the process ends
 
 
@@ -65,7 +72,7 @@ class VehicleTicks:
             ClockStoppedError: it does not.
         """
         link = self._vehicle.link
-        until_s = time.monotonic() + (FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S)
+        most_s, silence = FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S, Silence()
         while True:
             link.poll(max(0, self._last_ns) / 1e9)
             sim_ns = link.take_timesync()
@@ -74,7 +81,7 @@ class VehicleTicks:
                 return self._clock.tick(sim_ns)
             if sim_ns is not None:
                 link.endpoint.repeat(self._vehicle.reply)
-            if self._stopped() or time.monotonic() > until_s:
+            if self._stopped() or silence.look() > most_s:
                 raise ClockStoppedError("the vehicle fell silent")
             link.endpoint.wait(WAIT_SLICE_S)
 
@@ -142,11 +149,11 @@ class LockstepWires:
         """Wait for the samples that the target released up to this tick; those that came if it is gone."""
         if tick % CREDIT_EVERY == 0:
             self._give_credit(tick)
-        until = time.monotonic() + (FIRST_WAIT_MAX_S if self._marker_tick < 0 else LATER_WAIT_MAX_S)
+        most_s, silence = FIRST_WAIT_MAX_S if self._marker_tick < 0 else TARGET_SILENT_S, Silence()
         repeat_at = time.monotonic() + WAIT_SLICE_S
         while not self._target_gone and not self._complete(tick):
             now = time.monotonic()
-            if now > until or self._stopped():
+            if silence.look() > most_s or self._stopped():
                 self._target_gone = True
             if now > repeat_at:
                 self._give_credit(tick)

@@ -17,7 +17,7 @@ from pathlib import Path
 from logs.recorder.feed_wire import HEADER, MAX_PAYLOAD, Kind, encode, encode_json
 
 BUFFER_LIMIT = 4 * 2**20  # bytes kept for a slow recorder, several seconds of a flight
-PATIENCE_S = 5.0  # wall time a lossless sender, or a closing one, waits for the recorder
+PATIENCE_S = 8.0  # wall time a lossless sender, or a closing one, waits for the recorder
 _MESSAGE = int(Kind.MESSAGE)
 _SOCKET_BUFFER = 2**20  # bytes asked of the kernel, which may give less
 

@@ -3,7 +3,7 @@
 Tick k is at t = k / rate. The vehicle sends what is due and TIMESYNC(tc1=0, ts1=t in ns) in one datagram; the
 companion acts on it and answers with TIMESYNC(tc1 != 0, ts1=t). Everything that came before that answer is
 handled at t, then the physics goes on to the next tick. A companion that stops answering does not stop the
-world: after 3 s of wall time the simulation runs on, so that fail-safes act, until it answers again.
+world: after 10 s of wall time the simulation runs on, so that fail-safes act, until it answers again.
 Faults of the wire concern everything but this handshake.
 """
 
@@ -16,8 +16,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Peer, Received
 from flightstack.common.hangup import Stop
+from flightstack.common.pacing import COMPANION_SILENT_S, TARGET_SILENT_S, Silence
 from flightstack.core.types import ZERO
-from sim.clock import SILENCE_S, STARTUP_S, NoAnswerError, TickGrid, wait_until
+from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.runners.deck import STALE_S, DeckState, LockstepDeck, reckon
 from sim.runners.vehicle_node import VehicleNode
 
@@ -101,10 +102,10 @@ class LockstepLoop:
         node = self._node
         if self._deck_comes and self._answers:
             self._deck_comes = deck.has(tick) or wait_until(
-                lambda: deck.has(tick), self._stop, SILENCE_S, yields=_DECK_YIELDS
+                lambda: deck.has(tick), self._stop, TARGET_SILENT_S, yields=_DECK_YIELDS
             )
             if not self._deck_comes:
-                text = f"Robot silent for {SILENCE_S:g} s: going on without"
+                text = f"Robot silent for {TARGET_SILENT_S:g} s: going on without"
                 node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, text)
         state = deck.take(tick)
         if state is not None:
@@ -128,16 +129,16 @@ class LockstepLoop:
         if not self._answers:
             self._run_free(now_ns, now_s)
             return
-        sent_s = repeat_s = time.monotonic()
+        silence, repeat_s = Silence(), time.monotonic()
         while not answered and not self._stop.is_set:
             self._node.endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
             answered = self._take(self._node.endpoint.receive(), now_ns, now_s)
-            wall_s = time.monotonic()
             if answered:
                 return
-            if wall_s - sent_s > (SILENCE_S if self._companion else STARTUP_S):
+            if silence.look() > (COMPANION_SILENT_S if self._companion else STARTUP_S):
                 self._give_up()
                 return
+            wall_s = time.monotonic()
             if wall_s - repeat_s > (
                 _REPEAT_S if self._node.endpoint.counters.received else _REPEAT_UNHEARD_S
             ):
@@ -216,7 +217,7 @@ class LockstepLoop:
                 "does it run in lockstep?"
             )
         self._answers = False
-        text = f"Companion silent for {SILENCE_S:g} s: going on without"
+        text = f"Companion silent for {COMPANION_SILENT_S:g} s: going on without"
         self._node.autopilot.flight.say(dialect.MAV_SEVERITY_CRITICAL, text)
 
     def _run_free(self, now_ns: int, now_s: float) -> None:

@@ -10,6 +10,7 @@ pytest_plugins = ["pytester"]
 @pytest.mark.parametrize(("pause_s", "passed"), [(0.0, 1), (9.0, 0)])
 def test_a_failure_is_repeated_only_after_a_pause(pytester, monkeypatch, pause_s, passed):
     monkeypatch.setattr(pauses, "PAUSE_S", pause_s)
+    monkeypatch.setattr(pauses, "CALM_WAIT_MAX_S", 0.0)
     pytester.makeconftest("from tests.pauses import pytest_runtest_protocol")
     pytester.makepyfile(
         """
@@ -27,3 +28,21 @@ def test_a_failure_is_repeated_only_after_a_pause(pytester, monkeypatch, pause_s
         """
     )
     pytester.runpytest_inprocess("-p", "no:cacheprovider").assert_outcomes(passed=passed, failed=2 - passed)
+
+
+def test_a_machine_that_pauses_in_each_attempt_is_said_to_be_unfit(pytester, monkeypatch):
+    monkeypatch.setattr(pauses, "PAUSE_S", 0.0)
+    monkeypatch.setattr(pauses, "CALM_WAIT_MAX_S", 0.0)
+    pytester.makeconftest("from tests.pauses import pytest_runtest_protocol")
+    pytester.makepyfile(
+        """
+        import pytest
+
+        @pytest.mark.xdist_group("real-time")
+        def test_flight():
+            assert False
+        """
+    )
+    result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-rs")
+    result.assert_outcomes(skipped=1)
+    result.stdout.fnmatch_lines([f"*not a machine for real time*in {pauses.ATTEMPTS} attempts"])
