@@ -5,12 +5,13 @@
 The minimiser is ``clip(u' + lambda g)`` with the smallest multiplier lambda >= 0 that satisfies the
 half-space: g . clip(u' + lambda g) never falls with lambda and is linear between the values at which an axis
 meets its bound, so that walking these values finds lambda exactly. It shares no code with the
-solver: in flight it replaces a result of the solver that fails its check, and the tests compare the two.
+solver, which begins in flight with this result and confirms it, or finds a better one.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from flightstack.core.types import Vec3
 
@@ -24,20 +25,47 @@ def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
     )
 
 
+class Projection(NamedTuple):
+    """The minimiser and its multiplier.
+
+    Attributes:
+        point: m/s.
+        multiplier: lambda of the half-space; 0 if that does not bind, infinite if no finite one meets it.
+    """
+
+    point: Vec3
+    multiplier: float
+
+
 def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 | None:
     """Project ``nominal`` onto ``{lower <= u <= upper, g . u >= b}``; ``None`` if that set is empty."""
-    axes = tuple(zip(nominal, g, lower, upper, strict=True))
-    clipped = [min(max(n, lo), hi) for n, _, lo, hi in axes]
-    value = sum(gi * ui for gi, ui in zip(g, clipped, strict=True))
+    found = projection(nominal, g, b, lower, upper)
+    return None if found is None else found.point
+
+
+def projection(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Projection | None:
+    """As ``project``, with the multiplier."""
+    (nx, ny, nz), (lx, ly, lz), (hx, hy, hz) = nominal, lower, upper
+    x, y, z = min(max(nx, lx), hx), min(max(ny, ly), hy), min(max(nz, lz), hz)
+    value = g[0] * x + g[1] * y + g[2] * z
     if value >= b:
-        return (clipped[0], clipped[1], clipped[2])
+        return Projection((x, y, z), 0.0)
     corner = best_corner(g, lower, upper)
     if g[0] * corner[0] + g[1] * corner[1] + g[2] * corner[2] < b:
         return None
+    multiplier = _multiplier(nominal, g, b, lower, upper, value)
+    if not math.isfinite(multiplier):
+        return Projection(corner, math.inf)
+    x, y, z = nx + multiplier * g[0], ny + multiplier * g[1], nz + multiplier * g[2]
+    return Projection((min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)), multiplier)
+
+
+def _multiplier(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3, value: float) -> float:
+    """Lambda at which the half-space is met; ``value`` is that of ``g . u`` at lambda = 0, below ``b``."""
     # lambdas at which an axis starts to move (leaves its near bound) and stops (meets its far bound)
     events: list[tuple[float, float]] = []
     slope = 0.0
-    for n, gi, lo, hi in axes:
+    for n, gi, lo, hi in zip(nominal, g, lower, upper, strict=True):
         if gi == 0.0:
             continue
         near, far = (lo, hi) if gi > 0.0 else (hi, lo)
@@ -57,8 +85,4 @@ def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 
         value += slope * (when - at)
         at = when
         slope += change
-    multiplier = at + (b - value) / slope if slope > 0.0 else at
-    if not math.isfinite(multiplier):
-        return corner
-    x, y, z = (min(max(n + multiplier * gi, lo), hi) for n, gi, lo, hi in axes)
-    return (x, y, z)
+    return at + (b - value) / slope if slope > 0.0 else at
