@@ -12,10 +12,13 @@ import pytest
 from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
 from flightstack.config.files import path_of
 from tests.flight_suite.room import PROFILES
+from tests.pauses import in_real_time
 from tests.pauses import pytest_runtest_protocol as pytest_runtest_protocol
 from tests.quick import mark_slow
 from tests.quick import pytest_runtest_call as pytest_runtest_call
 from tests.quick import pytest_runtest_setup as pytest_runtest_setup
+
+STREAMS = 3  # workers that fly in real time
 
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -62,9 +65,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """As many as there are cores: one flies in real time, the others compute, and no flight is late."""
+    """One for each stream of flights in real time, which mostly wait, and one for each core but the first."""
     del config
-    return os.cpu_count() or 1
+    return STREAMS + max(1, (os.cpu_count() or 1) - 1)
 
 
 @pytest.hookimpl(tryfirst=True)  # before the workers look at the groups
@@ -74,10 +77,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
         items[:] = [item for item in items if not _second_profile_early(item)]
-        if config.getoption("--flights") == 1:  # they mostly wait: one worker does, while others compute
-            for item in items:
-                if _marked(item, "vehicle"):
-                    item.add_marker(pytest.mark.xdist_group("real-time"))
+        if config.getoption("--flights") == 1:
+            _deal_out(items)
         return
     arm_ok = px4 or config.getoption("--arm-ok")
 
@@ -88,6 +89,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     left_out = [item for item in items if not runs(item)]
     items[:] = [item for item in items if runs(item)]
     config.hook.pytest_deselected(items=left_out)
+
+
+def _deal_out(items: list[pytest.Item]) -> None:
+    """Give the flights in real time to the streams in turn; those that share a flight name a stream."""
+    turn = 0
+    for item in items:
+        if _marked(item, "vehicle"):
+            item.add_marker(pytest.mark.xdist_group("real-time"))
+        if in_real_time(item) and not any("stream 0" in mark.args for mark in item.iter_markers()):
+            item.add_marker(pytest.mark.xdist_group(f"stream {turn % STREAMS}"))
+            turn += 1
 
 
 def _second_profile_early(item: pytest.Item) -> bool:

@@ -40,6 +40,7 @@ GROUPS = {
     "Prove": {
         "check": Verb("prove.check:check", "Prove a configuration before flight."),
         "campaign": Verb("prove.campaign:campaign", "Fly many seeds; give rates with bounds."),
+        "rare": Verb("prove.rare:rare", "Estimate the rate of a rare failure."),
         "replay": Verb("prove.replay:replay", "Run a log through today's controller."),
         "validate": Verb("prove.validate:validate", "Compare the simulator with recorded flights."),
         "identify": Verb("prove.identify:identify", "Identify velocity loop and noise from logs."),

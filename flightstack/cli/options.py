@@ -23,6 +23,7 @@ TARGET_TYPES = ("odometry", "pose", "pose-covariance", "tf")
 # written out here, so that a verb does not load the rooms that know them; a test compares them
 AUTOPILOTS = ("auto", "sitl", "crazyflie", "px4", "ardupilot")
 PROFILES = ("px4", "ardupilot")
+_SEED_DIGITS_MAX = 4000  # more than the longest that ``rare`` makes; Python reads 4,300
 EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
@@ -109,6 +110,19 @@ def config(help: str = "Configuration (TOML)", *, required: bool = False) -> Any
     )  # fmt: skip
 
 
+def _seed(context: click.Context, parameter: click.Parameter, given: str) -> int:
+    """A seed by its number, or by a file that holds it."""
+    del context, parameter
+    text, file = given, Path(given)
+    if not given.isdecimal() and file.is_file():
+        text = file.read_text(errors="replace").strip()
+    if not (text.isascii() and text.isdecimal()) or len(text) > _SEED_DIGITS_MAX:
+        raise click.BadParameter(
+            f"found {given[:60]!r}; a whole number from 0 on, or a file with one of `rare`, is needed"
+        )
+    return int(text)
+
+
 def safety_filter(help: str) -> Any:
     """``--filter``."""
     return option("--filter", metavar="NAME", callback=_filter_name, help=f"{help}: {ALLOWED}.")
@@ -193,7 +207,13 @@ class Scenario(Options):
         "--scenario", required=True, metavar="NAME_OR_FILE",
         help="Scenario: a name (see `scenarios`) or a file.",
     )  # fmt: skip
-    seed: int = option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, help="Random seed.")
+    seed: int = option(
+        "--seed",
+        default="0",
+        metavar="NUMBER_OR_FILE",
+        callback=_seed,
+        help="Random seed or a file with one.",
+    )
 
 
 @dataclass(frozen=True)

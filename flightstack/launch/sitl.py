@@ -32,6 +32,7 @@ from flightstack.onboard.recording import describe, log_in, new_folder
 from flightstack.verify.certificate import problems
 from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import PROFILES
+from sim.chance import name as seed_name
 from sim.scenarios.scenario import Scenario, path_of
 from sim.scenarios.scenario import load as load_scenario
 
@@ -94,7 +95,7 @@ def run(options: RunOptions, console: Console) -> Flown:
     """
     scenario = prepare(options)
     folder = options.out or new_folder(
-        f"{scenario.name}-seed{options.seed}-{short_name(scenario.onboard.filter)}"
+        f"{scenario.name}-seed{seed_name(options.seed)}-{short_name(scenario.onboard.filter)}"
     )
     log = log_in(folder)
     scenario_file, config_file = folder / "scenario.toml", folder / "onboard.toml"
@@ -138,7 +139,7 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     limit_s = (
         longest_s(scenario) / (LOCKSTEP_SLOWEST if options.lockstep else min(1.0, options.speed)) + GRACE_S
     )
-    title = f"{scenario.name}  seed {options.seed}  filter {scenario.onboard.filter}"
+    title = f"{scenario.name}  seed {seed_name(options.seed)}  filter {scenario.onboard.filter}"
     live = options.live and launcher.console.is_terminal and not options.lockstep
     started = time.monotonic()
     problem = launcher.watch(

@@ -101,8 +101,12 @@ class Flown:
     summary: dict[str, Any] | None
 
 
-def known_rows(wanted: Plan, folder: Path) -> list[Row]:
+def known_rows(now: dict[str, Any], folder: Path) -> list[Row]:
     """Rows that a folder holds already.
+
+    Args:
+        now: what all of them must share (``identity``).
+        folder: may be empty.
 
     Raises:
         RowsError: they are of something else, or damaged.
@@ -114,12 +118,16 @@ def known_rows(wanted: Plan, folder: Path) -> list[Row]:
         before = json.loads(about.read_text())
     except (OSError, ValueError) as error:
         raise RowsError(f"{about}: cannot be read ({error}); give another --out") from None
-    now = _identity(wanted)
-    for key, text in now.items():
+    for key in sorted({*now, *before}):
+        text = now.get(key)
         if before.get(key) != text:
             shown = "" if "\n" in str(text) else f" (was {before.get(key)}, is {text})"
             raise RowsError(f"{folder}: holds a campaign with another {key}{shown}; give another --out")
-    rows = read_rows(path) if path.exists() else []
+    return read_rows(path) if path.exists() else []
+
+
+def _seeds_wanted(wanted: Plan, folder: Path, rows: list[Row]) -> list[Row]:
+    """The rows, if all of them are asked for."""
     last = wanted.first_seed + wanted.runs - 1
     beyond = sum(not wanted.first_seed <= row.seed <= last for row in rows)
     if beyond:
@@ -147,9 +155,10 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
     """
     began_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
-    with _alone(folder):
-        rows = known_rows(wanted, folder)
-        (folder / ABOUT).write_text(json.dumps(_identity(wanted), indent=1) + "\n")
+    with alone(folder):
+        about = identity(wanted)
+        rows = _seeds_wanted(wanted, folder, known_rows(about, folder))
+        (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n")
         for row in rows:
             on_row(row)
         fresh: list[Row] = []
@@ -188,7 +197,7 @@ def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> I
         yield from here.fly(todo)
 
 
-def _identity(wanted: Plan) -> dict[str, Any]:
+def identity(wanted: Plan) -> dict[str, Any]:
     """Return the data that all rows of a folder share."""
     return {
         "scenario": wanted.scenario_toml,
@@ -230,7 +239,12 @@ def _interrupts() -> Iterator[list[int]]:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def alone(folder: Path) -> Iterator[None]:
+    """Keep other campaigns out of a folder.
+
+    Raises:
+        RowsError: there is one.
+    """
     with (folder / LOCK).open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -7,9 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-
-from sim.plant.sensors import NEVER_NS, NS, stream
+from sim.chance import Chance, stream
+from sim.plant.sensors import NEVER_NS, NS
 from sim.scenarios.fault_spec import After, Fault
 
 RUNNING_MAX = 64  # faults at a time; more by command are refused
@@ -20,7 +19,7 @@ class Running:
     """A fault and what belongs to it; each has a random stream of its own."""
 
     fault: Fault
-    rng: np.random.Generator
+    rng: Chance
     start_ns: int = NEVER_NS
     end_ns: int = NEVER_NS
     active: bool = False

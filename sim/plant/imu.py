@@ -10,11 +10,12 @@ import math
 import numpy as np
 
 from flightstack.core.types import Vec3
+from sim.chance import stream
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Record, Vector, new
 from sim.compiled.rotation import Nine
 from sim.plant.params import Imu as ImuParams
-from sim.plant.sensors import Tape, TapeRecord, stream, take
+from sim.plant.sensors import Tape, TapeRecord, take
 
 
 class ImuRecord(Record):

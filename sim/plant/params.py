@@ -7,7 +7,7 @@ from functools import cache
 
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.types import Vec3
-from sim.plant.sensors import stream
+from sim.chance import stream
 from sim.scenarios.scenario import VEHICLE_FILES, VehicleSpec
 
 Four = tuple[float, float, float, float]

@@ -1,9 +1,8 @@
-"""Measurements on their way (noise, loss, delay), and seeded random streams."""
+"""Measurements on their way: noise, loss, delay."""
 
 from __future__ import annotations
 
 import math
-import zlib
 from collections import deque
 from collections.abc import Sequence
 from operator import add
@@ -11,6 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
+from sim.chance import stream
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Record, cell
 from sim.scenarios.scenario import OdometryLink
@@ -20,11 +20,6 @@ NS_PER_MS = 1_000_000
 NEVER_NS = 1 << 62
 NO_NOISE = -0.0  # which leaves also a zero as it is
 BLOCK = 1024  # numbers drawn at a time; single draws from numpy cost twenty times as much
-
-
-def stream(seed: int, purpose: str) -> np.random.Generator:
-    """Random stream of one purpose; streams of different purposes are independent of each other."""
-    return np.random.default_rng(np.random.SeedSequence([seed & (1 << 64) - 1, zlib.crc32(purpose.encode())]))
 
 
 def ms_from(time_ns: int) -> int:
@@ -41,7 +36,8 @@ class Normals:
 
     def block(self) -> F64:
         """Draw the next ``BLOCK`` numbers, in the order of use."""
-        return self._rng.standard_normal(BLOCK)[::-1]
+        drawn: F64 = self._rng.standard_normal(BLOCK)
+        return drawn[::-1]
 
     def take(self) -> float:
         """Return the next number."""
@@ -152,7 +148,7 @@ class Losses:
 
     def _chance(self) -> float:
         if self._drop_start_ns != NEVER_NS:  # drop-outs are drawn in between
-            return self._rng.random()
+            return float(self._rng.random())
         if not self._chances:
             self._chances = self._rng.random(BLOCK)[::-1].tolist()
         return self._chances.pop()

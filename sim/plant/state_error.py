@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Protocol
 
 import numpy as np
 
+from sim.chance import Chance, stream
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Cell, Record
-from sim.plant.sensors import stream
 from sim.scenarios.scenario import StateError, TapeKind
 
 if TYPE_CHECKING:
@@ -128,9 +128,7 @@ class Noise:
         step_s: between samples.
     """
 
-    def __init__(
-        self, rng: np.random.Generator, width: int, time_s: float, smooth_s: float, step_s: float
-    ) -> None:
+    def __init__(self, rng: Chance, width: int, time_s: float, smooth_s: float, step_s: float) -> None:
         p, q = math.exp(-step_s / time_s), math.exp(-step_s / smooth_s)
         self._rng, self._width, self._lag = rng, width, [1.0, -p - q, p * q]
         self._gain = math.sqrt((1.0 - p * q) * (1.0 - p * p) * (1.0 - q * q) / (1.0 + p * q))
@@ -214,7 +212,7 @@ class TapeRows:
         rate_hz: of the samples.
     """
 
-    def __init__(self, tape: Tape, rng: np.random.Generator, rate_hz: float) -> None:
+    def __init__(self, tape: Tape, rng: Chance, rate_hz: float) -> None:
         self._rng = rng
         self._step = 1.0 / (rate_hz * tape.step_s)  # of the recording's samples per sample
         self._pieces = [_rows(piece) for piece in tape.pieces]

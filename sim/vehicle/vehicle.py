@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from flightstack.core.types import ZERO, Vec3
+from sim.chance import stream
 from sim.compiled.records import Values, scalars
 from sim.compiled.rotation import quaternion_from_axes, rotation_axes
 from sim.faults.drive import BatteryFaults, MotorFaults
@@ -19,7 +20,7 @@ from sim.firmware.stack import Firmware
 from sim.firmware.supervisor import PERIOD_MS, STATES, State
 from sim.plant.imu import Imu
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
-from sim.plant.sensors import NS_PER_MS, ms_from, stream
+from sim.plant.sensors import NS_PER_MS, ms_from
 from sim.plant.vehicle_types import Estimate, Truth
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import fly

@@ -81,7 +81,6 @@ class SafetyFilter:
         settings.eps_abs = settings.eps_rel = EPS
         settings.rho, settings.alpha = RHO, RELAXATION
         settings.adaptive_rho = 0
-        settings.warm_starting = 1
         settings.scaling = 0  # scaling and unscaling at each update would round a history into the data
         settings.max_iter = ITERATIONS_MAX
         settings.check_termination = 1

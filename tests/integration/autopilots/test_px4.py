@@ -34,7 +34,7 @@ from tests.flight_suite.room import on_px4
 from tests.px4_flight import px4_or_skip
 
 ROOT = Path(__file__).parents[3]
-pytestmark = pytest.mark.xdist_group("real-time")
+pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("stream 0")]  # one flight
 PATIENCE_S = 120.0  # the first run on a machine compiles
 
 

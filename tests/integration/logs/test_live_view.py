@@ -87,7 +87,7 @@ def watching(sender, tmp_path):
 def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching):
     puts, (child, out) = sender[0], watching
     size = out.stat().st_size
-    for row, timing in zip(ROWS[:40], landing().timing, strict=False):
+    for row, timing in zip(ROWS[:120], landing().timing, strict=False):
         puts["controller/step"].put(row.pack())
         puts["loop/timing"].put(timing.pack())
         time.sleep(0.02)  # the pace of a flight; nothing is waited for

@@ -196,7 +196,7 @@ def test_the_solver_is_set_as_it_was_scanned():
     found = FILTER._solver.get_settings()
     expected = {
         "eps_abs": 1e-9, "eps_rel": 1e-9, "rho": 1.0, "alpha": 1.5, "max_iter": 200, "check_termination": 1,
-        "adaptive_rho": 0, "warm_starting": 1, "scaling": 0, "polishing": 0, "verbose": 0,
+        "adaptive_rho": 0, "scaling": 0, "polishing": 0, "verbose": 0,
     }  # fmt: skip
     assert {name: getattr(found, name) for name in expected} == expected
     assert RESIDUAL_MAX_M_S == 1e-6
@@ -332,10 +332,10 @@ class Solver:
 LOWER, UPPER, NOMINAL, GRADIENT = (-0.1, -0.2, -0.3), (0.4, 0.5, 0.6), (0.7, -0.8, 0.9), (1.5, -2.5, 0.5)
 
 
-def told(point, status=SOLVED, bound=-9.0):
+def told(point, status=SOLVED, bound=-9.0, multiplier=0.25):
     judged = SafetyFilter(0.7)
     judged._solver = Solver(point, status)
-    start = Projection((0.1, 0.2, 0.3), 0.25)
+    start = Projection((0.1, 0.2, 0.3), multiplier)
     return judged._osqp(NOMINAL, GRADIENT, bound, LOWER, UPPER, start), judged._solver
 
 
@@ -350,6 +350,11 @@ def test_the_solver_is_asked_the_program():
     assert solver.first == [0.1, 0.2, 0.3]
     # u - u' - multiplier g + y = 0
     assert solver.dual == pytest.approx([-0.25, 0.6 + 0.375, -1.0 - 0.625, 0.6 + 0.125])
+
+
+def test_a_multiplier_without_end_is_no_start():
+    _, solver = told(STILL, multiplier=math.inf)
+    assert solver.dual == pytest.approx([0.0, 0.6, -1.0, 0.6])
 
 
 def test_a_point_inside_misses_nothing():

@@ -1,7 +1,8 @@
 """Faults of every cell of the table, and vehicles that fail, for the tests."""
 
+from sim.chance import stream
 from sim.faults.schedule import Running
-from sim.plant.sensors import NS, stream
+from sim.plant.sensors import NS
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.fault_table import TABLE, Kind, Number, What
 from sim.scenarios.scenario import Start, StartKind, VehicleSpec, VelocityLoop

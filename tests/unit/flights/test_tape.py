@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.chance import stream
 from sim.compiled.records import cell, new
 from sim.flights.recording import Recording, RecordingError
 from sim.flights.screening import Screened
 from sim.flights.tape import CUT_S, FLIGHTS, draw_tape, tape_folder, tape_of
-from sim.plant.sensors import stream
 from sim.plant.state_error import DELAY, WIDTH, PastRecord, TapeRows, _rows, mismeasured_path, state_errors
 from sim.scenarios.scenario import StateError, TapeKind, load
 from tests.recorded import PIECE

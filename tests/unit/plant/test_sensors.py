@@ -6,9 +6,10 @@ import statistics
 
 import pytest
 
+from sim.chance import stream
 from sim.plant.imu import Imu
 from sim.plant.params import CONTROL_STEP_S, load
-from sim.plant.sensors import NS, Losses, MeasurementChannel, NoiseRows, Normals, stream
+from sim.plant.sensors import NS, Losses, MeasurementChannel, NoiseRows, Normals
 from sim.scenarios.scenario import OdometryLink
 
 MS = NS // 1000

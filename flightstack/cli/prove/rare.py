@@ -1,0 +1,110 @@
+"""The verb ``rare``: estimates the rate of a failure that is too rare to be counted."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.table import Column, Table
+
+from flightstack.cli import options as shared
+from flightstack.cli.options import takes
+from flightstack.cli.prove.progress import Bar
+from flightstack.core.parameters.filters import short_name
+
+_EVENTS = ("violation", "miss")
+INCOMPLETE = 1
+
+
+@dataclass(frozen=True)
+class RareOptions(shared.Options):
+    """Options of ``rare``."""
+
+    scenario: str = shared.argument(metavar="SCENARIO")
+    event: str = shared.option(
+        "--of", type=click.Choice(_EVENTS), default=_EVENTS[0],
+        help="The failure: a violation of the barrier, or a crash or touch beyond the pad.",
+    )  # fmt: skip
+    landings: int = shared.option(
+        "--landings", type=click.IntRange(100, 1_000_000), default=500,
+        help="Landings of a level, a multiple of 10; a level is a factor of 10 in the rate.",
+    )  # fmt: skip
+    seed: int = shared.option(
+        "--seed",
+        type=click.IntRange(0, 2**62),
+        default=0,
+        help="Of the estimate; each makes an independent one.",
+    )
+    filter: str | None = shared.safety_filter("Safety filter; default: the scenario's")
+    workers: int | None = shared.option(
+        "--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one for each processor."
+    )
+    out: Path | None = shared.option(
+        "--out", type=shared.FOLDER,
+        help="Folder; an estimate that it holds in part is continued. Default: a new folder in runs/.",
+    )  # fmt: skip
+    as_json: bool = shared.json()
+
+
+@click.command()
+@takes(RareOptions)
+def rare(options: RareOptions) -> None:
+    """Estimate the rate of a rare failure of a SCENARIO by subset simulation, and give seeds that show it.
+
+    The first level's landings are free, each next level's are drawn among those ten times as near to the
+    failure. Ctrl-C keeps what was flown; the same call with the same --out goes on.
+
+    Exit status: 0 complete, 1 interrupted or a landing could not be flown, 2 wrong input.
+    """
+    from flightstack.onboard.recording import new_folder
+    from sim.campaign import rare as core
+    from sim.campaign.run import plan
+    from sim.campaign.workers import WorkersError
+
+    wanted = core.Rare(
+        plan(options.scenario, options.landings, options.seed, options.filter), core.Event(options.event)
+    )
+    scenario = wanted.plan.scenario
+    folder = options.out or new_folder(f"rare-{scenario.name}-{short_name(scenario.onboard.filter)}")
+    console = Console(stderr=options.as_json, highlight=False)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    title = f"{scenario.name}, filter {scenario.onboard.filter}, {options.event}"
+    try:
+        with Bar(console, title, None) as bar:
+            told = core.fly(
+                wanted, folder, workers=options.workers or os.cpu_count() or 1,
+                on_row=lambda row: bar.done(row.outcome, *(["violations"] if row.violation else [])),
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        click.echo(f"flightstack: interrupted; the same command with --out {folder} goes on", err=True)
+        sys.exit(INCOMPLETE)
+    except (WorkersError, RuntimeError) as error:
+        click.echo(f"flightstack: {error}", err=True)
+        sys.exit(INCOMPLETE)
+    if options.as_json:
+        click.echo(json.dumps(told))
+        return
+    console.print(_levels(title, told))
+    low, high = told["interval_95"]
+    rate = f"rate {told['rate']:.2g}" if told["rate"] else "no failure found: rate"
+    console.print(f"{rate}, 95 % interval {low:.2g} to {high:.2g}, {told['landings']} landings")
+    for one in told["failures"]:
+        console.print(f"{one['why']}\n  {one['command']}", soft_wrap=True, markup=False)
+    console.print(f"rows    {folder / 'rows.csv'}", soft_wrap=True)
+
+
+def _levels(title: str, told: dict[str, Any]) -> Table:
+    columns = [Column(name, justify="right") for name in ("from, mm", "to, mm", "share", "moves accepted")]
+    table = Table("level", *columns, title=title, title_justify="left")
+    for number, level in enumerate(told["levels"]):
+        begins, ends = (f"{1e3 * level[key]:.1f}" for key in ("begins_at", "ends_at"))
+        accepted = f"{100.0 * level['accepted']:.0f} %" if number else "-"
+        table.add_row(str(number), begins, ends, f"{100.0 * level['share']:.1f} %", accepted)
+    return table
