@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from logs.verdict.types import VIOLATION_LIMIT_M, Outcome
-from sim.campaign.rows import Row, RowsFile
+from sim.campaign.rows import Row, RowsFile, write_parquet
 from sim.campaign.run import ABOUT, ROWS, SUMMARY, Plan, alone, identity, known_rows
 from sim.campaign.subset import SHARE, Estimate, estimate
 from sim.campaign.summary import why
@@ -109,6 +109,7 @@ def fly(wanted: Rare, folder: Path, *, workers: int, on_row: OnRow) -> dict[str,
                 return [score(wanted.event, known[seed], scenario.target.pad_radius_m) for seed in seeds]
 
             found = estimate(scores, plan.runs, plan.first_seed)
+        write_parquet(folder / ROWS, long_seeds=True)
         told = _told(found, folder, plan, known)
         (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
         return told

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -182,7 +183,7 @@ def _text(row: Row) -> str:
 def _value(name: str, text: str) -> Any:
     kind = _KINDS[name]
     if kind == "str":
-        return text
+        return sys.intern(text)  # a million landings have few reasons
     if text == "":
         return None
     if kind == "bool":
@@ -196,18 +197,16 @@ def read_rows(path: Path) -> list[Row]:
     Raises:
         RowsError: it is not such a file, or a line in it is damaged.
     """
-    data = path.read_bytes()
-    whole = data[: data.rfind(b"\n") + 1].decode()
-    if not whole:
-        return []
-    if not whole.startswith(_HEADER):
-        raise RowsError(f"{path}: the first line is not that of a file of rows; give another --out")
-    rows = []
-    for number, values in enumerate(csv.reader(io.StringIO(whole[len(_HEADER) :])), 2):
-        try:
-            rows.append(Row(**{n: _value(n, v) for n, v in zip(_NAMES, values, strict=True)}))
-        except (ValueError, KeyError) as error:
-            raise RowsError(f"{path}, line {number}: not a row ({error}); give another --out") from None
+    rows: list[Row] = []
+    with path.open(newline="") as file:
+        head = file.readline()
+        if head.endswith("\n") and head != _HEADER:
+            raise RowsError(f"{path}: the first line is not that of a file of rows; give another --out")
+        for number, values in enumerate(csv.reader(line for line in file if line.endswith("\n")), 2):
+            try:
+                rows.append(Row(*(_value(n, v) for n, v in zip(_NAMES, values, strict=True))))
+            except (ValueError, KeyError) as error:
+                raise RowsError(f"{path}, line {number}: not a row ({error}); give another --out") from None
     return rows
 
 
@@ -220,6 +219,34 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
         file.flush()
         os.fsync(file.fileno())
     beside.replace(path)
+
+
+def write_parquet(path: Path, *, long_seeds: bool = False) -> Path | None:
+    """Write the rows of a file beside it in Parquet, a piece at a time; the new file, None without pyarrow.
+
+    Args:
+        path: of the rows.
+        long_seeds: seeds may have more than 63 bits, and are texts.
+    """
+    try:
+        from pyarrow import bool_, float64, int64, parquet, string
+        from pyarrow import csv as arrow_csv
+    except ImportError:  # the extra "export" is not installed
+        return None
+    kinds = {"str": string(), "bool": bool_(), "int": int64(), "float": float64()}
+    types = {name: kinds[kind] for name, kind in _KINDS.items()}
+    if long_seeds:
+        types["seed"] = string()
+    beside, made = path.with_suffix(".parquet.tmp"), path.with_suffix(".parquet")
+    lines = arrow_csv.ParseOptions(newlines_in_values=True)
+    options = arrow_csv.ConvertOptions(column_types=types, strings_can_be_null=False)
+    with (
+        arrow_csv.open_csv(path, parse_options=lines, convert_options=options) as reader,
+        parquet.ParquetWriter(beside, reader.schema, compression="zstd") as writer,
+    ):
+        for batch in reader:
+            writer.write_batch(batch)
+    return beside.replace(made)
 
 
 class RowsFile:

@@ -26,7 +26,7 @@ from typing import Any
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
-from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_rows
+from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_parquet, write_rows
 from sim.campaign.summary import repeat_command, summary
 from sim.campaign.workers import Workers, code_fingerprint
 from sim.scenarios.scenario import Scenario, load
@@ -161,25 +161,26 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
         (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n")
         for row in rows:
             on_row(row)
-        fresh: list[Row] = []
+        flown_s = 0.0
         todo = list(missing(rows, wanted.first_seed, wanted.runs))
         try:
             if todo:
                 with RowsFile(folder / ROWS) as file, _interrupts() as interrupts:
                     for row in _rows(wanted, todo, workers, cluster):
                         file.add([row])
-                        fresh.append(row)
+                        flown_s += row.simulated_s or 0.0
                         on_row(row)
                         if interrupts:
                             break
         except KeyboardInterrupt:
             pass  # told by the number of rows that are missing
         if todo:  # what is on the disk counts: the interrupt may have come between the file and our list
+            rows.clear()
             rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)
         write_rows(folder / ROWS, rows)
+        write_parquet(folder / ROWS)
         told = None
         if rows:
-            flown_s = sum(row.simulated_s or 0.0 for row in fresh)
             told = summary(rows, wanted.command, wall_s=time.monotonic() - began_s, flown_s=flown_s)
             (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
         return Flown(rows, wanted.runs - len(rows), told)

@@ -1,9 +1,11 @@
 """Counts, bounds and limits of a campaign; what is not known counts against."""
 
 import math
+import sys
 from dataclasses import fields, replace
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 from scipy.stats import beta
 
@@ -19,6 +21,7 @@ from sim.campaign.rows import (
     error_row,
     missing,
     read_rows,
+    write_parquet,
     write_rows,
 )
 from sim.campaign.summary import LIMITS, Tier, count, misses, repeat_command, summary, upper_bound, why, worst
@@ -176,6 +179,28 @@ def test_rows_read_back_the_same_to_the_last_bit(tmp_path):
     rows = [FULL, error_row(3, "ended\nits worker"), replace(FULL, seed=1, violation=None)]
     write_rows(tmp_path / "rows.csv", rows)
     assert read_rows(tmp_path / "rows.csv") == sorted(rows, key=lambda r: r.seed)
+
+
+@pytest.mark.parametrize("long_seeds", [False, True])
+def test_parquet_holds_the_same_rows_to_the_last_bit(tmp_path, long_seeds):
+    path = tmp_path / "rows.csv"
+    lost = error_row(3, "ended\nits worker")
+    rows = [replace(FULL, seed=1, violation=None), lost, FULL]
+    if long_seeds:
+        rows.append(replace(FULL, seed=2**200 + 1))
+    write_rows(path, rows)
+    made = write_parquet(path, long_seeds=long_seeds)
+    assert made == tmp_path / "rows.parquet"
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["rows.csv", "rows.parquet"]
+    read = pyarrow.parquet.read_table(made).to_pylist()
+    assert [Row(**{**row, "seed": int(row["seed"])}) for row in read] == rows
+
+
+def test_a_file_of_rows_stays_without_pyarrow(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    write_rows(tmp_path / "rows.csv", [FULL])
+    assert write_parquet(tmp_path / "rows.csv") is None
+    assert [each.name for each in tmp_path.iterdir()] == ["rows.csv"]
 
 
 def test_a_row_has_no_untested_field():
