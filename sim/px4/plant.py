@@ -35,26 +35,18 @@ class Body(NamedTuple):
 
 
 @jitted
-def fly_commanded(vehicle: Cell[VehicleRecord], wanted: F64, now_ms: int, end_ms: int) -> int:
-    """Run steps of 1 ms with these rotor speeds wanted (rpm, M1..M4); the battery limits them.
-
-    Returns:
-        Time reached, ms; before ``end_ms``, call ``World.solve`` and go on from there.
-    """
+def fly_commanded(vehicle: Cell[VehicleRecord], wanted: F64, begin_ms: int, end_ms: int) -> None:
+    """Run steps of 1 ms with these rotor speeds wanted (rpm, M1..M4); the battery limits them."""
     v = vehicle[0]
-    while now_ms < end_ms:
-        if not v.world.mujoco.solved:
-            if now_ms % CONTROL_EVERY_MS == 0:
-                limit = speed_limit(v.battery)
-                for i in range(4):
-                    v.firmware.commands[i] = min(wanted[i], limit)
-                cushion(v)
-            surround(v, now_ms)
-            push(v)
-        if not move(v, now_ms):
-            break
-        now_ms += 1
-    return now_ms
+    for now_ms in range(begin_ms, end_ms):
+        if now_ms % CONTROL_EVERY_MS == 0:
+            limit = speed_limit(v.battery)
+            for i in range(4):
+                v.firmware.commands[i] = min(wanted[i], limit)
+            cushion(v)
+        surround(v, now_ms)
+        push(v)
+        move(v, now_ms)
 
 
 def start_position(scenario: Scenario, params: Params, pad_enu_m: Vec3) -> Vec3:
@@ -120,9 +112,8 @@ class Px4Plant:
                 self._physics.top_up()
                 self._supplied_ms = self._ms + SUPPLY_MS
             stop_ms = min(end_ms, self._supplied_ms)
-            self._ms = fly_commanded(self._vehicle, self.wanted, self._ms, stop_ms)
-            if self._ms < stop_ms:
-                self._world.solve()
+            fly_commanded(self._vehicle, self.wanted, self._ms, stop_ms)
+            self._ms = stop_ms
         self._physics.judge_once_airborne(self._ms)
 
     @property

@@ -121,45 +121,36 @@ def surround(v: VehicleRecord, now_ms: int) -> None:
 
 
 @jitted
-def move(v: VehicleRecord, now_ms: int) -> bool:
-    """Move body and deck by one step and judge it; False if MuJoCo is asked for it (``physics_step``)."""
-    if not physics_step(v.world):
-        return False
+def move(v: VehicleRecord, now_ms: int) -> None:
+    """Move body and deck by one step and judge it."""
+    physics_step(v.world)
     judge(v.judge, v.world)
     if v.world.contacts:
         note_contact(v.contact, v.world, now_ms, v.before_e, v.before_velocity)
-    return True
 
 
 @jitted
-def fly(vehicle: Cell[VehicleRecord], now_ms: int, end_ms: int) -> int:
-    """Run steps of 1 ms until ``end_ms``, or until MuJoCo is asked for one.
+def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
+    """Run steps of 1 ms.
 
     Args:
         vehicle: changed in place; what is drawn ahead must suffice (``VehicleSim.advance`` sees to it).
-        now_ms: time of the first step.
+        begin_ms: time of the first step.
         end_ms: not beyond the next event of a fault.
-
-    Returns:
-        Time reached; before ``end_ms``, call ``World.solve`` and go on from there.
     """
     v = vehicle[0]
-    while now_ms < end_ms:
-        if not v.world.mujoco.solved:
-            listen(v.firmware, now_ms)
-            measure_pose(v.mocap, v.world.body, now_ms)
-            if not v.mocap.diverted:
-                correct_estimate(v.mocap, v.firmware.estimator, v.world.body, now_ms)
-            if now_ms % CONTROL_EVERY_MS == 0:
-                sense(vehicle)
-                if now_ms % PERIOD_MS == 0:
-                    oversee(v.firmware, now_ms, v.imu.accel)
-                v.firmware.thrust_map.no_duty_rpm = speed_at_no_duty(v.battery)
-                control(v.firmware, speed_limit(v.battery))
-                cushion(v)
-            surround(v, now_ms)
-            push(v)
-        if not move(v, now_ms):
-            break
-        now_ms += 1
-    return now_ms
+    for now_ms in range(begin_ms, end_ms):
+        listen(v.firmware, now_ms)
+        measure_pose(v.mocap, v.world.body, now_ms)
+        if not v.mocap.diverted:
+            correct_estimate(v.mocap, v.firmware.estimator, v.world.body, now_ms)
+        if now_ms % CONTROL_EVERY_MS == 0:
+            sense(vehicle)
+            if now_ms % PERIOD_MS == 0:
+                oversee(v.firmware, now_ms, v.imu.accel)
+            v.firmware.thrust_map.no_duty_rpm = speed_at_no_duty(v.battery)
+            control(v.firmware, speed_limit(v.battery))
+            cushion(v)
+        surround(v, now_ms)
+        push(v)
+        move(v, now_ms)

@@ -141,9 +141,8 @@ class VehicleSim:
             stop_ms = min(end_ms, self._supplied_ms)
             if not self.faults.quiet:
                 stop_ms = min(stop_ms, self._fail())
-            self._ms = fly(self._vehicle, self._ms, stop_ms)
-            if self._ms < stop_ms:
-                self._world.solve()
+            fly(self._vehicle, self._ms, stop_ms)
+            self._ms = stop_ms
         self._physics.judge_once_airborne(self._ms)
 
     def _supply(self) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from logs.schema.events import ContactBit
+from sim.compiled.foreign import Doubles
 from sim.compiled.jit import jitted
-from sim.compiled.records import F64
 
 TOP_NORMAL = 0.7  # a contact whose normal is within 45 degrees of the vertical is with the pad's top
 RIM_M = 0.002  # a contact lower than this under the pad's top is with its edge
@@ -21,7 +21,7 @@ PAD, GROUND, ROBOT, PAD_EDGE = (
 
 
 @jitted
-def touched(sensors: F64, pad_m: float) -> int:
+def touched(sensors: Doubles, pad_m: float) -> int:
     """Contact bits.
 
     Args:

@@ -1,4 +1,4 @@
-"""Steps of 1 ms of vehicle and deck where they cannot touch; where they may, MuJoCo is asked for the step.
+"""Steps of 1 ms of vehicle and deck; where they may touch, MuJoCo makes the step.
 
 The vehicle is a rigid body. Its rates follow the implicit midpoint rule, which keeps the energy of a free
 rotation; position and attitude follow the mean of the velocities before and after the step, which makes
@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
 
+from sim.compiled.foreign import call, doubles
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Quaternion, Record, Vector
 from sim.plant.params import STEP_S
-from sim.world.contact import SENSORS, touched
-from sim.world.model import QPOS, QVEL
+from sim.world.contact import touched
 
 TUMBLE_COS = 0.5  # 60 degrees
 
@@ -60,13 +59,15 @@ class WrenchRecord(Record):
 
 
 class MujocoRecord(Record):
-    """What is handed to MuJoCo and back, in its order."""
+    """Addresses of MuJoCo's function ``mj_step``, of its model and data, and of numbers in the data."""
 
-    solved: bool  # MuJoCo has made the present step
-    qpos: Annotated[F64, QPOS]
-    qvel: Annotated[F64, QVEL]
-    applied: Annotated[F64, QVEL]  # generalised forces
-    sensors: Annotated[F64, SENSORS]  # of the state the step began with
+    mj_step: int
+    mj_model: int
+    mj_data: int
+    positions: int  # QPOS of them
+    velocities: int  # QVEL
+    applied: int  # generalised forces, QVEL
+    sensors: int  # of the state the step began with, SENSORS
 
 
 class WorldRecord(Record):
@@ -158,55 +159,52 @@ def move_deck(deck: DeckRecord) -> None:
 @jitted
 def ask(world: WorldRecord) -> None:
     """Hand the step to MuJoCo."""
-    body, deck, s, m = world.body, world.deck, world.wrench, world.mujoco
+    body, deck, s = world.body, world.deck, world.wrench
+    positions, velocities = doubles(world.mujoco.positions), doubles(world.mujoco.velocities)
+    applied = doubles(world.mujoco.applied)
     for i in range(3):
-        m.qpos[i], m.qvel[i], m.qvel[3 + i] = body.position[i], body.velocity[i], body.rates[i]
-        m.qpos[7 + i], m.qvel[6 + i] = deck.position[i], deck.velocity[i]
+        positions[i], velocities[i], velocities[3 + i] = body.position[i], body.velocity[i], body.rates[i]
+        positions[7 + i], velocities[6 + i] = deck.position[i], deck.velocity[i]
     for i in range(4):
-        m.qpos[3 + i] = body.quaternion[i]
-    m.qpos[10], m.qvel[9] = deck.yaw, deck.rate
+        positions[3 + i] = body.quaternion[i]
+    positions[10], velocities[9] = deck.yaw, deck.rate
     # A free joint takes its force in the world frame and its torque in the body frame. With this torque
     # MuJoCo's Euler step ends with the rates of the midpoint rule.
     before = gyroscopic(s.inertia, body.rates[0], body.rates[1], body.rates[2])
     middle = midpoint_rates(body.rates, s)
     for i in range(3):
-        m.applied[i] = s.force[i]
-        m.applied[3 + i] = before[i] + 2.0 / STEP_S * s.inertia[i] * (middle[i] - body.rates[i])
+        applied[i] = s.force[i]
+        applied[3 + i] = before[i] + 2.0 / STEP_S * s.inertia[i] * (middle[i] - body.rates[i])
 
 
 @jitted
 def answer(body: BodyRecord, m: MujocoRecord) -> None:
     """Take the vehicle's state from MuJoCo."""
+    positions, velocities = doubles(m.positions), doubles(m.velocities)
     for i in range(3):
-        body.position[i], body.velocity[i], body.rates[i] = m.qpos[i], m.qvel[i], m.qvel[3 + i]
+        body.position[i], body.velocity[i], body.rates[i] = positions[i], velocities[i], velocities[3 + i]
     for i in range(4):
-        body.quaternion[i] = m.qpos[3 + i]
+        body.quaternion[i] = positions[3 + i]
 
 
 @jitted
-def physics_step(world: WorldRecord) -> bool:
-    """Advance by one step, or ask MuJoCo for it.
+def physics_step(world: WorldRecord) -> None:
+    """Advance by one step.
 
-    Args:
-        world: changed in place.
-
-    Returns:
-        Whether the step is done. If not, something may touch: call ``World.solve``, then this again.
+    MuJoCo's Euler step moves position and attitude with the velocities at its end, which ``move_body`` does
+    better; so a step of MuJoCo's that finds no contact does not count. It moves nothing but the vehicle.
     """
-    if world.mujoco.solved:
-        world.contacts = touched(world.mujoco.sensors, world.deck.position[2])
-    elif apart(world.reach, world.body.position, world.deck.position):
-        world.contacts = 0
-    else:
+    m = world.mujoco
+    world.contacts = 0
+    if not apart(world.reach, world.body.position, world.deck.position):
         ask(world)
-        return False
-    world.mujoco.solved = False
+        call(m.mj_step, m.mj_model, m.mj_data)
+        world.contacts = touched(doubles(m.sensors), world.deck.position[2])
     if world.contacts:
-        answer(world.body, world.mujoco)
+        answer(world.body, m)
     else:
         move_body(world.body, world.wrench)
     move_deck(world.deck)
-    return True
 
 
 @jitted

@@ -1,8 +1,4 @@
-"""The vehicle's body and the moving deck, in steps of 1 ms; where they may touch, MuJoCo makes the step.
-
-MuJoCo's Euler step moves position and attitude with the velocities at its end, which ``free_flight`` does
-better; so a step of MuJoCo's that finds no contact does not count. It moves nothing but the vehicle, either.
-"""
+"""The vehicle's body and the moving deck; MuJoCo makes the steps in which they may touch."""
 
 from __future__ import annotations
 
@@ -13,8 +9,9 @@ import numpy as np
 
 from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
+from sim.compiled.foreign import mujoco_function
 from sim.compiled.jit import jitted
-from sim.compiled.records import Cell, cell, new, reader, scalars, writer
+from sim.compiled.records import Cell, cell, new, reader, writer
 from sim.plant.params import STEP_S, Params
 from sim.scenarios.scenario import TargetSpec
 from sim.world.model import model_xml
@@ -38,8 +35,8 @@ def measure_reach(model: mujoco.MjModel, reach: ReachRecord) -> None:
 
 
 @jitted
-def _step(world: Cell[WorldRecord]) -> bool:
-    return physics_step(world[0])
+def _step(world: Cell[WorldRecord]) -> None:
+    physics_step(world[0])
 
 
 class World:
@@ -59,17 +56,19 @@ class World:
         self, params: Params, mass_kg: float, target: TargetSpec, record: WorldRecord | None = None
     ) -> None:
         self._model = model = mujoco.MjModel.from_xml_string(model_xml(params, mass_kg, target))
-        self._data = mujoco.MjData(model)
+        self._data = data = mujoco.MjData(model)
         self.record = r = new(WorldRecord) if record is None else record
         measure_reach(model, r.reach)
         r.wrench.mass, r.wrench.inertia[:] = mass_kg, model.body("vehicle").inertia
         self._cell = cell(r)
         self._read_body, self._set_body = reader(r.body), writer(r.body)
         self._read_deck, self._set_deck = reader(r.deck), writer(r.deck)
-        (self._solved,) = scalars(r.mujoco, "solved")
-        data, m = self._data, r.mujoco
-        self._ins = ((data.qpos, m.qpos), (data.qvel, m.qvel), (data.qfrc_applied, m.applied))
-        self._outs = ((m.qpos, data.qpos), (m.qvel, data.qvel), (m.sensors, data.sensordata))
+        cell(r.mujoco)[0] = (
+            mujoco_function("mj_step"),
+            model._address,
+            data._address,
+            *(each.ctypes.data for each in (data.qpos, data.qvel, data.qfrc_applied, data.sensordata)),
+        )
         self.set_vehicle((0.0, 0.0, 1.0))
         self.set_deck((*target.position_m, target.pad_height_m), 0.0, (0.0, 0.0, 0.0), 0.0)
 
@@ -103,19 +102,8 @@ class World:
         """
         wrench = self.record.wrench
         wrench.force[:], wrench.torque[:] = force, torque
-        if not _step(self._cell):
-            self.solve()
-            _step(self._cell)
+        _step(self._cell)
         return int(self.record.contacts) | (ContactBit.TUMBLED if tumbled(self.quaternion) else 0)
-
-    def solve(self) -> None:
-        """Make the step that ``physics_step`` asks for, with MuJoCo."""
-        for to, numbers in self._ins:
-            to[:] = numbers
-        mujoco.mj_step(self._model, self._data)
-        for to, numbers in self._outs:
-            to[:] = numbers
-        self._solved[0] = True
 
     @property
     def position(self) -> Vec3:

@@ -1,0 +1,81 @@
+"""C functions and their numbers by address: compiled code calls them without Python in between.
+
+Plain Python (``NUMBA_DISABLE_JIT=1``) does the same by ctypes. An address holds as long as its owner lives.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import mujoco
+
+from sim.compiled.jit import is_off
+
+_LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
+
+
+class Doubles(Protocol):
+    """Numbers that C reads and writes; there is no check of the index."""
+
+    def __getitem__(self, index: int) -> float: ...
+    def __setitem__(self, index: int, value: float) -> None: ...
+
+
+if TYPE_CHECKING or is_off():
+    _PAIR = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
+    _NUMBERS = ctypes.POINTER(ctypes.c_double)
+
+    def doubles(address: int) -> Doubles:
+        """Numbers that begin at an address."""
+        return ctypes.cast(int(address), _NUMBERS)
+
+    def call(function: int, first: int, second: int) -> None:
+        """Call a C function of two pointers that returns nothing."""
+        _PAIR(int(function))(int(first), int(second))
+
+else:
+    from llvmlite import ir
+    from numba import types
+    from numba.extending import intrinsic
+
+    @intrinsic
+    def doubles(_typing: Any, _address: Any) -> Any:
+        """Numbers that begin at an address."""
+
+        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+
+        return types.CPointer(types.float64)(types.intp), code
+
+    @intrinsic
+    def call(_typing: Any, _function: Any, _first: Any, _second: Any) -> Any:
+        """Call a C function of two pointers that returns nothing."""
+
+        def code(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            pointer = ir.IntType(8).as_pointer()
+            kind = ir.FunctionType(ir.VoidType(), (pointer, pointer)).as_pointer()
+            builder.call(
+                builder.inttoptr(arguments[0], kind),
+                [builder.inttoptr(each, pointer) for each in arguments[1:]],
+            )
+            return context.get_dummy_value()
+
+        return types.void(types.intp, types.intp, types.intp), code
+
+
+def mujoco_function(name: str) -> int:
+    """Address of a function of MuJoCo's C library, which its Python package has loaded.
+
+    Raises:
+        OSError: the package holds no such library.
+        AttributeError: the library has no such function.
+    """
+    folder = Path(mujoco.__file__).parent
+    found = sorted(
+        each for kind in ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll") for each in folder.glob(kind)
+    )
+    if not found:
+        raise OSError(f"{folder}: no C library of MuJoCo is there; install mujoco again")
+    return ctypes.cast(getattr(ctypes.CDLL(str(found[0])), name), ctypes.c_void_p).value or 0
