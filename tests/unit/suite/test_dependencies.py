@@ -20,7 +20,7 @@ EXTRAS = {
     "sim": {"sim"},
     "sim.flights": {"sim", "export"},
     "sim.validation": {"sim", "export", "report"},
-    "sim.campaign": {"sim", "cluster", "report"},
+    "sim.campaign": {"sim", "cluster", "report", "export"},
 }
 
 
