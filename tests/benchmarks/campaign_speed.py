@@ -19,9 +19,11 @@ from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.onboard.runner import LinkedVehicle
 from sim.autopilot.autopilot import Autopilot
 from sim.runners import landing
-from sim.runners.landing import Notes, land
+from sim.runners.companion import Companion
+from sim.runners.landing import land
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import Inlet
+from sim.runners.notes import Notes
 from sim.scenarios.scenario import load
 from sim.vehicle import vehicle
 from sim.vehicle.vehicle import VehicleSim, warm_up
@@ -55,7 +57,7 @@ PARTS: tuple[tuple[Any, str, str], ...] = (
     (Notes, "truth", NOTES),
     (Notes, "seen", NOTES),
     (landing, "judge_truth", NOTES),
-    (landing._Companion, "__init__", SET_UP),
+    (Companion, "__init__", SET_UP),
 )
 
 

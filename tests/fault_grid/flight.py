@@ -34,10 +34,10 @@ from sim.clock import TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
 from sim.robot.target import TargetMeasurement
 from sim.runners.deck import DeckState
-from sim.runners.landing import Notes, Seen, VehicleNotes
 from sim.runners.landing_target import DirectTarget, _Ahead
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepLoop
+from sim.runners.notes import Notes, Seen, VehicleNotes
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario

@@ -1,0 +1,86 @@
+"""The onboard process and everything it flies, in one process: vehicle, autopilot, robot and wires.
+
+Only the wires are handed over directly, with their rounding; everything else is the code of the processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
+from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.profiles.autopilots import OWN_SITL
+from flightstack.common.hangup import Stop
+from flightstack.common.pacing import Tick
+from flightstack.core.controller import Controller, Outputs
+from flightstack.onboard.leaving import Leaving
+from flightstack.onboard.lockstep import VehicleTicks
+from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
+from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.clock import TickGrid
+from sim.runners.landing_target import DirectTarget
+from sim.runners.landing_wire import wires
+from sim.runners.lockstep import LockstepLoop
+from sim.runners.notes import Notes, Seen, VehicleNotes
+from sim.runners.vehicle_node import VehicleNode
+from sim.scenarios.scenario import Scenario
+from sim.vehicle.vehicle import VehicleSim
+
+OnStep = Callable[[Tick, Outputs], None]
+
+
+class Companion:
+    """The onboard process, called by the vehicle's loop whenever that waits for its answer."""
+
+    def __init__(self, scenario: Scenario, seed: int, on_step: OnStep | None) -> None:
+        config = scenario.onboard
+        rate_hz = config.loop.rate_hz
+        self.controller = Controller(config)
+        self._on_step = on_step
+        self._stop = Stop()
+        self._over = False
+        grid = TickGrid(rate_hz)
+        self._ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
+        target = DirectTarget(scenario, seed, grid)
+        here, there = wires((SYSTEM_ID, COMPONENT_ID), (SYSTEM_ID, COMPANION_ID))
+        self._link = VehicleLink(
+            "",
+            takeoff_height_m=config.takeoff.height_m,
+            profile=OWN_SITL,
+            rate_hz=rate_hz,
+            defer_timesync=True,
+            endpoint=there,
+            power=config.reserve is not None,
+        )
+        vehicle = VehicleSim(scenario, seed)
+        autopilot = Autopilot(vehicle, rate_hz, trim_enu_m_s=vehicle.trim_velocity_enu_m_s)
+        self._notes = Notes(config, scenario.target.pad_radius_m)
+        node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes))
+        here.answer = self._answer
+        self._link.poll(0.0)  # says hello, as the process does before the first tick
+        self._loop = LockstepLoop(node, target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
+        linked = LinkedVehicle(self._link, lockstep=True)
+        leaving = Leaving(scenario.duration_max_s)
+        self._runner = Runner(self.controller, VehicleTicks(linked, rate_hz), linked, target, leaving, self)
+
+    def fly(self) -> Seen:
+        """Run to the end."""
+        self._loop.run(self._ticks_max)
+        if not self._over:
+            raise RuntimeError(f"the landing was not over after {self._ticks_max} ticks")
+        return self._notes.seen()
+
+    def _answer(self) -> None:
+        if self._over:  # one true state after the last step, then the vehicle's process is ended, too
+            self._stop.ask()
+        else:
+            self._over = self._runner.tick() is not None
+
+    def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
+        """Note a tick."""
+        del taken, exec_s
+        self._notes.step(tick, out)
+        for _, text in self._link.take_texts():
+            self._notes.event(tick.now_s, 0, "onboard", f"vehicle: {text}")
+        if self._on_step is not None:
+            self._on_step(tick, out)

@@ -1,0 +1,150 @@
+"""What a landing in one process leaves behind, instead of a log: the steps, true states and events, noted.
+
+As in the log of the same flight over the wires, so that the same judge looks at both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from flightstack.common.pacing import EPOCH_NS, Tick
+from flightstack.core.controller import Outputs
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.types import Phase
+from logs.reader.flight_data import Event, Floats, Ints, Truth
+from logs.recorder.feed import Feed
+from sim.plant import vehicle_types
+from sim.runners.vehicle_log import VehicleLog
+
+# names that the vehicle's true state shares with the log's
+_SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in vehicle_types.Truth._fields)
+
+
+@dataclass(frozen=True)
+class SeenSteps:
+    """Controller steps, n of them.
+
+    Attributes:
+        t_s: (n,) time.
+        phase: (n,) ``Phase``.
+        own_age_s: (n,) age of the own state, NaN without one.
+        target_age_s: (n,) age of the target's, NaN without one.
+    """
+
+    t_s: Floats
+    phase: Ints
+    own_age_s: Floats
+    target_age_s: Floats
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A flight as the judge looks at it (``logs.verdict.types.Judged``); always whole."""
+
+    steps: SeenSteps
+    truth: Truth
+    events: tuple[Event, ...]
+    config: FlightConfig
+    pad_radius_m: float
+    complete: bool = True
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    @cached_property
+    def landing_start_s(self) -> float | None:
+        """Time of the first step in phase APPROACH."""
+        begun = np.flatnonzero(self.steps.phase == Phase.APPROACH)
+        return float(self.steps.t_s[begun[0]]) if len(begun) else None
+
+
+class Notes:
+    """Collects while it flies."""
+
+    def __init__(self, config: FlightConfig, pad_radius_m: float) -> None:
+        self._config, self._pad_radius_m = config, pad_radius_m
+        self._steps: list[tuple[int, int, float, float]] = []
+        self._truth_ticks: list[tuple[int, int]] = []
+        self._truth: list[vehicle_types.Truth] = []
+        self._events: list[Event] = []
+
+    def step(self, tick: Tick, out: Outputs) -> None:
+        """Note a controller step."""
+        seen = out.snapshot
+        own, target = seen.inputs.own, seen.target
+        own_age_s = tick.now_s - own.arrival_s if own is not None else math.nan
+        target_age_s = target.age_s if target is not None else math.nan
+        self._steps.append((tick.unix_ns - EPOCH_NS, int(out.phase), own_age_s, target_age_s))
+        for event in out.events:
+            self.event(tick.now_s, event.level, "controller", event.text)
+
+    def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
+        """Note a true state."""
+        self._truth_ticks.append((tick, now_ns))
+        self._truth.append(truth)
+
+    def event(self, t_s: float, level: int, source: str, text: str) -> None:
+        """Note something that was said."""
+        self._events.append(Event(t_s, level, source, text))
+
+    def seen(self) -> Seen:
+        """All of it."""
+        times_ns, phases, own_age_s, target_age_s = zip(*self._steps, strict=True)
+        return Seen(
+            SeenSteps(_seconds(times_ns), np.array(phases), np.array(own_age_s), np.array(target_age_s)),
+            self._arrays(),
+            tuple(sorted(self._events, key=lambda event: event.t_s)),
+            self._config,
+            self._pad_radius_m,
+        )
+
+    def _arrays(self) -> Truth:
+        of = dict(zip(vehicle_types.Truth._fields, zip(*self._truth, strict=True), strict=True))
+        columns = {name: _rows(of[name]) for name in _SHARED}
+        ticks, times_ns = zip(*self._truth_ticks, strict=True)
+        return Truth(
+            t_s=_seconds(times_ns),
+            tick=np.array(ticks),
+            orientation=np.roll(_rows(of["quaternion"]), -1, axis=1),  # x, y, z, w
+            contacts=np.array(of["contacts"]),
+            motors_running=np.array(of["motors_running"]),
+            **columns,
+        )
+
+
+class VehicleNotes(VehicleLog):
+    """Stands in for the log of the vehicle's process."""
+
+    def __init__(self, notes: Notes) -> None:
+        super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS)
+        self._notes = notes
+
+    def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
+        """Keep the true state."""
+        self._notes.truth(tick, now_ns, truth)
+
+    def target(self, now_ns: int, payload: bytes) -> None:
+        """Not needed: the true state holds the deck's."""
+
+    def event(self, now_ns: int, level: int, text: str) -> None:
+        """Keep what was said."""
+        self._notes.event(now_ns * 1e-9, level, "vehicle", text)
+
+
+def _seconds(times_ns: Sequence[int]) -> Floats:
+    """As in a log, whose time zero is the first tick's."""
+    return np.asarray(np.array(times_ns, dtype=np.int64) * 1e-9, dtype=np.float64)
+
+
+def _rows(values: Sequence[Any]) -> Floats:
+    """Array of numbers, or of tuples of the same length; four times as fast as ``np.array`` with these."""
+    if isinstance(values[0], tuple):
+        width = len(values[0])
+        flat = np.fromiter(chain.from_iterable(values), np.float64, len(values) * width)
+        return flat.reshape(-1, width)
+    return np.array(values, dtype=np.float64)
