@@ -58,31 +58,18 @@ class LockstepLoop:
         Raises:
             NoAnswerError: companion or target never came.
         """
-        node, grid = self._node, self._grid
-        self._await_start()
+        self.begin()
         tick = 0
         while not self._stop.is_set and tick != ticks:
-            now_ns = grid.ns(tick)
-            now_s = now_ns / 1e9
-            if self._deck is not None:
-                self._move_deck(self._deck, tick, now_ns)
-            self._send(now_ns, now_s)
-            # The state of this tick is written while the companion works on it.
-            node.write_log(tick, now_ns)
-            if tick % _FLUSH_EVERY == 0:
-                node.log.feed.flush()
-            # Whatever the answer is, the radio delays it: so much can be simulated before it is known.
-            steps = grid.ms(tick + 1) - grid.ms(tick)
-            ahead = min(steps, self._radio_ms)
-            node.vehicle.advance(ahead)
-            node.vehicle.sent_before_ms = ahead
-            self._await_answer(now_ns, now_s)
-            node.control(now_s)
-            node.vehicle.advance(steps - ahead)
+            self.tick(tick)
             tick += 1
 
-    def _await_start(self) -> None:
-        """Until somebody can be sent to, and the deck's first pose is there: tick 0 must be whole."""
+    def begin(self) -> None:
+        """Wait until somebody can be sent to, and the deck's first pose is there: tick 0 must be whole.
+
+        Raises:
+            NoAnswerError: companion or target never came.
+        """
         endpoint, deck = self._node.endpoint, self._deck
         deadline_s = time.monotonic() + STARTUP_S
         while not endpoint.peers and not self._stop.is_set:
@@ -97,6 +84,34 @@ class LockstepLoop:
                 f"no true pose of the robot came over Zenoh within {STARTUP_S:g} s; is the target running, "
                 "and connected to this process's endpoint?"
             )
+
+    def tick(self, tick: int) -> None:
+        """Simulate one tick, which must be the next one.
+
+        Args:
+            tick: its number.
+
+        Raises:
+            NoAnswerError: the companion never came.
+        """
+        node, grid = self._node, self._grid
+        now_ns = grid.ns(tick)
+        now_s = now_ns / 1e9
+        if self._deck is not None:
+            self._move_deck(self._deck, tick, now_ns)
+        self._send(now_ns, now_s)
+        # The state of this tick is written while the companion works on it.
+        node.write_log(tick, now_ns)
+        if tick % _FLUSH_EVERY == 0:
+            node.log.feed.flush()
+        # Whatever the answer is, the radio delays it: so much can be simulated before it is known.
+        steps = grid.ms(tick + 1) - grid.ms(tick)
+        ahead = min(steps, self._radio_ms)
+        node.vehicle.advance(ahead)
+        node.vehicle.sent_before_ms = ahead
+        self._await_answer(now_ns, now_s)
+        node.control(now_s)
+        node.vehicle.advance(steps - ahead)
 
     def _move_deck(self, deck: LockstepDeck, tick: int, now_ns: int) -> None:
         node = self._node
