@@ -12,6 +12,7 @@ from sim.firmware.estimator import predict
 from sim.firmware.stack import FirmwareRecord, control, listen, oversee
 from sim.firmware.supervisor import PERIOD_MS
 from sim.plant.correlated_noise import NoiseRecord, vary
+from sim.plant.downwash import DownwashRecord, press
 from sim.plant.ground_effect import GroundRecord, ground_effect
 from sim.plant.imu import ImuRecord, measure
 from sim.plant.params import STEP_S, Body
@@ -52,6 +53,7 @@ class VehicleRecord(Record):
     wind: WindRecord
     torque_noise: NoiseRecord
     drag: DragRecord
+    downwash: DownwashRecord
     imu: ImuRecord
     firmware: FirmwareRecord
     mocap: MocapRecord
@@ -85,7 +87,7 @@ def cushion(v: VehicleRecord) -> None:
 
 @jitted
 def push(v: VehicleRecord) -> None:
-    """Turn the rotors by one step, and compute force and torque of thrust, drag and weight."""
+    """Turn the rotors by one step; compute force and torque of thrust, drag, weight and others' jets."""
     body, rotors, drag, wrench = v.world.body, v.rotors, v.drag, v.world.wrench
     for i in range(3):
         v.before_e[i] = body.position[i] - v.world.deck.position[i]
@@ -108,6 +110,8 @@ def push(v: VehicleRecord) -> None:
     if v.torque_noise.on and rotors.thrust_n > 0.0:
         for i in range(3):
             wrench.torque[i] += v.torque_noise.now[i]
+    if v.downwash.on:
+        press(v.downwash, axes, force, wrench.torque)
 
 
 @jitted

@@ -9,6 +9,7 @@ from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
 from sim.compiled.records import Values, cell, new, reader, scalars
 from sim.plant.correlated_noise import CorrelatedNoise
+from sim.plant.downwash import set_up_downwash
 from sim.plant.ground_effect import set_up_ground
 from sim.plant.params import STEP_S, Params, Plant, able_to_hover, load
 from sim.plant.rotors import BatteryModel, Rotors
@@ -70,6 +71,7 @@ class Physics:
             shape.rms_n_m, shape.time_s, seed, "torque.noise", step_s, r.torque_noise
         )
         set_up_drag(r.drag, params.body, self.weight_n)
+        set_up_downwash(r.downwash, params.body, params.rotor, params.geometry)
         judge = scenario.judge
         self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)
         cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)

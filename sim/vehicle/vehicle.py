@@ -227,6 +227,11 @@ class VehicleSim:
         self._physics.judge_from_here()
 
     @property
+    def physics(self) -> Physics:
+        """Body and surroundings, for who puts several vehicles into one world."""
+        return self._physics
+
+    @property
     def time_s(self) -> float:
         """Simulated time."""
         return self._ms * STEP_S

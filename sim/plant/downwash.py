@@ -1,0 +1,193 @@
+"""Downwash: the air that one vehicle blows down, at the place of another, and what it does there.
+
+The wakes of four rotors merge into one turbulent jet along the thrust. Its mean velocity is that of
+Bauersfeld, Muller, Ziegler, Coletti and Scaramuzza, "Robotics meets Fluid Dynamics: A Characterization of the
+Induced Airflow below a Quadrotor as a Turbulent Jet" (arXiv 2403.13321), fitted to quadrotors of six sizes:
+
+    U(s, r) = U_c (1 + (sqrt(2) - 1) (r / b)^2)^-2     U_c = U_H DECAY / (s/l - ORIGIN)
+    U_H = sqrt(T / (2 rho 4 pi R^2))                   b = SPREAD (s/l - ORIGIN) l
+
+with the distance s along the jet, r from its axis, the thrust T, the rotors' radius R and the distance l of
+two motors across the vehicle. The published jet begins 2.5 l below the rotors; nearer, it counts as there.
+
+A vehicle in it loses thrust as the plant's drag along body z has it, a fourth at each rotor by the air there;
+is carried sideways by the rotors' drag; and is pushed as a plate of its board's size (C_D = 1.18, as in Jain,
+Fortmuller, Byun, Makiharju and Mueller, ICUAS 2019). docs/how_it_works/vehicle.md has the numbers.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Motors, Record, Vector
+from sim.compiled.rotation import Nine
+from sim.plant.params import Body, Geometry, Rotor
+from sim.plant.rotors import POSITION_X, POSITION_Y
+
+AIR_KG_M3 = 1.204  # 20 degrees C at sea level
+DECAY = 10.11  # of the velocity on the axis; this, ORIGIN and SPREAD: Bauersfeld et al.
+ORIGIN = -5.817  # lengths l below the rotors where the jet seems to begin: above them
+SPREAD = 0.07668  # half width per distance from there
+NEAR = 2.5  # lengths l: from here on it is one jet
+EDGE = 4.0  # half widths; none beyond, faded out over the last one
+PLATE_DRAG = 1.18  # C_D of a flat plate across the flow
+_NARROWS = math.sqrt(2.0) - 1.0
+
+# columns of a jet: origin (m) and direction in the world (ENU), induced velocity in hover (m/s), size (m)
+JET = 8
+
+
+class DownwashRecord(Record):
+    """Jets of other vehicles at this one; all of it waits until ``on``."""
+
+    on: bool
+    air: Vector  # velocity at the centre of mass, world ENU, m/s
+    along: Motors  # velocity along body z at the rotors, m/s
+    loss: float  # of each rotor's thrust per velocity, N s/m
+    across: float  # the rotors' drag across body z, N s/m
+    moment: float  # about the centre of mass, of that drag, N m per m/s
+    plate: float  # force per velocity squared, N s^2/m^2
+    arm: float  # m
+    above: float  # rotor plane above the centre of mass, m
+
+
+@jitted
+def jet_speed(along_m: float, beside_m: float, hover_m_s: float, size_m: float) -> float:
+    """Velocity in a jet, m/s.
+
+    Args:
+        along_m: distance from the rotors along the jet; 0 or less: none.
+        beside_m: distance from its axis.
+        hover_m_s: velocity U_H that the rotors induce.
+        size_m: distance l of two motors across the vehicle.
+    """
+    lengths = along_m / size_m
+    if lengths <= 0.0:
+        return 0.0
+    grown = max(lengths, NEAR) - ORIGIN
+    ratio = beside_m / (SPREAD * grown * size_m)
+    if ratio >= EDGE:
+        return 0.0
+    fade = min(1.0, EDGE - ratio)
+    profile = 1.0 / (1.0 + _NARROWS * ratio * ratio)
+    begins = min(1.0, lengths)  # no step where it goes through the plane of the rotors
+    return hover_m_s * DECAY / grown * profile * profile * fade * fade * (3.0 - 2.0 * fade) * begins
+
+
+@jitted
+def add_jet(jets: F64, number: int, x: float, y: float, z: float, air: F64) -> None:
+    """Add what a jet blows at a place.
+
+    Args:
+        jets: (N, JET).
+        number: which one.
+        x: the place, east, m.
+        y: north, m.
+        z: up, m.
+        air: (3,) velocity, m/s, added to.
+    """
+    jet = jets[number]
+    x, y, z = x - jet[0], y - jet[1], z - jet[2]
+    along = x * jet[3] + y * jet[4] + z * jet[5]
+    square = max(0.0, x * x + y * y + z * z - along * along)
+    speed = jet_speed(along, math.sqrt(square), jet[6], jet[7])
+    if speed > 0.0:
+        for i in range(3):
+            air[i] += speed * jet[3 + i]
+
+
+@jitted
+def reaches(jets: F64, number: int, x: float, y: float, z: float, radius_m: float) -> bool:
+    """Whether a jet can blow anywhere within a radius about a place; arguments as in ``add_jet``."""
+    jet = jets[number]
+    x, y, z = x - jet[0], y - jet[1], z - jet[2]
+    along = x * jet[3] + y * jet[4] + z * jet[5] + radius_m
+    if jet[6] <= 0.0 or along <= 0.0:
+        return False
+    edge = EDGE * SPREAD * (max(along / jet[7], NEAR) - ORIGIN) * jet[7] + radius_m
+    along -= radius_m
+    return bool(x * x + y * y + z * z - along * along < edge * edge)
+
+
+@jitted
+def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> None:
+    """Find the air that all jets but one's own blow at a vehicle; velocities of several jets add up.
+
+    Args:
+        d: the result.
+        jets: (N, JET).
+        own: number of the vehicle's own.
+        position: (3,) its centre of mass, ENU, m.
+        axes: its body axes in the world.
+    """
+    d.on = False
+    x, y, z, zx, zy, zz = position[0], position[1], position[2], axes[6], axes[7], axes[8]
+    for number in range(len(jets)):
+        if number == own or not reaches(jets, number, x, y, z, 2.0 * d.arm + d.above):
+            continue
+        if not d.on:
+            d.on = True
+            d.air[:] = 0.0
+            d.along[:] = 0.0
+        before_x, before_y, before_z = d.air[0], d.air[1], d.air[2]
+        for i in range(4):
+            a, b = POSITION_X[i] * d.arm, POSITION_Y[i] * d.arm
+            d.air[:] = 0.0
+            add_jet(
+                jets,
+                number,
+                x + a * axes[0] + b * axes[3] + d.above * zx,
+                y + a * axes[1] + b * axes[4] + d.above * zy,
+                z + a * axes[2] + b * axes[5] + d.above * zz,
+                d.air,
+            )
+            d.along[i] += d.air[0] * zx + d.air[1] * zy + d.air[2] * zz
+        d.air[0], d.air[1], d.air[2] = before_x, before_y, before_z
+        add_jet(jets, number, x, y, z, d.air)
+
+
+@jitted
+def press(d: DownwashRecord, axes: Nine, force: F64, torque: F64) -> None:
+    """Add what the air of ``feel`` does to a vehicle.
+
+    Args:
+        d: the air.
+        axes: body axes in the world.
+        force: (3,) world frame, N.
+        torque: (3,) body frame, N m.
+    """
+    zx, zy, zz = axes[6], axes[7], axes[8]
+    u, a = d.air, d.along
+    along = u[0] * zx + u[1] * zy + u[2] * zz
+    pushed = d.plate * math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    lost = d.loss * (a[0] + a[1] + a[2] + a[3]) - d.across * along
+    force[0] += (d.across + pushed) * u[0] + lost * zx
+    force[1] += (d.across + pushed) * u[1] + lost * zy
+    force[2] += (d.across + pushed) * u[2] + lost * zz
+    torque[0] += d.arm * d.loss * (a[2] + a[3] - a[0] - a[1])
+    torque[1] += d.arm * d.loss * (a[1] + a[2] - a[0] - a[3])
+    torque[0] -= d.moment * (u[0] * axes[3] + u[1] * axes[4] + u[2] * axes[5])
+    torque[1] += d.moment * (u[0] * axes[0] + u[1] * axes[1] + u[2] * axes[2])
+
+
+def set_up_downwash(d: DownwashRecord, body: Body, rotor: Rotor, geometry: Geometry) -> DownwashRecord:
+    """Fill in a record for one vehicle; nobody blows yet."""
+    half_x, half_y, _ = geometry.body_half_size_m
+    d.on = False
+    d.loss, d.across = 0.25 * body.drag_n_s_m[2], body.drag_n_s_m[0]
+    d.moment = body.drag_above_com_m * body.drag_n_s_m[0]
+    d.plate = 0.5 * AIR_KG_M3 * PLATE_DRAG * 4.0 * half_x * half_y
+    d.arm, d.above = rotor.arm_m, rotor.above_com_m
+    return d
+
+
+def induced_m_s(thrust_n: float, rotor: Rotor) -> float:
+    """Velocity that four rotors of this thrust together induce in hover; 0 for no thrust."""
+    area_m2 = 4.0 * math.pi * rotor.radius_m**2
+    return math.sqrt(max(0.0, thrust_n) / (2.0 * AIR_KG_M3 * area_m2))
+
+
+def size_m(rotor: Rotor) -> float:
+    """Distance of two motors across the vehicle."""
+    return 2.0 * math.sqrt(2.0) * rotor.arm_m

@@ -1,0 +1,166 @@
+"""The jet of one vehicle at another: published numbers, momentum, symmetry, nothing far away."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sim.compiled.records import new
+from sim.plant import downwash
+from sim.plant.downwash import DownwashRecord, feel, induced_m_s, jet_speed, press, set_up_downwash, size_m
+from sim.plant.params import load
+from sim.scenarios.scenario import Start, StartKind
+from sim.vehicle.air import Air, jet_of
+from sim.vehicle.vehicle import VehicleSim
+from tests.unit.vehicle.vehicle_sim_helpers import scenario
+
+CRAZYFLIE = load("crazyflie20")
+WEIGHT_N = CRAZYFLIE.body.mass_kg * 9.81
+UPRIGHT = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+HOVER_M_S, SIZE_M = induced_m_s(WEIGHT_N, CRAZYFLIE.rotor), size_m(CRAZYFLIE.rotor)
+
+
+def below(x, y, down, *, jets=None, axes=UPRIGHT):
+    """Force and torque on a Crazyflie whose rotors are ``down`` below those of one that hovers at x, y."""
+    d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
+    jets = np.array([[x, y, 0.0, 0.0, 0.0, -1.0, HOVER_M_S, SIZE_M]]) if jets is None else jets
+    feel(d, jets, 99, np.array([0.0, 0.0, -down - d.above]), axes)
+    force, torque = np.zeros(3), np.zeros(3)
+    if d.on:
+        press(d, axes, force, torque)
+    return force, torque
+
+
+def test_the_induced_velocity_is_that_of_momentum_theory():
+    area = 4.0 * math.pi * CRAZYFLIE.rotor.radius_m**2
+    assert 2.0 * downwash.AIR_KG_M3 * area * HOVER_M_S**2 == pytest.approx(WEIGHT_N)
+    assert induced_m_s(-0.01, CRAZYFLIE.rotor) == 0.0
+
+
+@pytest.mark.parametrize("lengths", [2.5, 5.0, 10.0, 30.0])
+def test_the_axis_and_the_half_width_are_the_published_ones(lengths):
+    speed = jet_speed(lengths * 0.2, 0.0, 3.0, 0.2)
+    assert speed == pytest.approx(3.0 * 10.11 / (lengths + 5.817))
+    half_m = 0.07668 * (lengths + 5.817) * 0.2
+    assert jet_speed(lengths * 0.2, half_m, 3.0, 0.2) == pytest.approx(0.5 * speed)
+
+
+def test_the_jet_carries_the_momentum_of_the_thrust():
+    """That the constants and the length they are counted in fit together; a quarter of l would give 0.06."""
+    for down in (0.3, 1.0, 2.0):
+        r = np.linspace(0.0, 3.0, 6001)
+        u = np.array([jet_speed(down, each, HOVER_M_S, SIZE_M) for each in r])
+        carried = np.trapezoid(downwash.AIR_KG_M3 * u**2 * 2.0 * math.pi * r, r)
+        assert 0.9 < carried / WEIGHT_N < 1.0
+
+
+def test_nothing_above_and_nothing_far_beside():
+    for down in (-0.001, -0.3, -5.0):
+        assert jet_speed(down, 0.0, HOVER_M_S, SIZE_M) == 0.0
+    edge_m = 4.0 * 0.07668 * (1.0 + 5.817 * SIZE_M)
+    assert jet_speed(1.0, 0.999 * edge_m, HOVER_M_S, SIZE_M) > 0.0
+    assert jet_speed(1.0, 1.001 * edge_m, HOVER_M_S, SIZE_M) == 0.0
+    for place in ((0.0, 0.0, -0.5), (3.0, 0.0, 1.0), (0.0, -2.0, 0.0)):
+        force, torque = below(*place)
+        assert not force.any()
+        assert not torque.any()
+
+
+@pytest.mark.parametrize(
+    ("down_m", "percent"), [(0.2, 21.9), (0.3, 20.1), (0.4, 18.3), (0.5, 16.7), (1.0, 11.6), (2.0, 7.0)]
+)
+def test_a_crazyflie_below_another_loses_what_the_page_says(down_m, percent):
+    force, torque = below(0.0, 0.0, down_m)
+    assert -100.0 * force[2] / WEIGHT_N == pytest.approx(percent, abs=0.05)
+    assert np.abs(force[:2]).max() < 1e-12
+    assert np.abs(torque).max() < 1e-12
+
+
+def test_it_is_of_the_size_of_measurements():
+    """Neural-Swarm (arXiv 2003.02992), figure 3: 10, 8, 6 and 4 g at 0.2 to 0.5 m, of a 34 g Crazyflie."""
+    measured = {0.2: 10.0, 0.3: 8.0, 0.4: 6.0, 0.5: 4.0}
+    ours = {down: -below(0.0, 0.0, down)[0][2] / 9.81e-3 for down in measured}
+    assert all(0.6 < ours[down] / grams < 1.4 for down, grams in measured.items())
+    assert sum(ours.values()) == pytest.approx(sum(measured.values()), rel=0.15)
+
+
+def test_the_effect_is_symmetric():
+    (east, torque_east), (west, torque_west) = below(0.06, 0.0, 0.5), below(-0.06, 0.0, 0.5)
+    north, torque_north = below(0.0, 0.06, 0.5)
+    assert east == pytest.approx(west)
+    assert east == pytest.approx(north)
+    assert torque_east == pytest.approx(-torque_west, abs=1e-12)
+    assert torque_north[0] == pytest.approx(-torque_east[1])
+
+
+def test_who_is_beside_the_jet_is_tilted_towards_it():
+    """The rotors nearer to the axis lose more: a jet in front takes the nose down."""
+    _, torque = below(0.06, 0.0, 0.5)
+    assert torque[1] > 1e-4  # nose down
+    _, torque = below(0.0, 0.06, 0.5)  # a jet on the left
+    assert torque[0] < -1e-4  # left side down
+
+
+def test_two_jets_add_up_and_ones_own_does_not_count():
+    jet = [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, HOVER_M_S, SIZE_M]
+    d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
+    place = np.array([0.0, 0.0, -0.6])
+    feel(d, np.array([jet]), 7, place, UPRIGHT)
+    air, along = d.air.copy(), d.along.copy()
+    feel(d, np.array([jet, jet, jet]), 1, place, UPRIGHT)
+    assert np.allclose(d.air, 2.0 * air, rtol=1e-15)
+    assert np.allclose(d.along, 2.0 * along, rtol=1e-15)
+    feel(d, np.array([jet]), 0, place, UPRIGHT)
+    assert not d.on
+
+
+def test_a_tilted_jet_blows_sideways():
+    tilt = math.radians(20.0)
+    jet = np.array([[0.0, 0.0, 0.0, math.sin(tilt), 0.0, -math.cos(tilt), HOVER_M_S, SIZE_M]])
+    d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
+    feel(d, jet, 9, np.array([0.5 * math.tan(tilt), 0.0, -0.5]), UPRIGHT)
+    assert d.air[0] / -d.air[2] == pytest.approx(math.tan(tilt))
+    force, _ = below(0.0, 0.0, 0.5, jets=jet)
+    assert force[0] > 0.0
+
+
+def hovering(x, height):
+    """A vehicle that hovers at x, m, above the pad."""
+    start = Start(StartKind.HOVER, offset_m=(x, 0.0, height))
+    return VehicleSim(scenario(start=start), 1)
+
+
+def flown(*vehicles, seconds=1.0):
+    """All numbers of the vehicles after some time with a velocity of zero wanted."""
+    air = Air([each.physics for each in vehicles])
+    for _ in range(round(seconds * 100)):
+        air.blow()
+        for each in vehicles:
+            each.set_velocity((0.0, 0.0, 0.0), 0.0)
+            each.advance(10)
+    return [each.truth() for each in vehicles]
+
+
+def test_a_vehicle_below_another_gives_more_thrust_to_stay():
+    upper, lower = hovering(0.0, 1.5), hovering(0.0, 1.0)
+    flown(upper, lower)
+    gap_m = upper.body()[2] - lower.body()[2]
+    share = [float(each.physics.record.rotors.thrust_n) / each.physics.weight_n for each in (upper, lower)]
+    assert share[0] == pytest.approx(1.0, abs=0.01)
+    assert share[1] == pytest.approx(1.0 - below(0.0, 0.0, gap_m)[0][2] / WEIGHT_N, abs=0.02)
+    assert gap_m > 0.51  # and sinks until it does
+
+
+def test_vehicles_far_apart_fly_the_same_bits_as_alone():
+    assert flown(hovering(0.0, 1.0)) == flown(hovering(0.0, 1.0), hovering(4.0, 2.0))[:1]
+    assert flown(hovering(0.0, 1.0)) != flown(hovering(0.0, 1.0), hovering(0.05, 1.6))[:1]
+
+
+def test_the_order_of_a_team_does_not_matter():
+    one, two = flown(hovering(0.0, 1.0), hovering(0.05, 1.6))
+    assert flown(hovering(0.05, 1.6), hovering(0.0, 1.0)) == [two, one]
+
+
+def test_rotors_that_stand_blow_nothing():
+    still = VehicleSim(scenario(start=Start(StartKind.GROUND)), 1)
+    assert jet_of(still.physics)[6] == 0.0
