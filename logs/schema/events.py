@@ -31,6 +31,7 @@ class ContactBit(IntFlag):
     ROBOT = 4
     PAD_EDGE = 8
     TUMBLED = 16
+    VEHICLE = 32
 
 
 def pack_log(stamp_ns: int, level: int, name: str, text: str) -> bytes:

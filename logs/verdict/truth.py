@@ -37,10 +37,11 @@ _NAMES = {
     ContactBit.ROBOT: "robot body",
     ContactBit.PAD_EDGE: "pad edge",
     ContactBit.TUMBLED: "tumble",
+    ContactBit.VEHICLE: "another vehicle",
 }
 _HITS = ~int(ContactBit.PAD)  # everything that must not be touched
 _FALLS = int(
-    ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED
+    ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED | ContactBit.VEHICLE
 )  # after touchdown: no longer on the pad
 
 

@@ -15,6 +15,7 @@ _CONTACTS = {
     ContactBit.ROBOT.value: (Severity.WARN, "contact with the robot's body"),
     ContactBit.PAD_EDGE.value: (Severity.WARN, "contact with the pad's edge"),
     ContactBit.TUMBLED.value: (Severity.ERROR, "tumbled"),
+    ContactBit.VEHICLE.value: (Severity.ERROR, "collision with another vehicle"),
 }
 _CONTACT_GAP_S = 0.5  # s without contact until the next one is news
 

@@ -23,6 +23,7 @@ from sim.world.world import World
 
 AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
 _TUMBLED = ContactBit.TUMBLED.value
+_VEHICLE = ContactBit.VEHICLE.value
 _NAN3: Vec3 = (math.nan, math.nan, math.nan)
 
 
@@ -114,6 +115,10 @@ class Physics:
         """Begin the judging once the vehicle has left the ground."""
         if not self.judging[0] and self.airborne(now_ms):
             self.judging[0] = True
+
+    def collide(self) -> None:
+        """Note that it has struck another vehicle."""
+        self._contacts[0] |= _VEHICLE
 
     def body(self) -> Values:
         """Position (3), velocity (3), quaternion (4, w first) and angular velocity (3), as in the record."""

@@ -22,6 +22,8 @@ from sim.plant.imu import Imu
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
 from sim.plant.sensors import NS_PER_MS, ms_from
 from sim.plant.vehicle_types import Estimate, Truth
+from sim.scenarios.fault_spec import Fault
+from sim.scenarios.fault_table import Kind, What
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import fly
 from sim.vehicle.mocap import MocapTape
@@ -31,6 +33,7 @@ LANDED_AFTER_MS = 150  # in contact for this long is landed
 WARM_UP_MS = 100  # every loop of the firmware has run by then, and motion capture has come
 SUPPLY_MS = 320  # the noise of the IMU, of which six numbers go every 2 ms, is drawn so far ahead
 _STATE_TEXTS = tuple(str(state.value) for state in STATES)
+_BROKEN = tuple(Fault(What.MOTOR, Kind.DEAD, motor=motor) for motor in range(1, 5))
 _LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
 
 
@@ -183,6 +186,11 @@ class VehicleSim:
             instance: 0 all, else which one, from 1.
         """
         return self.faults.inject(unit, kind, instance, self._ms * NS_PER_MS)
+
+    def collide(self) -> None:
+        """Strike another vehicle: the propellers break, so that no motor gives thrust any more."""
+        self._physics.collide()
+        self.faults.fail(_BROKEN, self._ms * NS_PER_MS)
 
     def arm(self) -> str | None:
         """Arm; None if accepted (or armed already), else why not."""

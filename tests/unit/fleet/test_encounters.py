@@ -1,0 +1,92 @@
+"""Nearness of two vehicles against closed forms; cylinders that overlap, or just do not."""
+
+import math
+
+import numpy as np
+import pytest
+
+from logs.schema.events import ContactBit
+from sim.plant.params import load
+from sim.vehicle.encounters import Shape, ellipsoid_distance, nearest, overlaps
+from sim.vehicle.vehicle import VehicleSim
+from tests.unit.vehicle.vehicle_sim_helpers import fly, scenario
+
+SHAPE = Shape.of(load("crazyflie20"))
+SMALL = Shape(0.05, -0.01, 0.02)
+
+
+def states(position, velocity, acceleration, seconds):
+    """Relative state at the begin and the end of a constant acceleration."""
+    p, v, a = (np.array(each, dtype=float) for each in (position, velocity, acceleration))
+    after = np.concatenate((p + v * seconds + 0.5 * a * seconds**2, v + a * seconds))
+    return np.concatenate((p, v)), after
+
+
+def test_the_shape_is_around_rotors_and_feet():
+    assert SHAPE.radius_m == pytest.approx(0.03253 * math.sqrt(2.0) + 0.0231)
+    assert SHAPE.bottom_m == pytest.approx(-0.0144)
+    assert SHAPE.top_m == pytest.approx(0.013)
+
+
+def test_the_ellipsoid_is_one_on_its_axes():
+    assert ellipsoid_distance(0.25, 0.0, 0.0, 0.25, 0.75) == pytest.approx(1.0)
+    assert ellipsoid_distance(0.0, -0.25, 0.0, 0.25, 0.75) == pytest.approx(1.0)
+    assert ellipsoid_distance(0.0, 0.0, -0.75, 0.25, 0.75) == pytest.approx(1.0)
+    assert ellipsoid_distance(0.15, 0.2, 0.75, 0.25, 0.75) == pytest.approx(math.sqrt(2.0))
+
+
+def test_a_straight_pass_is_judged_between_the_ticks():
+    """Passing at 10 m/s, 5 ms after the first tick: neither tick sees it."""
+    before, after = states((-0.05, 0.3, 0.0), (10.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.01)
+    found = nearest(before, after, 10, SMALL, SMALL)
+    assert found.distance_m == pytest.approx(0.3)
+    assert found.ellipsoid == pytest.approx(0.3 / 0.25)
+    assert found.overlap_ms == -1
+
+
+def test_an_accelerated_pass_is_the_parabola():
+    before, after = states((-0.04, 0.02, 0.5), (5.0, 1.0, -2.0), (30.0, -40.0, 20.0), 0.01)
+    found = nearest(before, after, 10, SMALL, SMALL)
+    times = np.arange(1, 11) * 1e-3
+    a = np.array([30.0, -40.0, 20.0])
+    path = before[:3] + times[:, None] * before[3:] + 0.5 * times[:, None] ** 2 * a
+    assert found.distance_m == pytest.approx(np.linalg.norm(path, axis=1).min(), rel=1e-12)
+    scaled = np.linalg.norm(path / np.array([0.25, 0.25, 0.75]), axis=1)
+    assert found.ellipsoid == pytest.approx(scaled.min(), rel=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_the_first_millisecond_of_an_overlap(axis):
+    touch_m = (0.1, 0.1, 0.03)[axis]
+    position, velocity = [0.0] * 3, [0.0] * 3
+    position[axis], velocity[axis] = touch_m + 0.0045, -1.0
+    before, after = states(position, velocity, (0.0, 0.0, 0.0), 0.01)
+    assert nearest(before, after, 10, SMALL, SMALL).overlap_ms == 5
+
+
+def test_shapes_that_differ_overlap_from_both_sides():
+    tall = Shape(0.02, -0.3, 0.1)
+    relative = np.array([0.069, 0.0, 0.319, 0.0, 0.0, 0.0])  # the tall one's feet in the small one's rotors
+    assert overlaps(relative, SMALL, tall)
+    assert overlaps(-relative, tall, SMALL)
+    assert not overlaps(relative + np.array([0.002, 0.0, 0.0, 0.0, 0.0, 0.0]), SMALL, tall)
+    assert not overlaps(relative + np.array([0.0, 0.0, 0.002, 0.0, 0.0, 0.0]), SMALL, tall)
+    assert not overlaps(-relative, SMALL, tall)
+
+
+def test_the_pair_is_judged_the_same_from_both_sides():
+    before, after = states((0.1, -0.05, 0.02), (-3.0, 2.0, 1.0), (5.0, 5.0, -9.81), 0.01)
+    assert nearest(before, after, 10, SHAPE, SHAPE) == nearest(-before, -after, 10, SHAPE, SHAPE)
+
+
+def test_who_collides_falls_and_the_contact_is_told_once():
+    sim = VehicleSim(scenario(), 1)
+    truths = fly(sim, (0.0, 0.0, 0.0), 0.2)
+    assert not any(truth.contacts for truth in truths)
+    sim.collide()
+    truths = fly(sim, (0.0, 0.0, 0.0), 1.5)
+    assert truths[0].contacts & ContactBit.VEHICLE
+    assert not any(truth.contacts & ContactBit.VEHICLE for truth in truths[1:])
+    assert truths[29].velocity_enu_m_s[2] < -1.5  # 0.3 s later; the rotors need 0.07 s to slow down
+    assert any(truth.contacts & (ContactBit.GROUND | ContactBit.PAD) for truth in truths)
+    assert max(truths[-1].rotor_rpm) < 100.0
