@@ -113,6 +113,37 @@ def moved(seed: int, move_seed: int, weight: float) -> int:
     return seed | word << _WORD_BITS * (moves + 1)
 
 
+def member(seed: int, number: int) -> int:
+    """Seed of one member of a team, of the same kind as the team's; the first one has the team's own.
+
+    What a member draws does not depend on how many others there are. Moves of the team's seed are moves of
+    the member's, with the same weights.
+
+    Args:
+        seed: of the team, also one with moves.
+        number: of the member, from 1.
+
+    Raises:
+        ValueError: a number below 1.
+    """
+    if number < 1:
+        raise ValueError(f"number of a member is {number}; they are counted from 1")
+    if number == 1:
+        return seed
+
+    def other(one: int) -> int:
+        mixed = np.random.SeedSequence([one & _WORD, zlib.crc32(b"member"), number])
+        return int(mixed.generate_state(1, np.uint64)[0])
+
+    if seed <= _WORD:
+        return other(seed)
+    theirs = 0
+    for place, word in enumerate(_words(seed), 1):
+        move_seed = other(word >> _WEIGHT_BITS) % MOVE_SEED_MAX + 1
+        theirs |= (move_seed << _WEIGHT_BITS | word & (_WEIGHTS - 1)) << _WORD_BITS * place
+    return theirs
+
+
 def name(seed: int) -> str:
     """Short text for titles and folders: the seed itself, or the last move's and the number of moves."""
     if seed <= _WORD:

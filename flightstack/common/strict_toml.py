@@ -111,15 +111,20 @@ class Files(Generic[T]):
             raise ConfigError(f"{path}: base: {error}") from None
         if base.resolve() in (*above, path.resolve()):
             raise ConfigError(f"{path}: base: found {name!r}, which has this file as its base; remove one")
-        return _over(self.table(base, (*above, path.resolve())), table)
+        return over(self.table(base, (*above, path.resolve())), table)
 
 
-def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """A table with what another one has instead; tables below are joined, everything else is replaced."""
+def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """A table with what another one has instead; tables below are joined, everything else is replaced.
+
+    Args:
+        base: stays as it is.
+        table: whose values come first.
+    """
     joined = dict(base)
     for key, value in table.items():
         below = base.get(key)
-        joined[key] = _over(below, value) if isinstance(value, dict) and isinstance(below, dict) else value
+        joined[key] = over(below, value) if isinstance(value, dict) and isinstance(below, dict) else value
     return joined
 
 

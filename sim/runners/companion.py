@@ -6,6 +6,7 @@ Only the wires are handed over directly, with their rounding; everything else is
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
@@ -30,9 +31,25 @@ OnStep = Callable[[Tick, Outputs], None]
 
 
 class Companion:
-    """The onboard process, called by the vehicle's loop whenever that waits for its answer."""
+    """The onboard process, called by the vehicle's loop whenever that waits for its answer.
 
-    def __init__(self, scenario: Scenario, seed: int, on_step: OnStep | None) -> None:
+    Attributes:
+        controller: of the flight.
+        vehicle: the simulated vehicle.
+        ticks_max: after so many the flight is over, or never.
+        outputs: of the newest tick; None before the first one and after the last one.
+        neighbours: what is known of other vehicles, for the controller; whoever flies several puts it there.
+
+    Args:
+        scenario: everything that is not chance.
+        seed: chance.
+        on_step: called after every controller step.
+        system_id: MAVLink system id of the vehicle; its number in a team.
+    """
+
+    def __init__(
+        self, scenario: Scenario, seed: int, on_step: OnStep | None = None, system_id: int = SYSTEM_ID
+    ) -> None:
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
         self.controller = Controller(config)
@@ -40,20 +57,26 @@ class Companion:
         self._stop = Stop()
         self._over = False
         grid = TickGrid(rate_hz)
-        self._ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
+        ticks = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
+        assert ticks is not None  # there is a duration
+        self.ticks_max = ticks
         target = DirectTarget(scenario, seed, grid)
-        here, there = wires((SYSTEM_ID, COMPONENT_ID), (SYSTEM_ID, COMPANION_ID))
+        here, there = wires((system_id, COMPONENT_ID), (system_id, COMPANION_ID))
         self._link = VehicleLink(
             "",
             takeoff_height_m=config.takeoff.height_m,
             profile=OWN_SITL,
             rate_hz=rate_hz,
+            system_id=system_id,
             defer_timesync=True,
             endpoint=there,
             power=config.reserve is not None,
         )
-        vehicle = VehicleSim(scenario, seed)
-        autopilot = Autopilot(vehicle, rate_hz, trim_enu_m_s=vehicle.trim_velocity_enu_m_s)
+        self.vehicle = vehicle = VehicleSim(scenario, seed)
+        trim = vehicle.trim_velocity_enu_m_s
+        autopilot = Autopilot(vehicle, rate_hz, system_id=system_id, trim_enu_m_s=trim)
+        self.outputs: Outputs | None = None
+        self.neighbours: tuple[Any, ...] = ()
         self._notes = Notes(config, scenario.target.pad_radius_m)
         node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes))
         here.answer = self._answer
@@ -65,20 +88,55 @@ class Companion:
 
     def fly(self) -> Seen:
         """Run to the end."""
-        self._loop.run(self._ticks_max)
+        self._loop.run(self.ticks_max)
+        return self.seen()
+
+    def begin(self) -> None:
+        """Prepare for ``tick``."""
+        self._loop.begin()
+
+    def tick(self, tick: int) -> None:
+        """Fly one tick; when the flight is over the vehicle stays in the world.
+
+        Args:
+            tick: its number, the next one.
+        """
+        if self._stop.is_set:
+            self._loop.coast(tick)
+        else:
+            self._loop.tick(tick)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the flight is over."""
+        return self._stop.is_set
+
+    def seen(self) -> Seen:
+        """Return what a log of the flight would hold.
+
+        Raises:
+            RuntimeError: it did not come to its end.
+        """
         if not self._over:
-            raise RuntimeError(f"the landing was not over after {self._ticks_max} ticks")
+            raise RuntimeError(f"the landing was not over after {self.ticks_max} ticks")
         return self._notes.seen()
+
+    def say(self, t_s: float, level: int, text: str) -> None:
+        """Note something that somebody else saw of the vehicle."""
+        if not self._stop.is_set:
+            self._notes.event(t_s, level, "vehicle", text)
 
     def _answer(self) -> None:
         if self._over:  # one true state after the last step, then the vehicle's process is ended, too
             self._stop.ask()
+            self.outputs = None
         else:
             self._over = self._runner.tick() is not None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
         """Note a tick."""
         del taken, exec_s
+        self.outputs = out
         self._notes.step(tick, out)
         for _, text in self._link.take_texts():
             self._notes.event(tick.now_s, 0, "onboard", f"vehicle: {text}")

@@ -113,6 +113,22 @@ class LockstepLoop:
         node.control(now_s)
         node.vehicle.advance(steps - ahead)
 
+    def coast(self, tick: int) -> None:
+        """Simulate one tick without the companion, which has left: the vehicle stays where its robot is.
+
+        Nothing is sent or written, for the flight is over; its autopilot still sees to the vehicle.
+
+        Args:
+            tick: its number, the next one.
+        """
+        node, grid = self._node, self._grid
+        now_ns = grid.ns(tick)
+        if self._deck is not None:
+            self._move_deck(self._deck, tick, now_ns)
+        node.vehicle.sent_before_ms = 0
+        node.control(now_ns / 1e9)
+        node.vehicle.advance(grid.ms(tick + 1) - grid.ms(tick))
+
     def _move_deck(self, deck: LockstepDeck, tick: int, now_ns: int) -> None:
         node = self._node
         if self._deck_comes and self._answers:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from flightstack.common.strict_toml import ConfigError, Files, span
 from flightstack.core.parameters.filters import look_here
@@ -230,15 +230,33 @@ _FILES = Files(Scenario, "sim.scenarios", "scenario")
 names, path_of = _FILES.names, _FILES.path_of
 
 
+def table(name_or_file: str | Path) -> dict[str, Any]:
+    """Parse a scenario's file, not checked yet; what it leaves out is that of its base.
+
+    Raises:
+        ConfigError: no such file, or not TOML.
+    """
+    return _FILES.table(path_of(name_or_file))
+
+
 def load(name_or_file: str | Path) -> Scenario:
     """Load a scenario by name or path.
 
     Raises:
         ConfigError: with file, key, what was found and what is allowed.
     """
-    scenario = _FILES.load(name_or_file)
+    return in_place(_FILES.load(name_or_file), path_of(name_or_file).parent)
+
+
+def in_place(scenario: Scenario, beside: Path) -> Scenario:
+    """The same with its filter found and the full paths of its tapes.
+
+    Args:
+        scenario: as read.
+        beside: folder of its file, where tapes may be.
+    """
     look_here(scenario.onboard.filter)
-    vehicle, odometry, beside = scenario.vehicle, scenario.odometry, path_of(name_or_file).parent
+    vehicle, odometry = scenario.vehicle, scenario.odometry
     vehicle = replace(vehicle, own=_placed(vehicle.own, beside))
     return replace(
         scenario, vehicle=vehicle, odometry=replace(odometry, error=_placed(odometry.error, beside))

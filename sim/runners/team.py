@@ -1,0 +1,94 @@
+"""Several seeded landings in one room, in one process: ``land_team(team, seed)``.
+
+Each member is a whole landing, as ``land`` flies it: vehicle, autopilot, robot, wires and companion. They go
+on tick by tick. What they have of each other is of the tick before, so that their order does not matter: the
+jets of the rotors, collisions, and what the companions tell each other (``Exchange``).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from flightstack.core.controller import Outputs
+from logs.verdict.truth import judge_truth
+from sim.clock import TickGrid
+from sim.runners.companion import Companion
+from sim.runners.landing import Landing
+from sim.runners.pairs import Pair, Pairs
+from sim.scenarios.team import TeamScenario
+from sim.vehicle.air import Air
+
+# Called once a tick, when all members have flown it, with its number and the outputs of all controllers (None
+# where the flight is over). Returns what each companion knows of the others from the next tick on.
+Exchange = Callable[[int, Sequence[Outputs | None]], Sequence[tuple[Any, ...]]]
+
+
+@dataclass(frozen=True)
+class TeamLanding:
+    """What became of a team.
+
+    Attributes:
+        seed: of the team.
+        landings: of the members, cf1 first; a verdict knows of collisions until that flight was over. Their
+            wall time is the team's.
+        pairs: of all members, (1, 2) first.
+        simulated_s: until the last flight was over.
+        wall_s: time it took.
+    """
+
+    seed: int
+    landings: tuple[Landing, ...]
+    pairs: tuple[Pair, ...]
+    simulated_s: float
+    wall_s: float
+
+
+def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None) -> TeamLanding:
+    """Fly the landings of a team and judge each.
+
+    A team of one flies the same bits as ``land`` of the same seed, and so does every member whom nobody comes
+    near, with its own scenario and seed (``TeamScenario.singles``).
+
+    Args:
+        team: everything that is not chance.
+        seed: chance.
+        exchange: what the companions tell each other; None: nothing.
+
+    Raises:
+        ValueError: two vehicles begin inside each other.
+        RuntimeError: the simulation did not come to its end.
+    """
+    began_s = time.perf_counter()
+    singles = list(team.singles(seed))
+    members = [Companion(each, own, system_id=n) for n, (each, own) in enumerate(singles, 1)]
+    grid = TickGrid(team.rate_hz)
+    air = Air([member.vehicle.physics for member in members])
+    pairs = Pairs(members, grid)
+    for member in members:
+        member.begin()
+    for tick in range(max(member.ticks_max for member in members)):
+        if all(member.ended for member in members):
+            break
+        air.blow()
+        pairs.begin()
+        for member in members:
+            member.tick(tick)
+        pairs.end(tick)
+        if exchange is not None:
+            told = exchange(tick, [member.outputs for member in members])
+            for member, neighbours in zip(members, told, strict=True):
+                member.neighbours = tuple(neighbours)
+    seen = [member.seen() for member in members]
+    wall_s = time.perf_counter() - began_s
+    landings = tuple(
+        Landing(
+            own, judge_truth(each, each.truth), each, float(each.steps.t_s[-1]), wall_s,
+            member.controller.memory.retries,
+        )
+        for member, each, (_, own) in zip(members, seen, singles, strict=True)
+    )  # fmt: skip
+    simulated_s = max(landing.simulated_s for landing in landings)
+    return TeamLanding(seed, landings, tuple(pairs.all), simulated_s, wall_s)

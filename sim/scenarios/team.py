@@ -1,0 +1,132 @@
+"""A scenario of several vehicles, each with a robot of its own, in one room.
+
+A file names the scenario that all members share (``base``), then what the team has instead, in the tables of
+a scenario, and then what each member has instead, in tables ``[[member]]``. So every key of a scenario can be
+set for all members or for one. Files that come with the package are in ``sim/scenarios/teams``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from flightstack.common.strict_toml import ConfigError, Files, from_table, over, read_toml
+from sim.chance import member as seed_of
+from sim.chance import stream
+from sim.scenarios import scenario as scenarios
+from sim.scenarios.scenario import Scenario
+
+MEMBERS_MAX = 250  # each has a MAVLink system id of its own
+
+
+@dataclass(frozen=True, slots=True)
+class TeamScenario:
+    """Vehicles that fly at once; number n, counted from 1, is called cf<n> and has system id n."""
+
+    name: str
+    description: str
+    member: tuple[Scenario, ...]
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.member) <= MEMBERS_MAX:
+            raise ConfigError(
+                f"member: found {len(self.member)}, allowed: 1 to {MEMBERS_MAX} tables [[member]]; "
+                "write one for each vehicle"
+            )
+        rates = {each.onboard.loop.rate_hz for each in self.member}
+        if len(rates) > 1:
+            found = ", ".join(f"{rate:g}" for rate in sorted(rates))
+            raise ConfigError(
+                f"member: onboard.loop.rate_hz: found {found}; all members have the same ticks, so give the "
+                "rate once, in [onboard.loop]"
+            )
+
+    @property
+    def rate_hz(self) -> int:
+        """Ticks in a second, of all members."""
+        return self.member[0].onboard.loop.rate_hz
+
+    def with_filter(self, name: str) -> TeamScenario:
+        """Return the same team, all members with another safety filter.
+
+        Raises:
+            ConfigError: no name of a filter, or the filter refuses the configuration.
+        """
+        return replace(self, member=tuple(each.with_filter(name) for each in self.member))
+
+    def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
+        """Yield scenario and seed of each member: a member whom nobody comes near flies as these alone do.
+
+        A room has one mean wind; its direction is drawn from the team's seed where a member gives none.
+        Gusts are each member's own.
+
+        Args:
+            seed: of the team.
+        """
+        drawn_rad = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
+        for number, each in enumerate(self.member, 1):
+            if each.wind.direction_rad is None:
+                each = replace(each, wind=replace(each.wind, direction_rad=drawn_rad))
+            yield each, seed_of(seed, number)
+
+
+_FILES = Files(TeamScenario, "sim.scenarios.teams", "team")
+names, path_of = _FILES.names, _FILES.path_of
+
+
+def load(name_or_file: str | Path) -> TeamScenario:
+    """Load a team by name or path.
+
+    Raises:
+        ConfigError: with file, key, what was found and what is allowed.
+    """
+    path = path_of(name_or_file)
+    try:
+        team = _team(path, read_toml(path))
+        return replace(team, member=tuple(scenarios.in_place(each, path.parent) for each in team.member))
+    except ConfigError as error:
+        text = str(error)
+        raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+
+
+def _team(path: Path, table: dict[str, Any]) -> TeamScenario:
+    members = table.pop("member", [])
+    if not isinstance(members, list) or not all(isinstance(each, dict) for each in members):
+        raise ConfigError(f"member: found {members!r}, allowed: tables [[member]], one for each vehicle")
+    about: dict[str, Any] = {key: table.pop(key) for key in ("name", "description") if key in table}
+    shared = over(_base(path, table), table)
+    found: list[dict[str, Any]] = []
+    for number, own in enumerate(members, 1):
+        for key in ("name", "description", "base"):
+            if key in own:
+                raise ConfigError(f"member {number}: {key}: found {own[key]!r}; the team has it, remove it")
+        one = over(shared, own)
+        one["name"], one["description"] = f"{about.get('name')}.cf{number}", ""
+        found.append(_checked(one, f"member {number}"))
+    return from_table(TeamScenario, {**about, "member": found})
+
+
+def _base(path: Path, table: dict[str, Any]) -> dict[str, Any]:
+    """Table of the scenario that all members share; empty without one."""
+    name = table.pop("base", None)
+    if name is None:
+        return {}
+    if not isinstance(name, str):
+        raise ConfigError(f"base: found {name!r}, allowed: the name of a scenario, or a file")
+    beside = path.parent / name
+    try:
+        return scenarios.table(beside if beside.is_file() else name)
+    except ConfigError as error:
+        raise ConfigError(f"base: {error}") from None
+
+
+def _checked(table: dict[str, Any], where: str) -> dict[str, Any]:
+    """The same table, if it is that of a scenario; or else the error says of which member."""
+    try:
+        from_table(Scenario, table)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    return table

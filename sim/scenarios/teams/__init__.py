@@ -1,0 +1,1 @@
+"""Scenarios of several vehicles, one TOML file each."""

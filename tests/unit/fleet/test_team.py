@@ -1,0 +1,143 @@
+"""Several landings in one process: the same bits as alone where nobody is near; members have no order."""
+
+from dataclasses import replace
+
+import pytest
+
+from logs.verdict.types import Outcome
+from sim.chance import fresh, member, moved, stream
+from sim.runners.companion import Companion
+from sim.runners.landing import land
+from sim.runners.team import land_team
+from sim.scenarios import team
+from sim.scenarios.team import TeamScenario
+from tests.unit.fleet.fleet_helpers import FIELD, at, same, team_of
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_team_of_one_is_a_landing_to_the_last_bit(seed):
+    assert same(land_team(team_of(FIELD), seed).landings[0], land(FIELD, seed))
+
+
+def test_vehicles_far_apart_are_single_landings_to_the_last_bit():
+    far = team_of(FIELD, at(20.0, 0.0), at(0.0, -15.0))
+    flown = land_team(far, 1)
+    for landing, (scenario, seed) in zip(flown.landings, far.singles(1), strict=True):
+        assert same(landing, land(scenario, seed))
+    assert [pair.distance_min_m > 10.0 for pair in flown.pairs] == [True] * 3
+    assert flown.simulated_s == max(landing.simulated_s for landing in flown.landings)
+
+
+def crossing():
+    """Two approaches that cross at one height, not at one moment."""
+    still = {"speed_m_s": 0.0, "random_heading": False}
+    return at(0.0, 0.0, (-1.0, 1.0, 0.9), **still), at(0.0, 1.0, (-1.0, -1.25, 1.3), **still)
+
+
+def test_a_team_is_the_same_every_time_and_near_vehicles_matter():
+    near = team_of(*crossing())
+    one, two = land_team(near, 2), land_team(near, 2)
+    assert all(same(a, b) for a, b in zip(one.landings, two.landings, strict=True))
+    assert one.pairs == two.pairs
+    alone = [land(scenario, seed) for scenario, seed in near.singles(2)]
+    assert not all(same(a, b) for a, b in zip(one.landings, alone, strict=True))
+
+
+def test_the_order_of_the_members_does_not_matter(monkeypatch):
+    singles = list(team_of(*crossing()).singles(2))
+    flown = []
+    for order in (singles, singles[::-1]):
+        monkeypatch.setattr(TeamScenario, "singles", lambda self, seed, order=order: iter(order))
+        flown.append(land_team(team_of(*crossing()), 2))
+    (a, b), (d, c) = (each.landings for each in flown)
+    assert same(a, c)
+    assert same(b, d)
+    assert flown[0].pairs == flown[1].pairs
+    assert flown[0].pairs[0].violations > 0
+
+
+def test_a_collision_is_a_crash_of_both():
+    head_on = {"speed_m_s": 0.0, "random_heading": False}
+    flown = land_team(
+        team_of(at(1.5, 0.0, (-3.0, 0.0, 0.9), **head_on), at(-1.5, 0.0, (3.0, 0.0, 0.9), **head_on)), 1
+    )
+    (pair,) = flown.pairs
+    assert pair.collided_ms is not None
+    assert pair.distance_min_m < 0.14
+    assert pair.ellipsoid_min < 1.0
+    assert pair.violations >= 1
+    assert pair.inside_ms >= 10
+    for landing, other in zip(flown.landings, ("cf2", "cf1"), strict=True):
+        assert landing.verdict.outcome is Outcome.CRASHED
+        assert "another vehicle" in landing.verdict.reason
+        (told,) = [event for event in landing.seen.events if event.text == f"collision with {other}"]
+        assert told.t_s == pair.collided_ms / 1000.0
+        after = landing.seen.truth.t_s > told.t_s + 0.5
+        assert landing.seen.truth.rotor_rpm[after].max() < 1000.0
+
+
+def test_who_has_landed_rides_on_and_can_still_be_hit():
+    """The second vehicle flies to a pad inside the first one's; the first has landed long before."""
+    still = {"speed_m_s": 0.0, "random_heading": False}
+    first, second = at(0.0, 0.0, (0.0, 0.0, 0.3), **still), at(0.08, 0.0, (-2.5, 0.0, 1.0), **still)
+    flown = land_team(team_of(first, second), 1)
+    assert flown.landings[0].verdict.outcome is Outcome.LANDED
+    assert flown.landings[0].simulated_s * 1000.0 < flown.pairs[0].collided_ms
+    assert flown.landings[1].verdict.outcome is Outcome.CRASHED
+
+
+def test_the_exchange_is_asked_once_a_tick_and_told_in_the_next(monkeypatch):
+    calls, seen = [], []
+    fly = Companion.tick
+
+    def tick(self, number):
+        seen.append((number, self.neighbours))
+        fly(self, number)
+
+    monkeypatch.setattr(Companion, "tick", tick)
+
+    def exchange(tick, outputs):
+        calls.append((tick, [None if out is None else out.phase for out in outputs]))
+        return [(("from", 2, tick),), (("from", 1, tick),)]
+
+    flown = land_team(team_of(at(0.0, 0.0), at(9.0, 0.0)), 0, exchange=exchange)
+    ticks = [tick for tick, _ in calls]
+    assert ticks == list(range(len(calls)))
+    assert len(calls) >= round(flown.simulated_s * 100)
+    assert all(phase is not None for phase in calls[0][1])
+    assert calls[-1][1] == [None, None]
+    assert seen[:2] == [(0, ()), (0, ())]
+    for number, neighbours in seen[2:]:
+        assert [tick for _, _, tick in neighbours] == [number - 1]
+    assert [neighbours[0][1] for _, neighbours in seen[2:]] == [2, 1] * (len(calls) - 1)
+
+
+def test_vehicles_that_begin_inside_each_other_are_refused():
+    with pytest.raises(ValueError, match=r"cf1 and cf3 begin inside each other, at \(-0\.80, 0\.30, 1\.10\)"):
+        land_team(team_of(at(0.0, 0.0), at(5.0, 0.0), at(0.1, 0.0)), 0)
+
+
+def test_a_member_does_not_change_when_others_come():
+    three, eight = team.load("fleet_3"), team.load("fleet_8")
+    assert [seed for _, seed in three.singles(7)] == [seed for _, seed in eight.singles(7)][:3]
+    seeds = {member(team_seed, number) for team_seed in range(50) for number in range(1, 9)}
+    assert len(seeds) == 50 * 8
+
+
+def test_moves_of_a_team_are_moves_of_its_members():
+    begin = fresh(3)
+    near = moved(begin, 4, 1 / 256)
+    assert member(near, 1) == near
+    for number in (2, 3):
+        one, other = (stream(member(seed, number), "x").standard_normal(1000) for seed in (begin, near))
+        assert abs(one - other).max() < 0.05
+        assert abs(one - stream(begin, "x").standard_normal(1000)).max() > 1.0
+    with pytest.raises(ValueError, match="counted from 1"):
+        member(5, 0)
+
+
+def test_a_team_has_one_wind_of_its_own_gusts():
+    directions = {scenario.wind.direction_rad for scenario, _ in team.load("fleet_3").singles(4)}
+    assert len(directions) == 1
+    given = replace(FIELD, wind=replace(FIELD.wind, direction_rad=0.5))
+    assert [each.wind.direction_rad for each, _ in team_of(given).singles(4)] == [0.5]

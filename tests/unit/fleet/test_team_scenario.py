@@ -1,0 +1,101 @@
+"""Files of teams: what is shared, what is a member's own, and errors that say what to do."""
+
+import tomllib
+
+import pytest
+
+from flightstack.common.strict_toml import ConfigError, dumps, from_table
+from sim.scenarios import scenario, team
+from sim.scenarios.team import TeamScenario
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text):
+        path = tmp_path / "mine.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+ABOUT = 'name = "mine"\ndescription = "x"\n'
+
+
+@pytest.mark.parametrize(("name", "count"), [("fleet_3", 3), ("fleet_8", 8)])
+def test_the_fleets_have_the_errors_of_field(name, count):
+    found, field = team.load(name), scenario.load("field")
+    assert found.name == name
+    assert len(found.member) == count
+    for each in found.member:
+        assert (each.odometry, each.vehicle, each.wind, each.onboard) == (
+            field.odometry, field.vehicle, field.wind, field.onboard,
+        )  # fmt: skip
+    assert len({each.target.position_m for each in found.member}) == count
+    assert from_table(TeamScenario, tomllib.loads(dumps(found))) == found
+
+
+def test_names_are_those_of_the_files():
+    assert team.names() == ["fleet_3", "fleet_8"]
+    assert not set(team.names()) & set(scenario.names())
+
+
+def test_a_member_overrides_the_team_and_the_team_its_base(written):
+    found = team.load(
+        written(
+            ABOUT + 'base = "field"\nwind.mean_m_s = 0.0\n[[member]]\nwind.gust_rms_m_s = 0.1\n[[member]]\n'
+        )
+    )
+    first, second = found.member
+    assert (first.wind.mean_m_s, first.wind.gust_rms_m_s) == (0.0, 0.1)
+    assert (second.wind.mean_m_s, second.wind.gust_rms_m_s) == (0.0, 0.6)
+    assert [each.name for each in found.member] == ["mine.cf1", "mine.cf2"]
+
+
+def test_a_base_beside_the_file_is_found(written, tmp_path):
+    (tmp_path / "calm.toml").write_text('base = "lab"\nwind.gust_rms_m_s = 0.0\n')
+    found = team.load(written(ABOUT + 'base = "calm.toml"\n[[member]]\n'))
+    assert found.member[0].wind.gust_rms_m_s == 0.0
+
+
+def test_all_members_can_have_another_filter():
+    assert {each.onboard.filter for each in team.load("fleet_3").with_filter("paper").member} == {"paper"}
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        (ABOUT + 'base = "field"\n', "mine.toml: member: found 0, allowed: 1 to 250 tables .*; write one"),
+        (
+            ABOUT + 'base = "feild"\n[[member]]\n',
+            "mine.toml: base: scenario 'feild': neither a file nor one of",
+        ),
+        (ABOUT + "base = 3\n[[member]]\n", "mine.toml: base: found 3, allowed: the name of a scenario"),
+        (ABOUT + 'base = "field"\nmember = 3\n', r"member: found 3, allowed: tables \[\[member\]\]"),
+        (
+            ABOUT + 'base = "field"\n[[member]]\n[[member]]\nstart.hight_m = 1.0\n',
+            "mine.toml: member 2: start.hight_m: unknown key",
+        ),
+        (
+            ABOUT + 'base = "field"\n[[member]]\ntarget.speed_m_s = 9.0\n',
+            "mine.toml: member 1: target.speed_m_s: found 9.0, allowed: 0 to 3",
+        ),
+        (
+            ABOUT + 'base = "field"\n[[member]]\nname = "a"\n',
+            "mine.toml: member 1: name: found 'a'; the team has it, remove it",
+        ),
+        ('base = "field"\n[[member]]\n', "mine.toml: name: missing"),
+        (
+            ABOUT + 'base = "field"\n[[member]]\n[[member]]\nonboard.loop.rate_hz = 50\n',
+            "found 50, 100; all members have the same ticks",
+        ),
+    ],
+)
+def test_errors_say_what_was_found_and_what_to_do(written, text, error):
+    with pytest.raises(ConfigError, match=error):
+        team.load(written(text))
+
+
+def test_an_unknown_team_is_told_with_those_there_are():
+    with pytest.raises(ConfigError, match="team 'fleet_9': neither a file nor one of: fleet_3, fleet_8"):
+        team.load("fleet_9")
