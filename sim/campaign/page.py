@@ -51,7 +51,7 @@ def render(wanted: Plan, flown: Flown) -> str:
         ReportError: the plotting library is not installed.
     """
     need_libraries()
-    title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter}"
+    title = f"{wanted.scenario.name}, filter {wanted.filter_name}"
     return page(title, _body(title, wanted, flown))
 
 
@@ -68,7 +68,7 @@ def _body(title: str, wanted: Plan, flown: Flown) -> str:
         f"Judged from true states at every physics step. With 95 % confidence less than {upper} of landings "
         "violate the barrier (Clopper-Pearson); what is not known counts as a violation."
     )
-    alone = "Each command flies one of them alone, over the real wires, to the same end."
+    alone = "Each command flies one of them alone, to the same end."
     return "".join(
         (
             header(title, badge, style, f"{wanted.scenario.description} · {seeds}{lacking}"),
@@ -132,7 +132,7 @@ def h_map(wanted: Plan, rows: Sequence[Row]) -> go.Figure:
         ),
         460,
     )  # fmt: skip
-    judge = wanted.scenario.judge
+    judge = wanted.first.judge
     at = np.linspace(0.0, D_CELLS * CELL_M, 200)
     height = judge.beta_m * judge.alpha_1_m * at * np.exp(-judge.alpha_1_m * at)
     figure.add_scatter(

@@ -13,12 +13,14 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from flightstack.common.strict_toml import ConfigError
 from logs.verdict.types import VIOLATION_LIMIT_M, Outcome
 from sim.campaign.rows import Row, RowsFile, write_parquet
 from sim.campaign.run import ABOUT, ROWS, SUMMARY, Plan, alone, identity, known_rows
 from sim.campaign.subset import SHARE, Estimate, estimate
 from sim.campaign.summary import why
 from sim.campaign.workers import Workers
+from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import warm_up
 
 FAILURES = "failures"  # folder of files with seeds
@@ -68,10 +70,20 @@ class Rare:
     Attributes:
         plan: scenario with its filter; ``runs`` are the landings of a level, ``first_seed`` the estimate's.
         event: the failure.
+
+    Raises:
+        ConfigError: a team.
     """
 
     plan: Plan
     event: Event
+
+    def __post_init__(self) -> None:
+        if isinstance(self.plan.scenario, TeamScenario):
+            raise ConfigError(
+                f"{self.plan.scenario_name}: found a team, allowed: the scenario of one vehicle; "
+                "`flightstack campaign` flies teams"
+            )
 
 
 def fly(wanted: Rare, folder: Path, *, workers: int, on_row: OnRow) -> dict[str, Any]:
@@ -89,7 +101,7 @@ def fly(wanted: Rare, folder: Path, *, workers: int, on_row: OnRow) -> dict[str,
         WorkersError: no worker can be kept running.
         RuntimeError: a landing could not be flown.
     """
-    plan, scenario = wanted.plan, wanted.plan.scenario
+    plan, scenario = wanted.plan, wanted.plan.first
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder):
         about = {**identity(plan), "event": wanted.event.value, "landings a level": plan.runs}
@@ -98,7 +110,7 @@ def fly(wanted: Rare, folder: Path, *, workers: int, on_row: OnRow) -> dict[str,
         warm_up(scenario)
         with (
             RowsFile(folder / ROWS) as file,
-            Workers(plan.scenario_toml, workers, scenario.duration_max_s) as here,
+            Workers(plan.scenario_toml, workers, plan.duration_max_s) as here,
         ):
 
             def scores(seeds: Sequence[int]) -> list[float]:

@@ -1,4 +1,4 @@
-"""One row for each landing of a campaign, and the file of rows: ``rows.csv``, appended durably.
+"""One row for each landing of a campaign, of one vehicle or of a team, and their file, appended durably.
 
 Floats are written so that they read back the same to the last bit; an empty field is "not known", never zero.
 """
@@ -57,6 +57,11 @@ class Row:
         simulated_s: length of the run.
         wall_s: time it took; the only value that chance does not fix.
         cells: map of h: "i j mm" for each cell of (d, e_z) that was visited, with the lowest h there.
+        outcomes: of a team's members, cf1 first; empty for one vehicle alone, as all that follows.
+        collisions: pairs of vehicles that collided.
+        ellipsoid_violations: times that two came inside the ellipsoid about each other, both in flight.
+        ellipsoid_min: smallest distance of two in flight in its measure; below 1: inside.
+        distance_min_m: smallest distance of two vehicles.
     """
 
     seed: int
@@ -84,6 +89,11 @@ class Row:
     simulated_s: float | None = None
     wall_s: float | None = None
     cells: str = ""
+    outcomes: str = ""
+    collisions: int | None = None
+    ellipsoid_violations: int | None = None
+    ellipsoid_min: float | None = None
+    distance_min_m: float | None = None
 
     @property
     def landed(self) -> bool:
@@ -124,7 +134,12 @@ def row_of(landing: Landing) -> Row:
         touchdown_speed_horizontal_m_s=verdict.touchdown_speed_horizontal_m_s,
         time_to_land_s=verdict.time_to_land_s,
         retries=landing.retries,
-        **{f"{phase.name.lower()}_s": spent for phase, spent in spent_s.items()},
+        approach_s=spent_s[Phase.APPROACH],
+        land_s=spent_s[Phase.LAND],
+        touchdown_s=spent_s[Phase.TOUCHDOWN],
+        hold_s=spent_s[Phase.HOLD],
+        climb_s=spent_s[Phase.CLIMB],
+        abort_s=spent_s[Phase.ABORT],
         own_age_max_s=_largest(steps.own_age_s[landing_steps]),
         target_age_max_s=_largest(steps.target_age_s[landing_steps]),
         simulated_s=landing.simulated_s,

@@ -29,7 +29,8 @@ from flightstack.verify.certificate import problems
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_parquet, write_rows
 from sim.campaign.summary import repeat_command, summary
 from sim.campaign.workers import Workers, code_fingerprint
-from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.team import AnyScenario, TeamScenario, first_of, load_any
 from sim.vehicle.vehicle import warm_up
 
 ROWS, ABOUT, SUMMARY, LOCK, PAGE = (
@@ -56,7 +57,7 @@ class Plan:
     """
 
     scenario_name: str
-    scenario: Scenario
+    scenario: AnyScenario
     runs: int
     first_seed: int
 
@@ -68,7 +69,24 @@ class Plan:
     @property
     def command(self) -> str:
         """Command that repeats one seed, with ``{seed}``."""
-        return repeat_command(self.scenario_name, self.scenario.onboard.filter)
+        team = isinstance(self.scenario, TeamScenario)
+        return repeat_command(self.scenario_name, self.filter_name, team=team)
+
+    @property
+    def first(self) -> Scenario:
+        """The scenario of the first, or only, vehicle."""
+        return first_of(self.scenario)
+
+    @property
+    def filter_name(self) -> str:
+        """Name of the safety filter, in a team of the first vehicle."""
+        return self.first.onboard.filter
+
+    @property
+    def duration_max_s(self) -> float:
+        """Longest landing, simulated; a team's vehicles cost one after the other."""
+        team = self.scenario.member if isinstance(self.scenario, TeamScenario) else (self.scenario,)
+        return sum(each.duration_max_s for each in team)
 
 
 def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None) -> Plan:
@@ -77,10 +95,11 @@ def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None
     Raises:
         ConfigError: it must not fly.
     """
-    scenario = load(scenario_name)
+    scenario = load_any(scenario_name)
     if filter_name is not None:
         scenario = scenario.with_filter(filter_name)
-    found = problems(scenario.onboard)
+    team = scenario.member if isinstance(scenario, TeamScenario) else (scenario,)
+    found = dict.fromkeys(text for each in team for text in problems(each.onboard))
     if found:
         raise ConfigError(f"{scenario_name}: refused before take-off: " + "; ".join(found))
     return Plan(scenario_name, scenario, runs, first_seed)
@@ -193,8 +212,8 @@ def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> I
         with Cluster(cluster, wanted.scenario_toml) as there:
             yield from there.fly(todo)
         return
-    warm_up(wanted.scenario)  # compiled once, for all workers
-    with Workers(wanted.scenario_toml, workers, wanted.scenario.duration_max_s) as here:
+    warm_up(wanted.first)  # compiled once, for all workers
+    with Workers(wanted.scenario_toml, workers, wanted.duration_max_s) as here:
         yield from here.fly(todo)
 
 
@@ -202,7 +221,7 @@ def identity(wanted: Plan) -> dict[str, Any]:
     """Return the data that all rows of a folder share."""
     return {
         "scenario": wanted.scenario_toml,
-        **_filter(wanted.scenario.onboard.filter),
+        **_filter(wanted.filter_name),
         "first seed": wanted.first_seed,
         "code": code_fingerprint(),
         "python": platform.python_version(),

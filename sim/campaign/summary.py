@@ -128,12 +128,31 @@ def summary(rows: Sequence[Row], command: str, *, wall_s: float, flown_s: float)
             "p95": quantile(rows, lambda r: r.touchdown_speed_horizontal_m_s, 0.95)
         },
         "time_to_land_s": {"median": quantile(rows, lambda r: r.time_to_land_s, 0.5)},
+        **_of_teams(rows),
         "wall_s": wall_s,
         "realtime_factor": flown_s / wall_s if flown_s > 0.0 and wall_s > 0.0 else None,
         "worst": [
             {"seed": row.seed, "why": why(row), "command": command.format(seed=row.seed)}
             for row in worst(rows)
         ],
+    }
+
+
+def _of_teams(rows: Sequence[Row]) -> dict[str, Any]:
+    """What only teams have; empty for vehicles alone."""
+    teams = [row for row in rows if row.outcomes]
+    if not teams:
+        return {}
+    outcomes = [outcome for row in teams for outcome in row.outcomes.split()]
+    nearest = [row.distance_min_m for row in teams if row.distance_min_m is not None]
+    deepest = [row.ellipsoid_min for row in teams if row.ellipsoid_min is not None]
+    return {
+        "vehicles": len(outcomes),
+        "vehicles_landed": outcomes.count(Outcome.LANDED),
+        "collisions": sum(row.collisions or 0 for row in teams),
+        "ellipsoid_violations": sum(row.ellipsoid_violations or 0 for row in teams),
+        "ellipsoid_min": min(deepest, default=None),
+        "distance_min_m": min(nearest, default=None),
     }
 
 
@@ -174,9 +193,17 @@ def lines(told: dict[str, Any]) -> list[tuple[str, str]]:
     return found
 
 
-def repeat_command(scenario: str, filter_name: str) -> str:
-    """Command that flies one seed alone over the real wires, with ``{seed}`` for the seed."""
+def repeat_command(scenario: str, filter_name: str, *, team: bool = False) -> str:
+    """Command that flies one seed alone, with ``{seed}`` for the seed.
+
+    Args:
+        scenario: name or file.
+        filter_name: of the safety filter.
+        team: several vehicles, which fly in one process only; one alone flies over the real wires.
+    """
     name = shlex.quote(scenario).replace("{", "{{").replace("}", "}}")
+    if team:
+        return f"flightstack campaign {name} --seed {{seed}} --runs 1 --filter {filter_name}"
     return f"flightstack sitl --scenario {name} --seed {{seed}} --filter {filter_name} --lockstep"
 
 

@@ -16,7 +16,6 @@ import multiprocessing
 import signal
 import threading
 import time
-import tomllib
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
@@ -26,10 +25,11 @@ from pathlib import Path
 from typing import Any
 
 from flightstack.common.pacing import quiet_garbage_collector
-from flightstack.common.strict_toml import from_table
 from sim.campaign.rows import Row, error_row, row_of
+from sim.campaign.team_rows import team_row
 from sim.runners.landing import land
-from sim.scenarios.scenario import Scenario
+from sim.runners.team import land_team
+from sim.scenarios.team import AnyScenario, TeamScenario, first_of, from_text
 from sim.vehicle.vehicle import warm_up
 
 _ALONE = threading.Lock()  # a cluster's worker may have threads; more than one would only wait for each other
@@ -43,10 +43,10 @@ _END_S = 5.0  # s of wall time a worker has to end
 
 
 @lru_cache(maxsize=4)
-def prepared(scenario_toml: str) -> Scenario:
+def prepared(scenario_toml: str) -> AnyScenario:
     """Scenario from its text, with all code compiled; the collector then leaves alone what exists."""
-    scenario = from_table(Scenario, tomllib.loads(scenario_toml))
-    warm_up(scenario)
+    scenario = from_text(scenario_toml)
+    warm_up(first_of(scenario))
     quiet_garbage_collector()
     return scenario
 
@@ -56,6 +56,8 @@ def fly_seed(scenario_toml: str, seed: int) -> Row:
     with _ALONE:
         scenario = prepared(scenario_toml)
         try:
+            if isinstance(scenario, TeamScenario):
+                return team_row(land_team(scenario, seed))
             return row_of(land(scenario, seed))
         except Exception as error:
             return error_row(seed, f"{type(error).__name__}: {error}")

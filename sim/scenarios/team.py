@@ -8,6 +8,7 @@ set for all members or for one. Files that come with the package are in ``sim/sc
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -73,6 +74,8 @@ class TeamScenario:
             yield each, seed_of(seed, number)
 
 
+AnyScenario = Scenario | TeamScenario
+
 _FILES = Files(TeamScenario, "sim.scenarios.teams", "team")
 names, path_of = _FILES.names, _FILES.path_of
 
@@ -90,6 +93,36 @@ def load(name_or_file: str | Path) -> TeamScenario:
     except ConfigError as error:
         text = str(error)
         raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+
+
+def load_any(name_or_file: str | Path) -> AnyScenario:
+    """Load a scenario, of one vehicle or of a team, by name or path.
+
+    Raises:
+        ConfigError: with file, key, what was found and what is allowed.
+    """
+    if name_or_file in names():
+        return load(name_or_file)
+    if name_or_file not in scenarios.names() and not Path(name_or_file).is_file():
+        known = f"{', '.join(scenarios.names())}; of several vehicles: {', '.join(names())}"
+        raise ConfigError(f"scenario {str(name_or_file)!r}: neither a file nor one of: {known}")
+    several = "member" in read_toml(scenarios.path_of(name_or_file))
+    return load(name_or_file) if several else scenarios.load(name_or_file)
+
+
+def from_text(toml: str) -> AnyScenario:
+    """Scenario from text in which nothing is left to a base.
+
+    Raises:
+        ConfigError: with key, what was found and what is allowed.
+    """
+    table = tomllib.loads(toml)
+    return from_table(TeamScenario, table) if "member" in table else from_table(Scenario, table)
+
+
+def first_of(scenario: AnyScenario) -> Scenario:
+    """The scenario of the first, or only, vehicle."""
+    return scenario.member[0] if isinstance(scenario, TeamScenario) else scenario
 
 
 def _team(path: Path, table: dict[str, Any]) -> TeamScenario:

@@ -70,11 +70,11 @@ def campaign(options: CampaignOptions) -> None:
 
     wanted = core.plan(options.scenario, options.runs, options.first_seed, options.filter)
     scenario = wanted.scenario
-    folder = options.out or new_folder(f"campaign-{scenario.name}-{short_name(scenario.onboard.filter)}")
+    folder = options.out or new_folder(f"campaign-{scenario.name}-{short_name(wanted.filter_name)}")
     console = Console(stderr=options.as_json, highlight=False)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     try:
-        title = f"{scenario.name}, filter {scenario.onboard.filter}"
+        title = f"{scenario.name}, filter {wanted.filter_name}"
         with Bar(console, title, wanted.runs) as bar:
             flown = core.fly(
                 wanted,
@@ -131,7 +131,7 @@ def _tell(
 def _table(wanted: Plan, told: dict[str, Any]) -> Table:
     from sim.campaign.summary import lines
 
-    title = f"{wanted.scenario.name}, filter {wanted.scenario.onboard.filter}"
+    title = f"{wanted.scenario.name}, filter {wanted.filter_name}"
     table = Table("result", Column("value", justify="right"), title=title, title_justify="left")
     for name, value in lines(told):
         table.add_row(name, value)

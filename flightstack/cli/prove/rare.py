@@ -72,10 +72,10 @@ def rare(options: RareOptions) -> None:
         plan(options.scenario, options.landings, options.seed, options.filter), core.Event(options.event)
     )
     scenario = wanted.plan.scenario
-    folder = options.out or new_folder(f"rare-{scenario.name}-{short_name(scenario.onboard.filter)}")
+    folder = options.out or new_folder(f"rare-{scenario.name}-{short_name(wanted.plan.filter_name)}")
     console = Console(stderr=options.as_json, highlight=False)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
-    title = f"{scenario.name}, filter {scenario.onboard.filter}, {options.event}"
+    title = f"{scenario.name}, filter {wanted.plan.filter_name}, {options.event}"
     try:
         with Bar(console, title, None) as bar:
             told = core.fly(

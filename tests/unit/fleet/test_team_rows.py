@@ -1,0 +1,135 @@
+"""The verdict on a team and its row: the worst of the members', and what only pairs have."""
+
+from dataclasses import replace
+
+import pytest
+
+from flightstack.common.strict_toml import ConfigError, dumps
+from logs.verdict.types import Outcome
+from sim.campaign.rare import Event, Rare
+from sim.campaign.rows import read_rows, row_of, write_rows
+from sim.campaign.run import plan
+from sim.campaign.summary import summary
+from sim.campaign.team_rows import judge_team, team_row
+from sim.campaign.workers import fly_seed
+from sim.runners.landing import land
+from sim.runners.pairs import Pair
+from sim.runners.team import TeamLanding
+from sim.scenarios.team import load
+from tests.unit.fleet.fleet_helpers import FIELD, at, team_of
+
+LANDED, ABORTED, TIMEOUT, CRASHED = Outcome.LANDED, Outcome.ABORTED, Outcome.TIMEOUT, Outcome.CRASHED
+
+
+@pytest.fixture(scope="module")
+def landing():
+    return land(FIELD, 1)
+
+
+@pytest.fixture(scope="module")
+def flown(landing):
+    def make(outcomes, *pairs):
+        landings = tuple(
+            replace(landing, verdict=replace(landing.verdict, outcome=each, reason=f"was {each}"))
+            for each in outcomes
+        )
+        return TeamLanding(1, landings, pairs, 7.0, 0.5)
+
+    return make
+
+
+FAR = Pair(1, 2, 0.9, 0.9, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "worst", "reason"),
+    [
+        ((LANDED, LANDED), LANDED, "all 2 landed"),
+        ((LANDED, ABORTED), ABORTED, "cf2: was aborted"),
+        ((TIMEOUT, ABORTED), TIMEOUT, "cf1: was timeout"),
+        ((CRASHED, TIMEOUT), CRASHED, "cf1: was crashed"),
+        ((CRASHED, CRASHED), CRASHED, "cf1: was crashed; cf2: was crashed"),
+    ],
+)
+def test_a_team_ends_as_its_worst_member(flown, outcomes, worst, reason):
+    verdict = judge_team(flown(outcomes, FAR))
+    assert (verdict.outcome, verdict.outcomes, verdict.reason) == (worst, outcomes, reason)
+    assert (verdict.collisions, verdict.ellipsoid_violations) == (0, 0)
+    assert (verdict.ellipsoid_min, verdict.distance_min_m) == (3.0, 0.9)
+
+
+def test_a_collision_after_a_landing_is_a_crash_of_both(flown):
+    hit = Pair(1, 3, 0.1, 0.3, 1.2, violations=0, collided_ms=9000)
+    near = Pair(2, 3, 0.2, 0.2, 0.8, violations=2, inside_ms=120)
+    verdict = judge_team(flown((LANDED, LANDED, LANDED), FAR, hit, near))
+    assert verdict.outcomes == (CRASHED, LANDED, CRASHED)
+    assert verdict.reason == "cf1: collision; cf3: collision"
+    assert (verdict.collisions, verdict.ellipsoid_violations) == (1, 2)
+    assert (verdict.ellipsoid_min, verdict.distance_min_m) == (0.8, 0.1)
+
+
+def test_vehicles_that_never_flew_at_once_have_no_ellipsoid(flown):
+    verdict = judge_team(flown((LANDED, LANDED), Pair(1, 2, 0.5)))
+    assert (verdict.ellipsoid_min, verdict.distance_min_m) == (None, 0.5)
+
+
+def test_the_row_of_a_team_of_one_is_that_of_its_landing(landing, flown):
+    row, alone = team_row(flown((LANDED,))), row_of(landing)
+    assert (row.outcomes, row.collisions, row.ellipsoid_violations) == ("landed", 0, 0)
+    assert (row.ellipsoid_min, row.distance_min_m) == (None, None)
+    empty = {"outcomes": "", "collisions": None, "ellipsoid_violations": None}
+    told = {"reason": alone.reason, "simulated_s": alone.simulated_s, "wall_s": alone.wall_s}
+    ours, theirs = (set(filter(None, each.cells.split(";"))) for each in (row, alone))
+    assert ours == theirs
+    assert replace(row, **empty, **told, cells=alone.cells) == alone
+
+
+def test_the_row_of_a_team_has_the_worst_of_its_members(flown, landing):
+    team = flown((LANDED, LANDED), FAR)
+    worse = replace(
+        landing,
+        retries=2,
+        verdict=replace(
+            landing.verdict, violation=None, started_safe=None, h_min_outside_pad_m=-0.5, h_min_m=-0.6,
+            touchdown_error_m=0.09, time_to_land_s=20.0,
+        ),
+    )  # fmt: skip
+    row = team_row(replace(team, landings=(team.landings[0], worse)))
+    assert (row.violation, row.started_safe, row.retries) == (None, None, 2 + landing.retries)
+    assert (row.h_min_m, row.h_min_outside_pad_m) == (-0.6, -0.5)
+    assert (row.touchdown_error_m, row.time_to_land_s) == (0.09, 20.0)
+    assert (row.simulated_s, row.wall_s) == (7.0, 0.5)
+    crashed = team_row(flown((LANDED, CRASHED), FAR))
+    assert crashed.time_to_land_s is None
+    assert crashed.outcomes == "landed crashed"
+
+
+def test_a_campaign_flies_teams(tmp_path):
+    text = dumps(team_of(at(0.0, 0.0), at(6.0, 0.0)))
+    rows = [fly_seed(text, seed) for seed in (0, 1)]
+    assert [row.outcomes for row in rows] == ["landed landed"] * 2
+    assert rows[0].untimed() == fly_seed(text, 0).untimed()
+    write_rows(tmp_path / "rows.csv", rows)
+    assert read_rows(tmp_path / "rows.csv") == rows
+    told = summary(rows, "fly {seed}", wall_s=1.0, flown_s=14.0)
+    assert (told["vehicles"], told["vehicles_landed"], told["collisions"]) == (4, 4, 0)
+    assert told["distance_min_m"] > 2.0
+
+
+def test_a_plan_of_a_team_is_checked_for_all_members_and_says_how_to_repeat_a_seed():
+    wanted = plan("fleet_3", 2, 0, "paper")
+    assert wanted.scenario == load("fleet_3").with_filter("paper")
+    assert wanted.command == "flightstack campaign fleet_3 --seed {seed} --runs 1 --filter paper"
+    assert wanted.duration_max_s == 270.0
+    with pytest.raises(ConfigError, match=r"one of: deck, .*; of several vehicles: fleet_3, fleet_8"):
+        plan("fleet_4", 2, 0, None)
+    with pytest.raises(ConfigError, match="found a team, allowed: the scenario of one vehicle"):
+        Rare(wanted, Event.MISS)
+
+
+def test_a_file_of_a_team_is_known_by_its_members(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('name = "mine"\ndescription = ""\nbase = "lab"\n[[member]]\n')
+    assert len(plan(str(path), 1, 0, None).scenario.member) == 1
+    path.write_text('base = "lab"\nname = "calm"\n')
+    assert plan(str(path), 1, 0, None).scenario.name == "calm"
