@@ -28,10 +28,9 @@ from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_parquet, write_rows
 from sim.campaign.summary import repeat_command, summary
-from sim.campaign.workers import Workers, code_fingerprint
+from sim.campaign.workers import Workers, code_fingerprint, prepare
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import AnyScenario, TeamScenario, first_of, load_any
-from sim.vehicle.vehicle import warm_up
 
 ROWS, ABOUT, SUMMARY, LOCK, PAGE = (
     "rows.csv",
@@ -212,7 +211,7 @@ def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> I
         with Cluster(cluster, wanted.scenario_toml) as there:
             yield from there.fly(todo)
         return
-    warm_up(wanted.first)  # compiled once, for all workers
+    prepare(wanted.scenario)  # compiled once, for all workers
     with Workers(wanted.scenario_toml, workers, wanted.duration_max_s) as here:
         yield from here.fly(todo)
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from logs.verdict.types import Outcome
 from sim.campaign.rows import Row, row_of
-from sim.runners.pairs import name_of
 from sim.runners.team import TeamLanding
 
 _WORST_FIRST = (Outcome.CRASHED, Outcome.TIMEOUT, Outcome.ABORTED, Outcome.LANDED)
@@ -60,9 +59,7 @@ def _reason(flown: TeamLanding, outcome: Outcome, outcomes: Sequence[Outcome], h
     if outcome is Outcome.LANDED:
         return f"all {len(outcomes)} landed"
     numbers = [number for number, each in enumerate(outcomes, 1) if each is outcome]
-    whys = [
-        f"{name_of(n)}: {'collision' if n in hit else flown.landings[n - 1].verdict.reason}" for n in numbers
-    ]
+    whys = [f"cf{n}: {'collision' if n in hit else flown.landings[n - 1].verdict.reason}" for n in numbers]
     return "; ".join(whys)
 
 

@@ -29,7 +29,8 @@ from sim.campaign.rows import Row, error_row, row_of
 from sim.campaign.team_rows import team_row
 from sim.runners.landing import land
 from sim.runners.team import land_team
-from sim.scenarios.team import AnyScenario, TeamScenario, first_of, from_text
+from sim.runners.team import warm_up as warm_up_team
+from sim.scenarios.team import AnyScenario, TeamScenario, from_text
 from sim.vehicle.vehicle import warm_up
 
 _ALONE = threading.Lock()  # a cluster's worker may have threads; more than one would only wait for each other
@@ -42,11 +43,19 @@ _LOOK_S = 1.0  # s of wall time between two looks at the clock
 _END_S = 5.0  # s of wall time a worker has to end
 
 
+def prepare(scenario: AnyScenario) -> None:
+    """Compile everything that a flight calls, or load it from the cache."""
+    if isinstance(scenario, TeamScenario):
+        warm_up_team(scenario)
+    else:
+        warm_up(scenario)
+
+
 @lru_cache(maxsize=4)
 def prepared(scenario_toml: str) -> AnyScenario:
     """Scenario from its text, with all code compiled; the collector then leaves alone what exists."""
     scenario = from_text(scenario_toml)
-    warm_up(first_of(scenario))
+    prepare(scenario)
     quiet_garbage_collector()
     return scenario
 

@@ -34,6 +34,7 @@ class Companion:
     """The onboard process, called by the vehicle's loop whenever that waits for its answer.
 
     Attributes:
+        name: of the vehicle, and its namespace: cf1 for system id 1.
         controller: of the flight.
         vehicle: the simulated vehicle.
         ticks_max: after so many the flight is over, or never.
@@ -52,6 +53,7 @@ class Companion:
     ) -> None:
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
+        self.name = f"cf{system_id}"
         self.controller = Controller(config)
         self._on_step = on_step
         self._stop = Stop()
@@ -78,7 +80,7 @@ class Companion:
         self.outputs: Outputs | None = None
         self.neighbours: tuple[Any, ...] = ()
         self._notes = Notes(config, scenario.target.pad_radius_m)
-        node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes))
+        node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes, self.name))
         here.answer = self._answer
         self._link.poll(0.0)  # says hello, as the process does before the first tick
         self._loop = LockstepLoop(node, target, grid, self._stop, scenario.vehicle.setpoint_delay_s)

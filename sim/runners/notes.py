@@ -120,8 +120,8 @@ class Notes:
 class VehicleNotes(VehicleLog):
     """Stands in for the log of the vehicle's process."""
 
-    def __init__(self, notes: Notes) -> None:
-        super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS)
+    def __init__(self, notes: Notes, namespace: str = "cf1") -> None:
+        super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, namespace)
         self._notes = notes
 
     def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:

@@ -18,11 +18,6 @@ from sim.vehicle.encounters import Shape, nearest, overlaps
 _MS_PER_S = 1000.0
 
 
-def name_of(number: int) -> str:
-    """Name of a member, and its namespace; they are counted from 1."""
-    return f"cf{number}"
-
-
 @dataclass(slots=True)
 class Pair:
     """How near two members came.
@@ -73,7 +68,7 @@ class Pairs:
             if overlaps(self._before[j] - self._before[i], self._shapes[i], self._shapes[j]):
                 place = ", ".join(f"{each:.2f}" for each in self._before[i, :3])
                 raise ValueError(
-                    f"{name_of(pair.one)} and {name_of(pair.other)} begin inside each other, at ({place}) m; "
+                    f"{members[i].name} and {members[j].name} begin inside each other, at ({place}) m; "
                     "give them other start places"
                 )
 
@@ -112,7 +107,7 @@ class Pairs:
     def _collide(self, hits: Sequence[tuple[int, Pair]]) -> None:
         for at_ms, pair in hits:
             for own, other in ((pair.one, pair.other), (pair.other, pair.one)):
-                text = f"collision with {name_of(other)}"
+                text = f"collision with {self._members[other - 1].name}"
                 self._members[own - 1].say(at_ms / _MS_PER_S, Severity.ERROR, text)
         for number in {number for _, pair in hits for number in (pair.one, pair.other)}:
             self._members[number - 1].vehicle.collide()

@@ -12,6 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from flightstack.core.controller import Outputs
 from logs.verdict.truth import judge_truth
 from sim.clock import TickGrid
@@ -20,6 +22,9 @@ from sim.runners.landing import Landing
 from sim.runners.pairs import Pair, Pairs
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.air import Air
+from sim.vehicle.encounters import Shape, nearest
+from sim.vehicle.vehicle import VehicleSim
+from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 
 # Called once a tick, when all members have flown it, with its number and the outputs of all controllers (None
 # where the flight is over). Returns what each companion knows of the others from the next tick on.
@@ -92,3 +97,12 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
     )  # fmt: skip
     simulated_s = max(landing.simulated_s for landing in landings)
     return TeamLanding(seed, landings, tuple(pairs.all), simulated_s, wall_s)
+
+
+def warm_up(team: TeamScenario) -> None:
+    """Compile everything that a team's flight calls, or load it from the cache, before a flight begins."""
+    warm_up_vehicle(team.member[0])
+    physics = VehicleSim(team.member[0], 0).physics
+    Air([physics, physics]).blow()
+    shape, still = Shape.of(physics.params), np.zeros(6)
+    nearest(still, still, 1, shape, shape)
