@@ -50,6 +50,8 @@ class DownwashRecord(Record):
     plate: float  # force per velocity squared, N s^2/m^2
     arm: float  # m
     above: float  # rotor plane above the centre of mass, m
+    inertia: float  # 2 rho A of all rotors: thrust is this times the square of the induced velocity, kg/m
+    span: float  # distance of two motors across the vehicle, m
 
 
 @jitted
@@ -95,6 +97,24 @@ def add_jet(jets: F64, number: int, x: float, y: float, z: float, air: F64) -> N
     if speed > 0.0:
         for i in range(3):
             air[i] += speed * jet[3 + i]
+
+
+@jitted
+def set_jet(d: DownwashRecord, thrust_n: float, position: F64, axes: Nine, jet: F64) -> None:
+    """Find the jet of a vehicle.
+
+    Args:
+        d: its sizes.
+        thrust_n: of all rotors; none blows nothing.
+        position: (3,) its centre of mass, ENU, m.
+        axes: its body axes in the world.
+        jet: (JET,) the result.
+    """
+    for i in range(3):
+        jet[i] = position[i] + d.above * axes[6 + i]
+        jet[3 + i] = -axes[6 + i]
+    jet[6] = math.sqrt(max(0.0, thrust_n) / d.inertia)
+    jet[7] = d.span
 
 
 @jitted
@@ -178,16 +198,6 @@ def set_up_downwash(d: DownwashRecord, body: Body, rotor: Rotor, geometry: Geome
     d.loss, d.across = 0.25 * body.drag_n_s_m[2], body.drag_n_s_m[0]
     d.moment = body.drag_above_com_m * body.drag_n_s_m[0]
     d.plate = 0.5 * AIR_KG_M3 * PLATE_DRAG * 4.0 * half_x * half_y
-    d.arm, d.above = rotor.arm_m, rotor.above_com_m
+    d.arm, d.above, d.span = rotor.arm_m, rotor.above_com_m, 2.0 * math.sqrt(2.0) * rotor.arm_m
+    d.inertia = 2.0 * AIR_KG_M3 * 4.0 * math.pi * rotor.radius_m**2
     return d
-
-
-def induced_m_s(thrust_n: float, rotor: Rotor) -> float:
-    """Velocity that four rotors of this thrust together induce in hover; 0 for no thrust."""
-    area_m2 = 4.0 * math.pi * rotor.radius_m**2
-    return math.sqrt(max(0.0, thrust_n) / (2.0 * AIR_KG_M3 * area_m2))
-
-
-def size_m(rotor: Rotor) -> float:
-    """Distance of two motors across the vehicle."""
-    return 2.0 * math.sqrt(2.0) * rotor.arm_m

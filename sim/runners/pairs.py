@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import numpy.typing as npt
 
 from logs.schema.events import Severity
 from sim.clock import TickGrid
 from sim.compiled.records import F64
 from sim.runners.companion import Companion
-from sim.vehicle.encounters import Shape, nearest, overlaps
+from sim.vehicle.encounters import Shape, Team, overlaps
 
 _MS_PER_S = 1000.0
 
@@ -47,7 +48,7 @@ class Pairs:
     """Follows all pairs; who collides breaks its propellers at the end of that tick.
 
     Attributes:
-        all: the pairs, (1, 2) first.
+        all: the pairs, (1, 2) first; their least distances are there after ``found``.
 
     Args:
         members: of the team.
@@ -59,13 +60,17 @@ class Pairs:
 
     def __init__(self, members: Sequence[Companion], grid: TickGrid) -> None:
         self._members, self._grid = members, grid
-        self._shapes = [Shape.of(member.vehicle.physics.params) for member in members]
+        shapes = [Shape.of(member.vehicle.physics.params) for member in members]
         self.all = [Pair(i, j) for i, j in combinations(range(1, len(members) + 1), 2)]
-        self._inside = [False] * len(self.all)
+        self._team, number = Team(shapes), len(self.all)
+        self._one = np.array([pair.one - 1 for pair in self.all], dtype=np.int64)
+        self._other = np.array([pair.other - 1 for pair in self.all], dtype=np.int64)
+        self._least_m, self._flying_m, self._ellipsoid = (np.full(number, np.inf) for _ in range(3))
+        self._inside = np.zeros(number, dtype=bool)
         self._before, self._flew = self._states(), self._flying()
         for pair in self.all:
             i, j = pair.one - 1, pair.other - 1
-            if overlaps(self._before[j] - self._before[i], self._shapes[i], self._shapes[j]):
+            if overlaps(self._before[j] - self._before[i], shapes[i], shapes[j]):
                 place = ", ".join(f"{each:.2f}" for each in self._before[i, :3])
                 raise ValueError(
                     f"{members[i].name} and {members[j].name} begin inside each other, at ({place}) m; "
@@ -82,27 +87,32 @@ class Pairs:
         Args:
             tick: its number.
         """
-        after, flying, grid = self._states(), self._flying(), self._grid
-        flew = [each and now for each, now in zip(self._flew, flying, strict=True)]
+        team, grid = self._team, self._grid
         begin_ms, steps = grid.ms(tick), grid.ms(tick + 1) - grid.ms(tick)
-        hits: list[tuple[int, Pair]] = []
-        for number, pair in enumerate(self.all):
-            i, j = pair.one - 1, pair.other - 1
-            relative = self._before[j] - self._before[i]
-            found = nearest(relative, after[j] - after[i], steps, self._shapes[i], self._shapes[j])
-            pair.distance_min_m = min(pair.distance_min_m, found.distance_m)
-            both = flew[i] and flew[j]
-            if both:
-                pair.flying_distance_min_m = min(pair.flying_distance_min_m, found.distance_m)
-                pair.ellipsoid_min = min(pair.ellipsoid_min, found.ellipsoid)
-            inside = both and found.ellipsoid < 1.0
-            pair.violations += inside and not self._inside[number]
-            pair.inside_ms += steps * inside
-            self._inside[number] = inside
-            if found.overlap_ms >= 0 and pair.collided_ms is None:
-                pair.collided_ms = begin_ms + found.overlap_ms
+        team.follow(self._before, self._states(), steps)
+        flew = self._flew & self._flying()
+        both = flew[self._one] & flew[self._other]
+        inside = both & (team.ellipsoid < 1.0)
+        np.minimum(self._least_m, team.distance_m, out=self._least_m)
+        np.minimum(self._flying_m, team.distance_m, out=self._flying_m, where=both)
+        np.minimum(self._ellipsoid, team.ellipsoid, out=self._ellipsoid, where=both)
+        hits = []
+        for number in np.flatnonzero(inside | (team.overlap_ms >= 0)):
+            pair = self.all[number]
+            pair.violations += bool(inside[number] and not self._inside[number])
+            pair.inside_ms += steps * bool(inside[number])
+            if team.overlap_ms[number] >= 0 and pair.collided_ms is None:
+                pair.collided_ms = begin_ms + int(team.overlap_ms[number])
                 hits.append((pair.collided_ms, pair))
+        self._inside = inside
         self._collide(hits)
+
+    def found(self) -> tuple[Pair, ...]:
+        """Return the pairs with their least distances."""
+        columns = (self._least_m.tolist(), self._flying_m.tolist(), self._ellipsoid.tolist())
+        for pair, *least in zip(self.all, *columns, strict=True):
+            pair.distance_min_m, pair.flying_distance_min_m, pair.ellipsoid_min = least
+        return tuple(self.all)
 
     def _collide(self, hits: Sequence[tuple[int, Pair]]) -> None:
         for at_ms, pair in hits:
@@ -116,7 +126,7 @@ class Pairs:
         """Position (m) and velocity (m/s) of all, (N, 6), ENU."""
         return np.array([member.vehicle.body()[:6] for member in self._members])
 
-    def _flying(self) -> list[bool]:
-        """Whether each flies: motors turning, off the ground and off a pad."""
+    def _flying(self) -> npt.NDArray[np.bool_]:
+        """Whether each flies, (N,): motors turning, off the ground and off a pad."""
         vehicles = [member.vehicle for member in self._members]
-        return [each.motors_running and not (each.on_pad or each.on_ground) for each in vehicles]
+        return np.array([each.motors_running and not (each.on_pad or each.on_ground) for each in vehicles])

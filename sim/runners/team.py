@@ -22,7 +22,7 @@ from sim.runners.landing import Landing
 from sim.runners.pairs import Pair, Pairs
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.air import Air
-from sim.vehicle.encounters import Shape, nearest
+from sim.vehicle.encounters import Shape, Team, overlaps
 from sim.vehicle.vehicle import VehicleSim
 from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 
@@ -96,7 +96,7 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
         for member, each, (_, own) in zip(members, seen, singles, strict=True)
     )  # fmt: skip
     simulated_s = max(landing.simulated_s for landing in landings)
-    return TeamLanding(seed, landings, tuple(pairs.all), simulated_s, wall_s)
+    return TeamLanding(seed, landings, pairs.found(), simulated_s, wall_s)
 
 
 def warm_up(team: TeamScenario) -> None:
@@ -104,5 +104,6 @@ def warm_up(team: TeamScenario) -> None:
     warm_up_vehicle(team.member[0])
     physics = VehicleSim(team.member[0], 0).physics
     Air([physics, physics]).blow()
-    shape, still = Shape.of(physics.params), np.zeros(6)
-    nearest(still, still, 1, shape, shape)
+    shape, still = Shape.of(physics.params), np.zeros((2, 6))
+    Team((shape, shape)).follow(still, still, 1)
+    overlaps(still[0], shape, shape)

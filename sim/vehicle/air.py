@@ -13,9 +13,16 @@ import numpy as np
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Cell
 from sim.compiled.rotation import rotation_axes
-from sim.plant.downwash import JET, feel, induced_m_s, size_m
+from sim.plant.downwash import JET, feel, set_jet
 from sim.vehicle.loop import VehicleRecord
 from sim.vehicle.physics import Physics
+
+
+@jitted
+def _blow(vehicle: Cell[VehicleRecord], jet: F64) -> None:
+    v = vehicle[0]
+    body = v.world.body
+    set_jet(v.downwash, v.rotors.thrust_n, body.position, rotation_axes(body.quaternion), jet)
 
 
 @jitted
@@ -25,21 +32,11 @@ def _feel(vehicle: Cell[VehicleRecord], jets: F64, own: int) -> None:
     feel(v.downwash, jets, own, body.position, rotation_axes(body.quaternion))
 
 
-def jet_of(physics: Physics) -> list[float]:
-    """The jet of a vehicle now, ``JET`` numbers; its velocity is zero when the rotors stand.
-
-    Args:
-        physics: the vehicle.
-    """
-    body, rotor = physics.body(), physics.params.rotor
-    x, y, z = body[:3]
-    zx, zy, zz = rotation_axes(body[6:10])[6:]
-    up, speed = rotor.above_com_m, induced_m_s(float(physics.record.rotors.thrust_n), rotor)
-    return [x + up * zx, y + up * zy, z + up * zz, -zx, -zy, -zz, speed, size_m(rotor)]
-
-
 class Air:
     """The air of a team.
+
+    Attributes:
+        jets: (N, JET) of the vehicles, at the last call of ``blow``.
 
     Args:
         team: its vehicles.
@@ -47,13 +44,13 @@ class Air:
 
     def __init__(self, team: Sequence[Physics]) -> None:
         self._team = tuple(team)
-        self._jets = np.zeros((len(self._team), JET))
+        self.jets = np.zeros((len(self._team), JET))
 
     def blow(self) -> None:
         """Let each vehicle feel the jets of the others as they are now, until the next call."""
         if len(self._team) < 2:
             return
         for number, each in enumerate(self._team):
-            self._jets[number] = jet_of(each)
+            _blow(each.vehicle, self.jets[number])
         for number, each in enumerate(self._team):
-            _feel(each.vehicle, self._jets, number)
+            _feel(each.vehicle, self.jets, number)

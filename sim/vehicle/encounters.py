@@ -8,13 +8,14 @@ centres of mass, and that in the measure of an ellipsoid about the other vehicle
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from sim.compiled.jit import jitted
-from sim.compiled.records import F64
+from sim.compiled.records import F64, I64
 from sim.plant.params import STEP_S, Params
 
 # radii of one vehicle, m, those of a pair add up: Crazyswarm's examples; the firmware has 0.3 and 0.9
@@ -109,6 +110,50 @@ def nearest(before: F64, after: F64, steps: int, one: Shape, other: Shape) -> Ne
     down_m, up_m = one.bottom_m - other.top_m, one.top_m - other.bottom_m
     found = _nearest(before, after, steps, one.radius_m + other.radius_m, down_m, up_m)
     return Nearest(*found)
+
+
+@jitted
+def _nearest_all(
+    before: F64, after: F64, steps: int, shapes: F64, distance: F64, ellipsoid: F64, overlap: I64
+) -> None:
+    pair = 0
+    for i in range(len(shapes)):
+        for j in range(i + 1, len(shapes)):
+            radii_m = shapes[i, 0] + shapes[j, 0]
+            down_m, up_m = shapes[i, 1] - shapes[j, 2], shapes[i, 2] - shapes[j, 1]
+            found = _nearest(before[j] - before[i], after[j] - after[i], steps, radii_m, down_m, up_m)
+            distance[pair], ellipsoid[pair], overlap[pair] = found[0], found[1], found[2]
+            pair += 1
+
+
+class Team:
+    """Follows all pairs of a team: (0, 1), (0, 2) and so on, P of them.
+
+    Attributes:
+        distance_m: (P,) as ``Nearest.distance_m``, of the last call of ``follow``.
+        ellipsoid: (P,) as ``Nearest.ellipsoid``.
+        overlap_ms: (P,) as ``Nearest.overlap_ms``.
+
+    Args:
+        shapes: of its N members.
+    """
+
+    def __init__(self, shapes: Sequence[Shape]) -> None:
+        number = len(shapes) * (len(shapes) - 1) // 2
+        self._shapes = np.array([(each.radius_m, each.bottom_m, each.top_m) for each in shapes])
+        self.distance_m, self.ellipsoid = np.full(number, np.inf), np.full(number, np.inf)
+        self.overlap_ms = np.full(number, -1, dtype=np.int64)
+
+    def follow(self, before: F64, after: F64, steps: int) -> None:
+        """Follow all pairs from one tick to the next.
+
+        Args:
+            before: (N, 6) positions (m) and velocities (m/s), ENU.
+            after: (N, 6) the same at the next tick.
+            steps: milliseconds between them.
+        """
+        found = (self.distance_m, self.ellipsoid, self.overlap_ms)
+        _nearest_all(before, after, steps, self._shapes, *found)
 
 
 def overlaps(relative: F64, one: Shape, other: Shape) -> bool:

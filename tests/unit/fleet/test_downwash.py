@@ -7,17 +7,26 @@ import pytest
 
 from sim.compiled.records import new
 from sim.plant import downwash
-from sim.plant.downwash import DownwashRecord, feel, induced_m_s, jet_speed, press, set_up_downwash, size_m
+from sim.plant.downwash import JET, DownwashRecord, feel, jet_speed, press, set_jet, set_up_downwash
 from sim.plant.params import load
 from sim.scenarios.scenario import Start, StartKind
-from sim.vehicle.air import Air, jet_of
+from sim.vehicle.air import Air
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import scenario
 
 CRAZYFLIE = load("crazyflie20")
 WEIGHT_N = CRAZYFLIE.body.mass_kg * 9.81
 UPRIGHT = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-HOVER_M_S, SIZE_M = induced_m_s(WEIGHT_N, CRAZYFLIE.rotor), size_m(CRAZYFLIE.rotor)
+
+
+def jet(thrust_n=WEIGHT_N):
+    d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
+    found = np.zeros(JET)
+    set_jet(d, thrust_n, np.array([1.0, 2.0, 3.0]), UPRIGHT, found)
+    return found.tolist()
+
+
+HOVER_M_S, SIZE_M = jet()[6:]
 
 
 def below(x, y, down, *, jets=None, axes=UPRIGHT):
@@ -34,7 +43,9 @@ def below(x, y, down, *, jets=None, axes=UPRIGHT):
 def test_the_induced_velocity_is_that_of_momentum_theory():
     area = 4.0 * math.pi * CRAZYFLIE.rotor.radius_m**2
     assert 2.0 * downwash.AIR_KG_M3 * area * HOVER_M_S**2 == pytest.approx(WEIGHT_N)
-    assert induced_m_s(-0.01, CRAZYFLIE.rotor) == 0.0
+    assert pytest.approx(math.hypot(2 * 0.03253, 2 * 0.03253)) == SIZE_M
+    assert jet()[:6] == [1.0, 2.0, 3.012, 0.0, 0.0, -1.0]
+    assert jet(0.0)[6] == jet(-0.01)[6] == 0.0
 
 
 @pytest.mark.parametrize("lengths", [2.5, 5.0, 10.0, 30.0])
@@ -102,25 +113,25 @@ def test_who_is_beside_the_jet_is_tilted_towards_it():
 
 
 def test_two_jets_add_up_and_ones_own_does_not_count():
-    jet = [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, HOVER_M_S, SIZE_M]
+    one = [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, HOVER_M_S, SIZE_M]
     d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
     place = np.array([0.0, 0.0, -0.6])
-    feel(d, np.array([jet]), 7, place, UPRIGHT)
+    feel(d, np.array([one]), 7, place, UPRIGHT)
     air, along = d.air.copy(), d.along.copy()
-    feel(d, np.array([jet, jet, jet]), 1, place, UPRIGHT)
+    feel(d, np.array([one, one, one]), 1, place, UPRIGHT)
     assert np.allclose(d.air, 2.0 * air, rtol=1e-15)
     assert np.allclose(d.along, 2.0 * along, rtol=1e-15)
-    feel(d, np.array([jet]), 0, place, UPRIGHT)
+    feel(d, np.array([one]), 0, place, UPRIGHT)
     assert not d.on
 
 
 def test_a_tilted_jet_blows_sideways():
     tilt = math.radians(20.0)
-    jet = np.array([[0.0, 0.0, 0.0, math.sin(tilt), 0.0, -math.cos(tilt), HOVER_M_S, SIZE_M]])
+    tilted = np.array([[0.0, 0.0, 0.0, math.sin(tilt), 0.0, -math.cos(tilt), HOVER_M_S, SIZE_M]])
     d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
-    feel(d, jet, 9, np.array([0.5 * math.tan(tilt), 0.0, -0.5]), UPRIGHT)
+    feel(d, tilted, 9, np.array([0.5 * math.tan(tilt), 0.0, -0.5]), UPRIGHT)
     assert d.air[0] / -d.air[2] == pytest.approx(math.tan(tilt))
-    force, _ = below(0.0, 0.0, 0.5, jets=jet)
+    force, _ = below(0.0, 0.0, 0.5, jets=tilted)
     assert force[0] > 0.0
 
 
@@ -163,4 +174,6 @@ def test_the_order_of_a_team_does_not_matter():
 
 def test_rotors_that_stand_blow_nothing():
     still = VehicleSim(scenario(start=Start(StartKind.GROUND)), 1)
-    assert jet_of(still.physics)[6] == 0.0
+    air = Air([still.physics, hovering(0.0, 1.0).physics])
+    air.blow()
+    assert air.jets[0, 6] == 0.0

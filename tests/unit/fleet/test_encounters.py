@@ -1,13 +1,14 @@
 """Nearness of two vehicles against closed forms; cylinders that overlap, or just do not."""
 
 import math
+from itertools import combinations
 
 import numpy as np
 import pytest
 
 from logs.schema.events import ContactBit
 from sim.plant.params import load
-from sim.vehicle.encounters import Shape, ellipsoid_distance, nearest, overlaps
+from sim.vehicle.encounters import Shape, Team, ellipsoid_distance, nearest, overlaps
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import fly, scenario
 
@@ -77,6 +78,18 @@ def test_shapes_that_differ_overlap_from_both_sides():
 def test_the_pair_is_judged_the_same_from_both_sides():
     before, after = states((0.1, -0.05, 0.02), (-3.0, 2.0, 1.0), (5.0, 5.0, -9.81), 0.01)
     assert nearest(before, after, 10, SHAPE, SHAPE) == nearest(-before, -after, 10, SHAPE, SHAPE)
+
+
+def test_a_team_is_all_its_pairs():
+    rng = np.random.default_rng(1)
+    shapes = [SMALL, SHAPE, Shape(0.3, -0.1, 0.2), SHAPE]
+    team = Team(shapes)
+    for _ in range(50):
+        before, after = (rng.normal(0.0, 0.3, (4, 6)) for _ in range(2))
+        team.follow(before, after, 10)
+        for number, (i, j) in enumerate(combinations(range(4), 2)):
+            one = nearest(before[j] - before[i], after[j] - after[i], 10, shapes[i], shapes[j])
+            assert one == (team.distance_m[number], team.ellipsoid[number], team.overlap_ms[number])
 
 
 def test_who_collides_falls_and_the_contact_is_told_once():

@@ -10,6 +10,7 @@ from sim.runners.companion import Companion
 from sim.runners.landing import land
 from sim.runners.team import land_team
 from sim.scenarios import team
+from sim.scenarios.scenario import load
 from sim.scenarios.team import TeamScenario
 from tests.unit.fleet.fleet_helpers import FIELD, at, same, team_of
 
@@ -110,6 +111,15 @@ def test_the_exchange_is_asked_once_a_tick_and_told_in_the_next(monkeypatch):
     for number, neighbours in seen[2:]:
         assert [tick for _, _, tick in neighbours] == [number - 1]
     assert [neighbours[0][1] for _, neighbours in seen[2:]] == [2, 1] * (len(calls) - 1)
+
+
+def test_members_may_begin_on_the_ground_or_in_the_air():
+    mixed = team_of(load("paper_static_1"), at(9.0, 0.0))
+    flown = land_team(mixed, 0)
+    for landing, (scenario, seed) in zip(flown.landings, mixed.singles(0), strict=True):
+        assert same(landing, land(scenario, seed))
+    assert [landing.verdict.outcome for landing in flown.landings] == [Outcome.LANDED] * 2
+    assert flown.landings[0].seen.truth.position_enu_m[0, 2] < 0.02
 
 
 def test_vehicles_that_begin_inside_each_other_are_refused():
