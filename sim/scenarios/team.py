@@ -10,17 +10,26 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from flightstack.common.strict_toml import ConfigError, Files, from_table, over, read_toml
+from flightstack.common.strict_toml import ConfigError, Files, from_table, over, read_toml, span
 from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.scenarios import scenario as scenarios
 from sim.scenarios.scenario import Scenario
 
+_OF_THE_TEAM = ("name", "description", "exchange")  # keys; all others are those of a scenario
 MEMBERS_MAX = 250  # each has a MAVLink system id of its own
+
+
+@dataclass(frozen=True, slots=True)
+class ExchangeLink:
+    """How what the companions tell each other every tick comes to the others: at least one tick late."""
+
+    delay_s: Annotated[float, span(0.0, 1.0)] = 0.0
+    loss: Annotated[float, span(0.0, 1.0)] = 0.0  # of each word on its way to each hearer
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +39,7 @@ class TeamScenario:
     name: str
     description: str
     member: tuple[Scenario, ...]
+    exchange: ExchangeLink = field(default_factory=ExchangeLink)
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.member) <= MEMBERS_MAX:
@@ -129,11 +139,11 @@ def _team(path: Path, table: dict[str, Any]) -> TeamScenario:
     members = table.pop("member", [])
     if not isinstance(members, list) or not all(isinstance(each, dict) for each in members):
         raise ConfigError(f"member: found {members!r}, allowed: tables [[member]], one for each vehicle")
-    about: dict[str, Any] = {key: table.pop(key) for key in ("name", "description") if key in table}
+    about: dict[str, Any] = {key: table.pop(key) for key in _OF_THE_TEAM if key in table}
     shared = over(_base(path, table), table)
     found: list[dict[str, Any]] = []
     for number, own in enumerate(members, 1):
-        for key in ("name", "description", "base"):
+        for key in (*_OF_THE_TEAM, "base"):
             if key in own:
                 raise ConfigError(f"member {number}: {key}: found {own[key]!r}; the team has it, remove it")
         one = over(shared, own)

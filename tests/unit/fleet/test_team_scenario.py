@@ -99,3 +99,10 @@ def test_errors_say_what_was_found_and_what_to_do(written, text, error):
 def test_an_unknown_team_is_told_with_those_there_are():
     with pytest.raises(ConfigError, match="team 'fleet_9': neither a file nor one of: fleet_3, fleet_8"):
         team.load("fleet_9")
+
+
+def test_the_exchange_is_the_team_s(written):
+    text = ABOUT + 'base = "field"\n[exchange]\ndelay_s = 0.02\nloss = 0.1\n[[member]]\n'
+    assert team.load(written(text)).exchange == team.ExchangeLink(0.02, 0.1)
+    with pytest.raises(ConfigError, match=r"exchange\.loss: found 2\.0, allowed: 0 to 1"):
+        team.load(written(text.replace("0.1", "2.0")))

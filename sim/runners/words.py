@@ -1,0 +1,89 @@
+"""An exchange for ``land_team``: each member tells all others one word a tick; words come late and get lost.
+
+What a word is, is for the caller to say: this knows when it comes, and to whom. A word told at tick k is
+there at tick k + 1 at the earliest. Whether one is lost depends on the team's seed, on who tells and on who
+hears, so that it does not change when members are added.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
+
+from flightstack.core.controller import Outputs
+from sim.chance import member as seed_of
+from sim.chance import stream
+from sim.clock import NS_PER_S, TickGrid
+from sim.scenarios.team import TeamScenario
+
+W = TypeVar("W")
+
+_BLOCK = 256  # random numbers drawn at once
+
+
+class Words(Generic[W]):
+    """Passes words on, as ``TeamScenario.exchange`` has it.
+
+    Args:
+        team: number of members, ticks, delay and loss.
+        seed: of the team.
+        word: what a controller's outputs say to the others; None: nothing in this tick.
+        arrived: the word as it counts for who hears it at a time, s.
+    """
+
+    def __init__(
+        self,
+        team: TeamScenario,
+        seed: int,
+        word: Callable[[Outputs], W | None],
+        arrived: Callable[[W, float], W],
+    ) -> None:
+        self._word, self._arrived, self._loss = word, arrived, team.exchange.loss
+        self._grid = TickGrid(team.rate_hz)
+        self._ticks = max(1, math.ceil(team.exchange.delay_s * team.rate_hz - 1e-9))
+        numbers = range(1, len(team.member) + 1)
+        self._ways = [
+            [_Losses(seed, teller, hearer) if teller != hearer else None for teller in numbers]
+            for hearer in numbers
+        ]
+        self._under_way: list[deque[tuple[int, W]]] = [deque() for _ in numbers]
+
+    def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[W, ...]]:
+        """Take the outputs of a tick; return the words that each member hears with the next one.
+
+        Args:
+            tick: number of the tick that all have flown.
+            outputs: of all controllers; None where the flight is over.
+        """
+        due = tick + self._ticks
+        told = [None if each is None else self._word(each) for each in outputs]
+        heard = []
+        for ways, under_way in zip(self._ways, self._under_way, strict=True):
+            for word, way in zip(told, ways, strict=True):
+                if way is None:
+                    continue
+                lost = way.draw() < self._loss  # drawn in each tick: what is told does not shift it
+                if word is not None and not lost:
+                    under_way.append((due, word))
+            arrive_s = self._grid.ns(tick + 1) / NS_PER_S
+            here = []
+            while under_way and under_way[0][0] <= tick + 1:
+                here.append(self._arrived(under_way.popleft()[1], arrive_s))
+            heard.append(tuple(here))
+        return heard
+
+
+class _Losses:
+    """Numbers between 0 and 1 for the words of one teller on their way to one hearer."""
+
+    def __init__(self, seed: int, teller: int, hearer: int) -> None:
+        self._chance = stream(seed_of(seed, hearer), f"words.{teller}")
+        self._drawn: list[float] = []
+
+    def draw(self) -> float:
+        """Take the next one."""
+        if not self._drawn:
+            self._drawn = self._chance.random(_BLOCK).tolist()[::-1]
+        return self._drawn.pop()
