@@ -20,6 +20,7 @@ from flightstack.core.target.track import TargetState
 from flightstack.core.types import Intent, Landed, Neighbour, OwnState, Phase, Vec3, VehicleStatus
 
 FUTURE_MAX_S = 0.05  # by which a stamp may be ahead, besides the bound of its clock
+TOLD_M_S = 0.005  # of slack, from which a person wants to know
 _INTENTS = MappingProxyType(
     {
         Phase.WAIT: Intent.WAITING,
@@ -166,7 +167,7 @@ class FleetMember:
     def crowded(self) -> list[str]:
         """Text of an event where the neighbours' rows begin to give way, or hold again."""
         given_m_s, self._given_m_s = self._given_m_s, 0.0
-        crowded = given_m_s > 0.0
+        crowded = given_m_s > TOLD_M_S
         if crowded is self.memory.crowded:
             return []
         self.memory.crowded = crowded
