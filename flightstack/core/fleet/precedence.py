@@ -4,7 +4,8 @@ A vehicle that begins its landing claims its right of way with the time. It goes
 is in conflict has been heard since (claim and latency), and has no claim or says that it gives way; so the
 answer of Ricart and Agrawala is the word ``yields_to``. The older claim is first, then the lower id. Who
 gives way goes on doing so until the other's claim ends. Clocks may disagree about two claims of the same
-moment: both give way, then the lower id takes it back; or none does, then the higher id gives way.
+moment: both give way, then the lower id takes it back; or none does, then the higher id gives way. A
+circle of three or more is opened by a new claim.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from flightstack.core.memory import FleetMemory, Heard
-from flightstack.core.parameters.fleet import DECIDE_LATENCIES, Fleet
+from flightstack.core.parameters.fleet import CIRCLE_LATENCIES, DECIDE_LATENCIES, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, Phase, Vec3
 
 CLAIMING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
@@ -86,6 +87,8 @@ def decide(
     if not math.isfinite(memory.claim_s):
         memory.claim_s, memory.waits_since_s = now_s, now_s
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
+    if not memory.granted and _in_a_circle(memory, slots, now_s, fleet):
+        memory.claim_s = now_s
     if phase is not Phase.TOUCHDOWN:  # from there it goes on
         taken = memory.granted and any(slot.yields for _, slot in slots)
         memory.granted = (memory.granted or not blockers) and not taken
@@ -98,6 +101,18 @@ def decide(
         now_s - memory.waits_since_s > fleet.wait_max_s,
         _names("no right of way because of", blockers),
     )
+
+
+def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
+    """Whether it gives way to such only as give way themselves, for longer than those with higher ids.
+
+    Clocks that disagree can make a circle of three. A new claim, younger than all, opens it.
+    """
+    first = [slot.word for _, slot in slots if slot.yields and slot.word is not None]
+    if not first or not all(word.yields_to and word.intent not in GOES for word in first):
+        return False
+    higher = sum(n > fleet.id for n, _ in slots)
+    return now_s - memory.claim_s > (1 + higher) * CIRCLE_LATENCIES * fleet.latency_max_s
 
 
 def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:

@@ -17,6 +17,7 @@ PART_OF_LAG = 0.25  # of a first-order loop: below it the distance comes to rest
 HOLD_LATENCIES = 3.0  # for which a vehicle that gave way keeps its whole share after it said so last
 ZERO_LATENCIES = 2.0  # for which another one counts on it; the difference is for ticks and late ones
 DECIDE_LATENCIES = 4.0  # after two claims, until the higher id gives way where both believe to be first
+CIRCLE_LATENCIES = 8.0  # times the members with higher ids and one, until a circle is opened
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,7 +67,8 @@ class Side:
 
 @settings(max_examples=60, deadline=None)
 @given(
-    st.integers(0, 2**32), st.sampled_from([0.0, 0.1, 0.5, 0.8]), st.floats(TICK_S, A.latency_max_s), st.floats(0.0, 0.05),
+    st.integers(0, 2**32), st.sampled_from([0.0, 0.1, 0.5, 0.8]), st.floats(TICK_S, A.latency_max_s),
+    st.floats(0.0, 0.05),
     st.floats(-1.0, 1.0),
 )  # fmt: skip
 def test_the_shares_that_two_vehicles_fly_sum_to_one_or_more(seed, lost, slowest_s, bound_s, error):
