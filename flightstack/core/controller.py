@@ -8,9 +8,13 @@ Live flight, lockstep simulation, campaigns and log replay all call this.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
-from flightstack.core.memory import ReserveMemory, State, WholeState
+from flightstack.core.fleet.exact import Row
+from flightstack.core.fleet.member import NO_ROWS, FleetMember, Rows
+from flightstack.core.fleet.precedence import ALONE
+from flightstack.core.memory import FleetState, ReserveMemory, State, WholeState
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
 from flightstack.core.mission.machine import Mission, Transition
 from flightstack.core.parameters.flight import FlightConfig
@@ -30,6 +34,7 @@ from flightstack.core.types import (
     Inputs,
     Landed,
     Mode,
+    Neighbour,
     OwnState,
     Phase,
     Request,
@@ -87,6 +92,8 @@ class Outputs(NamedTuple):
         target_accepted: samples of the target so far.
         target_rejected: the same, refused.
         reserve: largest thrust over weight; NaN while it is not known, or without a table [reserve].
+        own_word: what the others have to be told; ``None`` without a table [fleet], or while it does not
+            know where it is.
     """
 
     phase: Phase
@@ -102,6 +109,7 @@ class Outputs(NamedTuple):
     target_accepted: int
     target_rejected: int
     reserve: float = math.nan
+    own_word: Neighbour | None = None
 
 
 def _level(transition: Transition) -> int:
@@ -117,9 +125,11 @@ def _follows_in_the_air(status: VehicleStatus | None) -> bool:
     return status.landed is not Landed.ON_GROUND
 
 
-def has_more(config: FlightConfig) -> bool:
-    """Whether the state of this configuration is a ``WholeState``."""
-    return config.reserve is not None or config.own.learns
+def state_class(config: FlightConfig) -> type[State]:
+    """Class of the state of this configuration."""
+    if config.fleet is not None:
+        return FleetState
+    return WholeState if config.reserve is not None or config.own.learns else State
 
 
 class Controller:
@@ -149,15 +159,19 @@ class Controller:
         step = tuple(a * self._period_s for a in most)
         self._slew_step: Vec3 = (step[0], step[1], step[2])
         self._up_step = math.inf  # besides, m/s
+        fleet = config.fleet
+        self._fleet = FleetMember(fleet, config.own.position_noise_m) if fleet is not None else None
 
     @property
     def state(self) -> State:
         """What it remembers; still in use, so to be written down before the next step."""
         strategy = self._strategy
         known = (self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory)
-        if not has_more(self.config):
+        kind = state_class(self.config)
+        if kind is State:
             return State(*known)
-        return WholeState(*known, self._reserve.memory if self._reserve else ReserveMemory(), strategy.own)
+        more = (self._reserve.memory if self._reserve else ReserveMemory(), strategy.own)
+        return FleetState(*known, *more, self._fleet.memory) if self._fleet else WholeState(*known, *more)
 
     def restore(self, state: State) -> None:
         """Go on from a state that was written down."""
@@ -169,6 +183,8 @@ class Controller:
             self._strategy.own = state.own
             if self._reserve is not None:
                 self._reserve.memory = state.reserve
+        if isinstance(state, FleetState) and self._fleet is not None:
+            self._fleet.memory = state.fleet
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
         """Run one tick.
@@ -180,7 +196,7 @@ class Controller:
         """
         memory, strategy, plausibility = self.memory, self._strategy, self.plausibility
         if inputs.own is not None and not inputs.own.is_finite:  # it would stay in every memory
-            inputs = Inputs(None, inputs.status, inputs.target_samples, inputs.operator, inputs.power)
+            inputs = replace(inputs, own=None)
         self.track.memory.settled = memory.phase is not Phase.WAIT
         events = self._take_samples(inputs)
         target = strategy.target(self.track, now_s)
@@ -190,21 +206,37 @@ class Controller:
             wanted = self._flown(inputs.own, inputs.status, now_s) if plausibility.believes(now_s) else None
             plausibility.follow(wanted, inputs.own.velocity_enu_m_s)
             own = strategy.vehicle(inputs.own)
-            inputs = Inputs(own, inputs.status, inputs.target_samples, inputs.operator, inputs.power)
+            inputs = Inputs(
+                own, inputs.status, inputs.target_samples, inputs.operator, inputs.power, inputs.neighbours
+            )
             strategy.observe(own.velocity_enu_m_s, commanding=flown)
         believed, follows, charge = plausibility.believes(now_s), plausibility.follows, Charge.FIT
         if self._reserve is not None:
             charge = self._weigh(self._reserve, inputs, now_s)
+        way, fleet = ALONE, self._fleet
+        if fleet is not None:
+            events += [Event(WARN, why) for why in fleet.take(inputs.neighbours, now_s)]
+            way = fleet.way(memory.phase, target, now_s)
         snapshot = snapshot_of(
-            self.config, inputs, target, now_s, believed=believed, follows=follows, charge=charge
+            self.config, inputs, target, now_s, believed=believed, follows=follows, charge=charge, way=way
         )
         transition = self._mission.step(snapshot, command_failed=command_failed, now_s=now_s)
         if transition is not None:
             events.append(Event(_level(transition), transition.text))
         asked = nominal_command(Situation(self.config, self.barrier, memory, snapshot, strategy))
-        active = strategy.barrier(snapshot)
-        barrier = self._evaluate(asked, snapshot, active)
-        gate, setpoint, wanted = self._command(asked, snapshot, barrier, active)
+        active, rows, own_word = strategy.barrier(snapshot), NO_ROWS, None
+        placed = inputs.own if snapshot.own_ok else None
+        if fleet is not None and asked.velocity is not None and placed is not None:
+            rows = fleet.rows(memory.phase, placed, self._base(snapshot), now_s)
+            most = self.config.limits.velocity_max_m_s
+            if rows.near:
+                asked = asked._replace(velocity=fleet.aside(limit(asked.velocity, most), rows))
+        barrier = self._evaluate(asked, snapshot, active, rows)
+        gate, setpoint, wanted = self._command(asked, snapshot, barrier, active, rows)
+        if fleet is not None:
+            events += [Event(WARN, text) for text in fleet.crowded()]
+            if placed is not None:
+                own_word = fleet.word(memory, placed, inputs.status, self._base(snapshot), target, now_s)
         return Outputs(
             phase=memory.phase,
             request=asked.request,
@@ -219,6 +251,7 @@ class Controller:
             target_accepted=self.track.accepted,
             target_rejected=self.track.rejected,
             reserve=self._reserve.reserve if self._reserve is not None else math.nan,
+            own_word=own_word,
         )
 
     def _weigh(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
@@ -258,7 +291,9 @@ class Controller:
         free = now_s - memory.phase_since_s <= RISE_FREE_S
         return (x, y, rises_m_s if free else max(up_m_s, rises_m_s))
 
-    def _evaluate(self, asked: NominalCommand, snapshot: Snapshot, active: ActiveBarrier) -> Barriers | None:
+    def _evaluate(
+        self, asked: NominalCommand, snapshot: Snapshot, active: ActiveBarrier, rows: Rows
+    ) -> Barriers | None:
         """Barrier and filter; the values are computed whenever they can be, the filter only for landing."""
         at = snapshot.relative
         if at is None:
@@ -273,7 +308,11 @@ class Controller:
         climb_m_s = self._strategy.climb_m_s(active_m, gradient, self._base(snapshot), at)
         if climb_m_s > lower[2]:
             lower = (lower[0], lower[1], min(climb_m_s, upper[2]))
-        result = self._filter.solve(nominal, active_m, gradient, dh_dt, lower, upper)
+        if rows.rows and self._fleet is not None:
+            landing = Row(gradient, -self._strategy.rate_1_s * active_m - dh_dt)
+            result = self._fleet.solve(nominal, landing, rows, lower, upper)
+        else:
+            result = self._filter.solve(nominal, active_m, gradient, dh_dt, lower, upper)
         return Barriers(h_m, gradient, dh_dt, nominal, result)
 
     def _base(self, snapshot: Snapshot) -> Vec3:
@@ -292,7 +331,12 @@ class Controller:
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def _command(
-        self, asked: NominalCommand, snapshot: Snapshot, barrier: Barriers | None, active: ActiveBarrier
+        self,
+        asked: NominalCommand,
+        snapshot: Snapshot,
+        barrier: Barriers | None,
+        active: ActiveBarrier,
+        rows: Rows,
     ) -> tuple[GateVerdict, ApprovedSetpoint | None, Vec3 | None]:
         memory, own = self.memory, snapshot.inputs.own
         if asked.velocity is None:
@@ -312,6 +356,8 @@ class Controller:
         else:
             most = self.config.limits.velocity_max_m_s
             wanted = slew(self._base(snapshot), limit(asked.velocity, most), self._slew_step, self._up_step)
+            if rows.rows and self._fleet is not None:  # nothing may collide in any phase
+                wanted = self._fleet.solve(wanted, None, rows, *self._box(snapshot)).velocity_enu_m_s
         least_z_m_s = self._least_z_m_s(snapshot)
         setpoint = self._strategy.setpoint(self._base(snapshot), wanted, snapshot, least_z_m_s)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan

@@ -6,11 +6,11 @@ The names of classes and fields are part of the log: a log with other names is n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from math import inf, nan
 
-from flightstack.core.types import ZERO, OwnState, Phase, TargetSample, Vec3
+from flightstack.core.types import ZERO, Neighbour, OwnState, Phase, TargetSample, Vec3
 
 
 class AbortWay(IntEnum):
@@ -155,3 +155,40 @@ class WholeState(State):
 
     reserve: ReserveMemory
     own: OwnMemory
+
+
+@dataclass(slots=True)
+class Heard:
+    """Of one other vehicle of the fleet."""
+
+    word: Neighbour | None = None  # newest; None: it was never heard
+    yields: bool = False  # it has precedence, and is told so
+    claim_s: float = nan  # its claim to which that belongs
+    yielded_s: float = -inf  # when it was told so last
+
+
+# one for each other member in the order of their ids; those of a smaller fleet stay as they are
+Slots = tuple[Heard, Heard, Heard, Heard, Heard, Heard, Heard, Heard]
+
+
+def _nobody_heard() -> Slots:
+    return (Heard(), Heard(), Heard(), Heard(), Heard(), Heard(), Heard(), Heard())
+
+
+@dataclass(slots=True)
+class FleetMemory:
+    """Of the other vehicles, and of the own right of way."""
+
+    slots: Slots = field(default_factory=_nobody_heard)
+    claim_s: float = nan  # since when the right of way is asked for
+    granted: bool = False
+    waits_since_s: float = inf  # for it
+    committed_s: float = inf  # since when the others are told COMMITTED
+    crowded: bool = False  # the rows of neighbours gave way in the last tick
+
+
+@dataclass(slots=True)
+class FleetState(WholeState):
+    """The same of a vehicle in a fleet."""
+
+    fleet: FleetMemory

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from flightstack.core.fleet.precedence import ALONE, Way
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Charge, Inputs, OwnState, Vec3
@@ -48,6 +49,7 @@ class Snapshot:
         e_m: position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known.
         follows: the vehicle flies the commanded velocity.
         charge: what the battery is fit for; without a table [reserve] it always is.
+        way: what the other vehicles allow; without a table [fleet] everything.
         good: all inputs can be flown by.
         relative: vehicle relative to target; ``None`` unless both are known.
     """
@@ -60,6 +62,7 @@ class Snapshot:
     e_m: Vec3 | None
     follows: bool = True
     charge: Charge = Charge.FIT
+    way: Way = ALONE
     good: bool = field(init=False)
     relative: Relative | None = field(init=False)
 
@@ -81,6 +84,7 @@ def snapshot_of(
     believed: bool = True,
     follows: bool = True,
     charge: Charge = Charge.FIT,
+    way: Way = ALONE,
 ) -> Snapshot:
     """Judge the ages of this tick's inputs.
 
@@ -92,6 +96,7 @@ def snapshot_of(
         believed: the vehicle's state is plausible.
         follows: the vehicle flies the commanded velocity.
         charge: what the battery is fit for.
+        way: what the other vehicles allow.
     """
     checks, own, status = config.checks, inputs.own, inputs.status
     own_ok = believed and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
@@ -101,4 +106,4 @@ def snapshot_of(
     if own is not None and target is not None:
         p, q = own.position_enu_m, target.position_enu_m
         e_m = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
-    return Snapshot(inputs, target, own_ok, target_ok, link_ok, e_m, follows, charge)
+    return Snapshot(inputs, target, own_ok, target_ok, link_ok, e_m, follows, charge, way)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 Vec3 = tuple[float, float, float]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
@@ -36,6 +37,7 @@ class FilterStatus(IntEnum):
     CLOSED_FORM = 2  # solver failed, or its result did not pass the check: the exact projection is the result
     INFEASIBLE = 3  # nothing in the box meets the barrier; fastest way to raise h used
     REJECTED = 4  # inputs of the program are not finite: there is no result
+    CROWDED = 5  # the rows of neighbours gave way by the least common slack; barrier and box are held
 
 
 class Request(IntEnum):
@@ -143,6 +145,51 @@ class Power:
     cos_tilt: float  # of the angle between the body's z axis and up
 
 
+class Intent(IntEnum):
+    """What a vehicle of a fleet is about to do, as it tells the others."""
+
+    STANDING = 0  # on the ground, or in the climb of its take-off: it gives way to nobody
+    WAITING = 1  # flies, without a right of way
+    LANDING = 2  # flies to its pad with its right of way
+    COMMITTED = 3  # over its pad: it is about to give way to nobody, or does already
+    CLEARING = 4  # holds, climbs or flies clear: others get out of its way
+    DOWN = 5  # landed, or lands by its autopilot: it follows no set-points any more
+
+
+class Neighbour(NamedTuple):
+    """What a vehicle of a fleet says of itself; times on the stack clock of who reads it.
+
+    Attributes:
+        id: of the vehicle, 1 to 250.
+        stamp_s: when it said so, corrected for the difference of the clocks.
+        arrival_s: when that came.
+        position_enu_m: of the vehicle at the stamp.
+        velocity_enu_m_s: measured.
+        wanted_enu_m_s: velocity that it is about to fly.
+        position_sigma_m: standard deviation of the position on each axis.
+        clock_bound_s: most that the stamp may be wrong by.
+        intent: what it is about to do.
+        claim_s: when it claimed its right of way; NaN: it has no claim.
+        pad_position_enu_m: where it lands; ``None``: not known yet.
+        pad_velocity_enu_m_s: velocity of that.
+        yields_to: vehicles that it gives way to.
+    """
+
+    id: int
+    stamp_s: float
+    arrival_s: float
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    wanted_enu_m_s: Vec3
+    position_sigma_m: float = 0.0
+    clock_bound_s: float = 0.0
+    intent: Intent = Intent.STANDING
+    claim_s: float = math.nan
+    pad_position_enu_m: Vec3 | None = None
+    pad_velocity_enu_m_s: Vec3 | None = None
+    yields_to: tuple[int, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """Everything one tick may look at: the newest of each link, and the samples that came since the last."""
@@ -152,3 +199,4 @@ class Inputs:
     target_samples: tuple[TargetSample, ...] = ()
     operator: Operator = Operator.NONE
     power: Power | None = None  # asked for by a configuration with a table [reserve] only
+    neighbours: tuple[Neighbour, ...] = ()  # what came since the last tick; with a table [fleet] only

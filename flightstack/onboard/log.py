@@ -10,7 +10,7 @@ from bridge.target.odometry import RawSample
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
-from flightstack.core.memory import State, WholeState
+from flightstack.core.memory import State
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
 from logs.schema.codec_mavlink import PeerNames, pack_mavlink
@@ -61,7 +61,7 @@ class OnboardLog:
         rate_hz: of the ticks.
         lockstep: in simulated time.
         reserve: the thrust reserve is estimated.
-        learns: an error of the own velocity is learned.
+        state: class of the controller's state.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class OnboardLog:
         lockstep: bool,
         *,
         reserve: bool = False,
-        learns: bool = False,
+        state: type[State] = State,
     ) -> None:
         self._feed = feed
         self._odom = feed.channel(f"/{namespace}/target/odom", ODOMETRY)
@@ -96,7 +96,7 @@ class OnboardLog:
         self._lockstep = lockstep
         self._every = max(1, round(rate_hz / STATUS_HZ))
         self._state_every = max(1, round(rate_hz / STATE_HZ))
-        self._state_text = StateText[State](WholeState if reserve or learns else State)
+        self._state_text = StateText[State](state)
         encoding = "application/cdr;flightstack_msgs/msg/"
         self._live_step = zenoh_link.dropping_publisher(
             session, f"{namespace}/controller/step", encoding + "ControllerStep"

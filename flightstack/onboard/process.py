@@ -27,7 +27,7 @@ from flightstack.common.pacing import (
 )
 from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.common.strict_toml import ConfigError, dumps
-from flightstack.core.controller import ERROR, WARN, Controller, Outputs
+from flightstack.core.controller import ERROR, WARN, Controller, Outputs, state_class
 from flightstack.core.memory import Memory
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import ZERO, Operator, Phase, Vec3, VehicleStatus
@@ -139,7 +139,7 @@ class Onboard:
         self._describe()
         self.log = OnboardLog(
             self.feed, self.wires.session, options.namespace, rate_hz, options.lockstep,
-            reserve=config.reserve is not None, learns=config.own.learns,
+            reserve=config.reserve is not None, state=state_class(config),
         )  # fmt: skip
         self.health = LiveHealth(self.wires.session, options.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap

@@ -13,7 +13,7 @@ import math
 import struct
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -47,8 +47,8 @@ class StateText(Generic[T]):
         """Settle how each field is written.
 
         Raises:
-            TypeError: A field's declared type is not one of bool, int, float, str, enum, tuple of fixed
-                length, dataclass, or one of these or None.
+            TypeError: A field's declared type is not one of bool, int, float, str, enum, tuple,
+                dataclass, named tuple, or one of these or None.
         """
         self._plan = _plan(cls, cls.__name__)
         self.layout = f"{VERSION} {self._plan.layout}"
@@ -87,10 +87,12 @@ def _plan(hint: Any, where: str) -> _Plan:
         return _enum(hint)
     if origin in (typing.Union, types.UnionType):
         return _optional(hint, where)
-    if origin is tuple and Ellipsis not in typing.get_args(hint):
-        return _tuple(hint, where)
+    if origin is tuple:
+        return _row(hint, where) if Ellipsis in typing.get_args(hint) else _tuple(hint, where)
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
-        return _dataclass(hint)
+        return _named(hint, [f.name for f in dataclasses.fields(hint)])
+    if isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields"):
+        return _named(hint, hint._fields)
     raise TypeError(f"{where}: declared {hint}, which has no text form here; see StateText")
 
 
@@ -152,9 +154,21 @@ def _tuple(hint: Any, where: str) -> _Plan:
     return _Plan(f"({','.join(each.layout for each in inner)})", encode, decode)
 
 
-def _dataclass(cls: type) -> _Plan:
+def _row(hint: Any, where: str) -> _Plan:
+    """A tuple of any length."""
+    inner = _plan(typing.get_args(hint)[0], where)
+
+    def decode(value: Any, at: str) -> Any:
+        if not isinstance(value, list):
+            raise StateTextError(f"{at}: found {value!r}, a list is needed")
+        return tuple(inner.decode(v, f"{at}[{n}]") for n, v in enumerate(value))
+
+    return _Plan(f"({inner.layout}...)", lambda value: [inner.encode(v) for v in value], decode)
+
+
+def _named(cls: type, names: Sequence[str]) -> _Plan:
     hints = typing.get_type_hints(cls)
-    plans = {f.name: _plan(hints[f.name], f"{cls.__name__}.{f.name}") for f in dataclasses.fields(cls)}
+    plans = {name: _plan(hints[name], f"{cls.__name__}.{name}") for name in names}
 
     def encode(value: Any) -> dict[str, Any]:
         return {name: plan.encode(getattr(value, name)) for name, plan in plans.items()}

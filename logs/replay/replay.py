@@ -15,8 +15,8 @@ from pathlib import Path
 
 from bridge.mavlink.profiles.autopilots import AUTO, PROFILES, PX4
 from flightstack.common.pacing import Tick
-from flightstack.core.controller import Controller, Outputs, has_more
-from flightstack.core.memory import Memory, State, WholeState
+from flightstack.core.controller import Controller, Outputs, state_class
+from flightstack.core.memory import Memory, State
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard.runner import Arrived, Runner, Taken, VehicleInputs
@@ -160,7 +160,7 @@ class _Run:
         self.config = config if config is not None else flight.config()
         self.controller = Controller(self.config)
         self.result = Result(flight.log.path)
-        self.text = StateText[State](WholeState if has_more(self.config) else State)
+        self.text = StateText[State](state_class(self.config))
         self.recorded = _RecordedTick()
         parts = (self.recorded,) * 4
         self.runner = Runner(self.controller, *parts, sink=self)

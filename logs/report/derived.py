@@ -15,7 +15,12 @@ from logs.verdict.types import Verdict
 if TYPE_CHECKING:
     from logs.report.links import Stream
 
-_RAN = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE)
+_RAN = (
+    FilterStatus.SOLVED,
+    FilterStatus.CLOSED_FORM,
+    FilterStatus.INFEASIBLE,
+    FilterStatus.CROWDED,
+)
 _NEAR_S = 0.02  # a true state farther in time than two ticks is not that of the step
 BEGINS, ENDS = "Fault: ", "Fault over: "
 _RELAYED = "vehicle: "  # the onboard process repeats what the vehicle says

@@ -41,6 +41,7 @@ _ODD = {
     FilterStatus.CLOSED_FORM: ("exact projection used", "circle"),
     FilterStatus.INFEASIBLE: ("no velocity satisfies it", "x"),
     FilterStatus.REJECTED: ("nothing usable", "cross"),
+    FilterStatus.CROWDED: ("rows of other vehicles gave way", "triangle-up"),
 }
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+from flightstack.core.fleet.precedence import Way
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import C, Condition, Rule
 from flightstack.core.parameters.flight import Checks, FlightConfig
@@ -127,7 +128,7 @@ def condition_flags(
         flags |= _status_flags(memory, snapshot)
     if memory.started_s < math.inf:
         flags |= C.STARTED
-        if now_s - memory.started_s > config.checks.landing_time_max_s:
+        if now_s - memory.started_s > config.checks.landing_time_max_s or snapshot.way.waited:
             flags |= C.LANDING_TIME_OVER
     limit = _PHASE_TIME_S.get(memory.phase)
     if limit is not None and now_s - memory.phase_since_s > limit(config):
@@ -137,7 +138,9 @@ def condition_flags(
     if memory.phase is Phase.TOUCHDOWN and memory.contact:
         flags |= C.ON_PAD
     at = snapshot.relative if snapshot.good else None
-    return flags | _place_flags(config, strategy, barrier, memory, at, now_s) if at is not None else flags
+    if at is None:
+        return flags
+    return flags | _place_flags(config, strategy, barrier, memory, at, now_s, snapshot.way)
 
 
 def _better_beside(barrier: Barrier, memory: Memory, snapshot: Snapshot) -> bool:
@@ -164,13 +167,20 @@ def _status_flags(memory: Memory, snapshot: Snapshot) -> int:
         flags |= C.WAS_EXTERNAL
     if status.landed is Landed.ON_GROUND:
         flags |= C.STANDING
-    if snapshot.good and (status.ready_to_arm or status.armed) and snapshot.charge is Charge.FIT:
+    fit = snapshot.charge is Charge.FIT and snapshot.way.may_begin
+    if snapshot.good and (status.ready_to_arm or status.armed) and fit:
         flags |= C.READY
     return flags
 
 
 def _place_flags(
-    config: FlightConfig, strategy: Strategy, barrier: Barrier, memory: Memory, at: Relative, now_s: float
+    config: FlightConfig,
+    strategy: Strategy,
+    barrier: Barrier,
+    memory: Memory,
+    at: Relative,
+    now_s: float,
+    way: Way,
 ) -> int:
     own, touchdown, flags = at.own, config.touchdown, 0
     if memory.phase is Phase.TAKEOFF and memory.climbed:
@@ -182,9 +192,10 @@ def _place_flags(
             flags |= C.AT_START
     # the cone is left at a wider radius than it is entered, so that noise does not make the phases chatter
     radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
-    if at.d_m <= radius and at.e_m[2] < max(barrier.peak_height_m, touchdown.height_m):
+    low = at.e_m[2] < max(barrier.peak_height_m, touchdown.height_m)
+    if at.d_m <= radius and low and way.may_land:
         flags |= C.OVER_PAD
-    if strategy.may_touch(at) and not waits_for_calm(config, memory, at, now_s):
+    if strategy.may_touch(at) and way.may_touch and not waits_for_calm(config, memory, at, now_s):
         flags |= C.TOUCH
     if memory.phase is Phase.TOUCHDOWN and not memory.contact and strategy.drifts(at):
         flags |= C.DRIFTED
@@ -230,8 +241,12 @@ def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
     """
     asked = (rule.when | rule.about) & flags
     told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
+    way = known.snapshot.way
     if not told and rule.about & ~flags & Condition.READY:
-        told = [known.battery or "the vehicle does not say that it is ready to arm"]
+        others = "" if way.may_begin else way.text
+        told = [known.battery or others or "the vehicle does not say that it is ready to arm"]
+    if rule.when & Condition.LANDING_TIME_OVER and way.waited:
+        told = [way.text]
     return f"{rule.reason}: {', '.join(told)}" if told else rule.reason
 
 

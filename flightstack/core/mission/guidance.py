@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import high_enough_m, start_point, waits_for_calm
+from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
-from flightstack.core.snapshot import Snapshot
+from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
@@ -84,11 +85,21 @@ def _land(s: Situation) -> NominalCommand:
     at = s.snapshot.relative
     if at is None:
         return NominalCommand(Request.EXTERNAL)
+    if not s.snapshot.way.may_land and s.config.fleet is not None:
+        return NominalCommand(Request.EXTERNAL, _outside(at, s.config.fleet, s.config), filtered=True)
     x, y, z = s.strategy.approach_m_s(at, over_pad=s.memory.phase is Phase.LAND)
     if waits_for_calm(s.config, s.memory, at, at.own.arrival_s):
         below_m = s.config.touchdown.calm_height_m - at.e_m[2]
         z = max(z, at.target.velocity_enu_m_s[2] + s.config.position_loop.gain_1_s[2] * below_m)
     return NominalCommand(Request.EXTERNAL, (x, y, z), filtered=True)
+
+
+def _outside(at: Relative, fleet: Fleet, config: FlightConfig) -> Vec3:
+    """To a place outside the cone, on the side where it is: there it waits for its right of way."""
+    (x, y, z), d = at.e_m, at.d_m
+    side = (x / d, y / d) if d > 1e-6 else (1.0, 0.0)
+    e = (x - side[0] * fleet.wait_distance_m, y - side[1] * fleet.wait_distance_m, z - fleet.wait_height_m)
+    return nominal_velocity(e, config.position_loop.gain_1_s, at.target.velocity_enu_m_s)
 
 
 def _touchdown(s: Situation) -> NominalCommand:

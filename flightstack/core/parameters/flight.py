@@ -11,6 +11,7 @@ from typing import Annotated
 from flightstack.common.strict_toml import ConfigError, Each, span
 from flightstack.core.parameters.ends import Contact, Retreat, Takeoff, Touchdown
 from flightstack.core.parameters.filters import FILTERS, check_name, named
+from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.reserve import Reserve
 from flightstack.core.parameters.robust import (
     Envelope,
@@ -156,6 +157,7 @@ class FlightConfig:
     envelope: Envelope = field(default_factory=Envelope)  # what `check` proves it for
     vehicle: VehicleSide = field(default_factory=VehicleSide)
     reserve: Reserve | None = None  # without it the battery limits nothing, and its state is not asked for
+    fleet: Fleet | None = None  # without it there are no others: it flies alone
 
     @property
     def descending(self) -> FlightConfig:
@@ -170,6 +172,8 @@ class FlightConfig:
                 f"limits.altitude_max_m: found {self.limits.altitude_max_m:g}, the barrier's peak is "
                 f"{peak:.3g} m above the pad; allow at least {least_m:.3g}"
             )
+        if self.fleet is not None:
+            self.fleet.check_loop(self.velocity_loop.lag_xy_s, 1.0 / self.loop.rate_hz)
         check_name(self.filter)
         if self.filter in FILTERS:  # one from outside checks where it flies: reading a log runs no such code
             named(self.filter).check_config(self)

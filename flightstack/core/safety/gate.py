@@ -17,7 +17,7 @@ from flightstack.core.types import FilterStatus, Vec3
 
 _KEY = object()
 BOX_TOLERANCE_M_S = 1e-9
-_RESULTS = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE)
+_RESULTS = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE, FilterStatus.CROWDED)
 SOLVER_TOLERANCE_M_S = 2.0 * RESIDUAL_MAX_M_S  # what a result of the filter may miss the barrier by; rounding
 
 

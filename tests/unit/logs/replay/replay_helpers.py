@@ -4,6 +4,7 @@ from pathlib import Path
 
 from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.common.strict_toml import dumps, from_table
+from flightstack.core.controller import state_class
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
 from flightstack.onboard.log import OnboardLog
@@ -54,7 +55,13 @@ def record(path: Path, world: World, seconds: float, *, until=None, config: Flig
     feed.file.attachment("onboard.toml", "application/toml", 0, dumps(config).encode())
     feed.file.metadata("onboard", {"namespace": "cf1"})
     log = OnboardLog(
-        feed, NoSession(), "cf1", config.loop.rate_hz, lockstep=True, reserve=config.reserve is not None
+        feed,
+        NoSession(),
+        "cf1",
+        config.loop.rate_hz,
+        lockstep=True,
+        reserve=config.reserve is not None,
+        state=state_class(config),
     )
     for number in range(round(seconds / DT_S)):
         tick = Tick(number, world.t_s, EPOCH_NS + round(world.t_s * 1e9), 0.0, 0.0)

@@ -1,0 +1,162 @@
+"""Exact solution of the program with several rows, by its active sets.
+
+    min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
+
+In three dimensions at most three constraints hold the minimiser: the clipped u', then the exact projection on
+the box and one row, then every set of up to three rows and sides is tried. The result is a point that meets
+all constraints with multipliers that are not negative: the conditions of Karush, Kuhn and Tucker, which are
+sufficient here. Where no point meets all rows, the least common slack is the lowest corner of a linear
+program in four variables. No code is shared with the solver.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from flightstack.core.safety.position_loop import clip
+from flightstack.core.safety.projection import projection
+from flightstack.core.types import Vec3
+
+TOLERANCE_M_S = 1e-9  # that a constraint may be missed by
+_PARALLEL = 1e-10  # determinant of unit vectors below which a set is not independent
+_MULTIPLIER_LEAST = -1e-9
+_SIDES = np.vstack([np.eye(3), -np.eye(3)])
+
+
+class Row(NamedTuple):
+    """A constraint g . u >= b on the velocity.
+
+    Attributes:
+        g: without unit.
+        bound_m_s: b.
+    """
+
+    g: Vec3
+    bound_m_s: float
+
+    def missing_m_s(self, u: Vec3) -> float:
+        """How far a velocity is from meeting it; not positive if it does."""
+        return self.bound_m_s - (self.g[0] * u[0] + self.g[1] * u[1] + self.g[2] * u[2])
+
+
+class Nearest(NamedTuple):
+    """The minimiser.
+
+    Attributes:
+        point: m/s.
+        multipliers: of the rows; 0 for those that do not bind.
+    """
+
+    point: Vec3
+    multipliers: tuple[float, ...]
+
+
+def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
+    """Minimiser of the program; ``None`` if no point of the box meets all rows."""
+    point = (
+        clip(nominal[0], lower[0], upper[0]),
+        clip(nominal[1], lower[1], upper[1]),
+        clip(nominal[2], lower[2], upper[2]),
+    )
+    missed = [k for k, row in enumerate(rows) if row.missing_m_s(point) > 0.0]
+    if not missed:
+        return Nearest(point, (0.0,) * len(rows))
+    for k in missed:
+        found = projection(nominal, rows[k].g, rows[k].bound_m_s, lower, upper)
+        if found is None:
+            return None
+        at = found.point
+        if all(row.missing_m_s(at) <= TOLERANCE_M_S for row in rows) and found.multiplier < np.inf:
+            return Nearest(at, tuple(found.multiplier if n == k else 0.0 for n in range(len(rows))))
+    return _of_all_sets(nominal, rows, lower, upper)
+
+
+@cache
+def _sets(rows: int, size: int) -> Any:
+    """Sets of so many of the rows and sides, in the order rows, lower, upper; no two sides of one axis."""
+    sides = [(rows + k, rows + 3 + k) for k in range(3)]
+    every = itertools.combinations(range(rows + 6), size)
+    return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
+
+
+def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
+    count, start = len(rows), np.array(nominal)
+    normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), _SIDES])
+    bounds = np.array([*(row.bound_m_s for row in rows), *lower, *(-side for side in upper)])
+    lengths = np.linalg.norm(normals, axis=1)
+    lengths[lengths == 0.0] = 1.0
+    unit, limit = normals / lengths[:, None], bounds / lengths
+    best, least = None, np.inf
+    for size in (1, 2, 3):
+        chosen = _sets(count, size)
+        a = unit[chosen]
+        gram = a @ a.transpose(0, 2, 1)
+        with np.errstate(divide="ignore"):  # of sets that depend on each other
+            kept = np.linalg.det(gram) > _PARALLEL
+        chosen, a, gram = chosen[kept], a[kept], gram[kept]
+        lacking = limit[chosen] - a @ start
+        multipliers = np.linalg.solve(gram, lacking[..., None])[..., 0]
+        steps = np.einsum("ks,ksx->kx", multipliers, a)
+        points = start + steps
+        meets = (points @ unit.T >= limit - TOLERANCE_M_S).all(axis=1)
+        good = np.flatnonzero(meets & (multipliers >= _MULTIPLIER_LEAST).all(axis=1))
+        for k in good:
+            far = float(steps[k] @ steps[k])
+            if far < least:
+                least, best = far, (points[k], chosen[k], multipliers[k])
+    if best is None:
+        return None
+    at, members, factors = best
+    found = [0.0] * count
+    for member, factor in zip(members.tolist(), factors.tolist(), strict=True):
+        if member < count:
+            found[member] = max(0.0, factor) / float(lengths[member])
+    x, y, z = at.tolist()
+    point = (clip(x, lower[0], upper[0]), clip(y, lower[1], upper[1]), clip(z, lower[2], upper[2]))
+    return Nearest(point, tuple(found))
+
+
+def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
+    """Least common slack s >= 0 by which soft rows give way, g . u + s >= b, and a velocity that meets them.
+
+    Args:
+        firm: rows that do not give way; some point of the box meets them.
+        soft: rows that do, at least one.
+        lower: lower corner of the box, m/s.
+        upper: upper corner, m/s.
+
+    Returns:
+        ``(slack_m_s, velocity_enu_m_s)``; an infinite slack if the firm rows are not met anywhere.
+    """
+    rows = [*soft, *firm]
+    slack = [1.0] * len(soft) + [0.0] * (len(firm) + 6) + [1.0]
+    normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), _SIDES, np.zeros((1, 3))])
+    bounds = np.array([*(row.bound_m_s for row in rows), *lower, *(-side for side in upper), 0.0])
+    matrix = np.column_stack([normals, np.array(slack)])
+    chosen = _corners(len(soft), len(firm))
+    a = matrix[chosen]
+    with np.errstate(divide="ignore"):
+        kept = np.abs(np.linalg.det(a)) > _PARALLEL
+    points = np.linalg.solve(a[kept], bounds[chosen[kept]][..., None])[..., 0]
+    meets = (points @ matrix.T >= bounds - TOLERANCE_M_S).all(axis=1)
+    points = points[meets]
+    if not len(points):
+        return np.inf, lower
+    x, y, z, s = points[int(np.argmin(points[:, 3]))].tolist()
+    point = (clip(x, lower[0], upper[0]), clip(y, lower[1], upper[1]), clip(z, lower[2], upper[2]))
+    return max(0.0, s), point
+
+
+@cache
+def _corners(soft: int, firm: int) -> Any:
+    """Sets of four of soft rows, firm rows, sides and s >= 0 that can be a corner: one of them bounds s."""
+    rows = soft + firm
+    last, sides = rows + 6, [(rows + k, rows + 3 + k) for k in range(3)]
+    every = itertools.combinations(range(rows + 7), 4)
+    bounded = (s for s in every if s[0] < soft or s[-1] == last)
+    return np.array([s for s in bounded if not any(low in s and high in s for low, high in sides)])

@@ -1,0 +1,215 @@
+"""This vehicle as a member of a fleet: what it hears, the rows that it holds, and what it says of itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+from flightstack.core.fleet.ellipsoid import barrier, estimate
+from flightstack.core.fleet.exact import Row
+from flightstack.core.fleet.precedence import Pad, Way, decide
+from flightstack.core.fleet.program import FleetProgram
+from flightstack.core.fleet.shares import NONE, row, share
+from flightstack.core.fleet.sidestep import Near, sidestep
+from flightstack.core.memory import AbortWay, FleetMemory, Heard, Memory
+from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.safety.qp_filter import FilterResult
+from flightstack.core.target.track import TargetState
+from flightstack.core.types import Intent, Landed, Neighbour, OwnState, Phase, Vec3, VehicleStatus
+
+FUTURE_MAX_S = 0.05  # by which a stamp may be ahead, besides the bound of its clock
+TOLD_M_S = 0.005  # of slack, from which a person wants to know
+_INTENTS = MappingProxyType(
+    {
+        Phase.WAIT: Intent.WAITING,
+        Phase.TAKEOFF: Intent.WAITING,
+        Phase.APPROACH: Intent.WAITING,  # LANDING with the right of way
+        Phase.LAND: Intent.COMMITTED,
+        Phase.TOUCHDOWN: Intent.COMMITTED,
+        Phase.LANDED: Intent.DOWN,
+        Phase.HOLD: Intent.CLEARING,
+        Phase.CLIMB: Intent.CLEARING,
+        Phase.ABORT: Intent.DOWN,  # CLEARING while it flies clear
+    }
+)
+
+
+class Rows(NamedTuple):
+    """Rows of the neighbours in reach, and those as the side-step sees them.
+
+    Attributes:
+        rows: of the program; the nearest first.
+        near: of the same vehicles.
+    """
+
+    rows: tuple[Row, ...]
+    near: tuple[Near, ...]
+
+
+NO_ROWS = Rows((), ())
+
+
+def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
+    """What a phase means to the others.
+
+    Args:
+        memory: of the mission.
+        granted: it has the right of way.
+        flies: it is in the air and flies by set-points.
+    """
+    if memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and not memory.clear:
+        return Intent.CLEARING
+    if memory.phase is Phase.WAIT and not flies:
+        return Intent.STANDING
+    if memory.phase is Phase.TAKEOFF and not memory.climbed:
+        return Intent.STANDING
+    if memory.phase is Phase.APPROACH and granted:
+        return Intent.LANDING
+    return _INTENTS[memory.phase]
+
+
+class FleetMember:
+    """The others and this vehicle among them; ``memory`` is all that it remembers.
+
+    Args:
+        fleet: of the configuration.
+        sigma_m: standard deviation of the own position on each axis.
+    """
+
+    def __init__(self, fleet: Fleet, sigma_m: float) -> None:
+        self.memory = FleetMemory()
+        self._fleet, self._sigma_m = fleet, sigma_m
+        self._index = {n: k for k, n in enumerate(fleet.others)}
+        self._program, self._given_m_s = FleetProgram(), 0.0
+
+    @property
+    def slots(self) -> list[tuple[int, Heard]]:
+        """Id and what is known of each other member."""
+        return [(n, self.memory.slots[k]) for n, k in self._index.items()]
+
+    def take(self, words: Sequence[Neighbour], now_s: float) -> list[str]:
+        """Keep the newest word of each member; the reasons of those that are refused."""
+        refused = []
+        for word in words:
+            why = self._refusal(word, now_s)
+            if why:
+                refused.append(f"word of vehicle {word.id} refused: {why}")
+                continue
+            slot = self.memory.slots[self._index[word.id]]
+            if slot.word is None or word.stamp_s > slot.word.stamp_s:  # what was overtaken is not news
+                slot.word = word
+        return refused
+
+    def _refusal(self, word: Neighbour, now_s: float) -> str:
+        if word.id not in self._index:
+            return "it is no other member"
+        sums = sum(word.position_enu_m) + sum(word.velocity_enu_m_s) + sum(word.wanted_enu_m_s)
+        if not math.isfinite(sums + word.stamp_s + word.position_sigma_m + word.clock_bound_s):
+            return "a number is not finite"
+        if math.isinf(word.claim_s) or not all(
+            math.isfinite(sum(pad or ())) for pad in (word.pad_position_enu_m, word.pad_velocity_enu_m_s)
+        ):
+            return "its claim or its pad is not finite"
+        if word.clock_bound_s < 0.0 or word.position_sigma_m < 0.0:
+            return "a bound is negative"
+        if word.stamp_s > now_s + word.clock_bound_s + FUTURE_MAX_S:
+            return f"its stamp is {word.stamp_s - now_s:.2f} s ahead"
+        return ""
+
+    def way(self, phase: Phase, target: TargetState | None, now_s: float) -> Way:
+        """What the mission may do in this tick; claim and right of way go on by a tick."""
+        pad = Pad(target.position_enu_m, target.velocity_enu_m_s) if target is not None else None
+        return decide(self.memory, self.slots, phase, pad, now_s, self._fleet)
+
+    def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
+        """Rows of the neighbours in reach for which this vehicle has a share; none in a touchdown.
+
+        Args:
+            phase: of this vehicle.
+            own: state of this vehicle.
+            wanted_m_s: velocity that it wanted in the last tick, as the others were told.
+            now_s: stack clock.
+        """
+        if phase is Phase.TOUCHDOWN:  # it goes on to the ground: the others keep clear of it
+            return NO_ROWS
+        fleet, (x, y, z), found = self._fleet, own.position_enu_m, []
+        for n, slot in self.slots:
+            word = slot.word
+            if word is None:
+                continue
+            part = share(slot, word, now_s, fleet)
+            if part == NONE:
+                continue
+            now = estimate(word, now_s, self._sigma_m, fleet)
+            px, py, pz = now.position_enu_m
+            away = (x - px, y - py, z - pz)
+            xy_m, z_m = fleet.radius_xy_m + now.grown_m, fleet.radius_z_m + now.grown_m
+            h_m, gradient = barrier(away, xy_m, z_m, first=fleet.id < n)
+            if h_m > fleet.reach_m - fleet.radius_xy_m:
+                continue
+            made = row(part, h_m, gradient, wanted_m_s, word, now, fleet)
+            found.append((h_m, n, made, Near(h_m, gradient, away, now.velocity_enu_m_s)))
+        found.sort(key=lambda each: each[:2])
+        return Rows(tuple(each[2] for each in found), tuple(each[3] for each in found))
+
+    def aside(self, nominal: Vec3, rows: Rows) -> Vec3:
+        """Nominal velocity with the side-step past those that it closes in on."""
+        return sidestep(nominal, rows.near, self._fleet.rate_1_s)
+
+    def solve(self, nominal: Vec3, landing: Row | None, rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
+        """Filter a nominal velocity; arguments as those of ``FleetProgram.solve``."""
+        found = self._program.solve(nominal, landing, rows.rows, lower, upper)
+        self._given_m_s = found.given_m_s
+        return found.filter
+
+    def crowded(self) -> list[str]:
+        """Text of an event where the neighbours' rows begin to give way, or hold again."""
+        given_m_s, self._given_m_s = self._given_m_s, 0.0
+        crowded = given_m_s > TOLD_M_S
+        if crowded is self.memory.crowded:
+            return []
+        self.memory.crowded = crowded
+        if not crowded:
+            return ["the rows of the other vehicles hold again"]
+        return [f"no velocity keeps clear of all other vehicles: their rows give way by {given_m_s:.2f} m/s"]
+
+    def word(
+        self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
+        target: TargetState | None, now_s: float,
+    ) -> Neighbour:  # fmt: skip
+        """What the process has to tell the others after this tick.
+
+        Args:
+            memory: of the mission.
+            own: state of this vehicle.
+            status: what its heartbeat says.
+            wanted_m_s: velocity that it is about to fly.
+            target: where it lands; ``None``: not known.
+            now_s: stack clock.
+        """
+        flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
+        fleet, mine, (x, y, z) = self._fleet, self.memory, own.position_enu_m
+        intent = intent_of(memory, granted=mine.granted, flies=flies)
+        committed = intent is Intent.COMMITTED
+        mine.committed_s = min(mine.committed_s, now_s) if committed else math.inf
+        yields = tuple(n for n, slot in self.slots if slot.yields)
+        for n in yields:
+            mine.slots[self._index[n]].yielded_s = now_s
+        v, late_s = own.velocity_enu_m_s, max(0.0, now_s - own.arrival_s)
+        return Neighbour(
+            fleet.id,
+            now_s,
+            now_s,
+            (x + v[0] * late_s, y + v[1] * late_s, z + v[2] * late_s),
+            v,
+            wanted_m_s,
+            self._sigma_m,
+            0.0,
+            intent,
+            mine.claim_s,
+            target.position_enu_m if target is not None else None,
+            target.velocity_enu_m_s if target is not None else None,
+            yields,
+        )

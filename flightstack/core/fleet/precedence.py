@@ -1,0 +1,188 @@
+"""Who lands first where pads are the same or come near each other: by what all hear, without a leader.
+
+A vehicle that begins its landing claims its right of way with the time. It goes when every member whose pad
+is in conflict has been heard since (claim and latency), and has no claim or says that it gives way; so the
+answer of Ricart and Agrawala is the word ``yields_to``. The older claim is first, then the lower id. Who
+gives way goes on doing so until the other's claim ends. Clocks may disagree about two claims of the same
+moment: both give way, then the lower id takes it back; or none does, then the higher id gives way. A
+circle of three or more is opened by a new claim.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from flightstack.core.memory import FleetMemory, Heard
+from flightstack.core.parameters.fleet import CIRCLE_LATENCIES, DECIDE_LATENCIES, Fleet
+from flightstack.core.types import ZERO, Intent, Neighbour, Phase, Vec3
+
+CLAIMING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
+ON_GROUND = frozenset({Intent.STANDING, Intent.DOWN})
+GOES = frozenset({Intent.LANDING, Intent.COMMITTED})
+
+
+class Way(NamedTuple):
+    """What the mission may do, as far as the others go.
+
+    Attributes:
+        may_begin: every member has been heard.
+        may_land: it has the right of way.
+        may_touch: all know that it gives way to nobody any more.
+        waited: it has waited for its right of way for too long.
+        text: whom it waits for.
+    """
+
+    may_begin: bool = True
+    may_land: bool = True
+    may_touch: bool = True
+    waited: bool = False
+    text: str = ""
+
+
+ALONE = Way()
+
+
+class Pad(NamedTuple):
+    """Where a vehicle lands.
+
+    Attributes:
+        position_enu_m: of the landing spot.
+        velocity_enu_m_s: of the same.
+    """
+
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+
+
+def nearest_m(a: Pad, b: Pad, ahead_s: float) -> float:
+    """Least horizontal distance of two pads from now until so many seconds ahead, at constant velocities."""
+    x, y = b.position_enu_m[0] - a.position_enu_m[0], b.position_enu_m[1] - a.position_enu_m[1]
+    vx, vy = b.velocity_enu_m_s[0] - a.velocity_enu_m_s[0], b.velocity_enu_m_s[1] - a.velocity_enu_m_s[1]
+    speed2 = vx * vx + vy * vy
+    at_s = min(max(0.0, -(x * vx + y * vy) / speed2), ahead_s) if speed2 > 0.0 else 0.0
+    return math.hypot(x + at_s * vx, y + at_s * vy)
+
+
+def decide(
+    memory: FleetMemory, slots: Sequence[tuple[int, Heard]], phase: Phase, pad: Pad | None, now_s: float,
+    fleet: Fleet,
+) -> Way:  # fmt: skip
+    """Advance claim and right of way by one tick.
+
+    Args:
+        memory: changed: the claim, and to whom this vehicle gives way.
+        slots: id and what is known of each other member.
+        phase: of this vehicle.
+        pad: where it lands; ``None``: not known.
+        now_s: stack clock.
+        fleet: of the configuration.
+    """
+    missing = [n for n, slot in slots if not _present(slot.word, now_s, fleet)]
+    if phase not in CLAIMING or pad is None:
+        if phase not in CLAIMING:
+            drop(memory, slots)
+        return Way(not missing, False, False, False, _names("not heard", missing))
+    if not math.isfinite(memory.claim_s):
+        memory.claim_s, memory.waits_since_s = now_s, now_s
+    blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
+    if not memory.granted and _in_a_circle(memory, slots, now_s, fleet):
+        memory.claim_s = now_s
+    if phase is not Phase.TOUCHDOWN:  # from there it goes on
+        taken = memory.granted and any(slot.yields for _, slot in slots)
+        memory.granted = (memory.granted or not blockers) and not taken
+        memory.waits_since_s = min(memory.waits_since_s, now_s) if not memory.granted else math.inf
+    told_s = now_s - memory.committed_s
+    return Way(
+        not missing,
+        memory.granted,
+        told_s >= fleet.age_max_s + fleet.latency_max_s,
+        now_s - memory.waits_since_s > fleet.wait_max_s,
+        _names("no right of way because of", blockers),
+    )
+
+
+def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
+    """Whether it gives way to such only as give way themselves, for longer than those with higher ids.
+
+    Clocks that disagree can make a circle of three. A new claim, younger than all, opens it.
+    """
+    first = [slot.word for _, slot in slots if slot.yields and slot.word is not None]
+    if not first or not all(word.yields_to and word.intent not in GOES for word in first):
+        return False
+    higher = sum(n > fleet.id for n, _ in slots)
+    return now_s - memory.claim_s > (1 + higher) * CIRCLE_LATENCIES * fleet.latency_max_s
+
+
+def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
+    """Give up claim and right of way; nobody is given way to."""
+    memory.claim_s, memory.granted = math.nan, False
+    memory.waits_since_s = memory.committed_s = math.inf
+    for _, slot in slots:
+        slot.yields = False
+
+
+def _present(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
+    """Whether a member is heard; one that is down needs not say so for ever."""
+    if word is None:
+        return False
+    return word.intent is Intent.DOWN or now_s - word.stamp_s <= fleet.age_max_s
+
+
+def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fleet) -> bool:
+    """Whether a member keeps this vehicle from landing; notes whether it is given way to."""
+    word = slot.word
+    if word is None:
+        return True
+    if word.intent in ON_GROUND:
+        slot.yields = False
+        place = Pad(word.position_enu_m, word.velocity_enu_m_s)
+        if nearest_m(pad, place, 0.0) < fleet.radius_xy_m:
+            return True
+    if not (slot.yields and slot.claim_s == word.claim_s) and not _conflict(word, pad, fleet):
+        slot.yields = False
+        return False
+    if word.intent is Intent.DOWN:
+        return False
+    since_s = word.stamp_s - word.clock_bound_s - memory.claim_s
+    answered = since_s >= fleet.latency_max_s and now_s - word.stamp_s <= fleet.age_max_s
+    if not math.isfinite(word.claim_s):
+        slot.yields = False
+        return not answered
+    gives_way = answered and fleet.id in word.yields_to
+    slot.yields = _yields(memory, slot, word, now_s, fleet, answered=answered, gives_way=gives_way)
+    slot.claim_s = word.claim_s
+    return slot.yields or not gives_way
+
+
+def _yields(
+    memory: FleetMemory, slot: Heard, word: Neighbour, now_s: float, fleet: Fleet, *,
+    answered: bool, gives_way: bool,
+) -> bool:  # fmt: skip
+    goes, lower = word.intent in GOES, fleet.id < word.id
+    if memory.granted:  # only an older right of way takes it back
+        return goes and (word.claim_s, word.id) < (memory.claim_s, fleet.id) and not gives_way
+    if lower and gives_way and not goes:
+        return False
+    if goes or (slot.yields and slot.claim_s == word.claim_s):
+        return True
+    both_s = max(memory.claim_s, word.claim_s) + DECIDE_LATENCIES * fleet.latency_max_s
+    if (word.claim_s, word.id) < (memory.claim_s, fleet.id):
+        return True
+    return not lower and answered and not gives_way and now_s > both_s
+
+
+def _conflict(word: Neighbour, pad: Pad, fleet: Fleet) -> bool:
+    """Whether both pads are too near each other for two landings; a claim for an unknown pad is, too."""
+    place = word.pad_position_enu_m
+    if place is None:
+        return math.isfinite(word.claim_s)
+    other = Pad(place, word.pad_velocity_enu_m_s or ZERO)
+    return nearest_m(pad, other, fleet.descent_s) < fleet.pad_distance_m
+
+
+def _names(what: str, ids: Sequence[int]) -> str:
+    if not ids:
+        return ""
+    return f"{what} member{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids))}"

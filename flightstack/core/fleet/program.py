@@ -1,0 +1,167 @@
+"""The program with the rows of neighbours: landing barrier, box, and one row for each neighbour in reach.
+
+The same program as that of ``safety/qp_filter.py`` with more rows. OSQP begins with the exact solution
+(``exact.py``), and its result is flown only if it meets all rows and is that point. If nothing meets all
+rows, those of neighbours give way together, by the least common slack; landing barrier and box never do.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from flightstack.core.fleet.exact import Nearest, Row, least_slack, nearest
+from flightstack.core.parameters.fleet import OTHERS_MAX
+from flightstack.core.safety.position_loop import clip
+from flightstack.core.safety.projection import best_corner
+from flightstack.core.safety.qp_filter import (
+    EPS,
+    ITERATIONS_MAX,
+    RELAXATION,
+    RESIDUAL_MAX_M_S,
+    RHO,
+    FilterResult,
+)
+from flightstack.core.types import ZERO, FilterStatus, Vec3
+
+AGREES_M_S = 1e-6  # of the solver's point with the exact one
+_ROWS = 1 + OTHERS_MAX  # the landing barrier is the first
+_OPEN = Row(ZERO, -math.inf)  # holds always
+RELAXED_M_S = 1e-8  # besides the least slack, so that more than one point is left
+
+
+class FleetResult(NamedTuple):
+    """Filtered velocity.
+
+    Attributes:
+        filter: as that of ``SafetyFilter``; its slack is that of the landing barrier, NaN without one.
+        given_m_s: slack by which the rows of neighbours gave way; 0 unless CROWDED.
+        held: the rows of neighbours changed the velocity.
+    """
+
+    filter: FilterResult
+    given_m_s: float
+    held: bool
+
+
+class FleetProgram:
+    """The quadratic program, allocated once."""
+
+    def __init__(self) -> None:
+        # Only a process that solves pays for these, as in qp_filter.
+        from osqp import ext_builtin as osqp
+        from scipy import sparse
+
+        settings = osqp.OSQPSettings()
+        osqp.osqp_set_default_settings(settings)
+        settings.verbose = 0
+        settings.eps_abs = settings.eps_rel = EPS
+        settings.rho, settings.alpha = RHO, RELAXATION
+        settings.adaptive_rho = 0
+        settings.scaling = 0
+        settings.max_iter = ITERATIONS_MAX
+        settings.check_termination = 1
+        size, self._infinite = _ROWS + 3, float(osqp.OSQP_INFTY)
+        self._q, self._x, self._y = np.zeros(3), np.zeros(3), np.zeros(size)
+        self._lower, self._upper = np.full(size, -self._infinite), np.full(size, self._infinite)
+        whole = np.vstack([np.ones((_ROWS, 3)), np.eye(3)])
+        self._ax = np.ones(3 * (_ROWS + 1))  # column-wise: all rows of an axis, then its side of the box
+        self._columns = self._ax.reshape(3, _ROWS + 1)
+        constraint, hessian = osqp.CSC(sparse.csc_matrix(whole)), osqp.CSC(sparse.csc_matrix(np.eye(3)))
+        self._solver = osqp.OSQPSolver(
+            hessian, self._q, constraint, self._lower, self._upper, size, 3, settings
+        )
+        self._solved = osqp.osqp_status_type.OSQP_SOLVED
+
+    def solve(
+        self, nominal: Vec3, landing: Row | None, neighbours: Sequence[Row], lower: Vec3, upper: Vec3
+    ) -> FleetResult:
+        """Filter one nominal velocity.
+
+        Args:
+            nominal: u', m/s, ENU.
+            landing: row of the landing barrier; ``None`` in a phase without it.
+            neighbours: their rows, at most ``OTHERS_MAX``.
+            lower: lower corner of the admissible box, m/s.
+            upper: upper corner, m/s.
+        """
+        firm = [landing] if landing is not None else []
+        every = [*firm, *neighbours]
+        sums = sum(lower) + sum(upper) + sum(nominal) + sum(row.bound_m_s + sum(row.g) for row in every)
+        if not math.isfinite(sums):
+            idle = FilterResult(ZERO, math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
+            return FleetResult(idle, 0.0, False)
+        started = time.perf_counter()
+        if landing is not None:
+            corner = best_corner(landing.g, lower, upper)
+            missing = landing.missing_m_s(corner)
+            if missing > 0.0:
+                at_once = FilterResult(corner, -missing, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
+                return FleetResult(at_once, 0.0, True)
+        exact, given_m_s = nearest(nominal, every, lower, upper), 0.0
+        point, residual, iterations, status = ZERO, 0.0, 0, FilterStatus.CROWDED
+        if exact is not None:
+            point, residual, iterations = self._osqp(nominal, landing, neighbours, lower, upper, exact)
+            status = FilterStatus.SOLVED
+            if not (residual <= RESIDUAL_MAX_M_S and math.dist(point, exact.point) <= AGREES_M_S):
+                point, status = exact.point, FilterStatus.CLOSED_FORM
+        else:
+            given_m_s, point = least_slack(firm, neighbours, lower, upper)
+            if not math.isfinite(given_m_s):  # the barrier is met by the corner alone
+                point = corner if landing is not None else point
+            else:
+                less = given_m_s + RELAXED_M_S
+                found = nearest(nominal, [*firm, *(Row(g, b - less) for g, b in neighbours)], lower, upper)
+                point = found.point if found is not None else point
+        free = (
+            clip(nominal[0], lower[0], upper[0]),
+            clip(nominal[1], lower[1], upper[1]),
+            clip(nominal[2], lower[2], upper[2]),
+        )
+        slack = -landing.missing_m_s(point) if landing is not None else math.nan
+        active = landing is not None and landing.missing_m_s(free) > 0.0
+        held = any(row.missing_m_s(free) > 0.0 for row in neighbours)
+        solve_s = time.perf_counter() - started
+        result = FilterResult(point, slack, active, status, residual, iterations, solve_s)
+        return FleetResult(result, given_m_s, held)
+
+    def _osqp(
+        self,
+        nominal: Vec3,
+        landing: Row | None,
+        neighbours: Sequence[Row],
+        lower: Vec3,
+        upper: Vec3,
+        start: Nearest,
+    ) -> tuple[Vec3, float, int]:
+        """Point clipped to the box, its largest violation before that (inf if not solved), iterations."""
+        rows = [landing or _OPEN, *neighbours]
+        multipliers = start.multipliers if landing is not None else (0.0, *start.multipliers)
+        q, low, high, first, dual = self._q, self._lower, self._upper, self._x, self._y
+        low[:_ROWS] = -self._infinite
+        self._columns[:, :_ROWS] = 0.0
+        dual[:] = 0.0
+        rest = [n - p for n, p in zip(nominal, start.point, strict=True)]
+        for k, (row, multiplier) in enumerate(zip(rows, multipliers, strict=True)):
+            low[k] = max(row.bound_m_s, -self._infinite)
+            self._columns[:, k] = row.g
+            dual[k] = -multiplier
+            rest = [r + multiplier * g for r, g in zip(rest, row.g, strict=True)]
+        q[:], first[:], dual[_ROWS:] = [-n for n in nominal], start.point, rest
+        low[_ROWS:], high[_ROWS:] = lower, upper
+        solver = self._solver
+        solver.update_data_vec(q=q, l=low, u=high)
+        solver.update_data_mat(P_x=None, P_i=None, A_x=self._ax, A_i=None)
+        solver.warm_start(first, dual)
+        solver.solve()
+        info = solver.info
+        x, y, z = solver.solution.x.tolist()
+        point = (clip(x, lower[0], upper[0]), clip(y, lower[1], upper[1]), clip(z, lower[2], upper[2]))
+        if info.status_val != self._solved or not math.isfinite(x + y + z):
+            return point, math.inf, info.iter
+        missing = max(row.missing_m_s(point) for row in rows if row is not _OPEN)
+        return point, max(math.dist(point, (x, y, z)), missing, 0.0), info.iter

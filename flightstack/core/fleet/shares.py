@@ -1,0 +1,70 @@
+"""Which part of keeping two vehicles apart is this one's: none, half, or all of it.
+
+The parts of two vehicles sum to at least 1 at every time, whatever word is late or lost
+(docs/how_it_works/fleet.md). The order of the rules is the argument: what this vehicle has said itself comes
+first, then what makes the other one give way to nobody, then what the other one has said lately.
+"""
+
+from __future__ import annotations
+
+from flightstack.core.fleet.ellipsoid import Estimate
+from flightstack.core.fleet.exact import Row
+from flightstack.core.memory import Heard
+from flightstack.core.parameters.fleet import HOLD_LATENCIES, ZERO_LATENCIES, Fleet
+from flightstack.core.types import Intent, Neighbour, Vec3
+
+# others make way for these: they give way to nobody, or have a fault
+FIRM = frozenset({Intent.STANDING, Intent.COMMITTED, Intent.CLEARING, Intent.DOWN})
+NONE, HALF, ALL = 0.0, 0.5, 1.0
+
+
+def share(slot: Heard, word: Neighbour, now_s: float, fleet: Fleet) -> float:
+    """Part of this vehicle.
+
+    Args:
+        slot: what it has said to the other vehicle.
+        word: the newest of the other vehicle.
+        now_s: stack clock.
+        fleet: of the configuration.
+    """
+    if slot.yields or now_s - slot.yielded_s <= HOLD_LATENCIES * fleet.latency_max_s:
+        return ALL
+    age_s = now_s - word.stamp_s + word.clock_bound_s
+    if word.intent in FIRM or age_s > fleet.age_max_s:
+        return ALL
+    if fleet.id in word.yields_to and age_s <= ZERO_LATENCIES * fleet.latency_max_s:
+        return NONE
+    return HALF
+
+
+def row(
+    part: float,
+    h_m: float,
+    gradient: Vec3,
+    own_wanted_m_s: Vec3,
+    word: Neighbour,
+    now: Estimate,
+    fleet: Fleet,
+) -> Row:
+    """Constraint on this vehicle's velocity.
+
+    With the whole part it goes by the other one's velocity. With half of it, it goes by the mean of both
+    velocities wanted, each as it was told: where both hold theirs, the distance falls no faster than the rate
+    allows. What the other one may have changed since its word counts against this vehicle.
+
+    Args:
+        part: of this vehicle, more than 0.
+        h_m: value of the barrier.
+        gradient: of the barrier by this vehicle's position.
+        own_wanted_m_s: velocity that it wanted in the last tick.
+        word: of the other vehicle.
+        now: the same carried on.
+        fleet: of the configuration.
+    """
+    if part == ALL:
+        c = now.velocity_enu_m_s
+    else:
+        (x, y, z), (ox, oy, oz) = word.wanted_enu_m_s, own_wanted_m_s
+        c = (0.5 * (x + ox), 0.5 * (y + oy), 0.5 * (z + oz))
+    along = gradient[0] * c[0] + gradient[1] * c[1] + gradient[2] * c[2]
+    return Row(gradient, along + part * (now.growth_m_s - fleet.rate_1_s * h_m))

@@ -1,0 +1,100 @@
+"""A fleet: who belongs to it, the room that two vehicles need, and what is assumed of the others.
+
+The ellipsoid of two Crazyflies has the semi-axes 0.25 and 0.75 m: each has a radius of 0.125 and 0.375 m, as
+in the collision avoidance of the Crazyflie firmware and of Crazyswarm2. It is higher than wide for downwash.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from flightstack.common.strict_toml import ConfigError, span
+
+ID_MAX = 250
+OTHERS_MAX = 8  # other members: each may need a row of the program
+PART_OF_LAG = 0.25  # of a first-order loop: below it the distance comes to rest without an overshoot
+HOLD_LATENCIES = 3.0  # for which a vehicle that gave way keeps its whole share after it said so last
+ZERO_LATENCIES = 2.0  # for which another one counts on it; the difference is for ticks and late ones
+DECIDE_LATENCIES = 4.0  # after two claims, until the higher id gives way where both believe to be first
+CIRCLE_LATENCIES = 8.0  # times the members with higher ids and one, until a circle is opened
+
+
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """This vehicle and the others; a configuration without this table flies alone."""
+
+    id: Annotated[int, span(1, ID_MAX)]
+    members: tuple[Annotated[int, span(1, ID_MAX)], ...]  # all of them, this one too
+    radius_xy_m: Annotated[float, span(0.05, 10.0)] = 0.25  # semi-axes of the ellipsoid of two positions
+    radius_z_m: Annotated[float, span(0.05, 10.0)] = 0.75
+    rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # at which the distance may be used up
+    sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # standard deviations of positions that are covered
+    speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # of another vehicle, in any direction
+    acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 1.0  # the same; of its velocity wanted, too
+    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # within which others have a row
+    age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # of a word; older, its vehicle is silent
+    latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # of a word that is not lost
+    silent_flight_s: Annotated[float, span(0.1, 60.0)] = 3.0  # a silent vehicle flies on; then it is down
+    wait_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0  # for the right of way; then it aborts
+    pad_distance_m: Annotated[float, span(0.1, 50.0)] = 0.8  # of pads, nearer only one lands at a time
+    descent_s: Annotated[float, span(0.0, 60.0)] = 5.0  # so far ahead pads may come as near
+    wait_distance_m: Annotated[float, span(0.1, 50.0)] = 1.2  # from the middle of the pad, horizontally ...
+    wait_height_m: Annotated[float, span(0.1, 50.0)] = 1.0  # ... and above it: there it waits
+
+    def __post_init__(self) -> None:
+        if len(set(self.members)) != len(self.members) or self.id not in self.members:
+            raise ConfigError(f"members: found {list(self.members)}; each once is needed, and id {self.id}")
+        if not 1 <= len(self.others) <= OTHERS_MAX:
+            raise ConfigError(
+                f"members: found {len(self.members)}, allowed are 2 to {OTHERS_MAX + 1}: as many "
+                "others as the program has rows"
+            )
+        least_m = self.radius_xy_m + 2.0 * self.speed_max_m_s / self.rate_1_s
+        if self.reach_m < least_m:
+            raise ConfigError(
+                f"reach_m: found {self.reach_m:g}; two vehicles of speed_max_m_s that meet brake from "
+                f"{least_m:.3g} m: raise it to that, or raise rate_1_s"
+            )
+        least_s = max(ZERO_LATENCIES, HOLD_LATENCIES) * self.latency_max_s
+        if self.age_max_s < least_s:
+            raise ConfigError(
+                f"age_max_s: found {self.age_max_s:g}; allowed is at least {HOLD_LATENCIES:g} latency_max_s, "
+                f"{least_s:.3g} s"
+            )
+        if self.pad_distance_m < 2.0 * self.radius_xy_m:
+            raise ConfigError(
+                f"pad_distance_m: found {self.pad_distance_m:g}; two vehicles that both land need "
+                f"2 radius_xy_m, {2.0 * self.radius_xy_m:.3g} m"
+            )
+        if self.wait_distance_m < self.pad_distance_m:
+            raise ConfigError(
+                f"wait_distance_m: found {self.wait_distance_m:g}; who waits leaves pad_distance_m free, "
+                f"{self.pad_distance_m:g} m"
+            )
+
+    @property
+    def others(self) -> tuple[int, ...]:
+        """Ids of the other members, in order."""
+        return tuple(sorted(set(self.members) - {self.id}))
+
+    def check_loop(self, lag_s: float, period_s: float) -> None:
+        """Refuse a rate too fast for the vehicle's velocity loop, and a latency shorter than a tick.
+
+        Args:
+            lag_s: group delay of the velocity loop.
+            period_s: of a tick.
+
+        Raises:
+            ConfigError: which value, what is allowed.
+        """
+        if self.rate_1_s * lag_s > PART_OF_LAG:
+            raise ConfigError(
+                f"fleet.rate_1_s: found {self.rate_1_s:g}; with a lag of {lag_s:g} s at most "
+                f"{PART_OF_LAG / lag_s:.3g} 1/s come to rest without an overshoot: lower it"
+            )
+        if self.latency_max_s < period_s:
+            raise ConfigError(
+                f"fleet.latency_max_s: found {self.latency_max_s:g}; a word is at least one tick late, "
+                f"{period_s:g} s: raise it"
+            )

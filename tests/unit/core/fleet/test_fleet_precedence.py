@@ -1,0 +1,239 @@
+"""One pad at a time: no two vehicles have the right of way together, and each gets it."""
+
+import heapq
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flightstack.core.fleet.member import FleetMember
+from flightstack.core.fleet.precedence import Pad, nearest_m
+from flightstack.core.memory import Memory
+from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.target.track import TargetState
+from flightstack.core.types import (
+    ZERO,
+    Intent,
+    Landed,
+    Mode,
+    Neighbour,
+    OwnState,
+    Phase,
+    VehicleStatus,
+)
+
+TICK_S = 0.05
+FLEET = Fleet(3, (3, 7))
+FLYING = VehicleStatus(0.0, True, Mode.EXTERNAL, Landed.IN_AIR, True)
+HERE = TargetState(0.0, ZERO, ZERO, 0.0)
+AWAY = (5.0, 5.0, 0.0)
+
+
+def claimed(**keys):
+    """A member in its approach that claimed at 1 s, and knows this of the other one."""
+    member = FleetMember(FLEET, 0.0)
+    told = {"stamp_s": 1.2, "arrival_s": 1.2, "intent": Intent.WAITING, "pad_position_enu_m": ZERO, **keys}
+    word = Neighbour(7, position_enu_m=AWAY, velocity_enu_m_s=ZERO, wanted_enu_m_s=ZERO, **told)
+    member.way(Phase.APPROACH, HERE, 1.0)
+    assert member.take([word], 1.2) == []
+    return member
+
+
+@pytest.mark.parametrize(
+    ("told", "may_land", "yields"),
+    [
+        ({}, True, False),  # it has no claim
+        ({"stamp_s": 1.14}, False, False),  # it may not have heard of this claim
+        ({"stamp_s": 1.17, "clock_bound_s": 0.03}, False, False),
+        ({"claim_s": 1.1, "yields_to": (3,)}, True, False),
+        ({"claim_s": 1.1}, False, False),  # the younger claim does not give way yet
+        ({"claim_s": 0.9}, False, True),
+        ({"claim_s": 1.0}, False, False),  # of the same moment: the lower id is first
+        ({"claim_s": 0.9, "yields_to": (3,)}, True, False),  # both give way: the lower id takes it back
+        ({"claim_s": 1.1, "intent": Intent.LANDING}, False, True),
+        ({"claim_s": 1.1, "intent": Intent.COMMITTED}, False, True),
+        ({"claim_s": 0.9, "pad_position_enu_m": (0.9, 0.0, 0.0)}, True, False),  # another pad, far enough
+        ({"claim_s": 0.9, "pad_position_enu_m": (0.7, 0.0, 0.0)}, False, True),
+        ({"claim_s": 0.9, "pad_position_enu_m": None}, False, True),
+        ({"pad_position_enu_m": None}, True, False),
+        ({"intent": Intent.DOWN}, True, False),
+    ],
+)
+def test_the_right_of_way_by_what_was_heard(told, may_land, yields):
+    member = claimed(**told)
+    way = member.way(Phase.APPROACH, HERE, 1.2)
+    assert way.may_land is may_land
+    assert member.memory.slots[0].yields is yields
+    assert way.text == ("" if may_land else "no right of way because of member 7")
+
+
+def test_a_vehicle_that_stands_on_the_pad_is_waited_for():
+    for intent in (Intent.STANDING, Intent.DOWN):
+        member = claimed(intent=intent)
+        slot = member.memory.slots[0]
+        slot.word = slot.word._replace(position_enu_m=(0.2, 0.0, 0.0))
+        assert not member.way(Phase.APPROACH, HERE, 1.2).may_land
+        slot.word = slot.word._replace(position_enu_m=(0.3, 0.0, 0.0))
+        assert member.way(Phase.APPROACH, HERE, 1.2).may_land
+
+
+def test_where_both_believe_to_be_first_the_higher_id_gives_way_in_the_end():
+    higher = FleetMember(replace(FLEET, id=7), 0.0)
+    higher.way(Phase.APPROACH, HERE, 1.0)
+    for now_s, yields in ((1.5, False), (1.65, False), (1.75, True)):
+        word = Neighbour(3, now_s, now_s, AWAY, ZERO, ZERO, claim_s=1.05, pad_position_enu_m=ZERO)
+        higher.take([word], now_s)
+        assert not higher.way(Phase.APPROACH, HERE, now_s).may_land
+        assert higher.memory.slots[0].yields is yields
+
+
+def test_it_gives_way_until_the_claim_ends_and_to_no_new_claim():
+    member = claimed(claim_s=0.9)
+    member.way(Phase.APPROACH, HERE, 1.2)
+    slot = member.memory.slots[0]
+    slot.word = slot.word._replace(stamp_s=1.4, pad_position_enu_m=AWAY)  # for a moment out of conflict
+    assert not member.way(Phase.APPROACH, HERE, 1.4).may_land
+    slot.word = slot.word._replace(stamp_s=1.6, claim_s=math.nan)
+    assert member.way(Phase.APPROACH, HERE, 1.6).may_land
+    slot.word = slot.word._replace(stamp_s=1.7, claim_s=1.65, pad_position_enu_m=ZERO)
+    assert member.way(Phase.APPROACH, HERE, 1.7).may_land
+    assert not slot.yields
+
+
+@pytest.mark.parametrize("phase", [Phase.HOLD, Phase.CLIMB, Phase.ABORT, Phase.LANDED])
+def test_who_clears_drops_its_claim_and_may_claim_again(phase):
+    member = claimed()
+    assert member.way(Phase.APPROACH, HERE, 1.2).may_land
+    assert not member.way(phase, HERE, 1.3).may_land
+    assert math.isnan(member.memory.claim_s)
+    assert not member.way(Phase.APPROACH, HERE, 1.4).may_land
+    assert member.memory.claim_s == 1.4
+
+
+def test_it_waits_no_longer_than_allowed_and_says_for_whom():
+    member = claimed(claim_s=0.9)
+    assert not member.way(Phase.APPROACH, HERE, 1.0 + FLEET.wait_max_s).waited
+    way = member.way(Phase.APPROACH, HERE, 1.1 + FLEET.wait_max_s)
+    assert way.waited
+    assert way.text == "no right of way because of member 7"
+
+
+def test_it_may_touch_when_all_know_that_it_gives_way_to_nobody():
+    member = claimed()
+    own = OwnState(1.2, 1.2, ZERO, ZERO, 0.0)
+    member.way(Phase.APPROACH, HERE, 1.2)
+    member.word(Memory(phase=Phase.LAND), own, FLYING, ZERO, HERE, 1.2)
+    least_s = FLEET.age_max_s + FLEET.latency_max_s
+    assert not member.way(Phase.LAND, HERE, 1.19 + least_s).may_touch
+    assert member.way(Phase.LAND, HERE, 1.21 + least_s).may_touch
+    member.word(Memory(phase=Phase.APPROACH), own, FLYING, ZERO, HERE, 2.0)
+    assert not member.way(Phase.LAND, HERE, 2.1).may_touch
+
+
+def test_nobody_begins_before_all_are_heard():
+    member = FleetMember(Fleet(3, (3, 7, 9)), 0.0)
+    assert member.way(Phase.WAIT, HERE, 0.0).text == "not heard members 7, 9"
+    for n in (7, 9):
+        member.take([Neighbour(n, 0.0, 0.0, AWAY, ZERO, ZERO)], 0.0)
+    assert member.way(Phase.WAIT, HERE, 0.1).may_begin
+    way = member.way(Phase.WAIT, HERE, 0.1 + FLEET.age_max_s)
+    assert (way.may_begin, way.text) == (False, "not heard members 7, 9")
+
+
+def test_pads_that_drive_towards_each_other_come_near_within_the_time():
+    a, b = Pad(ZERO, (0.2, 0.0, 0.0)), Pad((2.0, 0.3, 0.0), (-0.2, 0.0, 0.0))
+    assert nearest_m(a, b, 10.0) == pytest.approx(0.3)
+    assert nearest_m(a, b, 2.0) == pytest.approx(math.hypot(1.2, 0.3))
+    assert nearest_m(b, b, 10.0) == 0.0
+    assert nearest_m(a, Pad((-1.0, 0.0, 0.0), ZERO), 10.0) == pytest.approx(1.0)  # it drives away
+
+
+@pytest.mark.parametrize(
+    ("keys", "why"),
+    [
+        ({"id": 4}, "no other member"),
+        ({"id": 3}, "no other member"),
+        ({"position_enu_m": (math.nan, 0.0, 0.0)}, "not finite"),
+        ({"wanted_enu_m_s": (0.0, math.inf, 0.0)}, "not finite"),
+        ({"stamp_s": math.inf}, "not finite"),
+        ({"claim_s": math.inf}, "claim or its pad"),
+        ({"pad_position_enu_m": (0.0, 0.0, math.nan)}, "claim or its pad"),
+        ({"clock_bound_s": -0.1}, "negative"),
+        ({"position_sigma_m": -0.1}, "negative"),
+        ({"stamp_s": 1.2}, "0.20 s ahead"),
+    ],
+)
+def test_a_word_that_says_nothing_usable_is_refused_with_the_reason(keys, why):
+    member = FleetMember(FLEET, 0.0)
+    (told,) = member.take([Neighbour(7, 1.0, 1.0, AWAY, ZERO, ZERO)._replace(**keys)], 1.0)
+    assert why in told
+    assert member.memory.slots[0].word is None
+
+
+def test_a_word_that_was_overtaken_is_no_news():
+    member = FleetMember(FLEET, 0.0)
+    for stamp_s in (1.0, 0.9):
+        assert member.take([Neighbour(7, stamp_s, 1.0, AWAY, ZERO, ZERO)], 1.0) == []
+    assert member.memory.slots[0].word.stamp_s == 1.0
+
+
+class Claimant:
+    """A vehicle that claims at some time, lands while it may, and is then carried away."""
+
+    def __init__(self, fleet, begins_s):
+        self.member, self.memory = FleetMember(fleet, 0.0), Memory(phase=Phase.TAKEOFF, climbed=True)
+        self.begins_s, self.down_s, self.queue = begins_s, math.inf, []
+
+    @property
+    def over_pad(self):
+        return self.memory.phase in (Phase.LAND, Phase.TOUCHDOWN)
+
+    def step(self, t_s):
+        while self.queue and self.queue[0][0] <= t_s:
+            self.member.take([heapq.heappop(self.queue)[2]], t_s)
+        way = self.member.way(self.memory.phase, HERE, t_s)
+        if self.memory.phase is Phase.TAKEOFF and t_s >= self.begins_s:
+            self.memory.phase = Phase.APPROACH
+        elif self.memory.phase is Phase.APPROACH and way.may_land:
+            self.memory.phase, self.down_s = Phase.LAND, t_s + 2.0
+        elif self.memory.phase is Phase.LAND and not way.may_land:
+            self.memory.phase = Phase.APPROACH
+        elif self.memory.phase is Phase.LAND and way.may_touch and t_s >= self.down_s:
+            self.memory.phase = Phase.LANDED
+        own = OwnState(t_s, t_s, AWAY, ZERO, 0.0)
+        return self.member.word(self.memory, own, FLYING, ZERO, HERE, t_s)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(0, 2**32), st.integers(2, 4), st.sampled_from([0.0, 0.1, 0.5, 0.8]),
+    st.floats(0.0, 0.05), st.floats(0.0, 1.0),
+)  # fmt: skip
+def test_no_two_land_on_one_pad_together_and_each_lands(seed, number, lost, bound_s, apart_s):
+    rng, count, ids = np.random.default_rng(seed), itertools.count(), tuple(range(1, number + 1))
+    all_ = [Claimant(Fleet(n, ids), 1.0 + rng.uniform(0.0, apart_s)) for n in ids]
+    error_s = rng.uniform(-bound_s, bound_s, (number, number))
+    back_s = np.zeros((number, number))
+    for tick in range(round(60.0 / TICK_S)):
+        t_s = tick * TICK_S
+        words = [each.step(t_s) for each in all_]
+        assert sum(each.over_pad for each in all_) <= 1, (t_s, [each.memory.phase for each in all_])
+        for me, other in itertools.permutations(range(number), 2):
+            if rng.random() < 0.05 * lost:
+                back_s[me, other] = t_s + rng.uniform(0.0, 0.8)
+            if t_s < back_s[me, other] or rng.random() < lost:
+                continue
+            word, shift_s = words[other], error_s[me, other]
+            came = word._replace(
+                stamp_s=word.stamp_s + shift_s, claim_s=word.claim_s + shift_s, clock_bound_s=bound_s
+            )
+            at_s = t_s + rng.uniform(TICK_S, FLEET.latency_max_s)
+            heapq.heappush(all_[me].queue, (at_s, next(count), came))
+        if all(each.memory.phase is Phase.LANDED for each in all_):
+            break
+    if lost <= 0.1:
+        assert all(each.memory.phase is Phase.LANDED for each in all_)

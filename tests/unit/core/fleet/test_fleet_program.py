@@ -1,0 +1,180 @@
+"""The program with several rows: exact solution against scipy, OSQP against it, and how rows give way."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog, minimize
+
+from flightstack.core.fleet import program as program_module
+from flightstack.core.fleet.exact import Row, least_slack, nearest
+from flightstack.core.fleet.program import FleetProgram
+from flightstack.core.parameters.fleet import OTHERS_MAX
+from flightstack.core.safety.qp_filter import SafetyFilter
+from flightstack.core.types import FilterStatus
+
+PROGRAM = FleetProgram()
+SPEED = st.floats(-1.5, 1.5)
+VECTORS = st.tuples(SPEED, SPEED, SPEED)
+
+
+@st.composite
+def rows(draw, least=1, most=OTHERS_MAX):
+    found = []
+    for _ in range(draw(st.integers(least, most))):
+        azimuth, height = draw(st.floats(-math.pi, math.pi)), draw(st.floats(-1.0, 1.0))
+        flat = math.sqrt(1.0 - height * height)
+        g = (flat * math.cos(azimuth), flat * math.sin(azimuth), height)
+        found.append(Row(g, draw(st.floats(-1.0, 0.6))))
+    return found
+
+
+@st.composite
+def boxes(draw):
+    middle, half = draw(VECTORS), [draw(st.floats(0.02, 0.8)) for _ in range(3)]
+    return tuple(m - h for m, h in zip(middle, half, strict=True)), tuple(
+        m + h for m, h in zip(middle, half, strict=True)
+    )
+
+
+def missing(found, lower, upper, point):
+    sides = [max(lo - p, p - hi) for lo, hi, p in zip(lower, upper, point, strict=True)]
+    return max(*sides, *(row.missing_m_s(point) for row in found))
+
+
+def least_by_scipy(soft, firm, lower, upper):
+    a = [[*(-x for x in r.g), -1.0] for r in soft] + [[*(-x for x in r.g), 0.0] for r in firm]
+    b = [-r.bound_m_s for r in (*soft, *firm)]
+    found = linprog([0, 0, 0, 1], A_ub=a, b_ub=b, bounds=[*zip(lower, upper, strict=True), (0, None)])
+    return found.fun if found.status == 0 else math.inf
+
+
+def best_by_scipy(nominal, found, lower, upper, start):
+    cost = minimize(
+        lambda u: 0.5 * float(np.sum((u - nominal) ** 2)), start, jac=lambda u: u - nominal,
+        bounds=list(zip(lower, upper, strict=True)), method="SLSQP", tol=1e-12,
+        constraints=[{"type": "ineq", "fun": lambda u, r=r: -r.missing_m_s(u), "jac": lambda u, r=r: r.g}
+                     for r in found],
+    )  # fmt: skip
+    return cost.x
+
+
+@settings(max_examples=150, deadline=None)
+@given(VECTORS, rows(), boxes())
+def test_the_exact_solution_is_that_of_scipy(nominal, found, box):
+    lower, upper = box
+    slack, _ = least_slack([], found, lower, upper)
+    assert slack == pytest.approx(least_by_scipy(found, [], lower, upper), abs=1e-7)
+    exact = nearest(nominal, found, lower, upper)
+    if exact is None:
+        assert slack > 0.0
+        return
+    assert slack <= 2e-9
+    assert missing(found, lower, upper, exact.point) <= 1e-8
+    # optimal: what pulls away from u' is held by rows and sides that bind
+    rest = [n - p for n, p in zip(nominal, exact.point, strict=True)]
+    for row, multiplier in zip(found, exact.multipliers, strict=True):
+        assert multiplier >= 0.0
+        assert multiplier * max(0.0, -row.missing_m_s(exact.point)) <= 1e-6 * (1.0 + multiplier)
+        rest = [r + multiplier * g for r, g in zip(rest, row.g, strict=True)]
+    scale = 1e-6 * (1.0 + sum(exact.multipliers))
+    for r, p, lo, hi in zip(rest, exact.point, lower, upper, strict=True):
+        assert abs(r) <= scale or (r > 0.0 and p >= hi - 1e-7) or (r < 0.0 and p <= lo + 1e-7)
+
+
+@settings(max_examples=40, deadline=None)
+@given(VECTORS, rows(2), boxes())
+def test_no_point_that_a_solver_finds_is_nearer(nominal, found, box):
+    lower, upper = box
+    exact = nearest(nominal, found, lower, upper)
+    if exact is None:
+        return
+    other = best_by_scipy(np.array(nominal), found, lower, upper, exact.point)
+    if missing(found, lower, upper, other) <= 1e-9:
+        assert math.dist(exact.point, nominal) <= math.dist(other, nominal) + 1e-6
+
+
+@settings(max_examples=150, deadline=None)
+@given(VECTORS, rows(1, 1), rows(0), boxes())
+def test_the_program_holds_barrier_and_box_and_gives_way_no_more_than_it_must(nominal, firm, soft, box):
+    lower, upper = box
+    found = PROGRAM.solve(nominal, firm[0], soft, lower, upper)
+    point, status = found.filter.velocity_enu_m_s, found.filter.status
+    if status is FilterStatus.INFEASIBLE:
+        assert least_by_scipy(firm, [], lower, upper) > 0.0
+        return
+    assert missing(firm, lower, upper, point) <= 1e-6
+    if status is FilterStatus.CROWDED:
+        assert found.given_m_s == pytest.approx(least_by_scipy(soft, firm, lower, upper), abs=1e-7)
+        assert max(row.missing_m_s(point) for row in soft) <= found.given_m_s + 1e-6
+    else:
+        assert status in (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
+        assert found.given_m_s == 0.0
+        assert missing([*firm, *soft], lower, upper, point) <= 1e-6
+        exact = nearest(nominal, [*firm, *soft], lower, upper)
+        assert math.dist(point, exact.point) <= 2e-6
+
+
+@settings(max_examples=100, deadline=None)
+@given(VECTORS, rows(1, 1), boxes())
+def test_with_the_landing_row_alone_it_is_the_filter_of_a_lone_vehicle(nominal, firm, box):
+    lower, upper = box
+    ours = PROGRAM.solve(nominal, firm[0], [], lower, upper).filter
+    theirs = SafetyFilter(1.0).solve(nominal, -firm[0].bound_m_s, firm[0].g, 0.0, lower, upper)
+    assert ours.status is theirs.status
+    assert ours.active is theirs.active
+    assert math.dist(ours.velocity_enu_m_s, theirs.velocity_enu_m_s) <= 2e-6
+
+
+def test_most_programs_are_confirmed_by_the_solver_at_once():
+    rng, solved, iterations = np.random.default_rng(3), 0, []
+    for _ in range(300):
+        found = [
+            Row(tuple(g / np.linalg.norm(g)), float(rng.uniform(-1.0, 0.2))) for g in rng.normal(size=(7, 3))
+        ]
+        result = PROGRAM.solve(tuple(rng.uniform(-1, 1, 3)), None, found, (-0.5,) * 3, (0.5,) * 3).filter
+        solved += result.status is FilterStatus.SOLVED
+        if result.status is FilterStatus.SOLVED:
+            iterations.append(result.iterations)
+        assert result.status in (FilterStatus.SOLVED, FilterStatus.CROWDED)
+    assert solved > 100
+    assert max(iterations) <= 2
+
+
+@pytest.mark.parametrize("wrong", [(0.3, 0.0, 0.0), (math.nan, 0.0, 0.0)])
+def test_a_wrong_result_of_the_solver_is_not_flown(monkeypatch, wrong):
+    program = FleetProgram()
+    monkeypatch.setattr(program, "_osqp", lambda *_: (wrong, 0.0, 1))
+    found = program.solve((0.0, 0.0, 0.0), None, [Row((1.0, 0.0, 0.0), 0.1)], (-1.0,) * 3, (1.0,) * 3)
+    assert found.filter.status is FilterStatus.CLOSED_FORM
+    assert found.filter.velocity_enu_m_s == pytest.approx((0.1, 0.0, 0.0))
+    assert found.held
+
+
+def test_numbers_that_are_not_finite_are_rejected():
+    found = PROGRAM.solve((0.0, 0.0, 0.0), None, [Row((1.0, 0.0, 0.0), math.nan)], (-1.0,) * 3, (1.0,) * 3)
+    assert found.filter.status is FilterStatus.REJECTED
+
+
+def test_without_a_place_for_all_the_neighbours_share_the_slack_evenly():
+    walls = [Row((1.0, 0.0, 0.0), 0.3), Row((-1.0, 0.0, 0.0), 0.1)]
+    found = PROGRAM.solve((0.0, 0.0, 0.0), Row((0.0, 0.0, 1.0), 0.2), walls, (-1.0,) * 3, (1.0,) * 3)
+    assert found.filter.status is FilterStatus.CROWDED
+    assert found.given_m_s == pytest.approx(0.2)
+    assert found.filter.velocity_enu_m_s == pytest.approx((0.1, 0.0, 0.2), abs=1e-6)
+    assert found.filter.slack_m_s >= -1e-9
+
+
+def test_every_row_of_the_program_can_be_used():
+    assert program_module._ROWS == OTHERS_MAX + 1
+    ring = [
+        (math.cos(a), math.sin(a), 0.0) for a in np.linspace(0.0, 2.0 * math.pi, OTHERS_MAX, endpoint=False)
+    ]
+    found = PROGRAM.solve((2.0, 1.0, 0.0), None, [Row(g, -0.1) for g in ring], (-1.0,) * 3, (1.0,) * 3)
+    assert found.filter.status is FilterStatus.SOLVED
+    assert (
+        max(-sum(a * b for a, b in zip(g, found.filter.velocity_enu_m_s, strict=True)) for g in ring)
+        <= 0.1 + 1e-7
+    )

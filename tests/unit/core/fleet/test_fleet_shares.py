@@ -1,0 +1,247 @@
+"""The shares of two vehicles sum to at least 1, whatever is late or lost; what they hold keeps them apart."""
+
+import heapq
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flightstack.core.fleet.ellipsoid import barrier, estimate, growth
+from flightstack.core.fleet.member import FleetMember
+from flightstack.core.fleet.program import FleetProgram
+from flightstack.core.fleet.shares import ALL, HALF, NONE, row, share
+from flightstack.core.memory import AbortWay, Heard, Memory
+from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.types import (
+    ZERO,
+    Intent,
+    Landed,
+    Mode,
+    Neighbour,
+    OwnState,
+    Phase,
+    VehicleStatus,
+)
+
+TICK_S = 0.02
+A, B = Fleet(3, (3, 7)), Fleet(7, (3, 7))
+FLYING = VehicleStatus(0.0, True, Mode.EXTERNAL, Landed.IN_AIR, True)
+# what a vehicle does at random; TOUCHDOWN is begun from LAND alone, when all know
+AFTER = {
+    Phase.APPROACH: (Phase.APPROACH, Phase.LAND, Phase.HOLD),
+    Phase.LAND: (Phase.LAND, Phase.APPROACH, Phase.TOUCHDOWN),
+    Phase.TOUCHDOWN: (Phase.TOUCHDOWN, Phase.APPROACH, Phase.LANDED),
+    Phase.HOLD: (Phase.HOLD, Phase.APPROACH),
+    Phase.LANDED: (Phase.LANDED, Phase.APPROACH),  # for a flight that goes on
+}
+
+
+class Side:
+    """One vehicle: what it says, hears, and which share it flies."""
+
+    def __init__(self, fleet, offset_s, rng):
+        self.fleet, self.offset_s, self.rng = fleet, offset_s, rng
+        self.member, self.memory = FleetMember(fleet, 0.0), Memory(phase=Phase.APPROACH)
+        self.queue, self.part = [], ALL
+
+    def step(self, t_s):
+        now_s = t_s + self.offset_s  # on its own clock
+        while self.queue and self.queue[0][0] <= t_s:
+            assert self.member.take([heapq.heappop(self.queue)[2]], now_s) == []
+        slot, mission = self.member.memory.slots[0], self.memory
+        if self.rng.random() < (0.1 if slot.yields else 0.03):
+            slot.yields = not slot.yields
+        if self.rng.random() < (0.02 if mission.phase is Phase.APPROACH else 0.15):
+            after = Phase(self.rng.choice(AFTER[mission.phase]))
+            told_s = now_s - self.member.memory.committed_s
+            if after is not Phase.TOUCHDOWN or told_s >= self.fleet.age_max_s + self.fleet.latency_max_s:
+                mission.phase = after
+        firm = mission.phase in (Phase.TOUCHDOWN, Phase.LANDED)
+        self.part = NONE if firm or slot.word is None else share(slot, slot.word, now_s, self.fleet)
+        own = OwnState(now_s, now_s, ZERO, ZERO, 0.0)
+        return self.member.word(mission, own, FLYING, ZERO, None, now_s)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 2**32), st.sampled_from([0.0, 0.1, 0.5, 0.8]), st.floats(TICK_S, A.latency_max_s),
+    st.floats(0.0, 0.05),
+    st.floats(-1.0, 1.0),
+)  # fmt: skip
+def test_the_shares_that_two_vehicles_fly_sum_to_one_or_more(seed, lost, slowest_s, bound_s, error):
+    rng, count = np.random.default_rng(seed), itertools.count()
+    sides, back_s = (Side(A, 0.0, rng), Side(B, 5.0, rng)), [0.0, 0.0]
+    for tick in range(600):
+        t_s = tick * TICK_S
+        words = [side.step(t_s) for side in sides]
+        flown = [side.part for side in sides]
+        down = [side.memory.phase in (Phase.TOUCHDOWN, Phase.LANDED) for side in sides]
+        heard = all(side.member.memory.slots[0].word is not None for side in sides)
+        if heard and not all(down):  # two that both go down are kept apart by the right of way
+            assert sum(flown) >= 1.0, (t_s, flown, [side.memory.phase for side in sides])
+        for me, other, word in ((0, 1, words[1]), (1, 0, words[0])):
+            if rng.random() < 0.1 * lost:
+                back_s[me] = t_s + rng.uniform(0.0, 0.8)
+            if t_s < back_s[me] or rng.random() < lost:
+                continue
+            shift_s = sides[me].offset_s - sides[other].offset_s + error * bound_s
+            came = word._replace(stamp_s=word.stamp_s + shift_s, clock_bound_s=bound_s)
+            at_s = t_s + rng.uniform(TICK_S, slowest_s)
+            heapq.heappush(sides[me].queue, (at_s, next(count), came))
+
+
+def word_of(intent=Intent.WAITING, stamp_s=0.0, **keys):
+    return Neighbour(7, stamp_s, stamp_s, (1.0, 0.0, 1.0), ZERO, ZERO, intent=intent, **keys)
+
+
+@pytest.mark.parametrize(
+    ("slot", "word", "now_s", "expected"),
+    [
+        (Heard(), word_of(), 0.1, HALF),
+        (Heard(), word_of(), A.age_max_s + 0.01, ALL),  # silent
+        (Heard(), word_of(clock_bound_s=0.1), A.age_max_s - 0.05, ALL),
+        (Heard(), word_of(yields_to=(3,)), 0.3, NONE),
+        (Heard(), word_of(yields_to=(3,)), 0.31, HALF),
+        (Heard(), word_of(yields_to=(3,), clock_bound_s=0.1), 0.21, HALF),
+        (Heard(), word_of(yields_to=(4,)), 0.1, HALF),
+        (Heard(yields=True), word_of(yields_to=(3,)), 0.1, ALL),
+        (Heard(yielded_s=0.0), word_of(yields_to=(3,), stamp_s=0.4), 0.44, ALL),
+        (Heard(yielded_s=0.0), word_of(yields_to=(3,), stamp_s=0.4), 0.46, NONE),
+        *((Heard(), word_of(firm, yields_to=(3,)), 0.1, ALL)
+          for firm in (Intent.STANDING, Intent.COMMITTED, Intent.CLEARING, Intent.DOWN)),
+    ],
+)  # fmt: skip
+def test_the_share_by_what_was_said(slot, word, now_s, expected):
+    assert share(slot, word, now_s, A) == expected
+
+
+POINT = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
+
+
+@settings(max_examples=200, deadline=None)
+@given(POINT, POINT)
+def test_the_barrier_is_convex_with_the_gradient_of_finite_differences(p, q):
+    h_m, g = barrier(p, 0.25, 0.75)
+    assert math.hypot(*g) <= 1.0 + 1e-12
+    then_m, _ = barrier(tuple(a + b for a, b in zip(p, q, strict=True)), 0.25, 0.75)
+    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1e-9
+    if h_m > -0.2:
+        for axis in range(3):
+            ahead, back = list(p), list(p)
+            ahead[axis] += 1e-6
+            back[axis] -= 1e-6
+            slope = (barrier(tuple(ahead), 0.25, 0.75)[0] - barrier(tuple(back), 0.25, 0.75)[0]) / 2e-6
+            assert slope == pytest.approx(g[axis], abs=1e-5)
+
+
+def test_the_ellipsoid_has_both_semi_axes_and_a_direction_in_its_middle():
+    for at, expected in (((0.25, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.75), 0.0), ((0.5, 0.0, 0.0), 0.25)):
+        assert barrier(at, 0.25, 0.75)[0] == pytest.approx(expected)
+    assert barrier(ZERO, 0.25, 0.75) == (-0.25, (1.0, 0.0, 0.0))
+    assert barrier(ZERO, 0.25, 0.75, first=False)[1] == (-1.0, 0.0, 0.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0.0, 1.0))
+def test_no_vehicle_within_its_limits_leaves_what_its_ellipsoid_grew_by(seed, share_of_speed):
+    rng = np.random.default_rng(seed)
+    v = rng.normal(size=3)
+    v *= share_of_speed * A.speed_max_m_s / np.linalg.norm(v)
+    told = Neighbour(7, 0.0, 0.0, ZERO, tuple(v.tolist()), ZERO)
+    p, at, before_m = np.zeros(3), v.copy(), 0.0
+    away = rng.normal(size=3)
+    for tick in range(1, round(A.silent_flight_s / 0.01)):
+        at = at + 0.01 * A.acceleration_max_m_s2 * away / np.linalg.norm(away)
+        at *= min(1.0, A.speed_max_m_s / np.linalg.norm(at))
+        p = p + 0.01 * at
+        now = estimate(told, 0.01 * tick, 0.0, A)
+        assert math.dist(p, now.position_enu_m) <= now.grown_m + 0.01 * A.speed_max_m_s
+        assert now.grown_m >= before_m
+        before_m = now.grown_m
+
+
+def test_errors_that_are_told_make_the_ellipsoid_larger():
+    plain = estimate(word_of(), 0.1, 0.0, A)
+    unsure = estimate(word_of(position_sigma_m=0.03), 0.1, 0.04, A)
+    assert unsure.grown_m - plain.grown_m == pytest.approx(A.sigma_factor * 0.05)
+    assert estimate(word_of(clock_bound_s=0.2), 0.1, 0.0, A).grown_m == pytest.approx(growth(0.3, 0.0, A)[0])
+    moving = word_of()._replace(velocity_enu_m_s=(0.5, 0.0, 0.0), clock_bound_s=0.2)
+    assert estimate(moving, 0.0, 0.0, A).grown_m == pytest.approx(growth(0.2, 0.5, A)[0] + 0.1)
+
+
+def test_the_ellipsoid_of_a_silent_vehicle_ends_to_grow_with_its_flight_and_one_that_is_down_rests():
+    late = [estimate(word_of(), t, 0.0, A) for t in (A.silent_flight_s, A.silent_flight_s + 9.0)]
+    assert late[0].grown_m == late[1].grown_m
+    assert late[1].growth_m_s == 0.0
+    down = word_of(Intent.DOWN)
+    assert estimate(down, 100.0, 0.0, A).grown_m == 0.0
+    riding = down._replace(velocity_enu_m_s=(0.1, 0.0, 0.0))
+    assert estimate(riding, 1.0, 0.0, A).position_enu_m == pytest.approx((1.1, 0.0, 1.0))
+    assert estimate(riding, 1.0, 0.0, A).grown_m == pytest.approx(0.1)
+
+
+PROGRAM = FleetProgram()
+BOX = ((-1.0,) * 3, (1.0,) * 3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from([(HALF, HALF), (ALL, NONE), (NONE, ALL), (ALL, HALF)]))
+def test_two_points_that_follow_their_rows_never_come_too_near(seed, parts):
+    rng = np.random.default_rng(seed)
+    p, u = [rng.uniform(-1.0, 1.0, 3) for _ in range(2)], [np.zeros(3), np.zeros(3)]
+    if barrier(tuple(p[0] - p[1]), 0.25, 0.75)[0] < 0.0:
+        return
+    wanted = [p[1] - p[0], p[0] - p[1]]
+    for tick in range(150):
+        if tick % 30 == 29:
+            wanted = [rng.uniform(-1.5, 1.5, 3) for _ in range(2)]
+        told = [tuple(v.tolist()) for v in u]
+        # who has the whole share flies last: it goes by what the other one flies
+        for me in sorted((0, 1), key=lambda k: parts[k]):
+            if parts[me] == NONE:
+                u[me] = np.clip(wanted[me], -1.0, 1.0)
+                continue
+            h_m, g = barrier(tuple((p[me] - p[1 - me]).tolist()), 0.25, 0.75)
+            speed = tuple(u[1 - me].tolist())
+            other = word_of()._replace(velocity_enu_m_s=speed, wanted_enu_m_s=told[1 - me])
+            made = row(parts[me], h_m, g, told[me], other, estimate(other, 0.0, 0.0, A), A)
+            found = PROGRAM.solve(tuple(wanted[me].tolist()), None, [made], *BOX)
+            assert found.given_m_s == 0.0
+            u[me] = np.array(found.filter.velocity_enu_m_s)
+        before_m = barrier(tuple(p[0] - p[1]), 0.25, 0.75)[0]
+        p = [a + TICK_S * b for a, b in zip(p, u, strict=True)]
+        after_m = barrier(tuple(p[0] - p[1]), 0.25, 0.75)[0]
+        assert after_m >= (1.0 - A.rate_1_s * TICK_S) * before_m - 1e-6
+
+
+@pytest.mark.parametrize(
+    ("phase", "keys", "granted", "landed", "expected"),
+    [
+        (Phase.WAIT, {}, False, Landed.ON_GROUND, Intent.STANDING),
+        (Phase.WAIT, {}, False, Landed.IN_AIR, Intent.WAITING),
+        (Phase.TAKEOFF, {}, False, Landed.IN_AIR, Intent.STANDING),
+        (Phase.TAKEOFF, {"climbed": True}, False, Landed.IN_AIR, Intent.WAITING),
+        (Phase.APPROACH, {}, False, Landed.IN_AIR, Intent.WAITING),
+        (Phase.APPROACH, {}, True, Landed.IN_AIR, Intent.LANDING),
+        (Phase.LAND, {}, True, Landed.IN_AIR, Intent.COMMITTED),
+        (Phase.TOUCHDOWN, {}, True, Landed.IN_AIR, Intent.COMMITTED),
+        (Phase.LANDED, {}, False, Landed.ON_GROUND, Intent.DOWN),
+        (Phase.HOLD, {}, False, Landed.IN_AIR, Intent.CLEARING),
+        (Phase.CLIMB, {}, False, Landed.IN_AIR, Intent.CLEARING),
+        (Phase.ABORT, {"abort_way": AbortWay.FLY_CLEAR}, False, Landed.IN_AIR, Intent.CLEARING),
+        (Phase.ABORT, {"abort_way": AbortWay.FLY_CLEAR, "clear": True}, False, Landed.IN_AIR, Intent.DOWN),
+        (Phase.ABORT, {"abort_way": AbortWay.LAND_HERE}, False, Landed.IN_AIR, Intent.DOWN),
+    ],
+)
+def test_what_the_others_are_told_of_each_phase(phase, keys, granted, landed, expected):
+    member = FleetMember(A, 0.01)
+    member.memory.granted = granted
+    own = OwnState(0.9, 0.9, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0), 0.0)
+    status = VehicleStatus(0.0, True, Mode.EXTERNAL, landed, True)
+    said = member.word(Memory(phase=phase, **keys), own, status, (0.1, 0.2, 0.3), None, 1.0)
+    assert said.intent is expected
+    assert (said.id, said.stamp_s, said.wanted_enu_m_s) == (3, 1.0, (0.1, 0.2, 0.3))
+    assert said.position_enu_m == pytest.approx((1.05, 2.0, 3.0))  # carried on to the stamp
