@@ -7,7 +7,7 @@ vehicle, the source of target samples, what ends the flight, and the sink of the
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 from bridge.mavlink.client.link import VehicleLink
@@ -15,7 +15,15 @@ from bridge.target.odometry import OdometryError, RawSample, SampleSource, sampl
 from flightstack.common.pacing import RealTimePacer, Tick
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.memory import Memory
-from flightstack.core.types import Inputs, Operator, OwnState, Power, TargetSample, VehicleStatus
+from flightstack.core.types import (
+    Inputs,
+    Neighbour,
+    Operator,
+    OwnState,
+    Power,
+    TargetSample,
+    VehicleStatus,
+)
 from flightstack.onboard.leaving import Ended
 
 
@@ -105,6 +113,9 @@ class Sink(Protocol):
         """Write down a tick; ``exec_s`` is wall time, until the vehicle was answered."""
 
 
+Words = Callable[[], tuple[Neighbour, ...]]  # what other vehicles said since the last tick
+
+
 class Runner:
     """Runs ticks; ``run`` until the flight is over, ``tick`` one of them."""
 
@@ -116,8 +127,9 @@ class Runner:
         target: Target,
         ending: Ending,
         sink: Sink,
+        words: Words = tuple,
     ) -> None:
-        self._controller, self._clock, self._vehicle = controller, clock, vehicle
+        self._controller, self._clock, self._vehicle, self._words = controller, clock, vehicle, words
         self._target, self._ending, self._sink = target, ending, sink
         self._landing = False
 
@@ -142,7 +154,8 @@ class Runner:
         now_s, controller = tick.now_s, self._controller
         arrived = self._target.samples(now_s)
         own, status, command_failed, power = self._vehicle.read()
-        inputs = Inputs(own, status, arrived.samples, self._ending.operator(status, now_s), power)
+        operator = self._ending.operator(status, now_s)
+        inputs = Inputs(own, status, arrived.samples, operator, power, self._words())
         out = controller.step(inputs, now_s, command_failed=command_failed)
         self._vehicle.answer(out, now_s)
         exec_s = time.perf_counter() - began_s

@@ -6,7 +6,6 @@ Only the wires are handed over directly, with their rounding; everything else is
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
@@ -14,6 +13,7 @@ from bridge.mavlink.profiles.autopilots import OWN_SITL
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller, Outputs
+from flightstack.core.types import Neighbour
 from flightstack.onboard.leaving import Leaving
 from flightstack.onboard.lockstep import VehicleTicks
 from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
@@ -39,7 +39,7 @@ class Companion:
         vehicle: the simulated vehicle.
         ticks_max: after so many the flight is over, or never.
         outputs: of the newest tick; None before the first one and after the last one.
-        neighbours: what is known of other vehicles, for the controller; whoever flies several puts it there.
+        neighbours: what other vehicles have said since the last tick; whoever flies several puts it there.
 
     Args:
         scenario: everything that is not chance.
@@ -59,9 +59,9 @@ class Companion:
         self._stop = Stop()
         self._over = False
         grid = TickGrid(rate_hz)
-        ticks = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
-        assert ticks is not None  # there is a duration
-        self.ticks_max = ticks
+        ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
+        assert ticks_max is not None  # there is a duration
+        self.ticks_max = ticks_max
         target = DirectTarget(scenario, seed, grid)
         here, there = wires((system_id, COMPONENT_ID), (system_id, COMPANION_ID))
         self._link = VehicleLink(
@@ -78,7 +78,7 @@ class Companion:
         trim = vehicle.trim_velocity_enu_m_s
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id, trim_enu_m_s=trim)
         self.outputs: Outputs | None = None
-        self.neighbours: tuple[Any, ...] = ()
+        self.neighbours: tuple[Neighbour, ...] = ()
         self._notes = Notes(config, scenario.target.pad_radius_m)
         node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes, self.name))
         here.answer = self._answer
@@ -86,7 +86,10 @@ class Companion:
         self._loop = LockstepLoop(node, target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
         linked = LinkedVehicle(self._link, lockstep=True)
         leaving = Leaving(scenario.duration_max_s)
-        self._runner = Runner(self.controller, VehicleTicks(linked, rate_hz), linked, target, leaving, self)
+        ticks = VehicleTicks(linked, rate_hz)
+        self._runner = Runner(
+            self.controller, ticks, linked, target, leaving, self, words=lambda: self.neighbours
+        )
 
     def fly(self) -> Seen:
         """Run to the end."""

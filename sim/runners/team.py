@@ -10,16 +10,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from flightstack.core.controller import Outputs
+from flightstack.core.types import Neighbour
 from logs.verdict.truth import judge_truth
 from sim.clock import TickGrid
 from sim.runners.companion import Companion
 from sim.runners.landing import Landing
 from sim.runners.pairs import Pair, Pairs
+from sim.runners.words import Words
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.air import Air
 from sim.vehicle.encounters import Shape, Team, overlaps
@@ -28,7 +29,7 @@ from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 
 # Called once a tick, when all members have flown it, with its number and the outputs of all controllers (None
 # where the flight is over). Returns what each companion knows of the others from the next tick on.
-Exchange = Callable[[int, Sequence[Outputs | None]], Sequence[tuple[Any, ...]]]
+Exchange = Callable[[int, Sequence[Outputs | None]], Sequence[tuple[Neighbour, ...]]]
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,8 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
     Args:
         team: everything that is not chance.
         seed: chance.
-        exchange: what the companions tell each other; None: nothing.
+        exchange: what the companions tell each other; None: their controllers' own words, as late and as
+            lossy as the scenario says.
 
     Raises:
         ValueError: two vehicles begin inside each other.
@@ -69,6 +71,7 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
     began_s = time.perf_counter()
     singles = list(team.singles(seed))
     members = [Companion(each, own, system_id=n) for n, (each, own) in enumerate(singles, 1)]
+    exchange = exchange or Words(team, seed)
     grid = TickGrid(team.rate_hz)
     air = Air([member.vehicle.physics for member in members])
     pairs = Pairs(members, grid)
@@ -82,10 +85,9 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
         for member in members:
             member.tick(tick)
         pairs.end(tick)
-        if exchange is not None:
-            told = exchange(tick, [member.outputs for member in members])
-            for member, neighbours in zip(members, told, strict=True):
-                member.neighbours = tuple(neighbours)
+        told = exchange(tick, [member.outputs for member in members])
+        for member, neighbours in zip(members, told, strict=True):
+            member.neighbours = neighbours
     seen = [member.seen() for member in members]
     wall_s = time.perf_counter() - began_s
     landings = tuple(

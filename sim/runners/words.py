@@ -1,46 +1,35 @@
-"""An exchange for ``land_team``: each member tells all others one word a tick; words come late and get lost.
+"""The exchange of ``land_team``: each member tells all others one word a tick; words come late and get lost.
 
-What a word is, is for the caller to say: this knows when it comes, and to whom. A word told at tick k is
-there at tick k + 1 at the earliest. Whether one is lost depends on the team's seed, on who tells and on who
-hears, so that it does not change when members are added.
+A word told at tick k is there at tick k + 1 at the earliest. Whether one is lost depends on the team's seed, on
+who tells and on who hears, so that it does not change when members are added.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
-from typing import Generic, TypeVar
+from collections.abc import Sequence
 
 from flightstack.core.controller import Outputs
+from flightstack.core.types import Neighbour
 from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.clock import NS_PER_S, TickGrid
 from sim.scenarios.team import TeamScenario
 
-W = TypeVar("W")
-
 _BLOCK = 256  # random numbers drawn at once
 
 
-class Words(Generic[W]):
+class Words:
     """Passes words on, as ``TeamScenario.exchange`` has it.
 
     Args:
         team: number of members, ticks, delay and loss.
         seed: of the team.
-        word: what a controller's outputs say to the others; None: nothing in this tick.
-        arrived: the word as it counts for who hears it at a time, s.
     """
 
-    def __init__(
-        self,
-        team: TeamScenario,
-        seed: int,
-        word: Callable[[Outputs], W | None],
-        arrived: Callable[[W, float], W],
-    ) -> None:
-        self._word, self._arrived, self._loss = word, arrived, team.exchange.loss
+    def __init__(self, team: TeamScenario, seed: int) -> None:
+        self._loss = team.exchange.loss
         self._grid = TickGrid(team.rate_hz)
         self._ticks = max(1, math.ceil(team.exchange.delay_s * team.rate_hz - 1e-9))
         numbers = range(1, len(team.member) + 1)
@@ -48,9 +37,9 @@ class Words(Generic[W]):
             [_Losses(seed, teller, hearer) if teller != hearer else None for teller in numbers]
             for hearer in numbers
         ]
-        self._under_way: list[deque[tuple[int, W]]] = [deque() for _ in numbers]
+        self._under_way: list[deque[tuple[int, Neighbour]]] = [deque() for _ in numbers]
 
-    def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[W, ...]]:
+    def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[Neighbour, ...]]:
         """Take the outputs of a tick; return the words that each member hears with the next one.
 
         Args:
@@ -58,7 +47,7 @@ class Words(Generic[W]):
             outputs: of all controllers; None where the flight is over.
         """
         due = tick + self._ticks
-        told = [None if each is None else self._word(each) for each in outputs]
+        told = [None if each is None else each.own_word for each in outputs]
         heard = []
         for ways, under_way in zip(self._ways, self._under_way, strict=True):
             for word, way in zip(told, ways, strict=True):
@@ -70,7 +59,7 @@ class Words(Generic[W]):
             arrive_s = self._grid.ns(tick + 1) / NS_PER_S
             here = []
             while under_way and under_way[0][0] <= tick + 1:
-                here.append(self._arrived(under_way.popleft()[1], arrive_s))
+                here.append(under_way.popleft()[1]._replace(arrival_s=arrive_s))
             heard.append(tuple(here))
         return heard
 
