@@ -138,7 +138,7 @@ def test_a_refused_word_and_a_crowd_are_events():
             if other.word is not None and tick == 50:
                 flyer.step(tick * DT_S, [other.word._replace(id=4)])
     assert FilterStatus.CROWDED in flyer.statuses
-    assert sum("no velocity keeps clear of all others" in text for text in flyer.texts) >= 1
+    assert sum("no velocity keeps clear of all other vehicles" in text for text in flyer.texts) >= 1
     assert "word of vehicle 4 refused: it is no other member" in flyer.texts
 
 
