@@ -234,7 +234,7 @@ class Controller:
         barrier = self._evaluate(asked, snapshot, active, rows)
         gate, setpoint, wanted = self._command(asked, snapshot, barrier, active, rows)
         if fleet is not None:
-            events += [Event(WARN, text) for text in fleet.crowded()]
+            events += [Event(WARN, text) for text in fleet.crowded(now_s)]
             if placed is not None:
                 own_word = fleet.word(memory, placed, inputs.status, self._base(snapshot), target, now_s)
         return Outputs(

@@ -184,7 +184,8 @@ class FleetMemory:
     granted: bool = False
     waits_since_s: float = inf  # for it
     committed_s: float = inf  # since when the others are told COMMITTED
-    crowded: bool = False  # the rows of neighbours gave way in the last tick
+    crowded: bool = False  # it was told that the rows of neighbours give way
+    crowded_s: float = -inf  # when they did last
 
 
 @dataclass(slots=True)

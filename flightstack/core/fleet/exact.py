@@ -84,6 +84,16 @@ def _sets(rows: int, size: int) -> Any:
     return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
 
 
+def prepare(neighbours: int) -> None:
+    """Make the sets of all programs with so many neighbours or fewer: no tick of a flight has to."""
+    for rows in range(1, neighbours + 2):
+        for size in (1, 2, 3):
+            _sets(rows, size)
+    for soft in range(1, neighbours + 1):
+        for firm in (0, 1):
+            _corners(soft, firm)
+
+
 def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
     count, start = len(rows), np.array(nominal)
     normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), _SIDES])

@@ -21,6 +21,7 @@ from flightstack.core.types import Intent, Landed, Neighbour, OwnState, Phase, V
 
 FUTURE_MAX_S = 0.05  # by which a stamp may be ahead, besides the bound of its clock
 TOLD_M_S = 0.005  # of slack, from which a person wants to know
+CALM_S = 1.0  # in which they hold until that is told
 _INTENTS = MappingProxyType(
     {
         Phase.WAIT: Intent.WAITING,
@@ -82,7 +83,7 @@ class FleetMember:
         self.memory = FleetMemory()
         self._fleet, self._sigma_m = fleet, sigma_m
         self._index = {n: k for k, n in enumerate(fleet.others)}
-        self._program, self._given_m_s = FleetProgram(), 0.0
+        self._program, self._given_m_s = FleetProgram(len(fleet.others)), 0.0
 
     @property
     def slots(self) -> list[tuple[int, Heard]]:
@@ -164,16 +165,19 @@ class FleetMember:
         self._given_m_s = found.given_m_s
         return found.filter
 
-    def crowded(self) -> list[str]:
-        """Text of an event where the neighbours' rows begin to give way, or hold again."""
-        given_m_s, self._given_m_s = self._given_m_s, 0.0
-        crowded = given_m_s > TOLD_M_S
-        if crowded is self.memory.crowded:
-            return []
-        self.memory.crowded = crowded
-        if not crowded:
+    def crowded(self, now_s: float) -> list[str]:
+        """Text of an event where the neighbours' rows begin to give way, or have held again for a while."""
+        memory, given_m_s, self._given_m_s = self.memory, self._given_m_s, 0.0
+        if given_m_s > TOLD_M_S:
+            before, memory.crowded, memory.crowded_s = memory.crowded, True, now_s
+            text = (
+                f"no velocity keeps clear of all other vehicles: their rows give way by {given_m_s:.2f} m/s"
+            )
+            return [] if before else [text]
+        if memory.crowded and now_s - memory.crowded_s > CALM_S:
+            memory.crowded = False
             return ["the rows of the other vehicles hold again"]
-        return [f"no velocity keeps clear of all other vehicles: their rows give way by {given_m_s:.2f} m/s"]
+        return []
 
     def word(
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,

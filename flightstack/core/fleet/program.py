@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.core.fleet.exact import Nearest, Row, least_slack, nearest
+from flightstack.core.fleet.exact import Nearest, Row, least_slack, nearest, prepare
 from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.safety.projection import best_corner
@@ -49,9 +49,14 @@ class FleetResult(NamedTuple):
 
 
 class FleetProgram:
-    """The quadratic program, allocated once."""
+    """The quadratic program, allocated once.
 
-    def __init__(self) -> None:
+    Args:
+        neighbours: most of them; what depends on their number is prepared.
+    """
+
+    def __init__(self, neighbours: int = OTHERS_MAX) -> None:
+        prepare(neighbours)
         # Only a process that solves pays for these, as in qp_filter.
         from osqp import ext_builtin as osqp
         from scipy import sparse
