@@ -247,12 +247,18 @@ class Controller:
             wanted=wanted,
             transition=transition,
             events=tuple(events),
-            finished=self._mission.finished(inputs.status, now_s),
+            finished=self._finished(inputs.status, now_s),
             target_accepted=self.track.accepted,
             target_rejected=self.track.rejected,
             reserve=self._reserve.reserve if self._reserve is not None else math.nan,
             own_word=own_word,
         )
+
+    def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
+        """Whether the flight is over; in a fleet it goes on telling where it is until all others are down."""
+        fleet = self._fleet
+        over = self._mission.finished(status, now_s)
+        return over and (fleet is None or fleet.over(now_s - self.memory.phase_since_s, now_s))
 
     def _weigh(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
         """Estimate the thrust reserve, and limit the accelerations of this tick to those that it allows."""

@@ -20,6 +20,7 @@ from flightstack.core.target.track import TargetState
 from flightstack.core.types import Intent, Landed, Neighbour, OwnState, Phase, Vec3, VehicleStatus
 
 FUTURE_MAX_S = 0.05  # by which a stamp may be ahead, besides the bound of its clock
+FLIGHTS_OF_OTHERS = 2.0  # times the wait for a right of way: a wait and a landing of another one
 TOLD_M_S = 0.005  # of slack, from which a person wants to know
 CALM_S = 1.0  # in which they hold until that is told
 _INTENTS = MappingProxyType(
@@ -118,6 +119,19 @@ class FleetMember:
         if word.stamp_s > now_s + word.clock_bound_s + FUTURE_MAX_S:
             return f"its stamp is {word.stamp_s - now_s:.2f} s ahead"
         return ""
+
+    def over(self, since_s: float, now_s: float) -> bool:
+        """Whether nobody needs the words of this vehicle any more: all others are down, or silent for long.
+
+        Args:
+            since_s: for how long its own flight is over; it does not wait for ever.
+            now_s: stack clock.
+        """
+        fleet = self._fleet
+        if since_s > FLIGHTS_OF_OTHERS * fleet.wait_max_s:
+            return True
+        words = [slot.word for _, slot in self.slots if slot.word is not None]
+        return all(w.intent is Intent.DOWN or now_s - w.stamp_s > fleet.silent_flight_s for w in words)
 
     def way(self, phase: Phase, target: TargetState | None, now_s: float) -> Way:
         """What the mission may do in this tick; claim and right of way go on by a tick."""
