@@ -1,7 +1,7 @@
 """The exchange of ``land_team``: each member tells all others one word a tick; words come late and get lost.
 
-A word told at tick k is there at tick k + 1 at the earliest. Whether one is lost depends on the team's seed, on
-who tells and on who hears, so that it does not change when members are added.
+A word told at tick k is there at tick k + 1 at the earliest. Whether one is lost depends on the team's seed,
+on who tells and on who hears, so that it does not change when members are added.
 """
 
 from __future__ import annotations

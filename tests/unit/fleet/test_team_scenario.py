@@ -1,6 +1,7 @@
 """Files of teams: what is shared, what is a member's own, and errors that say what to do."""
 
 import tomllib
+from dataclasses import replace
 
 import pytest
 
@@ -27,10 +28,12 @@ def test_the_fleets_have_the_errors_of_field(name, count):
     found, field = team.load(name), scenario.load("field")
     assert found.name == name
     assert len(found.member) == count
-    for each in found.member:
-        assert (each.odometry, each.vehicle, each.wind, each.onboard) == (
+    for number, each in enumerate(found.member, 1):
+        alone = replace(each.onboard, fleet=None)
+        assert (each.odometry, each.vehicle, each.wind, alone) == (
             field.odometry, field.vehicle, field.wind, field.onboard,
         )  # fmt: skip
+        assert (each.onboard.fleet.id, each.onboard.fleet.members) == (number, tuple(range(1, count + 1)))
     assert len({each.target.position_m for each in found.member}) == count
     assert from_table(TeamScenario, tomllib.loads(dumps(found))) == found
 

@@ -1,19 +1,35 @@
 """Words between the members of a team: late, lost by chance of their own, never in the same tick."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import pytest
 
+from flightstack.core.parameters.fleet import Fleet
+from logs.verdict.types import Outcome
 from sim.runners.team import land_team
 from sim.runners.words import Words
 from sim.scenarios.team import ExchangeLink
-from tests.unit.fleet.fleet_helpers import FIELD, at, team_of
+from tests.unit.fleet.fleet_helpers import FIELD, at, same, team_of
+
+
+class Said(NamedTuple):
+    """Stands in for a word: all that an exchange knows of it is when it arrives."""
+
+    text: str
+    arrival_s: float = 0.0
 
 
 def words(number=3, seed=5, **link):
     """An exchange of words that are plain texts; a text arrives with its time."""
-    team = replace(team_of(*[FIELD] * number), exchange=ExchangeLink(**link))
-    return Words(team, seed, lambda out: out, lambda word, now_s: (word, now_s))
+    exchange = Words(replace(team_of(*[FIELD] * number), exchange=ExchangeLink(**link)), seed)
+
+    def told(tick, texts):
+        outputs = [each and SimpleNamespace(own_word=Said(each)) for each in texts]
+        return [tuple(tuple(word) for word in heard) for heard in exchange(tick, outputs)]
+
+    return told
 
 
 def test_a_word_is_heard_by_all_others_in_the_next_tick():
@@ -56,14 +72,30 @@ def test_a_word_that_is_not_told_does_not_move_the_losses():
     assert [tick for tick in range(1, 100, 2) if not heard[tick]] == [tick for tick in found if tick % 2]
 
 
-def test_a_team_flies_with_words():
-    team = replace(team_of(at(0.0, 0.0), at(9.0, 0.0)), exchange=ExchangeLink(0.02, 0.1))
-    phases = []
-    passing = Words(team, 1, lambda out: out.phase, lambda word, now_s: (word, now_s))
+def test_the_members_of_a_team_hear_each_other():
+    fleet = [Fleet(id=n, members=(1, 2)) for n in (1, 2)]
+    members = [at(0.0, 0.0), at(9.0, 0.0)]
+    members = [replace(m, onboard=replace(m.onboard, fleet=f)) for m, f in zip(members, fleet, strict=True)]
+    team = replace(team_of(*members), exchange=ExchangeLink(0.02, 0.1))
+    heard, exchange = [], Words(team, 1)
 
-    def exchange(tick, outputs):
-        phases.append(passing(tick, outputs))
-        return phases[-1]
+    def listening(tick, outputs):
+        heard.append(exchange(tick, outputs))
+        return heard[-1]
 
-    land_team(team, 1, exchange=exchange)
-    assert {len(heard) for told in phases for heard in told} == {0, 1}
+    flown = land_team(team, 1, exchange=listening)
+    assert [landing.verdict.outcome for landing in flown.landings] == [Outcome.LANDED] * 2
+    assert {word.id for one, _ in heard for word in one} == {2}
+    assert {word.id for _, other in heard for word in other} == {1}
+    again = land_team(team, 1)
+    assert all(same(a, b) for a, b in zip(flown.landings, again.landings, strict=True))
+
+
+def test_without_each_other_s_words_nobody_of_a_fleet_lands():
+    members = [at(0.0, 0.0), at(9.0, 0.0)]
+    members = [
+        replace(m, duration_max_s=12.0, onboard=replace(m.onboard, fleet=Fleet(id=n, members=(1, 2))))
+        for n, m in enumerate(members, 1)
+    ]
+    flown = land_team(replace(team_of(*members), exchange=ExchangeLink(0.0, 1.0)), 1)
+    assert all(landing.verdict.outcome is not Outcome.LANDED for landing in flown.landings)
