@@ -114,6 +114,12 @@ def test_who_clears_drops_its_claim_and_may_claim_again(phase):
     assert member.memory.claim_s == 1.4
 
 
+def test_without_a_pad_in_sight_there_is_no_right_of_way_but_the_claim_stands():
+    member = claimed()
+    assert not member.way(Phase.APPROACH, None, 1.2).may_land
+    assert member.memory.claim_s == 1.0
+
+
 def test_it_waits_no_longer_than_allowed_and_says_for_whom():
     member = claimed(claim_s=0.9)
     assert not member.way(Phase.APPROACH, HERE, 1.0 + FLEET.wait_max_s).waited

@@ -178,3 +178,20 @@ def test_every_row_of_the_program_can_be_used():
         max(-sum(a * b for a, b in zip(g, found.filter.velocity_enu_m_s, strict=True)) for g in ring)
         <= 0.1 + 1e-7
     )
+
+
+def test_a_solver_that_did_not_solve_is_not_believed(monkeypatch):
+    program = FleetProgram(2)
+    monkeypatch.setattr(program, "_solved", -1)
+    found = program.solve((0.0, 0.0, 0.0), None, [Row((1.0, 0.0, 0.0), 0.1)], (-1.0,) * 3, (1.0,) * 3)
+    assert found.filter.status is FilterStatus.CLOSED_FORM
+    assert found.filter.velocity_enu_m_s == pytest.approx((0.1, 0.0, 0.0))
+
+
+def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
+    firm, soft, box = Row((0.0, 0.0, 1.0), 2.0), Row((1.0, 0.0, 0.0), 2.0), ((-1.0,) * 3, (1.0,) * 3)
+    assert least_slack([firm], [soft], *box)[0] == math.inf
+    # by rounding alone: the corner that raises h fastest is flown
+    monkeypatch.setattr(program_module, "least_slack", lambda *_: (math.inf, (0.0, 0.0, 0.0)))
+    found = PROGRAM.solve((0.0, 0.0, 0.0), Row((0.0, 0.0, 1.0), 0.5), [soft], *box)
+    assert found.filter.velocity_enu_m_s[2] == 1.0
