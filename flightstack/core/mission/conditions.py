@@ -197,9 +197,17 @@ def _place_flags(
         flags |= C.OVER_PAD
     if strategy.may_touch(at) and way.may_touch and not waits_for_calm(config, memory, at, now_s):
         flags |= C.TOUCH
-    if memory.phase is Phase.TOUCHDOWN and not memory.contact and strategy.drifts(at):
-        flags |= C.DRIFTED
+    if memory.phase is Phase.TOUCHDOWN and not memory.contact:
+        misses = strategy.drifts(at) or _sets_off(config, barrier, memory, at, now_s)
+        flags |= C.DRIFTED if misses else 0
     return flags
+
+
+def _sets_off(config: FlightConfig, barrier: Barrier, memory: Memory, at: Relative, now_s: float) -> bool:
+    """Whether a target that was calm is fast now, with height left to climb away and wait again."""
+    if memory.retries >= config.checks.retries_max or barrier.h(at.e_m) < config.retreat.h_left_m:
+        return False
+    return waits_for_calm(config, memory, at, now_s)
 
 
 def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: float) -> bool:

@@ -2,6 +2,7 @@
 
 import pytest
 
+from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import Condition
 from flightstack.core.types import Phase
 from tests.point_mass import World
@@ -47,3 +48,24 @@ def test_a_slow_target_is_not_waited_for():
 def test_a_vehicle_that_is_on_the_pad_already_stays_there(height_m, waits):
     at = tick(CALM, (0.0, 0.0, height_m), target_velocity=(0.1, 0.0, 0.0), velocity=(0.1, 0.0, 0.0))
     assert bool(at & Condition.TOUCH) is not waits
+
+
+def goes_around(height_m=0.6, speed_m_s=0.1, **memory):
+    """Whether the descent over the middle of a target is broken off."""
+    moving = (speed_m_s, 0.0, 0.0)
+    at = tick(
+        CALM, (0.0, 0.0, height_m), target_velocity=moving, velocity=moving,
+        memory=Memory(phase=Phase.TOUCHDOWN, **memory),
+    )  # fmt: skip
+    return bool(at & Condition.DRIFTED)
+
+
+def test_a_target_that_sets_off_during_the_descent_is_gone_around_from_while_there_is_height():
+    left_m = CALM.retreat.h_left_m
+    assert goes_around(left_m + 1e-6)
+    assert not goes_around(left_m - 1e-6)
+    assert not goes_around(speed_m_s=0.04)
+    assert not goes_around(contact=True)
+    assert goes_around(retries=CALM.checks.retries_max - 1)
+    assert not goes_around(retries=CALM.checks.retries_max)
+    assert not goes_around(started_s=-CALM.touchdown.calm_wait_s)
