@@ -1,7 +1,8 @@
 """A fleet: who belongs to it, the room that two vehicles need, and what is assumed of the others.
 
 The ellipsoid of two Crazyflies has the semi-axes 0.25 and 0.75 m: each has a radius of 0.125 and 0.375 m, as
-Crazyswarm sets them for the collision avoidance of the Crazyflie firmware. It is higher than wide for downwash.
+Crazyswarm sets them for the collision avoidance of the Crazyflie firmware. It is higher than wide because of
+downwash.
 """
 
 from __future__ import annotations
