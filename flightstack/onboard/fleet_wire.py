@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Neighbour
 from flightstack.onboard.fleet_clock import OtherClock
 from logs.schema.fleet_rows import Echo, neighbour_of, word_row
@@ -29,9 +30,9 @@ BYTES_MAX = 2048  # of a word
 ONE_WAY_S = 2.0  # for which a member is heard and does not hear this vehicle, until that is said
 
 
-def namespace_of(fleet: Fleet) -> str:
-    """Return the namespace of this vehicle, if no other is given."""
-    return f"cf{fleet.id}"
+def namespace_of(config: FlightConfig) -> str:
+    """Return the namespace of a vehicle, if no other is given: each member of a fleet needs its own."""
+    return f"cf{config.fleet.id}" if config.fleet is not None else "cf1"
 
 
 def _not_begun() -> float:
@@ -74,12 +75,16 @@ class FleetWire:
         namespace: first part of the key of this vehicle.
         fleet: of the configuration.
 
+    Attributes:
+        doubled: another process that says it is this vehicle, in words; empty: none was heard.
+
     Raises:
         ValueError: the namespace makes no key.
     """
 
     def __init__(self, session: zenoh_link.Session, namespace: str, fleet: Fleet) -> None:
         self._fleet = fleet
+        self.doubled = ""
         self._process = secrets.randbits(64)
         self._members = {n: _Member() for n in fleet.others}
         self._counts = _Counts()
@@ -106,11 +111,8 @@ class FleetWire:
         """
         for row in self._rows():
             if row.id == self._fleet.id:
-                return (
-                    f"fleet: another process already says that it is vehicle {row.id}: end it, or give this "
-                    "one another id"
-                )
-        return ""
+                self._hear_namesake()
+        return self.doubled
 
     def words(self) -> tuple[Neighbour, ...]:
         """Return the newest word of each member since the last call; never blocks."""
@@ -167,10 +169,15 @@ class FleetWire:
                 self._counts.add("malformed", str(error))
         return rows
 
+    def _hear_namesake(self) -> None:
+        what = f"another process says that it is vehicle {self._fleet.id}, as this one"
+        self._counts.add(what)
+        self.doubled = f"fleet: {what}: end it, or give one of them another id"
+
     def _is_of_member(self, row: FleetWordRow, now_ns: int) -> bool:
         """Whether a word is of the process of another member; the first one that was heard stays it."""
         if row.id == self._fleet.id:
-            self._counts.add(f"another process says that it is vehicle {row.id}, which is this one")
+            self._hear_namesake()
             return False
         member = self._members.get(row.id)
         if member is None:

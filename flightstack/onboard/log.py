@@ -24,6 +24,7 @@ from logs.schema.schemas import (
     CONTROLLER_POWER,
     CONTROLLER_STATE,
     CONTROLLER_STEP,
+    FLEET_WORD,
     LOG,
     LOOP_TIMING,
     MAVLINK,
@@ -90,6 +91,7 @@ class OnboardLog:
         self._power = feed.channel(f"/{namespace}/controller/power", CONTROLLER_POWER) if reserve else None
         neighbours = f"/{namespace}/controller/neighbours"
         self._neighbours = feed.channel(neighbours, CONTROLLER_NEIGHBOURS) if fleet else None
+        self._word = feed.channel(f"/{namespace}/fleet/word", FLEET_WORD) if fleet else None
         self._state = feed.channel(f"/{namespace}/controller/state", CONTROLLER_STATE)
         self._timing = feed.channel(f"/{namespace}/loop/timing", LOOP_TIMING)
         self._rosout = feed.channel("/rosout", LOG)
@@ -165,6 +167,11 @@ class OnboardLog:
             snapshot = ControllerStateRow(unix_ns, tick.number, text.layout, text.dumps(state))
             self._feed.write(self._state, unix_ns, unix_ns, tick.number, snapshot.pack())
         return row
+
+    def word(self, tick: Tick, payload: bytes | None) -> None:
+        """Write what this vehicle said to the others of its fleet, as it went out; None: nothing."""
+        if self._word is not None and payload is not None:
+            self._feed.write(self._word, tick.unix_ns, tick.unix_ns, tick.number, payload)
 
     def timing(self, tick: Tick, out: Outputs, exec_s: float, dropped: int) -> None:
         """Write the timing of the tick; publish it and the last step, at ``STATUS_HZ``."""

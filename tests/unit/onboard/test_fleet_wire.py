@@ -10,7 +10,7 @@ from bridge.zenoh.zenoh_link import open_session
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, Neighbour
 from flightstack.onboard import fleet_wire
-from flightstack.onboard.fleet_wire import BYTES_MAX, FleetWire, namespace_of
+from flightstack.onboard.fleet_wire import BYTES_MAX, FleetWire
 from logs.schema.fleet_rows import Echo, word_row
 from logs.schema.rows import FleetWordRow
 from tests.unit.target.ros2_helpers import free_endpoint, until
@@ -42,7 +42,7 @@ class Side:
 
     def __init__(self, session, id_, epoch_ns):
         fleet, self.id = Fleet(id_, MEMBERS), id_
-        self.wire, self.now_s = FleetWire(session, namespace_of(fleet), fleet), 1.0
+        self.wire, self.now_s = FleetWire(session, f"cf{id_}", fleet), 1.0
         self.wire.begin(epoch_ns, lambda: self.now_s)
 
     def hear(self):
@@ -185,14 +185,14 @@ def test_a_second_process_of_this_vehicle_is_told_in_flight(sides, stranger):
     sent(stranger, 3)
     assert taken(sides[0]) == []
     (text,) = sides[0].wire.texts()
-    assert text.startswith("fleet: another process says that it is vehicle 3, which is this one")
+    assert text.startswith("fleet: another process says that it is vehicle 3, as this one")
 
 
 def test_a_second_process_of_this_vehicle_refuses_the_start(sides, stranger):
     wire = sides[0].wire
     assert wire.namesake() == ""
     sent(stranger, 3)
-    until(lambda: "already says that it is vehicle 3" in wire.namesake())
+    until(lambda: "another process says that it is vehicle 3" in wire.namesake())
 
 
 def test_of_two_processes_of_another_vehicle_the_first_is_heard(sides, stranger):
