@@ -110,7 +110,7 @@ class FleetWire:
         What came before is dropped.
         """
         for row in self._rows():
-            if row.id == self._fleet.id:
+            if row.id == self._fleet.id and row.process != self._process:
                 self._hear_namesake()
         return self.doubled
 
@@ -177,7 +177,8 @@ class FleetWire:
     def _is_of_member(self, row: FleetWordRow, now_ns: int) -> bool:
         """Whether a word is of the process of another member; the first one that was heard stays it."""
         if row.id == self._fleet.id:
-            self._hear_namesake()
+            if row.process != self._process:  # else a network brings back what this one said
+                self._hear_namesake()
             return False
         member = self._members.get(row.id)
         if member is None:

@@ -269,3 +269,27 @@ def test_a_word_counts_when_its_teller_hears_this_one(sides, stranger):
     sent(stranger, 7, 11.02, echoes=(Echo(3, a.wire._process, AHEAD_NS + 20_000_000),))
     (word,) = taken(a)
     assert word.stamp_s == pytest.approx(11.02, abs=word.clock_bound_s)
+
+
+def test_a_word_of_its_own_that_comes_back_is_none(sides, stranger):
+    a, _ = sides
+    stranger(a.wire.say(told(3, a.now_s)))
+    assert taken(a) == []
+    stranger(a.wire.say(told(3, a.now_s)))
+    time.sleep(0.1)
+    assert a.wire.namesake() == ""
+    assert a.wire.texts() == []
+
+
+def test_a_member_that_is_heard_again_by_both_is_told_of_the_next_time(sides, stranger):
+    a, b = sides
+    process = FleetWordRow.unpack(b.wire.say(told(7, b.now_s))).process
+    a.hear()
+    texts = []
+    for n, hears in enumerate((False, False, True, False, False), 1):
+        a.now_s += 2.5
+        echo = (Echo(3, a.wire._process, AHEAD_NS + 50_000_000),) if hears else ()
+        sent(stranger, 7, b.now_s + 2.5 * n, process, echo)
+        taken(a)
+        texts += [n for text in a.wire.texts() if "does not hear this one" in text]
+    assert texts == [2, 5]
