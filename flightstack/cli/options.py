@@ -285,7 +285,10 @@ class Flight(Signing, Ros2, Zenoh):
         help="Landing spot from the tracked frame, in that frame's axes, m: forward, left, up.",
     )  # fmt: skip
     config_file: Path = config(required=True)
-    namespace: str = namespace
+    namespace: str | None = option(
+        "--namespace",
+        help="First part of all Zenoh keys and topics; default: cf1, or cf and the id of [fleet].",
+    )
     no_record: bool = option("--no-record", is_flag=True, help="Record nothing.")
     duration_s: float | None = duration
     system_id: int = system_id

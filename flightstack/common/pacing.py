@@ -81,7 +81,13 @@ class Silence:
 
 
 class RealTimePacer:
-    """Absolute deadlines at a fixed rate; a missed one is counted, never made up for by a burst."""
+    """Absolute deadlines at a fixed rate; a missed one is counted, never made up for by a burst.
+
+    Attributes:
+        period_s: of a tick.
+        overruns: deadlines missed so far.
+        unix_start_ns: Unix time of zero of the stack clock.
+    """
 
     def __init__(
         self,
@@ -95,10 +101,14 @@ class RealTimePacer:
         self.overruns = 0
         self._monotonic, self._sleep = monotonic, sleep
         self._start_s = monotonic()
-        self._unix_start_ns = unix_ns()
+        self.unix_start_ns = unix_ns()
         self._next = 0  # deadline number
         self._ticks = 0
         self._last_s: float | None = None
+
+    def now_s(self) -> float:
+        """Read the stack clock."""
+        return self._monotonic() - self._start_s
 
     def wait(self) -> Tick:
         """Sleep until the next deadline."""
@@ -113,7 +123,7 @@ class RealTimePacer:
         period_s = began_s - self._last_s if self._last_s is not None else 0.0
         self._last_s = began_s
         now_s = began_s - self._start_s
-        unix_ns = self._unix_start_ns + round(now_s * 1e9)
+        unix_ns = self.unix_start_ns + round(now_s * 1e9)
         tick = Tick(self._ticks, now_s, unix_ns, period_s, late_s, self.overruns)
         self._ticks += 1
         return tick

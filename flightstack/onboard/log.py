@@ -16,12 +16,15 @@ from flightstack.onboard.state_text import StateText
 from logs.schema.codec_mavlink import PeerNames, pack_mavlink
 from logs.schema.controller_rows import TickInputs, pack_controller_input, power_row, step_row
 from logs.schema.events import CONTROLLER, ONBOARD, pack_log
+from logs.schema.fleet_rows import pack_neighbours
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import (
     CONTROLLER_INPUT,
+    CONTROLLER_NEIGHBOURS,
     CONTROLLER_POWER,
     CONTROLLER_STATE,
     CONTROLLER_STEP,
+    FLEET_WORD,
     LOG,
     LOOP_TIMING,
     MAVLINK,
@@ -61,6 +64,7 @@ class OnboardLog:
         rate_hz: of the ticks.
         lockstep: in simulated time.
         reserve: the thrust reserve is estimated.
+        fleet: other vehicles tell what they do.
         state: class of the controller's state.
     """
 
@@ -73,6 +77,7 @@ class OnboardLog:
         lockstep: bool,
         *,
         reserve: bool = False,
+        fleet: bool = False,
         state: type[State] = State,
     ) -> None:
         self._feed = feed
@@ -84,6 +89,9 @@ class OnboardLog:
         self._input = feed.channel(f"/{namespace}/controller/input", CONTROLLER_INPUT)
         self._step = feed.channel(f"/{namespace}/controller/step", CONTROLLER_STEP)
         self._power = feed.channel(f"/{namespace}/controller/power", CONTROLLER_POWER) if reserve else None
+        neighbours = f"/{namespace}/controller/neighbours"
+        self._neighbours = feed.channel(neighbours, CONTROLLER_NEIGHBOURS) if fleet else None
+        self._word = feed.channel(f"/{namespace}/fleet/word", FLEET_WORD) if fleet else None
         self._state = feed.channel(f"/{namespace}/controller/state", CONTROLLER_STATE)
         self._timing = feed.channel(f"/{namespace}/loop/timing", LOOP_TIMING)
         self._rosout = feed.channel("/rosout", LOG)
@@ -146,6 +154,9 @@ class OnboardLog:
         if self._power is not None:
             power = power_row(tick, taken.inputs.power, out.reserve).pack()
             self._feed.write(self._power, unix_ns, unix_ns, tick.number, power)
+        if self._neighbours is not None:
+            told = pack_neighbours(tick, taken.inputs.neighbours)
+            self._feed.write(self._neighbours, unix_ns, unix_ns, tick.number, told)
         for event in out.events:
             self.event(unix_ns, event.level, event.text, CONTROLLER)
         row = step_row(tick, out)
@@ -156,6 +167,11 @@ class OnboardLog:
             snapshot = ControllerStateRow(unix_ns, tick.number, text.layout, text.dumps(state))
             self._feed.write(self._state, unix_ns, unix_ns, tick.number, snapshot.pack())
         return row
+
+    def word(self, tick: Tick, payload: bytes | None) -> None:
+        """Write what this vehicle said to the others of its fleet, as it went out; None: nothing."""
+        if self._word is not None and payload is not None:
+            self._feed.write(self._word, tick.unix_ns, tick.unix_ns, tick.number, payload)
 
     def timing(self, tick: Tick, out: Outputs, exec_s: float, dropped: int) -> None:
         """Write the timing of the tick; publish it and the last step, at ``STATUS_HZ``."""

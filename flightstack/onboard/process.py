@@ -32,17 +32,19 @@ from flightstack.core.memory import Memory
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import ZERO, Operator, Phase, Vec3, VehicleStatus
 from flightstack.onboard import preflight
+from flightstack.onboard.fleet_wire import FleetWire
 from flightstack.onboard.leaving import Ended, Leaving
 from flightstack.onboard.live_topics import LiveHealth
 from flightstack.onboard.lockstep import LockstepWires
 from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.recording import OwnRecorder
-from flightstack.onboard.runner import LinkedVehicle, LiveTarget, RealTimeClock, Runner, Taken
+from flightstack.onboard.runner import LinkedVehicle, LiveTarget, RealTimeClock, Runner, Taken, Words
 from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
 from flightstack.verify.certificate import problems
 from logs.recorder.feed import Feed
 
+NAMESAKE_S = 1.0  # for which a process listens for another one of the same vehicle before it begins
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
 
 
@@ -113,6 +115,11 @@ class Onboard:
         chosen = profile(options.autopilot)
         origin = config.vehicle.origin_wgs84
         self.wires = ZenohWires(config, _zenoh_plan(options))
+        self.fleet = (
+            FleetWire(self.wires.session, options.namespace, config.fleet)
+            if config.fleet is not None
+            else None
+        )
         line = preflight.line_plan(
             baud_of(options.vehicle_url), config, signed=options.signing_key is not None
         )
@@ -139,19 +146,21 @@ class Onboard:
         self._describe()
         self.log = OnboardLog(
             self.feed, self.wires.session, options.namespace, rate_hz, options.lockstep,
-            reserve=config.reserve is not None, state=state_class(config),
+            reserve=config.reserve is not None, fleet=config.fleet is not None, state=state_class(config),
         )  # fmt: skip
         self.health = LiveHealth(self.wires.session, options.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap
         lockstep = options.lockstep  # there wall time has no part in what is said
         self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
         self._foreign_due = 1
-        self._opened_s = time.monotonic()
+        self.opened_s = time.monotonic()
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
         """Log, show and say a tick."""
-        link, arrived = self.link, taken.arrived
+        link, arrived, fleet = self.link, taken.arrived, self.fleet
         exec_s *= self.options.speed
+        if fleet is not None:  # the others wait for it, the log does not
+            self.log.word(tick, fleet.say(out.own_word))
         self.log.samples(arrived.messages, tick.unix_ns)
         for text in arrived.problems:
             self.log.event(tick.unix_ns, WARN, text)
@@ -161,7 +170,8 @@ class Onboard:
         if link.counters.foreign >= self._foreign_due:  # a ground station sends many: said on doublings
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self._foreign_due = 2 * link.counters.foreign
-        for text in (*link.endpoint.take_notices(), *self.wires.texts(tick.now_s)):
+        said = fleet.texts() if fleet is not None else ()
+        for text in (*link.endpoint.take_notices(), *self.wires.texts(tick.now_s), *said):
             _warn(text)
             self.log.event(tick.unix_ns, WARN, text)
         memory = self.controller.memory
@@ -197,7 +207,7 @@ class Onboard:
 
     def _line_use(self) -> str:
         """What went over the serial line."""
-        counters, took_s = self.link.endpoint.counters, time.monotonic() - self._opened_s
+        counters, took_s = self.link.endpoint.counters, time.monotonic() - self.opened_s
         return (
             f"serial line in {took_s:.1f} s: {counters.bytes_in / took_s:.0f} B/s in, "
             f"{counters.bytes_out / took_s:.0f} B/s out, {counters.garbage_bytes} bytes in no frame, "
@@ -213,6 +223,8 @@ class Onboard:
             print(f"onboard: {self._line_use()}", file=sys.stderr)
         self.feed.close()
         self.link.close()
+        if self.fleet is not None:
+            self.fleet.close()
         self.wires.close()
 
 
@@ -247,6 +259,7 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
         LaunchError: its own recorder did not start.
     """
     _check_speed(options)
+    _check_fleet(config, options)
     chosen_clock(
         options.speed, options.clock, Follower.ONBOARD, lockstep=options.lockstep
     )  # wrong input at once
@@ -264,6 +277,8 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
         sys.stdout.flush()
         if not options.lockstep:  # only the simulator runs in lockstep, and its parameters are known
             ended = _preflight(onboard, signals, say)
+            if ended is None:
+                ended = _alone_with_its_id(onboard, signals)
             if ended is not None:
                 return ended
         quiet_garbage_collector()
@@ -282,6 +297,31 @@ def _check_speed(options: Options) -> None:
             f"--speed or --clock is given and {options.vehicle_url!r} is not on loopback: only a simulator "
             "has a clock of its own; leave them out"
         )
+
+
+def _check_fleet(config: FlightConfig, options: Options) -> None:
+    """Refuse a fleet where its members cannot hear each other."""
+    if config.fleet is None:
+        return
+    if options.lockstep:
+        raise ConfigError(
+            "[fleet]: in lockstep no process waits for the words of the others; fly in real time, or without "
+            "the table"
+        )
+    if not (options.connect or options.listen or options.zenoh_config):
+        raise ConfigError(
+            "[fleet]: nobody can reach this process; --connect, --listen or --zenoh-config is needed "
+            "(docs/how_it_works/fleet.md)"
+        )
+
+
+def _alone_with_its_id(onboard: Onboard, signals: Signals) -> Ended | None:
+    """Refuse to begin while another process says that it is the same vehicle."""
+    if onboard.fleet is None or signals.operator is Operator.EMERGENCY_STOP:
+        return None
+    time.sleep(max(0.0, onboard.opened_s + NAMESAKE_S - time.monotonic()))
+    problem = onboard.fleet.namesake()
+    return Ended(Phase.WAIT, problem, 1) if problem else None
 
 
 def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended | None:
@@ -324,12 +364,15 @@ class _Leaving(Leaving):
 
     def __init__(self, onboard: Onboard, signals: Signals) -> None:
         super().__init__(onboard.options.duration_s, signals)
-        self._link, self._waiting = onboard.link, onboard.waiting
+        self._link, self._waiting, self._fleet = onboard.link, onboard.waiting, onboard.fleet
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
         """Return how the flight ended; None if it has not ended."""
         if self._link.refused is not None and not out.finished:
             return Ended(out.phase, self._link.refused, 1)
+        armed = status is not None and status.armed
+        if self._fleet is not None and self._fleet.doubled and out.phase is Phase.WAIT and not armed:
+            return Ended(out.phase, self._fleet.doubled, 1)
         ended = super().ended(out, memory, status, now_s)
         lacking, person = self._waiting.lacking, self.person
         if ended is None or not lacking or person.stop or person.operator is not Operator.NONE:
@@ -348,6 +391,9 @@ def _runner(onboard: Onboard, signals: Signals) -> Runner:
     ask_for_priority()
     clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
     pacer = RealTimePacer(rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
-    return Runner(
-        onboard.controller, RealTimeClock(pacer, link), vehicle, LiveTarget(wires.odometry), leaving, onboard
-    )
+    words: Words = tuple
+    if onboard.fleet is not None:
+        onboard.fleet.begin(pacer.unix_start_ns, pacer.now_s)
+        words = onboard.fleet.words
+    ticks, target = RealTimeClock(pacer, link), LiveTarget(wires.odometry)
+    return Runner(onboard.controller, ticks, vehicle, target, leaving, onboard, words)

@@ -21,6 +21,7 @@ from logs.reader.reader import LogError, LogFile
 from logs.schema.codec_mavlink import unpack_mavlink
 from logs.schema.controller_rows import TickInputs, unpack_controller_input, unpack_power
 from logs.schema.events import CONTROLLER, ONBOARD
+from logs.schema.fleet_rows import unpack_neighbours
 from logs.schema.rows import ControllerStateRow, LogRow
 from logs.schema.schemas import CONTROLLER_INPUT
 
@@ -41,6 +42,7 @@ class TickRecord:
         given: inputs, None if the log breaks before them.
         step: decisions as recorded, None if the log breaks before them.
         power: battery, motors and thrust reserve as recorded, None of a flight that did not look at them.
+        told: whether it holds what other vehicles said; it is in ``given``.
         state: snapshot after the tick, None in most ticks.
         events: what the controller said, as recorded.
         said: what else the onboard process said.
@@ -52,6 +54,7 @@ class TickRecord:
     given: TickInputs | None = None
     step: bytes | None = None
     power: bytes | None = None
+    told: bool = False
     state: ControllerStateRow | None = None
     events: list[LogRow] = field(default_factory=list)
     said: list[LogRow] = field(default_factory=list)
@@ -130,9 +133,10 @@ class FlightInputs:
         """
         given, step = self.topic("controller/input"), self.topic("controller/step")
         state, odometry = self.topic("controller/state"), self.topic("target/odom")
-        power = self.topic("controller/power")
+        power, neighbours = self.topic("controller/power"), self.topic("controller/neighbours")
+        topics = {given, step, state, power, neighbours, odometry, SOURCE, SINK, ROSOUT}
         tick: TickRecord | None = None
-        for message in self.log.messages({given, step, state, power, odometry, SOURCE, SINK, ROSOUT}):
+        for message in self.log.messages(topics):
             topic, data = message.topic, message.data
             try:
                 said = LogRow.unpack(data) if topic == ROSOUT else None
@@ -153,6 +157,9 @@ class FlightInputs:
                 elif topic == power and tick.given is not None:  # it follows the other inputs
                     inputs = dataclasses.replace(tick.given.inputs, power=unpack_power(data))
                     tick.given, tick.power = tick.given._replace(inputs=inputs), data
+                elif topic == neighbours and tick.given is not None:  # the same
+                    inputs = dataclasses.replace(tick.given.inputs, neighbours=unpack_neighbours(data))
+                    tick.given, tick.told = tick.given._replace(inputs=inputs), True
                 elif topic == state:
                     snapshot = ControllerStateRow.unpack(data)
                     if snapshot.stamp_ns == tick.unix_ns:  # else an older one, from before a cut

@@ -18,7 +18,7 @@ from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller, Outputs, state_class
 from flightstack.core.memory import Memory, State
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.types import Operator, Phase, VehicleStatus
+from flightstack.core.types import Neighbour, Operator, Phase, VehicleStatus
 from flightstack.onboard.runner import Arrived, Runner, Taken, VehicleInputs
 from flightstack.onboard.state_text import StateText, StateTextError
 from logs.replay.compare import Tally, TickDifference, fields_of, values_of
@@ -129,6 +129,10 @@ class _RecordedTick:
         del now_s
         return Arrived(self.given.inputs.target_samples)
 
+    def words(self) -> tuple[Neighbour, ...]:
+        """Return what the others of the fleet had said."""
+        return self.given.inputs.neighbours
+
     def landing_began(self, tick: int) -> None:
         """Nothing to do."""
 
@@ -163,7 +167,8 @@ class _Run:
         self.text = StateText[State](state_class(self.config))
         self.recorded = _RecordedTick()
         parts = (self.recorded,) * 4
-        self.runner = Runner(self.controller, *parts, sink=self)
+        self.runner = Runner(self.controller, *parts, sink=self, words=self.recorded.words)
+        self.in_fleet = "fleet" in flight.table
         self.running = False
         self.acted = False
         self.state_refused = ""
@@ -215,6 +220,11 @@ class _Run:
         """Replay one tick and compare it."""
         given = record.given
         assert given is not None
+        if self.in_fleet and not record.told:
+            raise ReplayError(
+                f"{self.flight.log.path}: what the others of the fleet said at tick {given.tick} is missing "
+                f"({self.flight.topic('controller/neighbours')}); without it the replay proves nothing"
+            )
         if not self.running and not self._begin(record, given):
             return
         self.recorded.begin(record, given)

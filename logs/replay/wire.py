@@ -104,7 +104,8 @@ class WireReplay:
             return [TickDifference(SOURCE, given.tick, "frame", "a decodable frame", repr(error))]
         arrived = decoded([RawSample(payload) for payload in record.odometry], given.now_s)
         own, status, command_failed, power = self._vehicle.read()
-        inputs = Inputs(own, status, arrived.samples, given.inputs.operator, power)
+        neighbours = given.inputs.neighbours  # how words became these is not in the log
+        inputs = Inputs(own, status, arrived.samples, given.inputs.operator, power, neighbours)
         found = list(values_of(given.inputs, inputs))
         found += values_of(given.command_failed, command_failed, "command_failed")
         differences = [TickDifference("wire, inputs", given.tick, *each) for each in found]

@@ -106,6 +106,34 @@ class ControllerStateRow(NamedTuple):
     @staticmethod
     def unpack(data: bytes) -> ControllerStateRow: ...
 
+class ControllerNeighboursRow(NamedTuple):
+    stamp_ns: int
+    tick: int
+    neighbours: tuple[tuple[int, float, float, Vec3, Vec3, Vec3, float, float, int, float, bool, Vec3, bool, Vec3, bytes], ...]
+    def pack(self) -> bytes: ...
+    @staticmethod
+    def unpack(data: bytes) -> ControllerNeighboursRow: ...
+
+class FleetWordRow(NamedTuple):
+    stamp_ns: int
+    id: int
+    process: int
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    wanted_enu_m_s: Vec3
+    position_sigma_m: float
+    intent: int
+    claims: bool
+    claim_ns: int
+    pad_known: bool
+    pad_position_enu_m: Vec3
+    pad_velocity_enu_m_s: Vec3
+    yields_to: bytes
+    echoes: tuple[tuple[int, int, int], ...]
+    def pack(self) -> bytes: ...
+    @staticmethod
+    def unpack(data: bytes) -> FleetWordRow: ...
+
 class LoopTimingRow(NamedTuple):
     stamp_ns: int
     tick: int

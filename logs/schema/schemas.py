@@ -22,6 +22,10 @@ CONTROLLER_STEP = "flightstack_msgs/msg/ControllerStep"
 CONTROLLER_INPUT = "flightstack_msgs/msg/ControllerInput"
 CONTROLLER_STATE = "flightstack_msgs/msg/ControllerState"
 CONTROLLER_POWER = "flightstack_msgs/msg/ControllerPower"
+CONTROLLER_NEIGHBOURS = "flightstack_msgs/msg/ControllerNeighbours"
+NEIGHBOUR = "flightstack_msgs/msg/Neighbour"
+FLEET_WORD = "flightstack_msgs/msg/FleetWord"
+FLEET_ECHO = "flightstack_msgs/msg/FleetEcho"
 TARGET_SAMPLE = "flightstack_msgs/msg/TargetSample"
 LOOP_TIMING = "flightstack_msgs/msg/LoopTiming"
 TRUE_STATE = "flightstack_msgs/msg/TrueState"
@@ -40,6 +44,10 @@ _OURS = {
     CONTROLLER_STEP: "ControllerStep.msg",
     TARGET_SAMPLE: "TargetSample.msg",
     CONTROLLER_INPUT: "ControllerInput.msg",
+    NEIGHBOUR: "Neighbour.msg",
+    CONTROLLER_NEIGHBOURS: "ControllerNeighbours.msg",
+    FLEET_ECHO: "FleetEcho.msg",
+    FLEET_WORD: "FleetWord.msg",
     CONTROLLER_STATE: "ControllerState.msg",
     CONTROLLER_POWER: "ControllerPower.msg",
     LOOP_TIMING: "LoopTiming.msg",

@@ -54,6 +54,8 @@ def text() -> str:
 
 
 def _type(field: Field) -> str:
+    if field.length == 0 and field.kind == "uint8":
+        return "bytes"
     if field.length == 0:
         return f"tuple[{_type(field._replace(length=None))}, ...]"
     if field.length is not None:

@@ -15,7 +15,10 @@ from logs.replay.read import ROSOUT, SINK, SOURCE
 from logs.schema.schemas import schema_text
 from sim.scenarios.scenario import load
 
-TOPICS = ("controller/input", "controller/step", "controller/state", "controller/power", "target/odom")
+TOPICS = (
+    "controller/input", "controller/step", "controller/state", "controller/power", "controller/neighbours",
+    "target/odom",
+)  # fmt: skip
 WIRE = (SOURCE, SINK)
 CHUNK_BYTES = 16 * 2**20  # one chunk: repeats are found over the whole flight
 METADATA = ("onboard", "run")

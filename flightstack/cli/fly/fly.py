@@ -37,17 +37,20 @@ def fly(options: FlyOptions) -> None:
     from flightstack.config.files import load
     from flightstack.launch import fly as launch
     from flightstack.launch.result import conclude
+    from flightstack.onboard.fleet_wire import namespace_of
 
+    config = load(options.config_file)
     run_options = options.to(
         launch.FlyOptions,
         name=options.config_file.stem,
         words=_words(click.get_current_context()),
         record=not options.no_record,
         live=not options.as_json,
+        namespace=options.namespace or namespace_of(config),
     )
     console = Console(stderr=options.as_json, highlight=False)
     try:
-        flown = launch.run(load(options.config_file), run_options, console)
+        flown = launch.run(config, run_options, console)
     except LaunchError as error:
         click.echo(f"flightstack: {error}", err=True)
         sys.exit(error.code)

@@ -36,15 +36,18 @@ def onboard(options: OnboardOptions) -> None:
     from flightstack.common.processes import LaunchError
     from flightstack.config.files import load
     from flightstack.onboard import process
+    from flightstack.onboard.fleet_wire import namespace_of
     from flightstack.onboard.recording import OwnRecorder
 
     with ExitStack() as stack:
         records = options.recorder is None and not options.no_record
         own = stack.enter_context(OwnRecorder()) if records else None
         target_type = TargetType(options.target_type)
-        plugged = options.to(process.Options, own_recorder=own, target_type=target_type)
+        config = load(options.config_file)
+        namespace = options.namespace or namespace_of(config)
+        plugged = options.to(process.Options, own_recorder=own, target_type=target_type, namespace=namespace)
         try:
-            ended = process.run(load(options.config_file), plugged, say=say)
+            ended = process.run(config, plugged, say=say)
         except LaunchError as error:
             click.echo(f"flightstack: {error}; --no-record flies without a log", err=True)
             sys.exit(1)

@@ -131,7 +131,8 @@ def test_make_fly_lands():
     assert (ROOT / report).stat().st_size > 100_000
 
 
-WITH_RESERVE = "/cf1/controller/power"  # flights without such a table do not record it
+# only with a table of the configuration
+WITH_TABLE = {"/cf1/controller/power", "/cf1/controller/neighbours", "/cf1/fleet/word"}
 DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # the page's one line for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")
 PAGE = ROOT / "docs/reference/logs.md"
@@ -160,8 +161,8 @@ def table():
 def test_the_table_is_what_a_flight_records(folder):
     found = json.loads(flightstack("log", "info", "--json", folder / "runs/first/flight.mcap").out)
     recorded = {t["topic"]: t for t in found["topics"]}
-    assert table().keys() >= {DECODED, WITH_RESERVE}
-    listed = {topic: kind for topic, (kind, _) in table().items() if topic not in (DECODED, WITH_RESERVE)}
+    assert table().keys() >= {DECODED, *WITH_TABLE}
+    listed = {topic: kind for topic, (kind, _) in table().items() if topic not in (DECODED, *WITH_TABLE)}
     decoded = {topic for topic in recorded if DECODED_TOPIC.fullmatch(topic)}
     assert "/cf1/mavlink/sys1/comp1/HEARTBEAT" in decoded
     assert listed == {topic: t["schema"] for topic, t in recorded.items() if topic not in decoded}

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from flightstack.core.types import (
     FilterStatus,
     Inputs,
+    Intent,
     Landed,
     Mode,
     Operator,
@@ -36,7 +37,7 @@ STAMPS = st.integers(0, (2**31 - 1) * 10**9)
 BITS = st.integers(0, 2**64 - 1).map(lambda n: struct.unpack("<d", struct.pack("<Q", n))[0])
 TEXTS = st.text(st.characters(exclude_characters="\x00", exclude_categories=["Cs"]), max_size=20)
 FLOATS = st.sampled_from([0.0, -0.0, math.inf, -math.inf, math.nan]) | BITS
-BY_CODE = {"?": st.booleans(), "d": FLOATS} | {
+BY_CODE = {"?": st.booleans(), "d": FLOATS, "q": st.integers(-(2**63), 2**63 - 1)} | {
     code: st.integers(0, 2**bits - 1) for code, bits in (("B", 8), ("H", 16), ("I", 32), ("Q", 64))
 }
 ROWS = {name: getattr(rows, rows.class_name(name, "Row")) for name in rows.ROWS}
@@ -44,6 +45,8 @@ ROWS = {name: getattr(rows, rows.class_name(name, "Row")) for name in rows.ROWS}
 
 def values_of(field):
     """Values of a field as they stand in a row."""
+    if field.length == 0 and field.kind == "uint8":
+        return st.binary(max_size=4)
     if field.length is not None:
         each = values_of(field._replace(length=None))
         size = {"max_size": 4} if field.length == 0 else {"min_size": field.length, "max_size": field.length}
@@ -60,7 +63,7 @@ def values_of(field):
 def generic(field, value):
     """The value of a field as the classes of the generic codec want it."""
     if field.length is not None and field.kind in cdr.CODES:
-        return np.array(value)
+        return np.frombuffer(value, np.uint8) if isinstance(value, bytes) else np.array(value)
     if field.length is not None:
         return [generic(field._replace(length=None), each) for each in value]
     if field.kind == cdr.HEADER_TYPE:
@@ -213,6 +216,8 @@ def test_schema_texts_are_complete_and_plain():
         (schemas.CONTROLLER_INPUT, "OPERATOR", Operator),
         (schemas.CONTROLLER_INPUT, "MODE", Mode),
         (schemas.CONTROLLER_INPUT, "LANDED", Landed),
+        (schemas.NEIGHBOUR, "INTENT", Intent),
+        (schemas.FLEET_WORD, "INTENT", Intent),
         (schemas.HEALTH, "MODE", Mode),
         (schemas.HEALTH, "LANDED", Landed),
     ],

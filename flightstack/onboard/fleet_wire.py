@@ -1,0 +1,244 @@
+"""The wire of a fleet: what this vehicle says to the others in each tick, and what they have said.
+
+Each process publishes ``FleetWord`` on ``NAMESPACE/fleet/word`` and subscribes to ``**/fleet/word``. One
+pattern needs no list of namespaces, and shows two processes that say they are the same vehicle, and vehicles
+that are no members. The key begins with the namespace as all of a vehicle's keys do, so that rules of access
+can name it.
+
+Nothing waits here. What is refused is counted, and said when the count has doubled.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+from collections.abc import Callable
+
+from bridge.zenoh import zenoh_link
+from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.types import Neighbour
+from flightstack.onboard.fleet_clock import OtherClock
+from logs.schema.fleet_rows import Echo, neighbour_of, word_row
+from logs.schema.rows import FleetWordRow
+from logs.schema.schemas import FLEET_WORD
+
+KEY = "fleet/word"
+EVERYBODY = f"**/{KEY}"
+CAPACITY = 256  # words; the oldest are dropped: a tick needs the newest of each member only
+BYTES_MAX = 2048  # of a word
+ONE_WAY_S = 2.0  # for which a member is heard and does not hear this vehicle, until that is said
+
+
+def namespace_of(config: FlightConfig) -> str:
+    """Return the namespace of a vehicle, if no other is given: each member of a fleet needs its own."""
+    return f"cf{config.fleet.id}" if config.fleet is not None else "cf1"
+
+
+def _not_begun() -> float:
+    """Stand in for the stack clock before the first tick."""
+    return 0.0
+
+
+class _Counts:
+    """Counts what was refused; a text whenever a count has doubled."""
+
+    def __init__(self) -> None:
+        self._counts: dict[str, int] = {}
+        self.texts: list[str] = []
+
+    def add(self, what: str, detail: str = "") -> None:
+        count = self._counts[what] = self._counts.get(what, 0) + 1
+        if count & (count - 1) == 0:
+            self.texts.append(f"fleet: {what}{f' ({detail})' if detail else ''}: {count} words refused")
+
+
+class _Member:
+    """What is known of another member's process."""
+
+    def __init__(self) -> None:
+        self.process: int | None = None
+        self.clock = OtherClock()
+        self.stamp_ns = 0  # of its newest word
+        self.heard_ns = 0  # when that came, our clock
+        self.claim_ns: int | None = None
+        self.claim_s = math.nan
+        self.one_way_ns: int | None = None  # since when it does not hear us
+        self.said_one_way = False
+
+
+class FleetWire:
+    """Words of this vehicle and of the others.
+
+    Args:
+        session: an open Zenoh session; it stays the caller's.
+        namespace: first part of the key of this vehicle.
+        fleet: of the configuration.
+
+    Attributes:
+        doubled: another process that says it is this vehicle, in words; empty: none was heard.
+
+    Raises:
+        ValueError: the namespace makes no key.
+    """
+
+    def __init__(self, session: zenoh_link.Session, namespace: str, fleet: Fleet) -> None:
+        self._fleet = fleet
+        self.doubled = ""
+        self._process = secrets.randbits(64)
+        self._members = {n: _Member() for n in fleet.others}
+        self._counts = _Counts()
+        self._epoch_ns = 0
+        self._now_s: Callable[[], float] = _not_begun
+        self._publisher = zenoh_link.dropping_publisher(
+            session, f"{namespace}/{KEY}", f"application/cdr;{FLEET_WORD}"
+        )
+        self._subscriber = zenoh_link.remote_subscriber(session, EVERYBODY, CAPACITY)
+
+    def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
+        """Take the clock of the ticks; before that nothing is said.
+
+        Args:
+            epoch_ns: Unix time of zero of the stack clock.
+            now_s: reads the stack clock.
+        """
+        self._epoch_ns, self._now_s = epoch_ns, now_s
+
+    def namesake(self) -> str:
+        """Why this process must not begin: another one is the same vehicle; empty if none was heard.
+
+        What came before is dropped.
+        """
+        for row in self._rows():
+            if row.id == self._fleet.id and row.process != self._process:
+                self._hear_namesake()
+        return self.doubled
+
+    def words(self) -> tuple[Neighbour, ...]:
+        """Return the newest word of each member since the last call; never blocks."""
+        rows = self._rows()
+        now_s = self._now_s()  # after the words were taken: none came later
+        now_ns = self._epoch_ns + round(now_s * 1e9)
+        newest: dict[int, FleetWordRow] = {}
+        for row in rows:
+            if self._is_of_member(row, now_ns):
+                before = newest.get(row.id)
+                if before is None or row.stamp_ns > before.stamp_ns:
+                    newest[row.id] = row
+        words = [self._taken(newest[n], now_s, now_ns) for n in sorted(newest)]
+        return tuple(word for word in words if word is not None)
+
+    def say(self, word: Neighbour | None) -> bytes | None:
+        """Tell the others what the controller has to tell them; return it as it went out.
+
+        Args:
+            word: ``Outputs.own_word``; None: nothing is said.
+        """
+        if word is None:
+            return None
+        now_ns = self._epoch_ns + round(word.stamp_s * 1e9)
+        echoes = []
+        for n, member in self._members.items():
+            ahead_ns = member.clock.ahead_ns(now_ns)
+            if member.process is not None and ahead_ns is not None:
+                echoes.append(Echo(n, member.process, ahead_ns))
+        payload = word_row(word, self._epoch_ns, self._process, echoes).pack()
+        self._publisher.put(payload)
+        return payload
+
+    def texts(self) -> list[str]:
+        """What a person should know since the last call."""
+        texts, self._counts.texts = self._counts.texts, []
+        return texts
+
+    def close(self) -> None:
+        """Undeclare publisher and subscriber."""
+        self._subscriber.undeclare()
+        self._publisher.undeclare()
+
+    def _rows(self) -> list[FleetWordRow]:
+        rows = []
+        for sample in zenoh_link.drain(self._subscriber):
+            payload = sample.payload.to_bytes()
+            if len(payload) > BYTES_MAX:
+                self._counts.add("malformed", f"{len(payload)} bytes, allowed are {BYTES_MAX}")
+                continue
+            try:
+                rows.append(FleetWordRow.unpack(payload))
+            except ValueError as error:
+                self._counts.add("malformed", str(error))
+        return rows
+
+    def _hear_namesake(self) -> None:
+        what = f"another process says that it is vehicle {self._fleet.id}, as this one"
+        self._counts.add(what)
+        self.doubled = f"fleet: {what}: end it, or give one of them another id"
+
+    def _is_of_member(self, row: FleetWordRow, now_ns: int) -> bool:
+        """Whether a word is of the process of another member; the first one that was heard stays it."""
+        if row.id == self._fleet.id:
+            if row.process != self._process:  # else a network brings back what this one said
+                self._hear_namesake()
+            return False
+        member = self._members.get(row.id)
+        if member is None:
+            self._counts.add(f"vehicle {row.id} is no member")
+            return False
+        if member.process == row.process:
+            return True
+        silent_s = (now_ns - member.heard_ns) * 1e-9
+        if member.process is not None and silent_s <= self._fleet.silent_flight_s:
+            self._counts.add(f"two processes say that they are vehicle {row.id}")
+            return False
+        if member.process is not None:
+            self._counts.texts.append(f"fleet: vehicle {row.id} has a new process after {silent_s:.1f} s")
+        member = self._members[row.id] = _Member()
+        member.process, member.stamp_ns = row.process, row.stamp_ns - 1
+        return True
+
+    def _taken(self, row: FleetWordRow, now_s: float, now_ns: int) -> Neighbour | None:
+        """A word on our clock; None if it was overtaken, or if its time is not known well enough."""
+        member, fleet = self._members[row.id], self._fleet
+        if row.stamp_ns <= member.stamp_ns:
+            return None
+        member.stamp_ns, member.heard_ns = row.stamp_ns, now_ns
+        echoes = [ns for n, process, ns in row.echoes if (n, process) == (fleet.id, self._process)]
+        if not member.clock.heard(row.stamp_ns, now_ns, echoes[0] if echoes else None):
+            self._counts.add(f"the clock of vehicle {row.id}, or of this one, has jumped")
+            return None
+        self._note_one_way(member, row.id, now_ns, heard=bool(echoes))
+        offset = member.clock.offset(now_ns)
+        if offset is None:
+            return None
+        bound_s = offset.bound_ns * 1e-9
+        if bound_s > fleet.latency_max_s:
+            self._counts.add(
+                f"the clock of vehicle {row.id} is not known well enough",
+                f"to {bound_s:.3f} s, fleet.latency_max_s is {fleet.latency_max_s:g}",
+            )
+            return None
+        if not row.claims:
+            member.claim_ns, member.claim_s = None, math.nan
+        elif row.claim_ns != member.claim_ns:  # once for a claim: the same one keeps its time to the bit
+            member.claim_ns = row.claim_ns
+            member.claim_s = (row.claim_ns + offset.ns - self._epoch_ns) / 1e9
+        stamp_s = (row.stamp_ns + offset.ns - self._epoch_ns) / 1e9
+        try:
+            return neighbour_of(row, stamp_s, now_s, member.claim_s, bound_s)
+        except ValueError as error:
+            self._counts.add("malformed", str(error))
+            return None
+
+    def _note_one_way(self, member: _Member, n: int, now_ns: int, *, heard: bool) -> None:
+        """Say once that a member is heard and does not hear this vehicle."""
+        if heard:
+            member.one_way_ns, member.said_one_way = None, False
+            return
+        if member.one_way_ns is None:
+            member.one_way_ns = now_ns
+        if not member.said_one_way and (now_ns - member.one_way_ns) * 1e-9 > ONE_WAY_S:
+            member.said_one_way = True
+            self._counts.texts.append(
+                f"fleet: vehicle {n} is heard, but does not hear this one: are they connected directly or "
+                "by a router, and is this one's id among its members?"
+            )

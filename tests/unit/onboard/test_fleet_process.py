@@ -1,0 +1,178 @@
+"""The onboard process of a vehicle in a fleet hears the others, tells them its own word, and logs both."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from bridge.zenoh import zenoh_link
+from bridge.zenoh.zenoh_link import open_session
+from flightstack.common.strict_toml import ConfigError
+from flightstack.config.files import load, path_of
+from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.types import Intent, Neighbour, Operator, Phase
+from flightstack.onboard import process
+from flightstack.onboard.fleet_wire import FleetWire, namespace_of
+from flightstack.onboard.process import Onboard, Options
+from logs.schema import schemas
+from logs.schema.fleet_rows import unpack_neighbours
+from logs.schema.rows import FleetWordRow
+from tests.unit.target.ros2_helpers import free_endpoint, until
+
+LONE = load(path_of("crazyflie"))
+CONFIG = replace(LONE, fleet=Fleet(3, (3, 7)))
+WHERE = {"vehicle_url": "udpin:127.0.0.1:0", "target_key": "cf3/target/odom"}
+
+
+class Feed:
+    """Keeps what is written into the log."""
+
+    def __init__(self):
+        self.topics, self.rows = {}, []
+
+    def channel(self, topic, schema):
+        self.topics[topic] = schema
+        return topic
+
+    def write(self, channel, log_time_ns, publish_time_ns, sequence, payload):
+        self.rows.append((channel, sequence, payload))
+
+    def of(self, topic):
+        return [payload for channel, _, payload in self.rows if channel == topic]
+
+    def __getattr__(self, name):
+        return lambda *_: None
+
+    dropped = 0
+
+
+@pytest.fixture
+def feed(monkeypatch):
+    made = Feed()
+    monkeypatch.setattr(process.Feed, "connect", lambda *_, **__: made)
+    return made
+
+
+def nobody():
+    return SimpleNamespace(operator=Operator.NONE, stop=False)
+
+
+@pytest.fixture
+def endpoint():
+    return free_endpoint()
+
+
+@pytest.fixture
+def onboard(feed, endpoint):
+    made = Onboard(CONFIG, Options(**WHERE, listen=[endpoint], namespace="cf3"), lambda _: None)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def other(onboard, endpoint):
+    """Wire of vehicle 7."""
+    session = open_session(connect=[endpoint])
+    until(lambda: zenoh_link.transports(session) == 1)
+    wire = FleetWire(session, "cf7", Fleet(7, (3, 7)))
+    yield wire
+    wire.close()
+    session.close()
+
+
+def word(id_, now_s):
+    return Neighbour(id_, now_s, now_s, (1.0, 2.0, 3.0), *[(0.0, 0.0, 0.0)] * 2, intent=Intent.WAITING)
+
+
+def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
+    runner = process._runner(onboard, nobody())
+    clock = onboard.fleet._now_s
+    other.begin(onboard.fleet._epoch_ns, clock)
+    step, heard = onboard.controller.step, []
+
+    def placed(inputs, now_s, **named):
+        """The vehicle of this test does not say where it is; its word is given here."""
+        heard.extend(inputs.neighbours)
+        return step(inputs, now_s, **named)._replace(own_word=word(3, now_s))
+
+    onboard.controller.step = placed
+    theirs = []
+
+    def go_on():
+        runner.tick()
+        theirs.extend(other.words())
+        other.say(word(7, clock()))
+        return heard and theirs
+
+    until(go_on)
+    assert {each.id for each in heard} == {7}
+    assert {each.id for each in theirs} == {3}
+    assert 0.0 < heard[-1].clock_bound_s < 0.1
+    topics = ("/cf3/controller/neighbours", "/cf3/fleet/word")
+    assert [feed.topics[topic] for topic in topics] == [schemas.CONTROLLER_NEIGHBOURS, schemas.FLEET_WORD]
+    logged = [each for payload in feed.of(topics[0]) for each in unpack_neighbours(payload)]
+    assert repr(logged) == repr(heard)  # a claim that is none is NaN
+    said = [FleetWordRow.unpack(payload) for payload in feed.of(topics[1])]
+    assert len(said) == len(feed.of("/cf3/controller/input"))
+    assert {row.id for row in said} == {3}
+
+
+def test_what_is_wrong_on_the_wire_is_an_event(onboard, other, feed):
+    other.say(word(7, 0.0)._replace(id=8))
+    runner = process._runner(onboard, nobody())
+    until(lambda: runner.tick() or any(b"vehicle 8 is no member" in text for text in feed.of("/rosout")))
+
+
+def test_the_start_is_refused_while_another_process_is_the_same_vehicle(onboard, other):
+    until(lambda: zenoh_link.is_matched(other._publisher))
+    other.say(word(3, 0.0))
+    until(lambda: process._alone_with_its_id(onboard, nobody()) is not None)
+    ended = process._alone_with_its_id(onboard, nobody())
+    assert (ended.phase, ended.exit_code) == (Phase.WAIT, 1)
+    assert "another process says that it is vehicle 3" in ended.reason
+    stopping = SimpleNamespace(operator=Operator.EMERGENCY_STOP, stop=False)
+    assert process._alone_with_its_id(onboard, stopping) is None
+
+
+def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard, other):
+    runner = process._runner(onboard, nobody())
+    assert runner.tick() is None
+    found = []
+
+    def go_on():
+        other.say(word(3, 0.0))
+        found.append(runner.tick())
+        return found[-1] is not None
+
+    until(go_on)
+    assert "another process says that it is vehicle 3" in found[-1].reason
+    leaving = process._Leaving(onboard, nobody())
+    out = SimpleNamespace(phase=Phase.APPROACH, finished=False)
+    assert leaving.ended(out, onboard.controller.memory, None, 1.0) is None  # there it is an event
+
+
+def test_a_lone_vehicle_has_no_wire(feed):
+    onboard = Onboard(LONE, Options(**WHERE), lambda _: None)
+    try:
+        assert onboard.fleet is None
+        assert process._alone_with_its_id(onboard, nobody()) is None
+        assert process._runner(onboard, nobody()).tick() is None
+        assert not [topic for topic in feed.topics if "neighbours" in topic or "fleet" in topic]
+    finally:
+        onboard.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"lockstep": True, "listen": ["tcp/127.0.0.1:0"]}, "in lockstep no process waits"),
+        ({}, "nobody can reach this process; --connect, --listen or --zenoh-config"),
+    ],
+)
+def test_a_fleet_is_refused_where_it_cannot_work(options, text):
+    with pytest.raises(ConfigError, match=text):
+        process.run(CONFIG, Options(**WHERE, **options))
+
+
+def test_each_member_has_its_own_namespace():
+    assert [namespace_of(config) for config in (LONE, CONFIG)] == ["cf1", "cf3"]

@@ -1,0 +1,295 @@
+"""Words of a fleet over Zenoh arrive on the clock of who reads them; what is wrong is refused and said."""
+
+import math
+import time
+
+import pytest
+
+from bridge.zenoh import zenoh_link
+from bridge.zenoh.zenoh_link import open_session
+from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.types import Intent, Neighbour
+from flightstack.onboard import fleet_wire
+from flightstack.onboard.fleet_wire import BYTES_MAX, FleetWire
+from logs.schema.fleet_rows import Echo, word_row
+from logs.schema.rows import FleetWordRow
+from tests.unit.target.ros2_helpers import free_endpoint, until
+
+EPOCH_NS = 1_700_000_000_000_000_000
+AHEAD_NS = 5_000_000_000  # of the clock of vehicle 7 before that of vehicle 3
+DELAY_S = 0.01
+MEMBERS = (3, 7)
+HERE, PROCESS = (1.0, 2.0, 3.0), 99
+
+
+def told(id_=7, stamp_s=1.0, **more):
+    return Neighbour(id_, stamp_s, stamp_s, HERE, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.01, **more)
+
+
+@pytest.fixture
+def sessions():
+    endpoint = free_endpoint()
+    listener = open_session([endpoint])
+    dialler = open_session(connect=[endpoint])
+    until(lambda: zenoh_link.transports(listener) == 1)
+    yield listener, dialler
+    dialler.close()
+    listener.close()
+
+
+class Side:
+    """A vehicle's wire with a clock that is set by hand."""
+
+    def __init__(self, session, id_, epoch_ns):
+        fleet, self.id = Fleet(id_, MEMBERS), id_
+        self.wire, self.now_s = FleetWire(session, f"cf{id_}", fleet), 1.0
+        self.wire.begin(epoch_ns, lambda: self.now_s)
+
+    def hear(self):
+        """Words that come, at the latest after a second."""
+        found = []
+        until(lambda: found.extend(self.wire.words()) or found)
+        return found
+
+
+@pytest.fixture
+def sides(sessions):
+    """Vehicles 3 and 7, whose clocks differ, after they have heard each other."""
+    a, b = Side(sessions[0], 3, EPOCH_NS), Side(sessions[1], 7, EPOCH_NS + AHEAD_NS)
+    greet(a, b)
+    yield a, b
+    a.wire.close()
+    b.wire.close()
+
+
+def pass_time(*sides):
+    for side in sides:
+        side.now_s += DELAY_S
+
+
+def taken(side):
+    """Let the wire take what is under way, though it gives nothing on."""
+    end_s = time.monotonic() + 0.3
+    words = []
+    while time.monotonic() < end_s:
+        words += side.wire.words()
+        time.sleep(0.01)
+    return words
+
+
+def greet(a, b):
+    """Speak in turn until both have given on a word of the other one."""
+    heard = set()
+
+    def in_turn():
+        for teller, hearer in ((a, b), (b, a)):
+            said = FleetWordRow.unpack(teller.wire.say(told(teller.id, teller.now_s)))
+            pass_time(a, b)
+            end_s = time.monotonic() + 0.5  # the connection may not be complete yet
+            while hearer.wire._members[said.id].stamp_ns < said.stamp_ns and time.monotonic() < end_s:
+                heard.update(word.id for word in hearer.wire.words())
+                time.sleep(0.001)
+        return heard == {a.id, b.id}
+
+    until(in_turn)
+
+
+@pytest.fixture
+def stranger(sessions):
+    """Publishes what it likes on the side of vehicle 7."""
+    publisher = zenoh_link.blocking_publisher(sessions[1], "somewhere/else/fleet/word")
+    until(lambda: zenoh_link.is_matched(publisher))
+    yield publisher.put
+    publisher.undeclare()
+
+
+def test_a_word_arrives_on_the_clock_of_who_reads_it(sides):
+    a, b = sides
+    said = told(
+        7, b.now_s, intent=Intent.LANDING, claim_s=0.5, pad_position_enu_m=(4.0, 5.0, 0.2),
+        pad_velocity_enu_m_s=(0.1, 0.0, 0.0), yields_to=(3,),
+    )  # fmt: skip
+    b.wire.say(said)
+    pass_time(a, b)
+    (word,) = a.hear()
+    assert word.stamp_s == pytest.approx(said.stamp_s, abs=1e-4)  # both clocks began at 1 s, 5 s apart
+    assert word.claim_s == pytest.approx(0.5, abs=1e-4)
+    assert word.clock_bound_s == pytest.approx(DELAY_S, rel=0.02)
+    assert word.arrival_s == a.now_s
+    same = {"stamp_s": 0.0, "arrival_s": 0.0, "claim_s": 0.0, "clock_bound_s": 0.0}
+    assert word._replace(**same) == said._replace(**same)
+
+
+def test_a_claim_keeps_its_time_to_the_bit(sides):
+    """To whom a vehicle gives way hangs on it; the estimate of the clock goes on."""
+    a, b = sides
+    heard = []
+    for n in range(4):
+        a.wire.say(told(3, a.now_s))
+        a.now_s += 0.001 * n
+        b.now_s += 0.001 * n
+        b.hear()
+        b.wire.say(told(7, b.now_s, claim_s=0.7))
+        a.now_s += 0.002
+        b.now_s += 0.002
+        heard += a.hear()
+    assert len({word.claim_s for word in heard}) == 1
+    assert len({word.clock_bound_s for word in heard}) > 1
+    b.wire.say(told(7, b.now_s))
+    assert math.isnan(a.hear()[0].claim_s)
+    pass_time(a, b)
+    b.wire.say(told(7, b.now_s, claim_s=0.9))
+    pass_time(a, b)
+    assert a.hear()[0].claim_s == pytest.approx(0.9, abs=0.01)
+
+
+def test_the_newest_word_of_each_member_is_kept(sides):
+    a, b = sides
+    for n in range(5):
+        b.wire.say(told(7, b.now_s + 0.001 * n))
+    a.now_s += DELAY_S
+    words = taken(a)
+    assert [word.stamp_s for word in words] == sorted({word.stamp_s for word in words})
+    assert words[-1].stamp_s == pytest.approx(b.now_s + 0.004, abs=DELAY_S)
+    b.wire.say(told(7, b.now_s))  # it was overtaken
+    assert taken(a) == []
+
+
+def test_nothing_is_said_without_a_word(sides):
+    assert sides[0].wire.say(None) is None
+
+
+def test_what_is_no_word_is_refused_and_said_on_doublings(sides, stranger):
+    a, _ = sides
+    for payload in (b"", b"\x00\x01\x00\x00nonsense", b"x" * (BYTES_MAX + 1), *[b"y"] * 4):
+        stranger(payload)
+    assert taken(a) == []
+    texts = a.wire.texts()
+    assert [text.rpartition(": ")[2] for text in texts] == [f"{n} words refused" for n in (1, 2, 4)]
+    assert all(text.startswith("fleet: malformed (") for text in texts)
+    assert a.wire.texts() == []
+
+
+def sent(stranger, id_=7, stamp_s=1.5, process=PROCESS, echoes=(), **more):
+    row = word_row(told(id_, stamp_s), EPOCH_NS + AHEAD_NS, process, echoes)
+    stranger(row._replace(**more).pack())
+
+
+def test_a_vehicle_that_is_no_member_is_refused(sides, stranger):
+    sent(stranger, 8)
+    assert taken(sides[0]) == []
+    assert sides[0].wire.texts() == ["fleet: vehicle 8 is no member: 1 words refused"]
+
+
+def test_a_second_process_of_this_vehicle_is_told_in_flight(sides, stranger):
+    sent(stranger, 3)
+    assert taken(sides[0]) == []
+    (text,) = sides[0].wire.texts()
+    assert text.startswith("fleet: another process says that it is vehicle 3, as this one")
+
+
+def test_a_second_process_of_this_vehicle_refuses_the_start(sides, stranger):
+    wire = sides[0].wire
+    assert wire.namesake() == ""
+    sent(stranger, 3)
+    until(lambda: "another process says that it is vehicle 3" in wire.namesake())
+
+
+def test_of_two_processes_of_another_vehicle_the_first_is_heard(sides, stranger):
+    a, _ = sides
+    sent(stranger, 7)
+    assert taken(a) == []
+    assert a.wire.texts() == ["fleet: two processes say that they are vehicle 7: 1 words refused"]
+    a.now_s += 10.0  # the first one is silent for longer than a silent vehicle flies
+    sent(stranger, 7, echoes=(Echo(3, a.wire._process, AHEAD_NS + 9_000_000_000),))
+    taken(a)
+    texts = a.wire.texts()
+    assert "fleet: vehicle 7 has a new process after 10.0 s" in texts[0]
+
+
+def test_an_intent_that_is_none_is_malformed(sides, stranger):
+    a, b = sides
+    process = FleetWordRow.unpack(b.wire.say(told(7, b.now_s))).process
+    a.hear()
+    sent(stranger, 7, b.now_s + 0.001, process, intent=99)
+    assert taken(a) == []
+    assert "99 is not a valid Intent" in a.wire.texts()[0]
+
+
+def test_a_clock_that_is_known_too_badly_is_refused(sides):
+    a, b = sides
+    a.now_s += 400.0  # nothing was heard: the least delays have aged by 0.4 s
+    b.now_s += 400.0
+    b.wire.say(told(7, b.now_s))
+    a.now_s += 0.35
+    assert taken(a) == []
+    (text,) = a.wire.texts()
+    assert "the clock of vehicle 7 is not known well enough (to 0." in text
+
+
+def test_a_clock_that_jumps_is_told(sides):
+    a, b = sides
+    b.wire.say(told(7, b.now_s + 1.0))
+    assert taken(a) == []
+    assert "the clock of vehicle 7, or of this one, has jumped" in a.wire.texts()[0]
+
+
+def test_a_member_that_does_not_hear_this_one_is_told_once(sides, stranger):
+    a, b = sides
+    process = FleetWordRow.unpack(b.wire.say(told(7, b.now_s))).process
+    a.hear()
+    for n in range(4):
+        a.now_s += 1.5
+        sent(stranger, 7, b.now_s + 1.5 * (n + 1), process)
+        taken(a)
+    texts = [text for text in a.wire.texts() if "does not hear this one" in text]
+    assert len(texts) == 1
+
+
+def test_the_definition_is_in_the_encoding_of_the_key(sides, sessions):
+    """A viewer or a recorder of Zenoh finds the type of the message there."""
+    watcher = zenoh_link.ring_subscriber(sessions[1], fleet_wire.EVERYBODY)
+    until(lambda: zenoh_link.is_matched(sides[0].wire._publisher))
+    found = []
+    sides[0].wire.say(told(3, sides[0].now_s))
+    until(lambda: found.extend(zenoh_link.drain(watcher)) or found)
+    assert str(found[0].key_expr) == "cf3/fleet/word"
+    assert "flightstack_msgs/msg/FleetWord" in str(found[0].encoding)
+    watcher.undeclare()
+
+
+def test_a_word_counts_when_its_teller_hears_this_one(sides, stranger):
+    """Else its time is not known on this clock."""
+    a, _ = sides
+    a.now_s += 10.0
+    sent(stranger, 7, 11.0)
+    assert taken(a) == []
+    sent(stranger, 7, 11.01, echoes=(Echo(3, a.wire._process + 1, AHEAD_NS),))  # of a process before
+    assert taken(a) == []
+    sent(stranger, 7, 11.02, echoes=(Echo(3, a.wire._process, AHEAD_NS + 20_000_000),))
+    (word,) = taken(a)
+    assert word.stamp_s == pytest.approx(11.02, abs=word.clock_bound_s)
+
+
+def test_a_word_of_its_own_that_comes_back_is_none(sides, stranger):
+    a, _ = sides
+    stranger(a.wire.say(told(3, a.now_s)))
+    assert taken(a) == []
+    stranger(a.wire.say(told(3, a.now_s)))
+    time.sleep(0.1)
+    assert a.wire.namesake() == ""
+    assert a.wire.texts() == []
+
+
+def test_a_member_that_is_heard_again_by_both_is_told_of_the_next_time(sides, stranger):
+    a, b = sides
+    process = FleetWordRow.unpack(b.wire.say(told(7, b.now_s))).process
+    a.hear()
+    texts = []
+    for n, hears in enumerate((False, False, True, False, False), 1):
+        a.now_s += 2.5
+        echo = (Echo(3, a.wire._process, AHEAD_NS + 50_000_000),) if hears else ()
+        sent(stranger, 7, b.now_s + 2.5 * n, process, echo)
+        taken(a)
+        texts += [n for text in a.wire.texts() if "does not hear this one" in text]
+    assert texts == [2, 5]
