@@ -332,6 +332,7 @@ def test_go_tick_that_comes_too_late_is_reported() -> None:
             reader.session.close()
 
 
+@pytest.mark.xdist_group("real-time")
 def test_real_time_rate_and_start_with_the_landing() -> None:
     port = free_port()
     with target(5, port, lockstep=False) as (child, ready):
