@@ -255,7 +255,7 @@ class Controller:
         )
 
     def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
-        """Whether the flight is over; in a fleet it goes on telling where it is until all others are down."""
+        """Whether the flight is over; a vehicle of a fleet tells its position until all others are down."""
         fleet = self._fleet
         over = self._mission.finished(status, now_s)
         return over and (fleet is None or fleet.over(now_s - self.memory.phase_since_s, now_s))

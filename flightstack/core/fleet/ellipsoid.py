@@ -1,4 +1,4 @@
-"""The barrier between two vehicles, and how it grows with what is not known of the other one.
+"""The barrier between two vehicles; it grows with the uncertainty of the other vehicle's position.
 
     h(p) = r_xy (rho - 1),   rho = sqrt((dx^2 + dy^2) / r_xy^2 + dz^2 / r_z^2)
 

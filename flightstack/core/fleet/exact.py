@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from flightstack.core.safety.position_loop import clip
+from flightstack.core.safety.position_loop import clip_to_box
 from flightstack.core.safety.projection import projection
 from flightstack.core.types import Vec3
 
@@ -58,11 +58,7 @@ class Nearest(NamedTuple):
 
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
     """Minimiser of the program; ``None`` if no point of the box meets all rows."""
-    point = (
-        clip(nominal[0], lower[0], upper[0]),
-        clip(nominal[1], lower[1], upper[1]),
-        clip(nominal[2], lower[2], upper[2]),
-    )
+    point = clip_to_box(nominal, lower, upper)
     missed = [k for k, row in enumerate(rows) if row.missing_m_s(point) > 0.0]
     if not missed:
         return Nearest(point, (0.0,) * len(rows))
@@ -126,9 +122,7 @@ def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -
     for member, factor in zip(members.tolist(), factors.tolist(), strict=True):
         if member < count:
             found[member] = max(0.0, factor) / float(lengths[member])
-    x, y, z = at.tolist()
-    point = (clip(x, lower[0], upper[0]), clip(y, lower[1], upper[1]), clip(z, lower[2], upper[2]))
-    return Nearest(point, tuple(found))
+    return Nearest(clip_to_box(at.tolist(), lower, upper), tuple(found))
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
@@ -158,8 +152,7 @@ def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Ve
     if not len(points):
         return np.inf, lower
     x, y, z, s = points[int(np.argmin(points[:, 3]))].tolist()
-    point = (clip(x, lower[0], upper[0]), clip(y, lower[1], upper[1]), clip(z, lower[2], upper[2]))
-    return max(0.0, s), point
+    return max(0.0, s), clip_to_box((x, y, z), lower, upper)
 
 
 @cache

@@ -88,7 +88,7 @@ class FleetMember:
 
     @property
     def slots(self) -> list[tuple[int, Heard]]:
-        """Id and what is known of each other member."""
+        """Id of each other member, and what was heard of it."""
         return [(n, self.memory.slots[k]) for n, k in self._index.items()]
 
     def take(self, words: Sequence[Neighbour], now_s: float) -> list[str]:

@@ -16,16 +16,9 @@ import numpy as np
 
 from flightstack.core.fleet.exact import Nearest, Row, least_slack, nearest, prepare
 from flightstack.core.parameters.fleet import OTHERS_MAX
-from flightstack.core.safety.position_loop import clip
+from flightstack.core.safety.position_loop import clip_to_box
 from flightstack.core.safety.projection import best_corner
-from flightstack.core.safety.qp_filter import (
-    EPS,
-    ITERATIONS_MAX,
-    RELAXATION,
-    RESIDUAL_MAX_M_S,
-    RHO,
-    FilterResult,
-)
+from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult, solver_settings
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
 AGREES_M_S = 1e-6  # of the solver's point with the exact one
@@ -40,12 +33,10 @@ class FleetResult(NamedTuple):
     Attributes:
         filter: as that of ``SafetyFilter``; its slack is that of the landing barrier, NaN without one.
         given_m_s: slack by which the rows of neighbours gave way; 0 unless CROWDED.
-        held: the rows of neighbours changed the velocity.
     """
 
     filter: FilterResult
     given_m_s: float
-    held: bool
 
 
 class FleetProgram:
@@ -61,15 +52,6 @@ class FleetProgram:
         from osqp import ext_builtin as osqp
         from scipy import sparse
 
-        settings = osqp.OSQPSettings()
-        osqp.osqp_set_default_settings(settings)
-        settings.verbose = 0
-        settings.eps_abs = settings.eps_rel = EPS
-        settings.rho, settings.alpha = RHO, RELAXATION
-        settings.adaptive_rho = 0
-        settings.scaling = 0
-        settings.max_iter = ITERATIONS_MAX
-        settings.check_termination = 1
         size, self._infinite = _ROWS + 3, float(osqp.OSQP_INFTY)
         self._q, self._x, self._y = np.zeros(3), np.zeros(3), np.zeros(size)
         self._lower, self._upper = np.full(size, -self._infinite), np.full(size, self._infinite)
@@ -78,7 +60,7 @@ class FleetProgram:
         self._columns = self._ax.reshape(3, _ROWS + 1)
         constraint, hessian = osqp.CSC(sparse.csc_matrix(whole)), osqp.CSC(sparse.csc_matrix(np.eye(3)))
         self._solver = osqp.OSQPSolver(
-            hessian, self._q, constraint, self._lower, self._upper, size, 3, settings
+            hessian, self._q, constraint, self._lower, self._upper, size, 3, solver_settings(osqp)
         )
         self._solved = osqp.osqp_status_type.OSQP_SOLVED
 
@@ -99,14 +81,14 @@ class FleetProgram:
         sums = sum(lower) + sum(upper) + sum(nominal) + sum(row.bound_m_s + sum(row.g) for row in every)
         if not math.isfinite(sums):
             idle = FilterResult(ZERO, math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
-            return FleetResult(idle, 0.0, False)
+            return FleetResult(idle, 0.0)
         started = time.perf_counter()
         if landing is not None:
             corner = best_corner(landing.g, lower, upper)
             missing = landing.missing_m_s(corner)
             if missing > 0.0:
                 at_once = FilterResult(corner, -missing, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
-                return FleetResult(at_once, 0.0, True)
+                return FleetResult(at_once, 0.0)
         exact, given_m_s = nearest(nominal, every, lower, upper), 0.0
         point, residual, iterations, status = ZERO, 0.0, 0, FilterStatus.CROWDED
         if exact is not None:
@@ -122,17 +104,11 @@ class FleetProgram:
                 less = given_m_s + RELAXED_M_S
                 found = nearest(nominal, [*firm, *(Row(g, b - less) for g, b in neighbours)], lower, upper)
                 point = found.point if found is not None else point
-        free = (
-            clip(nominal[0], lower[0], upper[0]),
-            clip(nominal[1], lower[1], upper[1]),
-            clip(nominal[2], lower[2], upper[2]),
-        )
         slack = -landing.missing_m_s(point) if landing is not None else math.nan
-        active = landing is not None and landing.missing_m_s(free) > 0.0
-        held = any(row.missing_m_s(free) > 0.0 for row in neighbours)
+        active = landing is not None and landing.missing_m_s(clip_to_box(nominal, lower, upper)) > 0.0
         solve_s = time.perf_counter() - started
         result = FilterResult(point, slack, active, status, residual, iterations, solve_s)
-        return FleetResult(result, given_m_s, held)
+        return FleetResult(result, given_m_s)
 
     def _osqp(
         self,
@@ -165,7 +141,7 @@ class FleetProgram:
         solver.solve()
         info = solver.info
         x, y, z = solver.solution.x.tolist()
-        point = (clip(x, lower[0], upper[0]), clip(y, lower[1], upper[1]), clip(z, lower[2], upper[2]))
+        point = clip_to_box((x, y, z), lower, upper)
         if info.status_val != self._solved or not math.isfinite(x + y + z):
             return point, math.inf, info.iter
         missing = max(row.missing_m_s(point) for row in rows if row is not _OPEN)

@@ -1,4 +1,4 @@
-"""A fleet: who belongs to it, the room that two vehicles need, and what is assumed of the others.
+"""A fleet: its members, the ellipsoid that keeps two vehicles apart, and bounds of the others' motion.
 
 The ellipsoid of two Crazyflies has the semi-axes 0.25 and 0.75 m: each has a radius of 0.125 and 0.375 m, as
 Crazyswarm sets them for the firmware's collision avoidance. It is higher than wide for downwash.

@@ -22,6 +22,12 @@ def clip(value: float, low: float, high: float) -> float:
     return value if value > low else low
 
 
+def clip_to_box(point: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
+    """Nearest point of the box between two corners."""
+    (x, y, z), (lx, ly, lz), (hx, hy, hz) = point, lower, upper
+    return (clip(x, lx, hx), clip(y, ly, hy), clip(z, lz, hz))
+
+
 def limit(velocity: Vec3, velocity_max_m_s: Vec3) -> Vec3:
     """Clip each axis to the symmetric box (the admissible set U of paper eq. 11)."""
     vx, vy, vz = velocity

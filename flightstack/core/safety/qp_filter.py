@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -61,6 +61,24 @@ class Program(Protocol):
         """Filter one nominal velocity; arguments as those of ``SafetyFilter.solve``."""
 
 
+def solver_settings(osqp: Any) -> Any:
+    """Settings with which a result depends on the numbers of its tick alone.
+
+    Args:
+        osqp: module ``osqp.ext_builtin``.
+    """
+    settings = osqp.OSQPSettings()
+    osqp.osqp_set_default_settings(settings)
+    settings.verbose = 0
+    settings.eps_abs = settings.eps_rel = EPS
+    settings.rho, settings.alpha = RHO, RELAXATION
+    settings.adaptive_rho = 0
+    settings.scaling = 0  # scaling and unscaling at each update would round a history into the data
+    settings.max_iter = ITERATIONS_MAX
+    settings.check_termination = 1
+    return settings
+
+
 class SafetyFilter:
     """The quadratic program, allocated once.
 
@@ -75,15 +93,6 @@ class SafetyFilter:
 
         self.omega_1_s = omega_1_s
         constraint = sparse.csc_matrix(np.vstack([np.ones((1, 3)), np.eye(3)]))
-        settings = osqp.OSQPSettings()
-        osqp.osqp_set_default_settings(settings)
-        settings.verbose = 0
-        settings.eps_abs = settings.eps_rel = EPS
-        settings.rho, settings.alpha = RHO, RELAXATION
-        settings.adaptive_rho = 0
-        settings.scaling = 0  # scaling and unscaling at each update would round a history into the data
-        settings.max_iter = ITERATIONS_MAX
-        settings.check_termination = 1
         self._q = np.zeros(3)
         self._lower = np.full(4, -1.0)
         self._upper = np.full(4, osqp.OSQP_INFTY)
@@ -91,7 +100,7 @@ class SafetyFilter:
         self._ax = np.ones(6)  # column-wise: (g_x, 1), (g_y, 1), (g_z, 1)
         hessian = osqp.CSC(sparse.csc_matrix(np.eye(3)))
         self._solver = osqp.OSQPSolver(
-            hessian, self._q, osqp.CSC(constraint), self._lower, self._upper, 4, 3, settings
+            hessian, self._q, osqp.CSC(constraint), self._lower, self._upper, 4, 3, solver_settings(osqp)
         )
         self._solved = osqp.osqp_status_type.OSQP_SOLVED
 

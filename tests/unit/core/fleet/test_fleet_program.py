@@ -150,7 +150,6 @@ def test_a_wrong_result_of_the_solver_is_not_flown(monkeypatch, wrong):
     found = program.solve((0.0, 0.0, 0.0), None, [Row((1.0, 0.0, 0.0), 0.1)], (-1.0,) * 3, (1.0,) * 3)
     assert found.filter.status is FilterStatus.CLOSED_FORM
     assert found.filter.velocity_enu_m_s == pytest.approx((0.1, 0.0, 0.0))
-    assert found.held
 
 
 def test_numbers_that_are_not_finite_are_rejected():
