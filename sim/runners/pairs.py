@@ -14,7 +14,7 @@ from logs.schema.events import Severity
 from sim.clock import TickGrid
 from sim.compiled.records import F64
 from sim.runners.companion import Companion
-from sim.vehicle.encounters import Shape, Team, overlaps
+from sim.vehicle.encounters import Shape, Team
 
 _MS_PER_S = 1000.0
 
@@ -68,14 +68,14 @@ class Pairs:
         self._least_m, self._flying_m, self._ellipsoid = (np.full(number, np.inf) for _ in range(3))
         self._inside = np.zeros(number, dtype=bool)
         self._before, self._flew = self._states(), self._flying()
-        for pair in self.all:
-            i, j = pair.one - 1, pair.other - 1
-            if overlaps(self._before[j] - self._before[i], shapes[i], shapes[j]):
-                place = ", ".join(f"{each:.2f}" for each in self._before[i, :3])
-                raise ValueError(
-                    f"{members[i].name} and {members[j].name} begin inside each other, at ({place}) m; "
-                    "give them other start places"
-                )
+        self._team.stand(self._before[:, :3])
+        for at in np.flatnonzero(self._team.overlap_ms >= 0):
+            one, other = members[self.all[at].one - 1], members[self.all[at].other - 1]
+            place = ", ".join(f"{each:.2f}" for each in one.vehicle.body()[:3])
+            raise ValueError(
+                f"{one.name} and {other.name} begin inside each other, at ({place}) m; "
+                "give them other start places"
+            )
 
     def begin(self) -> None:
         """Note where all are at the begin of a tick."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -49,20 +48,6 @@ class Shape:
         )
 
 
-class Nearest(NamedTuple):
-    """What a pair came to between two ticks.
-
-    Attributes:
-        distance_m: smallest distance of the centres of mass.
-        ellipsoid: smallest distance in the ellipsoid's measure; below 1: inside.
-        overlap_ms: milliseconds after the first tick at which the shapes overlap first; -1 for never.
-    """
-
-    distance_m: float
-    ellipsoid: float
-    overlap_ms: int
-
-
 @jitted
 def ellipsoid_distance(x: float, y: float, z: float, beside_m: float, above_m: float) -> float:
     """Distance of a place from the centre of an ellipsoid; 1 on its surface.
@@ -97,21 +82,6 @@ def _nearest(
     return nearest_m, ellipsoid, overlap
 
 
-def nearest(before: F64, after: F64, steps: int, one: Shape, other: Shape) -> Nearest:
-    """Follow a pair from one tick to the next; the first tick itself belongs to the tick before.
-
-    Args:
-        before: (6,) position (m) and velocity (m/s) of the other vehicle minus those of the one, ENU.
-        after: (6,) the same at the next tick.
-        steps: milliseconds between them.
-        one: shape of the one.
-        other: shape of the other.
-    """
-    down_m, up_m = one.bottom_m - other.top_m, one.top_m - other.bottom_m
-    found = _nearest(before, after, steps, one.radius_m + other.radius_m, down_m, up_m)
-    return Nearest(*found)
-
-
 @jitted
 def _nearest_all(
     before: F64, after: F64, steps: int, shapes: F64, distance: F64, ellipsoid: F64, overlap: I64
@@ -130,9 +100,9 @@ class Team:
     """Follows all pairs of a team: (0, 1), (0, 2) and so on, P of them.
 
     Attributes:
-        distance_m: (P,) as ``Nearest.distance_m``, of the last call of ``follow``.
-        ellipsoid: (P,) as ``Nearest.ellipsoid``.
-        overlap_ms: (P,) as ``Nearest.overlap_ms``.
+        distance_m: (P,) smallest distance of the centres of mass, of the last call of ``follow``.
+        ellipsoid: (P,) smallest distance in the ellipsoid's measure; below 1: inside.
+        overlap_ms: (P,) milliseconds after the first tick at which the shapes overlap first; -1: never.
 
     Args:
         shapes: of its N members.
@@ -145,7 +115,7 @@ class Team:
         self.overlap_ms = np.full(number, -1, dtype=np.int64)
 
     def follow(self, before: F64, after: F64, steps: int) -> None:
-        """Follow all pairs from one tick to the next.
+        """Follow all pairs from one tick to the next; the first tick itself belongs to the tick before.
 
         Args:
             before: (N, 6) positions (m) and velocities (m/s), ENU.
@@ -155,8 +125,11 @@ class Team:
         found = (self.distance_m, self.ellipsoid, self.overlap_ms)
         _nearest_all(before, after, steps, self._shapes, *found)
 
+    def stand(self, places: F64) -> None:
+        """Judge places in which nothing moves; ``overlap_ms`` is 1 where shapes overlap.
 
-def overlaps(relative: F64, one: Shape, other: Shape) -> bool:
-    """Whether shapes overlap at this moment; arguments as of ``nearest``."""
-    still = np.concatenate((relative[:3], np.zeros(3)))
-    return nearest(still, still, 1, one, other).overlap_ms == 1
+        Args:
+            places: (N, 3) positions, ENU, m.
+        """
+        still = np.hstack((places, np.zeros_like(places)))
+        self.follow(still, still, 1)

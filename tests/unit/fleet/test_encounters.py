@@ -2,18 +2,41 @@
 
 import math
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from logs.schema.events import ContactBit
 from sim.plant.params import load
-from sim.vehicle.encounters import Shape, Team, ellipsoid_distance, nearest, overlaps
+from sim.vehicle.encounters import Shape, Team, ellipsoid_distance
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import fly, scenario
 
 SHAPE = Shape.of(load("crazyflie20"))
 SMALL = Shape(0.05, -0.01, 0.02)
+
+
+class Nearest(NamedTuple):
+    """What a pair came to."""
+
+    distance_m: float
+    ellipsoid: float
+    overlap_ms: int
+
+
+def nearest(before, after, steps, one, other):
+    """Follow a pair; the states are those of the other one relative to the one."""
+    team = Team((one, other))
+    team.follow(np.vstack((np.zeros(6), before)), np.vstack((np.zeros(6), after)), steps)
+    return Nearest(team.distance_m[0], team.ellipsoid[0], team.overlap_ms[0])
+
+
+def overlaps(relative, one, other):
+    """Whether a pair that stands overlaps."""
+    team = Team((one, other))
+    team.stand(np.vstack((np.zeros(3), relative[:3])))
+    return team.overlap_ms[0] == 1
 
 
 def states(position, velocity, acceleration, seconds):
