@@ -10,7 +10,7 @@ from bridge.target.odometry import RawSample
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
-from flightstack.core.memory import State
+from flightstack.core.memory import FleetState, State
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
 from logs.schema.codec_mavlink import PeerNames, pack_mavlink
@@ -64,8 +64,7 @@ class OnboardLog:
         rate_hz: of the ticks.
         lockstep: in simulated time.
         reserve: the thrust reserve is estimated.
-        fleet: other vehicles tell what they do.
-        state: class of the controller's state.
+        state: class of the controller's state; that of a fleet has the others' words beside it.
     """
 
     def __init__(
@@ -77,7 +76,6 @@ class OnboardLog:
         lockstep: bool,
         *,
         reserve: bool = False,
-        fleet: bool = False,
         state: type[State] = State,
     ) -> None:
         self._feed = feed
@@ -89,6 +87,7 @@ class OnboardLog:
         self._input = feed.channel(f"/{namespace}/controller/input", CONTROLLER_INPUT)
         self._step = feed.channel(f"/{namespace}/controller/step", CONTROLLER_STEP)
         self._power = feed.channel(f"/{namespace}/controller/power", CONTROLLER_POWER) if reserve else None
+        fleet = issubclass(state, FleetState)
         neighbours = f"/{namespace}/controller/neighbours"
         self._neighbours = feed.channel(neighbours, CONTROLLER_NEIGHBOURS) if fleet else None
         self._word = feed.channel(f"/{namespace}/fleet/word", FLEET_WORD) if fleet else None

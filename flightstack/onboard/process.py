@@ -146,7 +146,7 @@ class Onboard:
         self._describe()
         self.log = OnboardLog(
             self.feed, self.wires.session, options.namespace, rate_hz, options.lockstep,
-            reserve=config.reserve is not None, fleet=config.fleet is not None, state=state_class(config),
+            reserve=config.reserve is not None, state=state_class(config),
         )  # fmt: skip
         self.health = LiveHealth(self.wires.session, options.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap

@@ -61,7 +61,6 @@ def record(path: Path, world: World, seconds: float, *, until=None, config: Flig
         config.loop.rate_hz,
         lockstep=True,
         reserve=config.reserve is not None,
-        fleet=config.fleet is not None,
         state=state_class(config),
     )
     for number in range(round(seconds / DT_S)):

@@ -32,7 +32,7 @@ class Recorded:
         self.feed.file.attachment("onboard.toml", "application/toml", 0, dumps(config).encode())
         self.feed.file.metadata("onboard", {"namespace": "cf1"})
         self.log = OnboardLog(
-            self.feed, NoSession(), "cf1", RATE_HZ, lockstep=True, fleet=True, state=state_class(config)
+            self.feed, NoSession(), "cf1", RATE_HZ, lockstep=True, state=state_class(config)
         )
 
     def step(self, inputs, now_s):
