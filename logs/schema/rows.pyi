@@ -134,6 +134,20 @@ class FleetWordRow(NamedTuple):
     @staticmethod
     def unpack(data: bytes) -> FleetWordRow: ...
 
+class FleetPairRow(NamedTuple):
+    stamp_ns: int
+    one: int
+    other: int
+    distance_min_m: float
+    flying_distance_min_m: float
+    ellipsoid_min: float
+    violations: int
+    inside_ms: int
+    collided_ms: int
+    def pack(self) -> bytes: ...
+    @staticmethod
+    def unpack(data: bytes) -> FleetPairRow: ...
+
 class LoopTimingRow(NamedTuple):
     stamp_ns: int
     tick: int

@@ -26,6 +26,7 @@ CONTROLLER_NEIGHBOURS = "flightstack_msgs/msg/ControllerNeighbours"
 NEIGHBOUR = "flightstack_msgs/msg/Neighbour"
 FLEET_WORD = "flightstack_msgs/msg/FleetWord"
 FLEET_ECHO = "flightstack_msgs/msg/FleetEcho"
+FLEET_PAIR = "flightstack_msgs/msg/FleetPair"
 TARGET_SAMPLE = "flightstack_msgs/msg/TargetSample"
 LOOP_TIMING = "flightstack_msgs/msg/LoopTiming"
 TRUE_STATE = "flightstack_msgs/msg/TrueState"
@@ -48,6 +49,7 @@ _OURS = {
     CONTROLLER_NEIGHBOURS: "ControllerNeighbours.msg",
     FLEET_ECHO: "FleetEcho.msg",
     FLEET_WORD: "FleetWord.msg",
+    FLEET_PAIR: "FleetPair.msg",
     CONTROLLER_STATE: "ControllerState.msg",
     CONTROLLER_POWER: "ControllerPower.msg",
     LOOP_TIMING: "LoopTiming.msg",
