@@ -131,8 +131,8 @@ def test_make_fly_lands():
     assert (ROOT / report).stat().st_size > 100_000
 
 
-# only with a table of the configuration
-WITH_TABLE = {"/cf1/controller/power", "/cf1/controller/neighbours", "/cf1/fleet/word"}
+# only with a table of the configuration, or of a fleet
+WITH_TABLE = {"/cf1/controller/power", "/cf1/controller/neighbours", "/cf1/fleet/word", "/fleet/pairs"}
 DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # the page's one line for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")
 PAGE = ROOT / "docs/reference/logs.md"
