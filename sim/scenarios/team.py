@@ -11,16 +11,19 @@ import math
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any
 
 from flightstack.common.strict_toml import ConfigError, Files, from_table, over, read_toml, span
+from flightstack.core.fleet.assignment import assign
+from flightstack.core.types import Vec3
 from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.scenarios import scenario as scenarios
-from sim.scenarios.scenario import Scenario
+from sim.scenarios.scenario import Scenario, StartKind, TargetSpec
 
-_OF_THE_TEAM = ("name", "description", "exchange")  # keys; all others are those of a scenario
+_OF_THE_TEAM = ("name", "description", "exchange", "assignment")  # all other keys are those of a scenario
 MEMBERS_MAX = 250  # each has a MAVLink system id of its own
 
 
@@ -32,6 +35,13 @@ class ExchangeLink:
     loss: Annotated[float, span(0.0, 1.0)] = 0.0  # of each word on its way to each hearer
 
 
+class Assignment(Enum):
+    """Who lands on which robot."""
+
+    FIXED = "fixed"  # each on that of its own table
+    START = "start"  # by the least sum of the horizontal distances from where the vehicles begin
+
+
 @dataclass(frozen=True, slots=True)
 class TeamScenario:
     """Vehicles that fly at once; number n, counted from 1, is called cf<n> and has system id n."""
@@ -40,6 +50,7 @@ class TeamScenario:
     description: str
     member: tuple[Scenario, ...]
     exchange: ExchangeLink = field(default_factory=ExchangeLink)
+    assignment: Assignment = Assignment.FIXED  # ``load`` assigns, so that what it returns is fixed
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.member) <= MEMBERS_MAX:
@@ -98,7 +109,7 @@ def load(name_or_file: str | Path) -> TeamScenario:
     """
     path = path_of(name_or_file)
     try:
-        team = _team(path, read_toml(path))
+        team = assigned(_team(path, read_toml(path)))
         return replace(team, member=tuple(scenarios.in_place(each, path.parent) for each in team.member))
     except ConfigError as error:
         text = str(error)
@@ -133,6 +144,54 @@ def from_text(toml: str) -> AnyScenario:
 def first_of(scenario: AnyScenario) -> Scenario:
     """The scenario of the first, or only, vehicle."""
     return scenario.member[0] if isinstance(scenario, TeamScenario) else scenario
+
+
+def assigned(team: TeamScenario) -> TeamScenario:
+    """The same team with its robots assigned, and nothing left to be assigned.
+
+    Each vehicle keeps its start; robot and odometry of another member's tables become its own.
+
+    Raises:
+        ConfigError: a start or a pad has no place before chance is drawn.
+    """
+    if team.assignment is Assignment.FIXED:
+        return team
+    pads = [_pad_m(each.target, f"member {n}") for n, each in enumerate(team.member, 1)]
+    starts = [_start_m(each, pad, n) for n, (each, pad) in enumerate(zip(team.member, pads, strict=True), 1)]
+    members = []
+    for each, (x, y, z), k in zip(team.member, starts, assign(starts, pads), strict=True):
+        start, (px, py, pz) = each.start, pads[k]
+        if start.kind is StartKind.HOVER and each is not team.member[k]:
+            start = replace(start, offset_m=(x - px, y - py, z - pz))
+        robot = team.member[k]
+        members.append(replace(each, start=start, target=robot.target, odometry=robot.odometry))
+    return replace(team, member=tuple(members), assignment=Assignment.FIXED)
+
+
+def _pad_m(target: TargetSpec, where: str) -> Vec3:
+    """Middle of a robot's pad at time zero, ENU, m; without heave."""
+    (x, y), behind_m = target.position_m, target.pad_behind_axle_m
+    if behind_m and target.random_heading:
+        raise ConfigError(
+            f"{where}: target.random_heading: found true, with a pad behind the axle its place is drawn by "
+            'chance; give target.heading_rad, or assignment = "fixed"'
+        )
+    c, s = math.cos(target.heading_rad), math.sin(target.heading_rad)
+    return (x - behind_m * c, y - behind_m * s, target.pad_height_m)
+
+
+def _start_m(scenario: Scenario, pad_m: Vec3, number: int) -> Vec3:
+    """Where a vehicle begins, ENU, m."""
+    start = scenario.start
+    if start.kind is StartKind.GROUND:
+        return (*start.ground_position_m, 0.0)
+    if start.offset_m is None:
+        raise ConfigError(
+            f"member {number}: start.offset_m: missing; its start is drawn by chance, after robots are "
+            'assigned: give it, or assignment = "fixed"'
+        )
+    (x, y, z), (dx, dy, dz) = pad_m, start.offset_m
+    return (x + dx, y + dy, z + dz)
 
 
 def _team(path: Path, table: dict[str, Any]) -> TeamScenario:

@@ -6,6 +6,8 @@ from dataclasses import replace
 import pytest
 
 from flightstack.common.strict_toml import ConfigError, dumps, from_table
+from logs.verdict.types import Outcome
+from sim.runners.team import land_team
 from sim.scenarios import scenario, team
 from sim.scenarios.team import TeamScenario
 
@@ -109,3 +111,81 @@ def test_the_exchange_is_the_team_s(written):
     assert team.load(written(text)).exchange == team.ExchangeLink(0.02, 0.1)
     with pytest.raises(ConfigError, match=r"exchange\.loss: found 2\.0, allowed: 0 to 1"):
         team.load(written(text.replace("0.1", "2.0")))
+
+
+CROSSING = (
+    ABOUT
+    + """base = "field"
+assignment = "start"
+target.speed_m_s = 0.0
+target.random_heading = false
+[start]
+kind = "hover"
+[onboard.fleet]
+members = [1, 2]
+id = 1
+[[member]]
+target.position_m = [0.0, -1.0]
+start.offset_m = [-1.5, 2.0, 1.0]
+odometry.delay_s = 0.05
+[[member]]
+onboard.fleet.id = 2
+target.position_m = [0.0, 1.0]
+target.pad_height_m = 0.3
+start.offset_m = [-1.4, -2.0, 0.9]
+"""
+)
+
+
+def begins(scenario):
+    (x, y), (dx, dy, dz) = scenario.target.position_m, scenario.start.offset_m
+    return (x + dx, y + dy, scenario.target.pad_height_m + dz)
+
+
+def test_robots_are_assigned_by_where_the_vehicles_begin(written):
+    found = team.load(written(CROSSING))
+    fixed = team.load(written(CROSSING.replace('"start"', '"fixed"')))
+    assert found.assignment is fixed.assignment is team.Assignment.FIXED  # nothing is left to be assigned
+    for own, before, robot in zip(found.member, fixed.member, fixed.member[::-1], strict=True):
+        assert own.target == robot.target
+        assert own.odometry == robot.odometry
+        assert begins(own) == pytest.approx(begins(before))
+        assert replace(own, target=before.target, odometry=before.odometry, start=before.start) == before
+    assert from_table(TeamScenario, tomllib.loads(dumps(found))) == found
+
+
+def test_approaches_that_crossed_keep_apart_and_land_sooner(written):
+    flown = {}
+    for kind in ("fixed", "start"):
+        flown[kind] = land_team(team.load(written(CROSSING.replace('"start"', f'"{kind}"'))), 1)
+        assert [each.verdict.outcome for each in flown[kind].landings] == [Outcome.LANDED] * 2
+    fixed, start = flown["fixed"], flown["start"]
+    assert start.pairs[0].distance_min_m > 1.8 > fixed.pairs[0].distance_min_m
+    assert start.simulated_s < fixed.simulated_s
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error"),
+    [
+        ("start.offset_m = [-1.4, -2.0, 0.9]", "", r"member 2: start\.offset_m: missing; its start is drawn"),
+        (
+            "random_heading = false",
+            "random_heading = true\ntarget.pad_behind_axle_m = 0.03",
+            r"member 1: target\.random_heading: found true, with a pad behind the axle",
+        ),
+        ('assignment = "start"', 'assignment = "nearest"', "assignment: found 'nearest', allowed: "),
+    ],
+)
+def test_what_cannot_be_assigned_is_refused(written, old, new, error):
+    assert old in CROSSING
+    with pytest.raises(ConfigError, match=error):
+        team.load(written(CROSSING.replace(old, new)))
+
+
+def test_a_vehicle_on_the_ground_begins_where_it_stands(written):
+    text = CROSSING.replace('kind = "hover"', 'kind = "ground"\nground_position_m = [-1.5, 1.0]').replace(
+        "[onboard.fleet]", "[onboard.takeoff]\nstart_offset_m = [-1.0, 0.0, 1.0]\n[onboard.fleet]"
+    )
+    found = team.load(written(text + "start.ground_position_m = [-1.5, -1.0]\n"))
+    assert [each.target.position_m for each in found.member] == [(0.0, 1.0), (0.0, -1.0)]
+    assert [each.start.ground_position_m for each in found.member] == [(-1.5, 1.0), (-1.5, -1.0)]

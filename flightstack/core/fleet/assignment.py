@@ -1,0 +1,64 @@
+"""Which vehicle lands on which pad: by the least sum of horizontal distances, once, before the flight.
+
+The sum of two straight lines that cross is longer than that of the two that do not, so that straight
+approaches of the result never cross in the plan view.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from flightstack.core.types import Vec3
+
+UNIT_M = 1e-6  # distances are whole numbers of it: equal sums are equal, whatever their order
+FAR_M = 1e6  # above it sums would not be exact
+
+
+def assign(starts_enu_m: Sequence[Vec3], pads_enu_m: Sequence[Vec3]) -> tuple[int, ...]:
+    """Pad of each vehicle.
+
+    Of assignments with the same sum each vehicle in turn prefers the pad with its own index, then the lowest.
+
+    Args:
+        starts_enu_m: where the vehicles are, (N, 3).
+        pads_enu_m: where the pads are, (M, 3), M >= N.
+
+    Returns:
+        Index of a pad for each vehicle, each at most once.
+
+    Raises:
+        ValueError: fewer pads than vehicles, or a place is not finite or too far away.
+    """
+    count, pads = len(starts_enu_m), len(pads_enu_m)
+    if pads < count:
+        raise ValueError(f"found {pads} pads for {count} vehicles; each vehicle needs one of its own")
+    for place in (*starts_enu_m, *pads_enu_m):
+        if not all(abs(each) <= FAR_M for each in place):
+            raise ValueError(f"found the place {tuple(place)} m; allowed are coordinates up to {FAR_M:g} m")
+    cost = [
+        [round(math.hypot(px - x, py - y) / UNIT_M) for px, py, _ in pads_enu_m] for x, y, _ in starts_enu_m
+    ]
+    free, found, left = list(range(pads)), [], _least(cost)
+    for vehicle, row in enumerate(cost):
+        for pad in ([vehicle] if vehicle in free else []) + [each for each in free if each != vehicle]:
+            others = [each for each in free if each != pad]
+            rest = _least([[line[each] for each in others] for line in cost[vehicle + 1 :]])
+            if row[pad] + rest == left:
+                found.append(pad)
+                free, left = others, rest
+                break
+    return tuple(found)
+
+
+def _least(cost: Sequence[Sequence[int]]) -> int:
+    """Least sum of a whole number from each line, no two from the same column."""
+    if not cost:
+        return 0
+    # Only who assigns pays for scipy.
+    import numpy as np
+    from scipy.optimize import linear_sum_assignment
+
+    table: Any = np.array(cost, dtype=np.float64)
+    return int(table[linear_sum_assignment(table)].sum())
