@@ -6,7 +6,7 @@ what came before the cut, and says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,6 +20,7 @@ from flightstack.core.types import Vec3
 from logs.reader.flight_data import (
     ATTACHMENT,
     Event,
+    Fleet,
     Flight,
     Steps,
     TargetOdometry,
@@ -27,12 +28,13 @@ from logs.reader.flight_data import (
     Truth,
     read_config,
 )
+from logs.reader.members import FLEET
 from logs.reader.reader import LogError, LogFile, Message
 from logs.schema.cdr import codec
-from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow, TrueStateRow
-from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE
+from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
+from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE
 
-__all__ = ["Event", "Flight", "Steps", "TargetOdometry", "Timing", "Truth", "load_flight"]
+__all__ = ["Event", "Flight", "Steps", "TargetOdometry", "Timing", "Truth", "load_fleet", "load_flight"]
 
 PAD_RADIUS_M = 0.10  # m, a Crazyflie's pad, where the log holds neither a run nor a configuration
 TARGET_TOPIC_END = "/target/odom"  # below any namespace
@@ -41,26 +43,77 @@ _DTYPES = {"Floats": np.float64, "Ints": np.int64, "Bools": np.bool_}
 _Columns = TypeVar("_Columns", Steps, Timing, Truth)
 
 
-def load_flight(path: Path | str) -> Flight:
+def load_flight(path: Path | str, member: str | None = None) -> Flight:
     """Read a log, whole or cut short.
 
+    Args:
+        path: of the log.
+        member: of a fleet, whose flight it shall be; None in the log of one flight.
+
     Raises:
-        LogError: not a log, or it holds neither controller steps nor true states.
+        LogError: not a log, or it holds neither controller steps nor true states, no such member, or a fleet
+            where no member is named.
     """
-    log = LogFile(path)
+    log = LogFile(path, member).single()
     by_kind: dict[str, list[Message]] = {}
     for message in log.messages():
         kind = _kind(message)
         if kind:
             by_kind.setdefault(kind, []).append(message)
+    return _flight(log, by_kind, log.problem)
+
+
+def load_fleet(path: Path | str) -> Fleet:
+    """Read the flights of a fleet, in one pass.
+
+    Raises:
+        LogError: not a log of a fleet, a member has neither controller steps nor true states, or what the
+            simulator said of two members cannot be read.
+    """
+    whole = LogFile(path)
+    if not whole.members:
+        raise LogError(f"{path} is the log of one flight; that of a fleet has a metadata record {FLEET!r}")
+    logs = {member: LogFile(path, member) for member in whole.members}
+    views = {member: log.view for member, log in logs.items()}
+    found: dict[str, dict[str, list[Message]]] = {member: {} for member in logs}
+    pairs: dict[tuple[int, int], FleetPairRow] = {}
+    for message in whole.messages():
+        if message.schema == FLEET_PAIR:
+            try:
+                pair = FleetPairRow.unpack(message.data)
+            except ValueError as error:
+                raise LogError(f"{path}: {message.topic}: {error}; recorded by another version?") from error
+            pairs[pair.one, pair.other] = pair
+        kind = _kind(message)
+        for member, view in views.items() if kind else ():
+            if view is not None and view.topic(message.topic):
+                data = view.data(message.schema, message.data)
+                if data is not None:
+                    found[member].setdefault(kind, []).append(message._replace(data=data))
+    problem, parts = whole.problem, whole.parts
+    flights = {member: _flight(log, found[member], problem) for member, log in logs.items()}
+    return Fleet(
+        path=whole.path,
+        flights=flights,
+        pairs=pairs,
+        ids=parts.ids,
+        metadata={name: values for name, values in whole.metadata().items() if parts.split(name)[0] is None},
+        attachments={a.name: a.data for a in whole.attachments() if parts.split(a.name)[0] is None},
+    )
+
+
+def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) -> Flight:
+    """Make a flight of its messages, by kind."""
+    path = log.path
     for messages in by_kind.values():
         messages.sort(key=lambda message: message.log_time_ns)
-    problems = [] if not log.problem else [f"the log is cut short or damaged ({log.problem})"]
+    problems = [f"the log is cut short or damaged ({problem})"] if problem else []
     spine = by_kind.get(CONTROLLER_STEP, []) + by_kind.get(TRUE_STATE, [])
     if not spine:
         found = ", ".join(sorted(by_kind)) or "nothing this stack writes"
+        of = f", {log.member}" if log.member else ""
         raise LogError(
-            f"{path}: found {found}; a flight needs controller steps ({CONTROLLER_STEP}) or true states "
+            f"{path}{of}: found {found}; a flight needs controller steps ({CONTROLLER_STEP}) or true states "
             f"({TRUE_STATE})" + (f"; {problems[0]}" if problems else "")
         )
     times_ns = [m.log_time_ns for m in spine]
@@ -71,7 +124,8 @@ def load_flight(path: Path | str) -> Flight:
     run = log.metadata().get("run", {})
     config = _config(attachments, problems)
     return Flight(
-        path=Path(path),
+        path=path,
+        member=log.member,
         complete=log.complete,
         origin_ns=origin_ns,
         duration_s=(max(times_ns) - origin_ns) * 1e-9,

@@ -19,7 +19,7 @@ from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Phase, Vec3
-from logs.schema.rows import ControllerStepColumns, LoopTimingColumns, TrueStateColumns
+from logs.schema.rows import ControllerStepColumns, FleetPairRow, LoopTimingColumns, TrueStateColumns
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -117,6 +117,7 @@ class Flight:
 
     Attributes:
         path: the log.
+        member: of the fleet whose log it is, None in the log of one flight.
         complete: whether the recorder closed the file and every byte could be read.
         problems: what was wrong with the log, in words; empty for a good one.
         origin_ns: log time of ``t_s = 0``.
@@ -147,6 +148,7 @@ class Flight:
     barrier: Barrier | None
     velocity_max_m_s: Vec3 | None
     pad_radius_m: float
+    member: str | None = None
 
     @cached_property
     def landing_start_s(self) -> float | None:
@@ -166,6 +168,32 @@ class Flight:
         return [
             (_phase(int(phase[i])), float(t_s[i]), float(end)) for i, end in zip(starts, ends, strict=True)
         ]
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """The flights of a fleet, from one log.
+
+    Attributes:
+        path: the log.
+        flights: by member; each on its own time, which begins at its ``origin_ns``.
+        pairs: the newest that the simulator said of each pair of ids.
+        ids: members by the ids of their vehicles, which are their MAVLink system ids.
+        metadata: metadata records that are of no one member, by name.
+        attachments: files that are of no one member, by name.
+    """
+
+    path: Path
+    flights: dict[str, Flight]
+    pairs: dict[tuple[int, int], FleetPairRow]
+    ids: dict[int, str]
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, bytes]
+
+    @property
+    def origin_ns(self) -> int:
+        """Log time of the first step or true state of any member."""
+        return min(flight.origin_ns for flight in self.flights.values())
 
 
 def phase_name(phase: Phase | int) -> str:

@@ -1,4 +1,4 @@
-"""Read a flight log, whole or broken.
+"""Read a flight log, whole or broken; of a fleet's log all of it, or the part of one member.
 
 A recorder that was killed leaves a file without its index, cut at any byte. Everything before the cut is
 read; only the last, unfinished chunk is lost. Readers that want the index refuse such a file.
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from mcap.records import Channel, Chunk, Footer, Metadata, Schema
 from mcap.records import Message as MessageRecord
 from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 
+from logs.reader.members import Members, MemberView
 from logs.schema.schemas import store_for
 
 _MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # MCAP specification, "Magic"
@@ -63,21 +65,28 @@ class _Outline(NamedTuple):
 
 
 class LogFile:
-    """A flight log on disk.
+    """A flight log on disk, or what it holds of one member of a fleet as the log of a single flight.
 
     Attributes:
         path: Where it is.
+        member: Whose part is seen; None: everything.
         problem: Why the last pass ended early; empty when it did not.
         broken_at: Bytes from the start up to which the last pass could read; the size of a whole file.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, member: str | None = None) -> None:
         """Look at the head of the file.
 
+        Args:
+            path: Where it is.
+            member: Namespace of a member of a fleet: only its topics, events, metadata and attachments are
+                seen, under the names that they have in the log of a single flight, and what belongs to all.
+
         Raises:
-            LogError: Missing, empty, or not an MCAP file.
+            LogError: Missing, empty, not an MCAP file, or without such a member.
         """
         self.path = Path(path)
+        self.member = member
         self.problem = ""
         self.broken_at = 0
         try:
@@ -89,6 +98,27 @@ class LogFile:
             raise LogError(f"{self.path} is empty; expected an MCAP file")
         if head != _MAGIC:
             raise LogError(f"{self.path} is not an MCAP file: it begins with {head.hex(' ')}")
+        if member is not None and member not in (names := self.parts.names):
+            holds = f"a fleet of {', '.join(names)}" if names else "one flight, without members"
+            raise LogError(f"{self.path} has no member {member!r}; it holds {holds}")
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """Namespaces of the members of a fleet; () for one flight, as for the part of one member."""
+        return self.parts.names if self.member is None else ()
+
+    def single(self) -> LogFile:
+        """Return this log where it is one flight.
+
+        Raises:
+            LogError: It is a fleet's; names the members.
+        """
+        if self.members:
+            raise LogError(
+                f"{self.path} holds a fleet of {', '.join(self.members)}; say whose flight, for example with "
+                f"--member {self.members[0]}"
+            )
+        return self
 
     @property
     def complete(self) -> bool:
@@ -128,6 +158,10 @@ class LogFile:
 
         A message never comes before its channel. Schemas and channels come again from the summary.
         """
+        records = self._whole()
+        return records if self.view is None else _seen(records, self.view)
+
+    def _whole(self) -> Iterator[Any]:
         known: set[int] = set()
         for record in self._records(inside_chunks=True):
             if isinstance(record, Channel):
@@ -139,15 +173,31 @@ class LogFile:
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Return the metadata records by name; of several with one name the last value of each key."""
-        return self._outline.metadata
+        view, found = self.view, self._outline.metadata
+        if view is None:
+            return found
+        return {seen: values for name, values in found.items() if (seen := view.name(name)) is not None}
 
     def attachments(self) -> list[Attachment]:
         """Return the files kept inside the log, in the order they were written."""
-        return self._outline.attachments
+        view, found = self.view, self._outline.attachments
+        if view is None:
+            return found
+        return [each._replace(name=seen) for each in found if (seen := view.name(each.name)) is not None]
 
     def attachment(self, name: str) -> bytes | None:
         """Return the last file of this name, ``None`` if there is none."""
         return next((each.data for each in reversed(self.attachments()) if each.name == name), None)
+
+    @cached_property
+    def parts(self) -> Members:
+        """Whose part of the file is whose."""
+        return Members(self._outline.metadata)
+
+    @cached_property
+    def view(self) -> MemberView | None:
+        """What of the file is the member's; None without one."""
+        return None if self.member is None else MemberView(self.parts, self.member)
 
     @cached_property
     def _outline(self) -> _Outline:
@@ -182,6 +232,32 @@ class LogFile:
                     self.problem = f"nothing after byte {self.broken_at} of {size} can be read ({reason})"
                     return
                 yield from inner
+
+
+def _seen(records: Iterable[Any], view: MemberView) -> Iterator[Any]:
+    """Yield what a member has of the records, under the names of a single flight."""
+    schemas: dict[int, str] = {}
+    channels: dict[int, str] = {}  # schema of each channel that is seen
+    for record in records:
+        if isinstance(record, MessageRecord):
+            schema = channels.get(record.channel_id)
+            data = None if schema is None else view.data(schema, record.data)
+            if data is None:
+                continue
+            yield record if data is record.data else replace(record, data=data)
+            continue
+        if isinstance(record, Schema):
+            schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            if not view.topic(record.topic):
+                continue
+            channels[record.id] = schemas.get(record.schema_id, "")
+        elif isinstance(record, Metadata | AttachmentRecord):
+            name = view.name(record.name)
+            if name is None:
+                continue
+            record = replace(record, name=name)
+        yield record
 
 
 def _opened(record: Any, inside_chunks: bool) -> Sequence[Any]:

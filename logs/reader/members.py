@@ -1,0 +1,86 @@
+"""Whose part of a fleet's log is whose: topics, events, metadata and attachments of each member.
+
+The log of a fleet has a metadata record ``fleet`` with its members. What belongs to one of them has its
+namespace in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``,
+the attachment ``cf2/onboard.toml``. MAVLink frames are on ``/uas<system id>/...``, with the system id in the
+metadata ``cf2/onboard``. Events, metadata and attachments without a member's name in front belong to all, but
+for ``fleet`` and ``team.toml``; these and the topics of no member belong to the fleet alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from logs.schema.rows import LogRow
+from logs.schema.schemas import LOG
+
+FLEET = "fleet"  # metadata
+TEAM = "team.toml"  # attachment
+ROSOUT = "/rosout"
+_SYSTEM = "uas"  # first part of the topics of MAVLink frames, with the system id behind it
+
+
+class Members:
+    """The members of a fleet.
+
+    Attributes:
+        names: their namespaces, in the order of the log; empty for the log of one flight.
+        ids: the same by MAVLink system id, which is the id of the vehicle.
+    """
+
+    def __init__(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
+        """Find them in the metadata of a log."""
+        told = metadata.get(FLEET, {}).get("members", "")
+        self.names = tuple(name for part in told.split(",") if (name := part.strip()))
+        self.ids = {_system_id(metadata, n, name): name for n, name in enumerate(self.names, 1)}
+        self._owners = {name: name for name in self.names}
+        self._owners |= {f"{_SYSTEM}{system_id}": name for system_id, name in self.ids.items()}
+
+    def owner(self, topic: str) -> str | None:
+        """Return whose topic this is; None: nobody's."""
+        return self._owners.get(topic.removeprefix("/").partition("/")[0])
+
+    def split(self, name: str, separator: str = "/") -> tuple[str | None, str]:
+        """Return whose name this is, None for nobody's, and the name without the namespace in front."""
+        first, _, rest = name.partition(separator)
+        return (first, rest) if rest and first in self.names else (None, name)
+
+
+def _system_id(metadata: Mapping[str, Mapping[str, str]], number: int, name: str) -> int:
+    """System id by the metadata of the onboard process; without it members are counted from 1."""
+    told = metadata.get(f"{name}/onboard", {}).get("system_id", "")
+    return int(told) if told.isdigit() else number
+
+
+class MemberView:
+    """What belongs to one member, under the names that it has in the log of one flight."""
+
+    def __init__(self, members: Members, member: str) -> None:
+        self._members, self._member = members, member
+
+    def topic(self, topic: str) -> bool:
+        """Whether a topic is this member's; /rosout is, in part."""
+        return topic == ROSOUT or self._members.owner(topic) == self._member
+
+    def name(self, name: str) -> str | None:
+        """Return the name of a metadata record or attachment; None for what is not this member's."""
+        owner, rest = self._members.split(name)
+        return rest if owner in (None, self._member) and name not in (FLEET, TEAM) else None
+
+    def event(self, data: bytes) -> bytes | None:
+        """Return an event of /rosout with its logger's name; None for another member's.
+
+        One that cannot be read is everybody's, as it is.
+        """
+        try:
+            row = LogRow.unpack(data)
+        except ValueError:
+            return data
+        owner, logger = self._members.split(row.name, ".")
+        if owner is None:
+            return data
+        return row._replace(name=logger).pack() if owner == self._member else None
+
+    def data(self, schema: str, data: bytes) -> bytes | None:
+        """Return the data of a message on one of this member's topics; None: an event of another member."""
+        return self.event(data) if schema == LOG else data

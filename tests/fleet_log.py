@@ -1,0 +1,174 @@
+"""The log of a fleet that was flown in one process, as its onboard processes and the simulator log it.
+
+What flies is ``land_team``; what writes is the code of the processes and of the recorder, its derived topics
+included. Only the wires are missing: MAVLink frames and the bytes of the targets' samples.
+"""
+
+from pathlib import Path
+
+from flightstack.common.pacing import EPOCH_NS
+from flightstack.common.strict_toml import dumps
+from flightstack.core.controller import state_class
+from flightstack.onboard.log import OnboardLog
+from logs.recorder.feed_wire import Kind, Record, encode_json
+from logs.recorder.mcap_file import McapFile
+from logs.recorder.recording import Recorder
+from logs.schema import schemas
+from logs.schema.events import CONTROLLER, pack_log
+from logs.schema.fleet_rows import word_row
+from logs.schema.rows import FleetPairRow, LogRow
+from sim.campaign.team_rows import judge_team
+from sim.runners import team as team_runner
+from sim.runners.companion import Companion
+from sim.runners.pairs import Pairs
+from sim.runners.vehicle_log import VehicleLog
+from sim.scenarios.team import TeamScenario
+from tests.unit.logs.replay.replay_helpers import NoSession
+
+PAIRS_EVERY = 10  # ticks
+
+
+class MemberFeed:
+    """A feed into a recorder, whose topics, events, metadata and attachments get a member's name."""
+
+    connected = True
+
+    def __init__(self, recorder: Recorder, number: int):
+        self.recorder, self.name, self.number, self._channels, self._rosout = (
+            recorder, f"cf{number}", number, 0, set(),
+        )  # fmt: skip
+
+    def _handle(self, kind, payload, channel=0, log_ns=0, publish_ns=0, sequence=0):
+        record = Record(kind, channel, log_ns, publish_ns, sequence, payload)
+        self.recorder.handle(self.number, record)
+
+    def _json(self, kind, content):
+        return encode_json(kind, 0, 0, content)[28:]
+
+    def channel(self, topic, schema):
+        self._channels += 1
+        topic = topic.replace("/uas1/", f"/uas{self.number}/")
+        if schema == schemas.LOG:
+            self._rosout.add(self._channels)
+        declared = self._json(Kind.DECLARE, {"topic": topic, "schema": schema})
+        self._handle(Kind.DECLARE, declared, self._channels)
+        return self._channels
+
+    def write(self, channel, log_ns, publish_ns, sequence, payload):
+        if channel in self._rosout:
+            row = LogRow.unpack(payload)
+            payload = row._replace(name=f"{self.name}.{row.name}").pack()
+        self._handle(Kind.MESSAGE, payload, channel, log_ns, publish_ns, sequence)
+
+    def metadata(self, name, values):
+        self._handle(Kind.METADATA, self._json(Kind.METADATA, {"name": name, "values": values}))
+
+    def attachment(self, name, text):
+        head = f'{{"name": "{name}", "media_type": "application/toml"}}\n'
+        self._handle(Kind.ATTACHMENT, head.encode() + text.encode())
+
+    def flush(self):
+        """Nothing waits."""
+
+    def close(self):
+        self._handle(Kind.GOODBYE, b"")
+
+
+class RecordedCompanion(Companion):
+    """A member that writes its log."""
+
+    recorder: Recorder
+
+    def __init__(self, scenario, seed, on_step=None, system_id=1):
+        super().__init__(scenario, seed, on_step, system_id)
+        self.feed = MemberFeed(self.recorder, system_id)
+        config, ns = scenario.onboard, self.name
+        shape = config.barrier.build()
+        run = {
+            "scenario": scenario.name, "seed": str(seed), "filter": config.filter, "mode": "lockstep",
+            "rate_hz": str(config.loop.rate_hz), "barrier_alpha_1_m": repr(shape.alpha_1_m),
+            "barrier_beta_m": repr(shape.beta_m), "judge_alpha_1_m": repr(shape.alpha_1_m),
+            "judge_beta_m": repr(shape.beta_m), "pad_radius_m": repr(scenario.target.pad_radius_m),
+        }  # fmt: skip
+        self.feed.metadata(f"{ns}/run", run)
+        self.feed.metadata(f"{ns}/onboard", {"namespace": ns, "system_id": str(system_id)})
+        self.feed.attachment(f"{ns}/onboard.toml", dumps(config))
+        self.feed.attachment(f"{ns}/scenario.toml", dumps(scenario))
+        self.log = OnboardLog(
+            self.feed, NoSession(), ns, config.loop.rate_hz, lockstep=True,
+            reserve=config.reserve is not None, state=state_class(config),
+        )  # fmt: skip
+        vehicle = VehicleLog(self.feed, EPOCH_NS, ns)
+        rosout = self.feed.channel("/rosout", schemas.LOG)
+        truth, event = self._notes.truth, self._notes.event
+
+        def note_truth(tick, now_ns, state):
+            truth(tick, now_ns, state)
+            vehicle.truth(tick, now_ns, state)
+
+        def note_event(t_s, level, source, text):
+            event(t_s, level, source, text)
+            at_ns = EPOCH_NS + round(t_s * 1e9)
+            if source != CONTROLLER:  # the onboard process writes these itself
+                self.feed.write(rosout, at_ns, at_ns, 0, pack_log(at_ns, level, source, text))
+
+        self._notes.truth, self._notes.event = note_truth, note_event
+
+    def write(self, tick, taken, out, exec_s):
+        super().write(tick, taken, out, exec_s)
+        if out.own_word is not None:
+            self.log.word(tick, word_row(out.own_word, EPOCH_NS, self.feed.number).pack())
+        self.log.step(tick, taken, out, self.controller.state)
+        self.log.timing(tick, out, 0.0, 0)
+
+
+class RecordedPairs(Pairs):
+    """Pairs that are written, too."""
+
+    recorder: Recorder
+
+    def end(self, tick):
+        super().end(tick)
+        if tick % PAIRS_EVERY == 0:
+            self.note(tick)
+        self.newest = tick
+
+    def found(self):
+        pairs = super().found()
+        self.note(self.newest)
+        return pairs
+
+    def note(self, tick):
+        stamp_ns = EPOCH_NS + self._grid.ns(tick + 1)
+        columns = (self._least_m, self._flying_m, self._ellipsoid)
+        for pair, *least in zip(self.all, *(c.tolist() for c in columns), strict=True):
+            after = (-1 if pair.collided_ms is None else pair.collided_ms,)
+            row = FleetPairRow(
+                stamp_ns, pair.one, pair.other, *least, pair.violations, pair.inside_ms, *after
+            )
+            self.recorder.message("/fleet/pairs", schemas.FLEET_PAIR, stamp_ns, stamp_ns, tick, row.pack())
+
+
+def fly_fleet(path: Path, team: TeamScenario, seed: int, monkeypatch):
+    """Fly a team and write its log; return the verdict of the campaign on it."""
+    recorder = Recorder(McapFile(path))
+    names = [f"cf{number}" for number in range(1, len(team.member) + 1)]
+    first = MemberFeed(recorder, 0)
+    first.metadata(
+        "fleet",
+        {"members": ",".join(names), "scenario": team.name, "description": team.description,
+         "seed": str(seed), "mode": "lockstep"},
+    )  # fmt: skip
+    first.metadata("made", {"version": "0.1.0"})
+    first.attachment("team.toml", dumps(team))
+    first.close()
+    monkeypatch.setattr(RecordedCompanion, "recorder", recorder, raising=False)
+    monkeypatch.setattr(RecordedPairs, "recorder", recorder, raising=False)
+    monkeypatch.setattr(team_runner, "Companion", RecordedCompanion)
+    monkeypatch.setattr(team_runner, "Pairs", RecordedPairs)
+    flown = team_runner.land_team(team, seed)
+    for number in range(1, len(names) + 1):
+        MemberFeed(recorder, number).close()
+        recorder.gone(number, 0)
+    recorder.finish()
+    return judge_team(flown)

@@ -1,0 +1,162 @@
+"""The log of a fleet: each member is read as a single flight is; the fleet's verdict is the campaign's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from logs.reader.flight import load_fleet, load_flight
+from logs.reader.members import Members, MemberView
+from logs.reader.reader import LogError, LogFile
+from logs.recorder.mcap_file import McapFile
+from logs.schema import schemas
+from logs.schema.events import pack_log
+from logs.schema.rows import FleetPairRow, LogRow
+from logs.verdict.fleet import fleet_result, fleet_verdict, judge_fleet
+from logs.verdict.types import TRUTH, Outcome, Verdict
+from logs.verdict.verdict import judge, verdict_result
+from tests.synthetic_flight import landing, write_log
+
+pytestmark = pytest.mark.xdist_group("fleet_log")
+MEMBERS = ("cf1", "cf2", "cf3")
+
+
+def test_the_verdict_on_the_log_is_that_of_the_campaign(fleet):
+    assert judge_fleet(fleet.log) == fleet.verdict
+    assert fleet.verdict.outcome is Outcome.LANDED
+
+
+def test_a_member_is_read_as_a_single_flight(fleet):
+    whole = LogFile(fleet.log)
+    assert whole.members == MEMBERS
+    one = LogFile(fleet.log, "cf2")
+    assert one.members == ()
+    assert one.single() is one
+    topics = {m.topic for m in one.messages()}
+    assert "/cf2/controller/step" in topics
+    assert {topic.split("/")[1] for topic in topics} <= {"cf2", "uas2", "rosout"}
+    assert {"run", "onboard", "made"} <= one.metadata().keys()
+    assert "fleet" not in one.metadata()
+    assert one.metadata()["onboard"]["namespace"] == "cf2"
+    assert {a.name for a in one.attachments()} == {"onboard.toml", "scenario.toml"}
+    assert {LogRow.unpack(m.data).name for m in one.messages({"/rosout"})} == {
+        "controller", "onboard", "vehicle",
+    }  # fmt: skip
+    flight = load_flight(fleet.log, "cf2")
+    assert flight.member == "cf2"
+    assert flight.config.fleet.id == 2
+    assert judge(flight) == fleet.verdict.members["cf2"]
+
+
+def test_the_members_together_are_the_fleet(fleet):
+    """Every message of a member is in its part and in no other; one pass finds the same flights."""
+    parts = {member: LogFile(fleet.log, member) for member in MEMBERS}
+    counts = {member: sum(1 for _ in part.messages()) for member, part in parts.items()}
+    shared = ("/tf", "/tf_static", "/diagnostics", "/fleet/pairs")
+    assert sum(counts.values()) == sum(m.topic not in shared for m in LogFile(fleet.log).messages())
+    read = load_fleet(fleet.log)
+    assert read.ids == {1: "cf1", 2: "cf2", 3: "cf3"}
+    assert sorted(read.pairs) == [(1, 2), (1, 3), (2, 3)]
+    assert read.metadata["fleet"]["scenario"] == "fleet_3"
+    for member, flight in read.flights.items():
+        alone = load_flight(fleet.log, member)
+        assert flight.events == alone.events
+        assert flight.metadata == alone.metadata
+        assert (flight.origin_ns, flight.duration_s) == (alone.origin_ns, alone.duration_s)
+        for name in ("own_position_enu_m", "h_m", "phase"):
+            assert np.array_equal(getattr(flight.steps, name), getattr(alone.steps, name), equal_nan=True)
+
+
+def test_what_needs_one_flight_names_the_members(fleet, tmp_path):
+    with pytest.raises(LogError, match=r"fleet of cf1, cf2, cf3; say whose flight.*--member cf1"):
+        load_flight(fleet.log)
+    with pytest.raises(LogError, match=r"no member 'cf4'; it holds a fleet of cf1, cf2, cf3"):
+        load_flight(fleet.log, "cf4")
+    single = write_log(tmp_path / "flight.mcap", landing())
+    assert LogFile(single).members == ()
+    with pytest.raises(LogError, match="no member 'cf1'; it holds one flight"):
+        LogFile(single, "cf1")
+    with pytest.raises(LogError, match="is the log of one flight"):
+        judge_fleet(single)
+
+
+def test_a_broken_log_gives_what_is_before_the_break(fleet, tmp_path):
+    broken = tmp_path / "broken.mcap"
+    data = fleet.log.read_bytes()
+    broken.write_bytes(data[: len(data) // 2])
+    read = load_fleet(broken)
+    assert all(flight.problems and not flight.complete for flight in read.flights.values())
+    verdict = judge_fleet(read)
+    assert verdict.outcome is Outcome.TIMEOUT
+    assert (verdict.collisions, verdict.ellipsoid_violations, verdict.distance_min_m) == (None,) * 3
+
+
+def test_one_object_has_all_members(fleet):
+    read = load_fleet(fleet.log)
+    told = fleet_result(read, judge_fleet(read))
+    assert (told["scenario"], told["seed"], told["filter"]) == ("fleet_3", 1, "robust")
+    assert list(told["vehicles"]) == list(MEMBERS)
+    alone = load_flight(fleet.log, "cf3")
+    assert told["vehicles"]["cf3"] == verdict_result(alone, judge(alone))
+    assert (told["collisions"], told["ellipsoid_violations"]) == (0, 0)
+    assert told["ellipsoid_min"] == fleet.verdict.ellipsoid_min
+
+
+LANDED = Verdict.unknown(Outcome.LANDED, "well", TRUTH)
+PAIR = FleetPairRow(0, 1, 2, 0.9, 1.0, 3.0, 0, 0, -1)
+NAMES = {1: "cf1", 2: "cf2"}
+
+
+def test_without_the_end_of_a_pair_nothing_is_safe():
+    both = {"cf1": replace(LANDED, violation=False), "cf2": replace(LANDED, violation=None)}
+    known = fleet_verdict(both, [PAIR], NAMES)
+    assert (known.collisions, known.ellipsoid_violations, known.ellipsoid_min) == (0, 0, 3.0)
+    assert known.violation is None
+    cut = fleet_verdict(both, [PAIR], NAMES, complete=False)
+    assert (cut.collisions, cut.ellipsoid_violations, cut.ellipsoid_min, cut.distance_min_m) == (None,) * 4
+    hit = PAIR._replace(collided_ms=0, violations=2)  # what was seen stays seen
+    cut = fleet_verdict(both, [hit], NAMES, complete=False)
+    assert (cut.collisions, cut.ellipsoid_violations, cut.outcome) == (1, 2, Outcome.CRASHED)
+    assert cut.members["cf1"].reason == "collision with cf2"
+
+
+@pytest.mark.parametrize("missing", ["none", "late", "absent"])
+def test_pairs_have_to_be_followed_to_the_end(fleet, missing):
+    read = load_fleet(fleet.log)
+    pairs = dict(read.pairs)
+    if missing == "late":
+        pairs[1, 2] = pairs[1, 2]._replace(stamp_ns=pairs[1, 2].stamp_ns - 300_000_000)
+    elif missing == "absent":
+        del pairs[1, 2]
+    verdict = judge_fleet(replace(read, pairs=pairs))
+    assert verdict.collisions == (0 if missing == "none" else None)
+
+
+def test_what_has_no_members_name_in_front_belongs_to_all(tmp_path):
+    file = McapFile(tmp_path / "flight.mcap")
+    file.metadata("fleet", {"members": "cf1, big"})
+    file.metadata("big/onboard", {"system_id": "9"})
+    file.metadata("big/run", {"seed": "1"})
+    file.metadata("made", {"version": "1"})
+    rosout = file.channel("/rosout", schemas.LOG)
+    for name in ("cf1.onboard", "big.onboard", "flight_recorder", "bigger.onboard"):
+        file.write(rosout, 1, 1, 0, pack_log(1, 20, name, name))
+    file.write(rosout, 1, 1, 0, b"broken")
+    for topic in ("/uas9/mavlink_source", "/uas1/mavlink_source", "/bigger/x", "/tf"):
+        file.write(file.channel(topic, schemas.MAVLINK), 1, 1, 0, b"")
+    file.close()
+    big = LogFile(tmp_path / "flight.mcap", "big")
+    assert big.metadata() == {"onboard": {"system_id": "9"}, "run": {"seed": "1"}, "made": {"version": "1"}}
+    heard = [m.data for m in big.messages({"/rosout"})]
+    assert heard.pop() == b"broken"
+    assert [LogRow.unpack(data).name for data in heard] == ["onboard", "flight_recorder", "bigger.onboard"]
+    assert {m.topic for m in big.messages()} == {"/rosout", "/uas9/mavlink_source"}
+
+
+def test_names_are_split_at_the_first_separator():
+    members = Members({"fleet": {"members": "cf1,cf2"}})
+    assert members.split("cf2/a/b") == ("cf2", "a/b")
+    assert members.split("cf2") == (None, "cf2")
+    assert members.split("cf22/run") == (None, "cf22/run")
+    assert MemberView(members, "cf1").name("cf2/run") is None
+    assert Members({}).owner("/cf1/controller/step") is None
