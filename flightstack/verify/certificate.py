@@ -14,6 +14,7 @@ from flightstack.core.strategies.strategy import strategy_class
 from flightstack.verify import ends, feedback, paper, robust, touchdown
 from flightstack.verify.bound import Shape, Span
 from flightstack.verify.envelope import extremes
+from flightstack.verify.fleet import fleet_checks
 from flightstack.verify.types import Check, Need
 
 
@@ -23,7 +24,7 @@ def problems(config: FlightConfig) -> list[str]:
 
 
 def checks(config: FlightConfig) -> list[Check]:
-    """Every check of the configuration's filter.
+    """Every check of the configuration's filter, and of its table [fleet] if it has one.
 
     Raises:
         ConfigError: there is no such filter, or it refuses the configuration.
@@ -32,7 +33,7 @@ def checks(config: FlightConfig) -> list[Check]:
     strategy = strategy_class(config.filter)
     strategy.check_config(config)
     found: list[Check] = referred(strategy.certificate)(config)
-    return found
+    return [*found, *fleet_checks(config)]
 
 
 def paper_checks(config: FlightConfig) -> list[Check]:

@@ -79,6 +79,16 @@ class TeamScenario:
         """
         return replace(self, member=tuple(each.with_filter(name) for each in self.member))
 
+    def starts_enu_m(self) -> list[Vec3]:
+        """Where members begin in the air, of those whose place is given, m."""
+        found = []
+        for number, each in enumerate(self.member, 1):
+            start, target = each.start, each.target
+            drawn = target.random_heading and target.pad_behind_axle_m
+            if start.kind is StartKind.HOVER and start.offset_m is not None and not drawn:
+                found.append(_start_m(each, _pad_m(target, ""), number))
+        return found
+
     def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
         """Yield scenario and seed of each member: a member whom nobody comes near flies as these alone do.
 

@@ -1,0 +1,162 @@
+"""When landing barrier, box and the rows of neighbours have a common point, at what distance.
+
+With h the value of a neighbour's barrier and g its gradient, its row is at worst
+
+    g . u >= |g| w + a t - rate h,
+
+w the neighbour's speed, a t the growth of its ellipsoid at the largest latency: this vehicle has the whole
+share, and the neighbour comes straight at it. g is a unit vector whose vertical part is multiplied by
+k = radius_xy / radius_z. Of the box its horizontal disc counts, and no slew limit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.verify.bound import Cell, Shape, Span, most
+from flightstack.verify.types import Check, Need
+
+
+class Crowd(NamedTuple):
+    """What decides about common points.
+
+    Attributes:
+        steepest: of the boundary's slope outside the pad.
+        climb_m_s: of the pad.
+        speed_m_s: of a neighbour.
+        flat: k above.
+        longest: length of the longest g.
+        growth_m_s: a t above.
+    """
+
+    steepest: float
+    climb_m_s: float
+    speed_m_s: float
+    flat: float
+    longest: float
+    growth_m_s: float
+
+
+def crowd(config: FlightConfig, shape: Shape, climb_m_s: float) -> Crowd:
+    """Gather it; the configuration has a table [fleet].
+
+    Args:
+        config: of the flight.
+        shape: boundary that is held.
+        climb_m_s: fastest climb of the pad.
+    """
+    fleet = config.fleet
+    assert fleet is not None
+    slope = shape.slope(Span(config.touchdown.pad_radius_m, math.inf))
+    flat, growth_m_s = fleet.radius_xy_m / fleet.radius_z_m, fleet.acceleration_max_m_s2 * fleet.latency_max_s
+    steepest = max(abs(slope.low), abs(slope.high))
+    return Crowd(steepest, climb_m_s, fleet.speed_max_m_s, flat, max(1.0, flat), growth_m_s)
+
+
+def anywhere_m(config: FlightConfig, c: Crowd) -> float:
+    """Return the h above which any number of neighbours leaves a common point.
+
+    The point is the pad's horizontal velocity, with any climb: it meets the landing barrier wherever that is
+    not negative.
+    """
+    fleet = config.fleet
+    assert fleet is not None
+    at_most = math.hypot(config.touchdown.target_speed_max_m_s, c.flat * config.limits.velocity_max_m_s[2])
+    return (c.longest * c.speed_m_s + at_most + c.growth_m_s) / fleet.rate_1_s
+
+
+def begins(config: FlightConfig, c: Crowd) -> Check:
+    """Check that rows begin to count where any number of them can be met."""
+    fleet = config.fleet
+    assert fleet is not None
+    from_m = anywhere_m(config, c)
+    return Check(
+        "neighbours in reach",
+        "where neighbours come into reach, the rows of any number of them have a common point",
+        fleet.reach_m - fleet.radius_xy_m - from_m,
+        "m",
+        f"from h = {from_m:.3g} m on, the pad's velocity with any climb meets all rows; they begin at "
+        f"{fleet.reach_m - fleet.radius_xy_m:.3g} m",
+        "raise fleet.reach_m or fleet.rate_1_s, or lower fleet.speed_max_m_s",
+        Need.PROOF,
+    )
+
+
+def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
+    """Return the horizontal speed that is left where the slope is steepest, up the slope.
+
+    The landing barrier, at 0, asks for (speed + w_pad) slope + the pad's climb, and all climb is used up.
+    """
+    vx, vy, vz = config.limits.velocity_max_m_s
+    if c.steepest <= 0.0:
+        return min(vx, vy)
+    return min(vx, vy, (vz - c.climb_m_s) / c.steepest - config.touchdown.target_speed_max_m_s)
+
+
+def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: float) -> tuple[float, float]:
+    """Return by how much one neighbour's row can be missed at h = 0, and the elevation of that g (rad).
+
+    Args:
+        config: of the flight.
+        c: what decides.
+        aside_m_s: fastest that the vehicle gets out of the way horizontally; upwards it has its box.
+        lowest: elevation of g; -pi / 2: from straight above, and the vehicle has to climb all the same.
+    """
+    vz = config.limits.velocity_max_m_s[2]
+
+    def length(angle: float) -> float:
+        return math.hypot(math.cos(angle), c.flat * math.sin(angle))
+
+    def value(at: tuple[float, ...]) -> float:
+        away = aside_m_s * math.cos(at[0]) + c.flat * vz * math.sin(at[0])
+        return c.speed_m_s * length(at[0]) + c.growth_m_s - away
+
+    def upper(cell: Cell) -> float:  # each part is monotone on both sides of the horizontal
+        low, high = cell[0]
+        at = (low, high, 0.0) if low < 0.0 < high else (low, high)
+        pushed, aside = max(map(length, at)), max(-aside_m_s * math.cos(each) for each in at)
+        return c.speed_m_s * pushed + c.growth_m_s + aside - c.flat * vz * math.sin(low)
+
+    worst = most(upper, value, (Span(lowest, math.pi / 2.0),), ((0.0,),))
+    return worst.bound, worst.at[0]
+
+
+def one(config: FlightConfig, c: Crowd) -> Check:
+    """Check that one neighbour's row can be met wherever the vehicle is outside all barriers."""
+    fleet = config.fleet
+    assert fleet is not None
+    vx, vy, _ = config.limits.velocity_max_m_s
+    short_m_s, elevation = one_short_m_s(config, c, up_the_slope_m_s(config, c), -math.pi / 2.0)
+    open_m_s, _ = one_short_m_s(config, c, min(vx, vy), 0.0)
+    return Check(
+        "one neighbour",
+        "landing barrier, box and the row of one neighbour have a common point wherever no h is negative",
+        -short_m_s,
+        "m/s",
+        f"at slope {c.steepest:.3g} it comes with {c.speed_m_s:g} m/s and pushes up the slope, "
+        f"{math.degrees(-elevation):.0f} deg from above; a common point is left from h = "
+        f"{max(0.0, short_m_s) / fleet.rate_1_s:.3g} m on, away from the landing barrier from "
+        f"{max(0.0, open_m_s) / fleet.rate_1_s:.3g} m on; nearer, its row gives way",
+        "raise limits.velocity_max_m_s, or lower fleet.speed_max_m_s or the slope alpha * beta",
+        Need.PROOF,
+    )
+
+
+def several(config: FlightConfig, c: Crowd) -> Check:
+    """Check the same of two neighbours that come from opposite sides, in the open."""
+    fleet = config.fleet
+    assert fleet is not None
+    short_m_s = c.longest * c.speed_m_s + c.growth_m_s
+    return Check(
+        "several neighbours",
+        "box and the rows of several neighbours have a common point wherever no h is negative",
+        -short_m_s,
+        "m/s",
+        f"two come from opposite sides with {c.speed_m_s:g} m/s each: a common point is left from h = "
+        f"{short_m_s / fleet.rate_1_s:.3g} m on, of any number and with the landing barrier from "
+        f"{anywhere_m(config, c):.3g} m on; nearer, the rows of neighbours give way together",
+        "lower fleet.speed_max_m_s, or raise fleet.rate_1_s; no setting meets all",
+        Need.PROOF,
+    )

@@ -1,0 +1,290 @@
+"""Checks of a configuration with a table [fleet]: what keeps two vehicles apart, and what is not proven.
+
+docs/how_it_works/fleet.md derives every line; ``crowd`` has those about common points of several rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+
+from flightstack.core.fleet.ellipsoid import barrier
+from flightstack.core.parameters.fleet import HOLD_LATENCIES, PART_OF_LAG, ZERO_LATENCIES, Fleet
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.robust import RobustFilter
+from flightstack.core.strategies.strategy import strategy_class, strategy_of
+from flightstack.core.types import Vec3
+from flightstack.verify import crowd, paper, touchdown
+from flightstack.verify.bound import Shape, Span
+from flightstack.verify.envelope import extremes
+from flightstack.verify.types import Check, Need
+
+LATE_TICKS = 1.0  # that a process may miss in a row, besides the tick in which a command holds
+
+
+def fleet_checks(config: FlightConfig) -> list[Check]:
+    """Every check of the table [fleet]; none without one."""
+    fleet = config.fleet
+    if fleet is None:
+        return []
+    robust = issubclass(strategy_class(config.filter), RobustFilter)
+    spread, loop = config.envelope.lag_spread, config.velocity_loop
+    # the set-point's lead takes out the lag that is told; where the vehicle differs remains
+    lag_s = (spread if robust else 1.0 + spread) * max(loop.lag_xy_s, loop.lag_z_s)
+    if robust:
+        x = extremes(config)
+        shape, climb_m_s, descent_s = x.shape, x.target_climb_m_s, touchdown.descent_time_s(config, x)
+    else:
+        shape, climb_m_s = Shape(config.barrier.build(), Span(0.0, 0.0), 1.0), 0.0
+        descent_s = config.touchdown.height_m / config.touchdown.descent_m_s + (1.0 + spread) * loop.lag_z_s
+    where = crowd.crowd(config, shape, climb_m_s)
+    slew_m_s2 = strategy_of(config).acceleration_max_m_s2
+    return [
+        apart(fleet, lag_s),
+        paper.sampling(config, "fleet.rate_1_s", fleet.rate_1_s),
+        shares(fleet, 1.0 / config.loop.rate_hz),
+        speed(config, fleet),
+        acceleration(fleet, slew_m_s2),
+        jump(config, fleet),
+        slew(config, fleet, slew_m_s2, whole=False),
+        slew(config, fleet, slew_m_s2, whole=True),
+        crowd.begins(config, where),
+        crowd.one(config, where),
+        crowd.several(config, where),
+        touchdowns(config, fleet, descent_s),
+        waits(config, fleet, descent_s),
+    ]
+
+
+def apart(fleet: Fleet, lag_s: float) -> Check:
+    """Check that two vehicles whose rows are met come to rest before their distance is used up.
+
+    With the distance y = h, velocities behind the wanted ones by a first-order lag T, and both rows met,
+    T y'' + y' + rate y >= 0: h is convex, so that its bend adds to y''. For rate T <= 1/4 the roots are real,
+    and y stays positive from wherever y' >= -L y, L the larger root.
+    """
+    left = 1.0 - fleet.rate_1_s * lag_s / PART_OF_LAG
+    root_1_s = (1.0 + math.sqrt(max(0.0, left))) / (2.0 * lag_s) if lag_s > 0.0 else math.inf
+    return Check(
+        "fleet.rate_1_s",
+        "two vehicles of the same lag whose rows are met do not enter the ellipsoid, for each of the spread",
+        PART_OF_LAG - fleet.rate_1_s * lag_s,
+        "",
+        f"rate {fleet.rate_1_s:g} times a lag of {lag_s:.3g} s, at most {PART_OF_LAG:g}: from all states "
+        f"that close in by at most {root_1_s:.3g} h a second; with the whole share an acceleration of the "
+        f"other one costs up to {lag_s * fleet.acceleration_max_m_s2 / fleet.rate_1_s:.3g} m of h",
+        "lower fleet.rate_1_s",
+        Need.PROOF,
+    )
+
+
+def shares(fleet: Fleet, period_s: float) -> Check:
+    """Check that who gives way goes on with that until nobody counts on it any more.
+
+    Who counts on it does so in a tick at most ZERO_LATENCIES after the word, for the period of that tick and
+    of late ones; who said it holds the whole share in all ticks up to HOLD_LATENCIES.
+    """
+    spare_s = (HOLD_LATENCIES - ZERO_LATENCIES) * fleet.latency_max_s
+    needed_s = (1.0 + LATE_TICKS) * period_s
+    return Check(
+        "shares",
+        "the shares of two vehicles sum to one or more, whatever words are lost, late or overtaken",
+        spare_s - needed_s,
+        "s",
+        f"{spare_s:.3g} s are between, a tick and a late one take {needed_s:.3g}; clocks err by what their "
+        "bound says; not while the autopilot or somebody else takes a vehicle over unannounced",
+        "raise fleet.latency_max_s or loop.rate_hz",
+        Need.PROOF,
+    )
+
+
+def _fastest_m_s(config: FlightConfig, fleet: Fleet) -> float:
+    """Fastest that this vehicle can use up the distance, along any gradient."""
+    vx, vy, vz = config.limits.velocity_max_m_s
+    return math.sqrt(vx * vx + vy * vy + (fleet.radius_xy_m / fleet.radius_z_m * vz) ** 2)
+
+
+def speed(config: FlightConfig, fleet: Fleet) -> Check:
+    """Check that no member is faster than the others take it to be when it falls silent."""
+    box_m_s = math.hypot(*config.limits.velocity_max_m_s)
+    return Check(
+        "fleet.speed_max_m_s",
+        "a member in a corner of its box is no faster than the others count with",
+        fleet.speed_max_m_s - box_m_s,
+        "m/s",
+        f"found {fleet.speed_max_m_s:g}, the box allows {box_m_s:.3g} in its corner",
+        "raise fleet.speed_max_m_s (and fleet.reach_m with it), or lower limits.velocity_max_m_s",
+        Need.PROOF,
+    )
+
+
+def acceleration(fleet: Fleet, slew_m_s2: Vec3) -> Check:
+    """Check that the ellipsoid grows by all that a velocity may change since it was told."""
+    found = math.hypot(*slew_m_s2)
+    lost_m_s = max(0.0, found - fleet.acceleration_max_m_s2) * fleet.latency_max_s
+    return Check(
+        "fleet.acceleration_max_m_s2",
+        "the velocity wanted changes no faster than the others count with",
+        fleet.acceleration_max_m_s2 - found,
+        "m/s^2",
+        f"found {fleet.acceleration_max_m_s2:g}, all axes together may slew by {found:.3g}: in a latency of "
+        f"{fleet.latency_max_s:g} s a velocity may be {lost_m_s:.3g} m/s beside what is counted with",
+        "raise fleet.acceleration_max_m_s2, or lower robust.acceleration_max_m_s2",
+        Need.PROOF,
+    )
+
+
+def jump(config: FlightConfig, fleet: Fleet) -> Check:
+    """Check that a row does not bind yet when its vehicle comes into reach."""
+    allowed_m_s = fleet.rate_1_s * (fleet.reach_m - fleet.radius_xy_m)
+    closing_m_s = _fastest_m_s(config, fleet) + fleet.speed_max_m_s
+    return Check(
+        "fleet.reach_m",
+        "the row of a vehicle that comes into reach does not ask for a jump of the velocity",
+        allowed_m_s - closing_m_s,
+        "m/s",
+        f"it allows to close in by {allowed_m_s:.3g} m/s there, corners of the box with fleet.speed_max_m_s "
+        f"make {closing_m_s:.3g}",
+        "raise fleet.reach_m",
+        Need.PROOF,
+    )
+
+
+def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) -> Check:
+    """Check that the slew limit follows a row that binds.
+
+    Where it binds, g . (u - c) = -rate h: g . u has to grow by rate times the closing speed, and by what the
+    other one accelerates; a bend of h helps. With half of the share half of that is this vehicle's. What is
+    left is homogeneous in g and concave, so that it is lowest along an axis.
+    """
+    part, v = (1.0 if whole else 0.5), config.limits.velocity_max_m_s
+    needed = [part * (fleet.rate_1_s * (m + fleet.speed_max_m_s) + fleet.acceleration_max_m_s2) for m in v]
+    axis = min(range(3), key=lambda i: slew_m_s2[i] - needed[i])
+    who = "whole" if whole else "half"
+    return Check(
+        f"slew, {who} share",
+        f"a vehicle with the {who} share can follow the row of a neighbour as fast as it changes",
+        slew_m_s2[axis] - needed[axis],
+        "m/s^2",
+        f"along axis {axis} the row may ask for {needed[axis]:.3g} m/s^2 at full speed of both, allowed are "
+        f"{slew_m_s2[axis]:g}",
+        "lower fleet.rate_1_s or fleet.speed_max_m_s, or raise robust.acceleration_max_m_s2",
+        Need.PROOF,
+    )
+
+
+def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
+    """Check that pads that were not in conflict stay apart until two vehicles have touched."""
+    ahead_s = fleet.age_max_s + descent_s  # conflicts are looked for until the touchdown, in words so old
+    accelerated = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
+    moved_m = min(accelerated, 2.0 * config.touchdown.target_speed_max_m_s * ahead_s)
+    needed_m = fleet.radius_xy_m + 2.0 * config.touchdown.pad_radius_m + 2.0 * moved_m
+    return Check(
+        "touchdowns",
+        "two vehicles in their touchdowns stay apart: pads that come near later do so after both are down",
+        fleet.pad_distance_m - needed_m,
+        "m",
+        f"in {ahead_s:.3g} s each pad may be {moved_m:.3g} m beside where it was going; {needed_m:.3g} m are "
+        f"needed, fleet.pad_distance_m is {fleet.pad_distance_m:g}",
+        "raise fleet.pad_distance_m, or use robots whose paths do not meet",
+        Need.PROOF,
+    )
+
+
+def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> float:
+    """Return how long the landing of who waited takes, without going around."""
+    robust = issubclass(strategy_class(config.filter), RobustFilter)
+    if robust:
+        near_m, gain_1_s, down_m_s = (
+            config.robust.commit_radius_m, config.robust.gain_1_s, config.robust.descent_max_m_s,
+        )  # fmt: skip
+    else:
+        near_m, gain_1_s = config.touchdown.pad_radius_m, min(config.position_loop.gain_1_s)
+        down_m_s = config.limits.velocity_max_m_s[2]
+    over_s = math.log(max(1.0, fleet.wait_distance_m / near_m)) / gain_1_s
+    told_s = fleet.age_max_s + 2.0 * fleet.latency_max_s
+    return over_s + fleet.wait_height_m / down_m_s + told_s + descent_s + config.velocity_loop.lag_xy_s
+
+
+def waits(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
+    """Check that the last of all members, if all pads are in conflict, gets its turn before it gives up."""
+    each_s, before = first_attempt_s(config, fleet, descent_s), len(fleet.others)
+    return Check(
+        "waits",
+        "if each member lands at its first attempt, nobody gives up waiting for the right of way",
+        fleet.wait_max_s - before * each_s,
+        "s",
+        f"{before} land before the last one, about {each_s:.3g} s each; each may take "
+        f"{fleet.wait_max_s / before:.3g} s; who goes around, or stays on the pad, is not counted",
+        "raise fleet.wait_max_s",
+        Need.PROOF,
+    )
+
+
+def team_checks(configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3) -> list[Check]:
+    """Checks of all members together.
+
+    Args:
+        configs: of the members; each has a table [fleet].
+        starts_enu_m: where they begin in the air, as far as that is known.
+        touch_m: of all places of one vehicle beside another at which they overlap, the outermost.
+    """
+    fleets = [config.fleet for config in configs if config.fleet is not None]
+    return [one_table(fleets), *([begin(fleets[0], starts_enu_m)] if len(starts_enu_m) > 1 else []),
+            contact(configs, touch_m)]  # fmt: skip
+
+
+def one_table(fleets: Sequence[Fleet]) -> Check:
+    """Check that members know each other and have the same numbers, as the sum of their rows needs."""
+    first, ids = fleets[0], sorted(fleet.id for fleet in fleets)
+    keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
+    other = [k for k in keys if any(getattr(each, k) != getattr(first, k) for each in fleets)]
+    other += ["members"] if any(sorted(each.members) != ids for each in fleets) else []
+    return Check(
+        "one table",
+        "all members have the same table [fleet], and know all others and nobody else",
+        0.0 - len(other),
+        "keys",
+        f"{len(fleets)} members; different: {', '.join(other) or 'none'}",
+        f"give all members the same fleet.{', fleet.'.join(other)}" if other else "",
+        Need.PROOF,
+    )
+
+
+def begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
+    """Check that nobody begins inside the ellipsoid about another one."""
+    least_m, where = math.inf, (0, 0)
+    for i, (x, y, z) in enumerate(starts_enu_m):
+        for j, (ox, oy, oz) in enumerate(starts_enu_m[:i]):
+            h_m, _ = barrier((x - ox, y - oy, z - oz), fleet.radius_xy_m, fleet.radius_z_m)
+            if h_m < least_m:
+                least_m, where = h_m, (j + 1, i + 1)
+    return Check(
+        "starts",
+        "nobody begins inside the ellipsoid about another one",
+        least_m,
+        "m",
+        f"the nearest are members {where[0]} and {where[1]}",
+        "give them other start places",
+        Need.PROOF,
+    )
+
+
+def contact(configs: Sequence[FlightConfig], touch_m: Vec3) -> Check:
+    """Check that declared errors of velocities leave room until two vehicles touch."""
+    fleets = [config.fleet for config in configs if config.fleet is not None]
+    rate_1_s = min(fleet.rate_1_s for fleet in fleets)
+    touch_h_m = max(barrier(touch_m, fleet.radius_xy_m, fleet.radius_z_m)[0] for fleet in fleets)
+    longest = max(max(1.0, fleet.radius_xy_m / fleet.radius_z_m) for fleet in fleets)
+    lost_m = 2.0 * longest * max(config.robust.tracking_error_m_s for config in configs) / rate_1_s
+    return Check(
+        "contact",
+        "two vehicles whose rows are met do not touch, with the errors of their velocities",
+        -touch_h_m - lost_m,
+        "m",
+        f"errors as in robust.tracking_error_m_s, in all directions, take h to -{lost_m:.3g} m, shapes touch "
+        f"at {touch_h_m:.3g} m: errors of {-touch_h_m * rate_1_s:.3g} m/s together are allowed",
+        "raise fleet.radius_xy_m and fleet.radius_z_m, or fleet.rate_1_s",
+        Need.PROOF,
+    )

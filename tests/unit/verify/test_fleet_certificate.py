@@ -1,0 +1,297 @@
+"""What is proven of a fleet, against motions and rows drawn at random, and each limit from both sides."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flightstack.cli.prove.check import check as check_verb
+from flightstack.core.fleet.ellipsoid import barrier
+from flightstack.core.fleet.exact import Row, nearest
+from flightstack.core.fleet.shares import share
+from flightstack.core.memory import Heard
+from flightstack.core.types import ZERO, Intent, Neighbour
+from flightstack.verify import crowd
+from flightstack.verify.certificate import checks
+from flightstack.verify.envelope import extremes
+from flightstack.verify.fleet import first_attempt_s, team_checks
+from flightstack.verify.touchdown import descent_time_s
+from sim.runners.landing import land
+from sim.scenarios import scenario, team
+from tests.unit.verify.certificate_helpers import config
+
+FLEET = {
+    "id": 1, "members": [1, 2, 3], "radius_xy_m": 0.25, "radius_z_m": 0.75, "rate_1_s": 0.8,
+    "speed_max_m_s": 1.0, "acceleration_max_m_s2": 1.0, "reach_m": 6.0, "age_max_s": 0.5,
+    "latency_max_s": 0.15, "wait_max_s": 60.0, "pad_distance_m": 0.8,
+}  # fmt: skip
+
+
+def with_fleet(fleet=None, **sections):
+    return config(fleet={**FLEET, **(fleet or {})}, **sections)
+
+
+def one(name, fleet=None, **sections):
+    (found,) = (each for each in checks(with_fleet(fleet, **sections)) if each.name == name)
+    return found
+
+
+STILL = {
+    "touchdown": {"target_speed_max_m_s": 0.0, "pad_radius_m": 0.13},
+    "envelope": {"target_acceleration_max_m_s2": 0.0},
+}
+WAIT_S = 13.1  # of the last of three
+
+
+@pytest.mark.parametrize(
+    ("name", "passes", "fails", "more"),
+    [
+        # 0.25 / (1.3 * 0.27)
+        ("fleet.rate_1_s", {"rate_1_s": 0.71}, {"rate_1_s": 0.714}, {"filter": "paper"}),
+        ("shares", {"latency_max_s": 0.041}, {"latency_max_s": 0.039}, {"loop": {"rate_hz": 50}}),
+        ("fleet.speed_max_m_s", {"speed_max_m_s": 1.733}, {"speed_max_m_s": 1.731}, {}),
+        ("fleet.acceleration_max_m_s2", {"acceleration_max_m_s2": 3.78}, {"acceleration_max_m_s2": 3.77}, {}),
+        ("fleet.reach_m", {"reach_m": 3.33}, {"reach_m": 3.3}, {}),
+        ("slew, half share", {"acceleration_max_m_s2": 2.39}, {"acceleration_max_m_s2": 2.41}, {}),
+        ("slew, whole share", {"acceleration_max_m_s2": 0.39}, {"acceleration_max_m_s2": 0.41}, {}),
+        ("neighbours in reach", {"reach_m": 1.82, "speed_max_m_s": 0.5},
+         {"reach_m": 1.81, "speed_max_m_s": 0.5}, {}),
+        ("touchdowns", {"pad_distance_m": 0.511}, {"pad_distance_m": 0.509}, STILL),
+        ("waits", {"wait_max_s": WAIT_S}, {"wait_max_s": WAIT_S - 0.1}, {}),
+    ],
+)  # fmt: skip
+def test_each_limit_from_both_sides(name, passes, fails, more):
+    assert one(name, passes, **more).proven
+    found = one(name, fails, **more)
+    assert not found.proven
+    assert found.remedy
+
+
+def test_less_is_missing_for_slow_neighbours():
+    for name in ("one neighbour", "several neighbours"):
+        assert one(name).room < one(name, {"speed_max_m_s": 0.05}).room < 0.0
+
+
+def test_a_configuration_without_others_has_none_of_these_checks():
+    names = {each.name for each in checks(config())}
+    assert {each.name for each in checks(with_fleet())} - names >= {"shares", "one neighbour", "waits"}
+
+
+def closest_m(rate_1_s, lag_s, seed, root_1_s):
+    """Lowest h of two vehicles that want to meet, each with half a row, behind loops of first order."""
+    rng = np.random.default_rng(seed)
+    p = [rng.uniform(-1.5, 1.5, 3) for _ in range(2)]
+    p[1][2] *= 0.3
+    h_m, g = barrier(tuple(p[0] - p[1]), 0.25, 0.75)
+    v = [rng.uniform(-1.0, 1.0, 3) for _ in range(2)]
+    closing = -float(np.dot(g, v[0] - v[1]))
+    if h_m < 0.0 or closing > root_1_s * h_m:
+        return math.inf
+    u, lowest, step_s = [v[0].copy(), v[1].copy()], h_m, 0.002
+    for _ in range(3000):
+        h_m, g = barrier(tuple(p[0] - p[1]), 0.25, 0.75)
+        lowest, g = min(lowest, h_m), np.array(g)
+        mean, wanted = 0.5 * (u[0] + u[1]), [1.5 * (p[1] - p[0]), 1.5 * (p[0] - p[1])]
+        for me, out in ((0, g), (1, -g)):
+            missing = out @ mean - 0.5 * rate_1_s * h_m - out @ wanted[me]
+            u[me] = wanted[me] + max(0.0, missing) * out / (out @ out)
+        for me in (0, 1):
+            v[me] += step_s * (u[me] - v[me]) / lag_s
+            p[me] = p[me] + step_s * v[me]
+    return lowest
+
+
+def test_two_that_lag_come_to_rest_outside_if_the_rate_is_proven_and_not_if_it_is_far_too_high():
+    lag_s = 0.25
+    root_1_s = 1.0 / (2.0 * lag_s)
+    assert min(closest_m(0.25 / lag_s, lag_s, seed, root_1_s) for seed in range(25)) > -2e-3
+    assert min(closest_m(4.0 / lag_s, lag_s, seed, 4.0 / lag_s) for seed in range(25)) < -2e-2
+
+
+def least_sum(latency_s, period_s, seed):
+    """Least sum of shares held after a vehicle said for the last time that it gives way; one tick is late."""
+    table = replace(with_fleet().fleet, id=1, members=(1, 2), latency_max_s=latency_s)
+    rng = np.random.default_rng(seed)
+    said = Neighbour(2, 0.0, 0.0, ZERO, ZERO, ZERO, intent=Intent.WAITING, yields_to=(1,))
+    seen = Neighbour(1, 0.0, 0.0, ZERO, ZERO, ZERO, intent=Intent.LANDING)
+    shares = []
+    for me in (0, 1):
+        ticks = np.arange(rng.uniform(0.0, period_s), 6.0 * latency_s, period_s)
+        ticks = np.delete(ticks, rng.integers(1, len(ticks)))
+        held = []
+        for now_s in ticks.tolist():
+            if me == 0:
+                held.append(share(Heard(), said, now_s, table))
+            else:
+                held.append(share(Heard(yielded_s=0.0), seen._replace(stamp_s=now_s), now_s, table))
+        shares.append((ticks, held))
+    times = np.concatenate([ticks for ticks, _ in shares])
+    times = times[times >= max(ticks[0] for ticks, _ in shares)]
+    return min(sum(held[np.searchsorted(ticks, t, "right") - 1] for ticks, held in shares) for t in times)
+
+
+@pytest.mark.parametrize(("latency_s", "proven"), [(0.05, True), (0.041, True), (0.021, False)])
+def test_shares_held_by_processes_with_late_ticks(latency_s, proven):
+    assert one("shares", {"latency_max_s": latency_s}, loop={"rate_hz": 50}).proven is proven
+    least = min(least_sum(latency_s, 0.02, seed) for seed in range(2000))
+    assert (least >= 1.0) is proven
+
+
+CONFIG = with_fleet()
+X = extremes(CONFIG)
+CROWD = crowd.crowd(CONFIG, X.shape, X.target_climb_m_s)
+BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
+
+
+def landing_row(slope, bearing, pad):
+    """Row of the landing barrier at 0, for a pad with this horizontal velocity."""
+    g = (-slope * math.cos(bearing), -slope * math.sin(bearing), 1.0)
+    return Row(g, g[0] * pad[0] + g[1] * pad[1])
+
+
+def neighbour_row(away, h_m, speed_m_s):
+    """Row of a neighbour on the other side of ``away``, which comes straight at the vehicle."""
+    _, g = barrier(away, 0.25, 0.75)
+    length = math.hypot(*g)
+    return Row(g, speed_m_s * length + CROWD.growth_m_s - CONFIG.fleet.rate_1_s * h_m)
+
+
+ANGLE, UNIT = st.floats(-math.pi, math.pi), st.floats(0.0, 1.0)
+AWAY = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda p: math.hypot(*p) > 0.1)
+SLOPE = st.floats(CONFIG.touchdown.pad_radius_m, 5.0).map(lambda d: X.barrier.slope(d))
+CLIMB = st.floats(-1.0, 1.0)  # least that the filter asks for besides
+
+
+def pad_of(share_of_speed, angle):
+    speed = share_of_speed * CONFIG.touchdown.target_speed_max_m_s
+    return speed * math.cos(angle), speed * math.sin(angle)
+
+
+@settings(max_examples=400, deadline=None)
+@given(SLOPE, ANGLE, UNIT, ANGLE, CLIMB, st.lists(st.tuples(AWAY, UNIT), min_size=1, max_size=8))
+def test_any_number_of_neighbours_leaves_a_common_point_from_far_enough(slope, n, w, pad, climb, others):
+    from_m = crowd.anywhere_m(CONFIG, CROWD)
+    rows = [neighbour_row(away, from_m, speed) for away, speed in others]
+    lower = (*BOX[0][:2], climb)
+    assert nearest(ZERO, [landing_row(slope, n, pad_of(w, pad)), *rows], lower, BOX[1]) is not None
+
+
+SHORT = crowd.one_short_m_s(CONFIG, CROWD, crowd.up_the_slope_m_s(CONFIG, CROWD), -math.pi / 2.0)
+
+
+@settings(max_examples=400, deadline=None)
+@given(SLOPE, ANGLE, UNIT, ANGLE, CLIMB, AWAY)
+def test_one_neighbour_leaves_a_common_point_from_where_it_is_said(slope, n, w, pad, climb, away):
+    row = neighbour_row(away, SHORT[0] / CONFIG.fleet.rate_1_s, CONFIG.fleet.speed_max_m_s)
+    lower = (*BOX[0][:2], climb)
+    assert nearest(ZERO, [landing_row(slope, n, pad_of(w, pad)), row], lower, BOX[1]) is not None
+
+
+def test_the_worst_neighbour_is_met_at_that_distance_and_not_nearer():
+    slope, (short_m_s, elevation) = CROWD.steepest, SHORT
+    # the direction of g, from that of a difference of positions
+    away = (math.cos(elevation), 0.0, math.sin(elevation) / CROWD.flat)
+    landing = landing_row(slope, 0.0, (-CONFIG.touchdown.target_speed_max_m_s, 0.0))
+    for nearer_m, found in ((0.01, False), (-0.01, True)):
+        row = neighbour_row(away, short_m_s / CONFIG.fleet.rate_1_s - nearer_m, CONFIG.fleet.speed_max_m_s)
+        assert (nearest(ZERO, [landing, row], (-1.0, -1.0, 1.0), BOX[1]) is not None) is found
+    assert short_m_s > 0.5
+
+
+def test_two_from_opposite_sides_are_met_from_where_it_is_said_and_not_nearer():
+    from_m = -one("several neighbours").room / CONFIG.fleet.rate_1_s
+    for nearer_m, found in ((0.01, False), (-0.01, True)):
+        rows = [neighbour_row((x, 0.0, 0.0), from_m - nearer_m, 1.0) for x in (1.0, -1.0)]
+        assert (nearest(ZERO, rows, *BOX) is not None) is found
+
+
+def most_missed_m_s(slew_m_s2, start_m_s, after_s):
+    """By how much the row of one who comes, and speeds up at some time, is missed; along one direction."""
+    fleet, step_s = CONFIG.fleet, 0.002
+    h_m, own, other, missed = 5.0, -1.0, start_m_s, 0.0
+    for tick in range(4000):
+        if tick * step_s > after_s:
+            other = min(fleet.speed_max_m_s, other + fleet.acceleration_max_m_s2 * step_s)
+        bound = other - fleet.rate_1_s * h_m
+        own = min(max(bound, -1.0), own + slew_m_s2 * step_s)
+        missed = max(missed, bound - own)
+        h_m += (own - other) * step_s
+    return missed
+
+
+@pytest.mark.parametrize(("slew_m_s2", "proven"), [(2.61, True), (1.5, False)])
+def test_a_row_is_followed_if_the_slew_limit_is_proven_and_missed_if_it_is_far_too_low(slew_m_s2, proven):
+    slews = [slew_m_s2, slew_m_s2, 5.0]
+    assert one("slew, whole share", robust={"acceleration_max_m_s2": slews}).proven is proven
+    cases = [(s, t) for s in (-1.0, 0.0, 0.5, 0.9) for t in np.arange(0.0, 6.0, 0.3).tolist()]
+    missed = max(most_missed_m_s(slew_m_s2, start, after) for start, after in cases)
+    assert (missed < 0.01) is proven
+
+
+def test_a_landing_from_where_it_waits_takes_no_longer_than_waits_count_with():
+    """But for what the others are told before, which a vehicle alone does not do."""
+    field = scenario.load("field")
+    start = replace(field.start, offset_m=(1.2, 0.0, 1.0))
+    fleet = replace(CONFIG.fleet, wait_distance_m=1.2, wait_height_m=1.0)
+    count_s = first_attempt_s(
+        field.onboard, fleet, descent_time_s(field.onboard, extremes(field.onboard))
+    ) - (fleet.age_max_s + 2.0 * fleet.latency_max_s)
+    flown = [land(replace(field, start=start), seed) for seed in range(12)]
+    times = [each.verdict.time_to_land_s for each in flown if each.retries == 0]
+    assert len(times) >= 8
+    assert max(times) < count_s
+    assert min(times) > 0.4 * count_s
+
+
+def test_all_members_together():
+    members = [each.onboard for each in team.load("fleet_3").member]
+    starts = team.load("fleet_3").starts_enu_m()
+    assert starts == [(-1.0, 1.0, 1.2), (-1.5, 0.0, 1.2), (-1.0, -1.0, 1.2)]
+
+    def found(configs=members, places=starts, touch=(0.14, 0.0, 0.05)):
+        return {each.name: each for each in team_checks(configs, places, touch)}
+
+    assert found()["one table"].proven
+    assert found()["starts"].room == pytest.approx(barrier((0.5, 1.0, 0.0), 0.25, 0.75)[0])
+    assert not found(places=[(0.0, 0.0, 1.0), (0.1, 0.1, 1.3)])["starts"].proven
+    other = replace(members[1], fleet=replace(members[1].fleet, rate_1_s=0.9))
+    unlike = found([members[0], other, members[2]])["one table"]
+    assert not unlike.proven
+    assert "rate_1_s" in unlike.worst
+    assert "members" in found(members[:2])["one table"].worst
+    assert not found()["contact"].proven  # 2 * 0.05 / 0.8 m of h; the shapes touch at -0.11
+    assert found(touch=(0.1, 0.0, 0.05))["contact"].proven
+
+
+def test_the_verb_checks_each_member_and_all_together():
+    done = CliRunner().invoke(check_verb, ["fleet_3", "--json"])
+    assert done.exit_code == 1
+    said = json.loads(done.output)
+    assert said["flies"]
+    assert [part["members"] for part in said["parts"]] == [["cf1", "cf2", "cf3"]] * 2
+    alone, together = ({each["name"]: each for each in part["checks"]} for part in said["parts"])
+    assert alone["shares"]["proven"]
+    assert not alone["several neighbours"]["proven"]
+    assert together["one table"]["proven"]
+    table = CliRunner().invoke(check_verb, ["fleet_8", "--filter", "paper"])
+    assert table.exit_code == 1
+    assert "fleet_8 (cf1, cf2, cf3, cf4, cf5, cf6, cf7, cf8), filter paper" in table.output.replace("\n", "")
+
+
+def test_members_that_differ_are_checked_apart(tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\ndescription = ""\nbase = "field"\n'
+        "onboard.fleet.members = [1, 2]\nonboard.fleet.id = 1\n[[member]]\n"
+        "[[member]]\nonboard.fleet.id = 2\nonboard.fleet.wait_max_s = 5.0\n"
+    )
+    done = CliRunner().invoke(check_verb, [str(tmp_path / "mine.toml"), "--json"])
+    parts = json.loads(done.output)["parts"]
+    assert [part["members"] for part in parts] == [["cf1"], ["cf2"], ["cf1", "cf2"]]
+    waits = [next(each for each in part["checks"] if each["name"] == "waits") for part in parts[:2]]
+    assert [each["proven"] for each in waits] == [True, False]
+    assert [each["name"] for each in parts[2]["checks"]] == ["one table", "contact"]
