@@ -133,6 +133,8 @@ def json(help: str = "Print one JSON object.") -> Any:
     return option("--json", is_flag=True, help=help)
 
 
+member = option("--member", metavar="NAME", help="Take the flight of this member of a fleet, e.g. cf2.")
+
 zenoh_config = option(
     "--zenoh-config", type=EXISTING_FILE, metavar="FILE",
     help="Zenoh configuration (JSON5): routers, TLS, passwords, access (docs/how_to/zenoh.md).",

@@ -40,11 +40,50 @@ def verdict_table(values: Mapping[str, Any], reason: str) -> Group:
     title = ", ".join(f"{name} {value}" for name, value in told.items())
     table = Table("result", Column("value", justify="right"), "unit")
     for name, key, unit in _ROWS:
-        value = values[key]
-        shown = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
-        table.add_row(name, shown, unit)
+        table.add_row(name, _shown(values[key]), unit)
     source = SOURCES.get(values["judged_from"], "what the onboard process said")
     return Group(Text(title, style="italic"), table, Text(f"judged from {source}"), Text(reason))
+
+
+_MEMBER_COLUMNS = (
+    ("outcome", "outcome", 1.0),
+    ("violation", "violation", 1.0),
+    ("least h, m", "h_min_outside_pad_m", 1.0),
+    ("error, cm", "touchdown_error_m", 100.0),
+    ("down, m/s", "touchdown_speed_vertical_m_s", 1.0),
+    ("aside, m/s", "touchdown_speed_horizontal_m_s", 1.0),
+    ("time, s", "time_to_land_s", 1.0),
+)
+_FLEET_ROWS = (
+    ("smallest distance", "distance_min_m", "m"),
+    ("the same in the ellipsoid's measure, in flight", "ellipsoid_min", "1"),
+    ("times inside the ellipsoid", "ellipsoid_violations", ""),
+    ("pairs that collided", "collisions", ""),
+    ("real-time factor", "realtime_factor", ""),
+)
+
+
+def fleet_table(values: Mapping[str, Any], reason: str) -> Group:
+    """Return the values of ``logs.verdict.fleet.fleet_result`` as tables; "-" for what is not known.
+
+    Of a member: the least h outside the pad, error and speeds at touchdown, time to land.
+    """
+    told = {name: values[name] for name in _ABOUT if values.get(name) is not None}
+    title = ", ".join(f"{name} {value}" for name, value in told.items())
+    table = Table("vehicle", *(Column(name, justify="right") for name, _, _ in _MEMBER_COLUMNS))
+    for member, each in values["vehicles"].items():
+        table.add_row(member, *(_shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))
+    fleet = Table("fleet", Column("value", justify="right"), "unit")
+    for name, key, unit in (("outcome", "outcome", ""), ("violation", "violation", ""), *_FLEET_ROWS):
+        fleet.add_row(name, _shown(values[key]), unit)
+    judged = dict.fromkeys(SOURCES.get(each["judged_from"], "") for each in values["vehicles"].values())
+    return Group(
+        Text(title, style="italic"), table, fleet, Text(f"judged from {', '.join(judged)}"), Text(reason)
+    )
+
+
+def _shown(value: object, factor: float = 1.0) -> str:
+    return "-" if value is None else f"{value * factor:.3f}" if isinstance(value, float) else str(value)
 
 
 _VERDICT = tuple(field.name for field in fields(Verdict))

@@ -34,7 +34,17 @@ from logs.schema.cdr import codec
 from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE
 
-__all__ = ["Event", "Flight", "Steps", "TargetOdometry", "Timing", "Truth", "load_fleet", "load_flight"]
+__all__ = [
+    "Event",
+    "Flight",
+    "Steps",
+    "TargetOdometry",
+    "Timing",
+    "Truth",
+    "load_fleet",
+    "load_flight",
+    "load_flights",
+]
 
 PAD_RADIUS_M = 0.10  # m, a Crazyflie's pad, where the log holds neither a run nor a configuration
 TARGET_TOPIC_END = "/target/odom"  # below any namespace
@@ -77,7 +87,10 @@ def load_fleet(path: Path | str) -> Fleet:
     views = {member: log.view for member, log in logs.items()}
     found: dict[str, dict[str, list[Message]]] = {member: {} for member in logs}
     pairs: dict[tuple[int, int], FleetPairRow] = {}
+    said: list[Message] = []
     for message in whole.messages():
+        if message.schema == LOG:
+            said.append(message)
         if message.schema == FLEET_PAIR:
             try:
                 pair = FleetPairRow.unpack(message.data)
@@ -86,20 +99,34 @@ def load_fleet(path: Path | str) -> Fleet:
             pairs[pair.one, pair.other] = pair
         kind = _kind(message)
         for member, view in views.items() if kind else ():
-            if view is not None and view.topic(message.topic):
+            if view is not None and view.topic(message.topic) is not None:
                 data = view.data(message.schema, message.data)
                 if data is not None:
                     found[member].setdefault(kind, []).append(message._replace(data=data))
     problem, parts = whole.problem, whole.parts
     flights = {member: _flight(log, found[member], problem) for member, log in logs.items()}
+    origin_ns = min(flight.origin_ns for flight in flights.values())
+    said.sort(key=lambda message: message.log_time_ns)
     return Fleet(
         path=whole.path,
         flights=flights,
         pairs=pairs,
         ids=parts.ids,
+        events=_events(said, origin_ns, []),  # what cannot be read is among the problems of the flights
         metadata={name: values for name, values in whole.metadata().items() if parts.split(name)[0] is None},
         attachments={a.name: a.data for a in whole.attachments() if parts.split(a.name)[0] is None},
     )
+
+
+def load_flights(path: Path | str, member: str | None = None) -> list[Flight]:
+    """Read all flights of a log: the one, those of all members of a fleet, or of one member.
+
+    Raises:
+        LogError: as of ``load_flight``.
+    """
+    if member is None and LogFile(path).members:
+        return list(load_fleet(path).flights.values())
+    return [load_flight(path, member)]
 
 
 def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) -> Flight:

@@ -179,6 +179,7 @@ class Fleet:
         flights: by member; each on its own time, which begins at its ``origin_ns``.
         pairs: the newest that the simulator said of each pair of ids.
         ids: members by the ids of their vehicles, which are their MAVLink system ids.
+        events: /rosout in order, times since ``origin_ns``; sources have the member's namespace in front.
         metadata: metadata records that are of no one member, by name.
         attachments: files that are of no one member, by name.
     """
@@ -187,6 +188,7 @@ class Fleet:
     flights: dict[str, Flight]
     pairs: dict[tuple[int, int], FleetPairRow]
     ids: dict[int, str]
+    events: tuple[Event, ...]
     metadata: dict[str, dict[str, str]]
     attachments: dict[str, bytes]
 

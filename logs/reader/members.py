@@ -18,6 +18,7 @@ FLEET = "fleet"  # metadata
 TEAM = "team.toml"  # attachment
 ROSOUT = "/rosout"
 _SYSTEM = "uas"  # first part of the topics of MAVLink frames, with the system id behind it
+_FRAMES = "/uas1"  # the same in the log of one flight, whatever its system id
 
 
 class Members:
@@ -58,9 +59,13 @@ class MemberView:
     def __init__(self, members: Members, member: str) -> None:
         self._members, self._member = members, member
 
-    def topic(self, topic: str) -> bool:
-        """Whether a topic is this member's; /rosout is, in part."""
-        return topic == ROSOUT or self._members.owner(topic) == self._member
+    def topic(self, topic: str) -> str | None:
+        """Return the name of a topic; None for what is not this member's. /rosout is, in part."""
+        if topic == ROSOUT:
+            return topic
+        if self._members.owner(topic) != self._member:
+            return None
+        return topic if topic.startswith(f"/{self._member}/") else f"{_FRAMES}/{topic.split('/', 2)[2]}"
 
     def name(self, name: str) -> str | None:
         """Return the name of a metadata record or attachment; None for what is not this member's."""

@@ -249,8 +249,10 @@ def _seen(records: Iterable[Any], view: MemberView) -> Iterator[Any]:
         if isinstance(record, Schema):
             schemas[record.id] = record.name
         elif isinstance(record, Channel):
-            if not view.topic(record.topic):
+            topic = view.topic(record.topic)
+            if topic is None:
                 continue
+            record = replace(record, topic=topic)
             channels[record.id] = schemas.get(record.schema_id, "")
         elif isinstance(record, Metadata | AttachmentRecord):
             name = view.name(record.name)

@@ -179,6 +179,7 @@ class LiveOptions:
     duration_s: float | None = None
     signing_key: Path | None = None
     allow_unsigned: bool = False
+    member: str | None = None  # of a fleet
 
 
 class Wires:
@@ -304,7 +305,7 @@ def play(path: Path | str, options: LiveOptions, say: Callable[[str], None] = pr
         raise ReplayError("--view needs --listen or --connect, and no --vehicle-url: what flies shows itself")
     if options.pause and not sys.stdin.isatty():
         raise ReplayError("--pause: standard input is no terminal, so nobody could go on")
-    flight = FlightInputs(path)
+    flight = FlightInputs(path, options.member)
     with ExitStack() as stack:
         stop = _Stop(stack)
         wires = Wires(flight, options, stack)

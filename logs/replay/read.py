@@ -74,14 +74,19 @@ class FlightInputs:
         preflight: of its check before the flight, the same.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, member: str | None = None) -> None:
         """Find inputs and configuration.
 
+        Args:
+            path: of the log.
+            member: of a fleet, whose flight it shall be; None in the log of one flight.
+
         Raises:
-            ReplayError: not a log, or it holds no inputs or no configuration.
+            ReplayError: not a log, it holds no inputs or no configuration, no such member, or a fleet where
+                no member is named.
         """
         try:
-            self.log = LogFile(path)
+            self.log = LogFile(path, member).single()
         except LogError as error:
             raise ReplayError(str(error)) from error
         self.onboard = self.log.metadata().get("onboard", {})
@@ -154,10 +159,12 @@ class FlightInputs:
                     tick.given = unpack_controller_input(data)
                 elif topic == step:
                     tick.step = data
-                elif topic == power and tick.given is not None:  # it follows the other inputs
+                elif topic in (power, neighbours) and tick.given is None:
+                    pass  # they follow the other inputs; without those the tick is not whole
+                elif topic == power and tick.given is not None:
                     inputs = dataclasses.replace(tick.given.inputs, power=unpack_power(data))
                     tick.given, tick.power = tick.given._replace(inputs=inputs), data
-                elif topic == neighbours and tick.given is not None:  # the same
+                elif topic == neighbours and tick.given is not None:
                     inputs = dataclasses.replace(tick.given.inputs, neighbours=unpack_neighbours(data))
                     tick.given, tick.told = tick.given._replace(inputs=inputs), True
                 elif topic == state:

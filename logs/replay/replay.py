@@ -85,18 +85,19 @@ class Result:
         return not (self.outputs.count or self.states.count or (self.wire is not None and self.wire.count))
 
 
-def replay(path: Path | str, config: FlightConfig | None = None) -> Result:
+def replay(path: Path | str, config: FlightConfig | None = None, member: str | None = None) -> Result:
     """Run the recorded inputs through the controller and compare.
 
     Args:
         path: the log, whole or broken.
         config: flown with instead of the recorded one; the wire is not replayed then.
+        member: of a fleet, whose flight it is; None in the log of one flight.
 
     Raises:
         ReplayError: the log proves nothing: no inputs, a gap, or a controller that never acted.
     """
     began_s = time.perf_counter()
-    flight = FlightInputs(path)
+    flight = FlightInputs(path, member)
     run = _Run(flight, config)
     for record in run.whole(flight.ticks()):
         run.tick(record)

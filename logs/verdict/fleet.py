@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from logs.reader.flight import load_fleet
-from logs.reader.flight_data import Fleet
+from logs.reader.flight_data import Fleet, Flight
+from logs.reader.reader import LogFile
 from logs.verdict.types import GAP_MAX_S, Outcome, Verdict
 from logs.verdict.verdict import judge, verdict_result
 
@@ -140,6 +141,17 @@ def judge_fleet(log: Fleet | Path | str) -> FleetVerdict:
     fleet = log if isinstance(log, Fleet) else load_fleet(log)
     members = {name: judge(flight) for name, flight in fleet.flights.items()}
     return fleet_verdict(members, fleet.pairs.values(), fleet.ids, complete=pairs_known(fleet))
+
+
+def judge_member(log: Path | str, member: str) -> tuple[Flight, Verdict]:
+    """Return the flight of a member, and the verdict that it has in its fleet.
+
+    Raises:
+        LogError: as of ``judge_fleet``, or no such member.
+    """
+    LogFile(log, member)  # names the members
+    fleet = load_fleet(log)
+    return fleet.flights[member], judge_fleet(fleet).members[member]
 
 
 def pairs_known(fleet: Fleet) -> bool:

@@ -86,12 +86,13 @@ def identify(options: IdentifyOptions) -> None:
         return
     if not options.logs:
         raise click.UsageError("found neither LOG nor --flights; give logs of flights, or --flights DIR")
-    from logs.reader.flight import load_flight
+    from logs.reader.flight import load_flights
 
     logs = options.logs
-    found = gather([load_flight(path) for path in logs])
+    flights = [flight for path in logs for flight in load_flights(path)]
+    found = gather(flights)
     click.echo(
-        json.dumps(_as_json(found)) if options.as_json else _as_toml(found, len(logs)), nl=options.as_json
+        json.dumps(_as_json(found)) if options.as_json else _as_toml(found, len(flights)), nl=options.as_json
     )
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from logs.replay.replay import PhaseChange, Result
 
 EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
+_WORST_FIRST = ("unusable", "different", "equal")
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class ReplayOptions(shared.Signing):
         "--set", multiple=True, metavar="KEY=VALUE",
         help="Show what another configuration would have commanded, e.g. barrier.alpha_1_m=1.2; repeatable.",
     )  # fmt: skip
+    member: str | None = shared.member
     as_json: bool = shared.json()
     live: bool = shared.option(
         "--live", is_flag=True, help="Send the recorded messages of target and vehicle again."
@@ -75,33 +77,93 @@ class ReplayOptions(shared.Signing):
 def replay(options: ReplayOptions) -> None:
     """Run the inputs of a LOG through today's controller and compare every decision with the recorded one.
 
+    Of a fleet each member is compared alone, or the one of --member.
+
     Exit status: 0 equal (or shown, with --set alone), 1 different, 2 the log proves nothing.
     """
-    from flightstack.verify.certificate import problems
-    from logs.replay.read import changed
-    from logs.replay.replay import FlightInputs, ReplayError
-    from logs.replay.replay import replay as run
-
-    log, settings = options.log, options.settings
     if options.live:
-        if options.check or settings or options.as_json:
+        if options.check or options.settings or options.as_json:
             raise click.UsageError("--live plays a log; it cannot be combined with --check, --set and --json")
         _live(options)
         return
+    from logs.replay.replay import ReplayError
+
     try:
-        config = changed(FlightInputs(log).table, settings) if settings else None
-        result = run(log, config)
+        members = () if options.member is not None else _members(options.log)
+        if members:
+            sys.exit(_fleet(options, members))
+        result = _run(options, options.member)
     except ReplayError as error:
         if options.as_json:
-            click.echo(json.dumps({"result": "unusable", "path": str(log), "reason": str(error)}))
+            click.echo(json.dumps(_unusable(options.log, error)))
         raise
+    if options.as_json:
+        click.echo(json.dumps(_object(result, options.settings)))
+    else:
+        click.echo("\n".join(_lines(result, options.settings)))
+    sys.exit(_status(options, result))
+
+
+def _members(log: Path) -> tuple[str, ...]:
+    """Members of a fleet; () for one flight."""
+    from logs.reader.reader import LogError, LogFile
+    from logs.replay.replay import ReplayError
+
+    try:
+        return LogFile(log).members
+    except LogError as error:
+        raise ReplayError(str(error)) from error
+
+
+def _run(options: ReplayOptions, member: str | None) -> Result:
+    """Replay one flight."""
+    from flightstack.verify.certificate import problems
+    from logs.replay.read import changed
+    from logs.replay.replay import FlightInputs
+    from logs.replay.replay import replay as run
+
+    log, settings = options.log, options.settings
+    config = changed(FlightInputs(log, member).table, settings) if settings else None
+    result = run(log, config, member)
     if config is not None:
         result.notes += [f"it would be refused before take-off: {text}" for text in problems(config)]
+    return result
+
+
+def _status(options: ReplayOptions, result: Result) -> int:
+    return DIFFERENT if not result.equal and (options.check or not options.settings) else EQUAL
+
+
+def _fleet(options: ReplayOptions, members: Sequence[str]) -> int:
+    """Replay each member alone and tell; the exit status of the worst."""
+    from logs.replay.replay import ReplayError
+
+    status, told = EQUAL, {}
+    for member in members:
+        try:
+            result = _run(options, member)
+        except ReplayError as error:
+            status = UNUSABLE
+            told[member] = _unusable(options.log, error)
+            lines = [f"unusable: {error}"]
+        else:
+            status = max(status, _status(options, result))
+            told[member] = _object(result, options.settings)
+            lines = _lines(result, options.settings)
+        if not options.as_json:
+            click.echo("\n".join(f"{member}: {line}" for line in lines))
+    results = {each["result"] for each in told.values()}
+    whole = next(word for word in _WORST_FIRST if word in results)
     if options.as_json:
-        click.echo(json.dumps(_object(result, settings)))
+        whole_told = {"result": whole, "path": str(options.log), "set": list(options.settings)}
+        click.echo(json.dumps({**whole_told, "members": told}))
     else:
-        click.echo("\n".join(_lines(result, settings)))
-    sys.exit(DIFFERENT if not result.equal and (options.check or not settings) else EQUAL)
+        click.echo(f"{whole}: {len(members)} members")
+    return status
+
+
+def _unusable(log: Path, error: ValueError) -> dict[str, Any]:
+    return {"result": "unusable", "path": str(log), "reason": str(error)}
 
 
 def _live(options: ReplayOptions) -> None:

@@ -1,0 +1,111 @@
+"""The log of a fleet: each member replays alone, bit by bit, and the command tells of all."""
+
+import json
+
+import pytest
+
+from flightstack.cli.main import main
+from logs.reader.reader import LogFile
+from logs.recorder.mcap_file import McapFile
+from logs.replay.read import FlightInputs, ReplayError
+from logs.replay.replay import replay
+from logs.tools.edit import recover
+
+pytestmark = pytest.mark.xdist_group("fleet_log")
+MEMBERS = ("cf1", "cf2", "cf3")
+
+
+def run(capsys, *arguments):
+    """Exit status, standard output and error of a command in this process."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(each) for each in arguments])
+    told = capsys.readouterr()
+    return ended.value.code or 0, told.out, told.err
+
+
+def copied(source, target, change):
+    """Copy a log; ``change`` returns the data of each message, None to leave it out."""
+    log, file = LogFile(source), McapFile(target)
+    for name, values in log.metadata().items():
+        file.metadata(name, values)
+    for each in log.attachments():
+        file.attachment(each.name, each.media_type, 0, each.data)
+    for m in log.messages():
+        data = change(m)
+        if data is not None:
+            file.write(file.channel(m.topic, m.schema), m.log_time_ns, m.publish_time_ns, m.sequence, data)
+    file.close()
+    return target
+
+
+def test_each_member_replays_bit_by_bit(fleet):
+    for member in MEMBERS:
+        result = replay(fleet.log, member=member)
+        assert result.equal, result.outputs.first + result.states.first
+        assert (result.start, result.compared) == ("tick 0", result.last_tick + 1)
+    with pytest.raises(ReplayError, match=r"fleet of cf1, cf2, cf3; say whose flight"):
+        FlightInputs(fleet.log)
+
+
+def test_the_part_of_a_member_is_a_log_of_its_own(fleet, tmp_path):
+    recover(LogFile(fleet.log, "cf2"), tmp_path / "cf2.mcap")
+    assert LogFile(tmp_path / "cf2.mcap").members == ()
+    assert replay(tmp_path / "cf2.mcap").equal
+
+
+def test_the_command_tells_of_all_members(fleet, capsys):
+    code, out, _ = run(capsys, "replay", fleet.log, "--check", "--json")
+    told = json.loads(out)
+    assert (code, told["result"], list(told["members"])) == (0, "equal", list(MEMBERS))
+    assert {each["result"] for each in told["members"].values()} == {"equal"}
+    code, out, _ = run(capsys, "replay", fleet.log, "--check", "--member", "cf2", "--json")
+    assert (code, json.loads(out)["compared"]) == (0, told["members"]["cf2"]["compared"])
+    code, out, _ = run(capsys, "replay", fleet.log)
+    assert code == 0
+    assert out.splitlines()[-1] == "equal: 3 members"
+
+
+def test_one_member_that_differs_is_told(fleet, tmp_path, capsys):
+    def change(m):
+        here = (m.topic, m.sequence) == ("/cf3/controller/step", 300)
+        return m.data[:-1] + bytes([m.data[-1] ^ 1]) if here else m.data
+
+    log = copied(fleet.log, tmp_path / "changed.mcap", change)
+    code, out, _ = run(capsys, "replay", log, "--check", "--json")
+    told = json.loads(out)
+    assert (code, told["result"]) == (1, "different")
+    results = [told["members"][member]["result"] for member in MEMBERS]
+    assert results == ["equal", "equal", "different"]
+    assert told["members"]["cf3"]["outputs"]["first"][0]["tick"] == 300
+
+
+def test_one_member_that_proves_nothing_makes_the_whole_unusable(fleet, tmp_path, capsys):
+    lost = lambda m: None if (m.topic, m.sequence) == ("/cf1/controller/input", 200) else m.data  # noqa: E731
+    log = copied(fleet.log, tmp_path / "lost.mcap", lost)
+    code, out, _ = run(capsys, "replay", log, "--check")
+    assert code == 2
+    assert "cf1: unusable: " in out
+    assert "cf2: equal" in out
+    assert out.splitlines()[-1] == "unusable: 3 members"
+    code, out, _ = run(capsys, "replay", log, "--check", "--json")
+    told = json.loads(out)
+    assert (code, told["result"]) == (2, "unusable")
+    assert "inputs of a tick after tick 199 are missing" in told["members"]["cf1"]["reason"]
+
+
+def test_another_setting_is_tried_for_each_member(fleet, capsys):
+    code, out, _ = run(capsys, "replay", fleet.log, "--set", "barrier.alpha_1_m=1.2")
+    assert code == 0
+    for member in MEMBERS:
+        assert f"{member}: with barrier.alpha_1_m=1.2" in out
+    code, _, _ = run(capsys, "replay", fleet.log, "--set", "barrier.alpha_1_m=1.2", "--check")
+    assert code == 1
+
+
+def test_a_fleet_is_not_played_without_a_name(fleet, capsys):
+    code, _, err = run(capsys, "replay", fleet.log, "--live", "--listen", "tcp/127.0.0.1:0")
+    assert code == 2
+    assert "say whose flight" in err
+    code, _, err = run(capsys, "replay", fleet.log, "--member", "cf9")
+    assert code == 2
+    assert "no member 'cf9'" in err
