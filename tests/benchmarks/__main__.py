@@ -21,6 +21,7 @@ BENCHMARKS = {
     # for hours, or with a picture or a page as their result
     "crash_safety": "flights:crash_safety",
     "fault_grid": "fault_grid:main",
+    "fleet_baseline": "fleet_baseline:main",
     "landing_figure": "landing_figure:main",
     "paper_runs": "flights:paper_runs",
     "px4_faults": "px4:faults",
