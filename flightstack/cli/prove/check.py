@@ -99,10 +99,10 @@ def _load(name_or_file: str) -> list[Part]:
     from sim.scenarios.team import TeamScenario, load_any
 
     found = load_any(path if path.is_file() else name_or_file)
-    return _of_team(found) if isinstance(found, TeamScenario) else [Part([found.onboard])]
+    return of_team(found) if isinstance(found, TeamScenario) else [Part([found.onboard])]
 
 
-def _of_team(team: TeamScenario) -> list[Part]:
+def of_team(team: TeamScenario) -> list[Part]:
     """Members whose configurations differ in the id alone at once, then all together."""
     from flightstack.verify.fleet import team_checks
     from sim.plant.params import load as load_params

@@ -1,4 +1,4 @@
-"""The tables of docs/how_it_works/robust_filter.md, from the code; run as a module, writes them there.
+"""The certificate's tables of docs/how_it_works, from the code; run as a module, writes them there.
 
 python -m tests.unit.verify.certificate_page
 """
@@ -6,14 +6,16 @@ python -m tests.unit.verify.certificate_page
 import math
 from pathlib import Path
 
+from flightstack.cli.prove.check import of_team
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
+from flightstack.verify.fleet import fleet_checks
 from flightstack.verify.follow import follow_m
 from flightstack.verify.robust import between_ticks_m, demand, depth_m, outside
 from flightstack.verify.touchdown import descent_time_s, drift_m
-from sim.scenarios import scenario
+from sim.scenarios import scenario, team
 
-PAGE = Path(__file__).parents[3] / "docs" / "how_it_works" / "robust_filter.md"
+PAGES = Path(__file__).parents[3] / "docs" / "how_it_works"
 TIERS = ("lab", "room", "field", "storm", "deck")
 BEGIN, END = "<!-- table: {} -->", "<!-- end -->"
 
@@ -89,8 +91,31 @@ def verdicts():
     return _table([_row(name, words) for name, words in rows if any("*" in w for w in words)])
 
 
+def fleet():
+    """Checks of a member of fleet_3, and of all members together."""
+    found = team.load("fleet_3")
+    results = [*fleet_checks(found.member[0].onboard), *found_together(found)]
+    rows = [_row(check.name, [check.claim, _room(check), check.worst]) for check in results]
+    return "\n".join(["| check | claim | room | worst point |", "|---|---|---|---|", *rows])
+
+
+def _room(check):
+    room = f"{check.room:.3g} {check.unit}".strip()
+    return room if check.proven else f"**not proven**, {room}"
+
+
+def found_together(found):
+    (*_, together) = of_team(found)
+    return together.together([each.onboard for each in found.member])
+
+
 def tables():
-    return {"worked": worked(), "verdicts": verdicts()}
+    """Page and table by name."""
+    return {
+        "worked": (PAGES / "robust_filter.md", worked()),
+        "verdicts": (PAGES / "robust_filter.md", verdicts()),
+        "fleet": (PAGES / "fleet.md", fleet()),
+    }
 
 
 def split(text, name):
@@ -101,8 +126,6 @@ def split(text, name):
 
 
 if __name__ == "__main__":
-    page = PAGE.read_text()
-    for name, table in tables().items():
-        before, _, after = split(page, name)
-        page = before + table + after
-    PAGE.write_text(page)
+    for name, (page, table) in tables().items():
+        before, _, after = split(page.read_text(), name)
+        page.write_text(before + table + after)
