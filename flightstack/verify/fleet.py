@@ -222,17 +222,24 @@ def waits(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
     )
 
 
-def team_checks(configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3) -> list[Check]:
+def team_checks(
+    configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3, pads_apart_m: float
+) -> list[Check]:
     """Checks of all members together.
 
     Args:
         configs: of the members; each has a table [fleet].
         starts_enu_m: where they begin in the air, as far as that is known.
         touch_m: of all places of one vehicle beside another at which they overlap, the outermost.
+        pads_apart_m: least distance that any two pads can come to.
     """
     fleets = [config.fleet for config in configs if config.fleet is not None]
-    return [one_table(fleets), *([begin(fleets[0], starts_enu_m)] if len(starts_enu_m) > 1 else []),
-            contact(configs, touch_m)]  # fmt: skip
+    return [
+        one_table(fleets),
+        *([begin(fleets[0], starts_enu_m)] if len(starts_enu_m) > 1 else []),
+        pads(configs[0], fleets[0], pads_apart_m),
+        contact(configs, touch_m),
+    ]
 
 
 def one_table(fleets: Sequence[Fleet]) -> Check:
@@ -267,6 +274,28 @@ def begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
         "m",
         f"the nearest are members {where[0]} and {where[1]}",
         "give them other start places",
+        Need.PROOF,
+    )
+
+
+def pads(config: FlightConfig, fleet: Fleet, apart_m: float) -> Check:
+    """Check that no two pads are in conflict, nor look so by errors of their estimated velocities."""
+    if issubclass(strategy_class(config.filter), RobustFilter):
+        x = extremes(config)
+        velocity_m_s, position_m = x.velocity_error_m_s, x.position_error_m
+    else:
+        factor, link = config.robust.sigma_factor, config.target
+        velocity_m_s, position_m = factor * link.velocity_noise_m_s, factor * link.position_noise_m
+    error_m = 2.0 * (position_m + velocity_m_s * fleet.descent_s)
+    return Check(
+        "pads",
+        "no two pads look as if they came into conflict, so that nobody waits",
+        apart_m - error_m - fleet.pad_distance_m,
+        "m",
+        (f"paths stay {apart_m:.3g} m apart, " if apart_m > 0.0 else "paths may meet, ")
+        + f"fleet.pad_distance_m is {fleet.pad_distance_m:g}; velocities that err by {velocity_m_s:.3g} m/s "
+        f"each make {error_m:.3g} m of that in fleet.descent_s",
+        "drive the robots farther apart, or lower fleet.pad_distance_m or fleet.descent_s",
         Need.PROOF,
     )
 

@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,9 +22,10 @@ from flightstack.core.types import Vec3
 from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.scenarios import scenario as scenarios
-from sim.scenarios.scenario import Scenario, StartKind, TargetSpec
+from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
 
 _OF_THE_TEAM = ("name", "description", "exchange", "assignment")  # all other keys are those of a scenario
+_PARALLEL = 1e-9  # sine of the angle of two lines
 MEMBERS_MAX = 250  # each has a MAVLink system id of its own
 
 
@@ -88,6 +90,11 @@ class TeamScenario:
             if start.kind is StartKind.HOVER and start.offset_m is not None and not drawn:
                 found.append(_start_m(each, _pad_m(target, ""), number))
         return found
+
+    def pads_apart_m(self) -> float:
+        """Least distance that two pads can come to: of places and straight lines; 0 where paths may meet."""
+        lines = [_line(each.target) for each in self.member]
+        return min((_apart_m(*two) for two in combinations(lines, 2)), default=math.inf)
 
     def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
         """Yield scenario and seed of each member: a member whom nobody comes near flies as these alone do.
@@ -188,6 +195,32 @@ def _pad_m(target: TargetSpec, where: str) -> Vec3:
         )
     c, s = math.cos(target.heading_rad), math.sin(target.heading_rad)
     return (x - behind_m * c, y - behind_m * s, target.pad_height_m)
+
+
+# a place on the floor, and the direction of the line through it that a pad stays on; (0, 0): it stands
+_Line = tuple[tuple[float, float], tuple[float, float]]
+
+
+def _line(target: TargetSpec) -> _Line | None:
+    """Line that a robot's pad stays on; None: it may be anywhere."""
+    stands = target.path is PathKind.STILL or target.speed_m_s == 0.0 == target.turn_rate_rad_s
+    behind = bool(target.pad_behind_axle_m)
+    if (target.random_heading and (behind or not stands)) or (target.turn_rate_rad_s and not stands):
+        return None
+    x, y, _ = _pad_m(target, "")
+    return (x, y), (0.0, 0.0) if stands else (math.cos(target.heading_rad), math.sin(target.heading_rad))
+
+
+def _apart_m(one: _Line | None, other: _Line | None) -> float:
+    """Least distance of two lines or places."""
+    if one is None or other is None:
+        return 0.0
+    (ax, ay), (ux, uy), (bx, by), (vx, vy) = *one, *other
+    if abs(ux * vy - uy * vx) > _PARALLEL:
+        return 0.0
+    x, y = bx - ax, by - ay
+    cx, cy = (ux, uy) if (ux, uy) != (0.0, 0.0) else (vx, vy)
+    return abs(x * cy - y * cx) if (cx, cy) != (0.0, 0.0) else math.hypot(x, y)
 
 
 def _start_m(scenario: Scenario, pad_m: Vec3, number: int) -> Vec3:

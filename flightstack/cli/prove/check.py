@@ -126,12 +126,12 @@ def of_team(team: TeamScenario) -> list[Part]:
         shapes = [Shape.of(load_params(each.vehicle.airframe)) for each in team.member]
         radius_m = 2.0 * max(shape.radius_m for shape in shapes)
         up_m = max(shape.top_m for shape in shapes) - min(shape.bottom_m for shape in shapes)
-        starts = team.starts_enu_m()
+        starts, apart_m = team.starts_enu_m(), team.pads_apart_m()
         parts.append(
             Part(
                 configs,
                 tuple(f"cf{number + 1}" for number in range(len(configs))),
-                lambda found: team_checks(found, starts, (radius_m, 0.0, up_m)),
+                lambda found: team_checks(found, starts, (radius_m, 0.0, up_m), apart_m),
             )
         )
     return parts

@@ -189,3 +189,26 @@ def test_a_vehicle_on_the_ground_begins_where_it_stands(written):
     found = team.load(written(text + "start.ground_position_m = [-1.5, -1.0]\n"))
     assert [each.target.position_m for each in found.member] == [(0.0, 1.0), (0.0, -1.0)]
     assert [each.start.ground_position_m for each in found.member] == [(-1.5, 1.0), (-1.5, -1.0)]
+
+
+ROBOT = "[[member]]\n[member.target]\n"
+LANE = ROBOT + 'path = "straight"\nspeed_m_s = 0.2\nturn_rate_rad_s = 0.0\nrandom_heading = false\n'
+STANDS = ROBOT + 'path = "still"\nspeed_m_s = 0.0\nturn_rate_rad_s = 0.0\n'
+
+
+@pytest.mark.parametrize(
+    ("robots", "apart_m"),
+    [
+        (STANDS + STANDS + "position_m = [3.0, 4.0]\n", 5.0),
+        (LANE + STANDS + "position_m = [3.0, 4.0]\n", 4.0),
+        (LANE + "heading_rad = 0.5\n" + LANE + "heading_rad = 0.5\nposition_m = [0.0, 2.0]\n", 1.755),
+        (LANE + LANE + "heading_rad = 3.14159265358979\nposition_m = [9.0, 2.0]\n", 2.0),
+        (LANE + LANE + "heading_rad = 0.1\nposition_m = [0.0, 2.0]\n", 0.0),  # they meet somewhere
+        (STANDS + LANE.replace("turn_rate_rad_s = 0.0", "turn_rate_rad_s = 0.1"), 0.0),
+        (STANDS + "pad_behind_axle_m = 0.1\n" + STANDS + "position_m = [3.0, 4.0]\n", 0.0),  # any heading
+        (STANDS, float("inf")),
+    ],
+)
+def test_how_near_pads_can_come(written, robots, apart_m):
+    found = team.load(written(ABOUT + 'base = "field"\n' + robots))
+    assert found.pads_apart_m() == pytest.approx(apart_m, abs=1e-3)

@@ -248,13 +248,16 @@ def test_a_landing_from_where_it_waits_takes_no_longer_than_waits_count_with():
     assert min(times) > 0.4 * count_s
 
 
+X_FIELD = extremes(scenario.load("field").onboard)
+
+
 def test_all_members_together():
     members = [each.onboard for each in team.load("fleet_3").member]
     starts = team.load("fleet_3").starts_enu_m()
     assert starts == [(-1.0, 1.0, 1.2), (-1.5, 0.0, 1.2), (-1.0, -1.0, 1.2)]
 
-    def found(configs=members, places=starts, touch=(0.14, 0.0, 0.05)):
-        return {each.name: each for each in team_checks(configs, places, touch)}
+    def found(configs=members, places=starts, touch=(0.14, 0.0, 0.05), apart_m=1.0):
+        return {each.name: each for each in team_checks(configs, places, touch, apart_m)}
 
     assert found()["one table"].proven
     assert found()["starts"].room == pytest.approx(barrier((0.5, 1.0, 0.0), 0.25, 0.75)[0])
@@ -266,6 +269,12 @@ def test_all_members_together():
     assert "members" in found(members[:2])["one table"].worst
     assert not found()["contact"].proven  # 2 * 0.05 / 0.8 m of h; the shapes touch at -0.11
     assert found(touch=(0.1, 0.0, 0.05))["contact"].proven
+    error_m = 2.0 * (5.0 * X_FIELD.velocity_error_m_s + X_FIELD.position_error_m)
+    assert found(apart_m=0.81 + error_m)["pads"].proven
+    assert not found(apart_m=0.79 + error_m)["pads"].proven
+    paper = [replace(each, filter="paper") for each in members]
+    assert found(paper, apart_m=0.81 + 2.0 * (5.0 * 0.06 + 0.02))["pads"].proven
+    assert not found(paper, apart_m=0.79 + 2.0 * (5.0 * 0.06 + 0.02))["pads"].proven
 
 
 def test_the_verb_checks_each_member_and_all_together():
@@ -294,4 +303,4 @@ def test_members_that_differ_are_checked_apart(tmp_path):
     assert [part["members"] for part in parts] == [["cf1"], ["cf2"], ["cf1", "cf2"]]
     waits = [next(each for each in part["checks"] if each["name"] == "waits") for part in parts[:2]]
     assert [each["proven"] for each in waits] == [True, False]
-    assert [each["name"] for each in parts[2]["checks"]] == ["one table", "contact"]
+    assert [each["name"] for each in parts[2]["checks"]] == ["one table", "pads", "contact"]
