@@ -104,7 +104,7 @@ def _load(name_or_file: str) -> list[Part]:
 
 def of_team(team: TeamScenario) -> list[Part]:
     """Members whose configurations differ in the id alone at once, then all together."""
-    from flightstack.verify.fleet import team_checks
+    from flightstack.verify.team import team_checks
     from sim.plant.params import load as load_params
     from sim.vehicle.encounters import Shape
 

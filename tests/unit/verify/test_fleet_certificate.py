@@ -19,7 +19,8 @@ from flightstack.core.types import ZERO, Intent, Neighbour
 from flightstack.verify import crowd
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
-from flightstack.verify.fleet import first_attempt_s, team_checks
+from flightstack.verify.fleet import first_attempt_s
+from flightstack.verify.team import team_checks
 from flightstack.verify.touchdown import descent_time_s
 from sim.runners.landing import land
 from sim.scenarios import scenario, team

@@ -1,0 +1,113 @@
+"""Checks of all members of a fleet together: what no configuration alone can tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+
+from flightstack.core.fleet.ellipsoid import barrier
+from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.robust import RobustFilter
+from flightstack.core.strategies.strategy import strategy_class
+from flightstack.core.types import Vec3
+from flightstack.verify.envelope import extremes
+from flightstack.verify.types import Check, Need
+
+
+def team_checks(
+    configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3, pads_apart_m: float
+) -> list[Check]:
+    """Checks of all members together.
+
+    Args:
+        configs: of the members; each has a table [fleet].
+        starts_enu_m: where they begin in the air, as far as that is known.
+        touch_m: of all places of one vehicle beside another at which they overlap, the outermost.
+        pads_apart_m: least distance that any two pads can come to.
+    """
+    fleets = [config.fleet for config in configs if config.fleet is not None]
+    return [
+        one_table(fleets),
+        *([begin(fleets[0], starts_enu_m)] if len(starts_enu_m) > 1 else []),
+        pads(configs[0], fleets[0], pads_apart_m),
+        contact(configs, touch_m),
+    ]
+
+
+def one_table(fleets: Sequence[Fleet]) -> Check:
+    """Check that members know each other and have the same numbers, as the sum of their rows needs."""
+    first, ids = fleets[0], sorted(fleet.id for fleet in fleets)
+    keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
+    other = [k for k in keys if any(getattr(each, k) != getattr(first, k) for each in fleets)]
+    other += ["members"] if any(sorted(each.members) != ids for each in fleets) else []
+    return Check(
+        "one table",
+        "all members have the same table [fleet], and know all others and nobody else",
+        0.0 - len(other),
+        "keys",
+        f"{len(fleets)} members; different: {', '.join(other) or 'none'}",
+        f"give all members the same fleet.{', fleet.'.join(other)}" if other else "",
+        Need.PROOF,
+    )
+
+
+def begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
+    """Check that nobody begins inside the ellipsoid about another one."""
+    least_m, where = math.inf, (0, 0)
+    for i, (x, y, z) in enumerate(starts_enu_m):
+        for j, (ox, oy, oz) in enumerate(starts_enu_m[:i]):
+            h_m, _ = barrier((x - ox, y - oy, z - oz), fleet.radius_xy_m, fleet.radius_z_m)
+            if h_m < least_m:
+                least_m, where = h_m, (j + 1, i + 1)
+    return Check(
+        "starts",
+        "nobody begins inside the ellipsoid about another one",
+        least_m,
+        "m",
+        f"the nearest are members {where[0]} and {where[1]}",
+        "give them other start places",
+        Need.PROOF,
+    )
+
+
+def pads(config: FlightConfig, fleet: Fleet, apart_m: float) -> Check:
+    """Check that no two pads are in conflict, nor look so by errors of their estimated velocities."""
+    if issubclass(strategy_class(config.filter), RobustFilter):
+        x = extremes(config)
+        velocity_m_s, position_m = x.velocity_error_m_s, x.position_error_m
+    else:
+        factor, link = config.robust.sigma_factor, config.target
+        velocity_m_s, position_m = factor * link.velocity_noise_m_s, factor * link.position_noise_m
+    error_m = 2.0 * (position_m + velocity_m_s * fleet.descent_s)
+    return Check(
+        "pads",
+        "no two pads look as if they came into conflict, so that nobody waits",
+        apart_m - error_m - fleet.pad_distance_m,
+        "m",
+        (f"paths stay {apart_m:.3g} m apart, " if apart_m > 0.0 else "paths may meet, ")
+        + f"fleet.pad_distance_m is {fleet.pad_distance_m:g}; velocities that err by {velocity_m_s:.3g} m/s "
+        f"each make {error_m:.3g} m of that in fleet.descent_s",
+        "drive the robots farther apart, or lower fleet.pad_distance_m or fleet.descent_s",
+        Need.PROOF,
+    )
+
+
+def contact(configs: Sequence[FlightConfig], touch_m: Vec3) -> Check:
+    """Check that declared errors of velocities leave room until two vehicles touch."""
+    fleets = [config.fleet for config in configs if config.fleet is not None]
+    rate_1_s = min(fleet.rate_1_s for fleet in fleets)
+    touch_h_m = max(barrier(touch_m, fleet.radius_xy_m, fleet.radius_z_m)[0] for fleet in fleets)
+    longest = max(max(1.0, fleet.radius_xy_m / fleet.radius_z_m) for fleet in fleets)
+    lost_m = 2.0 * longest * max(config.robust.tracking_error_m_s for config in configs) / rate_1_s
+    return Check(
+        "contact",
+        "two vehicles whose rows are met do not touch, with the errors of their velocities",
+        -touch_h_m - lost_m,
+        "m",
+        f"errors as in robust.tracking_error_m_s, in all directions, take h to -{lost_m:.3g} m, shapes touch "
+        f"at {touch_h_m:.3g} m: errors of {-touch_h_m * rate_1_s:.3g} m/s together are allowed",
+        "raise fleet.radius_xy_m and fleet.radius_z_m, or fleet.rate_1_s",
+        Need.PROOF,
+    )
