@@ -1,7 +1,7 @@
 """Checks of a configuration with a table [fleet]: what keeps two vehicles apart, and what is not proven.
 
-docs/how_it_works/fleet.md derives every line; ``crowd`` has those about common points of several rows, ``team``
-those of all members together.
+docs/how_it_works/fleet.md derives every line; ``crowd`` has those about common points of several rows,
+``team`` those of all members together.
 """
 
 from __future__ import annotations
