@@ -216,7 +216,7 @@ class Controller:
         way, fleet = ALONE, self._fleet
         if fleet is not None:
             events += [Event(WARN, why) for why in fleet.take(inputs.neighbours, now_s)]
-            way = fleet.way(memory.phase, target, now_s)
+            way = fleet.way(memory.phase, target, now_s, inputs.own)
         snapshot = snapshot_of(
             self.config, inputs, target, now_s, believed=believed, follows=follows, charge=charge, way=way
         )
@@ -235,6 +235,8 @@ class Controller:
         gate, setpoint, wanted = self._command(asked, snapshot, barrier, active, rows)
         if fleet is not None:
             events += [Event(WARN, text) for text in fleet.crowded(now_s)]
+            why, landed_s = self._reserve.text if self._reserve else "", now_s - memory.phase_since_s
+            events += [Event(WARN, text) for text in fleet.stays(way, landed_s, why)]
             if placed is not None:
                 own_word = fleet.word(memory, placed, inputs.status, self._base(snapshot), target, now_s)
         return Outputs(
@@ -381,7 +383,7 @@ class Controller:
             memory.command = self._strategy.tracking.setpoint_m_s = ZERO
         else:
             memory.command = wanted
-        climbs = memory.phase is Phase.TAKEOFF and not memory.climbed
+        climbs = memory.phase in (Phase.TAKEOFF, Phase.LEAVE) and not memory.climbed
         following = snapshot.inputs.status is not None and snapshot.inputs.status.mode is Mode.EXTERNAL
         memory.commanding = approved is not None and following and not climbs
         memory.lifting = approved is not None and following and climbs

@@ -165,6 +165,7 @@ class Heard:
     yields: bool = False  # it has precedence, and is told so
     claim_s: float = nan  # its claim to which that belongs
     yielded_s: float = -inf  # when it was told so last
+    on_pad: bool = False  # it stood on this vehicle's pad when it was heard last
 
 
 # one for each other member in the order of their ids; those of a smaller fleet stay as they are
@@ -186,6 +187,9 @@ class FleetMemory:
     committed_s: float = inf  # since when the others are told COMMITTED
     crowded: bool = False  # it was told that the rows of neighbours give way
     crowded_s: float = -inf  # when they did last
+    left: bool = False  # it has left its pad for another vehicle, or has tried to
+    stays: bool = False  # it was told that it does not leave its pad
+    place_enu_m: Vec3 | None = None  # where it lands then
 
 
 @dataclass(slots=True)

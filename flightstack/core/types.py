@@ -27,6 +27,7 @@ class Phase(IntEnum):
     HOLD = 6  # an input is lost
     CLIMB = 7  # above the target, which stays lost
     ABORT = 8  # ends the flight in a way of ``AbortWay``
+    LEAVE = 9  # frees the pad for another vehicle: takes off again, flies clear, lands beside the target
 
 
 class FilterStatus(IntEnum):

@@ -27,6 +27,7 @@ _STYLE = {
     Phase.HOLD: "yellow",
     Phase.CLIMB: "yellow",
     Phase.ABORT: "bold red",
+    Phase.LEAVE: "green",
 }
 _BAR = 40  # characters
 _H_LOW_M, _H_HIGH_M = -0.2, 1.0  # ends of the bar

@@ -41,6 +41,7 @@ PHASE_BANDS = {
     Phase.HOLD: "rgba(230, 159, 0, 0.22)",
     Phase.CLIMB: "rgba(204, 121, 167, 0.20)",
     Phase.ABORT: "rgba(213, 94, 0, 0.22)",
+    Phase.LEAVE: "rgba(86, 180, 233, 0.22)",
 }
 PHASE_SOLID: dict[Phase | int, str] = {
     Phase.WAIT: "#d5d9de",
@@ -52,6 +53,7 @@ PHASE_SOLID: dict[Phase | int, str] = {
     Phase.HOLD: "#f5d088",
     Phase.CLIMB: "#e5bcd2",
     Phase.ABORT: "#efb08a",
+    Phase.LEAVE: "#9fc9e8",
 }
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and the legend's distance below the axis
 POINTS_MAX = 4000  # of one line; more cannot be seen, and the page has to stay light

@@ -23,6 +23,7 @@ from logs.verdict.types import (
     abort_declared,
     finite,
     judged_until,
+    left_s,
     lowest,
     violated,
 )
@@ -114,8 +115,9 @@ def _outcome(flight: Judged, truth: Truth, begin: int, touch: _Touch | None) -> 
 
 
 def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) -> tuple[Outcome, str]:
-    """Whether it rested on the pad 2 s after the motors stopped."""
-    running = np.flatnonzero(truth.motors_running[begin:]) + begin
+    """Whether it rested on the pad 2 s after the motors stopped; of who took off again, before that."""
+    end = int(np.searchsorted(truth.t_s, left_s(flight) + _SAME_S))
+    running = np.flatnonzero(truth.motors_running[begin:end]) + begin
     off = int(running[-1]) + 1 if len(running) else begin
     rest_s = float(truth.t_s[off]) + REST_TIME_S if off < len(truth.t_s) else math.inf
     at = int(np.searchsorted(truth.t_s, rest_s - _SAME_S))
@@ -128,16 +130,31 @@ def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) ->
         return Outcome.CRASHED, f"left the pad after touchdown: {_names(int(truth.contacts[where]))}"
     if off >= len(truth.t_s):
         return Outcome.TIMEOUT, "touched the pad, but the motors never stopped"
-    if at >= len(truth.t_s):
-        seen_s = float(truth.t_s[-1] - truth.t_s[off])
-        return Outcome.TIMEOUT, f"true states end {seen_s:.2f} s after the motors stopped; 2 s are needed"
+    if at >= end:
+        seen_s, what = float(truth.t_s[end - 1] - truth.t_s[off]), "true states end"
+        what = what if end == len(truth.t_s) else "it took off again"
+        return Outcome.TIMEOUT, f"{what} {seen_s:.2f} s after the motors stopped; 2 s are needed"
     speed_m_s = float(np.linalg.norm(truth.relative_velocity_m_s[at]))
     resting = bool(truth.contacts[at] & ContactBit.PAD) and truth.d_m[at] <= flight.pad_radius_m
     if not (resting and speed_m_s <= REST_SPEED_MAX_M_S):
         text = f"did not rest on the pad: d {truth.d_m[at]:.3f} m, relative speed {speed_m_s:.3f} m/s"
         return Outcome.TIMEOUT, text
+    hit = _hit_after(truth, end)
+    if hit:
+        return Outcome.CRASHED, f"landed, and crashed after it took off again: {hit}"
     text = f"touched {touch.d_m * 100:.1f} cm from the centre, rests on the pad 2 s after the motors stopped"
     return Outcome.LANDED, text
+
+
+def _hit_after(truth: Truth, begin: int) -> str:
+    """What was touched from a second take-off on, but for a gentle landing on the ground; empty: nothing."""
+    hits = np.flatnonzero(truth.contacts[begin:] & _HITS) + begin
+    if not len(hits):
+        return ""
+    bits = int(np.bitwise_or.reduce(truth.contacts[hits]))
+    if bits == ContactBit.GROUND and not _gentle_landing_away(truth, _contact_at(truth, int(hits[0]))):
+        return "it fell to the ground"
+    return _names(bits & ~int(ContactBit.GROUND))
 
 
 def _first_contact(truth: Truth, begin: int) -> _Touch | None:

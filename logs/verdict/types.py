@@ -161,8 +161,16 @@ def abort_declared(flight: Judged) -> Abort | None:
     return Abort(t_s, f"declared abort: {near[0] if near else 'no reason in the log'}")
 
 
+def left_s(flight: Judged) -> float:
+    """When it took off again to free the pad for another vehicle; inf: it did not."""
+    if flight.steps is None:
+        return math.inf
+    steps = np.flatnonzero(flight.steps.phase == Phase.LEAVE)
+    return float(flight.steps.t_s[steps[0]]) if len(steps) else math.inf
+
+
 def judged_until(flight: Judged, t_s: Floats, d_m: Floats) -> int:
-    """Index of the first state whose h no longer counts: after a declared abort that has flown clear.
+    """Index of the first state whose h no longer counts: after an abort or a leaving that has flown clear.
 
     Who lands beside the robot ends below its pad, where h < 0 by geometry. The state that first shows the
     vehicle outside the clearance distance still counts, with the physics steps before it. Without the
@@ -174,7 +182,8 @@ def judged_until(flight: Judged, t_s: Floats, d_m: Floats) -> int:
         d_m: (n,) horizontal distance to the landing spot; NaN where it is not known.
     """
     abort = abort_declared(flight)
-    if abort is None or flight.config is None:
+    since_s = min(abort.t_s if abort is not None else math.inf, left_s(flight))
+    if flight.config is None:
         return len(t_s)
-    found = np.flatnonzero((t_s > abort.t_s) & (d_m > flight.config.checks.clearance_m))
+    found = np.flatnonzero((t_s > since_s) & (d_m > flight.config.checks.clearance_m))
     return int(found[0]) + 1 if len(found) else len(t_s)

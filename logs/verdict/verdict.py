@@ -13,7 +13,9 @@ not at the controller's estimate:
 A declared abort that has flown clear ends the judging of h: after the first true state behind it that is
 farther from the target than the configured clearance distance (``checks.clearance_m``), h no longer counts,
 since landing beside the robot has h < 0 by geometry; until then it counts in full. After a declared abort a
-gentle landing on the ground is no crash.
+gentle landing on the ground is no crash. The same holds for a vehicle of a fleet that has landed and takes
+off again to free the pad (phase LEAVE): it has landed if it had rested before that, and if it then touches
+nothing but the ground, gently.
 
 Data that is missing is never taken for safe: without it a flight has not landed, and an absent violation is
 "not known" (``None``) instead of False. A log without true states, as of real hardware, is judged by the

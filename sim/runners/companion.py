@@ -46,11 +46,13 @@ class Companion:
         seed: chance.
         on_step: called after every controller step.
         system_id: MAVLink system id of the vehicle; its number in a team.
+        target_seed: chance of the robot; None: the same.
     """
 
     def __init__(
-        self, scenario: Scenario, seed: int, on_step: OnStep | None = None, system_id: int = SYSTEM_ID
-    ) -> None:
+        self, scenario: Scenario, seed: int, on_step: OnStep | None = None, system_id: int = SYSTEM_ID,
+        target_seed: int | None = None,
+    ) -> None:  # fmt: skip
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
         self.name = f"cf{system_id}"
@@ -62,7 +64,7 @@ class Companion:
         ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
         assert ticks_max is not None  # there is a duration
         self.ticks_max = ticks_max
-        target = DirectTarget(scenario, seed, grid)
+        target = DirectTarget(scenario, seed if target_seed is None else target_seed, grid)
         here, there = wires((system_id, COMPONENT_ID), (system_id, COMPANION_ID))
         self._link = VehicleLink(
             "",

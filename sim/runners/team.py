@@ -70,7 +70,10 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
     """
     began_s = time.perf_counter()
     singles = list(team.singles(seed))
-    members = [Companion(each, own, system_id=n) for n, (each, own) in enumerate(singles, 1)]
+    robot = team.target_seed(seed)
+    members = [
+        Companion(each, own, system_id=n, target_seed=robot) for n, (each, own) in enumerate(singles, 1)
+    ]
     exchange = exchange or Words(team, seed)
     grid = TickGrid(team.rate_hz)
     air = Air([member.vehicle.physics for member in members])

@@ -1,4 +1,4 @@
-"""A scenario of several vehicles, each with a robot of its own, in one room.
+"""A scenario of several vehicles in one room, each with a robot of its own, or all with one.
 
 A file names the scenario that all members share (``base``), then what the team has instead, in the tables of
 a scenario, and then what each member has instead, in tables ``[[member]]``. So every key of a scenario can be
@@ -24,8 +24,8 @@ from sim.chance import stream
 from sim.scenarios import scenario as scenarios
 from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
 
-_OF_THE_TEAM = ("name", "description", "exchange", "assignment")  # all other keys are those of a scenario
 _PARALLEL = 1e-9  # sine of the angle of two lines
+_OF_THE_TEAM = ("name", "description", "exchange", "assignment", "one_target")  # others: of a scenario
 MEMBERS_MAX = 250  # each has a MAVLink system id of its own
 
 
@@ -53,6 +53,7 @@ class TeamScenario:
     member: tuple[Scenario, ...]
     exchange: ExchangeLink = field(default_factory=ExchangeLink)
     assignment: Assignment = Assignment.FIXED  # ``load`` assigns, so that what it returns is fixed
+    one_target: bool = False  # all land on one robot: theirs have one seed, and so are the same bits
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.member) <= MEMBERS_MAX:
@@ -66,6 +67,31 @@ class TeamScenario:
             raise ConfigError(
                 f"member: onboard.loop.rate_hz: found {found}; all members have the same ticks, so give the "
                 "rate once, in [onboard.loop]"
+            )
+        if self.one_target:
+            self._check_target()
+
+    def _check_target(self) -> None:
+        """Refuse a robot of all members that is not the same for each of them, at each time.
+
+        Raises:
+            ConfigError: which key, and what is allowed.
+        """
+        first = self.member[0]
+        for number, each in enumerate(self.member, 1):
+            for key in ("target", "odometry"):
+                if getattr(each, key) != getattr(first, key):
+                    raise ConfigError(
+                        f"member {number}: {key}: found another one than the first member's; with one_target "
+                        f"all have the same robot: give it once, in [{key}]"
+                    )
+            if any(fault.of_the_robot for fault in each.fault):
+                raise ConfigError(
+                    f"member {number}: fault: found one of the robot; with one_target the robot has none"
+                )
+        if first.target.wait_for_landing:
+            raise ConfigError(
+                "target.wait_for_landing: found true; with one_target the robot drives at once: set it false"
             )
 
     @property
@@ -95,6 +121,14 @@ class TeamScenario:
         """Least distance that two pads can come to: of places and straight lines; 0 where paths may meet."""
         lines = [_line(each.target) for each in self.member]
         return min((_apart_m(*two) for two in combinations(lines, 2)), default=math.inf)
+
+    def target_seed(self, seed: int) -> int | None:
+        """Seed of the one robot of all members, that of the first one; None: each robot has its member's.
+
+        Args:
+            seed: of the team.
+        """
+        return seed_of(seed, 1) if self.one_target else None
 
     def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
         """Yield scenario and seed of each member: a member whom nobody comes near flies as these alone do.

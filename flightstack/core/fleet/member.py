@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
+from flightstack.core.fleet.beside import place_beside
 from flightstack.core.fleet.ellipsoid import barrier, estimate
 from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.precedence import Pad, Way, decide
@@ -23,6 +24,7 @@ FUTURE_MAX_S = 0.05  # by which a stamp may be ahead, besides the bound of its c
 FLIGHTS_OF_OTHERS = 2.0  # times the wait for a right of way: a wait and a landing of another one
 TOLD_M_S = 0.005  # of slack, from which a person wants to know
 CALM_S = 1.0  # in which they hold until that is told
+STAYS_S = 5.0  # after a landing, until it is told that the vehicle stays though others wait for its pad
 _INTENTS = MappingProxyType(
     {
         Phase.WAIT: Intent.WAITING,
@@ -34,6 +36,7 @@ _INTENTS = MappingProxyType(
         Phase.HOLD: Intent.CLEARING,
         Phase.CLIMB: Intent.CLEARING,
         Phase.ABORT: Intent.DOWN,  # CLEARING while it flies clear
+        Phase.LEAVE: Intent.CLEARING,  # STANDING before that, DOWN once it lands
     }
 )
 
@@ -63,7 +66,9 @@ def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
     """
     if memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and not memory.clear:
         return Intent.CLEARING
-    if memory.phase is Phase.WAIT and not flies:
+    if memory.phase is Phase.LEAVE and memory.clear:
+        return Intent.DOWN
+    if memory.phase in (Phase.WAIT, Phase.LEAVE) and not flies:
         return Intent.STANDING
     if memory.phase is Phase.TAKEOFF and not memory.climbed:
         return Intent.STANDING
@@ -133,10 +138,29 @@ class FleetMember:
         words = [slot.word for _, slot in self.slots if slot.word is not None]
         return all(w.intent is Intent.DOWN or now_s - w.stamp_s > fleet.silent_flight_s for w in words)
 
-    def way(self, phase: Phase, target: TargetState | None, now_s: float) -> Way:
-        """What the mission may do in this tick; claim and right of way go on by a tick."""
+    def way(self, phase: Phase, target: TargetState | None, now_s: float, own: OwnState | None = None) -> Way:
+        """What the mission may do in this tick; claim, right of way and place to land go on by a tick."""
         pad = Pad(target.position_enu_m, target.velocity_enu_m_s) if target is not None else None
-        return decide(self.memory, self.slots, phase, pad, now_s, self._fleet)
+        way = decide(self.memory, self.slots, phase, pad, now_s, self._fleet)
+        if phase is Phase.LEAVE and pad is not None and own is not None:
+            memory, words = self.memory, [slot.word for _, slot in self.slots if slot.word is not None]
+            memory.left = True
+            memory.place_enu_m = place_beside(memory.place_enu_m, own.position_enu_m, pad, words, self._fleet)
+            way = way._replace(place_enu_m=memory.place_enu_m)
+        return way
+
+    def stays(self, way: Way, in_phase_s: float, why: str) -> list[str]:
+        """Text of an event where this vehicle should leave its pad, and goes on not to do so.
+
+        Args:
+            way: of this tick.
+            in_phase_s: since it has landed.
+            why: what keeps it; empty where nothing does.
+        """
+        if not way.pad_wanted or self.memory.stays or in_phase_s < STAYS_S:
+            return []
+        self.memory.stays = True
+        return [f"it stays on the pad: {why or 'an input is lost'}; {way.text}"]
 
     def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
         """Rows of the neighbours in reach for which this vehicle has a share; none in a touchdown.

@@ -32,6 +32,8 @@ class Way(NamedTuple):
         may_touch: all know that it gives way to nobody any more.
         waited: it has waited for its right of way for too long.
         text: whom it waits for.
+        pad_wanted: landed on a pad that others wait for, it is to leave it.
+        place_enu_m: where it lands after that.
     """
 
     may_begin: bool = True
@@ -39,6 +41,8 @@ class Way(NamedTuple):
     may_touch: bool = True
     waited: bool = False
     text: str = ""
+    pad_wanted: bool = False
+    place_enu_m: Vec3 | None = None
 
 
 ALONE = Way()
@@ -83,7 +87,11 @@ def decide(
     if phase not in CLAIMING or pad is None:
         if phase not in CLAIMING:
             drop(memory, slots)
-        return Way(not missing, False, False, False, _names("not heard", missing))
+        text = _names("not heard", missing)
+        if phase is Phase.LANDED and pad is not None and fleet.frees_pad and not memory.left:
+            waiting = [n for n, slot in slots if _waits_for(slot.word, pad, now_s, fleet)]
+            return Way(not missing, False, False, False, _names("waits", waiting) or text, bool(waiting))
+        return Way(not missing, False, False, False, text)
     if not math.isfinite(memory.claim_s):
         memory.claim_s, memory.waits_since_s = now_s, now_s
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
@@ -137,9 +145,14 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
         return True
     if word.intent in ON_GROUND:
         slot.yields = False
-        place = Pad(word.position_enu_m, word.velocity_enu_m_s)
-        if nearest_m(pad, place, 0.0) < fleet.radius_xy_m:
+        near = _distance_m(pad, word) < fleet.radius_xy_m
+        # a vehicle that rides on with the pad and is silent is not where it was heard
+        slot.on_pad = near or (slot.on_pad and now_s - word.stamp_s > fleet.age_max_s)
+        if slot.on_pad:
             return True
+    elif fleet.frees_pad and word.intent is Intent.CLEARING and _distance_m(pad, word) < fleet.pad_distance_m:
+        slot.yields = slot.on_pad = False
+        return True
     if not (slot.yields and slot.claim_s == word.claim_s) and not _conflict(word, pad, fleet):
         slot.yields = False
         return False
@@ -154,6 +167,19 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
     slot.yields = _yields(memory, slot, word, now_s, fleet, answered=answered, gives_way=gives_way)
     slot.claim_s = word.claim_s
     return slot.yields or not gives_way
+
+
+def _distance_m(pad: Pad, word: Neighbour) -> float:
+    """Horizontal distance of a vehicle from a pad."""
+    return nearest_m(pad, Pad(word.position_enu_m, word.velocity_enu_m_s), 0.0)
+
+
+def _waits_for(word: Neighbour | None, pad: Pad, now_s: float, fleet: Fleet) -> bool:
+    """Whether a member claims the pad on which this vehicle stands."""
+    if word is None or word.pad_position_enu_m is None or now_s - word.stamp_s > fleet.age_max_s:
+        return False
+    other = Pad(word.pad_position_enu_m, word.pad_velocity_enu_m_s or ZERO)
+    return math.isfinite(word.claim_s) and nearest_m(pad, other, 0.0) < fleet.radius_xy_m
 
 
 def _yields(

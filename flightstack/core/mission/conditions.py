@@ -23,12 +23,14 @@ from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Pha
 
 OVER_PAD_LEFT = 1.5  # times the radius at which the cone over the pad is entered
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
+LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
 _PHASE_TIME_S: dict[Phase, Callable[[FlightConfig], float]] = {
     Phase.WAIT: lambda c: c.checks.wait_time_max_s,
     Phase.TAKEOFF: lambda c: c.takeoff.timeout_s,
     Phase.TOUCHDOWN: lambda c: c.touchdown.timeout_s,
     Phase.HOLD: lambda c: c.checks.hold_time_s,
     Phase.CLIMB: lambda c: c.checks.climb_time_max_s,
+    Phase.LEAVE: lambda c: c.retreat.abort_time_max_s,
 }
 
 
@@ -137,6 +139,11 @@ def condition_flags(
         flags |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(config, barrier, memory) else 0
     if memory.phase is Phase.TOUCHDOWN and memory.contact:
         flags |= C.ON_PAD
+    if memory.clear:
+        flags |= C.CLEAR
+    rested = memory.phase is Phase.LANDED and now_s - memory.phase_since_s >= LANDED_SETTLE_S
+    if rested and snapshot.way.pad_wanted and snapshot.good and snapshot.charge is Charge.FIT:
+        flags |= C.PAD_WANTED
     at = snapshot.relative if snapshot.good else None
     if at is None:
         return flags

@@ -124,6 +124,25 @@ def _landed(s: Situation) -> NominalCommand:
     return NominalCommand(Request.MOTORS_OFF if emergency else Request.NONE)
 
 
+def _leave(s: Situation) -> NominalCommand:
+    """Up above the pad until nothing of the target reaches so high, then to the place where it lands."""
+    memory, at = s.memory, s.snapshot.relative
+    if memory.clear:
+        return NominalCommand(Request.LAND)
+    request = Request.EXTERNAL if _follows_in_air(s) else Request.TAKEOFF
+    if at is None:
+        return NominalCommand(request)
+    gain, (x, y, z) = s.config.position_loop.gain_1_s, at.own.position_enu_m
+    above_m = high_enough_m(s.config, s.barrier, memory) + CLIMB_OVER * s.config.retreat.climb_margin_m
+    up_m = z - above_m
+    if not memory.climbed:
+        vx, vy, _ = s.strategy.approach_m_s(at, over_pad=True)
+        vz = at.target.velocity_enu_m_s[2] - gain[2] * up_m
+        return NominalCommand(request, (vx, vy, vz), filtered=True)
+    px, py, _ = s.snapshot.way.place_enu_m or at.own.position_enu_m
+    return NominalCommand(request, nominal_velocity((x - px, y - py, up_m), gain, ZERO), filtered=True)
+
+
 def _hold(s: Situation) -> NominalCommand:
     """As the filter holds; before the landing, or without a target, stand still."""
     target = s.snapshot.target
@@ -178,6 +197,7 @@ _PHASES: dict[Phase, Callable[[Situation], NominalCommand]] = {
     Phase.HOLD: _hold,
     Phase.CLIMB: _climb,
     Phase.ABORT: lambda s: _ABORT[s.memory.abort_way](s),
+    Phase.LEAVE: _leave,
 }
 
 

@@ -12,7 +12,15 @@ import re
 from typing import NamedTuple
 
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.mission.conditions import Known, climbed, condition_flags, flown_clear, reason
+from flightstack.core.mission.conditions import (
+    LANDED_SETTLE_S,
+    Known,
+    climbed,
+    condition_flags,
+    flown_clear,
+    high_enough_m,
+    reason,
+)
 from flightstack.core.mission.phases import next_phase, next_way
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
@@ -27,9 +35,10 @@ _PHASES, _WAYS = "|".join(Phase.__members__), "|".join(w.name.lower().replace("_
 _TIME = r"(?: *[0-9.]+ s  )?"
 _CHANGE = rf"(?P<before>{_PHASES})(?: -> (?P<after>{_PHASES}))?"
 _TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))?", re.DOTALL)
-LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
 SLIDING_TIME_S = 0.15  # contact is seen 0.1 s late by a late own state, and the motors need 0.05 s
 ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
+PLACE_RADIUS_M = 0.1  # horizontally: so near the place beside the target it lands ...
+PLACE_SPEED_M_S = 0.15  # ... when it is slower than that
 RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
 RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
 _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
@@ -236,6 +245,8 @@ class Mission:
             memory.started_s = now_s
         if after is Phase.TOUCHDOWN:  # what an earlier descent had begun to see
             memory.contact_since_s = memory.stopped_since_s = math.inf
+        if after is Phase.LEAVE:  # another flight
+            memory.was_armed = memory.was_external = memory.climbed = False
         memory.phase, memory.phase_since_s, memory.reason = after, now_s, why
         if after is Phase.ABORT:
             self._abort(flags)
@@ -251,7 +262,7 @@ class Mission:
         return Transition(Phase.ABORT, Phase.ABORT, rule.reason, rule.to)
 
     def progress(self, snapshot: Snapshot) -> None:
-        """Note the end of a take-off's climb, and that an abort has flown clear."""
+        """Note the end of a climb from the ground or from the pad, and that the vehicle has flown clear."""
         memory, own = self.memory, snapshot.inputs.own
         if own is None:
             return
@@ -260,3 +271,10 @@ class Mission:
             memory.climbed = memory.climbed or climbed(self._config, memory, own)
         elif memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and snapshot.own_ok:
             memory.clear = memory.clear or flown_clear(self._config, memory, own)
+        elif memory.phase is Phase.LEAVE and memory.was_external and snapshot.own_ok:
+            x, y, z = own.position_enu_m
+            memory.climbed = memory.climbed or z >= high_enough_m(self._config, self._barrier, memory)
+            px, py, _ = snapshot.way.place_enu_m or own.position_enu_m
+            rests = math.hypot(*own.velocity_enu_m_s[:2]) <= PLACE_SPEED_M_S
+            there = memory.climbed and rests and math.hypot(px - x, py - y) <= PLACE_RADIUS_M
+            memory.clear = memory.clear or (there and flown_clear(self._config, memory, own))

@@ -3,13 +3,13 @@
 ``Condition`` flags are computed in each tick; a rule fires when all of ``when`` and none of ``unless`` are
 set. Nothing else changes a phase; ``conditions`` and the strategy set the flags. The ways of an abort are
 phases within phase ABORT, with a table of their own: the rules of ``AbortWay.NONE`` choose the way when an
-abort begins. No rule leaves LANDED or ABORT: starting again takes a new process, which is an operator's
-decision.
+abort begins. No rule leaves ABORT, and LANDED is left once at most, to free the pad for another vehicle of a
+fleet: starting again takes a new process, which is an operator's decision.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Generic, TypeVar
 
@@ -49,6 +49,8 @@ class Condition(IntEnum):
     LAND_ASKED = 1 << 24  # operator's abort by the vehicle's own landing
     TARGET_KNOWN = 1 << 25  # some position of the target, however old
     ON_PAD = 1 << 26  # contact in the touchdown
+    PAD_WANTED = 1 << 27  # landed and at rest: another vehicle waits for this pad, and it may take off again
+    CLEAR = 1 << 28  # flown clear of the target: it lands beside it
 
 
 C = Condition
@@ -87,6 +89,14 @@ _INPUTS = (
     Rule(C.OWN_LOST, Phase.HOLD, "own state lost"),
     Rule(C.LINK_LOST, Phase.HOLD, "heartbeat lost"),
     Rule(C.TARGET_LOST, Phase.HOLD, "target lost"),
+)
+_NOT_OFF = C.ARMED | C.LINK_LOST
+_STANDS = C.COMMAND_FAILED | C.STANDING
+_ASKED = C.EMERGENCY | C.ABORT_ASKED
+# beside the target its own landing goes on, whatever is lost
+_UNLESS_CLEAR = tuple(
+    replace(rule, to=Phase.ABORT, unless=rule.unless | C.CLEAR)
+    for rule in (*_IN_FLIGHT[len(_OPERATOR) :], *_INPUTS)
 )
 
 TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
@@ -128,7 +138,16 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         Rule(C.DRIFTED, Phase.ABORT, "going to miss the pad, and no retry left"),
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "no contact, or motors did not stop"),
     ),
-    Phase.LANDED: (),
+    Phase.LANDED: (
+        Rule(C.PAD_WANTED, Phase.LEAVE, "another vehicle waits for this pad", unless=_ASKED),
+    ),
+    Phase.LEAVE: (
+        *_OPERATOR,
+        Rule(C.WAS_ARMED | C.CLEAR, Phase.LANDED, "motors off beside the target", unless=_NOT_OFF),
+        Rule(_STANDS, Phase.LANDED, "it does not take off again, and stays", unless=C.ARMED),
+        *_UNLESS_CLEAR,
+        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "the pad was not left in time"),
+    ),
     Phase.HOLD: (
         *_IN_FLIGHT,
         Rule(C.RECOVERED | C.STARTED | C.RETRIES_LEFT, Phase.APPROACH, "inputs good again"),

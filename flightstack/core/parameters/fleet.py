@@ -41,6 +41,8 @@ class Fleet:
     descent_s: Annotated[float, span(0.0, 60.0)] = 5.0  # so far ahead pads may come as near
     wait_distance_m: Annotated[float, span(0.1, 50.0)] = 1.2  # from the middle of the pad, horizontally ...
     wait_height_m: Annotated[float, span(0.1, 50.0)] = 1.0  # ... and above it: there it waits
+    # landed, it takes off again when another member waits for the same pad, and lands beside the target
+    frees_pad: bool = False
 
     def __post_init__(self) -> None:
         if len(set(self.members)) != len(self.members) or self.id not in self.members:

@@ -174,6 +174,12 @@ class FlightConfig:
             )
         if self.fleet is not None:
             self.fleet.check_loop(self.velocity_loop.lag_xy_s, 1.0 / self.loop.rate_hz)
+            if self.fleet.frees_pad and self.fleet.wait_distance_m < self.checks.clearance_m:
+                raise ConfigError(
+                    f"fleet.wait_distance_m: found {self.fleet.wait_distance_m:g}; with fleet.frees_pad a "
+                    "vehicle lands so far beside the target's way: at least checks.clearance_m is needed, "
+                    f"{self.checks.clearance_m:g} m"
+                )
         check_name(self.filter)
         if self.filter in FILTERS:  # one from outside checks where it flies: reading a log runs no such code
             named(self.filter).check_config(self)

@@ -41,7 +41,7 @@ def test_the_fleets_have_the_errors_of_field(name, count):
 
 
 def test_names_are_those_of_the_files():
-    assert team.names() == ["fleet_3", "fleet_8"]
+    assert team.names() == ["fleet_3", "fleet_8", "turns_4"]
     assert not set(team.names()) & set(scenario.names())
 
 
@@ -212,3 +212,35 @@ STANDS = ROBOT + 'path = "still"\nspeed_m_s = 0.0\nturn_rate_rad_s = 0.0\n'
 def test_how_near_pads_can_come(written, robots, apart_m):
     found = team.load(written(ABOUT + 'base = "field"\n' + robots))
     assert found.pads_apart_m() == pytest.approx(apart_m, abs=1e-3)
+
+
+TWO = ABOUT + 'base = "field"\none_target = true\n[[member]]\n[[member]]\n'
+
+
+def test_one_robot_of_all_members_has_one_seed(written):
+    one, own = team.load(written(TWO)), team.load(written(TWO.replace("true", "false")))
+    seeds = [seed for _, seed in one.singles(3)]
+    assert seeds == [seed for _, seed in own.singles(3)]
+    assert (one.target_seed(3), own.target_seed(3)) == (seeds[0], None)
+    assert from_table(TeamScenario, tomllib.loads(dumps(one))) == one
+
+
+@pytest.mark.parametrize(
+    ("more", "error"),
+    [
+        ("target.speed_m_s = 0.1\n", r"member 2: target: found another one .* give it once, in \[target\]"),
+        ("odometry.loss = 0.2\n", r"member 2: odometry: found another one .* in \[odometry\]"),
+        (
+            '[[member.fault]]\nwhat = "target_odometry"\nkind = "off"\n',
+            "member 2: fault: found one of the robot; with one_target the robot has none",
+        ),
+    ],
+)
+def test_one_robot_is_the_same_for_all_members(written, more, error):
+    with pytest.raises(ConfigError, match=error):
+        team.load(written(TWO + more))
+
+
+def test_one_robot_drives_at_once(written):
+    with pytest.raises(ConfigError, match=r"target\.wait_for_landing: found true; .* set it false"):
+        team.load(written(TWO.replace("[[member]]", "target.wait_for_landing = true\n[[member]]", 1)))

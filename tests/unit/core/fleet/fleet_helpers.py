@@ -65,6 +65,8 @@ class Flyer:
     touched_s: float = math.inf
     carried_to: tuple | None = None  # velocity at which somebody takes it away
     silent_from_s: float = math.inf
+    arms_again: bool = True  # else it refuses to, for good
+    refused: bool = False
     texts: list = field(default_factory=list)
     phases: list = field(default_factory=list)
     statuses: list = field(default_factory=list)
@@ -88,7 +90,9 @@ class Flyer:
         own = OwnState(t_s, t_s, self.position, self.velocity, 0.0)
         status = VehicleStatus(t_s, self.armed, self.mode, self.landed, True)
         sample = TargetSample(t_s, t_s + 7.0, "map", "target", pad, speed, 0.0, 0.0)
-        out = self.controller.step(Inputs(own, status, (sample,), neighbours=tuple(words)), t_s)
+        inputs = Inputs(own, status, (sample,), neighbours=tuple(words))
+        failed = {"command_failed": True} if self.refused else {}
+        out = self.controller.step(inputs, t_s, **failed)
         self.texts += [event.text for event in out.events]
         if not self.phases or self.phases[-1] is not out.phase:
             self.phases.append(out.phase)
@@ -99,6 +103,9 @@ class Flyer:
         return out
 
     def _fly(self, out, t_s):
+        if out.request is Request.TAKEOFF and not self.armed:  # by set-points
+            self.refused = not self.arms_again
+            self.armed, self.mode, self.touched_s = self.arms_again, Mode.EXTERNAL, math.inf
         if out.request is Request.MOTORS_OFF:
             self.armed = False
         elif out.request is Request.LAND:
@@ -123,6 +130,8 @@ class Flyer:
                 a = np.zeros(3)
             if t_s - self.touched_s > 0.3:
                 self.landed = Landed.ON_GROUND
+        elif p[2] > 0.015:
+            self.landed = Landed.IN_AIR
         if p[2] <= 0.015:
             p[2], v, a, self.landed = 0.015, np.zeros(3), np.zeros(3), Landed.ON_GROUND
             self.armed = self.armed and self.mode is not Mode.LAND

@@ -31,6 +31,7 @@ PHASES = [
     (Phase.HOLD, {"started_s": 0.0}, (0.5, 0.0, 1.0), UP),
     (Phase.CLIMB, {"started_s": 0.0}, (0.5, 0.0, 0.5), UP),
     (Phase.ABORT, CLEAR, (0.3, 0.0, 2.5), EAST),
+    (Phase.LEAVE, {}, (0.0, 0.0, 0.3), UP),
     (Phase.TOUCHDOWN, {}, (0.0, 0.0, 0.35), DOWN),
 ]
 

@@ -1,5 +1,6 @@
 """One tick of the mission machine: the flags that it sets for inputs at choice."""
 
+from flightstack.core.fleet.precedence import ALONE
 from flightstack.core.memory import Memory
 from flightstack.core.mission.machine import Mission
 from flightstack.core.mission.phases import Condition
@@ -7,7 +8,7 @@ from flightstack.core.snapshot import snapshot_of
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
-from flightstack.core.types import Inputs, Landed, Mode, Operator, OwnState, VehicleStatus
+from flightstack.core.types import Charge, Inputs, Landed, Mode, Operator, OwnState, VehicleStatus
 from tests.unit.core.core_helpers import config
 
 NOW_S = 100.0
@@ -28,7 +29,7 @@ def tick(
     settings=ROBUST, e=(1.0, 0.0, 1.0), velocity=STILL, target_velocity=STILL, *, now_s=NOW_S, memory=None,
     sigma_m=0.0, own_age_s=0.01, target_age_s=0.03, status_age_s=0.2, armed=True, mode=Mode.EXTERNAL,
     landed=Landed.IN_AIR, ready=True, operator=Operator.NONE, failed=False, follows=True, believed=True,
-    without=(),
+    without=(), way=ALONE, charge=Charge.FIT,
 ):  # fmt: skip
     """Flags of one tick; everything is well unless told otherwise."""
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
@@ -39,7 +40,9 @@ def tick(
         None if "own" in without else own, None if "status" in without else status, (), operator
     )  # fmt: skip
     known = None if "target" in without else target
-    seen = snapshot_of(settings, inputs, known, now_s, believed=believed, follows=follows)
+    seen = snapshot_of(
+        settings, inputs, known, now_s, believed=believed, follows=follows, charge=charge, way=way
+    )
     strategy = strategy_of(settings)
     mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
     mission.memory = memory if memory is not None else Memory()

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import pytest
 
+from flightstack.core.fleet.precedence import ALONE, Way
 from flightstack.core.memory import Memory
-from flightstack.core.mission.conditions import high_enough_m, start_point
+from flightstack.core.mission.conditions import LANDED_SETTLE_S, high_enough_m, start_point
 from flightstack.core.strategies.robust import DRIFT_SHARE
 from flightstack.core.target.track import TargetState
-from flightstack.core.types import Landed, Mode, Operator, Phase
+from flightstack.core.types import Charge, Landed, Mode, Operator, Phase
 from tests.unit.core.core_helpers import config
 from tests.unit.core.mission.mission_helpers import (
     BARRIER,
@@ -106,12 +107,36 @@ def test_retries_are_counted():
         (Phase.TOUCHDOWN, ROBUST.touchdown.timeout_s),
         (Phase.HOLD, ROBUST.checks.hold_time_s),
         (Phase.CLIMB, ROBUST.checks.climb_time_max_s),
+        (Phase.LEAVE, ROBUST.retreat.abort_time_max_s),
     ],
 )
 def test_a_phase_has_its_time(phase, limit_s):
     for spent_s, over in ((limit_s - 1e-6, False), (limit_s + 1e-6, True)):
         memory = Memory(phase=phase, phase_since_s=NOW_S - spent_s)
         assert ("PHASE_TIME_OVER" in names(tick(memory=memory))) is over
+
+
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        ({}, True),
+        ({"way": ALONE}, False),
+        ({"memory": Memory(phase=Phase.LANDED, phase_since_s=NOW_S - LANDED_SETTLE_S + 1e-6)}, False),
+        ({"memory": Memory(phase=Phase.TOUCHDOWN)}, False),
+        ({"charge": Charge.TIRED}, False),
+        ({"charge": Charge.UNKNOWN}, False),
+        *[({"without": (lost,)}, False) for lost in ("own", "target", "status")],
+    ],
+)
+def test_a_pad_is_left_after_the_rest_with_all_that_a_flight_needs(changes, wanted):
+    rested = Memory(phase=Phase.LANDED, phase_since_s=NOW_S - LANDED_SETTLE_S - 1e-6)
+    found = tick(**{"memory": rested, "way": Way(pad_wanted=True), "armed": False, "ready": False, **changes})
+    assert ("PAD_WANTED" in names(found)) is wanted
+
+
+def test_clear_is_remembered():
+    assert "CLEAR" in names(tick(memory=Memory(phase=Phase.LEAVE, clear=True)))
+    assert "CLEAR" not in names(tick(memory=Memory(phase=Phase.LEAVE)))
 
 
 def test_the_landing_has_its_time():

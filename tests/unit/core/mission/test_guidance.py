@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from flightstack.core.fleet.precedence import ALONE, Way
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission import guidance
 from flightstack.core.mission.conditions import TAKEOFF_DONE, high_enough_m
@@ -32,7 +33,7 @@ SHAPES = [PAPER, ROBUST]
 
 def asked(
     phase, settings=ROBUST, e=(0.5, -0.4, 1.0), memory=None, *, own=True, target=True, own_ok=True,
-    target_ok=True, armed=True, landed=Landed.IN_AIR, status=True, velocity=ZERO,
+    target_ok=True, armed=True, landed=Landed.IN_AIR, status=True, velocity=ZERO, way=ALONE,
 ):  # fmt: skip
     """What is commanded in one situation."""
     memory = memory if memory is not None else Memory()
@@ -42,7 +43,8 @@ def asked(
     word = VehicleStatus(0.0, armed, Mode.EXTERNAL, landed, True)
     inputs = Inputs(state if own else None, word if status else None)
     known = TargetState(0.0, PAD, MOVING, 0.0)
-    seen = Snapshot(inputs, known if target else None, own_ok, target_ok, True, e if own and target else None)
+    e_m = e if own and target else None
+    seen = Snapshot(inputs, known if target else None, own_ok, target_ok, True, e_m, way=way)
     strategy = strategy_of(settings)
     mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
     mission.memory = memory
@@ -67,9 +69,9 @@ def test_every_phase_and_way_has_an_answer():
 def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered(settings, phase, way, lost):
     found = asked(phase, settings, memory=Memory(abort_way=way), **lost)
     assert isinstance(found, Command)
-    filtered = {Phase.APPROACH, Phase.LAND, *([Phase.WAIT] if settings is ROBUST else [])}
+    filtered = {Phase.APPROACH, Phase.LAND, Phase.LEAVE, *([Phase.WAIT] if settings is ROBUST else [])}
     assert not found.filtered or phase in filtered
-    with_velocity = {Request.EXTERNAL, *([Request.TAKEOFF] if phase is Phase.TAKEOFF else [])}
+    with_velocity = {Request.EXTERNAL, *([Request.TAKEOFF] if phase in (Phase.TAKEOFF, Phase.LEAVE) else [])}
     assert found.velocity is None or (
         found.request in with_velocity and all(map(math.isfinite, found.velocity))
     )
@@ -315,3 +317,37 @@ def test_from_the_ground_it_took_off_from_the_landing_takes_longer():
 def test_without_knowing_where_it_is_it_lands_there(lost):
     assert clearing((0.3, 0.0, 0.5), **lost)[0] == Command(Request.LAND)
     assert asked(Phase.ABORT, memory=Memory(abort_way=AbortWay.FLY_CLEAR)) == Command(Request.LAND)
+
+
+def leaves(e, place=None, landed=Landed.IN_AIR, velocity=ZERO, **memory):
+    told, before = {"landed": landed, "velocity": velocity}, Memory(target_position_enu_m=PAD, **memory)
+    return asked(Phase.LEAVE, e=e, memory=before, way=Way(place_enu_m=place), **told)
+
+
+def test_a_pad_is_left_upwards_with_the_pad_below():
+    high_m = high_enough_m(ROBUST, BARRIER, Memory(target_position_enu_m=PAD)) - PAD[2]
+    on_pad = leaves((0.02, 0.0, 0.015), landed=Landed.ON_GROUND)
+    assert (on_pad.request, on_pad.filtered) == (Request.TAKEOFF, True)
+    assert on_pad.velocity[2] > MOVING[2]
+    low = leaves((0.02, 0.0, 0.3), was_external=True)
+    assert low.request is Request.EXTERNAL
+    assert low.velocity[0] < MOVING[0]  # back over the middle
+    assert low.velocity[1] == pytest.approx(MOVING[1])
+    place = (PAD[0] + 2.0, PAD[1] - 1.0, 0.0)
+    flown = leaves((0.0, 0.0, high_m + 0.01), place, was_external=True)
+    assert flown.velocity[0] > 0.0 > flown.velocity[1]
+    assert flown.velocity[0] == pytest.approx(-2.0 * flown.velocity[1])
+    assert leaves((0.0, 0.0, high_m + 0.01), was_external=True).velocity[:2] == (0.0, 0.0)  # no place yet
+    assert leaves((0.0, 0.0, high_m - 0.01), place, was_external=True, climbed=True).velocity[0] > 0.0
+    assert leaves((2.0, 0.0, 1.0), clear=True) == Command(Request.LAND)
+
+
+def test_it_is_clear_over_its_place_and_away_from_the_target():
+    place = (PAD[0] + 1.5, PAD[1], 0.0)
+    keys = {"was_external": True, "target_velocity_enu_m_s": ZERO}
+    assert leaves((1.42, 0.0, 1.0), place, **keys) == Command(Request.LAND)
+    assert leaves((1.38, 0.0, 1.0), place, **keys).request is Request.EXTERNAL  # not there yet
+    assert leaves((1.42, 0.0, 1.0), place, velocity=(0.0, 0.16, 0.0), **keys).request is Request.EXTERNAL
+    near = (PAD[0] + 0.9, PAD[1], 0.0)
+    assert leaves((0.9, 0.0, 1.0), near, **keys).request is Request.EXTERNAL  # not clear of the target
+    assert leaves((1.42, 0.0, 0.1), place, **keys).request is Request.EXTERNAL  # it has not climbed

@@ -9,7 +9,7 @@ from flightstack.core.memory import AbortWay
 from flightstack.core.mission.phases import ABORT_TABLE, TABLE, Condition, next_phase, next_way
 from flightstack.core.types import Phase
 
-BITS = len(Condition) - 3  # the ways of aborting alone ask for the last ones
+BITS = len(Condition) - 5  # the ways of aborting, LANDED and LEAVE alone ask for the last ones
 FINAL = (Phase.LANDED, Phase.ABORT)
 GOING_ON = [p for p in Phase if p not in FINAL]
 STAY = (None, "")
@@ -26,8 +26,11 @@ class Word:
         return self.words & Condition[name.upper()] != 0
 
 
-def everything():
-    """All words, in pieces small enough for a cache."""
+def everything(phase):
+    """All words, in pieces small enough for a cache; of the last conditions those that the phase asks for."""
+    if phase in (Phase.LANDED, Phase.LEAVE):
+        yield np.array(list(mentioned(phase)), np.int32)
+        return
     piece = 1 << 18
     for start in range(0, 1 << BITS, piece):
         yield np.arange(start, start + piece, dtype=np.int32)
@@ -125,6 +128,26 @@ def expected_rules(phase, w):
                 (again & w.high_enough & ~w.started, Phase.TAKEOFF, "target back"),
                 (w.phase_time_over, Phase.ABORT, "target did not come back"),
             ]
+        case Phase.LANDED:
+            free = w.pad_wanted & ~w.emergency & ~w.abort_asked
+            return [(free, Phase.LEAVE, "another vehicle waits for this pad")]
+        case Phase.LEAVE:
+            lost = [(flag, Phase.ABORT, why) for flag, _, why in inputs(w)]
+            return [
+                *operator(w),
+                (
+                    w.was_armed & ~w.armed & ~w.link_lost & w.clear,
+                    Phase.LANDED,
+                    "motors off beside the target",
+                ),
+                (
+                    w.command_failed & w.standing & ~w.armed,
+                    Phase.LANDED,
+                    "it does not take off again, and stays",
+                ),
+                *((flag & ~w.clear, to, why) for flag, to, why in [*in_flight(w)[2:], *lost]),
+                (w.phase_time_over, Phase.ABORT, "the pad was not left in time"),
+            ]
     return []
 
 
@@ -161,32 +184,33 @@ def mentioned(phase):
     mask = 0
     for rule in TABLE[phase]:
         mask |= rule.when | rule.unless
-    bits = [1 << n for n in range(BITS) if mask >> n & 1]
+    bits = [1 << n for n in range(len(Condition)) if mask >> n & 1]
     for number in range(1 << len(bits)):
         word = sum(bit for n, bit in enumerate(bits) if number >> n & 1)
         yield word
-        yield word | ((1 << BITS) - 1) & ~mask
+        yield word | ((1 << len(Condition)) - 1) & ~mask
 
 
 def test_conditions_are_one_bit_each_and_phases_are_numbered_as_in_the_log():
-    assert [int(c) for c in Condition] == [1 << n for n in range(BITS + 3)]
-    assert len(Condition.__members__) == BITS + 3 == 27
+    assert [int(c) for c in Condition] == [1 << n for n in range(BITS + 5)]
+    assert len(Condition.__members__) == BITS + 5 == 29
     asked = 0
-    for rules in TABLE.values():
+    for phase in set(TABLE) - {Phase.LANDED, Phase.LEAVE}:
+        rules = TABLE[phase]
         for rule in rules:
             asked |= rule.when | rule.unless | rule.about
     assert asked < 1 << BITS
     assert set(TABLE) == set(Phase)
     assert [(p.name, int(p)) for p in Phase] == [
         ("WAIT", 0), ("TAKEOFF", 1), ("APPROACH", 2), ("LAND", 3), ("TOUCHDOWN", 4), ("LANDED", 5),
-        ("HOLD", 6), ("CLIMB", 7), ("ABORT", 8),
+        ("HOLD", 6), ("CLIMB", 7), ("ABORT", 8), ("LEAVE", 9),
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize("phase", Phase)
 def test_the_table_says_what_was_meant_for_every_word(phase):
     names = outcomes(phase)
-    for words in everything():
+    for words in everything(phase):
         assert np.array_equal(tabled(phase, words, names), expected(phase, words, names))
 
 
@@ -205,17 +229,20 @@ def test_the_emergency_stop_ends_every_phase_in_one_step_whatever_else_is_true()
     for phase in GOING_ON:
         names = outcomes(phase)
         stop = names[Phase.ABORT, "emergency stop"]
-        for words in everything():
+        for words in everything(phase):
             stopped = words[words & Condition.EMERGENCY != 0]
             assert (tabled(phase, stopped, names) == stop).all()
 
 
-def test_nothing_leaves_the_end():
-    for phase in FINAL:
-        assert TABLE[phase] == ()
-        chance = random.Random(7)
-        assert all(next_phase(phase, chance.getrandbits(BITS)) is None for _ in range(20_000))
-        assert next_phase(phase, 0) is next_phase(phase, (1 << BITS) - 1) is None
+def test_nothing_leaves_the_end_but_for_another_vehicle():
+    assert TABLE[Phase.ABORT] == ()
+    assert {rule.to for rule in TABLE[Phase.LANDED]} == {Phase.LEAVE}
+    assert {rule.to for rule in TABLE[Phase.LEAVE]} == set(FINAL)
+    chance = random.Random(7)
+    for _ in range(20_000):
+        word = chance.getrandbits(len(Condition))
+        assert next_phase(Phase.ABORT, word) is None
+        assert next_phase(Phase.LANDED, word & ~Condition.PAD_WANTED) is None
 
 
 def reachable(start, allowed):
@@ -226,7 +253,7 @@ def reachable(start, allowed):
         found.add(phase)
         names = outcomes(phase)
         places = {number: to for (to, _), number in names.items()}
-        for words in everything():
+        for words in everything(phase):
             for number in np.unique(tabled(phase, words[allowed(words)], names)):
                 if number and places[number] not in found:
                     new.add(places[number])
@@ -238,7 +265,7 @@ def test_without_retries_no_second_attempt_begins():
         return words & Condition.RETRIES_LEFT == 0
 
     for phase in (Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN):
-        assert reachable(phase, spent) <= {phase, Phase.CLIMB, *FINAL}
+        assert reachable(phase, spent) <= {phase, Phase.CLIMB, Phase.LEAVE, *FINAL}
 
 
 def test_every_way_back_into_the_landing_asks_for_a_retry():
@@ -257,12 +284,12 @@ def test_no_flight_lasts_for_ever():
         Phase.WAIT: Condition.PHASE_TIME_OVER, Phase.TAKEOFF: Condition.PHASE_TIME_OVER,
         Phase.APPROACH: Condition.LANDING_TIME_OVER, Phase.LAND: Condition.LANDING_TIME_OVER,
         Phase.TOUCHDOWN: Condition.PHASE_TIME_OVER, Phase.HOLD: Condition.PHASE_TIME_OVER,
-        Phase.CLIMB: Condition.PHASE_TIME_OVER,
+        Phase.CLIMB: Condition.PHASE_TIME_OVER, Phase.LEAVE: Condition.PHASE_TIME_OVER,
     }  # fmt: skip
     assert set(limits) == set(GOING_ON)
     for phase, limit in limits.items():
         names = outcomes(phase)
-        for words in everything():
+        for words in everything(phase):
             assert tabled(phase, words[words & limit != 0], names).all()
 
 

@@ -18,8 +18,9 @@ GROUND, ROBOT, EDGE, TUMBLED = 2, 4, 8, 16
 
 @pytest.fixture
 def verdict_of(tmp_path):
-    def judged(rows, **how):
-        return judge(load_flight(write_log(tmp_path / "flight.mcap", rows, **how)))
+    def judged(rows, config=None, **how):
+        flight = load_flight(write_log(tmp_path / "flight.mcap", rows, **how))
+        return judge(replace(flight, config=config) if config is not None else flight)
 
     return judged
 
@@ -366,3 +367,54 @@ def test_with_an_unknown_clearance_distance_all_counts(judged):
 def test_a_wider_clearance_distance_counts_longer(judged):
     wide = replace(CONFIG, checks=Checks(clearance_m=2.0))
     assert judged(800, config=wide).violation is True
+
+
+def left_at(rows, tick, contacts=lambda r: 0, down_m_s=0.3):
+    """The vehicle takes off again at this tick, and is out of the clearance distance 50 ticks later."""
+    stamp = EPOCH_NS + tick * 10_000_000
+    rows.steps = [r._replace(phase=Phase.LEAVE) if r.stamp_ns >= stamp else r for r in rows.steps]
+    for r in rows.truth[tick + 1 :]:
+        x, y, z = r.pad_position_enu_m
+        clear, low = r.tick >= tick + 50, r.tick > tick + 50
+        rows.truth[r.tick] = r._replace(
+            position_enu_m=(x + (1.5 if clear else 0.05), y, z + 0.5), velocity_enu_m_s=(0.0, 0.0, -down_m_s),
+            contacts=contacts(r), motors_running=True, h_min_outside_pad_m=-0.3 if low else math.inf,
+        )  # fmt: skip
+
+
+def rested(rows):
+    """Tick at which the vehicle has rested for so long as is needed, and the last one."""
+    off = max(r.tick for r in rows.truth if r.motors_running) + 1
+    return off + round(2.0 / DT_S), len(rows.truth) - 1
+
+
+def test_who_takes_off_again_after_its_rest_has_landed(verdict_of):
+    rows = landing()
+    tick, last = rested(rows)
+    assert last > tick + 60
+    left_at(rows, tick + 1, lambda r: GROUND if r.tick > last - 5 else 0)
+    verdict = verdict_of(rows, config=CONFIG)
+    assert verdict.outcome is Outcome.LANDED
+    assert verdict.violation is False
+    assert verdict.touchdown_error_m < 0.1
+
+
+@pytest.mark.parametrize(
+    ("early", "bits", "down_m_s", "outcome", "word"),
+    [
+        (30, 0, 0.3, Outcome.TIMEOUT, "it took off again"),
+        (-1, GROUND, 1.5, Outcome.CRASHED, "fell to the ground"),
+        (-1, EDGE, 0.3, Outcome.CRASHED, "pad edge"),
+        (-1, ROBOT, 0.3, Outcome.CRASHED, "robot body"),
+        (-1, GROUND | TUMBLED, 0.3, Outcome.CRASHED, "tumble"),
+    ],
+)
+def test_a_second_flight_that_begins_too_early_or_ends_badly(
+    verdict_of, early, bits, down_m_s, outcome, word
+):
+    rows = landing()
+    tick, last = rested(rows)
+    left_at(rows, tick - early, lambda r: bits if r.tick > last - 5 else 0, down_m_s)
+    verdict = verdict_of(rows)
+    assert verdict.outcome is outcome
+    assert word in verdict.reason

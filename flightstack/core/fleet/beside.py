@@ -1,0 +1,62 @@
+"""Where a vehicle that frees its pad lands: beside the way of all pads, away from vehicles on the ground."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from flightstack.core.fleet.precedence import ON_GROUND, Pad
+from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.types import ZERO, Neighbour, Vec3
+
+DIRECTIONS = 16  # of the places looked at, about the pad ...
+RINGS = (1.4, 2.0, 2.6)  # ... so many times ``wait_distance_m`` from it
+APART = 3.0  # times ``radius_xy_m``, from a vehicle on the ground
+KEPT_M = 0.2  # by which a place that was chosen may come to lie nearer than a new one
+
+
+def place_beside(
+    kept: Vec3 | None, own_enu_m: Vec3, pad: Pad, words: Sequence[Neighbour], fleet: Fleet
+) -> Vec3:
+    """Return the place on the ground that was chosen, or a new one if robots or vehicles come too near it.
+
+    A pad's way is straight: from where it may have been ``wait_max_s`` ago to where it may be after as long.
+    Of the places that are free the nearest one counts; of none, the one with the most room.
+
+    Args:
+        kept: chosen before; ``None``: nothing yet.
+        own_enu_m: position of this vehicle.
+        pad: that it leaves.
+        words: newest of the other members.
+        fleet: of the configuration.
+    """
+    pads = [pad]
+    for word in words:
+        if word.pad_position_enu_m is not None:
+            pads.append(Pad(word.pad_position_enu_m, word.pad_velocity_enu_m_s or ZERO))
+    grounded = [word.position_enu_m for word in words if word.intent in ON_GROUND]
+
+    def room_m(place: Vec3) -> float:
+        least_m = min(_from_way_m(each, place, fleet.wait_max_s) for each in pads) - fleet.wait_distance_m
+        for x, y, _ in grounded:
+            least_m = min(least_m, math.hypot(x - place[0], y - place[1]) - APART * fleet.radius_xy_m)
+        return least_m
+
+    if kept is not None and room_m(kept) >= -KEPT_M:
+        return kept
+    (x, y, _), found = pad.position_enu_m, []
+    for ring in RINGS:
+        for number in range(DIRECTIONS):
+            d_m, angle = ring * fleet.wait_distance_m, number * math.tau / DIRECTIONS
+            place = (x + d_m * math.cos(angle), y + d_m * math.sin(angle), 0.0)
+            away_m = math.hypot(place[0] - own_enu_m[0], place[1] - own_enu_m[1])
+            found.append((min(room_m(place), 0.0), -away_m, place))
+    return max(found)[2]
+
+
+def _from_way_m(pad: Pad, place: Vec3, ahead_s: float) -> float:
+    """Horizontal distance of a place from the way that a pad comes from and goes to, for so long each."""
+    (x, y, _), (vx, vy, _) = pad.position_enu_m, pad.velocity_enu_m_s
+    ex, ey, speed2 = place[0] - x, place[1] - y, vx * vx + vy * vy
+    at_s = min(max(-ahead_s, (ex * vx + ey * vy) / speed2), ahead_s) if speed2 > 0.0 else 0.0
+    return math.hypot(ex - at_s * vx, ey - at_s * vy)

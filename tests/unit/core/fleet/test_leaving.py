@@ -1,0 +1,202 @@
+"""One pad for several: who has landed takes off again for the next one, and lands beside the robot's way."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flightstack.common.strict_toml import ConfigError
+from flightstack.core.fleet.beside import APART, KEPT_M, place_beside
+from flightstack.core.fleet.member import STAYS_S, FleetMember, intent_of
+from flightstack.core.fleet.precedence import Pad, Way
+from flightstack.core.memory import Memory
+from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.target.track import TargetState
+from flightstack.core.types import ZERO, Intent, Neighbour, OwnState, Phase
+from tests.unit.core.fleet.fleet_helpers import Flyer, Sky, driving, settings_of
+
+FLEET = Fleet(3, (3, 7), frees_pad=True)
+HERE = TargetState(0.0, ZERO, ZERO, 0.0)
+WAITS = {"intent": Intent.WAITING, "claim_s": 0.5, "pad_position_enu_m": (0.02, 0.0, 0.0)}
+
+
+def word(stamp_s=1.0, position=(1.2, 0.0, 1.0), **told):
+    return Neighbour(7, stamp_s, stamp_s, position, ZERO, ZERO, **told)
+
+
+def member(fleet=FLEET, **told):
+    found = FleetMember(fleet, 0.0)
+    assert found.take([word(**told)], 1.0) == []
+    return found
+
+
+@pytest.mark.parametrize(
+    ("fleet", "phase", "told", "wanted"),
+    [
+        (FLEET, Phase.LANDED, WAITS, True),
+        (replace(FLEET, frees_pad=False), Phase.LANDED, WAITS, False),
+        (FLEET, Phase.LEAVE, WAITS, False),
+        (FLEET, Phase.TOUCHDOWN, WAITS, False),
+        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # it gave up, or has landed
+        (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": (0.3, 0.0, 0.0)}, False),  # another pad
+        (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": None}, False),
+        (FLEET, Phase.LANDED, {**WAITS, "stamp_s": 0.4}, False),  # silent
+    ],
+)
+def test_the_pad_is_wanted_by_who_claims_it_now(fleet, phase, told, wanted):
+    way = member(fleet, **told).way(phase, HERE, 1.0)
+    assert way.pad_wanted is wanted
+    if wanted:
+        assert way.text == "waits member 7"
+
+
+def test_a_pad_is_left_once():
+    found, own = member(**WAITS), OwnState(1.0, 1.0, ZERO, ZERO, 0.0)
+    assert found.way(Phase.LANDED, HERE, 1.0, own).pad_wanted
+    assert found.way(Phase.LEAVE, HERE, 1.0, own).place_enu_m == found.memory.place_enu_m is not None
+    assert not found.way(Phase.LANDED, HERE, 1.0, own).pad_wanted
+
+
+def test_that_it_stays_though_others_wait_is_told_once():
+    found, wanted = member(**WAITS), Way(pad_wanted=True, text="waits member 7")
+    assert found.stays(wanted, STAYS_S - 0.1, "") == []
+    assert found.stays(Way(), STAYS_S + 0.1, "") == []
+    assert found.stays(wanted, STAYS_S + 0.1, "4.1 V") == ["it stays on the pad: 4.1 V; waits member 7"]
+    assert found.stays(wanted, STAYS_S + 9.0, "4.1 V") == []
+
+
+@pytest.mark.parametrize(
+    ("memory", "flies", "intent"),
+    [
+        (Memory(phase=Phase.LEAVE), False, Intent.STANDING),
+        (Memory(phase=Phase.LEAVE), True, Intent.CLEARING),
+        (Memory(phase=Phase.LEAVE, clear=True), True, Intent.DOWN),
+        (Memory(phase=Phase.LEAVE, clear=True), False, Intent.DOWN),
+    ],
+)
+def test_what_the_others_are_told_of_it(memory, flies, intent):
+    assert intent_of(memory, granted=False, flies=flies) is intent
+
+
+def claiming(fleet=FLEET, **told):
+    """One that claimed at 0.5 s, and knows this of the other one."""
+    found = FleetMember(fleet, 0.0)
+    found.way(Phase.APPROACH, HERE, 0.5)
+    found.take([word(pad_position_enu_m=ZERO, **told)], 1.0)
+    return found
+
+
+@pytest.mark.parametrize(("away_m", "may_land"), [(0.7, False), (0.9, True)])
+def test_who_flies_clear_is_waited_for_until_it_is_away_from_the_pad(away_m, may_land):
+    clears = {"intent": Intent.CLEARING, "position": (away_m, 0.0, 1.0)}
+    assert claiming(**clears).way(Phase.APPROACH, HERE, 1.0).may_land is may_land
+    assert claiming(replace(FLEET, frees_pad=False), **clears).way(Phase.APPROACH, HERE, 1.0).may_land
+
+
+@pytest.mark.parametrize(("heard_m", "may_land"), [(0.1, False), (0.4, True)])
+def test_a_silent_vehicle_that_was_heard_on_the_pad_rides_on_with_it(heard_m, may_land):
+    found = claiming(intent=Intent.DOWN, position=(heard_m, 0.0, 0.0))
+    assert found.way(Phase.APPROACH, HERE, 1.0).may_land is may_land
+    driven_on = TargetState(0.0, (3.0, 0.0, 0.0), ZERO, 0.0)
+    assert found.way(Phase.APPROACH, driven_on, 9.0).may_land is may_land
+    found.take([word(9.0, (heard_m, 0.0, 0.0), intent=Intent.DOWN)], 9.0)  # it lies where it was
+    assert found.way(Phase.APPROACH, driven_on, 9.1).may_land
+
+
+coordinate = st.floats(-3.0, 3.0)
+speed = st.floats(-0.5, 0.5)
+
+
+@given(
+    pad=st.builds(
+        Pad, st.tuples(coordinate, coordinate, st.just(0.2)), st.tuples(speed, speed, st.just(0.0))
+    ),
+    grounded=st.lists(st.tuples(coordinate, coordinate, st.just(0.0)), max_size=4),
+)
+def test_the_place_beside_is_off_the_robots_way_and_away_from_who_lies_there(pad, grounded):
+    words = [word(position=each, intent=Intent.DOWN) for each in grounded]
+    place = place_beside(None, pad.position_enu_m, pad, words, FLEET)
+    for part in range(-100, 101):
+        t_s = 0.01 * part * FLEET.wait_max_s
+        at = [p + t_s * v for p, v in zip(pad.position_enu_m, pad.velocity_enu_m_s, strict=True)]
+        assert math.dist(at[:2], place[:2]) >= FLEET.wait_distance_m - 1e-9
+    for each in grounded:
+        assert math.dist(each[:2], place[:2]) >= APART * FLEET.radius_xy_m - 1e-9
+    assert place_beside(place, pad.position_enu_m, pad, words, FLEET) == place
+
+
+def test_a_place_is_given_up_where_another_pad_comes():
+    own, pad = (0.0, 0.0, 1.0), Pad((0.0, 0.0, 0.2), ZERO)
+    place = place_beside(None, own, pad, [], FLEET)
+    near = (place[0] + FLEET.wait_distance_m - KEPT_M + 0.01, place[1], 0.2)
+    assert (
+        place_beside(place, own, pad, [word(pad_position_enu_m=near, intent=Intent.WAITING)], FLEET) == place
+    )
+    nearer = (near[0] - 0.02, *near[1:])
+    other = place_beside(place, own, pad, [word(pad_position_enu_m=nearer, intent=Intent.WAITING)], FLEET)
+    assert math.dist(other[:2], nearer[:2]) >= FLEET.wait_distance_m
+
+
+def test_a_place_nearer_than_what_counts_as_clear_is_refused():
+    with pytest.raises(ConfigError, match=r"fleet\.wait_distance_m: found 1\.2; .* 1\.3 m"):
+        settings_of(3, (3, 7), {"frees_pad": True}, checks={"clearance_m": 1.3})
+
+
+STARTS = [(2.0, 0.5, 1.0), (-2.0, 0.5, 1.0), (0.0, -2.0, 1.0)]
+CHECKS = {"landing_time_max_s": 150.0}
+
+
+def turns(**keys):
+    ids = (1, 2, 3)
+    table, pad = {"frees_pad": True, "wait_max_s": 100.0, **keys}, driving(0.0, 0.0, 0.05, 0.02)
+    return [
+        Flyer(settings_of(n, ids, table, checks=CHECKS), at, pad) for n, at in zip(ids, STARTS, strict=True)
+    ]
+
+
+def over_the_pad(sky, radius_m):
+    pad, _ = sky.flyers[0].pad(sky.t_s)
+    return [f for f in sky.flyers if math.dist(f.position[:2], pad[:2]) < radius_m]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_three_land_on_one_pad_and_free_it(seed):
+    sky = Sky(turns(), seed=seed)
+
+    def over(sky):
+        assert len(over_the_pad(sky, 0.25)) <= 1
+        return all(f.phase is Phase.LANDED and not f.armed for f in sky.flyers) and len(sky.flyers) == sum(
+            f.phases.count(Phase.TOUCHDOWN) for f in sky.flyers
+        )
+
+    sky.run(150.0, over)
+    assert over(sky), [(f.id, f.phase, f.texts[-3:]) for f in sky.flyers]
+    assert sky.least_h_m >= 0.0, sky.least_at
+    (last,) = over_the_pad(sky, 0.1)
+    for flyer in sky.flyers:
+        end = [Phase.TOUCHDOWN, Phase.LANDED] if flyer is last else [Phase.LANDED, Phase.LEAVE, Phase.LANDED]
+        assert flyer.phases[-len(end) :] == end
+        if flyer is not last:
+            pad, _ = flyer.pad(sky.t_s)
+            assert flyer.position[2] < 0.02
+            assert math.dist(flyer.position[:2], pad[:2]) >= flyer.config.checks.clearance_m
+
+
+def test_one_that_does_not_arm_again_stays_and_the_others_land_beside():
+    flyers = turns(wait_max_s=15.0)
+    for flyer in flyers:
+        flyer.arms_again = False
+    sky = Sky(flyers).run(60.0, lambda s: all(not f.armed for f in s.flyers))
+    (first,) = over_the_pad(sky, 0.1)
+    assert first.phases[-3:] == [Phase.LANDED, Phase.LEAVE, Phase.LANDED]
+    assert "LEAVE -> LANDED: it does not take off again, and stays" in first.texts
+    for flyer in sky.flyers:
+        if flyer is not first:
+            assert flyer.phase is Phase.ABORT
+            (why,) = [
+                text for text in flyer.texts if "landing took too long: no right of way because of" in text
+            ]
+            assert str(first.id) in why
+    assert sky.least_h_m >= 0.0, sky.least_at

@@ -1,0 +1,86 @@
+"""Four vehicles land on one robot in turn; each takes off again for the next one."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from flightstack.core.types import Phase
+from logs.verdict.types import Outcome
+from sim.campaign.team_rows import judge_team
+from sim.runners.team import land_team
+from sim.scenarios import scenario, team
+
+BUSY = (Phase.LAND, Phase.TOUCHDOWN)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return land_team(team.load("turns_4"), 1)
+
+
+def phases(landing):
+    """Phases in their order, with the time at which each began."""
+    steps = landing.seen.steps
+    at = np.concatenate(([0], np.flatnonzero(np.diff(steps.phase)) + 1))
+    return [(Phase(steps.phase[n]), float(steps.t_s[n])) for n in at]
+
+
+def test_the_scenario_has_the_errors_of_field_and_one_robot():
+    found, field = team.load("turns_4"), scenario.load("field")
+    assert found.one_target
+    for number, each in enumerate(found.member, 1):
+        assert (each.odometry, each.vehicle, each.wind) == (field.odometry, field.vehicle, field.wind)
+        assert (each.onboard.fleet.id, each.onboard.fleet.frees_pad) == (number, True)
+
+
+def test_all_land_and_nobody_is_hit(flown):
+    verdict = judge_team(flown)
+    assert [landing.verdict.outcome for landing in flown.landings] == [Outcome.LANDED] * 4
+    assert (verdict.collisions, verdict.ellipsoid_violations) == (0, 0)
+    assert [landing.verdict.violation for landing in flown.landings] == [False] * 4
+
+
+def test_all_see_the_same_robot(flown):
+    first, *others = (landing.seen.truth for landing in flown.landings)
+    for truth in others:
+        common = min(len(first.t_s), len(truth.t_s))
+        e_m = first.position_enu_m[:common] - first.e_m[:common]  # where the pad is
+        assert np.allclose(e_m, truth.position_enu_m[:common] - truth.e_m[:common], atol=2e-3)
+
+
+def test_three_take_off_again_and_the_last_one_stays(flown):
+    turns = sorted((phases(landing) for landing in flown.landings), key=lambda each: len(each), reverse=True)
+    assert [[phase for phase, _ in each][-3:] for each in turns] == [
+        *[[Phase.LANDED, Phase.LEAVE, Phase.LANDED]] * 3,
+        [Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED],
+    ]
+
+
+def test_the_next_one_lands_when_the_one_before_has_left(flown):
+    """Nobody is over the pad while another one stands on it."""
+    stays, lands = [], []
+    for landing in flown.landings:
+        found = phases(landing)
+        (landed_s,) = [
+            t
+            for (before, _), (now, t) in pairwise(found)
+            if before is Phase.TOUCHDOWN and now is Phase.LANDED
+        ]
+        left_s = next((t for phase, t in found if phase is Phase.LEAVE), np.inf)
+        stays.append((landed_s, left_s))
+        lands += [t for phase, t in found if phase in BUSY]
+    stays.sort()
+    assert all(left_s < landed_s for (_, left_s), (landed_s, _) in pairwise(stays))
+    assert not any(landed_s < t < left_s for t in lands for landed_s, left_s in stays)
+
+
+def test_who_has_left_lies_beside_the_way_of_the_robot(flown):
+    for landing in flown.landings:
+        truth, left = landing.seen.truth, [t for phase, t in phases(landing) if phase is Phase.LEAVE]
+        if not left:
+            continue
+        end = [t for phase, t in phases(landing) if phase is Phase.LANDED][-1]
+        assert truth.d_m[truth.t_s >= end].min() >= 1.0  # checks.clearance_m, as long as it was seen
+        assert truth.position_enu_m[-1, 2] < 0.02
+        assert not truth.motors_running[-1]
