@@ -4,6 +4,7 @@ What flies is ``land_team``; what writes is the code of the processes and of the
 included. Only the wires are missing: MAVLink frames and the bytes of the targets' samples.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 from flightstack.common.pacing import EPOCH_NS
@@ -22,10 +23,20 @@ from sim.runners import team as team_runner
 from sim.runners.companion import Companion
 from sim.runners.pairs import Pairs
 from sim.runners.vehicle_log import VehicleLog
-from sim.scenarios.team import TeamScenario
+from sim.scenarios.team import ExchangeLink, TeamScenario, load
 from tests.unit.logs.replay.replay_helpers import NoSession
 
 PAIRS_EVERY = 10  # ticks
+
+
+def near() -> TeamScenario:
+    """Three vehicles whose pads are so near that one lands at a time, with words that get lost."""
+    team = load("fleet_3")
+    near = {"pad_distance_m": 1.5, "wait_distance_m": 1.6}
+    members = tuple(
+        replace(m, onboard=replace(m.onboard, fleet=replace(m.onboard.fleet, **near))) for m in team.member
+    )
+    return replace(team, member=members, exchange=ExchangeLink(delay_s=0.05, loss=0.1))
 
 
 class MemberFeed:

@@ -10,6 +10,7 @@ import numpy as np
 from flightstack.common.strict_toml import to_table
 from logs.reader.flight import load_flight
 from logs.reader.flight_data import Flight, Floats
+from logs.reader.reader import LogFile
 from logs.report.derived import Side, estimate_errors, fault_spans, root_mean_square
 from logs.report.page import (
     block,
@@ -29,31 +30,32 @@ _SETTINGS = "Run, versions and configuration."
 _WIDE = "wide events"  # style of the tables of events
 
 
-def write_comparison(log_a: Path, log_b: Path, out: Path | None = None) -> Path:
+def write_comparison(log_a: Path, log_b: Path, out: Path | None = None, member: str | None = None) -> Path:
     """Write the page that compares two logs.
 
     Args:
         log_a: the first flight log, whole or cut short.
         log_b: the second.
         out: where to write; ``None`` puts it beside the second log as ``comparison.html``.
+        member: whose flight it is in a log of a fleet.
 
     Raises:
         LogError: a log cannot be used.
         ReportError: the plotting library is not installed.
     """
     need_libraries()
-    sides = (_side("A", log_a), _side("B", log_b))
+    sides = (_side("A", log_a, member), _side("B", log_b, member))
     target = log_b.with_name("comparison.html") if out is None else out
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(render(*sides), encoding="utf-8")
     return target
 
 
-def _side(name: str, log: Path) -> Side:
+def _side(name: str, log: Path, member: str | None) -> Side:
     from logs.report.links import load_streams
 
-    flight = load_flight(log)
-    return Side(name, flight, judge(flight), load_streams(flight.path, flight.origin_ns))
+    flight = load_flight(log, member if LogFile(log).members else None)
+    return Side(name, flight, judge(flight), load_streams(flight.path, flight.origin_ns, flight.member))
 
 
 def render(a: Side, b: Side) -> str:

@@ -56,17 +56,18 @@ class Stream:
         return float(np.diff(self.t_s).max()) if len(self.t_s) > 1 else None
 
 
-def load_streams(path: Path, origin_ns: int) -> list[Stream]:
+def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[Stream]:
     """Read the traffic of a log, up to its break; frames that are damaged are left out.
 
     Args:
         path: the log.
         origin_ns: log time of the flight's ``t_s = 0``.
+        member: of the fleet whose log it is.
     """
     times: dict[str, list[int]] = defaultdict(list)
     numbers: dict[str, list[int]] = defaultdict(list)
     target: list[int] = []
-    for message in LogFile(path).messages():
+    for message in LogFile(path, member).messages():
         if message.schema == ODOMETRY and message.topic.endswith(TARGET_TOPIC_END):
             times[TARGET].append(message.log_time_ns)
             target.append(message.sequence)

@@ -66,21 +66,29 @@ def write_report(log: Path, out: Path | None = None) -> Path:
     return write_page(flight, judge(flight), out)
 
 
-def write_page(flight: Flight, verdict: Verdict, out: Path | None = None) -> Path:
+def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: str | None = None) -> Path:
     """Write the report of a flight that was judged already; as :func:`write_report`.
+
+    Args:
+        flight: the log.
+        verdict: on it.
+        out: where to write; ``None`` puts it beside the log with the ending ``.html``, and the name of a
+            member.
+        of: the page of its fleet, in the same folder.
 
     Raises:
         ReportError: the plotting library is not installed.
     """
-    text = render(flight, verdict)
-    target = flight.path.with_suffix(".html") if out is None else out
+    text = render(flight, verdict, of)
+    name = flight.path.stem if flight.member is None else f"{flight.path.stem}_{flight.member}"
+    target = out if out is not None else flight.path.with_name(f"{name}.html")
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(text, encoding="utf-8")
     return target
 
 
-def render(flight: Flight, verdict: Verdict) -> str:
-    """Return the page as text.
+def render(flight: Flight, verdict: Verdict, of: str | None = None) -> str:
+    """Return the page as text, with a link to the page ``of`` its fleet.
 
     Raises:
         ReportError: the plotting library is not installed.
@@ -90,8 +98,10 @@ def render(flight: Flight, verdict: Verdict) -> str:
     from logs.report.links import load_streams
 
     run = flight.metadata.get("run", {})
-    streams = load_streams(flight.path, flight.origin_ns)
+    streams = load_streams(flight.path, flight.origin_ns, flight.member)
     title = run.get("scenario", flight.path.stem)
+    if flight.member is not None and flight.member not in title:
+        title = f"{title}, {flight.member}"
     badge, style = headline(verdict)
     timeline, *drawn = panels(flight, verdict, streams)
     figures = {p.key: section(p.key, p.title, p.paper, p.note, p.figure) for p in (timeline, *drawn)}
@@ -105,6 +115,7 @@ def render(flight: Flight, verdict: Verdict) -> str:
     ]
     body = (
         header(title, badge, style, _subtitle(run, verdict)),
+        html('<p><a href="{}">The whole fleet</a></p>').format(of) if of is not None else "",
         warnings_box(warnings(flight, verdict)),
         block("result", "Result", _source(verdict), result_table(flight, verdict) + definitions()),
         time_bar(events=True),
@@ -118,7 +129,7 @@ def render(flight: Flight, verdict: Verdict) -> str:
         repeat_section(flight),
         '<div class="columns">',
         block("run", "Run", "", run_table(flight)),
-        block("versions", "Versions", "", versions_table(flight)),
+        block("versions", "Versions", "", versions_table(flight.metadata)),
         "</div>",
         "<section><h2>Configuration</h2>",
         *(sources or [paragraph("The log holds none.")]),
@@ -178,12 +189,14 @@ def command(run: dict[str, str], scenario: str) -> str:
 def repeat_section(flight: Flight) -> str:
     """The section with the commands; what cannot be repeated says why."""
     run = flight.metadata.get("run", {})
-    again = shlex.join(["flightstack", "replay", flight.path.name, "--check"])
+    again = ["flightstack", "replay", flight.path.name, "--check"]
+    if flight.member is not None:  # it flies again with its fleet alone
+        return repeat_box(replay=shlex.join([*again, "--member", flight.member]), alone=False)
     whole = flight.attachments.get(_SCENARIO)
     if whole is None or "seed" not in run:
-        return repeat_box(replay=again)
+        return repeat_box(replay=shlex.join(again))
     return repeat_box(
-        replay=again,
+        replay=shlex.join(again),
         command=command(run, _SCENARIO),
         revision=flight.metadata.get("made", {}).get("git_revision", ""),
         lockstep=run.get("mode") == "lockstep",

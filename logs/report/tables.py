@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from logs.schema.events import Severity
 from logs.verdict.types import ESTIMATE, SOURCES, Outcome, Verdict
 
 _SAME_TICK_S = 0.011  # an event of the tick in which a phase began
-_EVENTS_MAX = 500  # a page with more is not read
-_HEADLINES = {
+EVENTS_MAX = 500  # a page with more is not read
+HEADLINES = {
     Outcome.LANDED: ("Landed", "good"),
     Outcome.ABORTED: ("Aborted, declared", "fair"),
     Outcome.CRASHED: ("Crashed", "bad"),
@@ -51,7 +51,7 @@ _DEFINITIONS = (
 
 def headline(verdict: Verdict) -> tuple[str, str]:
     """Outcome in words, and the style class of its badge."""
-    text, style = _HEADLINES[verdict.outcome]
+    text, style = HEADLINES[verdict.outcome]
     if verdict.judged_from == ESTIMATE:
         text = f"{text}, by its own estimate"
     if verdict.violation:
@@ -86,10 +86,10 @@ def run_table(flight: Flight) -> str:
     return table(("run", "value"), rows) if rows else paragraph("The log does not say what was flown.")
 
 
-def versions_table(flight: Flight) -> str:
-    """What it was flown with."""
-    rows = [(key.replace("_", " "), value or "–") for key, value in flight.metadata.get("made", {}).items()]
-    rows += [(f"records lost by {who}", n) for who, n in flight.metadata.get("losses", {}).items()]
+def versions_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
+    """What it was flown with, by the metadata of a log."""
+    rows = [(key.replace("_", " "), value or "–") for key, value in metadata.get("made", {}).items()]
+    rows += [(f"records lost by {who}", n) for who, n in metadata.get("losses", {}).items()]
     return table(("made with", "value"), rows) if rows else paragraph("The log does not name versions.")
 
 
@@ -98,7 +98,7 @@ def events_table(flight: Flight) -> str:
     if not flight.events:
         return paragraph("No events in this log.")
     zero = flight.landing_start_s or 0.0
-    rows = [(_at(e.t_s - zero), _severity(e.level), e.source, e.text) for e in flight.events[:_EVENTS_MAX]]
+    rows = [(_at(e.t_s - zero), severity(e.level), e.source, e.text) for e in flight.events[:EVENTS_MAX]]
     more = len(flight.events) - len(rows)
     shown = table(("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1)
     return shown + paragraph(f"{more} later events are in the log only.") if more > 0 else shown
@@ -178,7 +178,8 @@ def definitions() -> str:
     return html("<details><summary>Definitions</summary>{}</details>").format(shown)
 
 
-def _severity(level: int) -> str:
+def severity(level: int) -> str:
+    """Name of a level, which is also the style of its row."""
     return Severity(level).name.lower() if level in Severity._value2member_map_ else str(level)
 
 

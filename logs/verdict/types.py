@@ -14,6 +14,9 @@ from flightstack.core.types import Phase
 from logs.reader.flight_data import Event, Floats, Ints
 
 VIOLATION_LIMIT_M = -0.005  # m, h below this outside the pad is a violation
+# radii of a vehicle, m; those of a pair add up: Crazyswarm's examples; the firmware has 0.3 and 0.9
+RADIUS_BESIDE_M = 0.125
+RADIUS_ABOVE_M = 0.375
 REST_TIME_S = 2.0  # s after the motors stop
 GAP_MAX_S = 0.2  # s without data beyond which nothing is known about what happened in between
 TRUTH = "truth"

@@ -13,13 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, I64
 from sim.plant.params import STEP_S, Params
-
-# radii of one vehicle, m, those of a pair add up: Crazyswarm's examples; the firmware has 0.3 and 0.9
-RADIUS_BESIDE_M = 0.125
-RADIUS_ABOVE_M = 0.375
 
 
 @dataclass(frozen=True, slots=True)

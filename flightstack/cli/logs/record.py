@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -50,6 +51,7 @@ def record(options: RecordOptions) -> None:
 @click.command()
 @click.argument("log", type=shared.EXISTING_FILE)
 @click.argument("other", type=shared.EXISTING_FILE, required=False)
+@click.option("--member", metavar="NAME", help="Take the flight of this member of a fleet, e.g. cf2.")
 @click.option(
     "--out",
     type=shared.FILE,
@@ -61,26 +63,45 @@ def record(options: RecordOptions) -> None:
     is_flag=True,
     help="Print the verdict as a JSON object, with the keys of `sitl --json`.",
 )
-def report(log: Path, other: Path | None, out: Path | None, as_json: bool) -> None:
+def report(log: Path, other: Path | None, member: str | None, out: Path | None, as_json: bool) -> None:
     """Write the report of a LOG, or a comparison with an OTHER: one self-contained HTML page.
+
+    Of a fleet: a page of all together, and one of each member beside it.
 
     Prints the verdict on a LOG and where its page is. Exit status: 0 written, 2 wrong input.
     """
     if other is None:
         from flightstack.cli.logs.log import show_verdict
-        from logs.reader.flight import load_flight
-        from logs.report.report import write_page
-        from logs.verdict.verdict import judge, verdict_result
 
-        flight = load_flight(log)
-        verdict = judge(flight)
-        page = write_page(flight, verdict, out)
-        show_verdict(verdict_result(flight, verdict, page), as_json=as_json)
+        values = _written(log, member, out)
+        show_verdict(values, as_json=as_json)
         if not as_json:
-            click.echo(page)
+            click.echo(values["report"])
     elif as_json:
         raise click.UsageError("--json is for the report of one LOG, not for a comparison")
     else:
         from logs.report.compare import write_comparison
 
-        click.echo(write_comparison(log, other, out))
+        click.echo(write_comparison(log, other, out, member))
+
+
+def _written(log: Path, member: str | None, out: Path | None) -> dict[str, Any]:
+    """Write the report of one flight or of a fleet; its result."""
+    from logs.reader.flight import load_fleet, load_flight
+    from logs.reader.reader import LogFile
+    from logs.report.fleet import write_fleet
+    from logs.report.report import write_page
+    from logs.verdict.fleet import fleet_result, judge_fleet, judge_member
+    from logs.verdict.verdict import judge, verdict_result
+
+    if LogFile(log, member).members:
+        fleet = load_fleet(log)
+        found = judge_fleet(fleet)
+        pages = write_fleet(fleet, found, out)
+        return fleet_result(fleet, found, pages.page, pages=pages.members)
+    if member is not None:
+        flight, verdict = judge_member(log, member)
+    else:
+        flight = load_flight(log)
+        verdict = judge(flight)
+    return verdict_result(flight, verdict, write_page(flight, verdict, out))

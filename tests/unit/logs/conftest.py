@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from logs.verdict.fleet import FleetVerdict
-from sim.scenarios.team import load
-from tests.fleet_log import fly_fleet
+from tests.fleet_log import fly_fleet, near
 
 
 @dataclass(frozen=True)
@@ -20,7 +19,7 @@ class FlownFleet:
 
 @pytest.fixture(scope="session")
 def fleet(tmp_path_factory):
-    """Three vehicles over three robots whose ways cross."""
+    """Three vehicles over three robots; two wait for the one before, a tenth of the words is lost."""
     log = tmp_path_factory.mktemp("fleet") / "flight.mcap"
     with pytest.MonkeyPatch.context() as patch:
-        return FlownFleet(log, fly_fleet(log, load("fleet_3"), 1, patch))
+        return FlownFleet(log, fly_fleet(log, near(), 1, patch))

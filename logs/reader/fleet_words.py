@@ -1,0 +1,153 @@
+"""What the members of a fleet told each other, read from its log: who waited for whom, which words got lost.
+
+Times are seconds since the origin of the fleet (``Fleet.origin_ns``), by the log time of the tick.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import groupby, permutations
+
+import numpy as np
+
+from flightstack.core.types import Intent
+from logs.reader.flight_data import Fleet, Floats
+from logs.reader.reader import LogFile
+from logs.schema.fleet_rows import unpack_neighbours
+from logs.schema.rows import FleetWordRow
+from logs.schema.schemas import CONTROLLER_NEIGHBOURS, FLEET_WORD
+
+AGE_MAX_S = 0.5  # as a configuration has it that says nothing
+_Told = tuple[float, Intent, tuple[str, ...]]  # when, what it is about to do, to whom it gives way
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A time in which a member told the same of itself.
+
+    Attributes:
+        begin_s: of its first word.
+        end_s: of the first one that told something else, else of its last one.
+        intent: what it was about to do.
+        gives_way_to: members.
+    """
+
+    begin_s: float
+    end_s: float
+    intent: Intent
+    gives_way_to: tuple[str, ...]
+
+    @property
+    def waits(self) -> bool:
+        """Whether it flew and gave way to somebody."""
+        return self.intent is Intent.WAITING and bool(self.gives_way_to)
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """The words of one member on their way to another one.
+
+    Attributes:
+        teller, hearer: members.
+        told: words that the teller told before the hearer's last tick.
+        taken: words of it that the hearer's ticks were given; others got lost, or a newer one overtook them.
+        late_max_s: most that a word was old when it came; None: none came.
+        gap_max_s: longest time between two words, or from the last one to the end, while the teller flew.
+        silent: (begin, end) of the times in which the newest word was older than the hearer lets pass.
+    """
+
+    teller: str
+    hearer: str
+    told: int
+    taken: int
+    late_max_s: float | None
+    gap_max_s: float
+    silent: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Words:
+    """What was told and heard.
+
+    Attributes:
+        spans: by member, in order.
+        ways: from each member to each other one.
+        problems: what could not be read, in words.
+    """
+
+    spans: dict[str, tuple[Span, ...]]
+    ways: tuple[Way, ...]
+    problems: tuple[str, ...]
+
+
+def load_words(fleet: Fleet) -> Words:
+    """Read the words of a fleet, in one pass over its log."""
+    log, names = LogFile(fleet.path), fleet.ids
+    told: dict[str, list[_Told]] = defaultdict(list)
+    ticks: dict[str, list[float]] = defaultdict(list)
+    heard: dict[tuple[str, str], list[tuple[float, float, Intent]]] = defaultdict(list)
+    refused: list[str] = []
+    for message in log.messages():
+        member = log.parts.owner(message.topic)
+        if member is None or message.schema not in (CONTROLLER_NEIGHBOURS, FLEET_WORD):
+            continue
+        t_s = (message.log_time_ns - fleet.origin_ns) * 1e-9
+        try:
+            if message.schema == FLEET_WORD:
+                row = FleetWordRow.unpack(message.data)
+                others = tuple(names.get(number, f"vehicle {number}") for number in row.yields_to)
+                told[member].append((t_s, Intent(row.intent), others))
+                continue
+            ticks[member].append(t_s)
+            for word in unpack_neighbours(message.data):
+                teller = names.get(word.id, f"vehicle {word.id}")
+                heard[teller, member].append((t_s, word.arrival_s - word.stamp_s, word.intent))
+        except ValueError as error:
+            refused.append(f"{message.topic}: {error}")
+    problems = [f"{len(refused)} words of the fleet cannot be read; first: {refused[0]}"] if refused else []
+    ways = []
+    for teller, hearer in permutations(fleet.flights, 2):
+        if ticks[hearer]:
+            told_s = [t_s for t_s, *_ in told[teller]]
+            age_max_s = _age_max_s(fleet, hearer)
+            ways.append(_way(teller, hearer, told_s, heard[teller, hearer], ticks[hearer], age_max_s))
+    return Words({name: _spans(told[name]) for name in fleet.flights}, tuple(ways), tuple(problems))
+
+
+def _age_max_s(fleet: Fleet, member: str) -> float:
+    config = fleet.flights[member].config
+    return AGE_MAX_S if config is None or config.fleet is None else config.fleet.age_max_s
+
+
+def _spans(told: list[_Told]) -> tuple[Span, ...]:
+    runs = [(key, next(run)[0]) for key, run in groupby(told, key=lambda each: each[1:])]
+    ends_s = [*(begin_s for _, begin_s in runs[1:]), told[-1][0]] if told else []
+    return tuple(Span(begin_s, end_s, *key) for (key, begin_s), end_s in zip(runs, ends_s, strict=True))
+
+
+def _way(
+    teller: str,
+    hearer: str,
+    told_s: list[float],
+    heard: list[tuple[float, float, Intent]],
+    ticks_s: list[float],
+    age_max_s: float,
+) -> Way:
+    begin_s, end_s = ticks_s[0], ticks_s[-1]
+    told = sum(begin_s <= t_s < end_s for t_s in told_s)
+    times_s = [t_s for t_s, _, _ in heard]
+    over = bool(heard) and heard[-1][2] is Intent.DOWN  # then it may fall silent
+    edges = np.array([begin_s, *times_s] if over else [begin_s, *times_s, end_s])
+    gaps_s: Floats = np.diff(edges)
+    silent = tuple(
+        (float(edges[at] + age_max_s), float(edges[at + 1])) for at in np.flatnonzero(gaps_s > age_max_s)
+    )
+    late_max_s = max((late_s for _, late_s, _ in heard), default=None)
+    gap_max_s = float(gaps_s.max()) if len(gaps_s) else 0.0
+    return Way(teller, hearer, told, len(heard), late_max_s, gap_max_s, silent)
+
+
+def waited_s(spans: tuple[Span, ...]) -> float:
+    """Time in which a member flew and gave way to somebody."""
+    return sum(span.end_s - span.begin_s for span in spans if span.waits)

@@ -1,0 +1,169 @@
+"""The report of a fleet: what was told and heard, the page of all, a page of each, and the command."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from flightstack.cli.main import main
+from flightstack.core.types import Intent
+from logs.reader.fleet_words import load_words, waited_s
+from logs.reader.flight import load_fleet
+from logs.report import fleet as fleet_page
+from logs.report.compare import write_comparison
+from logs.report.fleet import write_fleet
+from logs.report.fleet_figures import pair_series
+from logs.verdict.fleet import judge_fleet
+from tests.fleet_log import near
+from tests.synthetic_flight import landing, write_log
+
+pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
+pytestmark = pytest.mark.xdist_group("fleet_log")
+MEMBERS = ("cf1", "cf2", "cf3")
+
+
+@pytest.fixture(scope="module")
+def read(fleet):
+    return load_fleet(fleet.log)
+
+
+@pytest.fixture(scope="module")
+def words(read):
+    return load_words(read)
+
+
+@pytest.fixture(scope="module")
+def pages(read, tmp_path_factory):
+    return write_fleet(read, judge_fleet(read), tmp_path_factory.mktemp("pages") / "report.html")
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(each) for each in arguments])
+
+
+def test_who_waited_for_whom_is_what_they_told(read, words):
+    waits = {name: [s for s in spans if s.waits] for name, spans in words.spans.items()}
+    assert waits["cf1"] == []
+    assert {s.gives_way_to for s in waits["cf2"]} == {("cf1",)}
+    assert waited_s(words.spans["cf3"]) > waited_s(words.spans["cf2"]) > 1.0
+    for name, spans in words.spans.items():
+        assert [a.end_s for a in spans[:-1]] == [b.begin_s for b in spans[1:]]
+        assert spans[-1].intent is Intent.DOWN
+        steps = read.flights[name].steps
+        assert spans[0].begin_s == pytest.approx(steps.t_s[0])
+        assert spans[-1].end_s == pytest.approx(steps.t_s[-1])
+    goes = {
+        name: next(s.begin_s for s in spans if s.intent is Intent.LANDING)
+        for name, spans in words.spans.items()
+    }
+    down = {name: spans[-1].begin_s for name, spans in words.spans.items()}
+    assert goes["cf2"] >= down["cf1"]  # one at a time
+    assert goes["cf3"] >= down["cf2"]
+
+
+def test_lost_words_are_counted(words):
+    link = near().exchange
+    assert len(words.ways) == 6
+    for way in words.ways:
+        assert way.told > 1000
+        assert 1.0 - way.taken / way.told == pytest.approx(link.loss, abs=0.04)
+        assert way.late_max_s == pytest.approx(link.delay_s)
+        assert way.gap_max_s >= link.delay_s
+        assert way.silent == ()
+
+
+def test_a_member_that_is_not_heard_is_silent(fleet, read, tmp_path):
+    """The words of cf1 to cf2 are taken out of two seconds of the log."""
+    from flightstack.common.pacing import Tick
+    from logs.schema.fleet_rows import pack_neighbours, unpack_neighbours
+    from tests.unit.logs.replay.test_replay_members import copied
+
+    def change(m):
+        t_s = (m.log_time_ns - read.origin_ns) * 1e-9
+        if m.topic != "/cf2/controller/neighbours" or not 2.0 <= t_s <= 4.0:
+            return m.data
+        kept = [word for word in unpack_neighbours(m.data) if word.id != 1]
+        return pack_neighbours(Tick(m.sequence, 0.0, m.log_time_ns, 0.0, 0.0), kept)
+
+    log = copied(fleet.log, tmp_path / "silent.mcap", change)
+    silent = {(way.teller, way.hearer): way.silent for way in load_words(load_fleet(log)).ways if way.silent}
+    assert list(silent) == [("cf1", "cf2")]
+    ((begin_s, end_s),) = silent["cf1", "cf2"]
+    assert begin_s == pytest.approx(2.0 + 0.5, abs=0.1)
+    assert end_s == pytest.approx(4.0, abs=0.1)
+
+
+def test_distances_are_those_that_were_judged(read, fleet):
+    series = pair_series(read)
+    assert [pair.name for pair in series] == ["cf1–cf2", "cf1–cf3", "cf2–cf3"]
+    assert min(p.measure[p.flying].min() for p in series) == pytest.approx(
+        fleet.verdict.ellipsoid_min, abs=0.02
+    )
+    assert min(p.distance_m.min() for p in series) == pytest.approx(fleet.verdict.distance_min_m, abs=0.005)
+    one, other = (read.flights[name].truth for name in ("cf1", "cf2"))
+    apart_m = one.position_enu_m[100] - other.position_enu_m[100]
+    assert series[0].distance_m[100] == pytest.approx(np.linalg.norm(apart_m))
+    rho = np.hypot(np.hypot(apart_m[0], apart_m[1]) / 0.25, apart_m[2] / 0.75)
+    assert series[0].measure[100] == pytest.approx(rho)
+
+
+def test_the_page_of_all_links_those_of_the_members(pages):
+    text = pages.page.read_text(encoding="utf-8")
+    assert "All landed" in text
+    assert "Mind when reading" not in text
+    for member in MEMBERS:
+        assert f'<a href="report_{member}.html">{member}</a>' in text
+        own = pages.members[member]
+        assert own.parent == pages.page.parent
+        page = own.read_text(encoding="utf-8")
+        assert '<a href="report.html">The whole fleet</a>' in page
+        assert f"flightstack replay flight.mcap --check --member {member}" in page
+        assert "Fly it again" not in page
+    assert text.count('class="figure"') == 5
+    for words in ("waits for cf1", "cf2 right of way", "cf1 to cf3", "Save as team.toml", "times inside",
+                  "flightstack sitl --scenario team.toml --seed 1 --lockstep", "cf3.controller"):  # fmt: skip
+        assert words in text
+    assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # who waited for whom
+
+
+def test_a_page_says_what_is_missing(read):
+    no_pairs = replace(read, pairs={})
+    text = fleet_page.render(no_pairs, judge_fleet(no_pairs), {})
+    assert "did not follow all pairs to the end" in text
+    assert "not known" in text
+    verdict = replace(judge_fleet(read), ellipsoid_min=9.0)
+    assert "not the one that the simulator judged by" in fleet_page.render(read, verdict, {})
+
+
+def test_a_violation_is_in_the_headline(read):
+    verdict = replace(judge_fleet(read), ellipsoid_violations=2, violation=True)
+    text = fleet_page.render(read, verdict, {})
+    assert "All landed, with a barrier violation and an ellipsoid violation" in text
+
+
+def test_the_command_writes_all_or_one(fleet, tmp_path):
+    done = run("report", fleet.log, "--out", tmp_path / "all.html", "--json")
+    told = json.loads(done.stdout)
+    assert done.exit_code == 0
+    assert told["report"] == str(tmp_path / "all.html")
+    assert told["vehicles"]["cf2"]["report"] == str(tmp_path / "all_cf2.html")
+    assert {p.name for p in tmp_path.glob("*.html")} == {"all.html", *(f"all_{m}.html" for m in MEMBERS)}
+    done = run("report", fleet.log, "--member", "cf3", "--json")
+    assert json.loads(done.stdout)["report"] == str(fleet.log.with_name("flight_cf3.html"))
+    done = run("report", fleet.log, "--member", "cf4")
+    assert done.exit_code == 2
+    table = run("log", "verdict", fleet.log)
+    assert table.exit_code == 0
+    assert "all 3 landed" in table.output
+    one = json.loads(run("log", "verdict", fleet.log, "--member", "cf3", "--json").stdout)
+    assert one == told["vehicles"]["cf3"] | {"report": None}
+
+
+def test_a_member_is_compared_with_a_single_flight(fleet, tmp_path):
+    single = write_log(tmp_path / "flight.mcap", landing())
+    page = write_comparison(fleet.log, single, tmp_path / "both.html", "cf2")
+    assert "fleet_3.cf2 and synthetic, compared" in page.read_text(encoding="utf-8")
+    assert "say whose flight" in run("report", fleet.log, single).output
