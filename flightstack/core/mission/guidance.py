@@ -126,10 +126,11 @@ def _landed(s: Situation) -> NominalCommand:
 
 def _leave(s: Situation) -> NominalCommand:
     """Up above the pad until nothing of the target reaches so high, then to the place where it lands."""
-    memory, at = s.memory, s.snapshot.relative
+    memory, at, status = s.memory, s.snapshot.relative, s.snapshot.inputs.status
     if memory.clear:
         return NominalCommand(Request.LAND)
-    request = Request.EXTERNAL if _follows_in_air(s) else Request.TAKEOFF
+    flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
+    request = Request.EXTERNAL if flies else Request.TAKEOFF  # a take-off of its own does not follow the pad
     if at is None:
         return NominalCommand(request)
     gain, (x, y, z) = s.config.position_loop.gain_1_s, at.own.position_enu_m

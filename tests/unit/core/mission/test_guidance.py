@@ -319,8 +319,9 @@ def test_without_knowing_where_it_is_it_lands_there(lost):
     assert asked(Phase.ABORT, memory=Memory(abort_way=AbortWay.FLY_CLEAR)) == Command(Request.LAND)
 
 
-def leaves(e, place=None, landed=Landed.IN_AIR, velocity=ZERO, **memory):
-    told, before = {"landed": landed, "velocity": velocity}, Memory(target_position_enu_m=PAD, **memory)
+def leaves(e, place=None, landed=Landed.IN_AIR, velocity=ZERO, armed=True, **memory):
+    told = {"landed": landed, "velocity": velocity, "armed": armed}
+    before = Memory(target_position_enu_m=PAD, **memory)
     return asked(Phase.LEAVE, e=e, memory=before, way=Way(place_enu_m=place), **told)
 
 
@@ -329,7 +330,8 @@ def test_a_pad_is_left_upwards_with_the_pad_below():
     on_pad = leaves((0.02, 0.0, 0.015), landed=Landed.ON_GROUND)
     assert (on_pad.request, on_pad.filtered) == (Request.TAKEOFF, True)
     assert on_pad.velocity[2] > MOVING[2]
-    low = leaves((0.02, 0.0, 0.3), was_external=True)
+    assert leaves((0.02, 0.0, 0.015), armed=False).request is Request.TAKEOFF
+    low = leaves((0.02, 0.0, 0.3))
     assert low.request is Request.EXTERNAL
     assert low.velocity[0] < MOVING[0]  # back over the middle
     assert low.velocity[1] == pytest.approx(MOVING[1])
