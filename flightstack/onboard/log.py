@@ -13,10 +13,11 @@ from flightstack.core.controller import Outputs
 from flightstack.core.memory import FleetState, State
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
-from logs.schema.codec_mavlink import PeerNames, pack_mavlink
+from logs.schema.codec_mavlink import MAVLINK_PEERS, PeerNames, pack_mavlink
 from logs.schema.controller_rows import TickInputs, pack_controller_input, power_row, step_row
 from logs.schema.events import CONTROLLER, ONBOARD, pack_log
 from logs.schema.fleet_rows import pack_neighbours
+from logs.schema.names import OWN, Names
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import (
     CONTROLLER_INPUT,
@@ -65,6 +66,7 @@ class OnboardLog:
         lockstep: in simulated time.
         reserve: the thrust reserve is estimated.
         state: class of the controller's state; that of a fleet has the others' words beside it.
+        names: of what it writes; with those of other flights where they share the log.
     """
 
     def __init__(
@@ -77,12 +79,13 @@ class OnboardLog:
         *,
         reserve: bool = False,
         state: type[State] = State,
+        names: Names = OWN,
     ) -> None:
-        self._feed = feed
+        self._feed, self._names = feed, names
         self._odom = feed.channel(f"/{namespace}/target/odom", ODOMETRY)
         self._mavlink = {
-            Direction.IN: feed.channel("/uas1/mavlink_source", MAVLINK),
-            Direction.OUT: feed.channel("/uas1/mavlink_sink", MAVLINK),
+            Direction.IN: feed.channel(names.frames("mavlink_source"), MAVLINK),
+            Direction.OUT: feed.channel(names.frames("mavlink_sink"), MAVLINK),
         }
         self._input = feed.channel(f"/{namespace}/controller/input", CONTROLLER_INPUT)
         self._step = feed.channel(f"/{namespace}/controller/step", CONTROLLER_STEP)
@@ -95,7 +98,7 @@ class OnboardLog:
         self._timing = feed.channel(f"/{namespace}/loop/timing", LOOP_TIMING)
         self._rosout = feed.channel("/rosout", LOG)
         self._frames: list[tuple[Direction, bytes, bytes]] = []  # last: name of the peer
-        self._peer_names = PeerNames(feed)
+        self._peer_names = PeerNames(feed, names.record(MAVLINK_PEERS))
         self._packed_step = b""  # of the last tick
         self._asked = b""  # last TIMESYNC that came
         self._sequence = 0
@@ -130,7 +133,9 @@ class OnboardLog:
 
     def event(self, unix_ns: int, level: int, text: str, name: str = ONBOARD) -> None:
         """Write an event of /rosout."""
-        self._feed.write(self._rosout, unix_ns, unix_ns, 0, pack_log(unix_ns, level, name, text))
+        self._feed.write(
+            self._rosout, unix_ns, unix_ns, 0, pack_log(unix_ns, level, self._names.logger(name), text)
+        )
 
     def step(self, tick: Tick, taken: Taken, out: Outputs, state: State) -> ControllerStepRow:
         """Write the frames, inputs, events and decisions of a tick; return the decisions.

@@ -4,7 +4,8 @@ The messages of a :class:`Deriver` let any viewer show the flight in 3-D. They h
 the run's metadata do not hold. What is made, and when, depends on the log time of the steps alone: two runs
 with equal steps give equal messages. Frames: ``map`` is the ENU world,
 ``map_ned`` the same place in NED axes, ``<ns>/base_link`` the vehicle (heading only), ``target`` the pad with
-its heading, ``target_pad`` the pad without heading, in which the barrier stands still.
+its heading, ``target_pad`` the pad without heading, in which the barrier stands still; ``<ns>/target`` and
+``<ns>/target_pad`` in the log of a fleet.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from bridge.ros2.cdr import NO_COVARIANCE
@@ -23,6 +25,7 @@ from logs.derive.markers import Scene
 from logs.reader.flight_data import ATTACHMENT, read_config, shape
 from logs.schema.cdr import packer
 from logs.schema.events import pack_string
+from logs.schema.names import Names, split
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import (
     CONTROLLER_STEP,
@@ -53,20 +56,23 @@ _NED_IN_ENU = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 class Deriver:
     """Makes the viewers' messages of one vehicle."""
 
-    def __init__(self, step_topic: str, health: Health | None = None) -> None:
+    def __init__(self, step_topic: str, health: Health | None = None, *, shares_log: bool = False) -> None:
         """Take the name space from the topic of the steps, for example ``/cf1/controller/step``.
 
         Args:
             step_topic: Topic of the steps.
             health: Is shown every step.
+            shares_log: the log has other flights, too: frames of the target carry the name space.
         """
         self._space = step_topic.removesuffix(STEP_SUFFIX)
-        self._base = f"{self._space.strip('/')}/base_link".lstrip("/")
+        name = self._space.strip("/")
+        self._base = f"{name}/base_link".lstrip("/")
+        self._target = f"{name}/target" if shares_log else "target"
         self._run_text = b""
         self._health = health
         # made here, since the first of a type takes milliseconds
         self._pack = {kind: packer(kind) for kind in (TF_MESSAGE, ODOMETRY, POSE_STAMPED, TWIST_STAMPED)}
-        self._scene = Scene(self._base)
+        self._scene = Scene(self._base, self._target)
         self._slots: dict[int, int] = {}
 
     def configure(self, run: Mapping[str, str], shape: Mapping[str, str] = MappingProxyType({})) -> None:
@@ -103,7 +109,7 @@ class Deriver:
         frames = [(stamp_ns, self._base, own)] if row.own_valid else []
         if row.target_valid:
             pad = row.target_position_enu_m, _NO_ROTATION
-            frames += [(stamp_ns, "target", target), (stamp_ns, "target_pad", pad)]
+            frames += [(stamp_ns, self._target, target), (stamp_ns, f"{self._target}_pad", pad)]
         if frames:
             add("/tf", TF_MESSAGE, (frames,))
         if row.own_valid:
@@ -142,47 +148,65 @@ def _body_velocity(row: ControllerStepRow) -> Vec3:
     return (cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z)
 
 
+@dataclass
+class _Told:
+    """What metadata and attachments say of one flight.
+
+    Attributes:
+        run: metadata of the run.
+        shape: of barrier and pad, by the configuration.
+        onboard: metadata of the onboard process.
+    """
+
+    run: dict[str, str] = field(default_factory=dict)
+    shape: dict[str, str] = field(default_factory=dict)
+    onboard: dict[str, str] = field(default_factory=dict)
+
+
 class Derivers:
-    """Derivations of all clients of one recorder, by topic: a client that comes again continues."""
+    """Derivations of all clients of one recorder, by topic: a client that comes again continues.
+
+    In the log of a fleet each member has metadata of its own, with its namespace in front.
+    """
 
     def __init__(self) -> None:
-        self._run: dict[str, str] = {}
-        self._shape: dict[str, str] = {}  # of barrier and pad, by the configuration
-        self._onboard: dict[str, str] = {}
+        self._told: dict[str, _Told] = {}  # by member; empty: the only flight
         self._steps: dict[str, Deriver] = {}
         self._frames: dict[str, FrameDecoder] = {}
         self._health: dict[str, Health] = {}
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Take what the metadata of the run and of the onboard process say.
+        """Take what the metadata of a run and of an onboard process say.
 
         Raises:
             ValueError: A value that is not a number.
         """
+        member, name = split(name)
         if name == "run":
-            self._run.update(values)
-            for deriver in self._steps.values():
-                deriver.configure(self._run, self._shape)
+            self._of(member).run.update(values)
+            self._configure_steps()
         elif name == "onboard":
-            self._onboard.update(values)
+            self._of(member).onboard.update(values)
             for frames in self._frames.values():
                 self._configure(frames)
 
     def attachment(self, name: str, data: bytes) -> None:
         """Take barrier and pad from the configuration, for a flight without metadata of a run."""
+        member, name = split(name)
         if name != ATTACHMENT:
             return
         with contextlib.suppress(ConfigError):  # of another version: barrier and pad are not drawn
-            self._shape = shape(read_config(data))
-        for deriver in self._steps.values():
-            deriver.configure(self._run, self._shape)
+            self._of(member).shape = shape(read_config(data))
+        self._configure_steps()
 
     def declare(self, topic: str, schema: str) -> Derive | None:
         """Return what to call with each message of a channel; None: nothing is derived from it."""
         if schema == CONTROLLER_STEP:
             if topic not in self._steps:
-                self._steps[topic] = Deriver(topic, self._health_of(topic.removesuffix(STEP_SUFFIX)))
-                self._steps[topic].configure(self._run, self._shape)
+                space = topic.removesuffix(STEP_SUFFIX)
+                fleet = space.strip("/") in self._told
+                self._steps[topic] = Deriver(topic, self._health_of(space), shares_log=fleet)
+                self._configure_steps()
             step = self._steps[topic].step
             return lambda log_time_ns, payload: step(log_time_ns, ControllerStepRow.unpack(payload))
         if schema == LOOP_TIMING:
@@ -198,8 +222,23 @@ class Derivers:
     def _health_of(self, space: str) -> Health:
         return self._health.setdefault(space, Health(space))
 
+    def _of(self, member: str) -> _Told:
+        return self._told.setdefault(member, _Told())
+
+    def _configure_steps(self) -> None:
+        for topic, deriver in self._steps.items():
+            space = topic.removesuffix(STEP_SUFFIX).strip("/")
+            told = self._told.get(space) or self._of("")
+            deriver.configure(told.run, told.shape)
+
     def _configure(self, frames: FrameDecoder) -> None:
-        if "namespace" in self._onboard:
-            frames.configure(self._onboard)
-            health = self._health_of("/" + self._onboard["namespace"].strip("/"))
+        for member, told in self._told.items():
+            onboard = told.onboard
+            if "namespace" not in onboard:
+                continue
+            names = Names(member, int(onboard.get("system_id", "1")))
+            if member and frames.topic.rpartition("/")[0] != names.frames("").rstrip("/"):
+                continue
+            frames.configure(onboard)
+            health = self._health_of("/" + onboard["namespace"].strip("/"))
             frames.counter = health.incoming if frames.topic.endswith(SOURCE_SUFFIX) else health.outgoing

@@ -87,13 +87,14 @@ class Path:
 class Scene:
     """The pictures of one flight."""
 
-    def __init__(self, own_frame: str) -> None:
-        """Draw the vehicle in its own frame, for example ``cf1/base_link``."""
+    def __init__(self, own_frame: str, target_frame: str = "target") -> None:
+        """Draw the vehicle in its own frame, for example ``cf1/base_link``, and the pad in the target's."""
+        self._target_frame = target_frame
         self._body = Marker(own_frame, "vehicle", 0, CUBE, BODY_SIZE_M, OWN_COLOR)
         self._own_path = Path()
         self._target_path = Path()
         self._surface: Marker | None = None
-        self._pad = _pad(PAD_RADIUS_M)
+        self._pad = _pad(target_frame, PAD_RADIUS_M)
         self._pack = packer(MARKER_ARRAY, frame_id=None)
 
     def configure(self, run: Mapping[str, str]) -> None:
@@ -102,13 +103,16 @@ class Scene:
         Raises:
             ValueError: A value that is not a number.
         """
-        self._pad = _pad(float(run.get("pad_radius_m", PAD_RADIUS_M)))
+        frame = self._target_frame
+        self._pad = _pad(frame, float(run.get("pad_radius_m", PAD_RADIUS_M)))
         if "barrier_alpha_1_m" in run and "barrier_beta_m" in run:
             barrier = Barrier(float(run["barrier_alpha_1_m"]), float(run["barrier_beta_m"]))
             if barrier.alpha_1_m > 0.0:
                 mesh = surface(barrier)
                 scale = (1.0, 1.0, 1.0)
-                self._surface = Marker("target_pad", "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh)
+                self._surface = Marker(
+                    f"{frame}_pad", "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh
+                )
 
     def add(self, log_time_ns: int, row: ControllerStepRow) -> None:
         """Remember where vehicle and target were."""
@@ -173,10 +177,10 @@ def _values(stamp_ns: int, marker: Marker) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-def _pad(radius_m: float) -> Marker:
+def _pad(frame: str, radius_m: float) -> Marker:
     thickness_m = 0.01  # only for the eye: the top is where it belongs, at the target frame's origin
     scale = (2.0 * radius_m, 2.0 * radius_m, thickness_m)
-    return Marker("target", "pad", 0, CYLINDER, scale, PAD_COLOR, position=(0.0, 0.0, -0.5 * thickness_m))
+    return Marker(frame, "pad", 0, CYLINDER, scale, PAD_COLOR, position=(0.0, 0.0, -0.5 * thickness_m))
 
 
 def _arrow(number: int, start_m: Vec3, velocity_m_s: Vec3, color: Color) -> Marker:

@@ -28,9 +28,9 @@ from logs.reader.flight_data import (
     Truth,
     read_config,
 )
-from logs.reader.members import FLEET
 from logs.reader.reader import LogError, LogFile, Message
 from logs.schema.cdr import codec
+from logs.schema.names import FLEET
 from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE
 

@@ -11,11 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from logs.schema.names import FLEET, TEAM
 from logs.schema.rows import LogRow
 from logs.schema.schemas import LOG
 
-FLEET = "fleet"  # metadata
-TEAM = "team.toml"  # attachment
 ROSOUT = "/rosout"
 _SYSTEM = "uas"  # first part of the topics of MAVLink frames, with the system id behind it
 _FRAMES = "/uas1"  # the same in the log of one flight, whatever its system id

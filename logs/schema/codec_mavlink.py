@@ -152,8 +152,9 @@ class MetadataSink(Protocol):
 class PeerNames:
     """Names peers as they appear: ``p00``, ``p01``, ..."""
 
-    def __init__(self, sink: MetadataSink) -> None:
-        self._sink = sink
+    def __init__(self, sink: MetadataSink, record: str = MAVLINK_PEERS) -> None:
+        """Take where, and in which record, they are explained."""
+        self._sink, self._record = sink, record
         self._names: dict[tuple[str, int], bytes] = {}
 
     def __call__(self, peer: tuple[str, int]) -> bytes:
@@ -163,5 +164,5 @@ class PeerNames:
             if len(self._names) >= NAMED_MAX:
                 return OTHERS
             name = self._names[peer] = b"p%02d" % len(self._names)
-            self._sink.metadata(MAVLINK_PEERS, {name.decode(): f"{peer[0]}:{peer[1]}"})
+            self._sink.metadata(self._record, {name.decode(): f"{peer[0]}:{peer[1]}"})
         return name

@@ -18,6 +18,7 @@ import numpy as np
 from logs.reader.reader import LogError, LogFile, Message
 from logs.recorder.recording import LOSSES, RECORDER, RECORDER_NAME
 from logs.schema.codec_mavlink import MAVLINK_PEERS
+from logs.schema.names import split
 from logs.schema.rows import LogRow
 from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING
 from logs.tools.edit import LOG_TOOL
@@ -156,7 +157,9 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def _metadata(a: dict[str, dict[str, str]], b: dict[str, dict[str, str]]) -> Iterator[MessageDifference]:
-    for name in sorted((a.keys() | b.keys()) - WALL_CLOCK_METADATA - PROVENANCE_METADATA):
+    for name in sorted(a.keys() | b.keys()):
+        if split(name)[1] in WALL_CLOCK_METADATA | PROVENANCE_METADATA:
+            continue
         values_a, values_b = a.get(name, {}), b.get(name, {})
         for key in sorted((values_a.keys() | values_b.keys()) - WALL_CLOCK_METADATA_KEYS):
             x, y = values_a.get(key, ABSENT), values_b.get(key, ABSENT)

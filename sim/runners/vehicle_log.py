@@ -5,6 +5,7 @@ from __future__ import annotations
 from logs.recorder.feed import Feed
 from logs.schema import schemas
 from logs.schema.events import ContactBit, Severity
+from logs.schema.names import OWN, Names
 from logs.schema.rows import TrueStateRow
 from sim.plant.vehicle_types import Truth
 from sim.runners.log import EventLog
@@ -23,8 +24,8 @@ _CONTACT_GAP_S = 0.5  # s without contact until the next one is news
 class VehicleLog(EventLog):
     """Events, true state and the deck's true state of the vehicle process."""
 
-    def __init__(self, feed: Feed, epoch_ns: int, namespace: str = "cf1") -> None:
-        super().__init__(feed, "vehicle", epoch_ns)
+    def __init__(self, feed: Feed, epoch_ns: int, namespace: str = "cf1", names: Names = OWN) -> None:
+        super().__init__(feed, names.logger("vehicle"), epoch_ns)
         self._truth = feed.channel(f"/{namespace}/sim/truth", schemas.TRUE_STATE)
         self._target = feed.channel(f"/{namespace}/sim/target/truth", schemas.ODOMETRY)
         self._contact_s: dict[int, float] = {}

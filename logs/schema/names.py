@@ -1,0 +1,46 @@
+"""Names of what a flight writes into a log: plain where the log is its own, else with its namespace.
+
+A log of several flights has metadata ``cf2/run``, attachments ``cf2/onboard.toml``, the logger
+``cf2.onboard`` on /rosout, and MAVLink frames on ``/uas2``. Topics of a flight begin with its namespace in
+every log.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+FLEET = "fleet"  # metadata: who the members are
+TEAM = "team.toml"  # attachment: the scenario of all
+
+
+class Names(NamedTuple):
+    """How the records of a flight are called.
+
+    Attributes:
+        member: namespace of the flight; empty: the log is its own.
+        system_id: of the vehicle, in the topics of its frames.
+    """
+
+    member: str = ""
+    system_id: int = 1
+
+    def record(self, name: str) -> str:
+        """Name of a metadata record or an attachment."""
+        return f"{self.member}/{name}" if self.member else name
+
+    def logger(self, name: str) -> str:
+        """Name of a process, and of a source of events."""
+        return f"{self.member}.{name}" if self.member else name
+
+    def frames(self, name: str) -> str:
+        """Topic of MAVLink frames."""
+        return f"/uas{self.system_id}/{name}"
+
+
+OWN = Names()  # of a log that holds one flight
+
+
+def split(name: str) -> tuple[str, str]:
+    """Return whose a metadata record or an attachment is, empty for the log's own, and its name."""
+    member, _, rest = name.rpartition("/")
+    return member, rest
