@@ -11,7 +11,7 @@ from rich.console import Console
 
 from flightstack.common.strict_toml import dumps
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.launch.launcher import NAMESPACE, Launcher, Shown
+from flightstack.launch.launcher import NAMESPACE, Followed, Launcher, Shown
 from flightstack.launch.result import Flown
 from flightstack.onboard.recording import describe, end_recorder, log_in, new_folder
 
@@ -75,11 +75,11 @@ def run(config: FlightConfig, options: FlyOptions, console: Console) -> Flown:
         for endpoint in (at, *options.listen):
             console.print(f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True)
         title = f"{options.name}  {options.vehicle_url}  filter {config.filter}"
-        shown = Shown(at, title, options.namespace) if options.live and console.is_terminal else None
-        started = time.monotonic()
-        problem = launcher.watch(onboard, [recorder] if recorder is not None else [], None, shown)
+        shown = Shown([at], title, [options.namespace]) if options.live and console.is_terminal else None
+        started, flight = time.monotonic(), Followed(onboard)
+        problem = launcher.watch([flight], [recorder] if recorder is not None else [], None, shown)
         wall_s = time.monotonic() - started
         if recorder is not None:
             problem = end_recorder(recorder) or problem
     about = {"scenario": None, "seed": None, "config": options.name, "filter": config.filter}
-    return Flown(about, folder, log, wall_s, onboard.process.returncode, launcher.last_line, problem)
+    return Flown(about, folder, log, wall_s, onboard.process.returncode, flight.last_line, problem)

@@ -21,7 +21,7 @@ from flightstack.common.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
 from flightstack.onboard.recording import start_recorder
-from flightstack.watch.live import REFRESH_HZ, LiveView
+from flightstack.watch.live import REFRESH_HZ, live_view
 
 NAMESPACE = "cf1"
 LAND_ALONE_MAX_S = 20.0  # s of wall time for the vehicle's own landing without the onboard process
@@ -35,14 +35,33 @@ class Shown:
     """The data of the live view.
 
     Attributes:
-        endpoint: Zenoh endpoint of the onboard process.
+        endpoints: Zenoh endpoints of the onboard processes.
         title: of the view.
-        namespace: first part of its keys.
+        namespaces: first parts of their keys.
     """
 
-    endpoint: str
+    endpoints: Sequence[str]
     title: str
-    namespace: str = NAMESPACE
+    namespaces: Sequence[str] = (NAMESPACE,)
+
+
+@dataclass
+class Followed:
+    """An onboard process that is watched.
+
+    Attributes:
+        child: the process.
+        name: before its lines, where there are several; empty: it is the only one.
+        last_line: the last that it said.
+        aborted: whether it has given up and left the vehicle to its autopilot, or has failed.
+        problem: why it has failed; None: it has not.
+    """
+
+    child: Child
+    name: str = ""
+    last_line: str = ""
+    aborted: bool = False
+    problem: str | None = None
 
 
 def words(**options: object) -> list[str]:
@@ -66,8 +85,6 @@ class Launcher:
     Attributes:
         children: running processes of this flight, in the order in which they were started.
         interrupted: whether the operator asked for the end of the run.
-        last_line: the last that the onboard process said.
-        aborted: whether the onboard process has given up and left the vehicle to its autopilot.
         socket: where the recorder listens.
 
     Args:
@@ -82,8 +99,6 @@ class Launcher:
         self.folder, self.console = folder, console
         self.children: list[Running] = []
         self.interrupted = False
-        self.aborted = False
-        self.last_line = ""
         self._tells, self._real = tells, real
         self._ports: list[Port] = []
         # a short path: socket names are limited to 107 bytes
@@ -117,9 +132,17 @@ class Launcher:
         self._ports.append(port)
         return port.endpoint
 
-    def start(self, verb: str, *arguments: str, **options: object) -> Child:
-        """Start a verb of ``flightstack``; ``options`` are those of ``words``."""
-        child = Child(verb, [verb, *arguments, *words(**options)], self.folder)
+    def start(self, verb: str, *arguments: str, of: object = "", **options: object) -> Child:
+        """Start a verb of ``flightstack``.
+
+        Args:
+            verb: the verb.
+            arguments: words of its command line.
+            of: whose process it is, where there are several of this verb.
+            options: those of ``words``.
+        """
+        name = f"{verb}-{of}" if of else verb
+        child = Child(name, [verb, *arguments, *words(**options)], self.folder)
         self.children.append(child)
         return child
 
@@ -160,38 +183,42 @@ class Launcher:
     def _end_max_s(self, name: str) -> float:
         if name == "record":
             return CLOSE_TIME_MAX_S
-        return LAND_MAX_S if self._real and name == "onboard" else END_TIME_MAX_S
+        return LAND_MAX_S if self._real and name.startswith("onboard") else END_TIME_MAX_S
 
     def watch(
         self,
-        onboard: Child,
+        flights: Sequence[Followed],
         others: Sequence[Running],
         limit_s: float | None,
         shown: Shown | None,
         teller: Child | None = None,
     ) -> str | None:
-        """Watch until the onboard process ends; return the problem, or None.
+        """Watch until the onboard processes have ended; return the problem, or None.
 
         Args:
-            onboard: the onboard process.
-            others: processes that have to outlive it.
+            flights: the onboard processes.
+            others: processes that have to outlive them.
             limit_s: wall time after which the run is given up; None: the onboard process knows its own.
             shown: for the live view; None: there is none.
             teller: process that says when the motors are armed and disarmed; None: nobody does.
         """
-        others = list(others)
+        others, flying = list(others), list(flights)
         until = time.monotonic() + (limit_s if limit_s is not None else math.inf)
         view = session = None
         problem: str | None = None
         if shown is not None:
-            session = zenoh_link.open_session([], [shown.endpoint])
-            view = LiveView(session, shown.namespace, shown.title, self.console)
+            session = zenoh_link.open_session([], shown.endpoints)
+            view = live_view(session, shown.namespaces, shown.title, self.console)
             view.live.start()
         try:
-            while onboard.alive():
-                self._say(onboard.lines(1.0 / REFRESH_HZ))
+            while flying:
+                for flight in flying:
+                    self._say(flight, flight.child.lines(1.0 / REFRESH_HZ if flight is flying[0] else 0.0))
                 if view is not None:
                     view.poll()
+                for flight in [each for each in flying if not each.child.alive()]:
+                    flying.remove(flight)
+                    problem = self._ended(flight) or problem
                 for child in [c for c in others if not c.alive()]:
                     # nobody else needs it to end safely: the onboard process holds, climbs or lands away
                     others.remove(child)
@@ -201,19 +228,27 @@ class Launcher:
                     return "interrupted"
                 if limit_s is not None and time.monotonic() > until:
                     return f"not over after {limit_s:.0f} s"
-            self._say(onboard.lines(0.0))
         finally:
             if view is not None:
                 with contextlib.suppress(OSError):  # its terminal may be closed
                     view.live.stop()
             if session is not None:
                 session.close()
-        if onboard.process.returncode not in (0, 1):
-            problem = f"onboard ended in flight: {onboard.errors() or 'no reason given'}"
-            self.aborted = True
-        if self.aborted:
+        if any(flight.aborted for flight in flights):
             self._let_it_land(teller, until)
         return problem
+
+    def _ended(self, flight: Followed) -> str | None:
+        """Take the last lines of an onboard process that has ended; the problem, if it failed."""
+        child = flight.child
+        self._say(flight, child.lines(0.0))
+        if child.process.returncode in (0, 1):
+            return None
+        flight.problem = f"{child.name} ended in flight: {child.errors() or 'no reason given'}"
+        flight.aborted = True
+        if flight.name:  # the others fly on
+            self._print(flight.problem, style="red")
+        return flight.problem
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         del number, frame
@@ -223,29 +258,33 @@ class Launcher:
         """Pass a signal on to the onboard process, which handles it according to its phase."""
         del frame
         for child in self.children:
-            if isinstance(child, Child) and child.name == "onboard" and child.alive():
+            if isinstance(child, Child) and child.name.startswith("onboard") and child.alive():
                 child.process.send_signal(number)
 
-    def _say(self, lines: list[str]) -> None:
+    def _say(self, flight: Followed, lines: list[str]) -> None:
         for line in lines:
-            self.last_line = line
+            flight.last_line = line
             change = parse(line)
-            self.aborted = self.aborted or (change is not None and change.after is Phase.ABORT)
+            flight.aborted = flight.aborted or (change is not None and change.after is Phase.ABORT)
             if self._tells:
-                self._print(line)
+                self._print(f"{flight.name}  {line}" if flight.name else line)
 
     def _print(self, text: str, style: str | None = None) -> None:
         with contextlib.suppress(OSError):  # a closed terminal must not end a flight
             self.console.print(text, style=style, highlight=False, markup=False)
 
     def _let_it_land(self, teller: Child | None, until: float) -> None:
-        """Wait until the vehicle has landed by itself after the onboard process ended.
+        """Wait until the vehicles have landed by themselves after the onboard processes ended.
 
-        What it has said so far has not been read: one that never armed, or stands already, is known at once.
+        What they have said so far has not been read: who never armed, or stands already, is known at once.
         """
-        until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), False
+        until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), set[str]()
         while teller is not None and teller.alive() and not self.interrupted and time.monotonic() < until:
-            said = [line for line in teller.lines(0.2) if line in ("armed", "disarmed")]
-            armed = said[-1] == "armed" if said else armed
+            for line in teller.lines(0.2):
+                change, _, vehicle = line.partition(" ")
+                if change == "armed":
+                    armed.add(vehicle)
+                elif change == "disarmed":
+                    armed.discard(vehicle)
             if not armed:
                 return

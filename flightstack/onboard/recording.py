@@ -6,16 +6,18 @@ import platform
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
+from typing import NamedTuple
 
 from flightstack.common.processes import CLOSE_TIME_MAX_S, Child
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.flight import FlightConfig
 from logs.recorder.feed import Feed
+from logs.schema.names import FLEET, OWN, Names
 
 LOG = "flight.mcap"
 _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
@@ -112,6 +114,22 @@ class OwnRecorder:
             shutil.rmtree(self._sockets, ignore_errors=True)
 
 
+class Described(NamedTuple):
+    """What is told of a flight before it begins.
+
+    Attributes:
+        config: of the onboard process.
+        run: what else is known of the run; its entries take the place of those made here.
+        attachments: files (TOML) by name.
+        names: of its records in the log.
+    """
+
+    config: FlightConfig
+    run: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+    names: Names = OWN
+
+
 def describe(
     recorder: Path, config: FlightConfig, run: Mapping[str, str], attachments: Mapping[str, bytes]
 ) -> None:
@@ -119,27 +137,38 @@ def describe(
 
     Args:
         recorder: socket of the recorder.
-        config: of the onboard process.
-        run: what else is known of the run; its entries take the place of those made here.
-        attachments: files (TOML) by name.
+        config: as in ``Described``; the same of the others.
+        run: see there.
+        attachments: see there.
 
     Raises:
         FeedError: there is no recorder.
     """
-    shape, limits = config.barrier.build(), config.limits.velocity_max_m_s
+    describe_all(recorder, [Described(config, run, attachments)])
+
+
+def describe_all(
+    recorder: Path,
+    flights: Sequence[Described],
+    fleet: Mapping[str, str] | None = None,
+    attachments: Mapping[str, bytes] = MappingProxyType({}),
+) -> None:
+    """Write the same of several flights in one log, and what is told of all.
+
+    Args:
+        recorder: socket of the recorder.
+        flights: each with names of its own.
+        fleet: metadata of all; None: it is one flight.
+        attachments: files (TOML) of all, by name.
+
+    Raises:
+        FeedError: there is no recorder.
+    """
     feed = Feed.connect(str(recorder), "launcher", lossless=True)
-    told = {
-        "filter": config.filter,
-        "mode": "real-time",
-        "rate_hz": str(config.loop.rate_hz),
-        "barrier_alpha_1_m": repr(shape.alpha_1_m),
-        "barrier_beta_m": repr(shape.beta_m),
-        "velocity_max_x_m_s": repr(limits[0]),
-        "velocity_max_y_m_s": repr(limits[1]),
-        "velocity_max_z_m_s": repr(limits[2]),
-        "pad_radius_m": repr(config.touchdown.pad_radius_m),
-    }
-    feed.metadata("run", {**told, **run})
+    if fleet is not None:
+        feed.metadata(FLEET, fleet)
+    for flight in flights:
+        _describe(feed, flight)
     feed.metadata(
         "made",
         {
@@ -155,6 +184,25 @@ def describe(
         feed.attachment(name, "application/toml", data)
     feed.flush()
     feed.close()
+
+
+def _describe(feed: Feed, flight: Described) -> None:
+    config, names = flight.config, flight.names
+    shape, limits = config.barrier.build(), config.limits.velocity_max_m_s
+    told = {
+        "filter": config.filter,
+        "mode": "real-time",
+        "rate_hz": str(config.loop.rate_hz),
+        "barrier_alpha_1_m": repr(shape.alpha_1_m),
+        "barrier_beta_m": repr(shape.beta_m),
+        "velocity_max_x_m_s": repr(limits[0]),
+        "velocity_max_y_m_s": repr(limits[1]),
+        "velocity_max_z_m_s": repr(limits[2]),
+        "pad_radius_m": repr(config.touchdown.pad_radius_m),
+    }
+    feed.metadata(names.record("run"), {**told, **flight.run})
+    for name, data in flight.attachments.items():
+        feed.attachment(names.record(name), "application/toml", data)
 
 
 def _revision() -> str:

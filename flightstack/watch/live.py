@@ -59,6 +59,58 @@ class LiveView:
         return draw(self.watch, self._title, self._whom)
 
 
+class FleetView:
+    """Draws a line for each vehicle of a fleet; no flight depends on it."""
+
+    def __init__(
+        self, session: zenoh_link.Session, namespaces: Sequence[str], title: str, console: Console
+    ) -> None:
+        self.watches = {namespace: Watch(session, namespace) for namespace in namespaces}
+        self._title = title
+        self.live = Live(self._draw(), console=console, refresh_per_second=REFRESH_HZ, transient=False)
+
+    def poll(self) -> None:
+        """Take what has come and redraw."""
+        for watch in self.watches.values():
+            watch.poll()
+        self.live.update(self._draw())
+
+    def _draw(self) -> Panel:
+        right = (Column(name, justify="right") for name in ("e_z, m", "d, m", "h, m", "overruns"))
+        table = Table("vehicle", "phase", *right, "filter", "why", box=None, padding=(0, 2))
+        for namespace, watch in self.watches.items():
+            table.add_row(namespace, *_line(watch), style="none" if watch.news is News.FRESH else "dim")
+        return Panel(table, title=self._title, title_align="left")
+
+
+def live_view(
+    session: zenoh_link.Session, namespaces: Sequence[str], title: str, console: Console
+) -> LiveView | FleetView:
+    """Return the view of one vehicle, or that of several."""
+    if len(namespaces) > 1:
+        return FleetView(session, namespaces, title, console)
+    return LiveView(session, namespaces[0], title, console)
+
+
+def _line(watch: Watch) -> tuple[str | Text, ...]:
+    """Phase, relative height, distance, h, overruns, filter and reason of a vehicle, as far as known."""
+    step = watch.step
+    if step is None:
+        return (watch.news.value,)
+    fresh = watch.news is News.FRESH or watch.over
+    x, y, z = (p - q for p, q in zip(step.own_position_enu_m, step.target_position_enu_m, strict=True))
+    style = _STYLE[Phase(step.phase)] if step.phase in Phase._value2member_map_ else ""
+    return (
+        Text(name_of(Phase, step.phase), style=style if fresh else "dim"),
+        _value(z, "+.3f"),
+        _value(math.hypot(x, y), ".3f"),
+        Text(_value(step.h_m, "+.3f"), style=_dim("red" if step.h_m < 0.0 else "green", fresh)),
+        str(watch.timings[-1].overruns) if watch.timings else "-",
+        name_of(FilterStatus, step.filter_status).lower().replace("_", " "),
+        watch.health.reason if watch.health is not None else "",
+    )
+
+
 def draw(watch: Watch, title: str, whom: str = "") -> Panel:
     """Return the view of the known values and their ages."""
     style = "none" if watch.news is News.FRESH else "red"

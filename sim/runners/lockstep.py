@@ -10,6 +10,7 @@ Faults of the wire concern everything but this handshake.
 from __future__ import annotations
 
 import time
+from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -31,15 +32,40 @@ _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 
 
+class Left(Protocol):
+    """Whether the companion has left for good."""
+
+    @property
+    def is_set(self) -> bool:
+        """Whether it has: it is waited for no longer."""
+
+
 class LockstepLoop:
-    """Runs ticks until the end."""
+    """Runs ticks until the end.
+
+    Args:
+        node: the vehicle.
+        deck: true poses of its robot; None: it stands.
+        grid: of the ticks.
+        stop: ends the process.
+        radio_s: delay of set-points on their way to the vehicle.
+        left: whether the companion has left; None: it stays until ``stop``, and so it is one of many vehicles
+            that do not wait for each other where one has no companion.
+    """
 
     def __init__(
-        self, node: VehicleNode, deck: LockstepDeck | None, grid: TickGrid, stop: Stop, radio_s: float
+        self,
+        node: VehicleNode,
+        deck: LockstepDeck | None,
+        grid: TickGrid,
+        stop: Stop,
+        radio_s: float,
+        left: Left | None = None,
     ) -> None:
-        """Prepare; ``radio_s`` is the delay of set-points on their way to the vehicle."""
         self._radio_ms = round(radio_s * 1000.0)
         self._node, self._deck, self._grid, self._stop = node, deck, grid, stop
+        self._alone = left is None
+        self._left = stop if left is None else left
         self._companion: Peer | None = None  # whoever answered first
         self._answers = True  # the companion is waited for
         self._replies: list[Message] = []  # for the companion, with the next tick
@@ -48,6 +74,11 @@ class LockstepLoop:
         self._deck_last: DeckState | None = None
         self._deck_s = 0.0  # time of the last true pose
         self._request = b""
+
+    @property
+    def answers(self) -> bool:
+        """Whether the companion is waited for: it has answered so far."""
+        return self._answers
 
     def run(self, ticks: int | None) -> None:
         """Simulate.
@@ -94,6 +125,15 @@ class LockstepLoop:
         Raises:
             NoAnswerError: the companion never came.
         """
+        self.ask(tick)
+        self.act(tick)
+
+    def ask(self, tick: int) -> None:
+        """Begin a tick: send what is due, ask the companion, and simulate what does not wait for its answer.
+
+        Args:
+            tick: its number, the next one.
+        """
         node, grid = self._node, self._grid
         now_ns = grid.ns(tick)
         now_s = now_ns / 1e9
@@ -109,9 +149,23 @@ class LockstepLoop:
         ahead = min(steps, self._radio_ms)
         node.vehicle.advance(ahead)
         node.vehicle.sent_before_ms = ahead
-        self._await_answer(now_ns, now_s)
+
+    def act(self, tick: int, silence: Silence | None = None) -> None:
+        """End a tick: await the companion's answer, act on it, and simulate the rest.
+
+        Args:
+            tick: its number, that of ``ask``.
+            silence: of all companions of several vehicles in this tick; None: this one's alone.
+
+        Raises:
+            NoAnswerError: the companion never came.
+        """
+        node, grid = self._node, self._grid
+        now_ns = grid.ns(tick)
+        now_s = now_ns / 1e9
+        self._await_answer(now_ns, now_s, silence)
         node.control(now_s)
-        node.vehicle.advance(steps - ahead)
+        node.vehicle.advance(grid.ms(tick + 1) - grid.ms(tick) - node.vehicle.sent_before_ms)
 
     def coast(self, tick: int) -> None:
         """Simulate one tick without the companion, which has left: the vehicle stays where its robot is.
@@ -151,7 +205,7 @@ class LockstepLoop:
             node.move_deck(stopped)
             node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, "Robot's pose too old: deck stopped")
 
-    def _await_answer(self, now_ns: int, now_s: float) -> None:
+    def _await_answer(self, now_ns: int, now_s: float, silence: Silence | None) -> None:
         """Handle everything up to the companion's answer for this tick."""
         for received in self._node.wire.late(now_ns):
             self._answer(received, now_ns, now_s)
@@ -160,8 +214,8 @@ class LockstepLoop:
         if not self._answers:
             self._run_free(now_ns, now_s)
             return
-        silence, repeat_s = Silence(), time.monotonic()
-        while not answered and not self._stop.is_set:
+        silence, repeat_s = silence or Silence(), time.monotonic()
+        while not answered and not self._left.is_set:
             self._node.endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
             answered = self._take(self._node.endpoint.receive(), now_ns, now_s)
             if answered:
@@ -254,6 +308,6 @@ class LockstepLoop:
     def _run_free(self, now_ns: int, now_s: float) -> None:
         """Without the companion: as fast as it goes while flying, in real time once it has landed."""
         endpoint = self._node.endpoint
-        if not self._node.vehicle.armed:
+        if self._alone and not self._node.vehicle.armed:
             endpoint.wait(self._grid.period_s)
         self._take(endpoint.receive(), now_ns, now_s)

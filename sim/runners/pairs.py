@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +14,25 @@ import numpy.typing as npt
 from logs.schema.events import Severity
 from sim.clock import TickGrid
 from sim.compiled.records import F64
-from sim.runners.companion import Companion
 from sim.vehicle.encounters import Shape, Team
+from sim.vehicle.vehicle import VehicleSim
 
 _MS_PER_S = 1000.0
+
+
+class Followed(Protocol):
+    """A member of the team."""
+
+    @property
+    def name(self) -> str:
+        """Of the vehicle, for texts."""
+
+    @property
+    def vehicle(self) -> VehicleSim:
+        """The simulated one."""
+
+    def say(self, t_s: float, level: int, text: str) -> None:
+        """Note something that was seen of it."""
 
 
 @dataclass(slots=True)
@@ -58,7 +74,7 @@ class Pairs:
         ValueError: two vehicles begin inside each other.
     """
 
-    def __init__(self, members: Sequence[Companion], grid: TickGrid) -> None:
+    def __init__(self, members: Sequence[Followed], grid: TickGrid) -> None:
         self._members, self._grid = members, grid
         shapes = [Shape.of(member.vehicle.physics.params) for member in members]
         self.all = [Pair(i, j) for i, j in combinations(range(1, len(members) + 1), 2)]

@@ -5,12 +5,14 @@ MAVLink is on one side, the robot's true pose on the other.
 
 from __future__ import annotations
 
+import select
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -36,42 +38,25 @@ _MS = 1e-3
 _NS_PER_MS = 1_000_000
 
 
-class RealTimeLoop:
-    """Runs ticks until the end."""
+class RealTimeVehicle:
+    """One vehicle: acts on what comes when it comes, and sends at its ticks.
 
-    def __init__(self, node: VehicleNode, deck: RealTimeDeck | None, grid: TickGrid, stop: Stop) -> None:
-        self._node, self._deck, self._grid, self._stop = node, deck, grid, stop
+    Args:
+        node: the vehicle.
+        deck: true poses of its robot; None: it stands.
+        grid: of the ticks.
+    """
+
+    def __init__(self, node: VehicleNode, deck: RealTimeDeck | None, grid: TickGrid) -> None:
+        self.node, self._deck, self._grid = node, deck, grid
         self._deck_stale = False
         self._ms = 0  # simulated so far
-        self._start_s = 0.0
 
-    def run(self, ticks: int | None) -> None:
-        """Simulate.
-
-        Args:
-            ticks: how many; None for no end.
-        """
-        node, grid = self._node, self._grid
-        ask_for_priority()  # a vehicle is nobody's ordinary process: its physics wait for no other program
-        self._start_s = time.monotonic()
-        node.log.epoch_ns = time.time_ns()  # making the vehicle took a while
-        tick = 0
-        while not self._stop.is_set and tick != ticks:
-            deadline_s = self._start_s + grid.ns(tick) / 1e9
-            while (left_s := deadline_s - time.monotonic()) > 0.0 and not self._stop.is_set:
-                if node.endpoint.wait(left_s):
-                    since_start_ms = int((time.monotonic() - self._start_s) / _MS)
-                    self._advance_to(min(since_start_ms, grid.ms(tick)))
-                    self._receive()
-            self._catch_breath(time.monotonic() - deadline_s)
-            self._advance_to(grid.ms(tick))
-            self._tick(tick)
-            tick += 1
-
-    def _tick(self, tick: int) -> None:
-        node, now_ns = self._node, self._grid.ns(tick)
+    def tick(self, tick: int) -> None:
+        """Send and write what is due at a tick, up to which it was simulated."""
+        node, now_ns = self.node, self._grid.ns(tick)
         now_s = now_ns / 1e9
-        self._receive()
+        self.receive()
         node.control(now_s)
         messages = node.autopilot.telemetry(now_s)
         if node.wire.sound:
@@ -87,13 +72,13 @@ class RealTimeLoop:
                 node.move_deck(state)
             stale = self._deck.stale(now_s)
             if stale and not self._deck_stale:
-                node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, "Robot's pose too old: deck stopped")
+                self.warn("Robot's pose too old: deck stopped")
             self._deck_stale = stale
         node.log.feed.flush()
 
-    def _receive(self) -> None:
+    def receive(self) -> None:
         """Act on what has come, now."""
-        node, now_s = self._node, self._ms * _MS
+        node, now_s = self.node, self._ms * _MS
         now_ns = self._ms * _NS_PER_MS
         frames = node.wire.late(now_ns)
         for received in node.endpoint.receive():
@@ -107,20 +92,102 @@ class RealTimeLoop:
         if frames:
             node.control(now_s)
 
-    def _advance_to(self, ms: int) -> None:
+    def advance_to(self, ms: int) -> None:
+        """Simulate up to a time."""
         if ms > self._ms:
-            self._node.vehicle.advance(ms - self._ms)
+            self.node.vehicle.advance(ms - self._ms)
             self._ms = ms
+
+    def warn(self, text: str) -> None:
+        """Have the autopilot say something."""
+        self.node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, text)
+
+
+class Between(Protocol):
+    """What happens between several vehicles."""
+
+    def begin(self) -> None:
+        """Before a tick."""
+
+    def end(self, tick: int, epoch_ns: int) -> None:
+        """After a tick that all have flown; ``epoch_ns`` is the Unix time of tick 0."""
+
+    def write(self, tick: int, epoch_ns: int) -> None:
+        """When nothing follows; arguments as of ``end``."""
+
+
+class RealTimeLoop:
+    """Runs ticks until the end.
+
+    Args:
+        vehicles: one, or several.
+        grid: of the ticks.
+        stop: ends the process.
+        between: what happens between the vehicles; None: nothing.
+    """
+
+    def __init__(
+        self,
+        vehicles: Sequence[RealTimeVehicle],
+        grid: TickGrid,
+        stop: Stop,
+        between: Between | None = None,
+    ) -> None:
+        self._vehicles, self._grid, self._stop, self._between = vehicles, grid, stop, between
+        self._start_s, self._epoch_ns = 0.0, 0
+
+    def run(self, ticks: int | None) -> None:
+        """Simulate.
+
+        Args:
+            ticks: how many; None for no end.
+        """
+        vehicles, grid, between = self._vehicles, self._grid, self._between
+        ask_for_priority()  # a vehicle is nobody's ordinary process: its physics wait for no other program
+        self._start_s = time.monotonic()
+        self._set_epoch(time.time_ns())  # making the vehicle took a while
+        tick = 0
+        while not self._stop.is_set and tick != ticks:
+            deadline_s = self._start_s + grid.ns(tick) / 1e9
+            while (left_s := deadline_s - time.monotonic()) > 0.0 and not self._stop.is_set:
+                for vehicle in self._heard(left_s):
+                    since_start_ms = int((time.monotonic() - self._start_s) / _MS)
+                    vehicle.advance_to(min(since_start_ms, grid.ms(tick)))
+                    vehicle.receive()
+            self._catch_breath(time.monotonic() - deadline_s)
+            for vehicle in vehicles:
+                vehicle.advance_to(grid.ms(tick))
+            if between is not None:
+                if tick > 0:
+                    between.end(tick - 1, self._epoch_ns)
+                between.begin()
+            for vehicle in vehicles:
+                vehicle.tick(tick)
+            tick += 1
+        if between is not None and tick > 1:
+            between.write(tick - 2, self._epoch_ns)
+
+    def _heard(self, within_s: float) -> Sequence[RealTimeVehicle]:
+        """Vehicles for which something has come, or nobody when nothing came in this time."""
+        if len(self._vehicles) == 1:
+            return self._vehicles if self._vehicles[0].node.endpoint.wait(within_s) else ()
+        by_number = {vehicle.node.endpoint.fileno(): vehicle for vehicle in self._vehicles}
+        ready, _, _ = select.select(list(by_number), (), (), within_s)
+        return [by_number[number] for number in ready]
+
+    def _set_epoch(self, epoch_ns: int) -> None:
+        self._epoch_ns = epoch_ns
+        for vehicle in self._vehicles:
+            vehicle.node.log.epoch_ns = epoch_ns
 
     def _catch_breath(self, late_s: float) -> None:
         """After a long pause go on from here: simulated time stood still, the log's clock moves."""
         if late_s > _BEHIND_MAX_S:
             give_up_priority()
             self._start_s += late_s
-            self._node.log.epoch_ns += round(late_s * 1e9)
-            self._node.autopilot.flight.say(
-                dialect.MAV_SEVERITY_WARNING, f"Machine paused {late_s:.2f} s: simulation too"
-            )
+            self._set_epoch(self._epoch_ns + round(late_s * 1e9))
+            for vehicle in self._vehicles:
+                vehicle.warn(f"Machine paused {late_s:.2f} s: simulation too")
 
 
 @dataclass(frozen=True)
@@ -170,57 +237,19 @@ def vehicle_main(scenario: Scenario, options: VehicleOptions) -> int:
     Returns:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
-    url, lockstep, rate_hz, namespace = options.url, options.lockstep, options.rate_hz, options.namespace
+    return served(lambda stop, stack: _fly(scenario, options, stop, stack))
+
+
+def served(fly: Callable[[Stop, ExitStack], None]) -> int:
+    """Call what flies; say what went wrong, and return the exit status, as ``vehicle_main`` has it.
+
+    Args:
+        fly: gets what ends it, and a stack for what it has to close.
+    """
     stop = Stop().install()
     try:
         with ExitStack() as stack:
-            kind, host, port = parse_udp_url(url, "the simulated vehicle")
-            if lockstep and options.peers:
-                raise ValueError("--peer is for real time: in lockstep the companion calls first")
-            endpoint = Endpoint(
-                url,
-                SYSTEM_ID,
-                COMPONENT_ID,
-                signing_key=load_key(options.signing_key) if options.signing_key else None,
-                always=[parse_peer(peer) for peer in options.peers],
-                allow_unsigned=options.allow_unsigned,
-            )
-            stack.callback(_close, endpoint)
-            for warning in endpoint.warnings:
-                print(f"vehicle: WARNING: {warning}", file=sys.stderr)
-            session = None
-            if options.connect or options.listen or options.zenoh_config is not None:
-                session = zenoh_link.open_session(
-                    options.listen, options.connect, config_file=options.zenoh_config
-                )
-                stack.callback(session.close)
-            warm_up(scenario)
-            vehicle = VehicleSim(scenario, options.seed)
-            epoch_ns = EPOCH_NS if lockstep else time.time_ns()
-            feed = Feed.connect(options.recorder, "vehicle", lossless=lockstep)
-            stack.callback(feed.close)
-            autopilot = Autopilot(
-                vehicle,
-                rate_hz,
-                epoch_ns=epoch_ns,
-                trim_enu_m_s=vehicle.trim_velocity_enu_m_s,
-                profile=PROFILES[options.profile],
-            )
-            for name, value in options.parameters.items():
-                autopilot.parameters.preset(name, value)
-            node = VehicleNode(vehicle, autopilot, endpoint, VehicleLog(feed, epoch_ns, namespace), _tell)
-            grid = TickGrid(rate_hz)
-            loop: LockstepLoop | RealTimeLoop
-            if lockstep:
-                deck = LockstepDeck(session, namespace) if session is not None else None
-                loop = LockstepLoop(node, deck, grid, stop, scenario.vehicle.setpoint_delay_s)
-            else:
-                follower = RealTimeDeck(session, namespace) if session is not None else None
-                loop = RealTimeLoop(node, follower, grid, stop)
-            bound = endpoint.local_port if kind == "udpin" else port
-            print(f"ready {kind}:{host}:{bound}", flush=True)
-            quiet_garbage_collector()
-            loop.run(grid.count(options.duration_s))
+            fly(stop, stack)
     except ValueError as error:
         print(f"vehicle: {error}", file=sys.stderr)
         return 2
@@ -228,6 +257,78 @@ def vehicle_main(scenario: Scenario, options: VehicleOptions) -> int:
         print(f"vehicle: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _fly(scenario: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
+    lockstep, rate_hz, namespace = options.lockstep, options.rate_hz, options.namespace
+    endpoint, url = opened(options, options.url, SYSTEM_ID, stack)
+    session = joined(options, stack)
+    warm_up(scenario)
+    vehicle = VehicleSim(scenario, options.seed)
+    epoch_ns = EPOCH_NS if lockstep else time.time_ns()
+    feed = Feed.connect(options.recorder, "vehicle", lossless=lockstep)
+    stack.callback(feed.close)
+    autopilot = autopilot_of(vehicle, options, SYSTEM_ID, epoch_ns)
+    node = VehicleNode(vehicle, autopilot, endpoint, VehicleLog(feed, epoch_ns, namespace), _tell)
+    grid = TickGrid(rate_hz)
+    loop: LockstepLoop | RealTimeLoop
+    if lockstep:
+        deck = LockstepDeck(session, namespace) if session is not None else None
+        loop = LockstepLoop(node, deck, grid, stop, scenario.vehicle.setpoint_delay_s)
+    else:
+        follower = RealTimeDeck(session, namespace) if session is not None else None
+        loop = RealTimeLoop([RealTimeVehicle(node, follower, grid)], grid, stop)
+    print(f"ready {url}", flush=True)
+    quiet_garbage_collector()
+    loop.run(grid.count(options.duration_s))
+
+
+def opened(options: VehicleOptions, url: str, system_id: int, stack: ExitStack) -> tuple[Endpoint, str]:
+    """Open the MAVLink endpoint of a vehicle; returns it, and the URL with the port that it has.
+
+    Raises:
+        ValueError: options that exclude each other, or an URL that is not understood.
+        OSError: the address cannot be bound.
+    """
+    kind, host, port = parse_udp_url(url, "the simulated vehicle")
+    if options.lockstep and options.peers:
+        raise ValueError("--peer is for real time: in lockstep the companion calls first")
+    endpoint = Endpoint(
+        url,
+        system_id,
+        COMPONENT_ID,
+        signing_key=load_key(options.signing_key) if options.signing_key else None,
+        always=[parse_peer(peer) for peer in options.peers],
+        allow_unsigned=options.allow_unsigned,
+    )
+    stack.callback(_close, endpoint)
+    for warning in endpoint.warnings:
+        print(f"vehicle: WARNING: {warning}", file=sys.stderr)
+    return endpoint, f"{kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}"
+
+
+def joined(options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
+    """Open the Zenoh session on which the robots are; None without endpoints."""
+    if not (options.connect or options.listen or options.zenoh_config is not None):
+        return None
+    session = zenoh_link.open_session(options.listen, options.connect, config_file=options.zenoh_config)
+    stack.callback(session.close)
+    return session
+
+
+def autopilot_of(vehicle: VehicleSim, options: VehicleOptions, system_id: int, epoch_ns: int) -> Autopilot:
+    """Make the autopilot of a vehicle, with its parameters; ``epoch_ns`` is the Unix time of tick 0."""
+    autopilot = Autopilot(
+        vehicle,
+        options.rate_hz,
+        system_id=system_id,
+        epoch_ns=epoch_ns,
+        trim_enu_m_s=vehicle.trim_velocity_enu_m_s,
+        profile=PROFILES[options.profile],
+    )
+    for name, value in options.parameters.items():
+        autopilot.parameters.preset(name, value)
+    return autopilot
 
 
 def _tell(armed: bool) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from typing import Any, TypeVar
 
 from flightstack.core.controller import Outputs
 from flightstack.core.types import Neighbour
@@ -16,6 +17,8 @@ from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.clock import NS_PER_S, TickGrid
 from sim.scenarios.team import TeamScenario
+
+T = TypeVar("T")
 
 _BLOCK = 256  # random numbers drawn at once
 
@@ -37,7 +40,7 @@ class Words:
             [_Losses(seed, teller, hearer) if teller != hearer else None for teller in numbers]
             for hearer in numbers
         ]
-        self._under_way: list[deque[tuple[int, Neighbour]]] = [deque() for _ in numbers]
+        self._under_way: list[deque[tuple[int, Any]]] = [deque() for _ in numbers]
 
     def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[Neighbour, ...]]:
         """Take the outputs of a tick; return the words that each member hears with the next one.
@@ -46,8 +49,18 @@ class Words:
             tick: number of the tick that all have flown.
             outputs: of all controllers; None where the flight is over.
         """
+        heard = self.pass_on(tick, [None if each is None else each.own_word for each in outputs])
+        arrive_s = self._grid.ns(tick + 1) / NS_PER_S
+        return [tuple(word._replace(arrival_s=arrive_s) for word in words) for words in heard]
+
+    def pass_on(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
+        """Take what is told at a tick, in any form; return what each member hears with the next one.
+
+        Args:
+            tick: its number.
+            told: by each member; None: nothing.
+        """
         due = tick + self._ticks
-        told = [None if each is None else each.own_word for each in outputs]
         heard = []
         for ways, under_way in zip(self._ways, self._under_way, strict=True):
             for word, way in zip(told, ways, strict=True):
@@ -56,11 +69,10 @@ class Words:
                 lost = way.draw() < self._loss  # drawn in each tick: what is told does not shift it
                 if word is not None and not lost:
                     under_way.append((due, word))
-            arrive_s = self._grid.ns(tick + 1) / NS_PER_S
             here = []
             while under_way and under_way[0][0] <= tick + 1:
-                here.append(under_way.popleft()[1]._replace(arrival_s=arrive_s))
-            heard.append(tuple(here))
+                here.append(under_way.popleft()[1])
+            heard.append(here)
         return heard
 
 
