@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.table import Column, Table
@@ -18,7 +19,7 @@ from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.config.files import load as load_config
 from flightstack.core.parameters.filters import short_name
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.launch.launcher import NAMESPACE, Launcher, Shown
+from flightstack.launch.launcher import NAMESPACE, Followed, Launcher, Shown
 from flightstack.launch.result import Flown, conclude_values, landed
 from flightstack.launch.run_options import RunOptions
 from flightstack.launch.vehicles import (
@@ -57,7 +58,21 @@ def prepare(options: RunOptions) -> Scenario:
     Raises:
         ConfigError: it must not fly.
     """
-    scenario = load_scenario(options.scenario)
+    scenario = adapted(options, load_scenario(options.scenario))
+    if scenario.onboard.fleet is not None and options.lockstep:
+        raise ConfigError(
+            "[fleet]: in lockstep all members are flown by one command: --scenario with a team's (see "
+            "`scenarios`), or fly in real time"
+        )
+    return VEHICLES[options.flies].adapt(scenario)
+
+
+def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
+    """Return a scenario as the options want it.
+
+    Raises:
+        ConfigError: it must not fly.
+    """
     name = options.config or configuration_for(options.flies, scenario)
     if name is not None:
         scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
@@ -75,11 +90,13 @@ def prepare(options: RunOptions) -> Scenario:
     found = problems(scenario.onboard)
     if found:
         raise ConfigError(f"{name or options.scenario}: refused before take-off: " + "; ".join(found))
-    return VEHICLES[options.flies].adapt(scenario)
+    return scenario
 
 
 def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
-    """Begin the landing where the scenario does, unless the configuration says where."""
+    """Begin the landing where the scenario does, in its fleet, unless the configuration says else."""
+    if config.fleet is None:  # a member's is its own
+        config = replace(config, fleet=scenario.onboard.fleet)
     if config.takeoff.start_offset_m is not None:
         return config
     start_offset_m = scenario.onboard.takeoff.start_offset_m
@@ -141,17 +158,17 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     )
     title = f"{scenario.name}  seed {seed_name(options.seed)}  filter {scenario.onboard.filter}"
     live = options.live and launcher.console.is_terminal and not options.lockstep
-    started = time.monotonic()
+    started, flight = time.monotonic(), Followed(onboard)
     problem = launcher.watch(
-        onboard, [*vehicle.children, target, recorder], limit_s,
-        Shown(onboard_at, title) if live else None, vehicle.teller,
+        [flight], [*vehicle.children, target, recorder], limit_s,
+        Shown([onboard_at], title) if live else None, vehicle.teller,
     )  # fmt: skip
     wall_s = time.monotonic() - started
     launcher.end_all()
     if problem is None and recorder.process.returncode != 0:  # it may end after the flight
         problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
     about = {"scenario": scenario.name, "seed": options.seed, "filter": scenario.onboard.filter}
-    code, said = onboard.process.returncode, launcher.last_line
+    code, said = onboard.process.returncode, flight.last_line
     return Flown(about, folder, log, wall_s, code, said, problem, launcher.interrupted)
 
 
@@ -159,17 +176,7 @@ def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_
     describe(
         recorder,
         scenario.onboard,
-        {
-            "scenario": scenario.name,
-            "description": scenario.description,
-            "seed": str(options.seed),
-            "mode": "lockstep" if options.lockstep else "real-time",
-            **({"vehicle": options.flies.value.removeprefix("--")} if options.flies.value else {}),
-            **({"speed": f"{options.speed:g}"} if options.speed != 1.0 else {}),
-            "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
-            "judge_beta_m": repr(scenario.judge.beta_m),
-            "pad_radius_m": repr(scenario.target.pad_radius_m),
-        },
+        run_metadata(options, scenario, options.seed),
         {
             "scenario.toml": scenario_file.read_bytes(),
             "scenario_source.toml": path_of(options.scenario).read_bytes(),
@@ -177,10 +184,69 @@ def _describe(recorder: Path, options: RunOptions, scenario: Scenario, scenario_
     )
 
 
-def fly_all(options: RunOptions, runs: int, console: Console, *, as_json: bool, with_report: bool) -> int:
+def run_metadata(options: RunOptions, scenario: Scenario, seed: int) -> dict[str, str]:
+    """Return what the log says of the run of a scenario."""
+    return {
+        "scenario": scenario.name,
+        "description": scenario.description,
+        "seed": str(seed),
+        "mode": "lockstep" if options.lockstep else "real-time",
+        **({"vehicle": options.flies.value.removeprefix("--")} if options.flies.value else {}),
+        **({"speed": f"{options.speed:g}"} if options.speed != 1.0 else {}),
+        "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
+        "judge_beta_m": repr(scenario.judge.beta_m),
+        "pad_radius_m": repr(scenario.target.pad_radius_m),
+    }
+
+
+class Flight(NamedTuple):
+    """A run that is over.
+
+    Attributes:
+        values: those of ``--json``.
+        landed: whether all vehicles landed and no process failed.
+        problem: a process that failed.
+        interrupted: whether the operator ended it.
+    """
+
+    values: Row
+    landed: bool
+    problem: str | None
+    interrupted: bool
+
+
+def fly_one(options: RunOptions, console: Console, *, with_report: bool) -> Flight:
+    """Fly a scenario of one vehicle and judge it.
+
+    Raises:
+        ConfigError: wrong input.
+        LaunchError: a process did not start.
+    """
+    flown = run(options, console)
+    values = conclude_values(flown, with_report=with_report)
+    return Flight(values, landed(values, flown), flown.problem, flown.interrupted)
+
+
+def fly_all(
+    options: RunOptions,
+    runs: int,
+    console: Console,
+    fly: Callable[..., Flight],
+    *,
+    as_json: bool,
+    with_report: bool,
+) -> int:
     """Fly with the seeds from ``options.seed`` on, each in a folder of its own; print a table and a summary.
 
     A run that does not start counts as not landed, and the next is flown; Ctrl-C ends after the one it is in.
+
+    Args:
+        options: of the first run.
+        runs: how many.
+        console: for what is told on the way.
+        fly: flies one; arguments as of ``fly_one``.
+        as_json: print the summary as one JSON object.
+        with_report: write the report of each.
 
     Returns:
         Exit status: 0 all landed, 1 some did not.
@@ -193,14 +259,13 @@ def fly_all(options: RunOptions, runs: int, console: Console, *, as_json: bool, 
     for seed in range(options.seed, options.seed + runs):
         one = replace(options, seed=seed, out=base / f"seed{seed}")
         try:
-            flown = run(one, console)
+            flown = fly(one, console, with_report=with_report)
         except LaunchError as error:
             console.print(f"seed {seed}: {error}", style="red", markup=False)
             rows.append({"seed": seed, "outcome": None, "reason": str(error), "problem": str(error)})
             continue
-        values = conclude_values(flown, with_report=with_report)
-        rows.append({**values, "problem": flown.problem, "landed": landed(values, flown)})
-        told = "  ".join(f"{name} {_shown(values.get(key))}" for name, key in _COLUMNS)
+        rows.append({**flown.values, "problem": flown.problem, "landed": flown.landed})
+        told = "  ".join(f"{name} {shown(flown.values.get(key))}" for name, key in _COLUMNS)
         console.print(told, soft_wrap=True, markup=False)
         if flown.interrupted:
             break
@@ -210,7 +275,7 @@ def fly_all(options: RunOptions, runs: int, console: Console, *, as_json: bool, 
         print(json.dumps(summary))
     else:
         console.print(
-            "  ".join(f"{name} {_shown(value)}" for name, value in summary.items() if name != "rows")
+            "  ".join(f"{name} {shown(value)}" for name, value in summary.items() if name != "rows")
         )
     return 0 if summary["landed"] == runs else 1
 
@@ -251,9 +316,10 @@ def _median(rows: Sequence[Row], key: str) -> float | None:
 def _table(rows: Sequence[Row]) -> Table:
     table = Table(*(Column(name, justify="right") for name, _ in _COLUMNS))
     for row in rows:
-        table.add_row(*(_shown(row.get(key)) for _, key in _COLUMNS))
+        table.add_row(*(shown(row.get(key)) for _, key in _COLUMNS))
     return table
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """Return a value for a table; "-" for what is not known."""
     return "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)

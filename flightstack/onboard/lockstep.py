@@ -1,17 +1,20 @@
 """Lockstep on the side of the onboard process: the vehicle sends the tick, the target counts its samples.
 
-Order between MAVLink and Zenoh is never assumed: a tick begins when the vehicle has asked for it by TIMESYNC
-and the target has said, tick by tick, how many samples belong to it (docs/how_it_works/lockstep.md).
+Order between MAVLink and Zenoh is never assumed: a tick begins when the vehicle has asked for it by TIMESYNC,
+the target has said, tick by tick, how many samples belong to it, and in a fleet the words that belong to it
+have come (docs/how_it_works/lockstep.md).
 """
 
 from __future__ import annotations
 
+import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
 from bridge.target.odometry import RawSample, SampleSource
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import (
+    EPOCH_NS,
     NO_GO,
     PAIR,
     RUN_AHEAD_TICKS,
@@ -20,13 +23,18 @@ from flightstack.common.pacing import (
     Silence,
     Tick,
 )
+from flightstack.core.types import Neighbour
 from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
+from logs.schema.fleet_rows import pack_neighbours, unpack_neighbours, word_row
 
 CREDIT_EVERY = 10  # ticks
 WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
 FIRST_WAIT_MAX_S = 30.0  # s of wall time until vehicle and target have shown up
 LOST_RUN_MAX_S = 15.0  # s of wall time without the vehicle after which the process ends
+TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
+OVER = 1  # second number of what is told: nothing more follows
+_LENGTH = struct.Struct("<I")
 
 
 class Patience:
@@ -95,6 +103,7 @@ class LockstepWires:
         session: on which the target says how many of them belong to each tick.
         namespace: first part of its keys.
         person: who may end the process.
+        words: of the other vehicles of a fleet; None: it flies alone.
     """
 
     def __init__(
@@ -105,8 +114,9 @@ class LockstepWires:
         session: zenoh_link.Session,
         namespace: str,
         person: Person,
+        words: LockstepWords | None = None,
     ) -> None:
-        self._person, self._stopped = person, Patience(person).over
+        self._person, self._stopped, self._words = person, Patience(person).over, words
         self._ticks = VehicleTicks(vehicle, rate_hz, self._stopped)
         self._odometry = odometry
         self._markers = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/target/tick")
@@ -119,7 +129,7 @@ class LockstepWires:
         self._target_gone = False
 
     def wait(self) -> Tick:
-        """Wait for the vehicle, then for the target; each for a bounded wall time.
+        """Wait for the vehicle, then for the target and the words; each for a bounded wall time.
 
         Raises:
             ClockStoppedError: the vehicle does not come, or the process is to end.
@@ -131,6 +141,8 @@ class LockstepWires:
                 raise ClockStoppedError("ended by the operator") from None
             raise
         self._released = self._release(tick.number)
+        if self._words is not None:
+            self._words.await_tick(tick, self._stopped)
         return tick
 
     def samples(self, now_s: float) -> Arrived:
@@ -172,3 +184,104 @@ class LockstepWires:
             self._marker_tick = max(self._marker_tick, number)
         self._pool += self._odometry.poll()
         return tick in self._counts and self._received + len(self._pool) >= self._counts[tick]
+
+
+class LockstepWords:
+    """Words of a fleet in lockstep: what is told at a tick comes to the others with a later tick.
+
+    The vehicles' process takes what all tell, and hands out to each what it hears, tick by tick. So order
+    depends on no wall time. In place of ``FleetWire``, whose clocks and networks are those of real time.
+
+    Args:
+        session: an open Zenoh session; it stays the caller's.
+        namespace: first part of the keys of this vehicle.
+    """
+
+    doubled = ""  # the launcher gives each vehicle one process
+
+    def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
+        self._heard = zenoh_link.fifo_subscriber(session, f"{namespace}/{HEARD}")
+        self._told = zenoh_link.blocking_publisher(session, f"{namespace}/{TOLD}")
+        self._inbox: dict[int, bytes] = {}
+        self._tick: Tick | None = None
+        self._gone = False
+        self._texts: list[str] = []
+
+    def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
+        """Wait for what is heard with a tick, for a bounded wall time.
+
+        Before the first tick nobody has told anything; there it waits until somebody takes what is told.
+
+        Args:
+            tick: that begins.
+            stopped: whether nothing is waited for any more.
+        """
+        first, self._tick, silence = self._tick is None, tick, Silence()
+        come = self._is_heard if first else self._has
+        while not self._gone and not come(tick.number):
+            if silence.look() > LOST_RUN_MAX_S or stopped():
+                self._gone = True
+                self._texts.append("fleet: no words came with this tick: going on without")
+            time.sleep(2e-5)
+
+    def words(self) -> tuple[Neighbour, ...]:
+        """Return what is heard with this tick."""
+        tick = self._tick
+        payload = self._inbox.pop(tick.number, b"") if tick is not None else b""
+        if tick is None or not payload:
+            return ()
+        found = [word for each in split(payload) for word in unpack_neighbours(each)]
+        return tuple(word._replace(arrival_s=tick.now_s) for word in found)
+
+    def say(self, word: Neighbour | None) -> bytes | None:
+        """Tell the others what the controller has to tell them in this tick; return it as the log has it.
+
+        Args:
+            word: ``Outputs.own_word``; None: nothing, which is told, too.
+        """
+        tick = self._tick
+        if tick is None:
+            return None
+        payload = pack_neighbours(tick, (word,)) if word is not None else b""
+        self._told.put(payload, attachment=PAIR.pack(tick.number, 0))
+        return word_row(word, EPOCH_NS, 0).pack() if word is not None else None
+
+    def namesake(self) -> str:
+        """Nothing: see ``doubled``."""
+        return self.doubled
+
+    def texts(self) -> list[str]:
+        """What a person should know since the last call."""
+        texts, self._texts = self._texts, []
+        return texts
+
+    def close(self) -> None:
+        """Say that nothing more is told, so that nobody waits for it; undeclare publisher and subscriber."""
+        self._told.put(b"", attachment=PAIR.pack(self._tick.number if self._tick is not None else -1, OVER))
+        self._heard.undeclare()
+        self._told.undeclare()
+
+    def _is_heard(self, tick: int) -> bool:
+        del tick
+        return zenoh_link.is_matched(self._told)
+
+    def _has(self, tick: int) -> bool:
+        for sample in zenoh_link.drain(self._heard):
+            number, _ = PAIR.unpack(sample.attachment.to_bytes())
+            if number >= tick:
+                self._inbox[number] = sample.payload.to_bytes()
+        return tick in self._inbox
+
+
+def joined(payloads: Sequence[bytes]) -> bytes:
+    """Return payloads as one, each after its length."""
+    return b"".join(part for each in payloads for part in (_LENGTH.pack(len(each)), each))
+
+
+def split(payload: bytes) -> Iterator[bytes]:
+    """Yield the payloads that were joined."""
+    at = 0
+    while at < len(payload):
+        (length,) = _LENGTH.unpack_from(payload, at)
+        at += _LENGTH.size + length
+        yield payload[at - length : at]

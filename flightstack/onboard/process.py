@@ -35,7 +35,7 @@ from flightstack.onboard import preflight
 from flightstack.onboard.fleet_wire import FleetWire
 from flightstack.onboard.leaving import Ended, Leaving
 from flightstack.onboard.live_topics import LiveHealth
-from flightstack.onboard.lockstep import LockstepWires
+from flightstack.onboard.lockstep import LockstepWires, LockstepWords
 from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.recording import OwnRecorder
 from flightstack.onboard.runner import LinkedVehicle, LiveTarget, RealTimeClock, Runner, Taken, Words
@@ -43,6 +43,8 @@ from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
 from flightstack.verify.certificate import problems
 from logs.recorder.feed import Feed
+from logs.schema.events import ONBOARD
+from logs.schema.names import OWN, Names
 
 NAMESAKE_S = 1.0  # for which a process listens for another one of the same vehicle before it begins
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
@@ -72,6 +74,7 @@ class Options:
     target_offset_m: Vec3 = ZERO  # landing spot, in the axes of the frame that the target sends
     clock: Path | None = None  # of a simulator, to live by instead of the wall's
     speed: float = 1.0  # of stack time against real time; another than 1 only with a simulator as fast
+    shared_log: bool = False  # the recorder writes the flights of several vehicles
 
 
 class Signals:
@@ -115,11 +118,11 @@ class Onboard:
         chosen = profile(options.autopilot)
         origin = config.vehicle.origin_wgs84
         self.wires = ZenohWires(config, _zenoh_plan(options))
-        self.fleet = (
-            FleetWire(self.wires.session, options.namespace, config.fleet)
-            if config.fleet is not None
-            else None
-        )
+        self.fleet: FleetWire | LockstepWords | None = None
+        if config.fleet is not None and options.lockstep:
+            self.fleet = LockstepWords(self.wires.session, options.namespace)
+        elif config.fleet is not None:
+            self.fleet = FleetWire(self.wires.session, options.namespace, config.fleet)
         line = preflight.line_plan(
             baud_of(options.vehicle_url), config, signed=options.signing_key is not None
         )
@@ -142,11 +145,12 @@ class Onboard:
             plugged = {"vehicle": options.vehicle_url, "target": options.target_key}
             recorder, self.log_file = options.own_recorder.start(config, plugged)
         socket = str(recorder) if recorder is not None else None
-        self.feed = Feed.connect(socket, "onboard", lossless=options.lockstep)
+        self.names = Names(options.namespace, options.system_id) if options.shared_log else OWN
+        self.feed = Feed.connect(socket, self.names.logger(ONBOARD), lossless=options.lockstep)
         self._describe()
         self.log = OnboardLog(
             self.feed, self.wires.session, options.namespace, rate_hz, options.lockstep,
-            reserve=config.reserve is not None, state=state_class(config),
+            reserve=config.reserve is not None, state=state_class(config), names=self.names,
         )  # fmt: skip
         self.health = LiveHealth(self.wires.session, options.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap
@@ -192,9 +196,9 @@ class Onboard:
         options, spec = self.options, self.wires.target
         own_key = f"{options.namespace}/target/odom"
         text = dumps(self.config)
-        self.feed.attachment("onboard.toml", "application/toml", text.encode())
+        self.feed.attachment(self.names.record("onboard.toml"), "application/toml", text.encode())
         self.feed.metadata(
-            "onboard",
+            self.names.record("onboard"),
             {
                 "namespace": options.namespace,
                 "target_key": spec.key if spec.is_direct else own_key,  # as what it is recorded
@@ -221,10 +225,10 @@ class Onboard:
             print(f"onboard: MAVLink not let through: {dropped}", file=sys.stderr)
         if self.link.endpoint.baud is not None:
             print(f"onboard: {self._line_use()}", file=sys.stderr)
+        if self.fleet is not None:
+            self.fleet.close()  # first: in lockstep the others wait until they know that nothing more is told
         self.feed.close()
         self.link.close()
-        if self.fleet is not None:
-            self.fleet.close()
         self.wires.close()
 
 
@@ -303,11 +307,6 @@ def _check_fleet(config: FlightConfig, options: Options) -> None:
     """Refuse a fleet where its members cannot hear each other."""
     if config.fleet is None:
         return
-    if options.lockstep:
-        raise ConfigError(
-            "[fleet]: in lockstep no process waits for the words of the others; fly in real time, or without "
-            "the table"
-        )
     if not (options.connect or options.listen or options.zenoh_config):
         raise ConfigError(
             "[fleet]: nobody can reach this process; --connect, --listen or --zenoh-config is needed "
@@ -348,7 +347,7 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
     endpoint.tap = tap
     for notice in endpoint.take_notices():
         _warn(notice)
-    onboard.feed.metadata("preflight", preflight.record(report))
+    onboard.feed.metadata(onboard.names.record("preflight"), preflight.record(report))
     if report.profile is not None and onboard.link.profile is None:
         onboard.link.adopt(report.profile)
     for line in preflight.lines(report):
@@ -386,13 +385,18 @@ def _runner(onboard: Onboard, signals: Signals) -> Runner:
     rate_hz = onboard.config.loop.rate_hz
     vehicle, leaving = LinkedVehicle(link, lockstep=options.lockstep), _Leaving(onboard, signals)
     if options.lockstep:
-        both = LockstepWires(vehicle, rate_hz, wires.odometry, wires.session, options.namespace, signals)
-        return Runner(onboard.controller, both, vehicle, both, leaving, onboard)
+        told = onboard.fleet if isinstance(onboard.fleet, LockstepWords) else None
+        both = LockstepWires(
+            vehicle, rate_hz, wires.odometry, wires.session, options.namespace, signals, told
+        )
+        return Runner(
+            onboard.controller, both, vehicle, both, leaving, onboard, told.words if told else tuple
+        )
     ask_for_priority()
     clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
     pacer = RealTimePacer(rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
     words: Words = tuple
-    if onboard.fleet is not None:
+    if isinstance(onboard.fleet, FleetWire):
         onboard.fleet.begin(pacer.unix_start_ns, pacer.now_s)
         words = onboard.fleet.words
     ticks, target = RealTimeClock(pacer, link), LiveTarget(wires.odometry)

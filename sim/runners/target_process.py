@@ -1,4 +1,4 @@
-"""The ground robot as a process: drives, and publishes its odometry and its true state on Zenoh.
+"""The ground robot, or those of a team, as a process: drives, publishes odometry and true state on Zenoh.
 
 Keys under the name space (``cf1`` by default):
 
@@ -8,15 +8,17 @@ Keys under the name space (``cf1`` by default):
 - ``sim/credit`` (read): in lockstep, how far the reader is and from which tick on to drive (-1: not yet).
 - ``controller/step`` (read): in real time, its phase tells when the landing begins.
 
-With ``--ros2`` the samples go to the ROS 2 topic ``/cf1/target/odom`` as well.
+With ``--ros2`` the samples go to the ROS 2 topic ``/cf1/target/odom`` as well. The robots of a team have a
+name space each: ``cf1``, ``cf2`` and so on.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from bridge.frames import quaternion_from_yaw
@@ -32,27 +34,36 @@ from flightstack.common.pacing import (
     PAIR,
     RUN_AHEAD_TICKS,
     RealTimePacer,
+    Tick,
     quiet_garbage_collector,
 )
 from flightstack.common.simulation_clock import Clock, Follower, chosen_clock
 from flightstack.core.types import Phase
-from logs.recorder.feed import FeedError
+from logs.recorder.feed import Feed, FeedError
 from logs.schema.events import Severity
+from logs.schema.names import OWN, Names
 from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.robot.target import TargetMeasurement
 from sim.robot.target_motion import TargetMotion
 from sim.runners.log import EventLog
 from sim.scenarios.scenario import Scenario
+from sim.scenarios.team import AnyScenario, TeamScenario
 
 _CREDIT_PAUSE_S = 0.002  # s between two looks for credit; far less than the run-ahead lasts
 _MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
+NAME = "target"  # of the process, in the log
 NODE = "flightstack_target"  # name of the ROS 2 node
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
 
 
 class Robot:
-    """Model, odometry and publishers; the same in lockstep and in real time."""
+    """Model, odometry and publishers; the same in lockstep and in real time.
+
+    Attributes:
+        namespace: first part of its keys.
+        driving: whether it has set off.
+    """
 
     def __init__(
         self,
@@ -64,12 +75,12 @@ class Robot:
         *,
         lossless: bool,
     ) -> None:
-        self.grid = TickGrid(rate_hz)
+        self.namespace, self.grid = namespace, TickGrid(rate_hz)
         self.epoch_ns = EPOCH_NS  # Unix time of tick 0
         self.samples = 0
         self._motion = TargetMotion(scenario, seed, self.grid)
         self.faults = self._motion.faults
-        self.drives_at_once = self._motion.drives_at_once
+        self.driving = self._motion.drives_at_once
         key = f"{namespace}/sim/target/truth"
         self.truth = OdometryPublisher(session, key, child_frame_id="target", lossless=lossless)
         key = f"{namespace}/target/odom"
@@ -81,9 +92,9 @@ class Robot:
         """Where it is."""
         return self._motion.tick
 
-    def step(self, driving: bool) -> None:
+    def step(self) -> None:
         """Go on to the next tick."""
-        self._motion.step(driving)
+        self._motion.step(self.driving)
 
     def publish(self, sent_ns: int) -> None:
         """Publish the true state of this tick, and the samples released since the last.
@@ -155,7 +166,7 @@ class TargetOptions:
         listen: Zenoh endpoints to listen on; none means a free port on loopback.
         connect: Zenoh endpoints to connect to.
         zenoh_config: Zenoh configuration to begin with.
-        namespace: first part of all keys.
+        namespace: first part of all keys; those of a team have their own.
         recorder: socket of the flight recorder, if there is one.
         duration_s: how long, simulated or real; None: no end.
         ros2: where to be a ROS 2 node as well.
@@ -177,35 +188,46 @@ class TargetOptions:
     clock: Path | None = None
 
 
-def target_main(scenario: Scenario, options: TargetOptions) -> int:
-    """Run the robot until SIGTERM, SIGINT or ``duration_s``; prints ``ready`` when it can be reached.
+def target_main(scenario: AnyScenario, options: TargetOptions) -> int:
+    """Run the robots until SIGTERM, SIGINT or ``duration_s``; prints ``ready`` when they can be reached.
 
     Returns:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
-    lockstep, namespace = options.lockstep, options.namespace
+    lockstep = options.lockstep
     stop = Stop().install()
     try:
         paced = chosen_clock(
             options.speed, options.clock, Follower.TARGET, lambda: stop.is_set, lockstep=lockstep
         )
+        if isinstance(scenario, TeamScenario) and options.ros2 is not None:
+            raise ValueError("--ros2 is for one robot: those of a team are not shown to ROS 2")
         with ExitStack() as stack:
             session = zenoh_link.open_session(
                 options.listen, options.connect, config_file=options.zenoh_config
             )
             stack.callback(session.close)
-            robot = Robot(scenario, options.seed, session, namespace, options.rate_hz, lossless=lockstep)
+            flights = list(_flights(scenario, options))
+            robots = [
+                Robot(
+                    one, seed, session, names.member or options.namespace, options.rate_hz, lossless=lockstep
+                )
+                for one, seed, names in flights
+            ]
             if options.ros2 is not None:
-                robot.shown = _shown(options.ros2, namespace, stack)
-            if not lockstep:
-                robot.epoch_ns = paced.unix_ns()  # once all that takes time is done
-            log = EventLog.connect(options.recorder, "target", robot.epoch_ns, lossless=lockstep)
-            stack.callback(log.close)
-            ticks = robot.grid.count(options.duration_s)
+                robots[0].shown = _shown(options.ros2, options.namespace, stack)
+            epoch_ns = EPOCH_NS if lockstep else paced.unix_ns()  # once all that takes time is done
+            feed = Feed.connect(options.recorder, NAME, lossless=lockstep)
+            stack.callback(feed.close)
+            logs = [EventLog(feed, names.logger(NAME), epoch_ns) for _, _, names in flights]
+            for robot in robots:
+                robot.epoch_ns = epoch_ns
+            ticks = robots[0].grid.count(options.duration_s)
+            both = list(zip(robots, logs, strict=True))
             if lockstep:
-                _Lockstep(robot, session, namespace, log, stop).run(ticks)
+                _Lockstep([LockstepRobot(robot, log, session) for robot, log in both], stop).run(ticks)
             else:
-                _RealTime(robot, session, namespace, log, stop).run(ticks, paced)
+                _RealTime([RealTimeRobot(robot, log, session) for robot, log in both], stop).run(ticks, paced)
     except ValueError as error:
         print(f"target: {error}", file=sys.stderr)
         return 2
@@ -213,6 +235,16 @@ def target_main(scenario: Scenario, options: TargetOptions) -> int:
         print(f"target: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _flights(scenario: AnyScenario, options: TargetOptions) -> Iterator[tuple[Scenario, int, Names]]:
+    """Scenario, seed, and names in the log, of each robot."""
+    if not isinstance(scenario, TeamScenario):
+        yield scenario, options.seed, OWN
+        return
+    shared = scenario.target_seed(options.seed)
+    for number, (single, seed) in enumerate(scenario.singles(options.seed), 1):
+        yield single, seed if shared is None else shared, Names(f"cf{number}", number)
 
 
 def _shown(ros2: Ros2Network, namespace: str, stack: ExitStack) -> Ros2Publisher:
@@ -224,15 +256,63 @@ def _shown(ros2: Ros2Network, namespace: str, stack: ExitStack) -> Ros2Publisher
     return node.publisher(f"/{namespace}/target/odom", *ROS_TYPES[TargetType.ODOMETRY])
 
 
-class _Lockstep:
-    """Ticks as fast as the reader's credit allows."""
+class LockstepRobot:
+    """A robot with its reader's credit.
 
-    def __init__(
-        self, robot: Robot, session: zenoh_link.Session, namespace: str, log: EventLog, stop: Stop
-    ) -> None:
-        self._robot, self._log, self._stop, self._namespace = robot, log, stop, namespace
-        self._credit = Credit(session, namespace)
-        self._marker = zenoh_link.blocking_publisher(session, f"{namespace}/sim/target/tick")
+    Args:
+        robot: the robot.
+        log: of its events.
+        session: on which it publishes.
+    """
+
+    def __init__(self, robot: Robot, log: EventLog, session: zenoh_link.Session) -> None:
+        self.robot, self._log = robot, log
+        self.credit = Credit(session, robot.namespace)
+        self._marker = zenoh_link.blocking_publisher(session, f"{robot.namespace}/sim/target/tick")
+
+    def matched(self) -> dict[str, Callable[[], bool]]:
+        """What somebody has to read, and whether it is read."""
+        return {
+            "sim/target/truth (read by the vehicle)": lambda: self.robot.truth.matched,
+            "target/odom (read by the onboard process)": lambda: self.robot.odom.matched,
+            "sim/target/tick (read by the onboard process)": lambda: zenoh_link.is_matched(self._marker),
+        }
+
+    def publish(self) -> None:
+        """Publish all of its tick, and write what there is to tell."""
+        robot = self.robot
+        robot.publish(robot.epoch_ns + robot.grid.ns(robot.tick))
+        self._marker.put(PAIR.pack(robot.tick, robot.samples))
+        log_faults(robot, self._log)
+
+    def step(self) -> None:
+        """Go on to the next tick, for which there is credit."""
+        robot, tick, go_tick = self.robot, self.robot.tick + 1, self.credit.go_tick
+        if NO_GO < go_tick <= tick:
+            robot.faults.landing_began(robot.grid.ns(go_tick))
+        if not robot.driving and NO_GO < go_tick <= tick:
+            robot.driving = True
+            self._report_start(tick, go_tick)
+        robot.step()
+
+    def _report_start(self, tick: int, go_tick: int) -> None:
+        now_ns = self.robot.grid.ns(tick)
+        self._log.event(now_ns, Severity.INFO, f"the robot drives from tick {tick} on")
+        if go_tick < tick:
+            text = f"the go-tick {go_tick} came when the robot was at {tick} already: not repeatable"
+            self._log.event(now_ns, Severity.ERROR, text)
+            print(f"target: {text}; it must lie more than {RUN_AHEAD_TICKS} ticks ahead", file=sys.stderr)
+
+    def flush(self) -> None:
+        """Send what was written."""
+        self._log.feed.flush()
+
+
+class _Lockstep:
+    """Ticks as fast as the readers' credit allows."""
+
+    def __init__(self, robots: Sequence[LockstepRobot], stop: Stop) -> None:
+        self._robots, self._stop = robots, stop
         print("ready", flush=True)
 
     def run(self, ticks: int | None) -> None:
@@ -241,100 +321,98 @@ class _Lockstep:
         Raises:
             NoAnswerError: no subscribers, or no credit.
         """
-        robot = self._robot
+        robots = self._robots
         self._await_subscribers()
         quiet_garbage_collector()
-        driving = robot.drives_at_once
         while not self._stop.is_set:
-            robot.publish(robot.epoch_ns + robot.grid.ns(robot.tick))
-            self._marker.put(PAIR.pack(robot.tick, robot.samples))
-            log_faults(robot, self._log)
-            self._log.feed.flush()
-            tick = robot.tick + 1
+            for each in robots:
+                each.publish()
+            robots[0].flush()  # they share a feed
+            tick = robots[0].robot.tick + 1
             if tick == ticks or not self._await_credit(tick):
                 return
-            go_tick = self._credit.go_tick
-            if NO_GO < go_tick <= tick:
-                robot.faults.landing_began(robot.grid.ns(go_tick))
-            if not driving and NO_GO < go_tick <= tick:
-                driving = True
-                self._report_start(tick, go_tick)
-            robot.step(driving)
-
-    def _report_start(self, tick: int, go_tick: int) -> None:
-        now_ns = self._robot.grid.ns(tick)
-        self._log.event(now_ns, Severity.INFO, f"the robot drives from tick {tick} on")
-        if go_tick < tick:
-            text = f"the go-tick {go_tick} came when the robot was at {tick} already: not repeatable"
-            self._log.event(now_ns, Severity.ERROR, text)
-            print(f"target: {text}; it must lie more than {RUN_AHEAD_TICKS} ticks ahead", file=sys.stderr)
+            for each in robots:
+                each.step()
 
     def _await_subscribers(self) -> None:
         # What is put before a subscriber is known is lost, and a lost tick would never be made up for.
-        matched: dict[str, Callable[[], bool]] = {
-            "sim/target/truth (read by the vehicle)": lambda: self._robot.truth.matched,
-            "target/odom (read by the onboard process)": lambda: self._robot.odom.matched,
-            "sim/target/tick (read by the onboard process)": lambda: zenoh_link.is_matched(self._marker),
-        }
-        for what, is_matched in matched.items():
-            if not wait_until(is_matched, self._stop, STARTUP_S, pause_s=_MATCH_PAUSE_S):
-                raise NoAnswerError(
-                    f"nobody subscribed to {self._namespace}/{what} within {STARTUP_S:g} s; is it running, "
-                    "and connected to this process's endpoint?"
-                )
+        for each in self._robots:
+            for what, is_matched in each.matched().items():
+                if not wait_until(is_matched, self._stop, STARTUP_S, pause_s=_MATCH_PAUSE_S):
+                    raise NoAnswerError(
+                        f"nobody subscribed to {each.robot.namespace}/{what} within {STARTUP_S:g} s; is it "
+                        "running, and connected to this process's endpoint?"
+                    )
 
     def _await_credit(self, tick: int) -> bool:
         """True when the tick may be made, False when the process is to end."""
-        if wait_until(lambda: self._credit.covers(tick), self._stop, STARTUP_S, pause_s=_CREDIT_PAUSE_S):
-            return not self._stop.is_set
-        raise NoAnswerError(
-            f"no credit for tick {tick} on {self._namespace}/sim/credit for {STARTUP_S:g} s: the onboard "
-            "process has stopped, or does not run in lockstep"
-        )
-
-
-class _RealTime:
-    """Ticks by a clock; after a pause the robot is where it would have been."""
-
-    def __init__(
-        self, robot: Robot, session: zenoh_link.Session, namespace: str, log: EventLog, stop: Stop
-    ) -> None:
-        self._robot, self._log, self._stop = robot, log, stop
-        self._steps = zenoh_link.ring_subscriber(session, f"{namespace}/controller/step")
-        print("ready", flush=True)
-
-    def run(self, ticks: int | None, clock: Clock) -> None:
-        """Drive until the end."""
-        robot = self._robot
-        quiet_garbage_collector()
-        pacer = RealTimePacer(
-            robot.grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
-        )
-        driving = robot.drives_at_once
-        while not self._stop.is_set:
-            now = pacer.wait()
-            due = round(now.now_s * robot.grid.rate_hz)
-            while robot.tick < due:
-                robot.step(driving)
-            robot.publish(now.unix_ns)
-            log_faults(robot, self._log)
-            landing = (not driving or robot.faults.waits_for_landing) and self._landing_began()
-            if landing:
-                robot.faults.landing_began(robot.grid.ns(robot.tick))
-            if landing and not driving:
-                driving = True
-                self._log.event(
-                    robot.grid.ns(robot.tick), Severity.INFO, "the landing began: the robot drives"
+        for each in self._robots:
+            if not wait_until(
+                partial(each.credit.covers, tick), self._stop, STARTUP_S, pause_s=_CREDIT_PAUSE_S
+            ):
+                raise NoAnswerError(
+                    f"no credit for tick {tick} on {each.robot.namespace}/sim/credit for {STARTUP_S:g} s: "
+                    "the onboard process has stopped, or does not run in lockstep"
                 )
-            self._log.feed.flush()
-            if ticks is not None and robot.tick + 1 >= ticks:
-                return
+        return not self._stop.is_set
+
+
+class RealTimeRobot:
+    """A robot that sees in the controller's steps when the landing begins.
+
+    Args:
+        robot: the robot.
+        log: of its events.
+        session: on which it publishes.
+    """
+
+    def __init__(self, robot: Robot, log: EventLog, session: zenoh_link.Session) -> None:
+        self.robot, self._log = robot, log
+        self._steps = zenoh_link.ring_subscriber(session, f"{robot.namespace}/controller/step")
+
+    def tick(self, now: Tick) -> None:
+        """Drive to where it is now, and publish that."""
+        robot = self.robot
+        due = round(now.now_s * robot.grid.rate_hz)
+        while robot.tick < due:
+            robot.step()
+        robot.publish(now.unix_ns)
+        log_faults(robot, self._log)
+        landing = (not robot.driving or robot.faults.waits_for_landing) and self._landing_began()
+        if landing:
+            robot.faults.landing_began(robot.grid.ns(robot.tick))
+        if landing and not robot.driving:
+            robot.driving = True
+            self._log.event(robot.grid.ns(robot.tick), Severity.INFO, "the landing began: the robot drives")
+        self._log.feed.flush()
 
     def _landing_began(self) -> bool:
         return any(
             (phase := phase_of(sample.payload.to_bytes())) is not None and phase in _LANDING
             for sample in zenoh_link.drain(self._steps)
         )
+
+
+class _RealTime:
+    """Ticks by a clock; after a pause the robots are where they would have been."""
+
+    def __init__(self, robots: Sequence[RealTimeRobot], stop: Stop) -> None:
+        self._robots, self._stop = robots, stop
+        print("ready", flush=True)
+
+    def run(self, ticks: int | None, clock: Clock) -> None:
+        """Drive until the end."""
+        first = self._robots[0].robot
+        quiet_garbage_collector()
+        pacer = RealTimePacer(
+            first.grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
+        )
+        while not self._stop.is_set:
+            now = pacer.wait()
+            for each in self._robots:
+                each.tick(now)
+            if ticks is not None and first.tick + 1 >= ticks:
+                return
 
 
 def log_faults(robot: Robot, log: EventLog) -> None:

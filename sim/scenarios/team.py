@@ -16,7 +16,16 @@ from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
-from flightstack.common.strict_toml import ConfigError, Files, from_table, over, read_toml, span
+from flightstack.common.strict_toml import (
+    ConfigError,
+    Files,
+    dumps,
+    from_table,
+    over,
+    read_toml,
+    span,
+    to_table,
+)
 from flightstack.core.fleet.assignment import assign
 from flightstack.core.types import Vec3
 from sim.chance import member as seed_of
@@ -178,8 +187,15 @@ def load_any(name_or_file: str | Path) -> AnyScenario:
     if name_or_file not in scenarios.names() and not Path(name_or_file).is_file():
         known = f"{', '.join(scenarios.names())}; of several vehicles: {', '.join(names())}"
         raise ConfigError(f"scenario {str(name_or_file)!r}: neither a file nor one of: {known}")
-    several = "member" in read_toml(scenarios.path_of(name_or_file))
-    return load(name_or_file) if several else scenarios.load(name_or_file)
+    return load(name_or_file) if is_team(name_or_file) else scenarios.load(name_or_file)
+
+
+def is_team(name_or_file: str | Path) -> bool:
+    """Whether a name or file is that of a team; of what there is not, neither is known."""
+    path = Path(name_or_file)
+    if name_or_file in names() or not path.is_file() or name_or_file in scenarios.names():
+        return name_or_file in names()
+    return "member" in read_toml(path)
 
 
 def from_text(toml: str) -> AnyScenario:
@@ -190,6 +206,15 @@ def from_text(toml: str) -> AnyScenario:
     """
     table = tomllib.loads(toml)
     return from_table(TeamScenario, table) if "member" in table else from_table(Scenario, table)
+
+
+def text(team: TeamScenario) -> str:
+    """Return a team as a file in which nothing is left to a base."""
+    table = to_table(team)
+    for member in table["member"]:
+        for key in ("name", "description"):  # they follow from the team's
+            del member[key]
+    return dumps(table)
 
 
 def first_of(scenario: AnyScenario) -> Scenario:

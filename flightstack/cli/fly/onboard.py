@@ -22,6 +22,10 @@ class OnboardOptions(shared.Flight):
     lockstep: bool = shared.lockstep
     speed: float = shared.speed
     clock: Path | None = shared.clock
+    shared_log: bool = shared.option(
+        "--shared-log", is_flag=True,
+        help="The recorder writes several flights: names in the log begin with the namespace.",
+    )  # fmt: skip
 
 
 @click.command()

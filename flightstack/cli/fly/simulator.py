@@ -34,12 +34,19 @@ class VehicleOptions(shared.Signing, shared.Zenoh, shared.Scenario):
 @click.command()
 @takes(VehicleOptions)
 def vehicle(options: VehicleOptions) -> None:
-    """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's true pose on Zenoh."""
-    from sim.runners import vehicle_process
-    from sim.scenarios.scenario import load
+    """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's true pose on Zenoh.
 
-    plugged = options.to(vehicle_process.VehicleOptions)
-    sys.exit(vehicle_process.vehicle_main(load(options.scenario), plugged))
+    With a scenario of several vehicles it runs all of them, each with a port and a namespace of its own.
+    """
+    from sim.runners import vehicle_process
+    from sim.scenarios.team import TeamScenario, load_any
+
+    plugged, scenario = options.to(vehicle_process.VehicleOptions), load_any(options.scenario)
+    if isinstance(scenario, TeamScenario):
+        from sim.runners.fleet.process import fleet_main
+
+        sys.exit(fleet_main(scenario, plugged))
+    sys.exit(vehicle_process.vehicle_main(scenario, plugged))
 
 
 @dataclass(frozen=True)
@@ -58,16 +65,19 @@ class TargetOptions(shared.Ros2, shared.Zenoh, shared.Scenario):
 @click.command()
 @takes(TargetOptions)
 def target(options: TargetOptions) -> None:
-    """Run the simulated ground robot: it drives the scenario's path and publishes its odometry on Zenoh."""
+    """Run the simulated ground robot: it drives the scenario's path and publishes its odometry on Zenoh.
+
+    With a scenario of several vehicles it runs the robots of all.
+    """
     from sim.compiled.jit import OFF
 
     # The robot needs only a hundred short steps a second: loading numba would take longer than it saves.
     os.environ.setdefault(OFF, "1")
     from sim.runners import target_process
-    from sim.scenarios.scenario import load
+    from sim.scenarios.team import load_any
 
     plugged = options.to(target_process.TargetOptions)
-    sys.exit(target_process.target_main(load(options.scenario), plugged))
+    sys.exit(target_process.target_main(load_any(options.scenario), plugged))
 
 
 @click.command()

@@ -60,14 +60,19 @@ class SitlOptions(shared.Ros2, shared.Result, shared.Scenario):
 def sitl(options: SitlOptions) -> None:
     """Fly a scenario in software: vehicle, target, onboard process and recorder, over the real wires.
 
+    A scenario of several vehicles (`scenarios` lists them) flies all of them, with an onboard process each.
+
     Exit status: 0 landed, 1 flown but not landed, 2 wrong input.
     """
     from rich.console import Console
 
     from flightstack.common.processes import LaunchError
+    from flightstack.launch import fleet
+    from flightstack.launch.fleet_result import conclude_fleet, fly_fleet
     from flightstack.launch.result import conclude
     from flightstack.launch.run_options import RunOptions
-    from flightstack.launch.sitl import fly_all, run
+    from flightstack.launch.sitl import fly_all, fly_one, run
+    from sim.scenarios.team import is_team
 
     flies, program = _chosen(
         {Flies.PX4: options.px4, Flies.PX4_SIH: options.px4_sih, Flies.ARDUPILOT: options.ardupilot}
@@ -78,10 +83,14 @@ def sitl(options: SitlOptions) -> None:
         live=not as_json and options.runs == 1,
     )  # fmt: skip
     one.check()
-    console = Console(stderr=as_json, highlight=False)
+    console, team = Console(stderr=as_json, highlight=False), is_team(options.scenario)
     try:
         if options.runs > 1:
-            sys.exit(fly_all(one, options.runs, console, as_json=as_json, with_report=with_report))
+            flies_one = fly_fleet if team else fly_one
+            sys.exit(fly_all(one, options.runs, console, flies_one, as_json=as_json, with_report=with_report))
+        if team:
+            all_flown = fleet.run(one, console)
+            sys.exit(conclude_fleet(all_flown, console, as_json=as_json, with_report=with_report))
         flown = run(one, console)
     except LaunchError as error:
         click.echo(f"flightstack: {error}", err=True)

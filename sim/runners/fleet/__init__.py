@@ -1,0 +1,1 @@
+"""Several simulated vehicles as one process: each on its own wires, all in one room."""

@@ -1,0 +1,170 @@
+"""``sitl`` with a team: every member flies as in ``land_team``, by wire; a process that dies harms nobody."""
+
+import os
+import signal
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flightstack.core.types import ZERO, Phase
+from logs.reader.flight import load_fleet
+from logs.reader.reader import LogFile
+from logs.tools.compare import compare
+from logs.verdict.fleet import judge_fleet
+from logs.verdict.types import Outcome
+from sim.runners.team import land_team
+from sim.runners.words import Words
+from sim.scenarios import team as teams
+from tests.integration.runs import Flying, called, fly
+
+TEAM, SEED = "fleet_3", 1
+NAMES = ["cf1", "cf2", "cf3"]
+
+
+@pytest.fixture(scope="module")
+def wired(flown):
+    """A team over the wires, in lockstep."""
+    done = flown(TEAM, SEED)
+    assert done.code == 0, done.out + done.err
+    return done
+
+
+@pytest.fixture(scope="module")
+def fleet(wired):
+    return load_fleet(wired.log)
+
+
+@pytest.fixture(scope="module")
+def direct():
+    """The same team in one process: what became of it, and its commands by member."""
+    team = teams.load(TEAM)
+    commands, words = [[] for _ in team.member], Words(team, SEED)
+
+    def keep(tick, outputs):
+        for said, out in zip(commands, outputs, strict=True):
+            if out is not None:
+                said.append(out.setpoint.velocity_enu_m_s if out.setpoint is not None else ZERO)
+        return words(tick, outputs)
+
+    return land_team(team, SEED, exchange=keep), commands
+
+
+same_flight = pytest.mark.xdist_group("fleet in lockstep")  # one worker reads its log
+
+
+@same_flight
+def test_each_member_flies_as_in_one_process_to_the_bit(fleet, direct):
+    landed, commands = direct
+    assert list(fleet.flights) == NAMES
+    for flight, landing, said in zip(fleet.flights.values(), landed.landings, commands, strict=True):
+        assert np.array_equal(flight.steps.command_enu_m_s, np.array(said))
+        for seen, logged in ((landing.seen.steps, flight.steps), (landing.seen.truth, flight.truth)):
+            for name in (field.name for field in fields(seen)):
+                x, y = getattr(seen, name), getattr(logged, name)
+                assert np.array_equal(x, y, equal_nan=y.dtype.kind == "f"), name
+
+
+@same_flight
+def test_the_log_knows_how_near_they_came(fleet, direct):
+    pairs = direct[0].pairs
+    assert [(pair.one, pair.other) for pair in pairs] == list(fleet.pairs)
+    for pair, row in zip(pairs, fleet.pairs.values(), strict=True):
+        for name in ("distance_min_m", "flying_distance_min_m", "ellipsoid_min", "violations", "inside_ms"):
+            assert getattr(row, name) == getattr(pair, name), name
+        assert row.collided_ms == -1
+        assert pair.collided_ms is None
+
+
+@same_flight
+def test_one_object_says_what_became_of_all(wired, direct):
+    found, landed = wired.json, direct[0]
+    assert {name: found[name] for name in ("scenario", "seed", "filter", "outcome", "violation")} == {
+        "scenario": TEAM, "seed": SEED, "filter": "robust", "outcome": "landed", "violation": False,
+    }  # fmt: skip
+    assert found["collisions"] == found["ellipsoid_violations"] == 0
+    assert found["distance_min_m"] == min(pair.distance_min_m for pair in landed.pairs)
+    assert found["ellipsoid_min"] == min(pair.ellipsoid_min for pair in landed.pairs)
+    assert found["realtime_factor"] > 0.0
+    assert list(found["vehicles"]) == NAMES
+    for vehicle, landing in zip(found["vehicles"].values(), landed.landings, strict=True):
+        verdict = landing.verdict.to_json_dict()
+        assert {name: vehicle[name] for name in verdict} == verdict
+        assert vehicle["seed"] == landing.seed
+
+
+@same_flight
+def test_the_log_holds_what_flies_it_again(wired):
+    log = LogFile(wired.log)
+    metadata, attachments = log.metadata(), {each.name: each.data for each in log.attachments()}
+    assert metadata["fleet"]["members"] == "cf1,cf2,cf3"
+    assert {f"{name}/{record}" for name in NAMES for record in ("run", "onboard")} <= metadata.keys()
+    assert not {"run", "onboard"} & metadata.keys()
+    assert {f"{n}/{file}.toml" for n in NAMES for file in ("scenario", "onboard")} < attachments.keys()
+    assert attachments["team.toml"] == (wired.folder / "team.toml").read_bytes()
+    team, again = teams.load(TEAM), teams.load(wired.folder / "team.toml")
+    assert (team.member, team.exchange, team.name) == (again.member, again.exchange, again.name)
+    assert set(metadata["losses"].values()) == {"0"}
+
+
+def test_the_same_seed_makes_the_same_log(wired, tmp_path):
+    again = fly(tmp_path, TEAM, SEED)
+    assert again.code == 0, again.out + again.err
+    assert compare(wired.log, tmp_path / "flight.mcap") == []
+
+
+def onboard_of(run, namespace):
+    """Process id of the onboard process of a member."""
+    for child in Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split():
+        words = Path(f"/proc/{child}/cmdline").read_bytes().decode().split("\0")
+        if "onboard" in words and namespace in words:
+            return int(child)
+    raise AssertionError(f"no onboard process of {namespace}")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(("--lockstep",), id="in lockstep"),
+        pytest.param((), id="in real time", marks=pytest.mark.xdist_group("real-time")),
+    ],
+)
+def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path, options):
+    words = ("--scenario", TEAM, "--seed", SEED, "--duration", 20, *options)
+    run = Flying(tmp_path / "out", *words)
+    try:
+        run.wait_for("APPROACH -> LAND")
+        os.kill(onboard_of(run, "cf2"), signal.SIGKILL)
+        assert run.end() == 1
+    finally:
+        run.process.kill()
+        run.process.communicate()
+    assert any("onboard-cf2 ended in flight" in line for line in run.lines), run.lines
+    fleet = load_fleet(tmp_path / "out" / "flight.mcap")
+    verdict = judge_fleet(fleet)
+    assert verdict.collisions == verdict.ellipsoid_violations == 0
+    # who cannot land as near to where the silent one may be as its pad is, flies clear and lands beside it
+    for name in ("cf1", "cf3"):
+        assert verdict.members[name].outcome in (Outcome.LANDED, Outcome.ABORTED), verdict.members[name]
+        assert fleet.flights[name].phase_spans()[-1][0] in (Phase.LANDED, Phase.ABORT)
+    assert not fleet.flights["cf2"].truth.motors_running[-1]  # its autopilot has landed it
+
+
+@pytest.mark.parametrize(
+    ("option", "why"),
+    [
+        (("--view", "native"), "--view with a scenario of several vehicles: shows one vehicle"),
+        (("--ros2", "tcp/127.0.0.1:7447"), "--ros2 with a scenario of several vehicles: shows one vehicle"),
+        (("--px4", "/"), "--px4 with a scenario of several vehicles: the vehicles of a team are simulated"),
+        (
+            ("--listen", "tcp/127.0.0.1:7447"),
+            "--listen with a scenario of several vehicles: each vehicle has",
+        ),
+        (("--duration", "-1"), "--duration"),
+    ],
+)
+def test_what_several_vehicles_do_not_have_is_refused(option, why, tmp_path):
+    done = called("sitl", "--scenario", TEAM, "--out", tmp_path / "out", *option)
+    assert done.code == 2
+    assert why in done.err
