@@ -14,6 +14,7 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simulated clocks
 PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/how_it_works/lockstep.md
@@ -50,8 +51,7 @@ class FastClock:
         return now_ns + round(ahead * (now_ns % _DAY_NS)) if ahead else now_ns
 
 
-@dataclass(frozen=True, slots=True)
-class Tick:
+class Tick(NamedTuple):
     """One tick: its time on the stack's clock, and how that was kept."""
 
     number: int

@@ -202,15 +202,17 @@ class Controller:
         target = strategy.target(self.track, now_s)
         if inputs.own is not None:
             plausibility.take(inputs.own)
-            flown = memory.commanding and plausibility.believes(now_s)
-            wanted = self._flown(inputs.own, inputs.status, now_s) if plausibility.believes(now_s) else None
+        believed = plausibility.believes(now_s)
+        if inputs.own is not None:
+            flown = memory.commanding and believed
+            wanted = self._flown(inputs.own, inputs.status, now_s) if believed else None
             plausibility.follow(wanted, inputs.own.velocity_enu_m_s)
             own = strategy.vehicle(inputs.own)
             inputs = Inputs(
                 own, inputs.status, inputs.target_samples, inputs.operator, inputs.power, inputs.neighbours
             )
             strategy.observe(own.velocity_enu_m_s, commanding=flown)
-        believed, follows, charge = plausibility.believes(now_s), plausibility.follows, Charge.FIT
+        follows, charge = plausibility.follows, Charge.FIT
         if self._reserve is not None:
             charge = self._weigh(self._reserve, inputs, now_s)
         way, fleet = ALONE, self._fleet

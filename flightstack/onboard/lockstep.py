@@ -80,7 +80,7 @@ class VehicleTicks:
             ClockStoppedError: it does not.
         """
         link = self._vehicle.link
-        most_s, silence = FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S, Silence()
+        most_s, silence = FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S, None
         while True:
             link.poll(max(0, self._last_ns) / 1e9)
             sim_ns = link.take_timesync()
@@ -89,6 +89,8 @@ class VehicleTicks:
                 return self._clock.tick(sim_ns)
             if sim_ns is not None:
                 link.endpoint.repeat(self._vehicle.reply)
+            if silence is None:  # mostly the vehicle has asked, which needs no clock
+                silence = Silence()
             if self._stopped() or silence.look() > most_s:
                 raise ClockStoppedError("the vehicle fell silent")
             link.endpoint.wait(WAIT_SLICE_S)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.codec.decoding import Message
 from bridge.target.odometry import OdometryError, RawSample, SampleSource, sample_of
 from flightstack.common.pacing import RealTimePacer, Tick
 from flightstack.core.controller import Controller, Outputs
@@ -199,17 +200,22 @@ class LinkedVehicle:
 
     Attributes:
         link: to the vehicle.
-        reply: lockstep: frame of the last answer, for a vehicle that asks again.
     """
 
     def __init__(self, link: VehicleLink, *, lockstep: bool) -> None:
         self.link, self._lockstep = link, lockstep
-        self.reply = b""
+        self._reply: Message = None
+
+    @property
+    def reply(self) -> bytes:
+        """Lockstep: frame of the last answer, for a vehicle that asks again."""
+        return bytes(self._reply.get_msgbuf() or b"") if self._reply is not None else b""
 
     def read(self) -> VehicleInputs:
         """Return what the link has decoded."""
         link = self.link
-        return VehicleInputs(link.own, link.status, link.failed is not None, link.power)
+        state = link.state
+        return VehicleInputs(state.own, state.status, link.failed is not None, state.power)
 
     def answer(self, out: Outputs, now_s: float) -> None:
         """Send set-point and commands in one datagram, and in lockstep the answer that ends the tick."""
@@ -220,9 +226,8 @@ class LinkedVehicle:
         if not self._lockstep:
             link.flush()
             return
-        reply = link.timesync_reply(round(now_s * 1e9))
+        self._reply = reply = link.timesync_reply(round(now_s * 1e9))
         link.flush([reply])
-        self.reply = bytes(reply.get_msgbuf() or b"")
 
 
 def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:

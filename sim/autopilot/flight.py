@@ -92,7 +92,7 @@ class Flight:
     @property
     def landed_state(self) -> int:
         """MAV_LANDED_STATE."""
-        if self.standing:
+        if self._ground.now:
             return int(dialect.MAV_LANDED_STATE_ON_GROUND)
         if self.mode is FlightMode.RETURN and self.pilot.going_down:
             return int(dialect.MAV_LANDED_STATE_LANDING)

@@ -91,6 +91,8 @@ class LinkFaults:
 
     def active(self, way: Way) -> bool:
         """Whether messages in this direction have to go through ``fate``."""
+        if not self._running:
+            return False
         return any(CONCERNS[one.running.fault.what][0] is way for one in self._running)
 
     def fate(self, way: Way, message: Message, now_ns: int) -> Fate:

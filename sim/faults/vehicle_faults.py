@@ -126,6 +126,8 @@ class Faults:
 
     def take_texts(self) -> list[FaultText]:
         """What has begun and ended since the last call."""
+        if not self._texts:
+            return []
         texts = list(self._texts)
         self._texts.clear()
         return texts

@@ -23,6 +23,7 @@ from flightstack.core.types import Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Cell, Record, cell, new, reader, scalars
 from sim.firmware.setpoint import SensedState
+from sim.plant.vehicle_types import Estimate
 
 FIRMWARE_STEP_S = 0.001
 ACCEL_XY_M_S2, ACCEL_Z_M_S2 = 0.5, 1.0  # procNoiseAcc_xy, procNoiseAcc_z
@@ -68,9 +69,6 @@ def yaw_gain(period_s: float) -> float:
     r = YAW_STD_RAD**2
     p = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))  # predicted variance
     return p / (p + r)
-
-
-Believed = tuple[Vec3, Vec3, tuple[float, float, float, float], Vec3, bool]
 
 
 class EstimatorRecord(Record):
@@ -205,7 +203,7 @@ class Estimator:
         self.sensed = s = r.sensed
         self._cell = cell(r)
         (self._age_s,) = scalars(r, "since_sample_s")
-        self._read = reader(s)
+        self._read = reader(s, skipping="axes")
         r.kp, r.kv, accel = axis_gains(mocap_period_s, ACCEL_XY_M_S2, gravity_m_s2)
         r.kt = accel / gravity_m_s2
         r.kp_z, r.kv_z, r.kz = axis_gains(mocap_period_s, ACCEL_Z_M_S2, gravity_m_s2)
@@ -235,10 +233,10 @@ class Estimator:
         """Take a motion-capture sample, see ``correct``."""
         _correct(self._cell, x, y, z, yaw)
 
-    def believed(self) -> Believed:
-        """Position, velocity (ENU), quaternion (FLU in ENU), gyro (FLU), and whether samples still come."""
+    def believed(self) -> Estimate:
+        """Newest estimate; valid while samples still come."""
         s = self._read()  # in the order of SensedState
-        return (s[:3], s[3:6], s[6:10], s[19:], self._age_s[0] < INNOVATION_AGE_MAX_S)
+        return Estimate(s[:3], s[3:6], s[6:10], s[10:], self._age_s[0] < INNOVATION_AGE_MAX_S)
 
     @property
     def valid(self) -> bool:

@@ -1,7 +1,7 @@
 """The MAVLink wire of a landing in one process: messages handed over as they would arrive, without bytes.
 
 A float of a message has 32 bits on the wire; that rounding is done here and nothing else of it, for packing,
-checksums and sockets change no number. What cannot be handed over so simply (strings, arrays, and whatever a
+checksums and sockets change no number. What cannot be handed over so simply (strings, doubles, and whatever a
 fault of the link has touched) is packed and decoded in full.
 """
 
@@ -26,19 +26,34 @@ _Plan = _Round | bool  # True: whole numbers alone, which pass as they are; Fals
 
 def _plan(cls: Any) -> _Plan:
     """How messages of a class pass."""
-    if any(cls.array_lengths) or {"char", "double"} & set(cls.fieldtypes):
+    if {"char", "double"} & set(cls.fieldtypes) or 1 in cls.array_lengths:  # which arrives as a number
         return False
-    pairs = zip(cls.fieldnames, cls.fieldtypes, strict=True)
-    names = [name for name, kind in pairs if kind == "float"]
-    return _rounding(names) if names else True
+    length_of = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
+    floats = [name for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True) if kind == "float"]
+    arrays = [name for name in cls.fieldnames if length_of[name]]
+    return _rounding(floats, {name: length_of[name] for name in arrays}) if floats or arrays else True
 
 
-def _rounding(names: list[str]) -> _Round:
-    """Function that rounds these attributes; written out, it takes half as long as a loop over names."""
-    wire = struct.Struct(f"<{len(names)}f")
-    fields = "".join(f"message.{name}, " for name in names)
-    scope: dict[str, Any] = {"pack": wire.pack, "unpack": wire.unpack}
-    exec(f"def rounded(message):\n    {fields}= unpack(pack({fields}))", scope)
+def _rounding(floats: list[str], lengths: dict[str, int]) -> _Round:
+    """Function that rounds attributes; written out, it takes half as long as a loop over names.
+
+    Args:
+        floats: names of those that have 32 bits.
+        lengths: of those that are arrays, by name; they arrive as lists.
+    """
+    single = [name for name in floats if name not in lengths]
+    wire = struct.Struct(f"<{len(single)}f")
+    fields = "".join(f"message.{name}, " for name in single)
+    scope: dict[str, Any] = {"pack": wire.pack, "unpack": wire.unpack, "pack_all": struct.pack}
+    lines = [f"{fields}= unpack(pack({fields}))"] if single else []
+    for name, length in lengths.items():
+        values = f"message.{name}[:{length}]"
+        if name in floats:
+            scope[f"unpack_{name}"] = struct.Struct(f"<{length}f").unpack
+            values = f"unpack_{name}(pack_all('<{length}f', *{values}))"
+        lines.append(f"message.{name} = list({values})")
+    body = "\n    ".join(lines)
+    exec(f"def rounded(message):\n    {body}", scope)
     return cast(_Round, scope["rounded"])
 
 

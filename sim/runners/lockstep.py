@@ -73,7 +73,7 @@ class LockstepLoop:
         self._deck_comes = deck is not None
         self._deck_last: DeckState | None = None
         self._deck_s = 0.0  # time of the last true pose
-        self._request = b""
+        self._request: Message = None  # of this tick
 
     @property
     def answers(self) -> bool:
@@ -214,19 +214,19 @@ class LockstepLoop:
         if not self._answers:
             self._run_free(now_ns, now_s)
             return
-        silence, repeat_s = silence or Silence(), time.monotonic()
+        endpoint, repeat_s = self._node.endpoint, None
         while not answered and not self._left.is_set:
-            self._node.endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
-            answered = self._take(self._node.endpoint.receive(), now_ns, now_s)
-            if answered:
+            endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
+            answered = self._take(endpoint.receive(), now_ns, now_s)
+            if answered:  # mostly at the first look, which needs no clock
                 return
+            silence = silence or Silence()
+            repeat_s = repeat_s or time.monotonic()
             if silence.look() > (COMPANION_SILENT_S if self._companion else STARTUP_S):
                 self._give_up()
                 return
             wall_s = time.monotonic()
-            if wall_s - repeat_s > (
-                _REPEAT_S if self._node.endpoint.counters.received else _REPEAT_UNHEARD_S
-            ):
+            if wall_s - repeat_s > (_REPEAT_S if endpoint.counters.received else _REPEAT_UNHEARD_S):
                 repeat_s = wall_s
                 self._repeat()
 
@@ -246,24 +246,25 @@ class LockstepLoop:
                 if peer != companion:
                     endpoint.send(messages, peer)
         endpoint.send([*messages, *replies, request], companion)
-        self._request = bytes(request.get_msgbuf())
+        self._request = request
 
     def _repeat(self) -> None:
         peers = self._node.endpoint.peers if self._companion is None else (self._companion,)
         for peer in peers:
             # The same bytes, or the number of repeats, a matter of wall time, would show in the log.
-            self._node.endpoint.repeat(self._request, peer)
+            self._node.endpoint.repeat(bytes(self._request.get_msgbuf()), peer)
 
     def _take(self, frames: list[Received], now_ns: int, now_s: float) -> bool:
         """Handle frames up to the answer for this tick; True when it was there."""
         for i, received in enumerate(frames):
             message = received.message
-            if message.get_msgId() == _TIMESYNC and message.tc1 != 0:
+            id_ = message.get_msgId()
+            if id_ == _TIMESYNC and message.tc1 != 0:
                 if self._is_answer(received, now_ns):
                     self._late += frames[i + 1 :]
                     return True
                 continue
-            if self._companion is None and message.get_msgId() == _HEARTBEAT:
+            if self._companion is None and id_ == _HEARTBEAT:
                 # Not through the simulated loss: how many heartbeats come first depends on wall time.
                 self._answer(received, now_ns, now_s)
                 continue

@@ -31,6 +31,7 @@ class Held(Generic[T]):
     """What waits for its time, or for the end of a stall.
 
     Attributes:
+        size: items that wait.
         overflows: items lost because too many waited.
     """
 
@@ -38,18 +39,15 @@ class Held(Generic[T]):
         self._timed: list[tuple[int, int, T]] = []
         self._stalled: dict[Running, list[T]] = {}
         self._count = 0
-        self._size = 0
+        self.size = 0
         self.overflows = 0
-
-    def __len__(self) -> int:
-        return self._size
 
     def hold(self, item: T, due_ns: int, stall: Running | None) -> None:
         """Keep an item until ``due_ns``, or until the stall is over."""
-        if self._size >= HELD_MAX:
+        if self.size >= HELD_MAX:
             self.overflows += 1
             return
-        self._size += 1
+        self.size += 1
         if stall is not None:
             self._stalled.setdefault(stall, []).append(item)
             return
@@ -61,7 +59,7 @@ class Held(Generic[T]):
         out = [item for stall in [s for s in self._stalled if s.over] for item in self._stalled.pop(stall)]
         while self._timed and self._timed[0][0] <= now_ns:
             out.append(heapq.heappop(self._timed)[2])
-        self._size -= len(out)
+        self.size -= len(out)
         return out
 
 
@@ -83,7 +81,7 @@ class Wire:
     @property
     def sound(self) -> bool:
         """Whether nothing happens to what is sent, and nothing waits to be."""
-        return not self._leaving and not self._faults.active(Way.OUT)
+        return not self._leaving.size and not self._faults.active(Way.OUT)
 
     def send(self, messages: Sequence[Message], peers: Sequence[Peer], now_ns: int) -> None:
         """Send what is due of these messages and of earlier ones, each in a datagram of its own.
@@ -120,7 +118,7 @@ class Wire:
 
     def late(self, now_ns: int) -> list[Received]:
         """Messages held back that the autopilot gets now."""
-        return self._coming.due(now_ns) if self._coming else []
+        return self._coming.due(now_ns) if self._coming.size else []
 
     def _ship(self, frame: _Frame) -> None:
         for peer in frame.peers:
@@ -160,23 +158,26 @@ class VehicleNode:
 
     def answer(self, received: Received, now_s: float) -> list[Message]:
         """Let the autopilot act on a frame; returns what to answer its sender."""
-        header = received.message.get_header()
-        return self.autopilot.handle(received.message, (header.srcSystem, header.srcComponent), now_s)
+        message = received.message
+        header = message.get_header()
+        return self.autopilot.handle(message, (header.srcSystem, header.srcComponent), now_s)
 
     def control(self, now_s: float) -> None:
         """Let the autopilot fly; its first flight by the companion's set-points begins the judging."""
+        vehicle = self.vehicle
         self.autopilot.control(now_s)
-        if self.vehicle.armed is not self._armed:
-            self._armed = self.vehicle.armed
-            self.tell(self._armed)
-        for fault in self.vehicle.faults.take_texts():
+        armed = vehicle.armed
+        if armed is not self._armed:
+            self._armed = armed
+            self.tell(armed)
+        for fault in vehicle.faults.take_texts():
             severity = dialect.MAV_SEVERITY_WARNING if fault.begins else dialect.MAV_SEVERITY_NOTICE
             self.autopilot.flight.say(severity, str(fault))
         if not self._judged:
             flight = self.autopilot.flight
             if flight.mode is FlightMode.OFFBOARD and flight.airborne:
                 self._judged = True
-                self.vehicle.begin_judging()
+                vehicle.begin_judging()
 
     def move_deck(self, deck: DeckState) -> None:
         """Give the deck a pose and a twist."""

@@ -84,7 +84,8 @@ class Physics:
         for times in (self.since_ms, self.pad_ms, self.ground_ms, self._touch_ms):
             times[0] = NONE_MS
         self._read_body, self._read_deck = reader(r.world.body), reader(r.world.deck)
-        self._read_contact = reader(r.contact)
+        self._read_contact, self._read_wind = reader(r.contact), reader(r.wind.now)
+        self._read_rpm, (self._voltage_v,) = reader(r.rotors.rpm), scalars(r.battery, "voltage_v")
         target = TargetModel(scenario.target, seed)
         pose = target.pose
         self.world.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
@@ -133,26 +134,27 @@ class Physics:
         if self._touch_ms[0] != NONE_MS:
             contact = self._read_contact()  # ends with place and velocity
             touch_s, touch_e, touch_v = self._touch_ms[0] * STEP_S, contact[-6:-3], contact[-3:]
+        h_min = self._h_min[0]
         truth = Truth(
             now_ms * STEP_S,
             position,
             body[3:6],
             body[6:10],
             body[10:13],
-            self.rotors.rpm,
+            self._read_rpm(),
             pad,
             deck[3:6],
             math.remainder(deck[6], 2.0 * math.pi),
             h,
-            min(h, self._h_min[0]),
+            h_min if h_min < h else h,
             self._h_min_outside[0],
             self._contacts[0] | (_TUMBLED if self._tumbled[0] else 0),
             touch_e,
             touch_v,
             touch_s,
             motors_running,
-            self.battery.voltage_v,
-            self.wind.now_enu_m_s,
+            self._voltage_v[0],
+            self._read_wind(),
         )
         self._h_min[0] = self._h_min_outside[0] = math.inf
         self._tumbled[0] = self._contacts[0] = 0

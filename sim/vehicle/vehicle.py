@@ -9,7 +9,7 @@ import math
 
 from flightstack.core.types import ZERO, Vec3
 from sim.chance import stream
-from sim.compiled.records import Values, scalars
+from sim.compiled.records import Values, reader, scalars
 from sim.compiled.rotation import quaternion_from_axes, rotation_axes
 from sim.faults.drive import BatteryFaults, MotorFaults
 from sim.faults.vehicle_faults import Faults
@@ -25,6 +25,7 @@ from sim.plant.vehicle_types import Estimate, Truth
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.fault_table import Kind, What
 from sim.scenarios.scenario import Scenario, StartKind
+from sim.vehicle.judge import GAP_MS
 from sim.vehicle.loop import fly
 from sim.vehicle.mocap import MocapTape
 from sim.vehicle.physics import Physics
@@ -68,11 +69,14 @@ class VehicleSim:
         self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed, r.imu)
         spec = scenario.vehicle
         self._firmware = Firmware(spec, params, r.firmware)
+        self._believed = self._firmware.estimator.believed
         self._mocap = MocapTape(spec.mocap, seed, r.mocap, r.world.body, spec.own)
         motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, physics.hover_rpm)
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
         self._ms = self._supplied_ms = 0
         self._allowed, self._state = scalars(r.firmware.supervisor, "motors_allowed", "state")
+        self._pad_ms, self._ground_ms, self._since_ms = scalars(r.contact, "pad_ms", "ground_ms", "since_ms")
+        self._read_commands = reader(r.firmware.commands)
         self.trim_velocity_enu_m_s: Vec3 = ZERO
         self.sent_before_ms = 0
         physics.judging[0] = scenario.start.kind is StartKind.HOVER
@@ -273,7 +277,7 @@ class VehicleSim:
     @property
     def motors_running(self) -> bool:
         """Whether any motor is commanded to turn."""
-        return self._firmware.commands != OFF
+        return self._read_commands() != OFF
 
     @property
     def motor_commands(self) -> tuple[float, float, float, float]:
@@ -298,18 +302,20 @@ class VehicleSim:
     @property
     def on_pad(self) -> bool:
         """In contact with the pad's top (true contact; bounces shorter than 30 ms don't count)."""
-        return self._physics.on_pad(self._ms)
+        on_pad: bool = self._ms - self._pad_ms[0] <= GAP_MS
+        return on_pad
 
     @property
     def on_ground(self) -> bool:
         """In contact with the floor."""
-        return self._physics.on_ground(self._ms)
+        on_ground: bool = self._ms - self._ground_ms[0] <= GAP_MS
+        return on_ground
 
     @property
     def landed(self) -> bool:
         """In contact with pad or floor for 0.15 s."""
-        stands = self.on_pad or self.on_ground
-        return stands and bool(self._ms - self._physics.since_ms[0] >= LANDED_AFTER_MS)
+        lasts: bool = self._ms - self._since_ms[0] >= LANDED_AFTER_MS
+        return lasts and (self.on_pad or self.on_ground)
 
     def estimate(self) -> Estimate:
         """Return the newest estimate that has reached the autopilot."""
@@ -318,12 +324,9 @@ class VehicleSim:
             return believed
         return self.faults.own_state.report(self._ms * NS_PER_MS, believed)
 
-    def _believed(self) -> Estimate:
-        return Estimate(*self._firmware.estimator.believed())
-
     def truth(self) -> Truth:
         """Return the true state now and the extremes and contacts since the last call; those start anew."""
-        return self._physics.truth(self._ms, self.motors_running)
+        return self._physics.truth(self._ms, self._read_commands() != OFF)
 
 
 def warm_up(scenario: Scenario) -> None:

@@ -128,6 +128,7 @@ class VehicleLink:
         self._hello = b""  # heartbeat sent first, repeated until the vehicle has been heard
         self._restarted_s = -math.inf  # the newest restart that was acted on
         self._warned: str | None = None
+        self._judged: object = None  # what was said of the vehicle when ``refused`` was found out
         self._handlers: dict[int, Callable[[Message, float], None]] = {
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
@@ -185,11 +186,12 @@ class VehicleLink:
         followed yet waits for the next call.
         """
         tick_s: float | None = None if self.defer_timesync else now_s
+        target = self._target
         for received in self.endpoint.receive():
             message = received.message
             header = message.get_header()
             sender = (header.srcSystem, header.srcComponent)
-            if sender != self._target:
+            if sender != target:
                 self.counters.add_foreign(sender)
                 continue
             self._vehicle = received.peer
@@ -200,7 +202,8 @@ class VehicleLink:
             if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
                 tick_s = message.ts1 / 1e9
                 self._release(tick_s)
-        self._shorten_held()
+        if len(self._held) > _HELD_MAX:
+            self._shorten_held()
         if self._vehicle is None:
             self._say_hello()
         elif tick_s is not None:
@@ -302,14 +305,14 @@ class VehicleLink:
 
     def _release(self, arrival_s: float) -> None:
         held, self._held = self._held, []
+        handle = self._handle
         for message in held:
-            self._handle(message, arrival_s)
+            handle(message, arrival_s)
 
     def _shorten_held(self) -> None:
-        surplus = len(self._held) - _HELD_MAX
-        if surplus > 0:  # a vehicle that never asks for the time is not in lockstep
-            self.counters.held_lost += surplus
-            del self._held[:surplus]
+        surplus = len(self._held) - _HELD_MAX  # a vehicle that never asks for the time is not in lockstep
+        self.counters.held_lost += surplus
+        del self._held[:surplus]
 
     def _handle(self, message: Message, arrival_s: float) -> None:
         message_id: int = message.get_msgId()  # not .id: in STATUSTEXT that is a field
@@ -377,10 +380,12 @@ class VehicleLink:
         self._warn()
 
     def _warn(self) -> None:
-        autopilot, type_ = self.state.autopilot, self.state.type
-        if autopilot is None or type_ is None:
+        state = self.state
+        said = (state.autopilot, state.type, state.profile)
+        if said == self._judged or state.autopilot is None or state.type is None:
             return
-        self.refused = refusal(autopilot, type_, self.state.profile)
+        self._judged = said
+        self.refused = refusal(state.autopilot, state.type, state.profile)
         if self.refused is not None and self.refused != self._warned:
             self._warned = self.refused
             self._say(dialect.MAV_SEVERITY_ERROR, self.refused)

@@ -5,6 +5,7 @@ An autopilot may have no position for minutes (no satellites yet, no origin), an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -16,6 +17,7 @@ from bridge.mavlink.codec.decoding import Message
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _CHECK_S = 1.0  # s over which a rate is judged
 _ENOUGH = 0.7  # of the rate asked for; the rest is loss and rounding to the autopilot's own ticks
+_ROUNDING_S = 1e-6  # s, more than the rounding of a time
 _TRIES = 5  # one each _CHECK_S, of each way to ask
 _AGAIN_S = 3.0  # s between two tries after those, while nothing comes at all
 
@@ -49,6 +51,7 @@ class StreamRequests:
         self._target = (target_system, target_component)
         self._unset = unset
         self._data_streams = data_streams
+        self._quiet_until_s = -math.inf  # before that no stream can be due
 
     def seen(self, message_id: int) -> None:
         """Take note of a message of the vehicle."""
@@ -60,10 +63,17 @@ class StreamRequests:
         """Ask again at once for what does not come: the vehicle has restarted and forgotten the requests."""
         for stream in self._streams.values():
             stream.tries = min(stream.tries, 1)
+        self._quiet_until_s = -math.inf
 
     def step(self, now_s: float) -> list[Message]:
         """Return the commands to send now; call it only once the vehicle has been heard."""
-        return [self._ask(stream, now_s) for stream in self._streams.values() if self._due(stream, now_s)]
+        if now_s < self._quiet_until_s:
+            return []
+        streams = self._streams.values()
+        messages = [self._ask(stream, now_s) for stream in streams if self._due(stream, now_s)]
+        since_s = min((stream.since_s for stream in streams), default=now_s)
+        self._quiet_until_s = since_s + _CHECK_S - _ROUNDING_S
+        return messages
 
     def _due(self, stream: _Stream, now_s: float) -> bool:
         elapsed_s = now_s - stream.since_s

@@ -24,6 +24,12 @@ from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Pha
 OVER_PAD_LEFT = 1.5  # times the radius at which the cone over the pad is entered
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
+_ASKED: dict[Operator, int] = {
+    Operator.NONE: 0,
+    Operator.ABORT: C.ABORT_ASKED,
+    Operator.EMERGENCY_STOP: C.EMERGENCY,
+    Operator.LAND: C.ABORT_ASKED | C.LAND_ASKED,
+}
 _PHASE_TIME_S: dict[Phase, Callable[[FlightConfig], float]] = {
     Phase.WAIT: lambda c: c.checks.wait_time_max_s,
     Phase.TAKEOFF: lambda c: c.takeoff.timeout_s,
@@ -99,17 +105,11 @@ def condition_flags(
     now_s: float,
 ) -> int:
     """Flags of this tick; ``memory`` holds its timers already and is not changed."""
-    inputs, own = snapshot.inputs, snapshot.inputs.own
-    flags = 0
-    if inputs.operator is Operator.EMERGENCY_STOP:
-        flags |= C.EMERGENCY
-    if inputs.operator in (Operator.ABORT, Operator.LAND):
-        flags |= C.ABORT_ASKED
-    if inputs.operator is Operator.LAND:
-        flags |= C.LAND_ASKED
+    inputs, own, phase = snapshot.inputs, snapshot.inputs.own, memory.phase
+    flags = _ASKED[inputs.operator]
     if not snapshot.follows:
         flags |= C.NOT_FOLLOWING
-    blind = memory.phase is Phase.TOUCHDOWN and now_s - memory.own_ok_s <= config.touchdown.blind_time_s
+    blind = phase is Phase.TOUCHDOWN and now_s - memory.own_ok_s <= config.touchdown.blind_time_s
     if not (snapshot.own_ok or blind):
         flags |= C.OWN_LOST
     if not snapshot.link_ok:
@@ -132,16 +132,16 @@ def condition_flags(
         flags |= C.STARTED
         if now_s - memory.started_s > config.checks.landing_time_max_s or snapshot.way.waited:
             flags |= C.LANDING_TIME_OVER
-    limit = _PHASE_TIME_S.get(memory.phase)
+    limit = _PHASE_TIME_S.get(phase)
     if limit is not None and now_s - memory.phase_since_s > limit(config):
         flags |= C.PHASE_TIME_OVER
-    if memory.phase is Phase.CLIMB and own is not None:
+    if phase is Phase.CLIMB and own is not None:
         flags |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(config, barrier, memory) else 0
-    if memory.phase is Phase.TOUCHDOWN and memory.contact:
+    if phase is Phase.TOUCHDOWN and memory.contact:
         flags |= C.ON_PAD
     if memory.clear:
         flags |= C.CLEAR
-    rested = memory.phase is Phase.LANDED and now_s - memory.phase_since_s >= LANDED_SETTLE_S
+    rested = phase is Phase.LANDED and now_s - memory.phase_since_s >= LANDED_SETTLE_S
     if rested and snapshot.way.pad_wanted and snapshot.good and snapshot.charge is Charge.FIT:
         flags |= C.PAD_WANTED
     at = snapshot.relative if snapshot.good else None

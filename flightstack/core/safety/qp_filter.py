@@ -14,6 +14,7 @@ command is the corner of the box that raises h fastest, and the status says so.
 from __future__ import annotations
 
 import math
+import struct
 import time
 from typing import Any, NamedTuple, Protocol
 
@@ -27,6 +28,7 @@ EPS = 1e-9  # absolute and relative tolerance of the solver's test, m/s
 RHO = 1.0
 RELAXATION = 1.5
 ITERATIONS_MAX = 200  # about 50 us; beyond it the exact projection is the result
+_NUMBERS = struct.Struct("=24d")  # the data of the program that change, and its start
 RESIDUAL_MAX_M_S = 1e-6  # what a result may miss box or barrier by before it is refused
 
 
@@ -93,16 +95,18 @@ class SafetyFilter:
 
         self.omega_1_s = omega_1_s
         constraint = sparse.csc_matrix(np.vstack([np.ones((1, 3)), np.eye(3)]))
-        self._q = np.zeros(3)
-        self._lower = np.full(4, -1.0)
-        self._upper = np.full(4, osqp.OSQP_INFTY)
-        self._x, self._y = np.zeros(3), np.zeros(4)
-        self._ax = np.ones(6)  # column-wise: (g_x, 1), (g_y, 1), (g_z, 1)
+        self._numbers = numbers = np.ones(_NUMBERS.size // 8)
+        # of the data: -u', bounds of the rows, and of A the columns (g_x, 1), (g_y, 1), (g_z, 1); of the start:
+        # point and multipliers
+        self._q, self._lower, self._upper = numbers[:3], numbers[3:7], numbers[7:11]
+        self._ax, self._x, self._y = numbers[11:17], numbers[17:20], numbers[20:]
+        self._lower[:], self._upper[:], self._infinity = -1.0, osqp.OSQP_INFTY, osqp.OSQP_INFTY
         hessian = osqp.CSC(sparse.csc_matrix(np.eye(3)))
         self._solver = osqp.OSQPSolver(
             hessian, self._q, osqp.CSC(constraint), self._lower, self._upper, 4, 3, solver_settings(osqp)
         )
-        self._solved = osqp.osqp_status_type.OSQP_SOLVED
+        self._info = self._solver.info  # of the newest solution
+        self._solved = int(osqp.osqp_status_type.OSQP_SOLVED)
 
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
@@ -146,31 +150,23 @@ class SafetyFilter:
     ) -> tuple[Vec3, float, int]:
         """Point clipped to the box, its largest violation before that (inf if not solved), iterations."""
         (px, py, pz), multiplier = start.point, start.multiplier if math.isfinite(start.multiplier) else 0.0
-        q, low, high, ax, solver = self._q, self._lower, self._upper, self._ax, self._solver
-        q[0], q[1], q[2] = -nominal[0], -nominal[1], -nominal[2]
-        low[0], low[1], low[2], low[3] = bound, lower[0], lower[1], lower[2]
-        high[1], high[2], high[3] = upper
-        ax[0], ax[2], ax[4] = gradient
-        solver.update_data_vec(q=q, l=low, u=high)
-        solver.update_data_mat(P_x=None, P_i=None, A_x=ax, A_i=None)
-        # optimal where u - u' - multiplier g + y = 0, with y of the sides of the box that bind
-        first, dual = self._x, self._y
-        first[0], first[1], first[2] = px, py, pz
-        dual[0] = -multiplier
-        dual[1] = nominal[0] + multiplier * gradient[0] - px
-        dual[2] = nominal[1] + multiplier * gradient[1] - py
-        dual[3] = nominal[2] + multiplier * gradient[2] - pz
-        solver.warm_start(first, dual)
+        (nx, ny, nz), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = nominal, gradient, lower, upper
+        solver, info = self._solver, self._info
+        # All at once: numpy takes as long for three of them. The start is optimal where
+        # u - u' - multiplier g + y = 0, with y of the sides of the box that bind.
+        _NUMBERS.pack_into(
+            self._numbers, 0, -nx, -ny, -nz, bound, lx, ly, lz, self._infinity, hx, hy, hz,
+            gx, 1.0, gy, 1.0, gz, 1.0, px, py, pz,
+            -multiplier, nx + multiplier * gx - px, ny + multiplier * gy - py, nz + multiplier * gz - pz,
+        )  # fmt: skip
+        solver.update_data_vec(q=self._q, l=self._lower, u=self._upper)
+        solver.update_data_mat(P_x=None, P_i=None, A_x=self._ax, A_i=None)
+        solver.warm_start(self._x, self._y)
         solver.solve()
-        info = solver.info
         x, y, z = solver.solution.x.tolist()
-        cx, cy, cz = (
-            min(max(x, lower[0]), upper[0]),
-            min(max(y, lower[1]), upper[1]),
-            min(max(z, lower[2]), upper[2]),
-        )
+        cx, cy, cz = min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)
         if info.status_val != self._solved or not math.isfinite(x + y + z):
             return (cx, cy, cz), math.inf, info.iter
-        barrier_miss = bound - (gradient[0] * cx + gradient[1] * cy + gradient[2] * cz)
+        barrier_miss = bound - (gx * cx + gy * cy + gz * cz)
         residual = max(abs(x - cx), abs(y - cy), abs(z - cz), barrier_miss, 0.0)
         return (cx, cy, cz), residual, info.iter
