@@ -1,7 +1,7 @@
 """A point-mass vehicle and a robot on a circle around the pure controller: enough to judge decisions."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.parameters.flight import FlightConfig
@@ -133,6 +133,6 @@ class World:
 
 def each_sample(**changes):
     """A fault that changes each target sample."""
-    return lambda _, inputs: replace(
-        inputs, target_samples=tuple(replace(s, **changes) for s in inputs.target_samples)
+    return lambda _, inputs: inputs._replace(
+        target_samples=tuple(s._replace(**changes) for s in inputs.target_samples)
     )

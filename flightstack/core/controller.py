@@ -8,7 +8,6 @@ Live flight, lockstep simulation, campaigns and log replay all call this.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 from flightstack.core.fleet.exact import Row
@@ -196,7 +195,7 @@ class Controller:
         """
         memory, strategy, plausibility = self.memory, self._strategy, self.plausibility
         if inputs.own is not None and not inputs.own.is_finite:  # it would stay in every memory
-            inputs = replace(inputs, own=None)
+            inputs = inputs._replace(own=None)
         self.track.memory.settled = memory.phase is not Phase.WAIT
         events = self._take_samples(inputs)
         target = strategy.target(self.track, now_s)

@@ -92,8 +92,7 @@ class Operator(IntEnum):
     LAND = 3  # abort by the autopilot's own landing: the stack is about to end
 
 
-@dataclass(frozen=True, slots=True)
-class OwnState:
+class OwnState(NamedTuple):
     """The vehicle's own state estimate, as the link delivered it."""
 
     arrival_s: float
@@ -109,8 +108,7 @@ class OwnState:
         return math.isfinite(x + y + z + vx + vy + vz + self.yaw_rad + self.arrival_s)
 
 
-@dataclass(frozen=True, slots=True)
-class TargetSample:
+class TargetSample(NamedTuple):
     """One odometry sample of the target; velocities already turned into the world frame."""
 
     arrival_s: float
@@ -191,8 +189,7 @@ class Neighbour(NamedTuple):
     yields_to: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Inputs:
+class Inputs(NamedTuple):
     """Everything one tick may look at: the newest of each link, and the samples that came since the last."""
 
     own: OwnState | None = None

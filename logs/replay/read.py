@@ -7,7 +7,6 @@ read once, from its start to its end or its break, and only one tick is held in 
 from __future__ import annotations
 
 import copy
-import dataclasses
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -162,10 +161,10 @@ class FlightInputs:
                 elif topic in (power, neighbours) and tick.given is None:
                     pass  # they follow the other inputs; without those the tick is not whole
                 elif topic == power and tick.given is not None:
-                    inputs = dataclasses.replace(tick.given.inputs, power=unpack_power(data))
+                    inputs = tick.given.inputs._replace(power=unpack_power(data))
                     tick.given, tick.power = tick.given._replace(inputs=inputs), data
                 elif topic == neighbours and tick.given is not None:
-                    inputs = dataclasses.replace(tick.given.inputs, neighbours=unpack_neighbours(data))
+                    inputs = tick.given.inputs._replace(neighbours=unpack_neighbours(data))
                     tick.given, tick.told = tick.given._replace(inputs=inputs), True
                 elif topic == state:
                     snapshot = ControllerStateRow.unpack(data)

@@ -95,9 +95,10 @@ class SafetyFilter:
 
         self.omega_1_s = omega_1_s
         constraint = sparse.csc_matrix(np.vstack([np.ones((1, 3)), np.eye(3)]))
-        self._numbers = numbers = np.ones(_NUMBERS.size // 8)
-        # of the data: -u', bounds of the rows, and of A the columns (g_x, 1), (g_y, 1), (g_z, 1); of the start:
-        # point and multipliers
+        numbers = np.ones(_NUMBERS.size // 8)
+        self._memory = numbers.data
+        # data: -u', bounds of the rows, and of A the columns (g_x, 1), (g_y, 1), (g_z, 1);
+        # start: point and multipliers
         self._q, self._lower, self._upper = numbers[:3], numbers[3:7], numbers[7:11]
         self._ax, self._x, self._y = numbers[11:17], numbers[17:20], numbers[20:]
         self._lower[:], self._upper[:], self._infinity = -1.0, osqp.OSQP_INFTY, osqp.OSQP_INFTY
@@ -155,7 +156,7 @@ class SafetyFilter:
         # All at once: numpy takes as long for three of them. The start is optimal where
         # u - u' - multiplier g + y = 0, with y of the sides of the box that bind.
         _NUMBERS.pack_into(
-            self._numbers, 0, -nx, -ny, -nz, bound, lx, ly, lz, self._infinity, hx, hy, hz,
+            self._memory, 0, -nx, -ny, -nz, bound, lx, ly, lz, self._infinity, hx, hy, hz,
             gx, 1.0, gy, 1.0, gz, 1.0, px, py, pz,
             -multiplier, nx + multiplier * gx - px, ny + multiplier * gy - py, nz + multiplier * gz - pz,
         )  # fmt: skip

@@ -17,19 +17,19 @@ CONFIG = config(limits=SLOW, touchdown={"rule": "paper"})
 
 
 def no_samples(_, inputs):
-    return replace(inputs, target_samples=())
+    return inputs._replace(target_samples=())
 
 
 def stuck_sample(world, inputs):
     """The same message again and again."""
     if not hasattr(world, "stuck"):
         world.stuck = inputs.target_samples
-    return replace(inputs, target_samples=tuple(replace(s, arrival_s=world.t_s) for s in world.stuck))
+    return inputs._replace(target_samples=tuple(s._replace(arrival_s=world.t_s) for s in world.stuck))
 
 
 def late_by(inputs, late_s):
-    samples = (replace(s, source_time_s=s.source_time_s - late_s) for s in inputs.target_samples)
-    return replace(inputs, target_samples=tuple(samples))
+    samples = (s._replace(source_time_s=s.source_time_s - late_s) for s in inputs.target_samples)
+    return inputs._replace(target_samples=tuple(samples))
 
 
 def older_each_time(world, inputs):
@@ -43,16 +43,16 @@ def half_a_second_late(_, inputs):
 def jumped_by_a_metre(_, inputs):
     def jumped(sample):
         x, y, z = sample.position_enu_m
-        return replace(sample, position_enu_m=(x + 1.0, y, z))
+        return sample._replace(position_enu_m=(x + 1.0, y, z))
 
-    return replace(inputs, target_samples=tuple(map(jumped, inputs.target_samples)))
+    return inputs._replace(target_samples=tuple(map(jumped, inputs.target_samples)))
 
 
 def silent(world, inputs):
     """The vehicle state stays as it was when the fault began."""
     if not hasattr(world, "frozen"):
         world.frozen = inputs.own
-    return replace(inputs, own=world.frozen)
+    return inputs._replace(own=world.frozen)
 
 
 TARGET_FAULTS = {
@@ -143,7 +143,7 @@ def test_a_vehicle_that_comes_back_is_flown_on():
 
 
 def test_disarmed_by_someone_else_ends_it():
-    world = flown(lambda w, i: replace(i, status=replace(i.status, armed=False)))
+    world = flown(lambda w, i: i._replace(status=replace(i.status, armed=False)))
     out = world.step()
     assert out.phase is Phase.ABORT
     assert out.request is Request.LAND  # never armed again; in the air one of the two is not true
@@ -151,14 +151,14 @@ def test_disarmed_by_someone_else_ends_it():
 
 
 def test_a_mode_changed_under_us_is_left_to_whoever_changed_it():
-    world = flown(lambda w, i: replace(i, status=replace(i.status, mode=Mode.OTHER)))
+    world = flown(lambda w, i: i._replace(status=replace(i.status, mode=Mode.OTHER)))
     out = world.step()
     assert (out.phase, out.request, out.setpoint) == (Phase.ABORT, Request.NONE, None)
     assert world.controller.memory.abort_way is AbortWay.HANDS_OFF
 
 
 def test_a_heartbeat_that_stops_ends_in_the_vehicles_own_landing():
-    world = flown(lambda w, i: replace(i, status=replace(i.status, arrival_s=w.fault_from_s)))
+    world = flown(lambda w, i: i._replace(status=replace(i.status, arrival_s=w.fault_from_s)))
     world.run(20.0)
     assert world.phase is Phase.ABORT
     assert world.mode is Mode.LAND
@@ -166,10 +166,10 @@ def test_a_heartbeat_that_stops_ends_in_the_vehicles_own_landing():
 
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LAND])
 def test_the_operator_can_abort_and_stop(phase):
-    world = flown(lambda w, i: replace(i, operator=Operator.ABORT), phase).run(60.0)
+    world = flown(lambda w, i: i._replace(operator=Operator.ABORT), phase).run(60.0)
     assert world.phase is Phase.ABORT
     assert math.dist(world.position[:2], world.pad[:2]) > 0.5
-    world = flown(lambda w, i: replace(i, operator=Operator.EMERGENCY_STOP), phase)
+    world = flown(lambda w, i: i._replace(operator=Operator.EMERGENCY_STOP), phase)
     assert world.step().request is Request.MOTORS_OFF
 
 

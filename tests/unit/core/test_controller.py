@@ -203,7 +203,7 @@ def test_a_pad_that_is_not_where_it_was_said_to_be_ends_in_an_abort():
 
 def test_a_target_lost_in_the_last_centimetres_is_landed_on_all_the_same():
     world = World(ruled("contact"), solid_pad=True)
-    world.fault_in(Phase.TOUCHDOWN, lambda _, inputs: replace(inputs, target_samples=()))
+    world.fault_in(Phase.TOUCHDOWN, lambda _, inputs: inputs._replace(target_samples=()))
     world.run(10.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
     assert world.phase is Phase.LANDED
     assert math.dist(world.position[:2], world.pad[:2]) < 0.1
@@ -215,7 +215,7 @@ def blown_off(_, inputs):
     vx, vy, vz = inputs.target_samples[0].velocity_enu_m_s
     own = inputs.own
     place = (x + 0.07, y, max(own.position_enu_m[2], z + 0.2))
-    return replace(inputs, own=replace(own, position_enu_m=place, velocity_enu_m_s=(vx + 0.5, vy, vz)))
+    return inputs._replace(own=own._replace(position_enu_m=place, velocity_enu_m_s=(vx + 0.5, vy, vz)))
 
 
 def test_the_robust_filter_goes_around_when_it_is_blown_off_and_lands_then():
@@ -233,7 +233,7 @@ def test_a_new_descent_forgets_what_the_last_one_had_begun_to_see():
     """Not sinking for a moment, then around: in the next descent that moment is long ago, but it is over."""
 
     def stopped(w, inputs):
-        return replace(inputs, own=replace(inputs.own, velocity_enu_m_s=(*w.velocity[:2], 0.0)))
+        return inputs._replace(own=inputs.own._replace(velocity_enu_m_s=(*w.velocity[:2], 0.0)))
 
     world = World(ruled("contact"), solid_pad=True)
     world.fault_in(Phase.TOUCHDOWN, stopped, seconds=1.0)
@@ -281,9 +281,9 @@ def test_nothing_that_comes_in_leads_out_of_the_end(end):
         world.position = tuple(chance.uniform(-1.0, 2.0) for _ in range(3))
         inputs = world.inputs()
         if chance.random() < 0.2:
-            inputs = replace(inputs, target_samples=())
+            inputs = inputs._replace(target_samples=())
         if chance.random() < 0.2:
-            inputs = replace(inputs, operator=Operator.ABORT)
+            inputs = inputs._replace(operator=Operator.ABORT)
         out = world.controller.step(inputs, world.t_s, command_failed=chance.random() < 0.1)
         world.t_s += 0.05
         assert out.phase is end
@@ -302,7 +302,7 @@ def spoiled(own, field, axis, bad):
     value = getattr(own, field)
     if isinstance(value, tuple):
         bad = (*value[:axis], bad, *value[axis + 1 :])
-    return replace(own, **{field: bad})
+    return own._replace(**{field: bad})
 
 
 def numbers(value):
@@ -339,7 +339,7 @@ def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, fi
     world = World(config(kind, limits=SLOW), solid_pad=True)
     world.run(0.5)
     learned = world.controller.state.tracking.disturbance_m_s
-    world.fault = lambda _, inputs: replace(inputs, own=spoiled(inputs.own, field, axis, bad))
+    world.fault = lambda _, inputs: inputs._replace(own=spoiled(inputs.own, field, axis, bad))
     world.fault_from_s, world.fault_to_s = world.t_s, world.t_s + 0.25
     began = len(world.outputs)
     while world.t_s < world.fault_to_s:
@@ -356,7 +356,7 @@ def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, fi
 @pytest.mark.parametrize("bad", BAD)
 def test_a_flight_that_begins_with_it_takes_no_heading_from_it(bad):
     world = World(config(limits=SLOW))
-    world.fault = lambda _, inputs: replace(inputs, own=replace(inputs.own, yaw_rad=bad))
+    world.fault = lambda _, inputs: inputs._replace(own=inputs.own._replace(yaw_rad=bad))
     world.fault_from_s, world.fault_to_s = 0.0, 0.1
     world.run(0.1)
     assert world.controller.memory.yaw_rad is None

@@ -179,7 +179,7 @@ def told(volts, throttle, from_s=0.0):
 
     def fault(world, inputs):
         said = Power(world.t_s, volts, throttle, 1.0) if world.t_s >= from_s else None
-        return replace(inputs, power=said)
+        return inputs._replace(power=said)
 
     return {"fault": fault, "fault_from_s": 0.0, "fault_to_s": math.inf}
 
@@ -228,7 +228,7 @@ def test_outside_the_ring_a_vehicle_that_tires_lands_beside_and_inside_on_the_pa
     def tires(distance_m):
         def fault(world, inputs):
             near = math.hypot(*world.relative()[:2]) < distance_m
-            return replace(inputs, power=Power(world.t_s, 3.6 if not near else 3.1, math.nan, 1.0))
+            return inputs._replace(power=Power(world.t_s, 3.6 if not near else 3.1, math.nan, 1.0))
 
         return {"fault": fault, "fault_from_s": 0.0, "fault_to_s": math.inf}
 

@@ -228,7 +228,7 @@ def test_what_a_sender_says_of_its_accuracy_is_in_the_sample(x, y, sigma):
         )
         found = sample_from_cdr(payload, 0.0)
         assert getattr(found, field) == pytest.approx(sigma)
-        assert replace(found, **{field: 0.0}) == sample_from_cdr(encode(odometry), 0.0)
+        assert found._replace(**{field: 0.0}) == sample_from_cdr(encode(odometry), 0.0)
 
 
 Q = (0.5, -0.5, 0.5, 0.5)

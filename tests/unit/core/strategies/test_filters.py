@@ -78,7 +78,7 @@ def test_the_papers_law_flies_as_it_did_before_there_was_another(name):
     limits = {"velocity_max_m_s": box}
     world = World(config(filter="paper", limits=limits, touchdown={"rule": rule}), **changes)
     if fault is not None:
-        world.fault = lambda _, inputs: replace(inputs, target_samples=())
+        world.fault = lambda _, inputs: inputs._replace(target_samples=())
         world.fault_from_s, world.fault_to_s = fault
     world.run(60.0)
     assert (len(world.outputs), len(world.sent)) == (ticks, sent)
@@ -249,7 +249,7 @@ def test_target_and_vehicle_are_carried_on_by_their_delays():
     own = OwnState(3.0, 2.9, (1.0, 2.0, 3.0), (1.0, -2.0, 0.5), 0.7)
     moved = law.vehicle(own)
     assert moved.position_enu_m == pytest.approx((1.05, 1.9, 3.025))
-    assert replace(moved, position_enu_m=own.position_enu_m) == own
+    assert moved._replace(position_enu_m=own.position_enu_m) == own
 
 
 def test_a_target_that_is_not_seen_any_more_stays_where_it_was_lost():
@@ -257,8 +257,8 @@ def test_a_target_that_is_not_seen_any_more_stays_where_it_was_lost():
     track = TargetTrack(settings_.checks)
     for n in range(50):  # it gains speed all the time
         t_s = 0.02 * n
-        rising = replace(
-            sample(t_s), position_enu_m=(0.3 * t_s * t_s, 0.0, 0.2), velocity_enu_m_s=(0.6 * t_s, 0, 0)
+        rising = sample(t_s)._replace(
+            position_enu_m=(0.3 * t_s * t_s, 0.0, 0.2), velocity_enu_m_s=(0.6 * t_s, 0, 0)
         )
         assert track.accept(rising).value == "accepted"
         law.take(rising)

@@ -288,7 +288,7 @@ def test_without_a_sample_there_is_no_motion():
 def sample(t_s, **changes):
     position, velocity = circle(t_s)
     made = TargetSample(t_s, 1000.0 + t_s, "map", "target", position, velocity, 0.0, 0.0)
-    return replace(made, **changes)
+    return made._replace(**changes)
 
 
 @pytest.mark.parametrize(

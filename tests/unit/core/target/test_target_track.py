@@ -21,7 +21,7 @@ FIRST = TargetSample(10.0, 1000.0, "map", "target", (1.0, 2.0, 0.2), (0.1, 0.0, 
 def later(seconds, **changes):
     moved = (1.0 + 0.1 * seconds, 2.0, 0.2)
     base = {"arrival_s": 10.0 + seconds, "source_time_s": 1000.0 + seconds, "position_enu_m": moved}
-    return replace(FIRST, **{**base, **changes})
+    return FIRST._replace(**{**base, **changes})
 
 
 @pytest.fixture
@@ -57,13 +57,13 @@ def test_verdicts(track, sample, verdict):
 
 def test_a_sample_that_was_long_on_its_way_is_late(track):
     track.accept(later(0.2))
-    slow = replace(later(0.21), arrival_s=10.21 + 0.26)
+    slow = later(0.21)._replace(arrival_s=10.21 + 0.26)
     assert track.accept(slow) is Verdict.LATE
 
 
 def test_the_age_counts_from_the_measurement_less_the_shortest_delay(track):
     assert track.at(10.1).age_s == pytest.approx(0.1)
-    slow = replace(later(0.1), arrival_s=10.1 + 0.05)  # 50 ms longer under way than the first
+    slow = later(0.1)._replace(arrival_s=10.1 + 0.05)  # 50 ms longer under way than the first
     track.accept(slow)
     assert track.at(10.15).age_s == pytest.approx(0.05)
 
@@ -76,11 +76,11 @@ def test_a_lost_track_takes_a_jump_but_no_older_sample(track):
     assert track.accept(later(0.5, position_enu_m=(3.0, 2.0, 0.2))) is Verdict.ACCEPTED
     track = TargetTrack(Checks())
     track.accept(FIRST)
-    assert track.accept(replace(later(0.5), source_time_s=999.0)) is Verdict.OUT_OF_ORDER
+    assert track.accept(later(0.5)._replace(source_time_s=999.0)) is Verdict.OUT_OF_ORDER
 
 
 def test_a_sender_that_started_anew_is_taken_again(track):
-    restarted = replace(later(5.0), source_time_s=3.0)
+    restarted = later(5.0)._replace(source_time_s=3.0)
     assert track.accept(restarted) is Verdict.ACCEPTED
     assert track.at(15.0).age_s == pytest.approx(0.0)
 
