@@ -81,6 +81,8 @@ class VehicleTicks:
         """
         link = self._vehicle.link
         most_s, silence = FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S, None
+        if self._last_ns >= 0:  # it asks for the next tick when it has flown this one, and not before
+            link.endpoint.wait(WAIT_SLICE_S)
         while True:
             link.poll(max(0, self._last_ns) / 1e9)
             sim_ns = link.take_timesync()

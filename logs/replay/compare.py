@@ -127,7 +127,8 @@ def values_of(recorded: Any, replayed: Any, name: str = "") -> Iterator[tuple[st
             yield f"{name}.length", str(len(recorded)), str(len(replayed))
         names = getattr(recorded, "_fields", None)
         for n, (a, b) in enumerate(zip(recorded, replayed, strict=False)):
-            yield from values_of(a, b, f"{name}.{names[n]}" if names else f"{name}[{n}]")
+            inner = f"{name}[{n}]" if not names else f"{name}.{names[n]}" if name else names[n]
+            yield from values_of(a, b, inner)
     elif isinstance(recorded, float):
         a, b = _F64.pack(recorded), _F64.pack(replayed)
         if a != b:

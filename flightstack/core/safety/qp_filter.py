@@ -106,7 +106,6 @@ class SafetyFilter:
         self._solver = osqp.OSQPSolver(
             hessian, self._q, osqp.CSC(constraint), self._lower, self._upper, 4, 3, solver_settings(osqp)
         )
-        self._info = self._solver.info  # of the newest solution
         self._solved = int(osqp.osqp_status_type.OSQP_SOLVED)
 
     def solve(
@@ -152,7 +151,7 @@ class SafetyFilter:
         """Point clipped to the box, its largest violation before that (inf if not solved), iterations."""
         (px, py, pz), multiplier = start.point, start.multiplier if math.isfinite(start.multiplier) else 0.0
         (nx, ny, nz), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = nominal, gradient, lower, upper
-        solver, info = self._solver, self._info
+        solver = self._solver
         # All at once: numpy takes as long for three of them. The start is optimal where
         # u - u' - multiplier g + y = 0, with y of the sides of the box that bind.
         _NUMBERS.pack_into(
@@ -164,6 +163,7 @@ class SafetyFilter:
         solver.update_data_mat(P_x=None, P_i=None, A_x=self._ax, A_i=None)
         solver.warm_start(self._x, self._y)
         solver.solve()
+        info = solver.info
         x, y, z = solver.solution.x.tolist()
         cx, cy, cz = min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)
         if info.status_val != self._solved or not math.isfinite(x + y + z):

@@ -144,7 +144,7 @@ def test_changed_inputs_change_what_comes_out(recorded, tmp_path):
         own = row.inputs.own
         x, y, z = own.position_enu_m
         own = OwnState(own.arrival_s, own.source_time_s, (x + 1e-12, y, z), own.velocity_enu_m_s, own.yaw_rad)
-        return pack_controller_input(row._replace(inputs=with_(row.inputs, own=own)))
+        return pack_controller_input(row._replace(inputs=row.inputs._replace(own=own)))
 
     result = replay(rewritten(recorded, tmp_path / "changed.mcap", change=at(INPUT, moved)))
     assert not result.equal
@@ -205,7 +205,7 @@ def test_a_log_that_proves_nothing_says_why(recorded, tmp_path, topics, ticks, w
 
 
 def test_a_controller_that_never_acted_proves_nothing(tmp_path):
-    world = World(CONFIG, fault=lambda _, i: with_(i, own=None), fault_from_s=0.0)
+    world = World(CONFIG, fault=lambda _, i: i._replace(own=None), fault_from_s=0.0)
     with pytest.raises(ReplayError, match="would prove nothing"):
         replay(record(tmp_path / "idle.mcap", world, 1.0))
 
@@ -347,7 +347,7 @@ def powered(tmp_path_factory):
 
     def told(world, inputs):
         said = None if world.t_s < 0.05 else Power(world.t_s, 3.9 - 0.1 * world.t_s, 0.8, 0.99)
-        return with_(inputs, power=said)
+        return inputs._replace(power=said)
 
     config = with_(CONFIG, reserve=RESERVE)
     world = World(config, position=(-0.6, 0.2, 0.95), fault=told, fault_from_s=0.0)
