@@ -32,7 +32,6 @@ class FleetFlown:
 
     Attributes:
         about: what was flown, the first keys of ``--json``.
-        singles: the same of each vehicle, by namespace.
         folder: where everything is.
         log: the flight log.
         wall_s: wall time from the first tick to the end.
@@ -42,7 +41,6 @@ class FleetFlown:
     """
 
     about: Mapping[str, object]
-    singles: Mapping[str, Mapping[str, object]]
     folder: Path
     log: Path
     wall_s: float
@@ -181,13 +179,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     if problem is None and recorder.process.returncode != 0:  # it may end after the flight
         problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
     about = {"scenario": team.name, "seed": options.seed, "filter": filters}
-    singles = {
-        member.name: {
-            "scenario": member.scenario.name, "seed": member.seed, "filter": member.scenario.onboard.filter,
-        }
-        for member in members
-    }  # fmt: skip
-    return FleetFlown(about, singles, folder, log, wall_s, flights, problem, launcher.interrupted)
+    return FleetFlown(about, folder, log, wall_s, flights, problem, launcher.interrupted)
 
 
 def _start(

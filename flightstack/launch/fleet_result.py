@@ -8,28 +8,24 @@ from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
-from rich.table import Column, Table
 
 from flightstack.launch import fleet
 from flightstack.launch.fleet import FleetFlown
+from flightstack.launch.result import fleet_table
 from flightstack.launch.run_options import RunOptions
-from flightstack.launch.sitl import Flight, shown
+from flightstack.launch.sitl import Flight
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Fleet
 from logs.reader.reader import LogError
-from logs.verdict.fleet import fleet_result, judge_fleet
+from logs.report.fleet import Pages, write_fleet
+from logs.report.report import ReportError
+from logs.verdict.fleet import FleetVerdict, fleet_result, judge_fleet
 from logs.verdict.types import Outcome
 
-_COLUMNS = (
-    ("outcome", "outcome"),
-    ("violation", "violation"),
-    ("error, m", "touchdown_error_m"),
-    ("speed down, m/s", "touchdown_speed_vertical_m_s"),
-    ("lowest h outside the pad, m", "h_min_outside_pad_m"),
-    ("time, s", "time_to_land_s"),
-)
-_ALL = ("outcome", "violation", "collisions", "ellipsoid_violations", "ellipsoid_min", "distance_min_m",
-        "realtime_factor")  # fmt: skip
+_UNKNOWN = (
+    "outcome", "violation", "vehicles", "ellipsoid_violations", "ellipsoid_min", "distance_min_m",
+    "collisions", "realtime_factor", "report",
+)  # fmt: skip
 
 
 def conclude_fleet(flown: FleetFlown, console: Console, *, as_json: bool, with_report: bool) -> int:
@@ -41,7 +37,7 @@ def conclude_fleet(flown: FleetFlown, console: Console, *, as_json: bool, with_r
     values = values_of(flown, with_report=with_report)
     if as_json:
         print(json.dumps(values))
-    else:
+    elif values["vehicles"] is not None:
         _print(console, values)
     if flown.problem:
         print(f"flightstack: {flown.problem}", file=sys.stderr)
@@ -61,17 +57,27 @@ def fly_fleet(options: RunOptions, console: Console, *, with_report: bool) -> Fl
 
 
 def values_of(flown: FleetFlown, *, with_report: bool) -> dict[str, Any]:
-    """Judge a flight of a fleet; the keys of ``--json``, ``None`` for what is not known."""
+    """Judge a flight of a fleet and write its report; the keys of ``--json``, ``None``: not known."""
     try:
         log = load_fleet(flown.log)
     except LogError as error:
         print(f"flightstack: no result: {flown.problem or ''} {error}", file=sys.stderr)
-        lines = "; ".join(f"{each.name}: {each.last_line}" for each in flown.flights)
-        unknown = dict.fromkeys(("outcome", "violation", "vehicles", *_ALL[2:]))
-        return {**flown.about, **unknown, "reason": lines, "log": str(flown.log), "report": None}
-    report = None
-    del with_report
-    return fleet_result(log, judge_fleet(log), report, flown.about, _factor(log, flown.wall_s))
+        said = "; ".join(f"{each.name}: {each.last_line}" for each in flown.flights)
+        return {**flown.about, **dict.fromkeys(_UNKNOWN), "reason": said, "log": str(flown.log)}
+    verdict = judge_fleet(log)
+    pages = _written(flown, log, verdict) if with_report else None
+    return fleet_result(
+        log, verdict, pages.page if pages else None, flown.about, _factor(log, flown.wall_s),
+        pages.members if pages else None,
+    )  # fmt: skip
+
+
+def _written(flown: FleetFlown, log: Fleet, verdict: FleetVerdict) -> Pages | None:
+    try:
+        return write_fleet(log, verdict, flown.folder / "report.html")
+    except ReportError as error:  # the flight counts all the same
+        print(f"flightstack: {error}", file=sys.stderr)
+        return None
 
 
 def _factor(log: Fleet, wall_s: float) -> float | None:
@@ -86,17 +92,8 @@ def _landed(values: Mapping[str, object], flown: FleetFlown) -> bool:
 
 
 def _print(console: Console, values: Mapping[str, Any]) -> None:
-    right = (Column(name, justify="right") for name, _ in _COLUMNS)
-    about = ", ".join(f"{name} {values[name]}" for name in ("scenario", "seed", "filter"))
-    table = Table("vehicle", *right, title=about, title_justify="left")
-    vehicles = values["vehicles"] or {}
-    for name, vehicle in vehicles.items():
-        table.add_row(name, *(shown(vehicle.get(key)) for _, key in _COLUMNS))
-    console.print(table)
-    for name, vehicle in vehicles.items():
-        console.print(f"{name}  {vehicle['reason']}", soft_wrap=True, markup=False)
-    told = "  ".join(f"{name.replace('_', ' ')} {shown(values[name])}" for name in _ALL)
-    console.print(told, soft_wrap=True)
+    reasons = "\n".join(f"{name}: {vehicle['reason']}" for name, vehicle in values["vehicles"].items())
+    console.print(fleet_table(values, reasons))
     console.print(f"log     {values['log']}", soft_wrap=True)
     if values["report"] is not None:
         console.print(f"report  {values['report']}", soft_wrap=True)

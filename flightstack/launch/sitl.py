@@ -265,7 +265,7 @@ def fly_all(
             rows.append({"seed": seed, "outcome": None, "reason": str(error), "problem": str(error)})
             continue
         rows.append({**flown.values, "problem": flown.problem, "landed": flown.landed})
-        told = "  ".join(f"{name} {shown(flown.values.get(key))}" for name, key in _COLUMNS)
+        told = "  ".join(f"{name} {_shown(flown.values.get(key))}" for name, key in _COLUMNS)
         console.print(told, soft_wrap=True, markup=False)
         if flown.interrupted:
             break
@@ -275,7 +275,7 @@ def fly_all(
         print(json.dumps(summary))
     else:
         console.print(
-            "  ".join(f"{name} {shown(value)}" for name, value in summary.items() if name != "rows")
+            "  ".join(f"{name} {_shown(value)}" for name, value in summary.items() if name != "rows")
         )
     return 0 if summary["landed"] == runs else 1
 
@@ -316,10 +316,9 @@ def _median(rows: Sequence[Row], key: str) -> float | None:
 def _table(rows: Sequence[Row]) -> Table:
     table = Table(*(Column(name, justify="right") for name, _ in _COLUMNS))
     for row in rows:
-        table.add_row(*(shown(row.get(key)) for _, key in _COLUMNS))
+        table.add_row(*(_shown(row.get(key)) for _, key in _COLUMNS))
     return table
 
 
-def shown(value: object) -> str:
-    """Return a value for a table; "-" for what is not known."""
+def _shown(value: object) -> str:
     return "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)

@@ -6,9 +6,12 @@ to end asks for the vehicle's own landing first, and one whose time is over abor
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass
+from types import FrameType
 from typing import NamedTuple, Protocol
 
+from flightstack.common.hangup import on_hangup
 from flightstack.core.controller import Outputs
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.types import Mode, Operator, Phase, VehicleStatus
@@ -34,6 +37,37 @@ class Person(Protocol):
     @property
     def stop(self) -> bool:
         """Whether the process is to end at once."""
+
+
+class Signals:
+    r"""Ctrl-C, or a terminal that closes, asks for an abort; Ctrl-\ for the motors to stop at once.
+
+    A second Ctrl-C or SIGTERM ends the process once the vehicle has been told to land itself.
+    """
+
+    def __init__(self) -> None:
+        self.operator = Operator.NONE
+        self.stop = False
+        signal.signal(signal.SIGINT, self._interrupt)
+        signal.signal(signal.SIGTERM, self._terminate)
+        signal.signal(signal.SIGQUIT, self._emergency)
+        on_hangup(self._abort)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        self.stop = self.operator is not Operator.NONE
+        self._abort(number, frame)
+
+    def _abort(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.operator = max(self.operator, Operator.ABORT)
+
+    def _emergency(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.operator = Operator.EMERGENCY_STOP
+
+    def _terminate(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.stop = True
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import VehicleLink
@@ -18,7 +16,6 @@ from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
 from bridge.ros2.ros2_names import Ros2Network
 from bridge.target.ros2_target import TargetSpec, TargetType
-from flightstack.common.hangup import on_hangup
 from flightstack.common.pacing import (
     RealTimePacer,
     Tick,
@@ -33,7 +30,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import ZERO, Operator, Phase, Vec3, VehicleStatus
 from flightstack.onboard import preflight
 from flightstack.onboard.fleet_wire import FleetWire
-from flightstack.onboard.leaving import Ended, Leaving
+from flightstack.onboard.leaving import Ended, Leaving, Signals
 from flightstack.onboard.live_topics import LiveHealth
 from flightstack.onboard.lockstep import LockstepWires, LockstepWords
 from flightstack.onboard.log import OnboardLog
@@ -75,37 +72,6 @@ class Options:
     clock: Path | None = None  # of a simulator, to live by instead of the wall's
     speed: float = 1.0  # of stack time against real time; another than 1 only with a simulator as fast
     shared_log: bool = False  # the recorder writes the flights of several vehicles
-
-
-class Signals:
-    r"""Ctrl-C, or a terminal that closes, asks for an abort; Ctrl-\ for the motors to stop at once.
-
-    A second Ctrl-C or SIGTERM ends the process once the vehicle has been told to land itself.
-    """
-
-    def __init__(self) -> None:
-        self.operator = Operator.NONE
-        self.stop = False
-        signal.signal(signal.SIGINT, self._interrupt)
-        signal.signal(signal.SIGTERM, self._terminate)
-        signal.signal(signal.SIGQUIT, self._emergency)
-        on_hangup(self._abort)
-
-    def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        self.stop = self.operator is not Operator.NONE
-        self._abort(number, frame)
-
-    def _abort(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.operator = max(self.operator, Operator.ABORT)
-
-    def _emergency(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.operator = Operator.EMERGENCY_STOP
-
-    def _terminate(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.stop = True
 
 
 class Onboard:

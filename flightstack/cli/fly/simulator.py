@@ -83,11 +83,17 @@ def target(options: TargetOptions) -> None:
 @click.command()
 @click.argument("name", required=False)
 def scenarios(name: str | None) -> None:
-    """List the scenarios that come with the simulator, or print the one NAMEd."""
-    from sim.scenarios import scenario
+    """List the scenarios that come with the simulator, or print the one NAMEd.
+
+    Those of several vehicles are listed last.
+    """
+    from sim.scenarios import scenario, team
 
     if name is not None:
-        click.echo(scenario.path_of(name).read_text(), nl=False)
+        path_of = team.path_of if name in team.names() else scenario.path_of
+        click.echo(path_of(name).read_text(), nl=False)
         return
     for known in scenario.names():
         click.echo(f"{known:18} {scenario.load(known).description}")
+    for known in team.names():
+        click.echo(f"{known:18} {team.load(known).description}")

@@ -99,10 +99,11 @@ def test_a_verb_loads_nothing_of_the_others():
     assert not {"numpy", "rich", "pymavlink", "sim", "logs", "bridge"} & set(done.stdout.split())
 
 
-def test_scenarios_lists_the_papers_runs():
+def test_scenarios_lists_the_papers_runs_and_the_teams():
     out = flightstack("scenarios").out
-    for name in ("paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2"):
+    for name in ("paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2", "fleet_3"):
         assert name in out
+    assert 'base = "field"' in flightstack("scenarios", "fleet_3").out
 
 
 REPO = Path(__file__).parents[3]
