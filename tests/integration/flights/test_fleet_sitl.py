@@ -17,7 +17,7 @@ from logs.verdict.types import Outcome
 from sim.runners.team import land_team
 from sim.runners.words import Words
 from sim.scenarios import team as teams
-from tests.integration.runs import Flying, called, fly
+from tests.integration.runs import Flying, called, flightstack
 
 TEAM, SEED = "fleet_3", 1
 NAMES = ["cf1", "cf2", "cf3"]
@@ -108,10 +108,18 @@ def test_the_log_holds_what_flies_it_again(wired):
     assert set(metadata["losses"].values()) == {"0"}
 
 
-def test_the_same_seed_makes_the_same_log(wired, tmp_path):
-    again = fly(tmp_path, TEAM, SEED)
-    assert again.code == 0, again.out + again.err
-    assert compare(wired.log, tmp_path / "flight.mcap") == []
+def test_several_runs_are_summed_up_and_the_same_seed_makes_the_same_log(wired, tmp_path):
+    words = ("--scenario", TEAM, "--seed", SEED, "--runs", 2, "--lockstep", "--json", "--out", tmp_path)
+    done = flightstack("sitl", *words)
+    assert done.code == 0, done.out + done.err
+    found = done.json
+    assert (found["runs"], found["flown"], found["landed"], found["violations"]) == (2, 2, 2, 0)
+    assert [row["seed"] for row in found["rows"]] == [SEED, SEED + 1]
+    again = found["rows"][0]
+    assert again["vehicles"]["cf3"]["h_min_m"] == wired.json["vehicles"]["cf3"]["h_min_m"]
+    assert Path(again["report"]).stat().st_size > 100_000
+    assert all(Path(each["report"]).is_file() for each in again["vehicles"].values())
+    assert compare(wired.log, again["log"]) == []
 
 
 def onboard_of(run, namespace):

@@ -323,3 +323,24 @@ def test_a_recorder_counts_frames_for_the_name_space_of_the_run():
     (array,) = [STORE.deserialize_cdr(data, schema) for _, schema, data in found]
     values = {v.key: v.value for s in array.status if s.name == "cf1: vehicle link" for v in s.values}
     assert values["frames_in"] == "101"
+
+
+def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart():
+    derivers, radii_m = Derivers(), {"cf1": 0.1, "cf2": 0.3}
+    for n, (name, radius_m) in enumerate(radii_m.items(), 1):
+        derivers.metadata(f"{name}/run", {"pad_radius_m": str(radius_m), "seed": str(n)})
+        derivers.metadata(f"{name}/onboard", {"namespace": name, "system_id": str(n)})
+    for n, (name, radius_m) in enumerate(radii_m.items(), 1):
+        made = derivers.declare(f"/{name}/controller/step", schemas.CONTROLLER_STEP)(EPOCH_NS, step(0).pack())
+        by_topic = {}
+        for topic, schema, data in made:
+            by_topic.setdefault(topic, []).append(STORE.deserialize_cdr(data, schema))
+        frames = {each.child_frame_id for tf in by_topic["/tf"] for each in tf.transforms}
+        assert frames == {f"{name}/base_link", f"{name}/target", f"{name}/target_pad"}
+        (scene,) = by_topic[f"/{name}/cbf/markers"]
+        (pad,) = [marker for marker in scene.markers if marker.ns == "pad"]
+        assert (pad.header.frame_id, pad.scale.x) == (f"{name}/target", 2.0 * radius_m)
+        assert f"seed = {n}" in by_topic[f"/{name}/run"][0].data
+        decode = derivers.declare(f"/uas{n}/mavlink_source", schemas.MAVLINK)
+        ((topic, _, _),) = decode(EPOCH_NS, frame(0, system=n))
+        assert topic.startswith(f"/{name}/mavlink/sys{n}/")
