@@ -21,7 +21,8 @@ def place_beside(
     """Return the place on the ground that was chosen, or a new one if robots or vehicles come too near it.
 
     A pad's way is straight: from where it may have been ``wait_max_s`` ago to where it may be after as long.
-    Of the places that are free the nearest one counts; of none, the one with the most room.
+    Of the places that are free the nearest one counts; of none, the one with the most room. A place is kept
+    while it is free of the way of ``descent_s``: errors of a pad's velocity turn the long one.
 
     Args:
         kept: chosen before; ``None``: nothing yet.
@@ -36,13 +37,13 @@ def place_beside(
             pads.append(Pad(word.pad_position_enu_m, word.pad_velocity_enu_m_s or ZERO))
     grounded = [word.position_enu_m for word in words if word.intent in ON_GROUND]
 
-    def room_m(place: Vec3) -> float:
-        least_m = min(_from_way_m(each, place, fleet.wait_max_s) for each in pads) - fleet.wait_distance_m
+    def room_m(place: Vec3, ahead_s: float) -> float:
+        least_m = min(_from_way_m(each, place, ahead_s) for each in pads) - fleet.wait_distance_m
         for x, y, _ in grounded:
             least_m = min(least_m, math.hypot(x - place[0], y - place[1]) - APART * fleet.radius_xy_m)
         return least_m
 
-    if kept is not None and room_m(kept) >= -KEPT_M:
+    if kept is not None and room_m(kept, fleet.descent_s) >= -KEPT_M:
         return kept
     (x, y, _), found = pad.position_enu_m, []
     for ring in RINGS:
@@ -50,7 +51,7 @@ def place_beside(
             d_m, angle = ring * fleet.wait_distance_m, number * math.tau / DIRECTIONS
             place = (x + d_m * math.cos(angle), y + d_m * math.sin(angle), 0.0)
             away_m = math.hypot(place[0] - own_enu_m[0], place[1] - own_enu_m[1])
-            found.append((min(room_m(place), 0.0), -away_m, place))
+            found.append((min(room_m(place, fleet.wait_max_s), 0.0), -away_m, place))
     return max(found)[2]
 
 

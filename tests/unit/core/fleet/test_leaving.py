@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -200,3 +201,12 @@ def test_one_that_does_not_arm_again_stays_and_the_others_land_beside():
             ]
             assert str(first.id) in why
     assert sky.least_h_m >= 0.0, sky.least_at
+
+
+def test_errors_of_the_velocity_of_a_robot_that_stands_do_not_move_the_place():
+    rng, own, place = np.random.default_rng(1), (0.0, 0.0, 1.0), None
+    for _ in range(200):
+        speed = rng.normal(0.0, 0.03, 2)
+        pad = Pad((0.0, 0.0, 0.2), (float(speed[0]), float(speed[1]), 0.0))
+        before, place = place, place_beside(place, own, pad, [], FLEET)
+        assert before in (None, place)
