@@ -21,8 +21,8 @@ from logs.schema.rows import FleetPairRow, LogRow
 from sim.campaign.team_rows import judge_team
 from sim.runners import team as team_runner
 from sim.runners.companion import Companion
+from sim.runners.log import VehicleLog
 from sim.runners.pairs import Pairs
-from sim.runners.vehicle_log import VehicleLog
 from sim.scenarios.team import ExchangeLink, TeamScenario, load
 from tests.unit.logs.replay.replay_helpers import NoSession
 

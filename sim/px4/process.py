@@ -22,7 +22,7 @@ from sim.px4.plant import Px4Plant
 from sim.px4.sensors import STEP_MS
 from sim.px4.session import STEP_S, Event, NoLockstepError, NotPx4Error, Px4Session
 from sim.runners.deck import RealTimeDeck
-from sim.runners.vehicle_log import VehicleLog
+from sim.runners.log import VehicleLog
 from sim.scenarios.scenario import Scenario
 
 SPEED_MAX = 100.0

@@ -1,4 +1,4 @@
-"""What every process of the simulator writes into the flight log: events on ``/rosout``."""
+"""What the simulator's processes write into the log: events, and of the vehicle true states and the deck's."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from logs.recorder.feed import Feed
 from logs.schema import schemas
-from logs.schema.events import Severity, pack_log
+from logs.schema.events import ContactBit, Severity, pack_log
+from logs.schema.names import OWN, Names
+from logs.schema.rows import TrueStateRow
+from sim.plant.vehicle_types import Truth
 
 _LEVELS: dict[int, Severity] = {
     dialect.MAV_SEVERITY_EMERGENCY: Severity.FATAL,
@@ -20,6 +23,15 @@ _LEVELS: dict[int, Severity] = {
     dialect.MAV_SEVERITY_INFO: Severity.INFO,
     dialect.MAV_SEVERITY_DEBUG: Severity.DEBUG,
 }
+_CONTACTS = {
+    ContactBit.PAD.value: (Severity.INFO, "contact with the pad"),
+    ContactBit.GROUND.value: (Severity.INFO, "contact with the ground"),
+    ContactBit.ROBOT.value: (Severity.WARN, "contact with the robot's body"),
+    ContactBit.PAD_EDGE.value: (Severity.WARN, "contact with the pad's edge"),
+    ContactBit.TUMBLED.value: (Severity.ERROR, "tumbled"),
+    ContactBit.VEHICLE.value: (Severity.ERROR, "collision with another vehicle"),
+}
+_CONTACT_GAP_S = 0.5  # s without contact until the next one is news
 
 
 class EventLog:
@@ -55,3 +67,45 @@ class EventLog:
     def close(self) -> None:
         """Send the rest and say goodbye to the recorder."""
         self.feed.close()
+
+
+class VehicleLog(EventLog):
+    """Events, true state and the deck's true state of the vehicle process."""
+
+    def __init__(self, feed: Feed, epoch_ns: int, namespace: str = "cf1", names: Names = OWN) -> None:
+        super().__init__(feed, names.logger("vehicle"), epoch_ns)
+        self._truth = feed.channel(f"/{namespace}/sim/truth", schemas.TRUE_STATE)
+        self._target = feed.channel(f"/{namespace}/sim/target/truth", schemas.ODOMETRY)
+        self._contact_s: dict[int, float] = {}
+        self._targets = 0
+
+    def truth(self, tick: int, now_ns: int, truth: Truth) -> None:
+        """Write the true state, and contacts that are news as events."""
+        stamp_ns = self.epoch_ns + now_ns
+        w, x, y, z = truth.quaternion
+        row = TrueStateRow(
+            stamp_ns, tick, truth.position_enu_m, truth.velocity_enu_m_s, (x, y, z, w),
+            truth.angular_velocity_flu_rad_s, truth.rotor_rpm, truth.pad_position_enu_m,
+            truth.pad_velocity_enu_m_s, truth.pad_yaw_rad, truth.h_m, truth.h_min_m,
+            truth.h_min_outside_pad_m, truth.contacts, truth.first_touch_relative_position_enu_m,
+            truth.first_touch_relative_velocity_enu_m_s, truth.first_touch_time_s, truth.motors_running,
+            truth.battery_v, truth.wind_enu_m_s,
+        )  # fmt: skip
+        self.feed.write(self._truth, stamp_ns, stamp_ns, tick, row.pack())
+        if truth.contacts:
+            self._contacts(now_ns, truth.contacts)
+
+    def target(self, now_ns: int, payload: bytes) -> None:
+        """Write the deck's true state as it came."""
+        stamp_ns = self.epoch_ns + now_ns
+        self._targets += 1
+        self.feed.write(self._target, stamp_ns, stamp_ns, self._targets, payload)
+
+    def _contacts(self, now_ns: int, contacts: int) -> None:
+        now_s = now_ns * 1e-9
+        for bit, (level, text) in _CONTACTS.items():
+            if contacts & bit:
+                last_s = self._contact_s.get(bit)
+                if last_s is None or now_s - last_s > _CONTACT_GAP_S:
+                    self.event(now_ns, level, text)
+                self._contact_s[bit] = now_s

@@ -21,7 +21,7 @@ from flightstack.core.types import Phase
 from logs.reader.flight_data import Event, Floats, Ints, Truth
 from logs.recorder.feed import Feed
 from sim.plant import vehicle_types
-from sim.runners.vehicle_log import VehicleLog
+from sim.runners.log import VehicleLog
 
 # names that the vehicle's true state shares with the log's
 _SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in vehicle_types.Truth._fields)

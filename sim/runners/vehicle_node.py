@@ -18,7 +18,7 @@ from sim.faults.link import LinkFaults, Way
 from sim.faults.schedule import Running
 from sim.plant.vehicle_types import Truth
 from sim.runners.deck import DeckState
-from sim.runners.vehicle_log import VehicleLog
+from sim.runners.log import VehicleLog
 from sim.vehicle.vehicle import VehicleSim
 
 T = TypeVar("T")

@@ -28,7 +28,7 @@ from sim.autopilot.profiles import PROFILES, PX4
 from sim.clock import NoAnswerError, TickGrid
 from sim.runners.deck import LockstepDeck, RealTimeDeck
 from sim.runners.lockstep import LockstepLoop
-from sim.runners.vehicle_log import VehicleLog
+from sim.runners.log import VehicleLog
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim, warm_up

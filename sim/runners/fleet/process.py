@@ -18,8 +18,8 @@ from sim.clock import TickGrid
 from sim.runners.deck import RealTimeDeck
 from sim.runners.fleet.lockstep import FleetLockstep, LockstepMember
 from sim.runners.fleet.room import Member, Room
+from sim.runners.log import VehicleLog
 from sim.runners.team import warm_up
-from sim.runners.vehicle_log import VehicleLog
 from sim.runners.vehicle_node import VehicleNode
 from sim.runners.vehicle_process import (
     RealTimeLoop,
