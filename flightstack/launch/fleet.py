@@ -67,6 +67,10 @@ def check(options: RunOptions) -> None:
     ):
         if given:
             raise ConfigError(f"{name} with a scenario of several vehicles: {why}; leave it out")
+    if options.lockstep and options.members:
+        raise ConfigError(
+            "--lockstep with --member: a vehicle from elsewhere waits for nobody; leave one out"
+        )
 
 
 def prepare(options: RunOptions) -> TeamScenario:
@@ -77,6 +81,12 @@ def prepare(options: RunOptions) -> TeamScenario:
     """
     check(options)
     team = teams.load(options.scenario)
+    number = len(team.member)
+    if any(not 1 <= n <= number for n in options.members) or len(options.members) == number:
+        found = ", ".join(map(str, options.members))
+        raise ConfigError(
+            f"--member: found {found}; allowed are 1 to {number}, and one at least is simulated here"
+        )
     alone = [number for number, each in enumerate(team.member, 1) if each.onboard.fleet is None]
     if len(team.member) > 1 and alone:
         raise ConfigError(
@@ -135,7 +145,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     ]
     for member in members:
         member.config.write_text(dumps(member.scenario.onboard))
-    target_at, vehicle_at = launcher.endpoint(), launcher.endpoint()
+    target_at, vehicle_at, urls = launcher.endpoint(), launcher.endpoint(), dict(options.members)
     recorder = launcher.record(log)
     _describe(launcher.socket, options, team, members)
     common = {
@@ -145,15 +155,16 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     }  # fmt: skip
     values = PROFILES[options.profile].set_before_flight
     vehicle = launcher.start(
-        "vehicle", **common, url="udpin:127.0.0.1:0", profile=options.profile, listen=vehicle_at,
-        connect=target_at, signing_key=options.signing_key,
+        "vehicle", **common, leave_out=list(urls), url="udpin:127.0.0.1:0", profile=options.profile,
+        listen=vehicle_at, connect=target_at, signing_key=options.signing_key,
         parameter=[f"{name}={value:g}" for name, value in values.items()],
     )  # fmt: skip
-    urls = vehicle.wait_ready().replace("udpin", "udpout").split()
+    here = [member.number for member in members if member.number not in urls]
+    urls |= dict(zip(here, vehicle.wait_ready().replace("udpin", "udpout").split(), strict=True))
     target = launcher.start("target", **common, listen=target_at)
     onboards = [
-        _start(launcher, options, member, url, [target_at, vehicle_at], members)
-        for member, url in zip(members, urls, strict=True)
+        _start(launcher, options, member, urls[member.number], [target_at, vehicle_at], members)
+        for member in members
     ]
     target.wait_ready()
     for child in onboards:
@@ -164,6 +175,8 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     for member in members:
         command = f"flightstack watch --connect {member.endpoint} --namespace {member.name}"
         launcher.console.print(f"to watch: {command}", style="dim", soft_wrap=True)
+    if options.members:
+        launcher.console.print(f"robots: {target_at}", style="dim", soft_wrap=True)
     slowest = LOCKSTEP_SLOWEST / len(members) if options.lockstep else 1.0
     limit_s = max(longest_s(member.scenario) for member in members) / slowest + GRACE_S
     filters = ", ".join(sorted({member.scenario.onboard.filter for member in members}))
@@ -193,9 +206,10 @@ def _start(
     """Start the onboard process of a member; in real time each two are connected, by the later one."""
     before = [] if options.lockstep else [each.endpoint for each in members[: member.number - 1]]
     # the heartbeat of the simulated vehicle is that of the autopilot it imitates
-    own = options.autopilot == AUTO and options.profile == PX4.name
+    simulated = member.number not in options.members
+    own = simulated and options.autopilot == AUTO and options.profile == PX4.name
     return launcher.start(
-        "onboard", of=member.name, vehicle=url, signing_key=options.signing_key,
+        "onboard", of=member.name, vehicle=url, signing_key=options.signing_key if simulated else None,
         autopilot=OWN_SITL.name if own else options.autopilot, lockstep=options.lockstep,
         target=f"{member.name}/target/odom", connect=[*simulator, *before], listen=member.endpoint,
         config=member.config, duration=member.scenario.duration_max_s, recorder=launcher.socket,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
@@ -48,6 +49,7 @@ class RunOptions:
         instance: number that moves its ports; None: a free one.
         mocap: motion capture instead of satellites.
         speed: of simulated time against real time.
+        members: MAVLink URLs of members of a team that are not simulated, by their numbers.
     """
 
     scenario: str
@@ -70,6 +72,7 @@ class RunOptions:
     instance: int | None = None
     mocap: bool = False
     speed: float = 1.0
+    members: Mapping[int, str] = field(default_factory=dict)
 
     def check(self) -> None:
         """Refuse options that cannot be combined.

@@ -58,6 +58,8 @@ def prepare(options: RunOptions) -> Scenario:
     Raises:
         ConfigError: it must not fly.
     """
+    if options.members:
+        raise ConfigError(f"--member is for a scenario of several vehicles; {options.scenario} has one")
     scenario = adapted(options, load_scenario(options.scenario))
     if scenario.onboard.fleet is not None and options.lockstep:
         raise ConfigError(

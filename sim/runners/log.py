@@ -1,4 +1,4 @@
-"""What the simulator's processes write into the log: events, and of the vehicle true states and the deck's."""
+"""What the simulator writes into the log: events, and of the vehicle true states and the deck's."""
 
 from __future__ import annotations
 

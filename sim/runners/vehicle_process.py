@@ -210,6 +210,8 @@ class VehicleOptions:
         peers: ``HOST:PORT`` of those who get telemetry before they speak; real time only.
         profile: which autopilot it imitates, a name of ``PROFILES``.
         parameters: of that autopilot, set before it starts.
+        system_id: MAVLink system id of a lone vehicle; those of a team count from 1.
+        leave_out: members of a team that fly elsewhere.
     """
 
     seed: int
@@ -227,6 +229,8 @@ class VehicleOptions:
     peers: Sequence[str] = ()
     profile: str = PX4.name
     parameters: Mapping[str, float] = field(default_factory=dict)
+    system_id: int = SYSTEM_ID
+    leave_out: Sequence[int] = ()
 
 
 def vehicle_main(scenario: Scenario, options: VehicleOptions) -> int:
@@ -261,14 +265,16 @@ def served(fly: Callable[[Stop, ExitStack], None]) -> int:
 
 def _fly(scenario: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
     lockstep, rate_hz, namespace = options.lockstep, options.rate_hz, options.namespace
-    endpoint, url = opened(options, options.url, SYSTEM_ID, stack)
+    if options.leave_out:
+        raise ValueError("--leave-out is for a scenario of several vehicles: this one has no members")
+    endpoint, url = opened(options, options.url, options.system_id, stack)
     session = joined(options, stack)
     warm_up(scenario)
     vehicle = VehicleSim(scenario, options.seed)
     epoch_ns = EPOCH_NS if lockstep else time.time_ns()
     feed = Feed.connect(options.recorder, "vehicle", lossless=lockstep)
     stack.callback(feed.close)
-    autopilot = autopilot_of(vehicle, options, SYSTEM_ID, epoch_ns)
+    autopilot = autopilot_of(vehicle, options, options.system_id, epoch_ns)
     node = VehicleNode(vehicle, autopilot, endpoint, VehicleLog(feed, epoch_ns, namespace), _tell)
     grid = TickGrid(rate_hz)
     loop: LockstepLoop | RealTimeLoop

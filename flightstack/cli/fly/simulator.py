@@ -29,6 +29,11 @@ class VehicleOptions(shared.Signing, shared.Zenoh, shared.Scenario):
     duration_s: float | None = shared.duration
     namespace: str = shared.namespace
     recorder: Path | None = shared.recorder
+    system_id: int = shared.system_id
+    leave_out: tuple[int, ...] = shared.option(
+        "--leave-out", multiple=True, type=click.IntRange(min=1), metavar="N",
+        help="Member of a team that is not simulated here, by its number; repeatable.",
+    )  # fmt: skip
 
 
 @click.command()

@@ -15,6 +15,18 @@ from flightstack.launch.run_options import Flies
 _PROGRAM = click.Path(exists=True, path_type=Path)
 
 
+def _members(context: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> dict[int, str]:
+    """Turn N=URL into a table."""
+    del context, parameter
+    found = {}
+    for text in given:
+        number, equals, url = text.partition("=")
+        if not (number.isdecimal() and equals and url):
+            raise click.BadParameter(f"found {text!r}; N=URL is needed, for example 2=udpin:127.0.0.1:14541")
+        found[int(number)] = url
+    return found
+
+
 @dataclass(frozen=True)
 class SitlOptions(shared.Ros2, shared.Result, shared.Scenario):
     """Options of ``sitl``."""
@@ -47,6 +59,11 @@ class SitlOptions(shared.Ros2, shared.Result, shared.Scenario):
         help="Number that selects the ports of PX4 or ArduPilot; default: a free one, ArduPilot 0.",
     )  # fmt: skip
     mocap: bool = shared.mocap
+    members: dict[int, str] = shared.option(
+        "--member", multiple=True, metavar="N=URL", callback=_members,
+        help="MAVLink URL of a vehicle from elsewhere that flies as member N of a team; repeatable "
+        "(docs/how_it_works/fleet.md).",
+    )  # fmt: skip
     listen: tuple[str, ...] = shared.option(
         "--listen", multiple=True, metavar="ENDPOINT",
         help="Additional Zenoh endpoint for watchers; one on loopback is there and printed; repeatable.",

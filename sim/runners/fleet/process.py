@@ -8,12 +8,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 
 from bridge.mavlink.transport.address import parse_udp_url
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.recorder.feed import Feed
 from logs.schema.names import Names
+from sim.autopilot.profiles import PROFILES
 from sim.clock import TickGrid
 from sim.runners.deck import RealTimeDeck
 from sim.runners.fleet.lockstep import FleetLockstep, LockstepMember
@@ -63,15 +65,26 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
     feed = Feed.connect(options.recorder, "vehicle", lossless=options.lockstep)
     stack.callback(feed.close)
     members, urls = [], []
-    for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
+    here = [
+        (number, scenario, seed)
+        for number, (scenario, seed) in enumerate(team.singles(options.seed), 1)
+        if number not in options.leave_out
+    ]
+    if not here:
+        raise ValueError("--leave-out leaves no vehicle; the scenario of one of them simulates it alone")
+    if options.leave_out and options.lockstep:
+        raise ValueError(
+            "--leave-out is for real time: a vehicle from elsewhere does not wait for the others"
+        )
+    for number, scenario, seed in here:
         own = f"{kind}:{host}:{port + number - 1 if port else 0}"
         endpoint, url = opened(options, own, number, stack)
         urls.append(url)
         name = f"cf{number}"
         vehicle = VehicleSim(scenario, seed)
-        autopilot = autopilot_of(vehicle, options, number, epoch_ns)
+        autopilot = autopilot_of(vehicle, _own(options, number), number, epoch_ns)
         log = VehicleLog(feed, epoch_ns, name, Names(name, number))
-        members.append(Member(name, VehicleNode(vehicle, autopilot, endpoint, log, _teller(name))))
+        members.append(Member(number, VehicleNode(vehicle, autopilot, endpoint, log, _teller(name))))
     grid = TickGrid(options.rate_hz)
     room, ticks = Room(members, grid, feed), grid.count(options.duration_s)
     print("ready", *urls, flush=True)
@@ -82,12 +95,20 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
         return
     in_step = [
         LockstepMember(member, session, grid, stop, scenario.vehicle.setpoint_delay_s)
-        for member, scenario in zip(members, team.member, strict=True)
+        for member, (_, scenario, _) in zip(members, here, strict=True)
     ]
     FleetLockstep(in_step, room, Words(team, options.seed), stop, epoch_ns).run(ticks)
     feed.flush()
     while not stop.is_set:  # whoever started this process ends it
         time.sleep(_PAUSE_S)
+
+
+def _own(options: VehicleOptions, number: int) -> VehicleOptions:
+    """Options of one vehicle: its station is the companion, which has its system id."""
+    station = PROFILES[options.profile].station_id
+    if station is None or station not in options.parameters:
+        return options
+    return replace(options, parameters={**options.parameters, station: number})
 
 
 def _teller(name: str) -> Callable[[bool], None]:

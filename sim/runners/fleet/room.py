@@ -25,14 +25,19 @@ class Member:
     """One of the vehicles.
 
     Attributes:
-        name: of the vehicle, and its namespace.
+        number: of the vehicle, which is its system id.
         node: the vehicle on its wire.
         over: its flight is over: nothing of it is written any more.
     """
 
-    name: str
+    number: int
     node: VehicleNode
     over: bool = False
+
+    @property
+    def name(self) -> str:
+        """Of the vehicle, and its namespace."""
+        return f"cf{self.number}"
 
     @property
     def vehicle(self) -> VehicleSim:
@@ -51,7 +56,7 @@ class Room:
     What one has of the others is of the tick before.
 
     Args:
-        members: all of them, the one with system id 1 first.
+        members: all of them, by their numbers.
         grid: of the ticks.
         feed: to the recorder.
 
@@ -62,7 +67,7 @@ class Room:
     def __init__(self, members: Sequence[Member], grid: TickGrid, feed: Feed) -> None:
         self._grid, self._feed = grid, feed
         self._air = Air([member.vehicle.physics for member in members])
-        self._pairs = Pairs(members, grid)
+        self._pairs, self._numbers = Pairs(members, grid), [member.number for member in members]
         self._channel = feed.channel(TOPIC, FLEET_PAIR) if len(members) > 1 else 0
         self._every, self._written = max(1, round(grid.rate_hz / _LOG_HZ)), 0
 
@@ -89,7 +94,7 @@ class Room:
             self._written += 1
             collided_ms = NEVER if pair.collided_ms is None else pair.collided_ms
             row = FleetPairRow(
-                stamp_ns, pair.one, pair.other, pair.distance_min_m, pair.flying_distance_min_m,
-                pair.ellipsoid_min, pair.violations, pair.inside_ms, collided_ms,
+                stamp_ns, self._numbers[pair.one - 1], self._numbers[pair.other - 1], pair.distance_min_m,
+                pair.flying_distance_min_m, pair.ellipsoid_min, pair.violations, pair.inside_ms, collided_ms,
             )  # fmt: skip
             self._feed.write(self._channel, stamp_ns, stamp_ns, self._written, row.pack())
