@@ -101,6 +101,7 @@ class Options:
     allow_unsigned: bool = False
     rules: Rules = field(default_factory=Rules)
     duration_s: float | None = None
+    system_id: int = SYSTEM_ID
 
 
 class Loop:
@@ -213,7 +214,7 @@ def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], N
     with ExitStack() as stack:
         endpoint = Endpoint(
             options.url,
-            SYSTEM_ID,
+            options.system_id,
             COMPONENT_ID,
             signing_key=load_key(options.signing_key) if options.signing_key else None,
             always=[parse_peer(peer) for peer in options.peers],
@@ -226,5 +227,5 @@ def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], N
         stack.callback(link.close)
         say(f"ready {kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}")
         sys.stdout.flush()
-        Loop(Node(options.rules), link, endpoint, poses, say).run(stop, options.duration_s)
+        Loop(Node(options.rules, options.system_id), link, endpoint, poses, say).run(stop, options.duration_s)
     return 0

@@ -82,6 +82,7 @@ class CrazyflieOptions(Poses):
         help="Land when the client's set-points stop for 1 s; without it the firmware stops the motors at "
         "2 s.",
     )  # fmt: skip
+    system_id: int = shared.system_id
     cache: Path | None = shared.option(
         "--cache", type=shared.FOLDER, metavar="FOLDER",
         help="Store the Crazyflie's tables there, for a faster second connection.",

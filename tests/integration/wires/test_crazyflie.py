@@ -115,6 +115,12 @@ def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
         robot.wait(20.0)
 
 
+def test_it_has_the_system_id_of_a_member_of_a_fleet():
+    with Server(Firmware()) as server, bridge(server, "--system-id", "3") as started, client(started) as one:
+        heartbeat = one.until(is_a("HEARTBEAT"), each=one.hello)
+        assert heartbeat.get_srcSystem() == 3
+
+
 def test_set_points_stop_with_their_client_and_the_firmware_does_the_rest():
     with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
         fly(one, server)
