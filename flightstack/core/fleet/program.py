@@ -1,8 +1,9 @@
 """The program with the rows of neighbours: landing barrier, box, and one row for each neighbour in reach.
 
 The same program as that of ``safety/qp_filter.py`` with more rows. OSQP begins with the exact solution
-(``exact.py``), and its result is flown only if it meets all rows and is that point. If nothing meets all
-rows, those of neighbours give way together, by the least common slack; landing barrier and box never do.
+(``dual.py``; what that cannot confirm, ``exact.py`` solves by all active sets), and its result is flown only
+if it meets all rows and is that point. If nothing meets all rows, those of neighbours give way together, by
+the least common slack; landing barrier and box never do.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.core.fleet.exact import Nearest, Row, least_slack, nearest, prepare
+from flightstack.core.fleet import dual, exact
+from flightstack.core.fleet.exact import Nearest, Row
 from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.position_loop import clip_to_box
 from flightstack.core.safety.projection import best_corner
@@ -39,6 +41,19 @@ class FleetResult(NamedTuple):
     given_m_s: float
 
 
+def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
+    """Minimiser of the program; ``None`` if no point of the box meets all rows."""
+    found = dual.solve(nominal, rows, lower, upper)
+    if found is None:
+        return exact.nearest(nominal, rows, lower, upper)
+    return None if found.point is None else Nearest(found.point, found.multipliers)
+
+
+def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
+    """Least common slack of the soft rows and a velocity; as ``exact.least_slack``."""
+    return dual.least_slack(firm, soft, lower, upper) or exact.least_slack(firm, soft, lower, upper)
+
+
 class FleetProgram:
     """The quadratic program, allocated once.
 
@@ -47,7 +62,7 @@ class FleetProgram:
     """
 
     def __init__(self, neighbours: int = OTHERS_MAX) -> None:
-        prepare(neighbours)
+        exact.prepare(neighbours)
         # Only a process that solves pays for these, as in qp_filter.
         from osqp import ext_builtin as osqp
         from scipy import sparse
@@ -89,13 +104,13 @@ class FleetProgram:
             if missing > 0.0:
                 at_once = FilterResult(corner, -missing, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
                 return FleetResult(at_once, 0.0)
-        exact, given_m_s = nearest(nominal, every, lower, upper), 0.0
+        best, given_m_s = nearest(nominal, every, lower, upper), 0.0
         point, residual, iterations, status = ZERO, 0.0, 0, FilterStatus.CROWDED
-        if exact is not None:
-            point, residual, iterations = self._osqp(nominal, landing, neighbours, lower, upper, exact)
+        if best is not None:
+            point, residual, iterations = self._osqp(nominal, landing, neighbours, lower, upper, best)
             status = FilterStatus.SOLVED
-            if not (residual <= RESIDUAL_MAX_M_S and math.dist(point, exact.point) <= AGREES_M_S):
-                point, status = exact.point, FilterStatus.CLOSED_FORM
+            if not (residual <= RESIDUAL_MAX_M_S and math.dist(point, best.point) <= AGREES_M_S):
+                point, status = best.point, FilterStatus.CLOSED_FORM
         else:
             given_m_s, point = least_slack(firm, neighbours, lower, upper)
             if not math.isfinite(given_m_s):  # the barrier is met by the corner alone

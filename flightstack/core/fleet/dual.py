@@ -1,0 +1,191 @@
+"""The program with several rows, quickly: a dual active-set method in plain floats.
+
+    min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
+
+It begins at the clipped u', where sides of the box bind, and adds the constraint that is missed most until
+none is (Goldfarb and Idnani, Mathematical Programming 27, 1983). A constraint whose multiplier would become
+negative leaves. Its result is used only if it meets the conditions of Karush, Kuhn and Tucker, which are
+checked here; ``exact.py`` tries all active sets else. It begins from this tick's numbers alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from flightstack.core.fleet.exact import Row
+from flightstack.core.safety.position_loop import clip_to_box
+from flightstack.core.types import ZERO, Vec3
+
+TOLERANCE_M_S = 1e-9  # that a constraint may be missed by
+STEPS_MAX = 60  # constraints that are added; beyond it the result is not confirmed
+_CONFIRMED_M_S = 2e-9  # by which a result may miss a condition
+_DEPENDS = 1e-12  # squared length of what is left of a unit vector beside others on which it depends
+_LEAST_LENGTH = 1e-9  # of a gradient that has a direction
+_SIDES: tuple[Vec3, ...] = (
+    (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower
+    (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper
+)  # fmt: skip
+
+
+class Found(NamedTuple):
+    """The minimiser, or why there is none.
+
+    Attributes:
+        point: m/s; ``None``: no point meets all constraints.
+        multipliers: of the rows as they are given; without a point those of a sum of constraints that no
+            velocity meets: the sum of multiplier times gradient is 0, sides of the box included.
+        lacking_m_s: without a point, by how much that sum is missed.
+    """
+
+    point: Vec3 | None
+    multipliers: tuple[float, ...]
+    lacking_m_s: float = 0.0
+
+
+def solve(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found | None:
+    """Minimiser of the program; ``None`` if the result cannot be confirmed."""
+    count = len(rows)
+    normals, bounds, lengths = [], [], []
+    for (gx, gy, gz), bound in rows:
+        length = math.sqrt(gx * gx + gy * gy + gz * gz)
+        if not length > _LEAST_LENGTH:
+            return None
+        lengths.append(length)
+        normals.append((gx / length, gy / length, gz / length))
+        bounds.append(bound / length)
+    normals.extend(_SIDES)
+    bounds.extend((*lower, -upper[0], -upper[1], -upper[2]))
+    point = clip_to_box(nominal, lower, upper)
+    active: list[int] = []
+    factors: list[float] = []
+    for axis in (0, 1, 2):
+        beyond = point[axis] - nominal[axis]
+        if beyond != 0.0:
+            active.append(count + axis if beyond > 0.0 else count + 3 + axis)
+            factors.append(abs(beyond))
+    x, y, z = point
+    for _ in range(STEPS_MAX):
+        worst, most = -1, TOLERANCE_M_S
+        for k, (nx, ny, nz) in enumerate(normals):
+            missing = bounds[k] - (nx * x + ny * y + nz * z)
+            if missing > most and k not in active:
+                worst, most = k, missing
+        if worst < 0:
+            return _confirmed(nominal, (x, y, z), active, factors, normals, bounds, lengths)
+        nx, ny, nz = normals[worst]
+        factor, leaves = 0.0, 0
+        while leaves >= 0:
+            parts, (zx, zy, zz) = _split((nx, ny, nz), [normals[k] for k in active])
+            left = zx * zx + zy * zy + zz * zz
+            whole = most / left if left > _DEPENDS else math.inf
+            step, leaves = whole, -1
+            for n, part in enumerate(parts):
+                if part > 0.0 and factors[n] < step * part:
+                    step, leaves = factors[n] / part, n
+            if step == math.inf:
+                return _impossible(worst, active, parts, bounds, lengths)
+            factor += step
+            factors = [each - step * part for each, part in zip(factors, parts, strict=True)]
+            if whole < math.inf:
+                x, y, z = x + step * zx, y + step * zy, z + step * zz
+            if leaves >= 0:
+                del active[leaves], factors[leaves]
+                most = max(0.0, bounds[worst] - (nx * x + ny * y + nz * z))
+        active.append(worst)
+        factors.append(factor)
+    return None
+
+
+def _split(n: Vec3, others: Sequence[Vec3]) -> tuple[tuple[float, ...], Vec3]:
+    """Parts of a unit vector along up to three independent ones, and the rest, at right angles to these."""
+    if not others:
+        return (), n
+    (nx, ny, nz), (ax, ay, az) = n, others[0]
+    if len(others) == 1:
+        p = ax * nx + ay * ny + az * nz
+        return (p,), (nx - p * ax, ny - p * ay, nz - p * az)
+    a, b = others[0], others[1]
+    wx, wy, wz = w = _cross(a, b)
+    along = nx * wx + ny * wy + nz * wz
+    if len(others) == 2:
+        square = wx * wx + wy * wy + wz * wz
+        p, q = _dot(_cross(n, b), w) / square, _dot(_cross(a, n), w) / square
+        along /= square
+        return (p, q), (along * wx, along * wy, along * wz)
+    c = others[2]
+    volume = _dot(c, w)
+    p, q = _dot(_cross(n, b), c) / volume, _dot(_cross(a, n), c) / volume
+    return (p, q, along / volume), ZERO
+
+
+def _cross(a: Vec3, b: Vec3) -> Vec3:
+    (ax, ay, az), (bx, by, bz) = a, b
+    return (ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
+
+
+def _dot(a: Vec3, b: Vec3) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _confirmed(
+    nominal: Vec3, point: Vec3, active: Sequence[int], factors: Sequence[float], normals: Sequence[Vec3],
+    bounds: Sequence[float], lengths: Sequence[float],
+) -> Found | None:  # fmt: skip
+    """The minimiser with its multipliers, if all constraints are met and those that pull it bind."""
+    x, y, z = nominal
+    multipliers = [0.0] * len(lengths)
+    scale = _CONFIRMED_M_S
+    for k, factor in zip(active, factors, strict=True):
+        nx, ny, nz = normals[k]
+        x, y, z = x + factor * nx, y + factor * ny, z + factor * nz
+        scale += _CONFIRMED_M_S * factor
+        if factor < 0.0 or abs(bounds[k] - _dot(normals[k], point)) > _CONFIRMED_M_S:
+            return None
+        if k < len(lengths):
+            multipliers[k] = factor / lengths[k]
+    if max(abs(x - point[0]), abs(y - point[1]), abs(z - point[2])) > scale:
+        return None
+    return Found(point, tuple(multipliers))
+
+
+def _impossible(
+    worst: int, active: Sequence[int], parts: Sequence[float], bounds: Sequence[float],
+    lengths: Sequence[float],
+) -> Found:  # fmt: skip
+    """A constraint that is against a sum of others: no velocity meets all of them."""
+    multipliers, lacking_m_s = [0.0] * len(lengths), bounds[worst]
+    if worst < len(lengths):
+        multipliers[worst] = 1.0 / lengths[worst]
+    for k, part in zip(active, parts, strict=True):
+        lacking_m_s -= part * bounds[k]
+        if k < len(lengths):
+            multipliers[k] = max(0.0, -part) / lengths[k]
+    return Found(None, tuple(multipliers), lacking_m_s)
+
+
+def least_slack(
+    firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3
+) -> tuple[float, Vec3] | None:
+    """Least common slack of the soft rows, as ``exact.least_slack``; ``None`` if it cannot be confirmed.
+
+    Each sum of constraints that no velocity meets says how much slack is needed at least. With that slack the
+    next such sum is looked for, until there is none: then the slack is enough, and no less would be.
+    """
+    slack_m_s, middle, free = 0.0, clip_to_box(ZERO, lower, upper), len(firm)
+    for _ in range(STEPS_MAX):
+        eased = [*firm, *(Row(g, bound - slack_m_s) for g, bound in soft)]
+        found = solve(middle, eased, lower, upper)
+        if found is None:
+            return None
+        if found.point is not None:
+            return slack_m_s, clip_to_box(found.point, lower, upper)
+        gives = sum(found.multipliers[free:])
+        if not gives > 0.0:
+            return None
+        more = found.lacking_m_s / gives
+        if not more > 0.0:
+            return None
+        slack_m_s += more
+    return None
