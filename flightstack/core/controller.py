@@ -19,9 +19,9 @@ from flightstack.core.mission.machine import Mission, Transition
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import ActiveBarrier
 from flightstack.core.safety.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
-from flightstack.core.safety.position_loop import limit, slew
+from flightstack.core.safety.position_loop import clip, limit, slew
 from flightstack.core.safety.qp_filter import FilterResult
-from flightstack.core.snapshot import Snapshot, snapshot_of
+from flightstack.core.snapshot import Relative, Snapshot, snapshot_of
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.reserve import ReserveEstimate
@@ -44,6 +44,8 @@ from flightstack.core.types import (
 # s of a take-off in which the autopilot alone decides how fast it rises: mode and arming, COM_SPOOLUP_TIME
 # of 1 s and MPC_TKO_RAMP_T of 3 s; PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
 RISE_FREE_S = 7.0
+CALM_RATE_1_S = 2.5  # of the distance to the pad's middle: velocity past it that making way may lead to
+OUTWARD_PART = 0.5  # of what the landing barrier's rate allows, for velocities that lower h sideways
 
 
 class Event(NamedTuple):
@@ -317,12 +319,41 @@ class Controller:
         climb_m_s = self._strategy.climb_m_s(active_m, gradient, self._base(snapshot), at)
         if climb_m_s > lower[2]:
             lower = (lower[0], lower[1], min(climb_m_s, upper[2]))
-        if rows.rows and self._fleet is not None:
+        if self._fleet is not None and (rows.rows or not snapshot.way.may_land):
             landing = Row(gradient, -self._strategy.rate_1_s * active_m - dh_dt)
-            result = self._fleet.solve(nominal, landing, rows, lower, upper)
+            outward = self._outward(active_m, gradient, self._base(snapshot), at.target.velocity_enu_m_s)
+            lower, upper = self._calm(at, nominal, active_m, lower, upper)
+            result = self._fleet.solve(nominal, (landing, outward), rows, lower, upper)
         else:
             result = self._filter.solve(nominal, active_m, gradient, dh_dt, lower, upper)
         return Barriers(h_m, gradient, dh_dt, nominal, result)
+
+    def _outward(self, h_m: float, gradient: Vec3, base_m_s: Vec3, target_m_s: Vec3) -> Row:
+        """Row that lets a velocity out of the cone grow no faster than the climb that holds h can follow.
+
+        A lone vehicle flies inwards. One that waits, or makes way, may fly outwards: what it gains while its
+        climb lags behind is taken from h. To stop flying inwards it is free.
+        """
+        gx, gy, _ = gradient
+        lag_s = max(self.config.velocity_loop.lag_z_s, self._period_s)
+        used_m_s = self._period_s * self._strategy.rate_1_s * max(0.0, h_m) / lag_s
+        with_target = gx * target_m_s[0] + gy * target_m_s[1]
+        inward_m_s = gx * base_m_s[0] + gy * base_m_s[1] - with_target
+        return Row((gx, gy, 0.0), with_target + min(0.0, inward_m_s) - OUTWARD_PART * used_m_s)
+
+    def _calm(self, at: Relative, nominal: Vec3, h_m: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, Vec3]:
+        """Box in which making way for others does not make it sink faster, nor rush across the pad's middle.
+
+        Beyond the middle the boundary rises: what moves it inwards there moves it outwards a moment later.
+        To stop climbing it is free.
+        """
+        lag_s = max(self.config.velocity_loop.lag_z_s, self._period_s)
+        most = CALM_RATE_1_S * at.d_m + OUTWARD_PART * max(0.0, h_m) / (self.barrier.slope_max * lag_s)
+        (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = at.target.velocity_enu_m_s, lower, upper
+        return (
+            (clip(tx - most, lx, ux), clip(ty - most, ly, uy), clip(min(nominal[2], tz), lz, uz)),
+            (clip(tx + most, lx, ux), clip(ty + most, ly, uy), uz),
+        )
 
     def _base(self, snapshot: Snapshot) -> Vec3:
         """Where the slew limit starts: the last command, or the present velocity when none was in force."""
@@ -366,7 +397,7 @@ class Controller:
             most = self.config.limits.velocity_max_m_s
             wanted = slew(self._base(snapshot), limit(asked.velocity, most), self._slew_step, self._up_step)
             if rows.rows and self._fleet is not None:  # nothing may collide in any phase
-                wanted = self._fleet.solve(wanted, None, rows, *self._box(snapshot)).velocity_enu_m_s
+                wanted = self._fleet.solve(wanted, (), rows, *self._box(snapshot)).velocity_enu_m_s
         least_z_m_s = self._least_z_m_s(snapshot)
         setpoint = self._strategy.setpoint(self._base(snapshot), wanted, snapshot, least_z_m_s)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan

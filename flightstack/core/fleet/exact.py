@@ -82,11 +82,11 @@ def _sets(rows: int, size: int) -> Any:
 
 def prepare(neighbours: int) -> None:
     """Make the sets of all programs with so many neighbours or fewer: no tick of a flight has to."""
-    for rows in range(1, neighbours + 2):
+    for rows in range(1, neighbours + 3):
         for size in (1, 2, 3):
             _sets(rows, size)
     for soft in range(1, neighbours + 1):
-        for firm in (0, 1):
+        for firm in (0, 1, 2):
             _corners(soft, firm)
 
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 from flightstack.core.fleet.beside import place_beside
 from flightstack.core.fleet.ellipsoid import barrier, estimate
 from flightstack.core.fleet.exact import Row
-from flightstack.core.fleet.precedence import Pad, Way, decide
+from flightstack.core.fleet.precedence import Pad, Way, decide, heard
 from flightstack.core.fleet.program import FleetProgram
-from flightstack.core.fleet.shares import NONE, row, share
+from flightstack.core.fleet.shares import NONE, row, share, wider
 from flightstack.core.fleet.sidestep import Near, sidestep
 from flightstack.core.memory import AbortWay, FleetMemory, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
@@ -46,14 +46,16 @@ class Rows(NamedTuple):
 
     Attributes:
         rows: of the program; the nearest first.
+        lax: the same without what is asked because an unheard vehicle may be anywhere near.
         near: of the same vehicles.
     """
 
     rows: tuple[Row, ...]
+    lax: tuple[Row, ...]
     near: tuple[Near, ...]
 
 
-NO_ROWS = Rows((), ())
+NO_ROWS = Rows((), (), ())
 
 
 def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
@@ -186,20 +188,29 @@ class FleetMember:
             away = (x - px, y - py, z - pz)
             xy_m, z_m = fleet.radius_xy_m + now.grown_m, fleet.radius_z_m + now.grown_m
             h_m, gradient = barrier(away, xy_m, z_m, first=fleet.id < n)
-            if h_m > fleet.reach_m - fleet.radius_xy_m:
+            outer_m = h_m
+            if now.late:
+                more_m = now.anywhere_m - now.grown_m
+                outer_m, _ = barrier(away, xy_m + more_m, z_m + more_m, first=fleet.id < n)
+            if outer_m > fleet.reach_m - fleet.radius_xy_m:
                 continue
-            made = row(part, h_m, gradient, wanted_m_s, word, now, fleet)
-            found.append((h_m, n, made, Near(h_m, gradient, away, now.velocity_enu_m_s)))
+            lax = row(part, h_m, gradient, wanted_m_s, word, now, fleet)
+            made = wider(lax, outer_m, now, fleet) if now.late else lax
+            found.append((h_m, n, made, lax, Near(h_m, gradient, away, now.velocity_enu_m_s)))
         found.sort(key=lambda each: each[:2])
-        return Rows(tuple(each[2] for each in found), tuple(each[3] for each in found))
+        return Rows(
+            tuple(each[2] for each in found),
+            tuple(each[3] for each in found),
+            tuple(each[4] for each in found),
+        )
 
     def aside(self, nominal: Vec3, rows: Rows) -> Vec3:
         """Nominal velocity with the side-step past those that it closes in on."""
         return sidestep(nominal, rows.near, self._fleet.rate_1_s)
 
-    def solve(self, nominal: Vec3, landing: Row | None, rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
+    def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
         """Filter a nominal velocity; arguments as those of ``FleetProgram.solve``."""
-        found = self._program.solve(nominal, landing, rows.rows, lower, upper)
+        found = self._program.solve(nominal, firm, rows.rows, lower, upper, rows.lax)
         self._given_m_s = found.given_m_s
         return found.filter
 
@@ -236,7 +247,8 @@ class FleetMember:
         intent = intent_of(memory, granted=mine.granted, flies=flies)
         committed = intent is Intent.COMMITTED
         mine.committed_s = min(mine.committed_s, now_s) if committed else math.inf
-        yields = tuple(n for n, slot in self.slots if slot.yields)
+        # one that is silent cannot be given way to: where it is is not known
+        yields = tuple(n for n, slot in self.slots if slot.yields and heard(slot.word, now_s, fleet))
         for n in yields:
             mine.slots[self._index[n]].yielded_s = now_s
         v, late_s = own.velocity_enu_m_s, max(0.0, now_s - own.arrival_s)

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from flightstack.core.memory import FleetMemory, Heard
-from flightstack.core.parameters.fleet import CIRCLE_LATENCIES, DECIDE_LATENCIES, Fleet
+from flightstack.core.parameters.fleet import CIRCLE_LATENCIES, DECIDE_LATENCIES, KEPT_PART, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, Phase, Vec3
 
 CLAIMING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
@@ -34,6 +34,7 @@ class Way(NamedTuple):
         text: whom it waits for.
         pad_wanted: landed on a pad that others wait for, it is to leave it.
         place_enu_m: where it lands after that.
+        cut_off: it hears too few of the others to go on.
     """
 
     may_begin: bool = True
@@ -43,6 +44,7 @@ class Way(NamedTuple):
     text: str = ""
     pad_wanted: bool = False
     place_enu_m: Vec3 | None = None
+    cut_off: bool = False
 
 
 ALONE = Way()
@@ -87,11 +89,11 @@ def decide(
     if phase not in CLAIMING or pad is None:
         if phase not in CLAIMING:
             drop(memory, slots)
-        text = _names("not heard", missing)
+        text, cut_off = _names("not heard", missing), _cut_off(slots, now_s, fleet)
         if phase is Phase.LANDED and pad is not None and fleet.frees_pad and not memory.left:
             waiting = [n for n, slot in slots if _waits_for(slot.word, pad, now_s, fleet)]
             return Way(not missing, False, False, False, _names("waits", waiting) or text, bool(waiting))
-        return Way(not missing, False, False, False, text)
+        return Way(not missing, False, False, False, text, cut_off=cut_off)
     if not math.isfinite(memory.claim_s):
         memory.claim_s, memory.waits_since_s = now_s, now_s
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
@@ -108,6 +110,7 @@ def decide(
         told_s >= fleet.age_max_s + fleet.latency_max_s,
         now_s - memory.waits_since_s > fleet.wait_max_s,
         _names("no right of way because of", blockers),
+        cut_off=_cut_off(slots, now_s, fleet),
     )
 
 
@@ -131,11 +134,30 @@ def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
         slot.yields = False
 
 
+def heard(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
+    """Whether a member's newest word is fresh."""
+    return word is not None and now_s - word.stamp_s <= fleet.age_max_s
+
+
+def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
+    """Whether it hears too few to go on: of two parts of a fleet that do not hear each other one goes on.
+
+    That is the larger one, or of equal ones that with the lowest id. Who is silent and down, or was never
+    heard, does not count.
+    """
+    hears = [n for n, slot in slots if heard(slot.word, now_s, fleet)]
+    lost = [n for n, slot in slots if n not in hears and slot.word is not None and not _is_down(slot.word)]
+    ours = [fleet.id, *hears]
+    return (len(ours), -min(ours)) < (len(lost), -min(lost, default=0))
+
+
+def _is_down(word: Neighbour | None) -> bool:
+    return word is not None and word.intent is Intent.DOWN
+
+
 def _present(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
     """Whether a member is heard; one that is down needs not say so for ever."""
-    if word is None:
-        return False
-    return word.intent is Intent.DOWN or now_s - word.stamp_s <= fleet.age_max_s
+    return _is_down(word) or heard(word, now_s, fleet)
 
 
 def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fleet) -> bool:
@@ -153,7 +175,11 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
     elif fleet.frees_pad and word.intent is Intent.CLEARING and _distance_m(pad, word) < fleet.pad_distance_m:
         slot.yields = slot.on_pad = False
         return True
-    if not (slot.yields and slot.claim_s == word.claim_s) and not _conflict(word, pad, fleet):
+    if word.intent is not Intent.DOWN and now_s - word.stamp_s > fleet.silent_flight_s:
+        slot.yields = False  # its flight is over by now; where its own pad is this one, it may stand there
+        return _conflict(word, pad, 0.0, fleet)
+    ahead_s = fleet.descent_s * (KEPT_PART if memory.granted else 1.0)
+    if not (slot.yields and slot.claim_s == word.claim_s) and not _conflict(word, pad, ahead_s, fleet):
         slot.yields = False
         return False
     if word.intent is Intent.DOWN:
@@ -199,13 +225,17 @@ def _yields(
     return not lower and answered and not gives_way and now_s > both_s
 
 
-def _conflict(word: Neighbour, pad: Pad, fleet: Fleet) -> bool:
-    """Whether both pads are too near each other for two landings; a claim for an unknown pad is, too."""
+def _conflict(word: Neighbour, pad: Pad, ahead_s: float, fleet: Fleet) -> bool:
+    """Whether both pads are too near each other for two landings; a claim for an unknown pad is, too.
+
+    Who has the right of way looks less far ahead: velocities of pads are told with errors, and a descent that
+    is broken off costs more than one that begins late.
+    """
     place = word.pad_position_enu_m
     if place is None:
         return math.isfinite(word.claim_s)
     other = Pad(place, word.pad_velocity_enu_m_s or ZERO)
-    return nearest_m(pad, other, fleet.descent_s) < fleet.pad_distance_m
+    return nearest_m(pad, other, ahead_s) < fleet.pad_distance_m
 
 
 def _names(what: str, ids: Sequence[int]) -> str:

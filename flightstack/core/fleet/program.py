@@ -2,8 +2,9 @@
 
 The same program as that of ``safety/qp_filter.py`` with more rows. OSQP begins with the exact solution
 (``dual.py``; what that cannot confirm, ``exact.py`` solves by all active sets), and its result is flown only
-if it meets all rows and is that point. If nothing meets all rows, those of neighbours give way together, by
-the least common slack; landing barrier and box never do.
+if it meets all rows and is that point. If nothing meets all rows, first gives way what is asked only because
+a vehicle that is not heard may be anywhere near; then all rows of neighbours together, by the least common
+slack. Landing barrier and box never do.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from flightstack.core.safety.projection import best_corner
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult, solver_settings
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
+FIRM_MAX = 2  # rows that never give way
 AGREES_M_S = 1e-6  # of the solver's point with the exact one
-_ROWS = 1 + OTHERS_MAX  # the landing barrier is the first
-_OPEN = Row(ZERO, -math.inf)  # holds always
+_ROWS = FIRM_MAX + OTHERS_MAX
 RELAXED_M_S = 1e-8  # besides the least slack, so that more than one point is left
 
 
@@ -80,41 +81,50 @@ class FleetProgram:
         self._solved = osqp.osqp_status_type.OSQP_SOLVED
 
     def solve(
-        self, nominal: Vec3, landing: Row | None, neighbours: Sequence[Row], lower: Vec3, upper: Vec3
+        self,
+        nominal: Vec3,
+        firm: Sequence[Row],
+        neighbours: Sequence[Row],
+        lower: Vec3,
+        upper: Vec3,
+        lax: Sequence[Row] = (),
     ) -> FleetResult:
         """Filter one nominal velocity.
 
         Args:
             nominal: u', m/s, ENU.
-            landing: row of the landing barrier; ``None`` in a phase without it.
+            firm: rows that never give way: that of the landing barrier first, at most one more, which the
+                corner of the box that is best for the barrier meets, too; empty in a phase without them.
             neighbours: their rows, at most ``OTHERS_MAX``.
             lower: lower corner of the admissible box, m/s.
             upper: upper corner, m/s.
+            lax: the neighbours' rows with bounds that are tried where nothing meets all; empty: the same.
         """
-        firm = [landing] if landing is not None else []
         every = [*firm, *neighbours]
         sums = sum(lower) + sum(upper) + sum(nominal) + sum(row.bound_m_s + sum(row.g) for row in every)
         if not math.isfinite(sums):
             idle = FilterResult(ZERO, math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
             return FleetResult(idle, 0.0)
         started = time.perf_counter()
-        if landing is not None:
-            corner = best_corner(landing.g, lower, upper)
-            missing = landing.missing_m_s(corner)
-            if missing > 0.0:
-                at_once = FilterResult(corner, -missing, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
-                return FleetResult(at_once, 0.0)
+        landing = firm[0] if firm else None
+        corner = best_corner(landing.g, lower, upper) if landing is not None else ZERO
+        if landing is not None and landing.missing_m_s(corner) > 0.0:
+            slack = -landing.missing_m_s(corner)
+            return FleetResult(FilterResult(corner, slack, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0), 0.0)
         best, given_m_s = nearest(nominal, every, lower, upper), 0.0
-        point, residual, iterations, status = ZERO, 0.0, 0, FilterStatus.CROWDED
+        if best is None and lax and lax != neighbours:
+            neighbours, every = lax, [*firm, *lax]
+            best = nearest(nominal, every, lower, upper)
+        point, residual, iterations, status = corner, 0.0, 0, FilterStatus.CROWDED
         if best is not None:
-            point, residual, iterations = self._osqp(nominal, landing, neighbours, lower, upper, best)
+            point, residual, iterations = self._osqp(nominal, every, lower, upper, best)
             status = FilterStatus.SOLVED
             if not (residual <= RESIDUAL_MAX_M_S and math.dist(point, best.point) <= AGREES_M_S):
                 point, status = best.point, FilterStatus.CLOSED_FORM
         else:
             given_m_s, point = least_slack(firm, neighbours, lower, upper)
             if not math.isfinite(given_m_s):  # the barrier is met by the corner alone
-                point = corner if landing is not None else point
+                point = corner
             else:
                 less = given_m_s + RELAXED_M_S
                 found = nearest(nominal, [*firm, *(Row(g, b - less) for g, b in neighbours)], lower, upper)
@@ -126,23 +136,15 @@ class FleetProgram:
         return FleetResult(result, given_m_s)
 
     def _osqp(
-        self,
-        nominal: Vec3,
-        landing: Row | None,
-        neighbours: Sequence[Row],
-        lower: Vec3,
-        upper: Vec3,
-        start: Nearest,
+        self, nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3, start: Nearest
     ) -> tuple[Vec3, float, int]:
         """Point clipped to the box, its largest violation before that (inf if not solved), iterations."""
-        rows = [landing or _OPEN, *neighbours]
-        multipliers = start.multipliers if landing is not None else (0.0, *start.multipliers)
         q, low, high, first, dual = self._q, self._lower, self._upper, self._x, self._y
         low[:_ROWS] = -self._infinite
         self._columns[:, :_ROWS] = 0.0
         dual[:] = 0.0
         rest = [n - p for n, p in zip(nominal, start.point, strict=True)]
-        for k, (row, multiplier) in enumerate(zip(rows, multipliers, strict=True)):
+        for k, (row, multiplier) in enumerate(zip(rows, start.multipliers, strict=True)):
             low[k] = max(row.bound_m_s, -self._infinite)
             self._columns[:, k] = row.g
             dual[k] = -multiplier
@@ -159,5 +161,5 @@ class FleetProgram:
         point = clip_to_box((x, y, z), lower, upper)
         if info.status_val != self._solved or not math.isfinite(x + y + z):
             return point, math.inf, info.iter
-        missing = max(row.missing_m_s(point) for row in rows if row is not _OPEN)
+        missing = max((row.missing_m_s(point) for row in rows), default=0.0)
         return point, max(math.dist(point, (x, y, z)), missing, 0.0), info.iter

@@ -68,3 +68,23 @@ def row(
         c = (0.5 * (x + ox), 0.5 * (y + oy), 0.5 * (z + oz))
     along = gradient[0] * c[0] + gradient[1] * c[1] + gradient[2] * c[2]
     return Row(gradient, along + part * (now.growth_m_s - fleet.rate_1_s * h_m))
+
+
+def wider(lax: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
+    """Constraint for a vehicle whose words are late: it may be anywhere in a larger ellipsoid.
+
+    While it may fly, this vehicle stays out of it, or comes no nearer to its middle if it is inside. After
+    that it lies somewhere in there: who is outside stays so; who is inside has to come down, too.
+
+    Args:
+        lax: the constraint by where the other one is taken to be.
+        outer_m: value of the barrier with all that the other one can have flown.
+        now: the other vehicle.
+        fleet: of the configuration.
+    """
+    bound_m_s = -fleet.rate_1_s * outer_m
+    if now.age_s <= fleet.silent_flight_s:
+        bound_m_s = min(0.0, bound_m_s + fleet.speed_max_m_s)
+    elif outer_m < 0.0:
+        return lax
+    return Row(lax.g, max(lax.bound_m_s, bound_m_s))

@@ -126,6 +126,8 @@ def condition_flags(
         flags |= C.TIRED if _better_beside(barrier, memory, snapshot) else 0
     elif memory.retries < config.checks.retries_max:
         flags |= C.RETRIES_LEFT
+    if snapshot.way.cut_off and _better_beside(barrier, memory, snapshot):
+        flags |= C.CUT_OFF
     if inputs.status is not None:
         flags |= _status_flags(memory, snapshot)
     if memory.started_s < math.inf:
@@ -151,7 +153,7 @@ def condition_flags(
 
 
 def _better_beside(barrier: Barrier, memory: Memory, snapshot: Snapshot) -> bool:
-    """Whether a tired vehicle lands beside the target.
+    """Whether a vehicle that has to come down lands beside the target.
 
     Inside the ring of the boundary the pad is the shortest way down: flying clear climbs, and leads out over
     the ring.

@@ -51,6 +51,7 @@ class Condition(IntEnum):
     ON_PAD = 1 << 26  # contact in the touchdown
     PAD_WANTED = 1 << 27  # landed and at rest: another vehicle waits for this pad, and it may take off again
     CLEAR = 1 << 28  # flown clear of the target: it lands beside it
+    CUT_OFF = 1 << 29  # too few of the fleet are heard, and the pad is not the shortest way down
 
 
 C = Condition
@@ -85,6 +86,7 @@ _IN_FLIGHT = (
     Rule(C.NOT_FOLLOWING, Phase.ABORT, "the vehicle does not fly what it is told"),
 )
 _TIRED = Rule(C.TIRED, Phase.ABORT, "the battery is too low to land on the target")
+_CUT_OFF = Rule(C.CUT_OFF, Phase.ABORT, "too few of the fleet are heard")
 _INPUTS = (
     Rule(C.OWN_LOST, Phase.HOLD, "own state lost"),
     Rule(C.LINK_LOST, Phase.HOLD, "heartbeat lost"),
@@ -112,6 +114,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         *_IN_FLIGHT,
         *_INPUTS,
         _TIRED,
+        _CUT_OFF,
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time"),
         Rule(C.AT_START | C.EXTERNAL, Phase.APPROACH, "start reached"),
     ),
@@ -119,6 +122,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         *_IN_FLIGHT,
         *_INPUTS,
         _TIRED,
+        _CUT_OFF,
         Rule(C.LANDING_TIME_OVER, Phase.ABORT, "landing took too long"),
         Rule(C.OVER_PAD, Phase.LAND, "inside the descending cone"),
     ),
@@ -150,6 +154,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
     ),
     Phase.HOLD: (
         *_IN_FLIGHT,
+        _CUT_OFF,
         Rule(C.RECOVERED | C.STARTED | C.RETRIES_LEFT, Phase.APPROACH, "inputs good again"),
         Rule(C.RECOVERED | C.RETRIES_LEFT, Phase.TAKEOFF, "inputs good again"),
         Rule(C.PHASE_TIME_OVER | C.OWN_LOST, Phase.ABORT, "own state stayed lost"),
@@ -162,6 +167,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         Rule(C.OWN_LOST, Phase.ABORT, "own state lost in the climb"),
         Rule(C.LINK_LOST, Phase.ABORT, "heartbeat lost in the climb"),
         _TIRED,
+        _CUT_OFF,
         Rule(C.RECOVERED | C.STARTED | C.RETRIES_LEFT | C.HIGH_ENOUGH, Phase.APPROACH, "target back"),
         Rule(C.RECOVERED | C.RETRIES_LEFT | C.HIGH_ENOUGH, Phase.TAKEOFF, "target back", unless=C.STARTED),
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "target did not come back", about=C.TARGET_LOST),
@@ -179,6 +185,7 @@ _GROUNDS_TO_LAND = (
     Rule(C.NOT_FOLLOWING, AbortWay.LAND_HERE, "the vehicle does not fly the commanded velocity"),
     Rule(NONE, AbortWay.LAND_HERE, "the target was never seen", unless=C.TARGET_KNOWN),
     Rule(C.ON_PAD, AbortWay.LAND_HERE, "it has touched the pad"),
+    Rule(C.CUT_OFF, AbortWay.LAND_HERE, "the others take it to be down soon, near where they heard it last"),
 )
 
 ABORT_TABLE: dict[AbortWay, tuple[Rule[AbortWay], ...]] = {

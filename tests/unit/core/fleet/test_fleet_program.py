@@ -100,7 +100,7 @@ def test_no_point_that_a_solver_finds_is_nearer(nominal, found, box):
 @given(VECTORS, rows(1, 1), rows(0), boxes())
 def test_the_program_holds_barrier_and_box_and_gives_way_no_more_than_it_must(nominal, firm, soft, box):
     lower, upper = box
-    found = PROGRAM.solve(nominal, firm[0], soft, lower, upper)
+    found = PROGRAM.solve(nominal, firm, soft, lower, upper)
     point, status = found.filter.velocity_enu_m_s, found.filter.status
     if status is FilterStatus.INFEASIBLE:
         assert least_by_scipy(firm, [], lower, upper) > 0.0
@@ -121,7 +121,7 @@ def test_the_program_holds_barrier_and_box_and_gives_way_no_more_than_it_must(no
 @given(VECTORS, rows(1, 1), boxes())
 def test_with_the_landing_row_alone_it_is_the_filter_of_a_lone_vehicle(nominal, firm, box):
     lower, upper = box
-    ours = PROGRAM.solve(nominal, firm[0], [], lower, upper).filter
+    ours = PROGRAM.solve(nominal, firm, [], lower, upper).filter
     theirs = SafetyFilter(1.0).solve(nominal, -firm[0].bound_m_s, firm[0].g, 0.0, lower, upper)
     assert ours.status is theirs.status
     assert ours.active is theirs.active
@@ -134,7 +134,7 @@ def test_most_programs_are_confirmed_by_the_solver_at_once():
         found = [
             Row(tuple(g / np.linalg.norm(g)), float(rng.uniform(-1.0, 0.2))) for g in rng.normal(size=(7, 3))
         ]
-        result = PROGRAM.solve(tuple(rng.uniform(-1, 1, 3)), None, found, (-0.5,) * 3, (0.5,) * 3).filter
+        result = PROGRAM.solve(tuple(rng.uniform(-1, 1, 3)), (), found, (-0.5,) * 3, (0.5,) * 3).filter
         solved += result.status is FilterStatus.SOLVED
         if result.status is FilterStatus.SOLVED:
             iterations.append(result.iterations)
@@ -147,19 +147,19 @@ def test_most_programs_are_confirmed_by_the_solver_at_once():
 def test_a_wrong_result_of_the_solver_is_not_flown(monkeypatch, wrong):
     program = FleetProgram()
     monkeypatch.setattr(program, "_osqp", lambda *_: (wrong, 0.0, 1))
-    found = program.solve((0.0, 0.0, 0.0), None, [Row((1.0, 0.0, 0.0), 0.1)], (-1.0,) * 3, (1.0,) * 3)
+    found = program.solve((0.0, 0.0, 0.0), (), [Row((1.0, 0.0, 0.0), 0.1)], (-1.0,) * 3, (1.0,) * 3)
     assert found.filter.status is FilterStatus.CLOSED_FORM
     assert found.filter.velocity_enu_m_s == pytest.approx((0.1, 0.0, 0.0))
 
 
 def test_numbers_that_are_not_finite_are_rejected():
-    found = PROGRAM.solve((0.0, 0.0, 0.0), None, [Row((1.0, 0.0, 0.0), math.nan)], (-1.0,) * 3, (1.0,) * 3)
+    found = PROGRAM.solve((0.0, 0.0, 0.0), (), [Row((1.0, 0.0, 0.0), math.nan)], (-1.0,) * 3, (1.0,) * 3)
     assert found.filter.status is FilterStatus.REJECTED
 
 
 def test_without_a_place_for_all_the_neighbours_share_the_slack_evenly():
     walls = [Row((1.0, 0.0, 0.0), 0.3), Row((-1.0, 0.0, 0.0), 0.1)]
-    found = PROGRAM.solve((0.0, 0.0, 0.0), Row((0.0, 0.0, 1.0), 0.2), walls, (-1.0,) * 3, (1.0,) * 3)
+    found = PROGRAM.solve((0.0, 0.0, 0.0), [Row((0.0, 0.0, 1.0), 0.2)], walls, (-1.0,) * 3, (1.0,) * 3)
     assert found.filter.status is FilterStatus.CROWDED
     assert found.given_m_s == pytest.approx(0.2)
     assert found.filter.velocity_enu_m_s == pytest.approx((0.1, 0.0, 0.2), abs=1e-6)
@@ -167,11 +167,11 @@ def test_without_a_place_for_all_the_neighbours_share_the_slack_evenly():
 
 
 def test_every_row_of_the_program_can_be_used():
-    assert program_module._ROWS == OTHERS_MAX + 1
+    assert program_module._ROWS == OTHERS_MAX + program_module.FIRM_MAX
     ring = [
         (math.cos(a), math.sin(a), 0.0) for a in np.linspace(0.0, 2.0 * math.pi, OTHERS_MAX, endpoint=False)
     ]
-    found = PROGRAM.solve((2.0, 1.0, 0.0), None, [Row(g, -0.1) for g in ring], (-1.0,) * 3, (1.0,) * 3)
+    found = PROGRAM.solve((2.0, 1.0, 0.0), (), [Row(g, -0.1) for g in ring], (-1.0,) * 3, (1.0,) * 3)
     assert found.filter.status is FilterStatus.SOLVED
     assert (
         max(-sum(a * b for a, b in zip(g, found.filter.velocity_enu_m_s, strict=True)) for g in ring)
@@ -182,7 +182,7 @@ def test_every_row_of_the_program_can_be_used():
 def test_a_solver_that_did_not_solve_is_not_believed(monkeypatch):
     program = FleetProgram(2)
     monkeypatch.setattr(program, "_solved", -1)
-    found = program.solve((0.0, 0.0, 0.0), None, [Row((1.0, 0.0, 0.0), 0.1)], (-1.0,) * 3, (1.0,) * 3)
+    found = program.solve((0.0, 0.0, 0.0), (), [Row((1.0, 0.0, 0.0), 0.1)], (-1.0,) * 3, (1.0,) * 3)
     assert found.filter.status is FilterStatus.CLOSED_FORM
     assert found.filter.velocity_enu_m_s == pytest.approx((0.1, 0.0, 0.0))
 
@@ -192,5 +192,5 @@ def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
     assert least_slack([firm], [soft], *box)[0] == math.inf
     # by rounding alone: the corner that raises h fastest is flown
     monkeypatch.setattr(program_module, "least_slack", lambda *_: (math.inf, (0.0, 0.0, 0.0)))
-    found = PROGRAM.solve((0.0, 0.0, 0.0), Row((0.0, 0.0, 1.0), 0.5), [soft], *box)
+    found = PROGRAM.solve((0.0, 0.0, 0.0), [Row((0.0, 0.0, 1.0), 0.5)], [soft], *box)
     assert found.filter.velocity_enu_m_s[2] == 1.0

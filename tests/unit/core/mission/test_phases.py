@@ -9,10 +9,11 @@ from flightstack.core.memory import AbortWay
 from flightstack.core.mission.phases import ABORT_TABLE, TABLE, Condition, next_phase, next_way
 from flightstack.core.types import Phase
 
-BITS = len(Condition) - 5  # the ways of aborting, LANDED and LEAVE alone ask for the last ones
+BITS = len(Condition) - 6  # only fleets, the ways of aborting, LANDED and LEAVE ask for the last ones
 FINAL = (Phase.LANDED, Phase.ABORT)
 GOING_ON = [p for p in Phase if p not in FINAL]
 STAY = (None, "")
+CUT_OFF = (Phase.ABORT, "too few of the fleet are heard")
 TOO_LOW = (Phase.ABORT, "the battery is too low to land on the target")
 
 
@@ -79,6 +80,7 @@ def expected_rules(phase, w):
                 *in_flight(w),
                 *inputs(w),
                 (w.tired, *TOO_LOW),
+                (w.cut_off, *CUT_OFF),
                 (w.phase_time_over, Phase.ABORT, "start not reached in time"),
                 (w.at_start & w.external, Phase.APPROACH, "start reached"),
             ]
@@ -87,6 +89,7 @@ def expected_rules(phase, w):
                 *in_flight(w),
                 *inputs(w),
                 (w.tired, *TOO_LOW),
+                (w.cut_off, *CUT_OFF),
                 (w.landing_time_over, Phase.ABORT, "landing took too long"),
                 (w.over_pad, Phase.LAND, "inside the descending cone"),
             ]
@@ -111,6 +114,7 @@ def expected_rules(phase, w):
         case Phase.HOLD:
             return [
                 *in_flight(w),
+                (w.cut_off, *CUT_OFF),
                 (again & w.started, Phase.APPROACH, "inputs good again"),
                 (again, Phase.TAKEOFF, "inputs good again"),
                 (w.phase_time_over & w.own_lost, Phase.ABORT, "own state stayed lost"),
@@ -124,6 +128,7 @@ def expected_rules(phase, w):
                 (w.own_lost, Phase.ABORT, "own state lost in the climb"),
                 (w.link_lost, Phase.ABORT, "heartbeat lost in the climb"),
                 (w.tired, *TOO_LOW),
+                (w.cut_off, *CUT_OFF),
                 (again & w.high_enough & w.started, Phase.APPROACH, "target back"),
                 (again & w.high_enough & ~w.started, Phase.TAKEOFF, "target back"),
                 (w.phase_time_over, Phase.ABORT, "target did not come back"),
@@ -192,14 +197,14 @@ def mentioned(phase):
 
 
 def test_conditions_are_one_bit_each_and_phases_are_numbered_as_in_the_log():
-    assert [int(c) for c in Condition] == [1 << n for n in range(BITS + 5)]
-    assert len(Condition.__members__) == BITS + 5 == 29
+    assert [int(c) for c in Condition] == [1 << n for n in range(BITS + 6)]
+    assert len(Condition.__members__) == BITS + 6 == 30
     asked = 0
     for phase in set(TABLE) - {Phase.LANDED, Phase.LEAVE}:
         rules = TABLE[phase]
         for rule in rules:
             asked |= rule.when | rule.unless | rule.about
-    assert asked < 1 << BITS
+    assert asked & ~Condition.CUT_OFF < 1 << BITS  # that one: all words of what a phase asks for, below
     assert set(TABLE) == set(Phase)
     assert [(p.name, int(p)) for p in Phase] == [
         ("WAIT", 0), ("TAKEOFF", 1), ("APPROACH", 2), ("LAND", 3), ("TOUCHDOWN", 4), ("LANDED", 5),
@@ -305,7 +310,7 @@ def way_of(w):
         return AbortWay.LAND_HERE
     if "WAS_EXTERNAL" in w and not w & {"EXTERNAL", "LINK_LOST"}:
         return AbortWay.HANDS_OFF
-    if w & {"LAND_ASKED", "OWN_LOST", "LINK_LOST", "COMMAND_FAILED", "NOT_FOLLOWING", "ON_PAD"}:
+    if w & {"LAND_ASKED", "OWN_LOST", "LINK_LOST", "COMMAND_FAILED", "NOT_FOLLOWING", "ON_PAD", "CUT_OFF"}:
         return AbortWay.LAND_HERE
     return AbortWay.FLY_CLEAR if "TARGET_KNOWN" in w else AbortWay.LAND_HERE
 
@@ -314,6 +319,7 @@ ASKED_OF_WAYS = [
     Condition.EMERGENCY, Condition.WAS_ARMED, Condition.ARMED, Condition.STANDING, Condition.WAS_EXTERNAL,
     Condition.EXTERNAL, Condition.LINK_LOST, Condition.LAND_ASKED, Condition.OWN_LOST,
     Condition.COMMAND_FAILED, Condition.NOT_FOLLOWING, Condition.TARGET_KNOWN, Condition.ON_PAD,
+    Condition.CUT_OFF,
 ]  # fmt: skip
 
 
