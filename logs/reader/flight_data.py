@@ -229,10 +229,16 @@ def read_config(data: bytes) -> FlightConfig:
 
 
 def shape(config: FlightConfig) -> dict[str, str]:
-    """Barrier and pad under the names that the metadata of a simulated run have, m and 1/m."""
-    barrier = config.barrier.build()
-    return {
+    """Barrier and pad under the names that the metadata of a simulated run have, m and 1/m.
+
+    Of a fleet also the semi-axes of the ellipsoid of two vehicles.
+    """
+    barrier, fleet = config.barrier.build(), config.fleet
+    found = {
         "barrier_alpha_1_m": repr(barrier.alpha_1_m),
         "barrier_beta_m": repr(barrier.beta_m),
         "pad_radius_m": repr(config.touchdown.pad_radius_m),
     }
+    if fleet is not None:
+        found |= {"ellipsoid_xy_m": repr(fleet.radius_xy_m), "ellipsoid_z_m": repr(fleet.radius_z_m)}
+    return found

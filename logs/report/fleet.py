@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,10 +39,8 @@ from logs.report.tables import (
     versions_table,
 )
 from logs.verdict.fleet import FleetVerdict, pairs_known
+from logs.verdict.pairs import PairSeries, pair_series
 from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M, SOURCES, Outcome
-
-if TYPE_CHECKING:
-    from logs.report.fleet_figures import PairSeries
 
 _TEAM = "team.toml"
 _TICK_S = 0.011  # true states are this far apart; the ellipsoid is judged every millisecond
@@ -112,7 +110,7 @@ def render(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -> st
 
     told = fleet.metadata.get("fleet", {})
     words = load_words(fleet)
-    series = figures.pair_series(fleet)
+    series = pair_series(fleet)
     badge, style = _headline(verdict)
     body = (
         header(told.get("scenario", fleet.path.stem), badge, style, _subtitle(told, verdict)),

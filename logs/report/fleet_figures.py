@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
 
 from flightstack.core.types import Intent
 from logs.reader.fleet_words import Words
-from logs.reader.flight_data import Bools, Fleet, Flight, Floats, phase_name
+from logs.reader.flight_data import Fleet, Flight, Floats, phase_name
 from logs.report.style import (
     BOUNDARY,
     FAULT,
@@ -30,8 +28,9 @@ from logs.report.style import (
     thin,
 )
 from logs.report.timeline import bar
-from logs.schema.events import ContactBit, Severity
-from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M, VIOLATION_LIMIT_M
+from logs.schema.events import Severity
+from logs.verdict.pairs import PairSeries, shift_s
+from logs.verdict.types import VIOLATION_LIMIT_M
 
 # Okabe and Ito (2008), dark ones first, and two of Tol; from the ninth member on they come again
 _COLORS = (
@@ -57,66 +56,14 @@ _LANES_MAX = 16  # of silent ways; more are not read
 _EVENTS_MAX = 500
 
 
-class PairSeries(NamedTuple):
-    """Two members over time, by their true states; all (n,).
-
-    Attributes:
-        name: of the pair.
-        t_s: seconds since the origin of the fleet.
-        distance_m: of their centres of mass.
-        measure: the same in the measure of the ellipsoid, 1 on its surface.
-        flying: whether both flew.
-    """
-
-    name: str
-    t_s: Floats
-    distance_m: Floats
-    measure: Floats
-    flying: Bools
-
-
 def color_of(fleet: Fleet, member: str) -> str:
     """Colour of a member in all figures."""
     return _COLORS[list(fleet.flights).index(member) % len(_COLORS)]
 
 
-def shift_s(fleet: Fleet, flight: Flight) -> float:
-    """What to add to the times of a member, to count from the origin of the fleet."""
-    return (flight.origin_ns - fleet.origin_ns) * 1e-9
-
-
 def end_s(fleet: Fleet) -> float:
     """Length of the log, from the origin of the fleet to the end of the last flight."""
     return max(flight.duration_s + shift_s(fleet, flight) for flight in fleet.flights.values())
-
-
-def pair_series(fleet: Fleet) -> list[PairSeries]:
-    """Distances of all pairs whose true states are in the log, where both are."""
-    found = []
-    for (a, one), (b, other) in combinations(fleet.flights.items(), 2):
-        if one.truth is None or other.truth is None:
-            continue
-        t_s, to_s = one.truth.t_s + shift_s(fleet, one), other.truth.t_s + shift_s(fleet, other)
-        both = (t_s >= to_s[0]) & (t_s <= to_s[-1])
-        if not both.any():
-            continue
-        t_s = t_s[both]
-        there_m = np.column_stack([np.interp(t_s, to_s, column) for column in other.truth.position_enu_m.T])
-        apart_m = one.truth.position_enu_m[both] - there_m
-        beside, above = 2.0 * RADIUS_BESIDE_M, 2.0 * RADIUS_ABOVE_M
-        measure = np.sqrt(
-            (apart_m[:, 0] ** 2 + apart_m[:, 1] ** 2) / beside**2 + (apart_m[:, 2] / above) ** 2
-        )
-        nearest = np.clip(np.searchsorted(to_s, t_s), 0, len(to_s) - 1)
-        flying = _flying(one)[both] & _flying(other)[nearest]
-        found.append(PairSeries(f"{a}–{b}", t_s, np.linalg.norm(apart_m, axis=1), measure, flying))
-    return found
-
-
-def _flying(flight: Flight) -> Bools:
-    assert flight.truth is not None
-    rests = flight.truth.contacts & int(ContactBit.PAD | ContactBit.GROUND)
-    return np.asarray(flight.truth.motors_running & (rests == 0))
 
 
 def _time_axis(figure: go.Figure, fleet: Fleet, rows: int = 1) -> None:

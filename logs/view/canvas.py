@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Literal
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-from logs.derive.markers import Path
+from logs.derive.markers import OWN_COLOR, Color, Path
 from logs.view.read import Ints
 
 FLIGHT = "flight"  # timeline: seconds since the first step
 LOG_TIME = "log_time"  # timeline: date and time of the log
 EVENTS, RUN, WORLD, PHASE = "/events", "/run", "/world", "/phase"
+PAIRS = "/pairs"  # of a fleet
 AXES = ("x", "y", "z")
 Corner = Literal["LeftTop", "RightTop", "RightBottom"]
 
 
-def blueprint(center_m: tuple[float, float, float], size_m: float) -> Any:
+def blueprint(
+    center_m: tuple[float, float, float], size_m: float, members: Sequence[str] = (), *, pairs: bool = False
+) -> Any:
     """Return the layout.
 
     Args:
         center_m: what the camera looks at.
         size_m: extent of the flight; the camera stands away from it accordingly.
+        members: of a fleet; none: of one flight.
+        pairs: the recording has the distances of two members at least.
     """
     away_m = max(1.0, size_m)
     x, y, z = center_m
@@ -35,28 +40,11 @@ def blueprint(center_m: tuple[float, float, float], size_m: float) -> Any:
     scene = rrb.Spatial3DView(
         origin=WORLD, name="Scene: ENU, metres", eye_controls=eye, line_grid=rrb.LineGrid3D(spacing=0.25)
     )
-    safety = rrb.Vertical(
-        _plot("/safety/h", "Barrier h [m], safe above 0", "RightBottom"),
-        _plot("/distance", "Vehicle to landing spot [m]"),
-        rrb.StateTimelineView(origin=PHASE, name="Phase"),
-        row_shares=[4, 3, 1.5],
-        name="Safety",
-    )
-    velocity = rrb.Vertical(
-        *(_plot(f"/velocity/{axis}", f"Velocity {axis} [m/s]", "LeftTop") for axis in AXES), name="Velocity"
-    )
-    constraint = rrb.Vertical(
-        _plot("/safety/slack", "Slack of the barrier constraint [m/s]"),
-        _plot("/safety/dh_dt", "dh/dt, motion of the target [m/s]"),
-        _plot("/safety/active", "Filter active"),
-        name="Filter",
-    )
-    loop = rrb.Vertical(
-        _plot("/loop", "Loop [ms]: lateness, work, solver"),
-        _plot("/age", "Age of the states [ms]"),
-        _plot("/samples", "Target samples, sum"),
-        name="Loop and links",
-    )
+    if members:
+        tabs = [_fleet(members, pairs=pairs), *(rrb.Tabs(*_tabs(m), name=m, active_tab=0) for m in members)]
+    else:
+        tabs = list(_tabs(""))
+    runs = [(of_member(RUN, m), f"Run of {m}") for m in members] or [(RUN, "Run")]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
@@ -67,11 +55,11 @@ def blueprint(center_m: tuple[float, float, float], size_m: float) -> Any:
                         name="Events",
                         columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),
                     ),
-                    rrb.TextDocumentView(origin=RUN, name="Run"),
+                    *(rrb.TextDocumentView(origin=origin, name=name) for origin, name in runs),
                 ),
                 row_shares=[3, 1],
             ),
-            rrb.Tabs(safety, velocity, constraint, loop, active_tab=0),
+            rrb.Tabs(*tabs, active_tab=0),
             column_shares=[3, 2],
         ),
         rrb.BlueprintPanel(state="collapsed"),
@@ -82,8 +70,58 @@ def blueprint(center_m: tuple[float, float, float], size_m: float) -> Any:
     )
 
 
+def _tabs(member: str) -> Iterator[Any]:
+    """Curves of one flight."""
+
+    def plot(origin: str, name: str, legend: Corner = "RightTop") -> Any:
+        return _plot(of_member(origin, member), name, legend)
+
+    yield rrb.Vertical(
+        plot("/safety/h", "Barrier h [m], safe above 0", "RightBottom"),
+        plot("/distance", "Vehicle to landing spot [m]"),
+        rrb.StateTimelineView(origin=of_member(PHASE, member), name="Phase"),
+        row_shares=[4, 3, 1.5],
+        name="Safety",
+    )
+    yield rrb.Vertical(
+        *(plot(f"/velocity/{axis}", f"Velocity {axis} [m/s]", "LeftTop") for axis in AXES), name="Velocity"
+    )
+    yield rrb.Vertical(
+        plot("/safety/slack", "Slack of the barrier constraint [m/s]"),
+        plot("/safety/dh_dt", "dh/dt, motion of the target [m/s]"),
+        plot("/safety/active", "Filter active"),
+        name="Filter",
+    )
+    yield rrb.Vertical(
+        plot("/loop", "Loop [ms]: lateness, work, solver"),
+        plot("/age", "Age of the states [ms]"),
+        plot("/samples", "Target samples, sum"),
+        name="Loop and links",
+    )
+
+
+def _fleet(members: Sequence[str], *, pairs: bool) -> Any:
+    """Distances of all pairs, and the phases of all members."""
+    near = [
+        _plot(f"{PAIRS}/measure", "Pairs in the ellipsoid's measure [1], too near below 1"),
+        _plot(f"{PAIRS}/distance", "Distance of each pair [m]"),
+    ]
+    phases = [of_member(PHASE, member) for member in members]
+    states = rrb.StateTimelineView(origin="/", contents=[f"+ {each}" for each in phases], name="Phases")
+    return rrb.Vertical(*(near if pairs else ()), states, name="Fleet")
+
+
 def _plot(origin: str, name: str, legend: Corner = "RightTop") -> Any:
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(corner=legend))
+
+
+def of_member(entity: str, member: str) -> str:
+    """Return the name of an entity that each member has: in the one world, else below the member's name."""
+    if not member or entity == WORLD:
+        return entity
+    return (
+        f"{WORLD}/{member}{entity[len(WORLD) :]}" if entity.startswith(f"{WORLD}/") else f"/{member}{entity}"
+    )
 
 
 class Canvas:
@@ -91,16 +129,22 @@ class Canvas:
 
     Attributes:
         stream: the recording.
+        member: of a fleet, whose entities these are; they stand below its name.
+        own_color: of the vehicle and its path.
         paths: where vehicle and target have been, by entity.
         phase: that was shown last.
 
     Args:
         stream: the recording.
         origin_ns: log time at which the time line of the flight begins.
+        member: whose entities these are; empty in a recording of one flight.
+        own_color: of the vehicle and its path.
     """
 
-    def __init__(self, stream: rr.RecordingStream, origin_ns: int) -> None:
-        self.stream = stream
+    def __init__(
+        self, stream: rr.RecordingStream, origin_ns: int, member: str = "", own_color: Color = OWN_COLOR
+    ) -> None:
+        self.stream, self.member, self.own_color = stream, member, own_color
         self.paths: dict[str, Path] = {}
         self.phase: int | None = None
         self._origin_ns = origin_ns
@@ -111,12 +155,12 @@ class Canvas:
         """Send what does not change with time; the first time only."""
         if entity not in self._styled:
             self._styled.add(entity)
-            self.stream.log(entity, archetype, static=True)
+            self.stream.log(of_member(entity, self.member), archetype, static=True)
 
     def columns(self, entity: str, at_ns: Ints, columns: Iterable[Any]) -> None:
         """Send values of an entity at log times in ns."""
         self.stream.send_columns(
-            entity,
+            of_member(entity, self.member),
             (
                 rr.TimeColumn(FLIGHT, duration=(at_ns - self._origin_ns).astype("timedelta64[ns]")),
                 rr.TimeColumn(LOG_TIME, timestamp=at_ns.astype("datetime64[ns]")),

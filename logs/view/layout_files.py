@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
 from logs.reader.reader import LogFile
 from logs.tools.file import new_file
 
-NAMES = ("foxglove.json", "plotjuggler.xml")
+FOXGLOVE = "foxglove.json"
+NAMES = (FOXGLOVE, "plotjuggler.xml")
+_OF_TARGET = frozenset({"frame:target", "frame:target_pad"})  # of a fleet each member has its own
 SHIPPED_NAMESPACE = "cf1"  # of the files in this package
 
 
@@ -18,24 +22,56 @@ def layout(name: str, namespace: str = SHIPPED_NAMESPACE) -> str:
     return text.replace(f"/{SHIPPED_NAMESPACE}/", f"/{namespace}/")
 
 
-def write_layouts(log: Path, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write all layouts for a log.
+def fleet_layout(name: str, namespace: str, members: Sequence[str]) -> str:
+    """Return the text of one of ``NAMES`` for the curves of a member, with the scene of the whole fleet."""
+    text = layout(name, namespace)
+    if name != FOXGLOVE:
+        return text
+    whole = json.loads(text)
+    scene = whole["configById"]["3D!scene"]
+    own, frames = scene["topics"], scene["transforms"]
+    shared = {frame: shown for frame, shown in frames.items() if frame not in _OF_TARGET}
+    scene["topics"] = {
+        topic.replace(f"/{namespace}/", f"/{each}/", 1): shown
+        for each in members
+        for topic, shown in own.items()
+    }
+    scene["transforms"] = shared | {
+        frame.replace("frame:", f"frame:{each}/"): shown
+        for each in members
+        for frame, shown in frames.items()
+        if frame in _OF_TARGET
+    }
+    return json.dumps(whole, indent=2)
+
+
+def write_layouts(log: Path, folder: Path, member: str | None = None, *, force: bool = False) -> list[Path]:
+    """Write all layouts for a log; of a fleet for each member, with its name, and all members in the scene.
 
     Args:
         log: a flight log; its name space is in the metadata of the onboard process.
         folder: made if it does not exist.
+        member: of a fleet, for whom alone.
         force: replace files that exist.
 
     Raises:
-        LogError: Not a log.
+        LogError: Not a log, or without such a member.
         ValueError: A file exists.
     """
-    namespace = LogFile(log).metadata().get("onboard", {}).get("namespace", SHIPPED_NAMESPACE)
+    opened, members = LogFile(log, member), LogFile(log).members
     folder.mkdir(parents=True, exist_ok=True)
+    texts: dict[str, str] = {}
+    if members:
+        for each in opened.members or (member or "",):
+            for name in NAMES:
+                stem, dot, ending = name.partition(".")
+                texts[f"{stem}_{each}{dot}{ending}"] = fleet_layout(name, each, members)
+    else:
+        space = opened.metadata().get("onboard", {}).get("namespace", SHIPPED_NAMESPACE).strip("/")
+        texts = {name: layout(name, space) for name in NAMES}
     written = []
-    for name in NAMES:
-        path = folder / name
-        with new_file(path, force=force) as part:
-            part.write_text(layout(name, namespace.strip("/")), encoding="utf-8")
-        written.append(path)
+    for name, text in texts.items():
+        with new_file(folder / name, force=force) as part:
+            part.write_text(text, encoding="utf-8")
+        written.append(folder / name)
     return written

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from flightstack.common.strict_toml import ConfigError
 from logs.reader.flight_data import ATTACHMENT, read_config, shape
-from logs.reader.reader import LogError, LogFile
+from logs.reader.reader import LogError, LogFile, Message
 from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, TRUE_STATE
 
@@ -45,36 +45,67 @@ class Seen:
         return min(rows[0][0] for rows in (self.steps, self.truths) if rows)
 
 
-def read(path: Path) -> Seen:
+def read(path: Path, member: str | None = None) -> Seen:
     """Read a log, whole or broken.
 
+    Args:
+        path: of the log.
+        member: of a fleet, whose flight it shall be; None in the log of one flight.
+
     Raises:
-        LogError: Not a log, without controller steps and true states, or a message that is not ours.
+        LogError: Not a log, without controller steps and true states, or a message that is not ours; no such
+            member, or a fleet where no member is named.
     """
-    log = LogFile(path)
+    log = LogFile(path, member).single()
     seen = Seen(_shape(log) | log.metadata().get("run", {}))
-    kinds: dict[str, tuple[list[tuple[int, Any]], Callable[[bytes], Any]]] = {
-        CONTROLLER_STEP: (seen.steps, ControllerStepRow.unpack),
-        LOOP_TIMING: (seen.timings, LoopTimingRow.unpack),
-        TRUE_STATE: (seen.truths, TrueStateRow.unpack),
-        LOG: (seen.events, LogRow.unpack),
-    }
-    for message in log.messages():
-        if message.schema not in kinds:
+    _fill(path, log.messages(), lambda _: seen)
+    _finish(path, seen, log.why_broken)
+    return seen
+
+
+def read_fleet(path: Path) -> tuple[dict[str, Seen], list[tuple[int, LogRow]]]:
+    """Read all members of a fleet, and the events of all with their whole names; as ``read``."""
+    log = LogFile(path)
+    found, events = {}, Seen({})
+    for member in log.members:
+        part = LogFile(path, member)
+        found[member] = Seen(_shape(part) | part.metadata().get("run", {}))
+    _fill(path, log.messages(), lambda topic: found.get(log.parts.owner(topic) or "", events))
+    for seen in found.values():
+        _finish(path, seen, log.why_broken)
+    events.events.sort(key=lambda row: row[0])
+    return found, events.events
+
+
+_UNPACK: dict[str, tuple[str, Callable[[bytes], Any]]] = {
+    CONTROLLER_STEP: ("steps", ControllerStepRow.unpack),
+    LOOP_TIMING: ("timings", LoopTimingRow.unpack),
+    TRUE_STATE: ("truths", TrueStateRow.unpack),
+    LOG: ("events", LogRow.unpack),
+}
+
+
+def _fill(path: Path, messages: Iterable[Message], seen_of: Callable[[str], Seen]) -> None:
+    """Put the messages that are shown into what is seen of the flight with their topic."""
+    for message in messages:
+        if message.schema not in _UNPACK:
             continue
-        rows, unpack = kinds[message.schema]
+        name, unpack = _UNPACK[message.schema]
+        seen = seen_of(message.topic)
         try:
-            rows.append((message.log_time_ns, unpack(message.data)))
+            getattr(seen, name).append((message.log_time_ns, unpack(message.data)))
         except ValueError as error:
             raise LogError(f"{path}: {message.topic}: {error}; recorded by another version?") from error
         if message.schema == CONTROLLER_STEP:
             seen.namespace = message.topic.removesuffix("/controller/step").strip("/")
-    seen.problem = log.why_broken
+
+
+def _finish(path: Path, seen: Seen, problem: str) -> None:
+    seen.problem = problem
     if not seen.steps and not seen.truths:
         raise LogError(f"{path} holds neither controller steps nor true states: there is no flight to show")
-    for rows, _ in kinds.values():
-        rows.sort(key=lambda row: row[0])
-    return seen
+    for name, _ in _UNPACK.values():
+        getattr(seen, name).sort(key=lambda row: row[0])
 
 
 def _shape(log: LogFile) -> dict[str, str]:

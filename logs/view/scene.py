@@ -12,7 +12,6 @@ from logs.derive.markers import (
     COMMAND_COLOR,
     FILTERED_COLOR,
     NOMINAL_COLOR,
-    OWN_COLOR,
     PAD_COLOR,
     PAD_RADIUS_M,
     TARGET_COLOR,
@@ -26,7 +25,7 @@ from logs.view.read import Floats, Seen, column, every, times
 SCENE_PERIOD_NS = 20_000_000  # 50 Hz
 PATH_PERIOD_NS = 200_000_000  # 5 Hz: each row is a whole path
 BODY_HALF_M = tuple(0.5 * size for size in BODY_SIZE_M)
-ARROW_RADIUS_M, LINE_RADIUS_M = 0.006, 0.004
+ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
 SPOT = f"{WORLD}/target_spot"
 FLOWN_COLOR: Color = (0.12, 0.47, 0.71, 1.0)
 TRUE_COLOR: Color = (0.5, 0.5, 0.5, 1.0)
@@ -59,8 +58,20 @@ def scene(canvas: Canvas, seen: Seen) -> None:
             canvas.columns(SPOT, at_ns[good], rr.Transform3D.columns(translation=position_m))
     canvas.style(
         f"{WORLD}/vehicle/body",
-        rr.Boxes3D(half_sizes=[BODY_HALF_M], colors=[rgba(OWN_COLOR)], fill_mode="solid"),
-    )
+        rr.Boxes3D(
+            half_sizes=[BODY_HALF_M], colors=[rgba(canvas.own_color)], fill_mode="solid",
+            labels=[canvas.member] if canvas.member else None,
+        ),
+    )  # fmt: skip
+    if "ellipsoid_xy_m" in seen.run and "ellipsoid_z_m" in seen.run:  # those of two touch at their limit
+        beside_m, above_m = 0.5 * float(seen.run["ellipsoid_xy_m"]), 0.5 * float(seen.run["ellipsoid_z_m"])
+        canvas.style(
+            f"{WORLD}/vehicle/ellipsoid",
+            rr.Ellipsoids3D(
+                half_sizes=[(beside_m, beside_m, above_m)], colors=[rgba(canvas.own_color)],
+                line_radii=[ELLIPSOID_LINE_M], fill_mode="majorwireframe",
+            ),
+        )  # fmt: skip
     radius_m, thickness_m = float(seen.run.get("pad_radius_m", PAD_RADIUS_M)), 0.01
     canvas.style(
         f"{WORLD}/target/pad",
@@ -112,7 +123,7 @@ def _normals(corners: Floats) -> Floats:
 def _paths(canvas: Canvas, seen: Seen) -> None:
     """Send both paths as they grow."""
     for name, valid, field, color in (
-        ("vehicle_path", "own_valid", "own_position_enu_m", OWN_COLOR),
+        ("vehicle_path", "own_valid", "own_position_enu_m", canvas.own_color),
         ("target_path", "target_valid", "target_position_enu_m", TARGET_COLOR),
     ):
         path = canvas.paths.setdefault(name, Path())

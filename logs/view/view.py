@@ -8,6 +8,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,15 @@ import rerun as rr
 
 from flightstack.core.types import Phase
 from logs.derive.markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
+from logs.reader.flight import load_fleet
+from logs.reader.members import FLEET
+from logs.reader.reader import LogFile
 from logs.schema.events import Severity
+from logs.schema.rows import LogRow
+from logs.verdict.pairs import PairSeries, pair_series
 from logs.view.canvas import AXES, EVENTS, PHASE, RUN, Canvas, blueprint
-from logs.view.read import Floats, Ints, Seen, column, read, times
+from logs.view.fleet import MEMBER_COLORS, pairs
+from logs.view.read import Floats, Ints, Seen, column, read, read_fleet, times
 from logs.view.scene import TRUE_COLOR, VELOCITIES, rgba, scene, truth, velocities
 
 ZERO_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
@@ -43,41 +50,65 @@ _CURVES = (
 
 
 class Recording:
-    """One Rerun recording of one flight."""
+    """One Rerun recording, of one flight or of a fleet."""
 
-    def __init__(self, log: Path) -> None:
+    def __init__(self, log: Path, member: str | None = None) -> None:
         """Read the log.
 
+        Args:
+            log: of one flight, or of a fleet.
+            member: of the fleet, whose flight is shown alone.
+
         Raises:
-            LogError: Not a log, or one without a flight.
+            LogError: Not a log, one without a flight, or without such a member.
         """
-        self._seen = read(log)
-        self.problem = self._seen.problem
+        self._members: dict[str, Seen]  # by name; of one flight "" alone
+        self._events: list[tuple[int, LogRow]] = []  # of a fleet
+        self._pairs: list[PairSeries] = []
+        if LogFile(log, member).members:
+            self._members, self._events = read_fleet(log)
+            self._pairs = pair_series(load_fleet(log))
+            name = LogFile(log).metadata()[FLEET].get("scenario", "fleet")
+        else:
+            self._members = {"": read(log, member)}
+            name = self._members[""].run.get("scenario", "flight")
+        self.problem = next(iter(self._members.values())).problem
         self._stream = rr.RecordingStream("flightstack")
-        self._stream.send_recording_name(f"{self._seen.run.get('scenario', 'flight')}: {log.name}")
+        self._stream.send_recording_name(f"{name}: {log.name}")
 
     def save(self, out: Path) -> None:
         """Write an ``.rrd`` file."""
         self._stream.save(out, default_blueprint=self._blueprint())
-        draw(Canvas(self._stream, self._seen.origin_ns), self._seen)
+        origin_ns = min(seen.origin_ns for seen in self._members.values())
+        for number, (name, seen) in enumerate(self._members.items()):
+            color = MEMBER_COLORS[number % len(MEMBER_COLORS)] if name else OWN_COLOR
+            draw(Canvas(self._stream, origin_ns, name, color), seen)
+        if "" not in self._members:
+            whole = Canvas(self._stream, origin_ns)
+            events(whole, self._events)
+            pairs(whole, self._pairs, origin_ns)
         self._stream.flush()
         self._stream.disconnect()
 
     def _blueprint(self) -> Any:
-        """Look at the middle of what the vehicle and the target did."""
-        seen = self._seen
+        """Look at the middle of what the vehicles and the targets did."""
         shown = [
-            column(seen.steps, "own_position_enu_m"),
-            column(seen.steps, "target_position_enu_m"),
-            column(seen.truths, "position_enu_m"),
+            each
+            for seen in self._members.values()
+            for each in (
+                column(seen.steps, "own_position_enu_m"),
+                column(seen.steps, "target_position_enu_m"),
+                column(seen.truths, "position_enu_m"),
+            )
         ]
         points = np.concatenate([each.reshape(-1, 3) for each in shown])
         points = points[np.isfinite(points).all(axis=1)]
+        members = [name for name in self._members if name]
         if not len(points):
-            return blueprint((0.0, 0.0, 0.0), 1.0)
+            return blueprint((0.0, 0.0, 0.0), 1.0, members, pairs=bool(self._pairs))
         low, high = points.min(axis=0), points.max(axis=0)
         x, y, z = (float(v) for v in 0.5 * (low + high))
-        return blueprint((x, y, z), float(np.linalg.norm(high - low)))
+        return blueprint((x, y, z), float(np.linalg.norm(high - low)), members, pairs=bool(self._pairs))
 
 
 def open_viewer(recording: Path, *, web: bool) -> int:
@@ -111,8 +142,10 @@ def viewer_program() -> str:
 
 def draw(canvas: Canvas, seen: Seen) -> None:
     """Send all of a flight, or the next piece of it."""
-    for part in (scene, velocities, truth, _curves, _events):
+    for part in (scene, velocities, truth, _curves):
         part(canvas, seen)
+    canvas.style(RUN, rr.TextDocument(_run_text(seen), media_type="text/markdown"))
+    events(canvas, seen.events)
 
 
 def _curves(canvas: Canvas, seen: Seen) -> None:
@@ -150,12 +183,12 @@ def _phases(canvas: Canvas, seen: Seen) -> None:
     canvas.columns(PHASE, times(seen.steps)[begins], rr.StateChange.columns(state=names))
 
 
-def _events(canvas: Canvas, seen: Seen) -> None:
-    canvas.style(RUN, rr.TextDocument(_run_text(seen), media_type="text/markdown"))
-    if seen.events:
-        texts = [f"{row.name}: {row.msg}" for _, row in seen.events]
-        levels = [_LEVELS.get(row.level, "INFO") for _, row in seen.events]
-        canvas.columns(EVENTS, times(seen.events), rr.TextLog.columns(text=texts, level=levels))
+def events(canvas: Canvas, rows: Sequence[tuple[int, LogRow]]) -> None:
+    """Send events, at log times in ns."""
+    if rows:
+        texts = [f"{row.name}: {row.msg}" for _, row in rows]
+        levels = [_LEVELS.get(row.level, "INFO") for _, row in rows]
+        canvas.columns(EVENTS, times(rows), rr.TextLog.columns(text=texts, level=levels))
 
 
 def _curve(canvas: Canvas, entity: str, at_ns: Ints, values: Floats, color: Color) -> None:

@@ -26,9 +26,14 @@ SHOWN, BROKEN = 0, 1
     "--layouts", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
     help="Only write layouts for Foxglove and PlotJuggler there, with the topics of this LOG.",
 )  # fmt: skip
+@click.option("--member", metavar="NAME", help="Show the flight of this member of a fleet alone, e.g. cf2.")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
-def view(log_file: Path, save: Path | None, web: bool, layouts: Path | None, force: bool) -> None:
+def view(
+    log_file: Path, save: Path | None, web: bool, layouts: Path | None, member: str | None, force: bool
+) -> None:
     """Show a LOG in Rerun: the scene in 3-D, curves and events (docs/how_to/viewing.md).
+
+    Of a fleet: all members in one scene.
 
     Needs the extra `view`, except for --layouts. Exit status: 0 shown or written, 1 the same of a broken LOG,
     2 wrong input or no window.
@@ -36,14 +41,14 @@ def view(log_file: Path, save: Path | None, web: bool, layouts: Path | None, for
     if layouts is not None:
         from logs.view.layout_files import write_layouts
 
-        for path in write_layouts(log_file, layouts, force=force):
+        for path in write_layouts(log_file, layouts, member, force=force):
             click.echo(path)
         return
     try:
         from logs.view.view import Recording, open_viewer
     except ModuleNotFoundError as error:
         raise without_rerun(error, "view") from error
-    recording = Recording(log_file)
+    recording = Recording(log_file, member)
     if save is not None:
         from logs.tools.file import new_file
 

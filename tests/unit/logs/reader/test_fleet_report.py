@@ -15,8 +15,8 @@ from logs.reader.flight import load_fleet
 from logs.report import fleet as fleet_page
 from logs.report.compare import write_comparison
 from logs.report.fleet import write_fleet
-from logs.report.fleet_figures import pair_series
 from logs.verdict.fleet import judge_fleet
+from logs.verdict.pairs import pair_series
 from tests.fleet_log import near
 from tests.synthetic_flight import landing, write_log
 
