@@ -21,7 +21,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import ZERO, Vec3
 from logs.derive.diagnostics import Health
 from logs.derive.frames import FrameDecoder
-from logs.derive.markers import Scene
+from logs.derive.markers import FLEET_REACH, REACH, Scene
 from logs.reader.flight_data import ATTACHMENT, read_config, shape
 from logs.schema.cdr import packer
 from logs.schema.events import pack_string
@@ -72,7 +72,7 @@ class Deriver:
         self._health = health
         # made here, since the first of a type takes milliseconds
         self._pack = {kind: packer(kind) for kind in (TF_MESSAGE, ODOMETRY, POSE_STAMPED, TWIST_STAMPED)}
-        self._scene = Scene(self._base, self._target)
+        self._scene = Scene(self._base, self._target, FLEET_REACH if shares_log else REACH)
         self._slots: dict[int, int] = {}
 
     def configure(self, run: Mapping[str, str], shape: Mapping[str, str] = MappingProxyType({})) -> None:

@@ -13,12 +13,13 @@ from logs.schema.cdr import packer
 from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import MARKER_ARRAY
 
-ARROW, CUBE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 3, 4, 11  # visualization_msgs/msg/Marker
+ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
 LIFETIME_S = 0.5  # two and a half periods of 5 Hz: a picture that is not repeated disappears
 PATH_POINTS = 200  # of one path; when full, every second point goes and the spacing doubles
 PATH_PERIOD_NS = 100_000_000  # 10 Hz to begin with
 PAD_RADIUS_M = 0.10  # m, landing pad, unless the run says otherwise
 REACH = 2.5  # of the barrier surface, in distances of its peak
+FLEET_REACH = 1.0  # the same in a fleet
 SECTORS, RINGS = 24, 8  # of the barrier surface: 24 x 8 x 2 triangles
 _GRID_1_M = 1024.0  # surface points on whole 1/1024 m: sub-millimetre, and they compress well
 _ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft and head diameter, head length
@@ -29,6 +30,7 @@ Color = tuple[float, float, float, float]  # red, green, blue, opacity
 BARRIER_COLOR: Color = (0.84, 0.15, 0.16, 0.35)
 PAD_COLOR: Color = (0.25, 0.25, 0.25, 0.9)
 OWN_COLOR: Color = (0.12, 0.47, 0.71, 1.0)
+ELLIPSOID_COLOR: Color = (0.12, 0.47, 0.71, 0.15)
 TARGET_COLOR: Color = (0.55, 0.34, 0.29, 1.0)
 NOMINAL_COLOR: Color = (1.0, 0.5, 0.05, 1.0)
 FILTERED_COLOR: Color = (0.17, 0.63, 0.17, 1.0)
@@ -87,9 +89,16 @@ class Path:
 class Scene:
     """The pictures of one flight."""
 
-    def __init__(self, own_frame: str, target_frame: str = "target") -> None:
-        """Draw the vehicle in its own frame, for example ``cf1/base_link``, and the pad in the target's."""
-        self._target_frame = target_frame
+    def __init__(self, own_frame: str, target_frame: str = "target", reach: float = REACH) -> None:
+        """Draw the vehicle in its own frame, for example ``cf1/base_link``, and the pad in the target's.
+
+        Args:
+            own_frame: of the vehicle.
+            target_frame: of the target.
+            reach: of the barrier's surface, in distances of its peak.
+        """
+        self._own_frame, self._target_frame, self._reach = own_frame, target_frame, reach
+        self._ellipsoid: Marker | None = None
         self._body = Marker(own_frame, "vehicle", 0, CUBE, BODY_SIZE_M, OWN_COLOR)
         self._own_path = Path()
         self._target_path = Path()
@@ -98,7 +107,7 @@ class Scene:
         self._pack = packer(MARKER_ARRAY, frame_id=None)
 
     def configure(self, run: Mapping[str, str]) -> None:
-        """Take barrier and pad from the metadata of the run; without them there is no surface.
+        """Take barrier, pad and ellipsoid from the metadata of the run; what is not there is not drawn.
 
         Raises:
             ValueError: A value that is not a number.
@@ -108,11 +117,16 @@ class Scene:
         if "barrier_alpha_1_m" in run and "barrier_beta_m" in run:
             barrier = Barrier(float(run["barrier_alpha_1_m"]), float(run["barrier_beta_m"]))
             if barrier.alpha_1_m > 0.0:
-                mesh = surface(barrier)
+                mesh = surface(barrier, self._reach)
                 scale = (1.0, 1.0, 1.0)
                 self._surface = Marker(
                     f"{frame}_pad", "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh
                 )
+
+        if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # half as large: two touch at their limit
+            beside_m, above_m = float(run["ellipsoid_xy_m"]), float(run["ellipsoid_z_m"])
+            scale = (beside_m, beside_m, above_m)
+            self._ellipsoid = Marker(self._own_frame, "ellipsoid", 0, SPHERE, scale, ELLIPSOID_COLOR)
 
     def add(self, log_time_ns: int, row: ControllerStepRow) -> None:
         """Remember where vehicle and target were."""
@@ -127,7 +141,7 @@ class Scene:
         if row.target_valid:
             markers += (self._surface, self._pad)
         if row.own_valid:
-            markers.append(self._body)
+            markers += (self._body, self._ellipsoid)
             arrows = (
                 (row.nominal_enu_m_s, NOMINAL_COLOR),
                 (row.filtered_enu_m_s, FILTERED_COLOR),
@@ -139,13 +153,13 @@ class Scene:
         return self._pack(([_values(row.stamp_ns, marker) for marker in markers if marker is not None],))
 
 
-def surface(barrier: Barrier) -> bytes:
+def surface(barrier: Barrier, reach: float = REACH) -> bytes:
     """Return the boundary h = 0 around the landing spot as triangles, three doubles a point.
 
     It reaches to two and a half times the distance of its peak, where it has fallen to about half of it;
-    further out it would only hide the flight.
+    further out it would only hide the flight. In a fleet, where surfaces overlap, it ends at the peak.
     """
-    reach_m = REACH * barrier.peak_distance_m
+    reach_m = reach * barrier.peak_distance_m
 
     def point(ring: int, sector: int) -> Vec3:
         d_m = reach_m * (ring / RINGS) ** 2  # finer at the apex, where the vehicle goes

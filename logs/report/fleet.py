@@ -38,11 +38,11 @@ from logs.report.tables import (
     severity,
     versions_table,
 )
+from logs.schema.names import FLEET, TEAM
 from logs.verdict.fleet import FleetVerdict, pairs_known
 from logs.verdict.pairs import PairSeries, pair_series
 from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M, SOURCES, Outcome
 
-_TEAM = "team.toml"
 _TICK_S = 0.011  # true states are this far apart; the ellipsoid is judged every millisecond
 _DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # no line breaks at it
 _SPEED_M_S = 4.0  # at which two vehicles may come nearer between two of them
@@ -108,7 +108,7 @@ def render(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -> st
     """
     from logs.report import fleet_figures as figures
 
-    told = fleet.metadata.get("fleet", {})
+    told = fleet.metadata.get(FLEET, {})
     words = load_words(fleet)
     series = pair_series(fleet)
     badge, style = _headline(verdict)
@@ -292,15 +292,15 @@ def _events(fleet: Fleet) -> str:
 
 def _repeat(fleet: Fleet, told: Mapping[str, str]) -> str:
     again = shlex.join(["flightstack", "replay", fleet.path.name, "--check"])
-    whole = fleet.attachments.get(_TEAM)
+    whole = fleet.attachments.get(TEAM)
     if whole is None or "seed" not in told:
         return repeat_box(replay=again)
     return repeat_box(
         replay=again,
-        command=command(dict(told), _TEAM),
+        command=command(dict(told), TEAM),
         revision=fleet.metadata.get("made", {}).get("git_revision", ""),
         lockstep=told.get("mode") == "lockstep",
-        scenario=details("The team as it was flown", whole.decode(errors="replace"), _TEAM),
+        scenario=details("The team as it was flown", whole.decode(errors="replace"), TEAM),
     )
 
 

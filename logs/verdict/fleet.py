@@ -15,6 +15,7 @@ from typing import Any, Protocol
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Fleet, Flight
 from logs.reader.reader import LogFile
+from logs.schema.names import FLEET
 from logs.verdict.types import GAP_MAX_S, Outcome, Verdict
 from logs.verdict.verdict import judge, verdict_result
 
@@ -190,7 +191,7 @@ def fleet_result(
         for name, each in verdict.members.items()
     }
     if about is None:
-        told = fleet.metadata.get("fleet", {})
+        told = fleet.metadata.get(FLEET, {})
         seed = told.get("seed", "")
         filters = dict.fromkeys(str(each["filter"]) for each in vehicles.values())
         about = {

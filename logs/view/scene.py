@@ -11,9 +11,11 @@ from logs.derive.markers import (
     BODY_SIZE_M,
     COMMAND_COLOR,
     FILTERED_COLOR,
+    FLEET_REACH,
     NOMINAL_COLOR,
     PAD_COLOR,
     PAD_RADIUS_M,
+    REACH,
     TARGET_COLOR,
     Color,
     Path,
@@ -103,7 +105,8 @@ def _barrier(canvas: Canvas, seen: Seen) -> None:
     barrier = Barrier(float(seen.run["barrier_alpha_1_m"]), float(seen.run["barrier_beta_m"]))
     if barrier.alpha_1_m <= 0.0:
         return
-    corners = np.frombuffer(surface(barrier), dtype="<f8").reshape(-1, 3)
+    reach = FLEET_REACH if canvas.member else REACH
+    corners = np.frombuffer(surface(barrier, reach), dtype="<f8").reshape(-1, 3)
     triangles = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
     mesh = rr.Mesh3D(
         vertex_positions=corners, triangle_indices=triangles, vertex_normals=_normals(corners),

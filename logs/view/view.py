@@ -18,9 +18,9 @@ import rerun as rr
 from flightstack.core.types import Phase
 from logs.derive.markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
 from logs.reader.flight import load_fleet
-from logs.reader.members import FLEET
 from logs.reader.reader import LogFile
 from logs.schema.events import Severity
+from logs.schema.names import FLEET
 from logs.schema.rows import LogRow
 from logs.verdict.pairs import PairSeries, pair_series
 from logs.view.canvas import AXES, EVENTS, PHASE, RUN, Canvas, blueprint

@@ -1,0 +1,218 @@
+"""A fleet in Rerun and in Foxglove's layout: every member is there, at its place, and nothing collides."""
+
+import json
+import shutil
+import subprocess
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from rosbags.highlevel import AnyReader
+
+from flightstack.cli.main import main
+from logs.reader.flight import load_fleet
+from logs.reader.reader import LogFile
+from logs.schema.rows import LogRow
+from logs.verdict.pairs import pair_series
+
+pytest.importorskip("rerun", reason="needs the extra [view]")
+from rerun.chunk import RrdReader
+
+from logs.view.read import read, read_fleet
+from logs.view.view import Recording
+
+pytestmark = [pytest.mark.xdist_group("fleet_log"), pytest.mark.slow]
+MEMBERS = ("cf1", "cf2", "cf3")
+
+
+@pytest.fixture(scope="module")
+def saved(fleet, tmp_path_factory):
+    out = tmp_path_factory.mktemp("view") / "fleet.rrd"
+    Recording(fleet.log).save(out)
+    return out
+
+
+def chunks(rrd, **which):
+    return RrdReader(rrd).store(**which).stream().to_chunks()
+
+
+def curve(rrd, entity):
+    return values(rrd, entity, "Scalars:scalars")
+
+
+def values(rrd, entity, column):
+    """Values of a column of an entity over time."""
+    found = [
+        value
+        for chunk in chunks(rrd)
+        if chunk.entity_path == entity and not chunk.is_static
+        for value in chunk.to_record_batch().column(column).to_pylist()
+    ]
+    return [each[0] if each else None for each in found]
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(each) for each in arguments])
+
+
+def test_each_member_is_in_the_scene_at_its_place(fleet, saved):
+    entities = {chunk.entity_path for chunk in chunks(saved)}
+    read_log = load_fleet(fleet.log)
+    for member in MEMBERS:
+        for what in (
+            "vehicle/body", "vehicle/ellipsoid", "target/pad", "target_spot/barrier", "vehicle_path",
+            "target_path", "true_vehicle/body", "velocity/command",
+        ):  # fmt: skip
+            assert f"/world/{member}/{what}" in entities
+        truth = read_log.flights[member].truth
+        shown = values(saved, f"/world/{member}/true_vehicle", "Transform3D:translation")
+        nearest = [np.abs(truth.position_enu_m - place).sum(1).min() for place in shown[::50]]
+        assert max(nearest) < 1e-5
+        steps = read_log.flights[member].steps
+        assert curve(saved, f"/{member}/safety/h/controller") == pytest.approx(
+            steps.h_m.tolist(), nan_ok=True
+        )
+    assert not {e for e in entities if e.startswith(("/world/vehicle", "/world/target", "/safety", "/phase"))}
+
+
+def test_pairs_are_drawn_as_far_as_they_are_near(fleet, saved):
+    for pair in pair_series(load_fleet(fleet.log)):
+        name = pair.name.replace("–", "_")
+        assert curve(saved, f"/pairs/measure/{name}") == pytest.approx(pair.measure.tolist())
+        assert curve(saved, f"/pairs/distance/{name}") == pytest.approx(pair.distance_m.tolist())
+        near = (pair.flying & (pair.measure < 3.0)).any()
+        assert near == any(chunk.entity_path == f"/world/pairs/{name}" for chunk in chunks(saved))
+
+
+def test_events_of_all_are_one_list(fleet, saved):
+    said = sorted(
+        (m.log_time_ns, f"{row.name}: {row.msg}")
+        for m in LogFile(fleet.log).messages({"/rosout"})
+        if (row := LogRow.unpack(m.data))
+    )
+    assert sorted(values(saved, "/events", "TextLog:text")) == sorted(text for _, text in said)
+
+
+def test_the_blueprint_shows_what_the_recording_holds(saved):
+    entities = {chunk.entity_path for chunk in chunks(saved)}
+    reader = RrdReader(saved)
+    origins = set()
+    for chunk in chunks(saved, store=reader.blueprints()[0]):
+        batch = chunk.to_record_batch()
+        for name in batch.schema.names:
+            if name.endswith(":space_origin"):
+                origins |= {value[0] for value in batch.column(name).to_pylist() if value}
+    assert {"/world", "/events", "/pairs/measure", "/pairs/distance", "/cf2/safety/h", "/cf3/run"} <= origins
+    for origin in origins - {"/"}:
+        assert any(e == origin or e.startswith(origin + "/") for e in entities), origin
+
+
+def test_a_member_alone_is_as_a_single_flight(fleet, tmp_path):
+    Recording(fleet.log, "cf2").save(tmp_path / "one.rrd")
+    entities = {chunk.entity_path for chunk in chunks(tmp_path / "one.rrd")}
+    assert {"/world/vehicle/body", "/safety/h/controller", "/phase", "/events", "/run"} <= entities
+    assert not {e for e in entities if "cf" in e or e.startswith("/pairs")}
+    seen, (found, events) = read(fleet.log, "cf2"), read_fleet(fleet.log)
+    assert repr(found["cf2"].steps) == repr(seen.steps)  # NaN is not equal to itself
+    assert found["cf2"].run == seen.run
+    assert len(events) > len(seen.events) > 0
+
+
+@pytest.fixture(scope="module")
+def bag(fleet):
+    """Topic -> [(log time in ns, message)], by rosbags."""
+    found = {}
+    with AnyReader([fleet.log]) as reader:
+        for connection, log_time_ns, data in reader.messages():
+            if connection.topic.split("/")[-1] in (
+                "tf",
+                "tf_static",
+                "pose",
+                "markers",
+                "run",
+                "diagnostics",
+            ):
+                message = reader.deserialize(data, connection.msgtype)
+                found.setdefault(connection.topic, []).append((log_time_ns, message))
+    return found
+
+
+def test_frames_of_the_members_are_one_tree(bag):
+    parents, moved = {}, {}
+    for topic in ("/tf", "/tf_static"):
+        for time_ns, message in bag[topic]:
+            for t in message.transforms:
+                assert parents.setdefault(t.child_frame_id, t.header.frame_id) == "map"
+                at = (t.child_frame_id, time_ns)
+                assert topic == "/tf_static" or at not in moved, at
+                moved[at] = t.transform
+    own = {f"{m}/{frame}" for m in MEMBERS for frame in ("base_link", "target", "target_pad")}
+    assert parents.keys() == {"map_ned"} | own
+    for member in MEMBERS:
+        for topic, frame in ((f"/{member}/pose", "base_link"), (f"/{member}/target/pose", "target")):
+            assert len(bag[topic]) > 100
+            for time_ns, message in bag[topic]:
+                place, there = message.pose.position, moved[f"{member}/{frame}", time_ns].translation
+                assert (place.x, place.y, place.z) == (there.x, there.y, there.z)
+
+
+def test_pictures_of_a_member_are_in_its_own_frames(bag):
+    for member in MEMBERS:
+        frames, kinds = {}, set()
+        for _, message in bag[f"/{member}/cbf/markers"]:
+            names = [(marker.ns, marker.id) for marker in message.markers]
+            assert len(names) == len(set(names))
+            for marker in message.markers:
+                frames.setdefault(marker.ns, set()).add(marker.header.frame_id)
+                if marker.ns == "ellipsoid":
+                    kinds.add((marker.type, marker.scale.x, marker.scale.y, marker.scale.z))
+        assert kinds == {(2, 0.25, 0.25, 0.75)}  # a sphere with these diameters: half of the pair's ellipsoid
+        assert frames == {
+            "vehicle": {f"{member}/base_link"}, "ellipsoid": {f"{member}/base_link"},
+            "pad": {f"{member}/target"}, "barrier": {f"{member}/target_pad"},
+            "path": {"map"}, "velocity": {"map"},
+        }  # fmt: skip
+
+
+def test_run_and_health_are_told_by_member(bag):
+    for member in MEMBERS:
+        assert f"scenario = fleet_3.{member}" in bag[f"/{member}/run"][0][1].data
+    told = {(s.hardware_id, s.name) for _, message in bag["/diagnostics"] for s in message.status}
+    assert {who for who, _ in told} == set(MEMBERS)
+    assert all(name.startswith(f"{who}: ") for who, name in told)
+
+
+def test_the_javascript_reader_opens_it(fleet):
+    node, folder = shutil.which("node"), Path(__file__).parents[3] / "node"
+    if node is None or not (folder / "node_modules").exists():
+        pytest.skip("no node, or `npm ci` was not run in tests/node; the log was not opened by @mcap/core")
+    done = subprocess.run(
+        [node, str(folder / "read_log.mjs"), str(fleet.log)],
+        capture_output=True, text=True, timeout=180, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found, ours = json.loads(done.stdout), LogFile(fleet.log)
+    counts = Counter(m.topic for m in ours.messages())
+    assert found["messages"] == counts
+    assert found["metadata"] == ours.metadata()
+
+
+def test_layouts_show_the_whole_scene_and_the_curves_of_each(fleet, tmp_path):
+    done = run("view", fleet.log, "--layouts", tmp_path)
+    assert done.exit_code == 0
+    names = {name for m in MEMBERS for name in (f"foxglove_{m}.json", f"plotjuggler_{m}.xml")}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    topics = {m.topic for m in LogFile(fleet.log).messages()}
+    panels = json.loads((tmp_path / "foxglove_cf2.json").read_text())["configById"]
+    scene = panels["3D!scene"]
+    assert {f"/{m}/cbf/markers" for m in MEMBERS} <= scene["topics"].keys() <= topics
+    assert scene["transforms"].keys() == {"frame:map_ned", *(f"frame:{m}/target_pad" for m in MEMBERS)}
+    paths = [path["value"] for config in panels.values() for path in config.get("paths", [])]
+    assert paths
+    assert {path.split("/")[1] for path in paths} <= {"cf2", "diagnostics"}
+    one = tmp_path / "one"
+    assert run("view", fleet.log, "--layouts", one, "--member", "cf3").exit_code == 0
+    assert {path.name for path in one.iterdir()} == {"foxglove_cf3.json", "plotjuggler_cf3.xml"}
+    assert run("view", fleet.log, "--layouts", tmp_path / "none", "--member", "cf9").exit_code == 2
