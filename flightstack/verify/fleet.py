@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from flightstack.core.parameters.fleet import HOLD_LATENCIES, PART_OF_LAG, ZERO_LATENCIES, Fleet
+from flightstack.core.parameters.fleet import HOLD_LATENCIES, KEPT_PART, PART_OF_LAG, ZERO_LATENCIES, Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.strategies.strategy import strategy_class, strategy_of
@@ -41,6 +41,7 @@ def fleet_checks(config: FlightConfig) -> list[Check]:
     return [
         apart(fleet, lag_s),
         paper.sampling(config, "fleet.rate_1_s", fleet.rate_1_s),
+        margin(config, fleet),
         shares(fleet, 1.0 / config.loop.rate_hz),
         speed(config, fleet),
         acceleration(fleet, slew_m_s2),
@@ -73,6 +74,31 @@ def apart(fleet: Fleet, lag_s: float) -> Check:
         f"that close in by at most {root_1_s:.3g} h a second; with the whole share an acceleration of the "
         f"other one costs up to {lag_s * fleet.acceleration_max_m_s2 / fleet.rate_1_s:.3g} m of h",
         "lower fleet.rate_1_s",
+        Need.PROOF,
+    )
+
+
+def errors_m(config: FlightConfig, fleet: Fleet) -> float:
+    """Return how much of h the errors of two vehicles' velocities towards each other can cost.
+
+    h' >= -rate h - e takes h no lower than -e / rate. ``robust.tracking_error_m_s`` is declared of the
+    vertical velocity; here it counts in each direction.
+    """
+    longest = max(1.0, fleet.radius_xy_m / fleet.radius_z_m)
+    return 2.0 * longest * config.robust.tracking_error_m_s / fleet.rate_1_s
+
+
+def margin(config: FlightConfig, fleet: Fleet) -> Check:
+    """Check that the ellipsoid is larger by what errors of velocities cost."""
+    lost_m = errors_m(config, fleet)
+    return Check(
+        "fleet.margin_m",
+        "velocities that are not as wanted do not bring two vehicles into the ellipsoid",
+        fleet.margin_m - lost_m,
+        "m",
+        f"found {fleet.margin_m:g}; errors of both as robust.tracking_error_m_s, in all directions, cost "
+        f"{lost_m:.3g}",
+        "raise fleet.margin_m or fleet.rate_1_s",
         Need.PROOF,
     )
 
@@ -175,16 +201,20 @@ def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) ->
 def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
     """Check that pads that were not in conflict stay apart until two vehicles have touched."""
     ahead_s = fleet.age_max_s + descent_s  # conflicts are looked for until the touchdown, in words so old
+    unseen_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # in which they come nearer as they do already
     accelerated = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
-    moved_m = min(accelerated, 2.0 * config.touchdown.target_speed_max_m_s * ahead_s)
+    moved_m = min(
+        accelerated + config.touchdown.target_speed_max_m_s * unseen_s,
+        2.0 * config.touchdown.target_speed_max_m_s * ahead_s,
+    )
     needed_m = fleet.radius_xy_m + 2.0 * config.touchdown.pad_radius_m + 2.0 * moved_m
     return Check(
         "touchdowns",
         "two vehicles in their touchdowns stay apart: pads that come near later do so after both are down",
         fleet.pad_distance_m - needed_m,
         "m",
-        f"in {ahead_s:.3g} s each pad may be {moved_m:.3g} m beside where it was going; {needed_m:.3g} m are "
-        f"needed, fleet.pad_distance_m is {fleet.pad_distance_m:g}",
+        f"in {ahead_s:.3g} s each pad may be {moved_m:.3g} m from where conflicts are looked for; "
+        f"{needed_m:.3g} m are needed, fleet.pad_distance_m is {fleet.pad_distance_m:g}",
         "raise fleet.pad_distance_m, or use robots whose paths do not meet",
         Need.PROOF,
     )

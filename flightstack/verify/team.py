@@ -13,6 +13,7 @@ from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.strategies.strategy import strategy_class
 from flightstack.core.types import Vec3
 from flightstack.verify.envelope import extremes
+from flightstack.verify.fleet import errors_m
 from flightstack.verify.types import Check, Need
 
 
@@ -96,18 +97,22 @@ def pads(config: FlightConfig, fleet: Fleet, apart_m: float) -> Check:
 
 def contact(configs: Sequence[FlightConfig], touch_m: Vec3) -> Check:
     """Check that declared errors of velocities leave room until two vehicles touch."""
-    fleets = [config.fleet for config in configs if config.fleet is not None]
-    rate_1_s = min(fleet.rate_1_s for fleet in fleets)
-    touch_h_m = max(barrier(touch_m, fleet.radius_xy_m, fleet.radius_z_m)[0] for fleet in fleets)
-    longest = max(max(1.0, fleet.radius_xy_m / fleet.radius_z_m) for fleet in fleets)
-    lost_m = 2.0 * longest * max(config.robust.tracking_error_m_s for config in configs) / rate_1_s
+    rooms = []
+    for config in configs:
+        if (fleet := config.fleet) is not None:
+            touch_h_m, _ = barrier(touch_m, fleet.radius_xy_m, fleet.radius_z_m)
+            lost_m = max(0.0, errors_m(config, fleet) - fleet.margin_m)
+            rooms.append(
+                (-touch_h_m - lost_m, touch_h_m, lost_m, fleet.rate_1_s * (fleet.margin_m - touch_h_m))
+            )
+    room_m, touch_h_m, lost_m, allowed_m_s = min(rooms)
     return Check(
         "contact",
         "two vehicles whose rows are met do not touch, with the errors of their velocities",
-        -touch_h_m - lost_m,
+        room_m,
         "m",
         f"errors as in robust.tracking_error_m_s, in all directions, take h to -{lost_m:.3g} m, shapes touch "
-        f"at {touch_h_m:.3g} m: errors of {-touch_h_m * rate_1_s:.3g} m/s together are allowed",
-        "raise fleet.radius_xy_m and fleet.radius_z_m, or fleet.rate_1_s",
+        f"at {touch_h_m:.3g} m: errors of {allowed_m_s:.3g} m/s together are allowed",
+        "raise fleet.margin_m, fleet.radius_xy_m or fleet.rate_1_s",
         Need.PROOF,
     )
