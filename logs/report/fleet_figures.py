@@ -49,7 +49,7 @@ _INTENT_COLORS = {
 _DASHES = ("solid", "dash", "dot")  # of pairs, when there are more than colours
 _WAITS = NOMINAL
 _ROW_PX = 24
-_LABEL_SHARE = 0.05  # of the axis; a shorter bar carries no name
+_LETTER_SHARE = 0.009  # of the axis, for a letter of a name; a bar that is too short carries none
 _MEASURE_SHOWN = 6.0  # of the ellipsoid's measure at least; what is farther away is of no interest
 _LIMITS_SHOWN = 3  # pairs; of more the limit along the line between two is hidden at first
 _LANES_MAX = 16  # of silent ways; more are not read
@@ -89,7 +89,7 @@ def lanes(fleet: Fleet, words: Words) -> go.Figure:
 
     def labelled(ends: list[float], lane: str, color: str, text: str, label: str) -> None:
         bar(figure, ends, lane, color, text)
-        if ends[1] - ends[0] > _LABEL_SHARE * whole_s:
+        if ends[1] - ends[0] > _LETTER_SHARE * len(label) * whole_s:
             figure.add_annotation(
                 x=sum(ends) / 2, y=lane, text=label, showarrow=False, font={"size": 10, "color": INK}
             )
