@@ -62,6 +62,7 @@ class Row:
         ellipsoid_violations: times that two came inside the ellipsoid about each other, both in flight.
         ellipsoid_min: smallest distance of two in flight in its measure; below 1: inside.
         distance_min_m: smallest distance of two vehicles.
+        wait_max_s: longest time that a vehicle waited for its right of way.
     """
 
     seed: int
@@ -94,6 +95,7 @@ class Row:
     ellipsoid_violations: int | None = None
     ellipsoid_min: float | None = None
     distance_min_m: float | None = None
+    wait_max_s: float | None = None
 
     @property
     def landed(self) -> bool:

@@ -153,6 +153,7 @@ def _of_teams(rows: Sequence[Row]) -> dict[str, Any]:
         "ellipsoid_violations": sum(row.ellipsoid_violations or 0 for row in teams),
         "ellipsoid_min": min(deepest, default=None),
         "distance_min_m": min(nearest, default=None),
+        "wait_max_s": max((row.wait_max_s for row in teams if row.wait_max_s is not None), default=None),
     }
 
 

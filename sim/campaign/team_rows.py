@@ -54,6 +54,7 @@ def team_row(flown: TeamLanding) -> Row:
         ellipsoid_violations=verdict.ellipsoid_violations,
         ellipsoid_min=verdict.ellipsoid_min,
         distance_min_m=verdict.distance_min_m,
+        wait_max_s=max(flown.waits_s, default=None),
     )
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.core.controller import Outputs
-from flightstack.core.types import Neighbour
+from flightstack.core.types import Neighbour, Phase
 from logs.verdict.truth import judge_truth
 from sim.clock import TickGrid
 from sim.runners.companion import Companion
@@ -41,6 +41,7 @@ class TeamLanding:
         landings: of the members, cf1 first; a verdict knows of collisions until that flight was over. Their
             wall time is the team's.
         pairs: of all members, (1, 2) first.
+        waits_s: longest time that each member waited for its right of way.
         simulated_s: until the last flight was over.
         wall_s: time it took.
     """
@@ -48,8 +49,23 @@ class TeamLanding:
     seed: int
     landings: tuple[Landing, ...]
     pairs: tuple[Pair, ...]
+    waits_s: tuple[float, ...]
     simulated_s: float
     wall_s: float
+
+
+class _Waits:
+    """Ticks in a row in which each member would land and has no right of way; the most of them."""
+
+    def __init__(self, members: int) -> None:
+        self.most, self._now = [0] * members, [0] * members
+
+    def count(self, outputs: Sequence[Outputs | None]) -> None:
+        """Count a tick."""
+        for n, out in enumerate(outputs):
+            waits = out is not None and out.phase is Phase.APPROACH and not out.snapshot.way.may_land
+            self._now[n] = self._now[n] + 1 if waits else 0
+            self.most[n] = max(self.most[n], self._now[n])
 
 
 def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None) -> TeamLanding:
@@ -77,7 +93,7 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
     exchange = exchange or Words(team, seed)
     grid = TickGrid(team.rate_hz)
     air = Air([member.vehicle.physics for member in members])
-    pairs = Pairs(members, grid)
+    pairs, waits = Pairs(members, grid), _Waits(len(members))
     for member in members:
         member.begin()
     for tick in range(max(member.ticks_max for member in members)):
@@ -88,7 +104,9 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
         for member in members:
             member.tick(tick)
         pairs.end(tick)
-        told = exchange(tick, [member.outputs for member in members])
+        outputs = [member.outputs for member in members]
+        waits.count(outputs)
+        told = exchange(tick, outputs)
         for member, neighbours in zip(members, told, strict=True):
             member.neighbours = neighbours
     seen = [member.seen() for member in members]
@@ -101,7 +119,8 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
         for member, each, (_, own) in zip(members, seen, singles, strict=True)
     )  # fmt: skip
     simulated_s = max(landing.simulated_s for landing in landings)
-    return TeamLanding(seed, landings, pairs.found(), simulated_s, wall_s)
+    waits_s = tuple(ticks / team.rate_hz for ticks in waits.most)
+    return TeamLanding(seed, landings, pairs.found(), waits_s, simulated_s, wall_s)
 
 
 def warm_up(team: TeamScenario) -> None:

@@ -13,6 +13,7 @@ BENCHMARKS = {
     "campaign_speed": "campaign_speed:main",
     "codec": "speed:codec_times",
     "control_step": "speed:control_step",
+    "fleet_step": "speed:fleet_step",
     "fuzz_vehicle": "flights:fuzz_vehicle",
     "lockstep": "speed:lockstep",
     "loop_period": "speed:loop_period",

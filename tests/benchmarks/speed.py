@@ -8,7 +8,9 @@ import random
 import statistics
 import tempfile
 import time
+from collections import defaultdict
 from pathlib import Path
+from unittest import mock
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -18,7 +20,7 @@ from bridge.mavlink.codec.packing import pack
 from bridge.mavlink.profiles.autopilots import PX4
 from flightstack.common.pacing import RealTimePacer, ask_for_priority
 from flightstack.common.strict_toml import from_table
-from flightstack.core.controller import Controller
+from flightstack.core.controller import Controller, Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.projection import project
 from flightstack.core.safety.qp_filter import SafetyFilter
@@ -40,6 +42,8 @@ from logs.schema.cdr import codec
 from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.controller_rows import TickInputs, pack_controller_input
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
+from sim.runners.team import land_team
+from sim.scenarios.team import load as load_team
 from tests.integration.runs import flightstack
 from tests.synthetic_flight import landing
 
@@ -230,3 +234,46 @@ def qp_agreement() -> None:
         + ", ".join(f"{s.name} {n}" for s, n in counts.items())
     )
     print(f"median solver {statistics.median(solver_us):.1f} us, exact {statistics.median(exact_us):.1f} us")
+
+
+FLEET_ROUNDS = 3
+
+
+def fleet_inputs() -> dict[int, list[tuple[Inputs, float]]]:
+    """What each controller of a flight of ``fleet_8`` was given, tick by tick."""
+    team, given = load_team("fleet_8"), defaultdict(list)
+    step = Controller.step
+
+    def noted(self: Controller, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
+        assert self.config.fleet is not None
+        given[self.config.fleet.id].append((inputs, now_s))
+        return step(self, inputs, now_s, command_failed=command_failed)
+
+    with mock.patch.object(Controller, "step", noted):
+        land_team(team, 3)
+    return given
+
+
+def fleet_step() -> None:
+    """Control steps of eight vehicles in flight, us of process time, beside those of a lone vehicle."""
+    given, team = fleet_inputs(), load_team("fleet_8")
+    medians, tails, alone = [], [], []
+    for _ in range(FLEET_ROUNDS):
+        took = []
+        for n, ticks in given.items():
+            controller = Controller(team.member[n - 1].onboard)
+            gc.collect()
+            gc.disable()
+            for inputs_, now_s in ticks:
+                started = time.process_time_ns()
+                out = controller.step(inputs_, now_s)
+                if out.phase in (Phase.APPROACH, Phase.LAND):
+                    took.append((time.process_time_ns() - started) / 1e3)
+            gc.enable()
+        took.sort()
+        medians.append(took[len(took) // 2])
+        tails.append(took[int(len(took) * 0.99)])
+        alone.append(statistics.median(one_round()))
+    p50, p99, one = (statistics.median(each) for each in (medians, tails, alone))
+    print(f"p50 {p50:.0f} us   p99 {p99:.0f} us (asked 300)")
+    print(f"{p50 / one:.1f} times the median of a lone vehicle, {one:.0f} us")

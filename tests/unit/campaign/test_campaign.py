@@ -172,7 +172,7 @@ def test_no_paper_campaign_means_the_limit_is_not_shown_to_be_met():
 FULL = Row(
     7, "landed", 'touched, "quoted",\nnext line', False, True, -0.1 / 3, 0.1 + 0.2, 1.0, 0.3, 0.01, 0.2, 0.03,
     5.123456789012345, 2, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.01, 0.03, 8.0, 0.25, "0 3 -4;1 3 10",
-    "landed crashed", 1, 2, 0.1 + 0.7, 0.1 / 3,
+    "landed crashed", 1, 2, 0.1 + 0.7, 0.1 / 3, 0.7 / 3,
 )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ def flown(landing):
             replace(landing, verdict=replace(landing.verdict, outcome=each, reason=f"was {each}"))
             for each in outcomes
         )
-        return TeamLanding(1, landings, pairs, 7.0, 0.5)
+        return TeamLanding(1, landings, pairs, (0.0, 2.5), 7.0, 0.5)
 
     return make
 
@@ -77,7 +77,7 @@ def test_the_row_of_a_team_of_one_is_that_of_its_landing(landing, flown):
     row, alone = team_row(flown((LANDED,))), row_of(landing)
     assert (row.outcomes, row.collisions, row.ellipsoid_violations) == ("landed", 0, 0)
     assert (row.ellipsoid_min, row.distance_min_m) == (None, None)
-    empty = {"outcomes": "", "collisions": None, "ellipsoid_violations": None}
+    empty = {"outcomes": "", "collisions": None, "ellipsoid_violations": None, "wait_max_s": None}
     told = {"reason": alone.reason, "simulated_s": alone.simulated_s, "wall_s": alone.wall_s}
     ours, theirs = (set(filter(None, each.cells.split(";"))) for each in (row, alone))
     assert ours == theirs
@@ -98,7 +98,7 @@ def test_the_row_of_a_team_has_the_worst_of_its_members(flown, landing):
     assert (row.violation, row.started_safe, row.retries) == (None, None, 2 + landing.retries)
     assert (row.h_min_m, row.h_min_outside_pad_m) == (-0.6, -0.5)
     assert (row.touchdown_error_m, row.time_to_land_s) == (0.09, 20.0)
-    assert (row.simulated_s, row.wall_s) == (7.0, 0.5)
+    assert (row.simulated_s, row.wall_s, row.wait_max_s) == (7.0, 0.5, 2.5)
     crashed = team_row(flown((LANDED, CRASHED), FAR))
     assert crashed.time_to_land_s is None
     assert crashed.outcomes == "landed crashed"
@@ -114,6 +114,7 @@ def test_a_campaign_flies_teams(tmp_path):
     told = summary(rows, "fly {seed}", wall_s=1.0, flown_s=14.0)
     assert (told["vehicles"], told["vehicles_landed"], told["collisions"]) == (4, 4, 0)
     assert told["distance_min_m"] > 2.0
+    assert told["wait_max_s"] == 0.0
 
 
 def test_a_plan_of_a_team_is_checked_for_all_members_and_says_how_to_repeat_a_seed():

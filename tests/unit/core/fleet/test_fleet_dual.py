@@ -1,0 +1,159 @@
+"""The quick exact solution against that by all active sets, and what silent vehicles ask of the others."""
+
+import math
+import random
+
+import pytest
+from hypothesis import given, settings
+
+from flightstack.core.fleet import dual, exact
+from flightstack.core.fleet.ellipsoid import barrier, estimate
+from flightstack.core.fleet.exact import Row
+from flightstack.core.fleet.precedence import decide
+from flightstack.core.fleet.program import FleetProgram
+from flightstack.core.fleet.shares import ALL, row, wider
+from flightstack.core.memory import FleetMemory, Heard
+from flightstack.core.parameters.fleet import CARRIED_AGES, Fleet
+from flightstack.core.types import ZERO, FilterStatus, Intent, Neighbour, Phase
+from tests.unit.core.fleet.test_fleet_program import VECTORS, boxes, missing, rows
+
+FLEET = Fleet(3, (3, 7))
+
+
+@settings(max_examples=300, deadline=None)
+@given(VECTORS, rows(), boxes())
+def test_it_finds_the_point_that_trying_all_sets_finds(nominal, found, box):
+    quick, slow = dual.solve(nominal, found, *box), exact.nearest(nominal, found, *box)
+    if quick is None:  # not confirmed: the caller tries all sets
+        return
+    assert (quick.point is None) == (slow is None)
+    if slow is None:
+        assert quick.lacking_m_s > 0.0
+        return
+    assert missing(found, *box, quick.point) <= 1e-8
+    assert math.dist(quick.point, nominal) <= math.dist(slow.point, nominal) + 1e-7
+    assert all(each >= 0.0 for each in quick.multipliers)
+
+
+@settings(max_examples=300, deadline=None)
+@given(rows(0, 1), rows(), boxes())
+def test_it_finds_the_least_slack_that_trying_all_corners_finds(firm, soft, box):
+    quick, (slack, _) = dual.least_slack(firm, soft, *box), exact.least_slack(firm, soft, *box)
+    if quick is None:
+        return
+    assert quick[0] == pytest.approx(slack, abs=1e-6)
+    assert missing(firm, *box, quick[1]) <= 1e-8
+    assert max(each.missing_m_s(quick[1]) for each in soft) <= quick[0] + 1e-8
+
+
+def test_nearly_all_programs_are_confirmed():
+    chance, unsure = random.Random(4), 0
+    for _ in range(2000):
+        made = []
+        for _ in range(chance.randint(2, 9)):
+            g = [chance.gauss(0.0, 1.0) for _ in range(3)]
+            made.append(Row(tuple(x / math.hypot(*g) for x in g), chance.uniform(-1.0, 0.3)))
+        unsure += (
+            dual.solve(tuple(chance.uniform(-1, 1) for _ in range(3)), made, (-0.6,) * 3, (0.6,) * 3) is None
+        )
+    assert unsure <= 2
+
+
+def test_a_gradient_without_a_direction_is_left_to_the_slow_way():
+    assert dual.solve(ZERO, [Row(ZERO, -1.0)], (-1.0,) * 3, (1.0,) * 3) is None
+    found = FleetProgram(2).solve(
+        ZERO, (), [Row(ZERO, -1.0), Row((1.0, 0.0, 0.0), 0.5)], (-1.0,) * 3, (1.0,) * 3
+    )
+    assert found.filter.velocity_enu_m_s == pytest.approx((0.5, 0.0, 0.0))
+
+
+def test_what_is_asked_for_silent_vehicles_gives_way_before_the_rows_of_those_that_are_heard():
+    box = ((-1.0,) * 3, (1.0,) * 3)
+    heard, silent, lax = Row((1.0, 0.0, 0.0), 0.3), Row((-1.0, 0.0, 0.0), 0.0), Row((-1.0, 0.0, 0.0), -0.5)
+    found = FleetProgram(2).solve(ZERO, (), [heard, silent], *box, [heard, lax])
+    assert found.filter.status is FilterStatus.SOLVED
+    assert found.given_m_s == 0.0
+    assert found.filter.velocity_enu_m_s == pytest.approx((0.3, 0.0, 0.0))
+
+
+def word(stamp_s=0.0, velocity=ZERO, **keys):
+    return Neighbour(7, stamp_s, stamp_s, ZERO, velocity, ZERO, **{"intent": Intent.WAITING, **keys})
+
+
+def test_a_silent_vehicle_is_carried_on_for_as_long_as_its_autopilot_flies_on():
+    told = word(velocity=(0.5, 0.0, 0.0))
+    rests_s = CARRIED_AGES * FLEET.age_max_s
+    for now_s, x, v in ((0.1, 0.05, 0.5), (0.6, 0.3, 0.5), (rests_s + 2.0, 0.5 * rests_s, 0.0)):
+        now = estimate(told, now_s, 0.0, FLEET)
+        assert now.position_enu_m[0] == pytest.approx(x)
+        assert now.velocity_enu_m_s[0] == v
+        assert now.late == (now_s > FLEET.latency_max_s)
+
+
+@pytest.mark.parametrize(
+    ("now_s", "away_m", "asked"),
+    [
+        (1.5, 0.9, "no nearer"),  # inside of all that it may have flown
+        (1.5, 2.9, "outside"),
+        (9.0, 2.0, "lax"),  # its flight is over, and this one is in there
+        (9.0, 6.0, "outside"),
+    ],
+)
+def test_who_may_meet_a_silent_vehicle_comes_no_nearer_and_who_is_outside_stays_so(now_s, away_m, asked):
+    now = estimate(word(), now_s, 0.0, FLEET)
+    p = (away_m, 0.0, 0.0)
+    h_m, g = barrier(p, FLEET.radius_xy_m + now.grown_m, FLEET.radius_z_m + now.grown_m)
+    outer_m, _ = barrier(p, FLEET.radius_xy_m + now.anywhere_m, FLEET.radius_z_m + now.anywhere_m)
+    lax = row(ALL, h_m, g, ZERO, word(), now, FLEET)
+    made = wider(lax, outer_m, now, FLEET)
+    assert made.bound_m_s >= lax.bound_m_s
+    if asked == "no nearer":
+        assert outer_m < 0.0
+        assert made.bound_m_s == 0.0
+    elif asked == "lax":
+        assert outer_m < 0.0
+        assert made == lax
+    else:
+        assert outer_m > 0.0
+        assert made.bound_m_s > -FLEET.rate_1_s * h_m
+        assert made.bound_m_s <= 0.0
+
+
+def way_of(own, members, heard, down=(), now_s=10.0):
+    fleet = Fleet(own, members)
+    slots = [
+        (
+            n,
+            Heard(
+                word(
+                    now_s - (0.1 if n in heard else 2.0), intent=Intent.DOWN if n in down else Intent.WAITING
+                )
+            ),
+        )
+        for n in fleet.others
+    ]
+    return decide(FleetMemory(), slots, Phase.HOLD, None, now_s, fleet)
+
+
+@pytest.mark.parametrize(
+    ("own", "members", "heard", "down", "cut_off"),
+    [
+        (1, (1, 2, 3), (2,), (), False),
+        (3, (1, 2, 3), (), (), True),
+        (1, (1, 2, 3), (), (), True),
+        (1, (1, 2), (), (), False),  # of equal parts that with the lowest id goes on
+        (2, (1, 2), (), (), True),
+        (2, (1, 2), (), (1,), False),  # down, and needs not say so for ever
+        (3, (1, 2, 3, 4), (4,), (), True),
+        (2, (1, 2, 3, 4), (1,), (), False),
+        (3, (1, 2, 3), (1,), (1,), False),
+    ],
+)
+def test_of_the_parts_of_a_fleet_that_do_not_hear_each_other_one_goes_on(own, members, heard, down, cut_off):
+    assert way_of(own, members, heard, down).cut_off is cut_off
+
+
+def test_a_member_that_was_never_heard_cuts_nobody_off():
+    fleet = Fleet(3, (1, 3, 7))
+    slots = [(n, Heard()) for n in fleet.others]
+    assert not decide(FleetMemory(), slots, Phase.HOLD, None, 1.0, fleet).cut_off
