@@ -22,6 +22,7 @@ from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.position_loop import clip_to_box
 from flightstack.core.safety.projection import best_corner
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult, solver_settings
+from flightstack.core.safety.solver import compiled_solver, matrix
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
 FIRM_MAX = 2  # rows that never give way
@@ -64,17 +65,14 @@ class FleetProgram:
 
     def __init__(self, neighbours: int = OTHERS_MAX) -> None:
         exact.prepare(neighbours)
-        # Only a process that solves pays for these, as in qp_filter.
-        from osqp import ext_builtin as osqp
-        from scipy import sparse
-
+        osqp = compiled_solver()
         size, self._infinite = _ROWS + 3, float(osqp.OSQP_INFTY)
         self._q, self._x, self._y = np.zeros(3), np.zeros(3), np.zeros(size)
         self._lower, self._upper = np.full(size, -self._infinite), np.full(size, self._infinite)
         whole = np.vstack([np.ones((_ROWS, 3)), np.eye(3)])
         self._ax = np.ones(3 * (_ROWS + 1))  # column-wise: all rows of an axis, then its side of the box
         self._columns = self._ax.reshape(3, _ROWS + 1)
-        constraint, hessian = osqp.CSC(sparse.csc_matrix(whole)), osqp.CSC(sparse.csc_matrix(np.eye(3)))
+        constraint, hessian = matrix(whole), matrix(np.eye(3))
         self._solver = osqp.OSQPSolver(
             hessian, self._q, constraint, self._lower, self._upper, size, 3, solver_settings(osqp)
         )

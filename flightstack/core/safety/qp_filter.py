@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from flightstack.core.safety.projection import Projection, best_corner, projection
+from flightstack.core.safety.solver import compiled_solver, matrix
 from flightstack.core.types import FilterStatus, Vec3
 
 # Of 100,000 random programs of this size all were confirmed in the first iteration.
@@ -89,12 +90,9 @@ class SafetyFilter:
     """
 
     def __init__(self, omega_1_s: float) -> None:
-        # Only a process that solves pays for these: scipy takes longer to load than all of the core.
-        from osqp import ext_builtin as osqp
-        from scipy import sparse
-
+        osqp = compiled_solver()
         self.omega_1_s = omega_1_s
-        constraint = sparse.csc_matrix(np.vstack([np.ones((1, 3)), np.eye(3)]))
+        constraint = matrix(np.vstack([np.ones((1, 3)), np.eye(3)]))
         numbers = np.ones(_NUMBERS.size // 8)
         self._memory = numbers.data
         # data: -u', bounds of the rows, and of A the columns (g_x, 1), (g_y, 1), (g_z, 1);
@@ -102,9 +100,9 @@ class SafetyFilter:
         self._q, self._lower, self._upper = numbers[:3], numbers[3:7], numbers[7:11]
         self._ax, self._x, self._y = numbers[11:17], numbers[17:20], numbers[20:]
         self._lower[:], self._upper[:], self._infinity = -1.0, osqp.OSQP_INFTY, osqp.OSQP_INFTY
-        hessian = osqp.CSC(sparse.csc_matrix(np.eye(3)))
+        hessian = matrix(np.eye(3))
         self._solver = osqp.OSQPSolver(
-            hessian, self._q, osqp.CSC(constraint), self._lower, self._upper, 4, 3, solver_settings(osqp)
+            hessian, self._q, constraint, self._lower, self._upper, 4, 3, solver_settings(osqp)
         )
         self._solved = int(osqp.osqp_status_type.OSQP_SOLVED)
 
