@@ -11,12 +11,15 @@ import struct
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.records import Attachment as AttachmentRecord
-from mcap.records import Channel, Chunk, Footer, Metadata, Schema
+from mcap.records import Channel, Chunk, Footer, MessageIndex, Metadata, Schema
 from mcap.records import Message as MessageRecord
 from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 
@@ -24,6 +27,10 @@ from logs.reader.members import Members, MemberView
 from logs.schema.schemas import store_for
 
 _MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # MCAP specification, "Magic"
+_HEAD = struct.Struct("<BQ")  # of a record: its kind and the length of what follows
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time; then the payload
+_DECLARED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
+_INDEX = MessageIndex(0, [])
 _BROKEN = (McapError, struct.error, ValueError, OverflowError, EOFError, RuntimeError, KeyError, MemoryError)
 
 
@@ -218,7 +225,7 @@ class LogFile:
         with self.path.open("rb") as stream:
             # A length field that was never filled in must not make us ask for that much memory.
             size = max(os.fstat(stream.fileno()).st_size, 1)
-            records = StreamReader(stream, emit_chunks=True, record_size_limit=size).records
+            records = _Records(stream, emit_chunks=True, record_size_limit=size).records
             while True:
                 self.broken_at = stream.tell()
                 try:
@@ -266,10 +273,42 @@ def _opened(record: Any, inside_chunks: bool) -> Sequence[Any]:
     """Return the records in a chunk, or the record itself; checks the chunk's CRC either way."""
     if not isinstance(record, Chunk):
         return (record,)
-    if inside_chunks:
-        return list(breakup_chunk(record, validate_crc=True))
-    get_chunk_data_stream(record, validate_crc=True)
-    return ()
+    stream, size = get_chunk_data_stream(record, validate_crc=True)
+    return _in_chunk(stream.read(size), record) if inside_chunks else ()
+
+
+def _in_chunk(data: bytes, chunk: Chunk) -> Sequence[Any]:
+    """Return the records in the data of a chunk, as ``breakup_chunk`` does in ten times the time.
+
+    What is not as it should be is left to that function, which says what is wrong.
+    """
+    found: list[Any] = []
+    at, size = 0, len(data)
+    while at < size - _HEAD.size:
+        kind, length = _HEAD.unpack_from(data, at)
+        begin = at + _HEAD.size
+        at = begin + length
+        if at > size:
+            break
+        if kind == Opcode.MESSAGE and length >= _MESSAGE.size:
+            channel, sequence, logged_ns, published_ns = _MESSAGE.unpack_from(data, begin)
+            payload = data[begin + _MESSAGE.size : at]
+            found.append(MessageRecord(channel, logged_ns, payload, published_ns, sequence))
+        elif kind in _DECLARED:
+            found.append(_DECLARED[kind].read(ReadDataStream(BytesIO(data[begin:at]))))
+        else:
+            break
+    return found if at == size else breakup_chunk(chunk, validate_crc=True)
+
+
+class _Records(StreamReader):  # type: ignore[misc]
+    """Reads records without the entries of message indices, which nobody asks for and which take as long."""
+
+    def _read_record(self, opcode: int, length: int) -> Any:
+        if opcode == Opcode.MESSAGE_INDEX:
+            self._stream.read(length)
+            return _INDEX
+        return super()._read_record(opcode, length)
 
 
 def open_log(path: Path | str) -> Iterator[Message]:
