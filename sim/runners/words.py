@@ -32,7 +32,9 @@ class Words:
     """
 
     def __init__(self, team: TeamScenario, seed: int) -> None:
-        self._loss = team.exchange.loss
+        link = team.exchange
+        self._loss, self._broken_tick = link.loss, math.ceil(link.broken_from_s * team.rate_hz - 1e-9)
+        self._silent, self._apart = frozenset(link.silent), frozenset(link.apart)
         self._grid = TickGrid(team.rate_hz)
         self._ticks = max(1, math.ceil(team.exchange.delay_s * team.rate_hz - 1e-9))
         numbers = range(1, len(team.member) + 1)
@@ -62,11 +64,12 @@ class Words:
         """
         due = tick + self._ticks
         heard = []
-        for ways, under_way in zip(self._ways, self._under_way, strict=True):
-            for word, way in zip(told, ways, strict=True):
+        for hearer, (ways, under_way) in enumerate(zip(self._ways, self._under_way, strict=True), 1):
+            for teller, (word, way) in enumerate(zip(told, ways, strict=True), 1):
                 if way is None:
                     continue
                 lost = way.draw() < self._loss  # drawn in each tick: what is told does not shift it
+                lost = lost or (tick >= self._broken_tick and self._broken(teller, hearer))
                 if word is not None and not lost:
                     under_way.append((due, word))
             here = []
@@ -74,6 +77,10 @@ class Words:
                 here.append(under_way.popleft()[1])
             heard.append(here)
         return heard
+
+    def _broken(self, teller: int, hearer: int) -> bool:
+        """Whether nothing comes through from one member to another."""
+        return teller in self._silent or (teller in self._apart) != (hearer in self._apart)
 
 
 class _Losses:

@@ -34,8 +34,8 @@ from sim.scenarios import scenario as scenarios
 from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
 
 _PARALLEL = 1e-9  # sine of the angle of two lines
-_OF_THE_TEAM = ("name", "description", "exchange", "assignment", "one_target")  # others: of a scenario
 MEMBERS_MAX = 250  # each has a MAVLink system id of its own
+_OF_THE_TEAM = ("name", "description", "exchange", "assignment", "one_target")  # others: of a scenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,11 @@ class ExchangeLink:
 
     delay_s: Annotated[float, span(0.0, 1.0)] = 0.0
     loss: Annotated[float, span(0.0, 1.0)] = 0.0  # of each word on its way to each hearer
+    silent: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()  # numbers of members that nobody hears ...
+    apart: tuple[
+        Annotated[int, span(1, MEMBERS_MAX)], ...
+    ] = ()  # ... or that hear and are heard by these alone ...
+    broken_from_s: Annotated[float, span(0.0, 3600.0)] = 0.0  # ... from this time of the flight on
 
 
 class Assignment(Enum):
