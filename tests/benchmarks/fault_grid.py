@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 from sim.vehicle.vehicle import warm_up
+from tests.fault_grid import fleet
 from tests.fault_grid.run import SEED, Result, fly, scenario
 from tests.fault_grid.table import GRID, H_MIN_M, WITHIN_S, End, Moment, Need, Part, Way
 
@@ -139,4 +140,4 @@ def main() -> None:
                 gc.collect()
         sections.append(section(part, rows))
         print(f"{part}: {len(rows)} cells", flush=True)
-    PAGE.write_text(_HEAD + "".join(sections) + _TAIL)
+    PAGE.write_text(_HEAD + "".join(sections) + fleet.section() + _TAIL)

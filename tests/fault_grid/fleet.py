@@ -1,0 +1,90 @@
+"""Faults of a fleet: what fails, at which moment, and a flight of ``fleet_3`` with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+
+from flightstack.core.controller import Outputs
+from flightstack.core.types import Neighbour
+from logs.verdict.fleet import FleetVerdict
+from sim.campaign.team_rows import judge_team
+from sim.runners.team import Exchange, land_team
+from sim.runners.words import Words
+from sim.scenarios.fault_spec import Fault
+from sim.scenarios.fault_table import Kind, What
+from sim.scenarios.team import ExchangeLink, TeamScenario, load
+
+WHO, LIE_M = 2, 0.5
+MOMENTS_S = {"crossing": 1.5, "approach to land": 3.6, "touchdown": 4.3}
+
+
+class Way(StrEnum):
+    """What becomes of the second of three members."""
+
+    KILLED = "process killed"
+    SILENT = "radio silent"
+    CUT = "network cut in two"
+    LIES = "tells a place half a metre off"
+
+
+def _lying(exchange: Words, from_tick: int) -> Exchange:
+    """The same words, those of one member with another place from a tick on."""
+
+    def tell(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
+        told, out = list(outputs), outputs[WHO - 1]
+        if tick >= from_tick and out is not None and out.own_word is not None:
+            x, y, z = out.own_word.position_enu_m
+            told[WHO - 1] = out._replace(own_word=out.own_word._replace(position_enu_m=(x, y + LIE_M, z)))
+        return exchange(tick, told)
+
+    return tell
+
+
+def fly(way: Way, at_s: float, seed: int) -> FleetVerdict:
+    """Fly a cell and judge it."""
+    team, exchange = load("fleet_3"), None
+    if way is Way.LIES:
+        exchange = _lying(Words(team, seed), round(at_s * team.rate_hz))
+    elif way is Way.CUT:
+        team = replace(team, exchange=ExchangeLink(apart=(WHO,), broken_from_s=at_s))
+    else:
+        team = replace(team, exchange=ExchangeLink(silent=(WHO,), broken_from_s=at_s))
+        team = _killed(team, at_s) if way is Way.KILLED else team
+    return judge_team(land_team(team, seed, exchange=exchange))
+
+
+def _killed(team: TeamScenario, at_s: float) -> TeamScenario:
+    """Nothing comes from its companion any more: its autopilot's failsafe ends the flight."""
+    members = list(team.member)
+    members[WHO - 1] = replace(members[WHO - 1], fault=(Fault(What.LINK_IN, Kind.OFF, start_s=at_s),))
+    return replace(team, member=tuple(members))
+
+
+SEED = 1
+FLEET_HEAD = f"""
+## A fleet
+
+Three vehicles of `fleet_3` with seed {SEED}; the second one fails, for good, at
+{", ".join(f"{at_s:g} s ({moment})" for moment, at_s in MOMENTS_S.items())}.
+Nothing may collide in any cell, no two vehicles come inside the ellipsoid about each other, and the other two
+land on their pads. A killed process ends its flight by the failsafe of its autopilot, which lands where the
+vehicle is, by chance on its robot. A lie of half a metre is more than the semi-axis of 0.25 m: nobody aboard
+knows of it, and where it points at another vehicle a collision is possible; these flights pass farther away.
+
+| fault | in | ends of the members | nearest in the ellipsoid's measure | nearest, m |
+|---|---|---|--:|--:|
+"""
+
+
+def row(way: Way, moment: str, verdict: FleetVerdict) -> str:
+    """One line of the page."""
+    ends = ", ".join(end.value for end in verdict.outcomes)
+    return f"| {way} | {moment} | {ends} | {verdict.ellipsoid_min:.2f} | {verdict.distance_min_m:.2f} |"
+
+
+def section() -> str:
+    """Fly all cells; the part of the page."""
+    cells = [row(way, moment, fly(way, at_s, SEED)) for way in Way for moment, at_s in MOMENTS_S.items()]
+    return FLEET_HEAD + "\n".join(cells) + "\n"

@@ -1,0 +1,20 @@
+"""Each cell of the grid of faults of a fleet against what is demanded, and against the page."""
+
+from pathlib import Path
+
+import pytest
+
+from logs.verdict.types import Outcome
+from tests.fault_grid.fleet import MOMENTS_S, SEED, WHO, Way, fly, row
+
+PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "fault_grid.md").read_text()
+
+
+@pytest.mark.parametrize("moment", MOMENTS_S)
+@pytest.mark.parametrize("way", Way)
+def test_nothing_collides_and_the_others_land(way, moment):
+    verdict = fly(way, MOMENTS_S[moment], SEED)
+    assert (verdict.collisions, verdict.ellipsoid_violations) == (0, 0)
+    others = [end for number, end in enumerate(verdict.outcomes, 1) if number != WHO]
+    assert others == [Outcome.LANDED, Outcome.LANDED], verdict.reason
+    assert row(way, moment, verdict) in PAGE
