@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
 
-from sim.compiled.jit import is_off
+from sim.compiled.jit import is_off, load_numba
 
 _LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING or is_off():
         _PAIR(int(function))(int(first), int(second))
 
 else:
+    load_numba()
     from llvmlite import ir
     from numba import types
     from numba.extending import intrinsic

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from bridge import frames
 from flightstack.core.safety import barrier
@@ -25,6 +26,7 @@ HERE = Path(__file__).parent
 # rooms of the simulator whose functions are compiled
 ROOMS = ("compiled", "plant", "world", "firmware", "vehicle", "robot", "validation")
 OFF = "NUMBA_DISABLE_JIT"  # numba's own switch
+_NEEDLESS = ("scipy.linalg", "coverage")
 
 
 def is_off() -> bool:
@@ -63,10 +65,27 @@ def jitted(function: F) -> F:
     """Compile ``function`` when it is first called; the machine code is cached on disk if possible."""
     if is_off():
         return function
-    from numba import config, njit  # half a second, and as much again when the first machine code is loaded
-
-    directory = cache_directory()
+    numba, directory = load_numba(), cache_directory()
     if directory is None:
-        return cast(F, njit(function))
-    config.CACHE_DIR = str(directory)
-    return cast(F, njit(cache=True)(function))
+        return cast(F, numba.njit(function))
+    numba.config.CACHE_DIR = str(directory)
+    return cast(F, numba.njit(cache=True)(function))
+
+
+@cache
+def load_numba() -> Any:
+    """Return numba, loaded without what it loads only because it is there, and nobody uses here.
+
+    That is a sixth of the time in which it loads: half a second, and as much again with the first machine
+    code. Without scipy.linalg compiled code multiplies no matrices.
+    """
+    absent = [name for name in _NEEDLESS if name not in sys.modules]
+    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # None: not to be found
+    try:
+        import numba
+        import numba.np.arraymath  # looks for scipy.linalg
+
+        return numba
+    finally:
+        for name in absent:
+            del sys.modules[name]

@@ -90,7 +90,8 @@ FLIGHTS, DRIVES = "[flight(*case) for case in CASES]", "drives()"
 def in_a_process(what=FLIGHTS, **environment):
     """The same in a fresh interpreter."""
     here = "from tests.unit.plant.test_compiled import CASES, drives, flight"
-    code = f"import json; {here}; print(json.dumps({what}))"
+    needless = "import sys; assert not {'coverage', 'glfw'} & sys.modules.keys()"
+    code = f"import json; {here}; print(json.dumps({what})); {needless}"
     env = {**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True, text=True)
     return flat(json.loads(done.stdout))
