@@ -10,7 +10,7 @@ from scipy.optimize import linprog, minimize
 
 from flightstack.core.fleet import program as program_module
 from flightstack.core.fleet.exact import Row, least_slack, nearest
-from flightstack.core.fleet.program import FleetProgram
+from flightstack.core.fleet.program import AGREES_M_S, FleetProgram
 from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus
@@ -66,7 +66,7 @@ def best_by_scipy(nominal, found, lower, upper, start):
 def test_the_exact_solution_is_that_of_scipy(nominal, found, box):
     lower, upper = box
     slack, _ = least_slack([], found, lower, upper)
-    assert slack == pytest.approx(least_by_scipy(found, [], lower, upper), abs=1e-7)
+    assert slack == pytest.approx(least_by_scipy(found, [], lower, upper), abs=AGREES_M_S)
     exact = nearest(nominal, found, lower, upper)
     if exact is None:
         assert slack > 0.0
@@ -107,7 +107,7 @@ def test_the_program_holds_barrier_and_box_and_gives_way_no_more_than_it_must(no
         return
     assert missing(firm, lower, upper, point) <= 1e-6
     if status is FilterStatus.CROWDED:
-        assert found.given_m_s == pytest.approx(least_by_scipy(soft, firm, lower, upper), abs=1e-7)
+        assert found.given_m_s == pytest.approx(least_by_scipy(soft, firm, lower, upper), abs=AGREES_M_S)
         assert max(row.missing_m_s(point) for row in soft) <= found.given_m_s + 1e-6
     else:
         assert status in (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
