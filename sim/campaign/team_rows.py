@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from logs.verdict.fleet import FleetVerdict, any_known, fleet_verdict, least
 from logs.verdict.types import Outcome
 from sim.campaign.rows import Row, row_of
-from sim.runners.team import TeamLanding
+from sim.runners.fleet.team import TeamLanding
 
 
 def judge_team(flown: TeamLanding) -> FleetVerdict:

@@ -19,7 +19,7 @@ from sim.campaign.rows import Row, RowsFile, error_row, missing, read_rows
 from sim.campaign.summary import quantile, summary
 from sim.campaign.team_rows import team_row
 from sim.campaign.workers import code_fingerprint
-from sim.runners.team import TeamLanding, land_team, warm_up
+from sim.runners.fleet.team import TeamLanding, land_team, warm_up
 from sim.scenarios import team
 from sim.scenarios.team import TeamScenario
 from tests.benchmarks import central

@@ -42,7 +42,7 @@ from logs.schema.cdr import codec
 from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.controller_rows import TickInputs, pack_controller_input
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
-from sim.runners.team import land_team
+from sim.runners.fleet.team import land_team
 from sim.scenarios.team import load as load_team
 from tests.integration.runs import flightstack
 from tests.synthetic_flight import landing

@@ -1,1 +1,1 @@
-"""Several simulated vehicles as one process: each on its own wires, all in one room."""
+"""Several simulated vehicles in one room: without wires (team), or each on wires of its own (process)."""

@@ -16,9 +16,9 @@ from flightstack.onboard.lockstep import CREDIT_EVERY
 from sim.clock import TickGrid
 from sim.runners.deck import LockstepDeck
 from sim.runners.fleet.room import Member, Room
+from sim.runners.fleet.words import Words
 from sim.runners.fleet.words_wire import MemberWords
 from sim.runners.lockstep import LockstepLoop
-from sim.runners.words import Words
 
 
 class LockstepMember:

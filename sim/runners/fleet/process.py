@@ -20,8 +20,9 @@ from sim.clock import TickGrid
 from sim.runners.deck import RealTimeDeck
 from sim.runners.fleet.lockstep import FleetLockstep, LockstepMember
 from sim.runners.fleet.room import Member, Room
+from sim.runners.fleet.team import warm_up
+from sim.runners.fleet.words import Words
 from sim.runners.log import VehicleLog
-from sim.runners.team import warm_up
 from sim.runners.vehicle_node import VehicleNode
 from sim.runners.vehicle_process import (
     RealTimeLoop,
@@ -32,7 +33,6 @@ from sim.runners.vehicle_process import (
     opened,
     served,
 )
-from sim.runners.words import Words
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import VehicleSim
 

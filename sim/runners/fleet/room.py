@@ -9,7 +9,7 @@ from logs.recorder.feed import Feed
 from logs.schema.rows import FleetPairRow
 from logs.schema.schemas import FLEET_PAIR
 from sim.clock import TickGrid
-from sim.runners.pairs import Pairs
+from sim.runners.fleet.pairs import Pairs
 from sim.runners.vehicle_node import VehicleNode
 from sim.vehicle.air import Air
 from sim.vehicle.vehicle import VehicleSim

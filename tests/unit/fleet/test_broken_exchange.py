@@ -6,7 +6,7 @@ import pytest
 
 from logs.verdict.types import Outcome
 from sim.campaign.team_rows import judge_team
-from sim.runners.team import land_team
+from sim.runners.fleet.team import land_team
 from sim.scenarios.team import ExchangeLink, load
 
 FLEET_3 = load("fleet_3")

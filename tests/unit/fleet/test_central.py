@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 
 from flightstack.core.fleet.exact import Row
 from logs.verdict.types import Outcome
-from sim.runners.team import land_team
+from sim.runners.fleet.team import land_team
 from tests.benchmarks.central import RATE_1_S, Central, JointProgram, One, central_team
 from tests.unit.fleet.fleet_helpers import at, team_of
 

@@ -12,9 +12,9 @@ from sim.campaign.run import plan
 from sim.campaign.summary import summary
 from sim.campaign.team_rows import judge_team, team_row
 from sim.campaign.workers import fly_seed
+from sim.runners.fleet.pairs import Pair
+from sim.runners.fleet.team import TeamLanding
 from sim.runners.landing import land
-from sim.runners.pairs import Pair
-from sim.runners.team import TeamLanding
 from sim.scenarios.team import load
 from tests.unit.fleet.fleet_helpers import FIELD, at, team_of
 

@@ -7,7 +7,7 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError, dumps, from_table
 from logs.verdict.types import Outcome
-from sim.runners.team import land_team
+from sim.runners.fleet.team import land_team
 from sim.scenarios import scenario, team
 from sim.scenarios.team import TeamScenario
 

@@ -15,8 +15,8 @@ from flightstack.onboard.lockstep import LockstepWords, joined, split
 from logs.schema.rows import FleetWordRow
 from sim.clock import NoAnswerError, TickGrid
 from sim.runners.fleet import words_wire
+from sim.runners.fleet.words import Words
 from sim.runners.fleet.words_wire import MemberWords
-from sim.runners.words import Words
 from sim.scenarios import team
 from tests.unit.target.ros2_helpers import free_endpoint, until
 

@@ -18,9 +18,9 @@ from flightstack.core.types import Neighbour, Phase
 from logs.verdict.truth import judge_truth
 from sim.clock import TickGrid
 from sim.runners.companion import Companion
+from sim.runners.fleet.pairs import Pair, Pairs
+from sim.runners.fleet.words import Words
 from sim.runners.landing import Landing
-from sim.runners.pairs import Pair, Pairs
-from sim.runners.words import Words
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.air import Air
 from sim.vehicle.encounters import Shape, Team
