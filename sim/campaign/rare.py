@@ -20,8 +20,8 @@ from sim.campaign.run import ABOUT, ROWS, SUMMARY, Plan, alone, identity, known_
 from sim.campaign.subset import SHARE, Estimate, estimate
 from sim.campaign.summary import why
 from sim.campaign.workers import Workers
+from sim.runners.companion import warm_up
 from sim.scenarios.team import TeamScenario
-from sim.vehicle.vehicle import warm_up
 
 FAILURES = "failures"  # folder of files with seeds
 FAILURES_KEPT = 20

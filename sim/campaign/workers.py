@@ -27,11 +27,11 @@ from typing import Any
 from flightstack.common.pacing import quiet_garbage_collector
 from sim.campaign.rows import Row, error_row, row_of
 from sim.campaign.team_rows import team_row
+from sim.runners.companion import warm_up
 from sim.runners.fleet.team import land_team
 from sim.runners.fleet.team import warm_up as warm_up_team
 from sim.runners.landing import land
 from sim.scenarios.team import AnyScenario, TeamScenario, from_text
-from sim.vehicle.vehicle import warm_up
 
 _ALONE = threading.Lock()  # a cluster's worker may have threads; more than one would only wait for each other
 _PACKAGES = ("flightstack", "bridge", "sim", "logs")

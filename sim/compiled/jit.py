@@ -19,6 +19,7 @@ from typing import Any, TypeVar, cast
 
 from bridge import frames
 from flightstack.core.safety import barrier
+from flightstack.core.target import estimator
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -37,7 +38,7 @@ def is_off() -> bool:
 def _fingerprint() -> str:
     """Hash of every source that compiled code can come from."""
     digest = hashlib.sha256()
-    shared = [Path(barrier.__file__), Path(frames.__file__)]
+    shared = [Path(barrier.__file__), Path(frames.__file__), Path(estimator.__file__)]
     rooms = [path for room in ROOMS for path in sorted((HERE.parent / room).glob("*.py"))]
     for path in [*shared, *rooms]:
         digest.update(path.read_bytes())

@@ -144,6 +144,7 @@ def writer(record: Record) -> Callable[..., None]:
     return partial(struct.Struct("=" + _format(array.dtype)).pack_into, array.view(np.uint8).data, 0)
 
 
+@cache
 def _format(kind: np.dtype[Any], skipping: str = "") -> str:
     if kind.names is not None:
         return "".join(

@@ -13,12 +13,15 @@ from bridge.mavlink.profiles.autopilots import OWN_SITL
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller, Outputs
+from flightstack.core.numeric import compile_with
+from flightstack.core.target.estimator import TargetEstimator
 from flightstack.core.types import Neighbour
 from flightstack.onboard.leaving import Leaving
 from flightstack.onboard.lockstep import VehicleTicks
 from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
 from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.clock import TickGrid
+from sim.compiled.jit import jitted
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepLoop
@@ -26,8 +29,24 @@ from sim.runners.notes import Notes, Seen, VehicleNotes
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
+from sim.vehicle.vehicle import warm_up as warm_up_vehicle
+
+_SAMPLES = (((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.7), ((0.2, 0.3, 0.4), (0.4, 0.5, 0.6), 0.8))
 
 OnStep = Callable[[Tick, Outputs], None]
+
+
+def warm_up(scenario: Scenario) -> None:
+    """Compile everything that a landing calls, or load it from the cache, before the first begins.
+
+    From then on the functions of numbers in the core are compiled ones in this process.
+    """
+    warm_up_vehicle(scenario)
+    compile_with(jitted)
+    estimator = TargetEstimator(scenario.onboard.target)
+    for n, (position, velocity, yaw) in enumerate(_SAMPLES):
+        estimator.update(0.05 * n, position, velocity, yaw)
+    estimator.at(0.1)
 
 
 class Companion:

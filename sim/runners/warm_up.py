@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from sim.runners.companion import warm_up
 from sim.scenarios.scenario import load
-from sim.vehicle.vehicle import warm_up
 
 if __name__ == "__main__":
     warm_up(load("lab"))

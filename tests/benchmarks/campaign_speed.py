@@ -19,14 +19,14 @@ from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.onboard.runner import LinkedVehicle
 from sim.autopilot.autopilot import Autopilot
 from sim.runners import landing
-from sim.runners.companion import Companion
+from sim.runners.companion import Companion, warm_up
 from sim.runners.landing import land
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import Inlet
 from sim.runners.notes import Notes
 from sim.scenarios.scenario import load
 from sim.vehicle import vehicle
-from sim.vehicle.vehicle import VehicleSim, warm_up
+from sim.vehicle.vehicle import VehicleSim
 
 LANDINGS = 8
 ASKED = 100.0

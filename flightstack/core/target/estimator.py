@@ -21,6 +21,7 @@ import math
 from typing import NamedTuple
 
 from flightstack.core.memory import Covariance, MotionMemory
+from flightstack.core.numeric import numeric
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
@@ -43,13 +44,10 @@ class TargetMotion(NamedTuple):
     velocity_sigma_m_s: float
 
 
-class _Time(NamedTuple):
-    """A time, and what an acceleration adds to position and velocity over it, and what is left of it."""
-
-    s: float
-    to_position_s2: float
-    to_velocity_s: float
-    left: float
+# a time in s, what an acceleration adds to position in s^2 and to velocity in s over it, and its share left
+_Time = tuple[float, float, float, float]
+_NOW: _Time = (0.0, 0.0, 0.0, 1.0)
+_State = tuple[Vec3, Vec3, Vec3]  # position, velocity, acceleration
 
 
 class _Noise(NamedTuple):
@@ -117,22 +115,15 @@ class TargetEstimator:
         if self._turns:
             turned_rad_s = _turn_rate(before_rad, memory.yaw_rad, dt_s)
             memory.turn_rate_rad_s += dt_s / (dt_s + TURN_TIME_S) * (turned_rad_s - memory.turn_rate_rad_s)
-        fading, lasting = self._fading(dt_s), _lasting(dt_s)
-        position, velocity, acceleration = _carried(memory, fading, lasting)
-        memory.covariance_xy, gains_xy, weights = _correct(
-            _propagate(memory.covariance_xy, fading, self._jerk2_xy()), xy
-        )
-        memory.covariance_z, gains_z, _ = _correct(
-            _propagate(memory.covariance_z, lasting, self._z.jerk2), self._z
-        )
-        (p, q, r), (u, v, w), (a, b, c) = position, velocity, acceleration
-        x = _corrected(gains_xy, p, u, a, position_enu_m[0], velocity_enu_m_s[0])
-        y = _corrected(gains_xy, q, v, b, position_enu_m[1], velocity_enu_m_s[1])
-        z = _corrected(gains_z, r, w, c, position_enu_m[2], velocity_enu_m_s[2])
-        memory.position_enu_m, memory.velocity_enu_m_s = (x[0], y[0], z[0]), (x[1], y[1], z[1])
-        memory.acceleration_enu_m_s2 = (x[2], y[2], z[2])
-        # the mean of four: position and velocity on x and on y, each 1 on average
-        innovation2 = 0.25 * (weights[0] * (x[3] + y[3]) + weights[1] * (x[4] + y[4]))
+        z = self._z
+        state, memory.covariance_xy, memory.covariance_z, innovation2 = updated(
+            (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
+            (memory.covariance_xy, memory.covariance_z),
+            self._turn(dt_s), self._fading(dt_s), _lasting(dt_s),
+            (xy.position2, xy.velocity2, self._jerk2_xy()), (z.position2, z.velocity2, z.jerk2),
+            position_enu_m, velocity_enu_m_s,
+        )  # fmt: skip
+        memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2 = state
         memory.surprise += dt_s / (dt_s + INNOVATION_TIME_S) * (innovation2 - memory.surprise)
 
     def _jerk2_xy(self) -> float:
@@ -153,17 +144,18 @@ class TargetEstimator:
         dt_s = time_s - memory.time_s
         if math.isnan(dt_s):
             raise ValueError("no target sample yet: there is no motion to carry on")
-        fading, lasting = self._fading(dt_s), _lasting(dt_s)
-        carried = _carried(memory, fading, lasting)
-        if dt_s < 0.0:  # it was no less certain then
-            fading = lasting = _lasting(0.0)
-        jerk2_xy = self._jerk2_xy()
         return TargetMotion(
-            *carried,
-            math.sqrt(_position_variance(memory.covariance_xy, fading, jerk2_xy)),
-            math.sqrt(_position_variance(memory.covariance_z, lasting, self._z.jerk2)),
-            math.sqrt(_velocity_variance(memory.covariance_xy, fading, jerk2_xy)),
-        )
+            *carried(
+                (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
+                (memory.covariance_xy, memory.covariance_z),
+                self._turn(dt_s), self._fading(dt_s), _lasting(dt_s),
+                self._jerk2_xy(), self._z.jerk2,
+            )
+        )  # fmt: skip
+
+    def _turn(self, dt_s: float) -> float:
+        """Angle by which the velocity turns."""
+        return max(-TURN_MAX_RAD, min(TURN_MAX_RAD, self.memory.turn_rate_rad_s * dt_s))
 
     def _fading(self, dt_s: float) -> _Time:
         """Of an acceleration that fades."""
@@ -172,8 +164,8 @@ class TargetEstimator:
         to_velocity_s = fade_s * gone
         if abs(share) < 0.01:  # the difference below loses digits: its series, to 1e-10
             bent = 0.5 - share / 6.0 * (1.0 - share / 4.0 * (1.0 - share / 5.0))
-            return _Time(dt_s, dt_s * dt_s * bent, to_velocity_s, 1.0 - gone)
-        return _Time(dt_s, fade_s * (dt_s - to_velocity_s), to_velocity_s, 1.0 - gone)
+            return (dt_s, dt_s * dt_s * bent, to_velocity_s, 1.0 - gone)
+        return (dt_s, fade_s * (dt_s - to_velocity_s), to_velocity_s, 1.0 - gone)
 
 
 def _turn_rate(before_rad: float | None, after_rad: float | None, dt_s: float) -> float:
@@ -185,34 +177,14 @@ def _turn_rate(before_rad: float | None, after_rad: float | None, dt_s: float) -
 
 
 def _lasting(dt_s: float) -> _Time:
-    return _Time(dt_s, 0.5 * dt_s * dt_s, dt_s, 1.0)
+    return (dt_s, 0.5 * dt_s * dt_s, dt_s, 1.0)
 
 
-def _carried(memory: MotionMemory, fading: _Time, lasting: _Time) -> tuple[Vec3, Vec3, Vec3]:
-    """Position, velocity and acceleration later: x and y turn and fade.
-
-    With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); that is the acceleration turning, too.
-    Its part of the position turns by two thirds of the angle, the mean weighted with what it adds.
-    """
-    (x, y, z), (vx, vy, vz), (ax, ay, az) = (
-        memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2,
-    )  # fmt: skip
-    t, p, v, left = fading
-    _, p_z, v_z, left_z = lasting
-    turned = max(-TURN_MAX_RAD, min(TURN_MAX_RAD, memory.turn_rate_rad_s * t))
-    cos, sin, along, across, p_cos, p_sin = _turned(turned)
-    ux, uy = vx + v * ax, vy + v * ay
-    return (
-        (
-            x + t * (along * vx - across * vy) + p * (p_cos * ax - p_sin * ay),
-            y + t * (along * vy + across * vx) + p * (p_cos * ay + p_sin * ax),
-            z + t * vz + p_z * az,
-        ),
-        (cos * ux - sin * uy, cos * uy + sin * ux, vz + v_z * az),
-        (left * (cos * ax - sin * ay), left * (cos * ay + sin * ax), left_z * az),
-    )
+def _start(noise: _Noise) -> Covariance:
+    return (noise.position2, 0.0, 0.0, noise.velocity2, 0.0, noise.acceleration2)
 
 
+@numeric
 def _turned(angle_rad: float) -> tuple[float, float, float, float, float, float]:
     """Cosine and sine of an angle, of the mean on the way there, and of two thirds of it.
 
@@ -233,6 +205,30 @@ def _turned(angle_rad: float) -> tuple[float, float, float, float, float, float]
     )
 
 
+@numeric
+def _moved(state: _State, turned_rad: float, fading: _Time, lasting: _Time) -> _State:
+    """Position, velocity and acceleration later: x and y turn and fade.
+
+    With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); that is the acceleration turning, too.
+    Its part of the position turns by two thirds of the angle, the mean weighted with what it adds.
+    """
+    (x, y, z), (vx, vy, vz), (ax, ay, az) = state
+    t, p, v, left = fading
+    _, p_z, v_z, left_z = lasting
+    cos, sin, along, across, p_cos, p_sin = _turned(turned_rad)
+    ux, uy = vx + v * ax, vy + v * ay
+    return (
+        (
+            x + t * (along * vx - across * vy) + p * (p_cos * ax - p_sin * ay),
+            y + t * (along * vy + across * vx) + p * (p_cos * ay + p_sin * ax),
+            z + t * vz + p_z * az,
+        ),
+        (cos * ux - sin * uy, cos * uy + sin * ux, vz + v_z * az),
+        (left * (cos * ax - sin * ay), left * (cos * ay + sin * ax), left_z * az),
+    )
+
+
+@numeric
 def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
     """Covariance later, driven by white jerk of density ``jerk2``, of which nothing fades: the safe side."""
     pp, pv, pa, vv, va, aa = covariance
@@ -249,6 +245,7 @@ def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
     )
 
 
+@numeric
 def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
     """First number of ``_propagate``."""
     pp, pv, pa, vv, va, aa = covariance
@@ -259,6 +256,7 @@ def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> flo
     )  # fmt: skip
 
 
+@numeric
 def _velocity_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
     """Fourth number of ``_propagate``."""
     _, _, _, vv, va, aa = covariance
@@ -266,26 +264,30 @@ def _velocity_variance(covariance: Covariance, time: _Time, jerk2: float) -> flo
     return vv + 2.0 * v * va + v * v * aa + jerk2 * t * t * t / 3.0
 
 
-def _start(noise: _Noise) -> Covariance:
-    return (noise.position2, 0.0, 0.0, noise.velocity2, 0.0, noise.acceleration2)
-
-
 _Gains = tuple[float, float, float, float, float, float]  # of position, then of velocity: p, v, a each
 
 
-def _correct(covariance: Covariance, noise: _Noise) -> tuple[Covariance, _Gains, tuple[float, float]]:
+@numeric
+def _correct(
+    covariance: Covariance, position2: float, velocity2: float
+) -> tuple[Covariance, _Gains, tuple[float, float]]:
     """Position and velocity are measured with independent noise: one scalar update after the other.
+
+    Args:
+        covariance: before.
+        position2: square of the position's noise.
+        velocity2: of the velocity's.
 
     Returns:
         Covariance, gains, and one over the variance by which position and velocity are expected to miss.
     """
     pp, pv, pa, vv, va, aa = covariance
-    s = 1.0 / (pp + noise.position2)
+    s = 1.0 / (pp + position2)
     kp, kv, ka = pp * s, pv * s, pa * s
     pp, pv, pa, vv, va, aa = (
         pp - kp * pp, pv - kp * pv, pa - kp * pa, vv - kv * pv, va - kv * pa, aa - ka * pa,
     )  # fmt: skip
-    t = 1.0 / (vv + noise.velocity2)
+    t = 1.0 / (vv + velocity2)
     lp, lv, la = pv * t, vv * t, va * t
     corrected = (
         pp - lp * pv, pv - lp * vv, pa - lp * va, vv - lv * vv, va - lv * va, aa - la * va,
@@ -293,6 +295,7 @@ def _correct(covariance: Covariance, noise: _Noise) -> tuple[Covariance, _Gains,
     return corrected, (kp, kv, ka, lp, lv, la), (s, t)
 
 
+@numeric
 def _corrected(
     gains: _Gains, p: float, v: float, a: float, measured_p: float, measured_v: float
 ) -> tuple[float, float, float, float, float]:
@@ -302,3 +305,78 @@ def _corrected(
     p, v, a = p + kp * missed_p, v + kv * missed_p, a + ka * missed_p
     missed_v = measured_v - v
     return p + lp * missed_v, v + lv * missed_v, a + la * missed_v, missed_p * missed_p, missed_v * missed_v
+
+
+@numeric
+def carried(
+    state: _State,
+    covariances: tuple[Covariance, Covariance],
+    turned_rad: float,
+    fading: _Time,
+    lasting: _Time,
+    jerk2_xy: float,
+    jerk2_z: float,
+) -> tuple[Vec3, Vec3, Vec3, float, float, float]:
+    """State at another time, and standard deviations: position on x and y, on z, velocity on x and y.
+
+    Args:
+        state: estimated.
+        covariances: of x and y, and of z.
+        turned_rad: angle by which the velocity turns until then.
+        fading: the time, with an acceleration that fades.
+        lasting: the time, with one that lasts.
+        jerk2_xy: square of the jerk on x and y.
+        jerk2_z: on z.
+    """
+    position, velocity, acceleration = _moved(state, turned_rad, fading, lasting)
+    if fading[0] < 0.0:  # it was no less certain then
+        fading = lasting = _NOW
+    return (
+        position,
+        velocity,
+        acceleration,
+        math.sqrt(_position_variance(covariances[0], fading, jerk2_xy)),
+        math.sqrt(_position_variance(covariances[1], lasting, jerk2_z)),
+        math.sqrt(_velocity_variance(covariances[0], fading, jerk2_xy)),
+    )
+
+
+@numeric
+def updated(
+    state: _State,
+    covariances: tuple[Covariance, Covariance],
+    turned_rad: float,
+    fading: _Time,
+    lasting: _Time,
+    noise_xy: Vec3,
+    noise_z: Vec3,
+    measured_m: Vec3,
+    measured_m_s: Vec3,
+) -> tuple[_State, Covariance, Covariance, float]:
+    """State and covariances after a sample, and the mean of the normalised innovations squared on x and y.
+
+    Args:
+        state: at the sample before.
+        covariances: of x and y, and of z, then.
+        turned_rad: angle by which the velocity has turned since.
+        fading: the time since, with an acceleration that fades.
+        lasting: the time since, with one that lasts.
+        noise_xy: squares of the noise of position and velocity, and of the jerk, on x and y.
+        noise_z: on z.
+        measured_m: position.
+        measured_m_s: velocity.
+    """
+    (p, q, r), (u, v, w), (a, b, c) = _moved(state, turned_rad, fading, lasting)
+    covariance_xy, gains_xy, weights = _correct(
+        _propagate(covariances[0], fading, noise_xy[2]), noise_xy[0], noise_xy[1]
+    )
+    covariance_z, gains_z, _ = _correct(
+        _propagate(covariances[1], lasting, noise_z[2]), noise_z[0], noise_z[1]
+    )
+    x = _corrected(gains_xy, p, u, a, measured_m[0], measured_m_s[0])
+    y = _corrected(gains_xy, q, v, b, measured_m[1], measured_m_s[1])
+    z = _corrected(gains_z, r, w, c, measured_m[2], measured_m_s[2])
+    # the mean of four: position and velocity on x and on y, each 1 on average
+    innovation2 = 0.25 * (weights[0] * (x[3] + y[3]) + weights[1] * (x[4] + y[4]))
+    corrected = ((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
+    return corrected, covariance_xy, covariance_z, innovation2
