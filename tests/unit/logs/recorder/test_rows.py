@@ -167,6 +167,8 @@ inputs = st.builds(
     st.none() | statuses,
     st.lists(samples, max_size=4).map(tuple),
     st.sampled_from(Operator),
+    power=st.none(),  # in rows of its own
+    neighbours=st.just(()),  # the same
 )
 
 
