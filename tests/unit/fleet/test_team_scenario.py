@@ -31,7 +31,10 @@ def test_the_fleets_have_the_errors_of_field(name, count):
     assert found.name == name
     assert len(found.member) == count
     for number, each in enumerate(found.member, 1):
-        alone = replace(each.onboard, fleet=None)
+        slew = field.onboard.robust.acceleration_max_m_s2  # what a fleet may have less of
+        assert all(a <= b for a, b in zip(each.onboard.robust.acceleration_max_m_s2, slew, strict=True))
+        robust = replace(each.onboard.robust, acceleration_max_m_s2=slew)
+        alone = replace(each.onboard, fleet=None, robust=robust)
         assert (each.odometry, each.vehicle, each.wind, alone) == (
             field.odometry, field.vehicle, field.wind, field.onboard,
         )  # fmt: skip
