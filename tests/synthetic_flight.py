@@ -33,7 +33,7 @@ BARRIER = Barrier(1.0, 1.5)
 NAN3 = (math.nan,) * 3
 MAX_S = 60.0
 AFTER_S = 3.0
-PAD = 1
+PAD, GROUND, ROBOT, EDGE, TUMBLED = 1, 2, 4, 8, 16
 
 
 @dataclass

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from flightstack.core.fleet.cone import Cone
 from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.member import NO_ROWS, FleetMember, Rows
 from flightstack.core.fleet.precedence import ALONE
@@ -19,9 +20,9 @@ from flightstack.core.mission.machine import Mission, Transition
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import ActiveBarrier
 from flightstack.core.safety.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
-from flightstack.core.safety.position_loop import clip, limit, slew
+from flightstack.core.safety.position_loop import limit, slew
 from flightstack.core.safety.qp_filter import FilterResult
-from flightstack.core.snapshot import Relative, Snapshot, snapshot_of
+from flightstack.core.snapshot import Snapshot, snapshot_of
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.reserve import ReserveEstimate
@@ -31,7 +32,6 @@ from flightstack.core.types import (
     Charge,
     FilterStatus,
     Inputs,
-    Landed,
     Mode,
     Neighbour,
     OwnState,
@@ -44,8 +44,6 @@ from flightstack.core.types import (
 # s of a take-off in which the autopilot alone decides how fast it rises: mode and arming, COM_SPOOLUP_TIME
 # of 1 s and MPC_TKO_RAMP_T of 3 s; PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
 RISE_FREE_S = 7.0
-CALM_RATE_1_S = 2.5  # of the distance to the pad's middle: velocity past it that making way may lead to
-OUTWARD_PART = 0.5  # of what the landing barrier's rate allows, for velocities that lower h sideways
 
 
 class Event(NamedTuple):
@@ -119,13 +117,6 @@ def _level(transition: Transition) -> int:
     return WARN if transition.after is Phase.HOLD else INFO
 
 
-def _follows_in_the_air(status: VehicleStatus | None) -> bool:
-    """Whether the vehicle says that it flies by our set-points."""
-    if status is None or not status.armed or status.mode is not Mode.EXTERNAL:
-        return False
-    return status.landed is not Landed.ON_GROUND
-
-
 def state_class(config: FlightConfig) -> type[State]:
     """Class of the state of this configuration."""
     if config.fleet is not None:
@@ -152,16 +143,15 @@ class Controller:
         self._filter = self._strategy.program()
         limits = config.limits
         self._gate = Gate(
-            self._strategy.rate_1_s,
-            limits.velocity_max_m_s,
-            limits.altitude_max_m,
-            self._period_s,
+            self._strategy.rate_1_s, limits.velocity_max_m_s, limits.altitude_max_m, self._period_s
         )
         step = tuple(a * self._period_s for a in most)
         self._slew_step: Vec3 = (step[0], step[1], step[2])
         self._up_step = math.inf  # besides, m/s
         fleet = config.fleet
         self._fleet = FleetMember(fleet, config.own.position_noise_m) if fleet is not None else None
+        lag_s = max(config.velocity_loop.lag_z_s, self._period_s)
+        self._cone = Cone(self._strategy.rate_1_s, self.barrier.slope_max, lag_s, self._period_s)
 
     @property
     def state(self) -> State:
@@ -296,7 +286,7 @@ class Controller:
         memory = self.memory
         if memory.commanding:
             return memory.command
-        if not memory.lifting or not _follows_in_the_air(status):
+        if not memory.lifting or status is None or not status.flies_by_setpoints:
             return None
         (x, y, up_m_s), rises_m_s = memory.command, own.velocity_enu_m_s[2]
         free = now_s - memory.phase_since_s <= RISE_FREE_S
@@ -321,39 +311,13 @@ class Controller:
             lower = (lower[0], lower[1], min(climb_m_s, upper[2]))
         if self._fleet is not None and (rows.rows or not snapshot.way.may_land):
             landing = Row(gradient, -self._strategy.rate_1_s * active_m - dh_dt)
-            outward = self._outward(active_m, gradient, self._base(snapshot), at.target.velocity_enu_m_s)
-            lower, upper = self._calm(at, nominal, active_m, lower, upper)
+            moves_m_s = at.target.velocity_enu_m_s
+            outward = self._cone.outward(active_m, gradient, self._base(snapshot), moves_m_s)
+            lower, upper = self._cone.box(at.d_m, active_m, nominal, moves_m_s, lower, upper)
             result = self._fleet.solve(nominal, (landing, outward), rows, lower, upper)
         else:
             result = self._filter.solve(nominal, active_m, gradient, dh_dt, lower, upper)
         return Barriers(h_m, gradient, dh_dt, nominal, result)
-
-    def _outward(self, h_m: float, gradient: Vec3, base_m_s: Vec3, target_m_s: Vec3) -> Row:
-        """Row that lets a velocity out of the cone grow no faster than the climb that holds h can follow.
-
-        A lone vehicle flies inwards. One that waits, or makes way, may fly outwards: what it gains while its
-        climb lags behind is taken from h. To stop flying inwards it is free.
-        """
-        gx, gy, _ = gradient
-        lag_s = max(self.config.velocity_loop.lag_z_s, self._period_s)
-        used_m_s = self._period_s * self._strategy.rate_1_s * max(0.0, h_m) / lag_s
-        with_target = gx * target_m_s[0] + gy * target_m_s[1]
-        inward_m_s = gx * base_m_s[0] + gy * base_m_s[1] - with_target
-        return Row((gx, gy, 0.0), with_target + min(0.0, inward_m_s) - OUTWARD_PART * used_m_s)
-
-    def _calm(self, at: Relative, nominal: Vec3, h_m: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, Vec3]:
-        """Box in which making way for others does not make it sink faster, nor rush across the pad's middle.
-
-        Beyond the middle the boundary rises: what moves it inwards there moves it outwards a moment later.
-        To stop climbing it is free.
-        """
-        lag_s = max(self.config.velocity_loop.lag_z_s, self._period_s)
-        most = CALM_RATE_1_S * at.d_m + OUTWARD_PART * max(0.0, h_m) / (self.barrier.slope_max * lag_s)
-        (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = at.target.velocity_enu_m_s, lower, upper
-        return (
-            (clip(tx - most, lx, ux), clip(ty - most, ly, uy), clip(min(nominal[2], tz), lz, uz)),
-            (clip(tx + most, lx, ux), clip(ty + most, ly, uy), uz),
-        )
 
     def _base(self, snapshot: Snapshot) -> Vec3:
         """Where the slew limit starts: the last command, or the present velocity when none was in force."""

@@ -133,6 +133,11 @@ class VehicleStatus:
     landed: Landed
     ready_to_arm: bool
 
+    @property
+    def flies_by_setpoints(self) -> bool:
+        """Whether the vehicle says that it is in the air and follows our set-points."""
+        return self.armed and self.mode is Mode.EXTERNAL and self.landed is not Landed.ON_GROUND
+
 
 @dataclass(frozen=True, slots=True)
 class Power:

@@ -18,7 +18,7 @@ from flightstack.launch.run_options import Flies, RunOptions
 from flightstack.launch.sitl import GRACE_S, LOCKSTEP_SLOWEST, adapted, run_metadata
 from flightstack.launch.vehicles import longest_s, others_s
 from flightstack.onboard.recording import Described, describe_all, log_in, new_folder
-from logs.schema.names import TEAM, Names
+from logs.schema.names import TEAM, Names, member_name
 from sim.autopilot.profiles import PROFILES, PX4
 from sim.chance import name as seed_name
 from sim.scenarios import team as teams
@@ -133,7 +133,7 @@ class _Member:
     @property
     def name(self) -> str:
         """Its namespace."""
-        return f"cf{self.number}"
+        return member_name(self.number)
 
 
 def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path) -> FleetFlown:

@@ -20,6 +20,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Neighbour
 from flightstack.onboard.fleet_clock import OtherClock
 from logs.schema.fleet_rows import Echo, neighbour_of, word_row
+from logs.schema.names import member_name
 from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import FLEET_WORD
 
@@ -32,7 +33,7 @@ ONE_WAY_S = 2.0  # for which a member is heard and does not hear this vehicle, u
 
 def namespace_of(config: FlightConfig) -> str:
     """Return the namespace of a vehicle, if no other is given: each member of a fleet needs its own."""
-    return f"cf{config.fleet.id}" if config.fleet is not None else "cf1"
+    return member_name(config.fleet.id if config.fleet is not None else 1)
 
 
 def _not_begun() -> float:

@@ -191,7 +191,7 @@ class LockstepWires:
 
 
 class LockstepWords:
-    """Words of a fleet in lockstep: what is told at a tick comes to the others with a later tick.
+    """Words of a fleet in lockstep: the others receive a word of one tick in a later tick.
 
     The vehicles' process takes what all tell, and hands out to each what it hears, tick by tick. So order
     depends on no wall time. In place of ``FleetWire``, whose clocks and networks are those of real time.
@@ -212,9 +212,9 @@ class LockstepWords:
         self._texts: list[str] = []
 
     def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
-        """Wait for what is heard with a tick, for a bounded wall time.
+        """Wait for the words that belong to a tick, for a bounded wall time.
 
-        Before the first tick nobody has told anything; there it waits until somebody takes what is told.
+        Before the first tick there are none; then it waits until the simulator has subscribed to its words.
 
         Args:
             tick: that begins.

@@ -13,7 +13,6 @@ from logs.reader.flight_data import Fleet, Flight, Floats, phase_name
 from logs.report.style import (
     BOUNDARY,
     FAULT,
-    GRID,
     INK,
     LIMIT,
     NOMINAL,
@@ -21,6 +20,7 @@ from logs.report.style import (
     UNSAFE,
     add_line,
     layout,
+    layout_3d,
     light,
     line,
     low_envelope,
@@ -178,20 +178,13 @@ def room_3d(fleet: Fleet) -> go.Figure:
                     legendgroup=member, showlegend=False, hovertext=["start", "end"],
                 )
             )  # fmt: skip
-    layout(figure, 640)
-    axis = {"gridcolor": GRID, "backgroundcolor": "white", "zerolinecolor": GRID}
-    figure.update_layout(
-        margin={"l": 0, "r": 0, "t": 10, "b": 40},
-        legend={"y": -0.02},
-        scene={
-            "xaxis": {"title": {"text": "x, east [m]"}, **axis},
-            "yaxis": {"title": {"text": "y, north [m]"}, **axis},
-            "zaxis": {"title": {"text": "z, up [m]"}, "rangemode": "tozero", **axis},
-            "aspectmode": "data",
-            "camera": {"eye": {"x": 0.9, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}},
-        },
+    return layout_3d(
+        figure,
+        ("x, east [m]", "y, north [m]", "z, up [m]"),
+        zaxis={"rangemode": "tozero"},
+        aspectmode="data",
+        camera={"eye": {"x": 0.9, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}},
     )
-    return figure
 
 
 def plan(fleet: Fleet) -> go.Figure:

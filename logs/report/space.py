@@ -11,7 +11,6 @@ from logs.reader.flight_data import Flight, Floats
 from logs.report.style import (
     BOUNDARY,
     ESTIMATED,
-    GRID,
     INK,
     LIMIT,
     TARGET,
@@ -19,6 +18,7 @@ from logs.report.style import (
     UNSAFE,
     boundary_height_m,
     layout,
+    layout_3d,
     light,
     line,
     thin,
@@ -83,21 +83,13 @@ def trajectory_3d(flight: Flight, touch: int | None) -> go.Figure | None:
     if touch is not None and flight.truth is not None:
         _marker_3d(figure, flight.truth.e_m[touch], "touchdown", "diamond")
     _marker_3d(figure, known[-1], "end", "square")
-    layout(figure, 640)
-    axis = {"gridcolor": GRID, "backgroundcolor": "white", "zerolinecolor": GRID}
-    figure.update_layout(
-        margin={"l": 0, "r": 0, "t": 10, "b": 40},
-        legend={"y": -0.02},
-        scene={
-            "xaxis": {"title": {"text": "e<sub>x</sub>, east [m]"}, **axis},
-            "yaxis": {"title": {"text": "e<sub>y</sub>, north [m]"}, **axis},
-            "zaxis": {"title": {"text": "e<sub>z</sub>, up [m]"}, **axis},
-            "aspectmode": "manual",  # heights drawn larger than distances, as in the paper's figures
-            "aspectratio": {"x": 1.3, "y": 1.3, "z": 0.75},
-            "camera": {"eye": _camera(known[0]), "center": {"x": 0.0, "y": 0.0, "z": -0.2}},
-        },
+    return layout_3d(
+        figure,
+        ("e<sub>x</sub>, east [m]", "e<sub>y</sub>, north [m]", "e<sub>z</sub>, up [m]"),
+        aspectmode="manual",  # heights drawn larger than distances, as in the paper's figures
+        aspectratio={"x": 1.3, "y": 1.3, "z": 0.75},
+        camera={"eye": _camera(known[0]), "center": {"x": 0.0, "y": 0.0, "z": -0.2}},
     )
-    return figure
 
 
 def _camera(start_m: Floats) -> dict[str, float]:

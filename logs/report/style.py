@@ -55,6 +55,7 @@ PHASE_SOLID: dict[Phase | int, str] = {
     Phase.ABORT: "#efb08a",
     Phase.LEAVE: "#9fc9e8",
 }
+_SPACE_PX = 640  # height of a figure in space
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and the legend's distance below the axis
 POINTS_MAX = 4000  # of one line; more cannot be seen, and the page has to stay light
 _EVEN_S = 1e-3  # s; times this close to evenly spaced are written as start and step
@@ -85,6 +86,25 @@ def layout(figure: go.Figure, height_px: int) -> go.Figure:
     figure.update_xaxes(gridcolor=GRID, zeroline=False, linecolor="#9aa5b1", showline=True, ticks="outside")
     figure.update_yaxes(gridcolor=GRID, zeroline=False, linecolor="#9aa5b1", showline=True, ticks="outside")
     return figure
+
+
+def layout_3d(figure: go.Figure, titles: tuple[str, str, str], **scene: Any) -> go.Figure:
+    """Give a figure in space the common look.
+
+    Args:
+        figure: changed.
+        titles: of the axes x, y, z.
+        scene: more of plotly's ``layout.scene``; a value by axis is merged into that axis.
+    """
+    layout(figure, _SPACE_PX)
+    axis = {"gridcolor": GRID, "backgroundcolor": "white", "zerolinecolor": GRID}
+    axes = {
+        f"{name}axis": {"title": {"text": title}, **scene.pop(f"{name}axis", {}), **axis}
+        for name, title in zip("xyz", titles, strict=True)
+    }
+    return figure.update_layout(
+        margin={"l": 0, "r": 0, "t": 10, "b": 40}, legend={"y": -0.02}, scene={**axes, **scene}
+    )
 
 
 def zero_s(flight: Flight) -> float:

@@ -37,6 +37,11 @@ class Names(NamedTuple):
         return f"/uas{self.system_id}/{name}"
 
 
+def member_name(system_id: int) -> str:
+    """Namespace of a vehicle of a fleet, from its MAVLink system id: cf1, cf2 and so on."""
+    return f"cf{system_id}"
+
+
 OWN = Names()  # of a log that holds one flight
 
 

@@ -17,7 +17,7 @@ from logs.reader.flight_data import Fleet, Flight
 from logs.reader.reader import LogFile
 from logs.schema.names import FLEET
 from logs.verdict.types import GAP_MAX_S, Outcome, Verdict
-from logs.verdict.verdict import judge, verdict_result
+from logs.verdict.verdict import flown_by, judge, verdict_result
 
 _WORST_FIRST = (Outcome.CRASHED, Outcome.TIMEOUT, Outcome.ABORTED, Outcome.LANDED)
 
@@ -191,14 +191,8 @@ def fleet_result(
         for name, each in verdict.members.items()
     }
     if about is None:
-        told = fleet.metadata.get(FLEET, {})
-        seed = told.get("seed", "")
         filters = dict.fromkeys(str(each["filter"]) for each in vehicles.values())
-        about = {
-            "scenario": told.get("scenario"),
-            "seed": int(seed) if seed.isdigit() else None,
-            "filter": ", ".join(filters),
-        }
+        about = flown_by({**fleet.metadata.get(FLEET, {}), "filter": ", ".join(filters)})
     return {
         **about,
         "outcome": verdict.outcome.value,

@@ -41,6 +41,16 @@ def judge(flight: Flight) -> Verdict:
     return judge_estimate(flight) if flight.truth is None else judge_truth(flight, flight.truth)
 
 
+def flown_by(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what was flown, the first keys of ``--json``, by the metadata of a log."""
+    seed = told.get("seed", "")
+    return {
+        "scenario": told.get("scenario"),
+        "seed": int(seed) if seed.isdigit() else None,
+        "filter": told.get("filter"),
+    }
+
+
 def verdict_result(
     flight: Flight,
     verdict: Verdict,
@@ -58,14 +68,8 @@ def verdict_result(
         realtime_factor: stack time over wall time, known to the launcher of the processes.
     """
     if about is None:
-        run = flight.metadata.get("run", {})
-        seed = run.get("seed", "")
         filter_flown = flight.config.filter if flight.config is not None else None
-        about = {
-            "scenario": run.get("scenario"),
-            "seed": int(seed) if seed.isdigit() else None,
-            "filter": run.get("filter", filter_flown),
-        }
+        about = flown_by({"filter": filter_flown, **flight.metadata.get("run", {})})
     return {
         **about,
         **verdict.to_json_dict(),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
+from logs.schema.names import member_name
 from logs.verdict.fleet import FleetVerdict, any_known, fleet_verdict, least
 from logs.verdict.types import Outcome
 from sim.campaign.rows import Row, row_of
@@ -12,7 +13,7 @@ from sim.runners.fleet.team import TeamLanding
 
 def judge_team(flown: TeamLanding) -> FleetVerdict:
     """Judge a team as the log of a fleet is judged."""
-    names = {number: f"cf{number}" for number in range(1, len(flown.landings) + 1)}
+    names = {number: member_name(number) for number in range(1, len(flown.landings) + 1)}
     members = {names[n]: landing.verdict for n, landing in enumerate(flown.landings, 1)}
     return fleet_verdict(members, flown.pairs, names)
 

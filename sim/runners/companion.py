@@ -19,6 +19,7 @@ from flightstack.core.types import Neighbour
 from flightstack.onboard.leaving import Leaving
 from flightstack.onboard.lockstep import VehicleTicks
 from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
+from logs.schema.names import member_name
 from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.clock import TickGrid
 from sim.compiled.jit import jitted
@@ -37,11 +38,13 @@ OnStep = Callable[[Tick, Outputs], None]
 
 
 def warm_up(scenario: Scenario) -> None:
-    """Compile everything that a landing calls, or load it from the cache, before the first begins.
-
-    From then on the functions of numbers in the core are compiled ones in this process.
-    """
+    """Compile everything that a landing calls, or load it from the cache, before the first begins."""
     warm_up_vehicle(scenario)
+    warm_up_core(scenario)
+
+
+def warm_up_core(scenario: Scenario) -> None:
+    """Compile the functions of numbers in the core; in this process they are compiled ones from then on."""
     compile_with(jitted)
     estimator = TargetEstimator(scenario.onboard.target)
     for n, (position, velocity, yaw) in enumerate(_SAMPLES):
@@ -74,7 +77,7 @@ class Companion:
     ) -> None:  # fmt: skip
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
-        self.name = f"cf{system_id}"
+        self.name = member_name(system_id)
         self.controller = Controller(config)
         self._on_step = on_step
         self._stop = Stop()

@@ -25,7 +25,7 @@ from flightstack.common.pacing import (
 )
 from flightstack.common.simulation_clock import Clock, Follower, chosen_clock
 from logs.recorder.feed import Feed, FeedError
-from logs.schema.names import OWN, Names
+from logs.schema.names import OWN, Names, member_name
 from sim.clock import STARTUP_S, NoAnswerError, wait_until
 from sim.runners.log import EventLog
 from sim.runners.robots import LockstepRobot, RealTimeRobot, Robot
@@ -127,7 +127,7 @@ def _flights(scenario: AnyScenario, options: TargetOptions) -> Iterator[tuple[Sc
         return
     shared = scenario.target_seed(options.seed)
     for number, (single, seed) in enumerate(scenario.singles(options.seed), 1):
-        yield single, seed if shared is None else shared, Names(f"cf{number}", number)
+        yield single, seed if shared is None else shared, Names(member_name(number), number)
 
 
 def _shown(ros2: Ros2Network, namespace: str, stack: ExitStack) -> Ros2Publisher:

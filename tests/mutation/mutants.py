@@ -21,7 +21,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "flightstack.core.safety.qp_filter": (f"{UNIT}/core/test_safety_filter.py",),
     "flightstack.core.safety.projection": (f"{UNIT}/core/test_safety_filter.py",),
     "flightstack.core.safety.gate": (f"{UNIT}/core/test_gate.py",),
-    "flightstack.core.mission.phases": (f"{UNIT}/core/mission/test_phases.py",),
+    "flightstack.core.mission.phases": (
+        f"{UNIT}/core/mission/test_phases.py",
+        f"{UNIT}/core/mission/test_abort_ways.py",
+    ),
 }
 
 

@@ -17,6 +17,7 @@ from flightstack.cli.options import takes
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml
 from flightstack.config.files import load, names, path_of
 from flightstack.core.parameters.flight import FlightConfig
+from logs.schema.names import member_name
 
 if TYPE_CHECKING:
     from flightstack.verify.types import Check
@@ -120,7 +121,8 @@ def of_team(team: TeamScenario) -> list[Part]:
         else:
             alike.append((same, [number]))
     parts = [
-        Part([configs[numbers[0]]], tuple(f"cf{number + 1}" for number in numbers)) for _, numbers in alike
+        Part([configs[numbers[0]]], tuple(member_name(number + 1) for number in numbers))
+        for _, numbers in alike
     ]
     if all(config.fleet is not None for config in configs):
         shapes = [Shape.of(load_params(each.vehicle.airframe)) for each in team.member]
@@ -130,7 +132,7 @@ def of_team(team: TeamScenario) -> list[Part]:
         parts.append(
             Part(
                 configs,
-                tuple(f"cf{number + 1}" for number in range(len(configs))),
+                tuple(member_name(number + 1) for number in range(len(configs))),
                 lambda found: team_checks(found, starts, (radius_m, 0.0, up_m), apart_m),
             )
         )

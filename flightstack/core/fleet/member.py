@@ -152,7 +152,7 @@ class FleetMember:
         return way
 
     def stays(self, way: Way, in_phase_s: float, why: str) -> list[str]:
-        """Text of an event where this vehicle should leave its pad, and goes on not to do so.
+        """Text of an event, once, if this vehicle has not left a pad that another vehicle waits for.
 
         Args:
             way: of this tick.

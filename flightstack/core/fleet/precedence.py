@@ -140,10 +140,10 @@ def heard(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
 
 
 def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
-    """Whether it hears too few to go on: of two parts of a fleet that do not hear each other one goes on.
+    """Whether this vehicle is in the part of a divided fleet that has to land.
 
-    That is the larger one, or of equal ones that with the lowest id. Who is silent and down, or was never
-    heard, does not count.
+    Where two parts of a fleet do not hear each other, the larger part continues; of two equal parts the one
+    with the lowest id continues. Members that are down, or were never heard, do not count.
     """
     hears = [n for n, slot in slots if heard(slot.word, now_s, fleet)]
     lost = [n for n, slot in slots if n not in hears and slot.word is not None and not _is_down(slot.word)]

@@ -14,13 +14,13 @@ from bridge.mavlink.transport.address import parse_udp_url
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.recorder.feed import Feed
-from logs.schema.names import Names
+from logs.schema.names import Names, member_name
 from sim.autopilot.profiles import PROFILES
 from sim.clock import TickGrid
 from sim.runners.deck import RealTimeDeck
 from sim.runners.fleet.lockstep import FleetLockstep, LockstepMember
 from sim.runners.fleet.room import Member, Room
-from sim.runners.fleet.team import warm_up
+from sim.runners.fleet.team import warm_up_room
 from sim.runners.fleet.words import Words
 from sim.runners.log import VehicleLog
 from sim.runners.vehicle_node import VehicleNode
@@ -60,7 +60,7 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
     if session is None:
         raise ValueError("vehicles of a team follow robots on Zenoh; --connect, --listen or --zenoh-config")
     kind, host, port = parse_udp_url(options.url, "the simulated vehicle")
-    warm_up(team)
+    warm_up_room(team)
     epoch_ns = EPOCH_NS if options.lockstep else time.time_ns()
     feed = Feed.connect(options.recorder, "vehicle", lossless=options.lockstep)
     stack.callback(feed.close)
@@ -80,7 +80,7 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
         own = f"{kind}:{host}:{port + number - 1 if port else 0}"
         endpoint, url = opened(options, own, number, stack)
         urls.append(url)
-        name = f"cf{number}"
+        name = member_name(number)
         vehicle = VehicleSim(scenario, seed)
         autopilot = autopilot_of(vehicle, _own(options, number), number, epoch_ns)
         log = VehicleLog(feed, epoch_ns, name, Names(name, number))

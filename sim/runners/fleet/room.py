@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from logs.recorder.feed import Feed
+from logs.schema.names import member_name
 from logs.schema.rows import FleetPairRow
 from logs.schema.schemas import FLEET_PAIR
 from sim.clock import TickGrid
@@ -37,7 +38,7 @@ class Member:
     @property
     def name(self) -> str:
         """Of the vehicle, and its namespace."""
-        return f"cf{self.number}"
+        return member_name(self.number)
 
     @property
     def vehicle(self) -> VehicleSim:

@@ -17,8 +17,7 @@ from flightstack.core.controller import Outputs
 from flightstack.core.types import Neighbour, Phase
 from logs.verdict.truth import judge_truth
 from sim.clock import TickGrid
-from sim.runners.companion import Companion
-from sim.runners.companion import warm_up as warm_up_member
+from sim.runners.companion import Companion, warm_up_core
 from sim.runners.fleet.pairs import Pair, Pairs
 from sim.runners.fleet.words import Words
 from sim.runners.landing import Landing
@@ -26,6 +25,7 @@ from sim.scenarios.team import TeamScenario
 from sim.vehicle.air import Air
 from sim.vehicle.encounters import Shape, Team
 from sim.vehicle.vehicle import VehicleSim
+from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 
 # Called once a tick, when all members have flown it, with its number and the outputs of all controllers (None
 # where the flight is over). Returns what each companion knows of the others from the next tick on.
@@ -125,7 +125,13 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
 
 def warm_up(team: TeamScenario) -> None:
     """Compile everything that a team's flight calls, or load it from the cache, before a flight begins."""
-    warm_up_member(team.member[0])
+    warm_up_room(team)
+    warm_up_core(team.member[0])
+
+
+def warm_up_room(team: TeamScenario) -> None:
+    """The same for the vehicles alone, without their companions."""
+    warm_up_vehicle(team.member[0])
     physics = VehicleSim(team.member[0], 0).physics
     Air([physics, physics]).blow()
     shape = Shape.of(physics.params)

@@ -20,7 +20,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import Inputs, TargetSample
-from sim.compiled.jit import is_off, jitted
+from sim.compiled.jit import jitted
 
 LINK = TargetLink()
 ORIGIN = (0.0, 0.0, 0.0)
@@ -353,7 +353,6 @@ def told(steps):
             yield repr((estimator.memory, estimator.at(t_s + ahead_s)))
 
 
-@pytest.mark.skipif(is_off(), reason="nothing is compiled")
 def test_compiled_it_is_equal_to_the_last_bit(monkeypatch):
     plain = list(told(400))
     for function in MARKED:
