@@ -61,7 +61,7 @@ def robust_checks(config: FlightConfig) -> list[Check]:
         paper.sampling(config, "robust.rate_1_s", config.robust.rate_1_s),
         paper.peak_clears_pad(config),
         paper.gains(config, config.position_loop.gain_1_s, "position_loop.gain_1_s"),
-        paper.slews(config, config.robust.acceleration_max_m_s2, "robust.acceleration_max_m_s2"),
+        paper.slews(config, config.slew_max_m_s2, "robust.acceleration_max_m_s2"),
         *touchdown.follows(config, x),
         *touchdown.reach(config, x),
         touchdown.in_time(config, x),

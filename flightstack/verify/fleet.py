@@ -192,8 +192,9 @@ def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) ->
         slew_m_s2[axis] - needed[axis],
         "m/s^2",
         f"along axis {axis} the row may ask for {needed[axis]:.3g} m/s^2 at full speed of both, allowed are "
-        f"{slew_m_s2[axis]:g}",
-        "lower fleet.rate_1_s or fleet.speed_max_m_s, or raise robust.acceleration_max_m_s2",
+        f"{slew_m_s2[axis]:.3g}",
+        "lower fleet.rate_1_s or fleet.speed_max_m_s, or raise robust.acceleration_max_m_s2 and "
+        "fleet.slew_xy_max_m_s2",
         Need.PROOF,
     )
 

@@ -59,7 +59,7 @@ def demand(x: Extremes, slope: Span) -> float:
 def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign: float = 1.0) -> float:
     """Return how fast that velocity rises (sign 1) or falls (sign -1) by motion over the boundary, m/s^2."""
     slope, bend = shape.slope(d), shape.curvature_1_m(d)
-    ax, ay, _ = config.robust.acceleration_max_m_s2
+    ax, ay, _ = config.slew_max_m_s2
     inside = x.slip_m_s if sign > 0.0 else x.box_speed_m_s  # it may come in fast, which lets the demand fall
     speed = x.box_speed_m_s if slope.low < 0.0 else inside
     pushed = math.hypot(ax, ay) + x.target_acceleration_m_s2
@@ -111,7 +111,7 @@ def demand_growth(config: FlightConfig, x: Extremes) -> Most:
 
 def slew(config: FlightConfig, x: Extremes) -> Check:
     """Check that the needed vertical velocity rises no faster than the vertical velocity may change."""
-    worst, az = demand_growth(config, x), config.robust.acceleration_max_m_s2[2]
+    worst, az = demand_growth(config, x), config.slew_max_m_s2[2]
     return Check(
         "acceleration",
         "while the target is followed, the needed vertical velocity changes no faster than the limit",

@@ -37,6 +37,8 @@ class Fleet:
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # standard deviations of positions that are covered
     speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # of another vehicle, in any direction
     acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 3.0  # the same; of its velocity wanted, too
+    # of the velocity wanted by this one, both axes together: a Crazyflie flies 2.1, and more comes too late
+    slew_xy_max_m_s2: Annotated[float, span(0.05, 20.0)] = 2.0
     reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # within which others have a row
     age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # of a word; older, its vehicle is silent
     latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # of a word that is not lost

@@ -5,6 +5,7 @@ Classes are tables of the file, fields are keys and carry their unit. ``flightst
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
@@ -158,6 +159,19 @@ class FlightConfig:
     vehicle: VehicleSide = field(default_factory=VehicleSide)
     reserve: Reserve | None = None  # without it the battery limits nothing, and its state is not asked for
     fleet: Fleet | None = None  # without it there are no others: it flies alone
+
+    @property
+    def slew_max_m_s2(self) -> Vec3:
+        """Of the velocity that the robust filter wants, on each axis.
+
+        In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each has the side of
+        the square in that circle. What is flown later than wanted is missing where neighbours are so near.
+        """
+        x, y, z = self.robust.acceleration_max_m_s2
+        if self.fleet is None:
+            return x, y, z
+        side = self.fleet.slew_xy_max_m_s2 / math.sqrt(2.0)
+        return min(x, side), min(y, side), z
 
     @property
     def descending(self) -> FlightConfig:

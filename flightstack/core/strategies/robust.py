@@ -40,7 +40,8 @@ class RobustFilter(Strategy):
     def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
         robust = config.robust
         self.rate_1_s = robust.rate_1_s
-        self.acceleration_max_m_s2 = robust.acceleration_max_m_s2
+        self.acceleration_max_m_s2 = config.slew_max_m_s2
+        self._brakes_m_s2 = BRAKING * min(config.slew_max_m_s2[:2])
         self.contact_speed_max_m_s = robust.descent_m_s + robust.descent_lead_max_m_s
         self.stopped_below_m = robust.touch_height_m
         self._config, self._barrier = config, barrier
@@ -217,8 +218,7 @@ class RobustFilter(Strategy):
         if at.d_m > self._barrier.peak_distance_m:
             return self._barrier.peak_height_m
         vx, vy = at.slip_m_s
-        brakes_m_s2 = BRAKING * min(self._config.robust.acceleration_max_m_s2[:2])
-        rest_s = math.hypot(vx, vy) / (2.0 * brakes_m_s2)  # at this velocity, until as far as it comes
+        rest_s = math.hypot(vx, vy) / (2.0 * self._brakes_m_s2)  # at this velocity, until as far as it comes
         if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
             return 0.0  # on this side
         return self._barrier.height(math.hypot(ex + rest_s * vx, ey + rest_s * vy))

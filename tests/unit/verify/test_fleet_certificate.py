@@ -30,6 +30,7 @@ FLEET = {
     "id": 1, "members": [1, 2, 3], "radius_xy_m": 0.25, "radius_z_m": 0.75, "rate_1_s": 0.8,
     "speed_max_m_s": 1.0, "acceleration_max_m_s2": 1.0, "reach_m": 6.0, "age_max_s": 0.5,
     "latency_max_s": 0.15, "wait_max_s": 60.0, "pad_distance_m": 0.8, "margin_m": 0.08,
+    "slew_xy_max_m_s2": 20.0,
 }  # fmt: skip
 
 
