@@ -166,6 +166,7 @@ class Heard:
     claim_s: float = nan  # its claim to which that belongs
     yielded_s: float = -inf  # when it was told so last
     on_pad: bool = False  # it stood on this vehicle's pad when it was heard last
+    faster_m_s2: Vec3 = ZERO  # at which the velocity that it wanted changed
 
 
 # one for each other member in the order of their ids; those of a smaller fleet stay as they are

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from flightstack.core.fleet.beside import place_beside
-from flightstack.core.fleet.ellipsoid import barrier, estimate
+from flightstack.core.fleet.ellipsoid import barrier, estimate, faster
 from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.precedence import Pad, Way, decide, heard
 from flightstack.core.fleet.program import FleetProgram
@@ -107,7 +107,10 @@ class FleetMember:
                 refused.append(f"word of vehicle {word.id} refused: {why}")
                 continue
             slot = self.memory.slots[self._index[word.id]]
-            if slot.word is None or word.stamp_s > slot.word.stamp_s:  # what was overtaken is not news
+            before = slot.word
+            if before is None or word.stamp_s > before.stamp_s:  # what was overtaken is not news
+                if before is not None:
+                    slot.faster_m_s2 = faster(slot.faster_m_s2, before, word)
                 slot.word = word
         return refused
 
@@ -175,7 +178,7 @@ class FleetMember:
         """
         if phase is Phase.TOUCHDOWN:  # it goes on to the ground: the others keep clear of it
             return NO_ROWS
-        fleet, (x, y, z), found = self._fleet, own.position_enu_m, []
+        fleet, found = self._fleet, []
         for n, slot in self.slots:
             word = slot.word
             if word is None:
@@ -183,9 +186,9 @@ class FleetMember:
             part = share(slot, word, now_s, fleet)
             if part == NONE:
                 continue
-            now = estimate(word, now_s, self._sigma_m, fleet)
-            px, py, pz = now.position_enu_m
-            away = (x - px, y - py, z - pz)
+            now = estimate(word, now_s, self._sigma_m, fleet, slot.faster_m_s2)
+            away, moves = now.beside(own.position_enu_m)
+            now = now._replace(velocity_enu_m_s=moves)
             xy_m, z_m = fleet.radius_xy_m + now.grown_m, fleet.radius_z_m + now.grown_m
             h_m, gradient = barrier(away, xy_m, z_m, first=fleet.id < n)
             outer_m = h_m

@@ -17,7 +17,7 @@ PART_OF_LAG = 0.25  # of a first-order loop: below it the distance comes to rest
 HOLD_LATENCIES = 3.0  # for which a vehicle that gave way keeps its whole share after it said so last
 ZERO_LATENCIES = 2.0  # for which another one counts on it; the difference is for ticks and late ones
 DECIDE_LATENCIES = 4.0  # after two claims, until the higher id gives way where both believe to be first
-CARRIED_AGES = 2.0  # times ``age_max_s``, for which a silent vehicle is taken to fly straight on
+CARRIED_AGES = 2.2  # times ``age_max_s``, for which a silent vehicle is taken to fly straight on
 KEPT_PART = 0.2  # of ``descent_s``: so far ahead for who has the right of way already
 CIRCLE_LATENCIES = 8.0  # times the members with higher ids and one, until a circle is opened
 
@@ -42,7 +42,7 @@ class Fleet:
     reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # within which others have a row
     age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # of a word; older, its vehicle is silent
     latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # of a word that is not lost
-    silent_flight_s: Annotated[float, span(0.1, 60.0)] = 3.0  # a silent vehicle flies on; then it is down
+    silent_flight_s: Annotated[float, span(0.1, 60.0)] = 6.0  # a silent vehicle flies on; then it is down
     wait_max_s: Annotated[float, span(1.0, 3600.0)] = 30.0  # for the right of way; then it aborts
     pad_distance_m: Annotated[float, span(0.1, 50.0)] = 0.8  # of pads, nearer only one lands at a time
     descent_s: Annotated[float, span(0.0, 60.0)] = 5.0  # so far ahead pads may come as near

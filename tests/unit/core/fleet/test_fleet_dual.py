@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given, settings
 
 from flightstack.core.fleet import dual, exact
-from flightstack.core.fleet.ellipsoid import barrier, estimate
+from flightstack.core.fleet.ellipsoid import (
+    DRIFT_M_S,
+    DRIFT_MAX_M,
+    LEAD_S,
+    SINK_M_S,
+    barrier,
+    estimate,
+    faster,
+)
 from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.precedence import decide
 from flightstack.core.fleet.program import FleetProgram
@@ -77,17 +85,64 @@ def test_what_is_asked_for_silent_vehicles_gives_way_before_the_rows_of_those_th
 
 
 def word(stamp_s=0.0, velocity=ZERO, **keys):
-    return Neighbour(7, stamp_s, stamp_s, ZERO, velocity, ZERO, **{"intent": Intent.WAITING, **keys})
+    return Neighbour(
+        7, stamp_s, stamp_s, ZERO, velocity, **{"wanted_enu_m_s": ZERO, "intent": Intent.WAITING, **keys}
+    )
 
 
-def test_a_silent_vehicle_is_carried_on_for_as_long_as_its_autopilot_flies_on():
-    told = word(velocity=(0.5, 0.0, 0.0))
-    rests_s = CARRIED_AGES * FLEET.age_max_s
-    for now_s, x, v in ((0.1, 0.05, 0.5), (0.6, 0.3, 0.5), (rests_s + 2.0, 0.5 * rests_s, 0.0)):
-        now = estimate(told, now_s, 0.0, FLEET)
+def test_a_silent_vehicle_is_carried_on_with_its_last_set_point_for_as_long_as_its_autopilot_flies_on():
+    told = word(velocity=(0.5, 0.0, 0.0), wanted_enu_m_s=(0.8, 0.0, -0.4))
+    faster_m_s2, late_s = (1.0, 0.0, 0.0), FLEET.latency_max_s
+    set_point_m_s, flies_s = 0.8 + LEAD_S, CARRIED_AGES * FLEET.age_max_s
+    for now_s, x, v in (
+        (0.1, 0.05, 0.5),
+        (0.6, 0.5 * late_s + set_point_m_s * (0.6 - late_s), set_point_m_s),
+        (flies_s + 2.0, 0.5 * late_s + set_point_m_s * (flies_s - late_s), 0.0),
+    ):
+        now = estimate(told, now_s, 0.0, FLEET, faster_m_s2)
         assert now.position_enu_m[0] == pytest.approx(x)
-        assert now.velocity_enu_m_s[0] == v
+        assert now.velocity_enu_m_s[0] == pytest.approx(v)
         assert now.late == (now_s > FLEET.latency_max_s)
+    assert now.position_enu_m[2] == pytest.approx(-0.4 * (FLEET.age_max_s - late_s))
+
+
+def test_the_acceleration_wanted_is_that_of_the_words_however_many_are_lost():
+    found, before = ZERO, word()
+    for tick in (1, 2, 3, 7, 8, 12, 30, 31, 32, 33, 34, 50):
+        t = 0.01 * tick
+        now = word(t, wanted_enu_m_s=(2.0 * t, 0.0, -t))
+        found, before = faster(found, before, now), now
+    assert found == pytest.approx((2.0, 0.0, -1.0), abs=0.05)
+
+
+def test_a_silent_vehicle_may_be_anywhere_from_where_its_autopilot_holds_it_down_to_where_it_has_sunk():
+    now = estimate(word(), 3.0, 0.0, FLEET)
+    low_m = -SINK_M_S * (3.0 - FLEET.latency_max_s)
+    for z, away_z, moves in (
+        (0.4, 0.4, 0.0),
+        (0.0, 0.0, 0.0),
+        (low_m, 0.0, 0.0),
+        (low_m - 0.3, -0.3, -SINK_M_S),
+    ):
+        away, velocity = now.beside((1.0, 0.0, z))
+        assert away == pytest.approx((1.0, 0.0, away_z))
+        assert velocity == (0.0, 0.0, moves)
+    down = estimate(word(), FLEET.silent_flight_s + 1.0, 0.0, FLEET)
+    assert down.beside((0.0, 0.0, -9.0))[1] == ZERO
+    heard = estimate(word(), 0.1, 0.0, FLEET)
+    assert heard.beside((1.0, 0.0, -0.3)) == ((1.0, 0.0, -0.3), ZERO)
+
+
+def test_where_a_silent_vehicle_is_taken_to_be_grows_by_its_drift_until_it_is_down():
+    plain_m = estimate(word(), FLEET.latency_max_s, 0.0, FLEET).grown_m
+    for now_s, drift_m in (
+        (1.0, DRIFT_M_S * (1.0 - FLEET.latency_max_s)),
+        (FLEET.silent_flight_s, DRIFT_MAX_M),
+        (9.0, 0.0),
+    ):
+        now = estimate(word(), now_s, 0.0, FLEET)
+        assert now.grown_m - plain_m == pytest.approx(drift_m)
+        assert (now.growth_m_s > 0.0) == (now_s == 1.0)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +151,7 @@ def test_a_silent_vehicle_is_carried_on_for_as_long_as_its_autopilot_flies_on():
         (1.5, 0.9, "no nearer"),  # inside of all that it may have flown
         (1.5, 2.9, "outside"),
         (9.0, 2.0, "lax"),  # its flight is over, and this one is in there
-        (9.0, 6.0, "outside"),
+        (9.0, 9.0, "outside"),
     ],
 )
 def test_who_may_meet_a_silent_vehicle_comes_no_nearer_and_who_is_outside_stays_so(now_s, away_m, asked):
