@@ -23,6 +23,7 @@ BENCHMARKS = {
     "crash_safety": "flights:crash_safety",
     "fault_grid": "fault_grid:main",
     "fleet_baseline": "fleet_baseline:main",
+    "fleet_faults": "fleet_faults:main",
     "landing_figure": "landing_figure:main",
     "paper_runs": "flights:paper_runs",
     "px4_faults": "px4:faults",

@@ -44,21 +44,30 @@ def _lying(exchange: Words, from_tick: int) -> Exchange:
 
 def fly(way: Way, at_s: float, seed: int) -> FleetVerdict:
     """Fly a cell and judge it."""
-    team, exchange = load("fleet_3"), None
+    team, exchange = broken(load("fleet_3"), way, WHO, at_s), None
     if way is Way.LIES:
         exchange = _lying(Words(team, seed), round(at_s * team.rate_hz))
-    elif way is Way.CUT:
-        team = replace(team, exchange=ExchangeLink(apart=(WHO,), broken_from_s=at_s))
-    else:
-        team = replace(team, exchange=ExchangeLink(silent=(WHO,), broken_from_s=at_s))
-        team = _killed(team, at_s) if way is Way.KILLED else team
     return judge_team(land_team(team, seed, exchange=exchange))
 
 
-def _killed(team: TeamScenario, at_s: float) -> TeamScenario:
-    """Nothing comes from its companion any more: its autopilot's failsafe ends the flight."""
-    members = list(team.member)
-    members[WHO - 1] = replace(members[WHO - 1], fault=(Fault(What.LINK_IN, Kind.OFF, start_s=at_s),))
+def broken(team: TeamScenario, way: Way, who: int, at_s: float) -> TeamScenario:
+    """The team in which a member fails, for good; what it tells of its place is told as it is.
+
+    Args:
+        team: whole.
+        way: what fails.
+        who: number of the member.
+        at_s: from when on.
+    """
+    if way is Way.LIES:
+        return team
+    if way is Way.CUT:
+        return replace(team, exchange=ExchangeLink(apart=(who,), broken_from_s=at_s))
+    team = replace(team, exchange=ExchangeLink(silent=(who,), broken_from_s=at_s))
+    if way is Way.SILENT:
+        return team
+    members = list(team.member)  # its autopilot's failsafe ends the flight
+    members[who - 1] = replace(members[who - 1], fault=(Fault(What.LINK_IN, Kind.OFF, start_s=at_s),))
     return replace(team, member=tuple(members))
 
 
