@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import click
 
+from flightstack.common.processes import end_with_parent
 from flightstack.common.strict_toml import ConfigError
 
 WRONG_INPUT = 2
@@ -103,4 +104,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     main()

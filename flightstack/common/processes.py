@@ -14,12 +14,18 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 START_TIME_MAX_S = 120.0  # s until a child says ready: the first time the simulator compiles its loops
 _WRONG_INPUT = 2  # exit status of every verb
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
-_PRCTL = ctypes.CDLL(None).prctl if sys.platform == "linux" else None  # looked up before any fork
+_PARENT = "FLIGHTSTACK_PARENT"  # environment: process id of who started a verb and takes it along
+# A function between fork and exec could find locks taken for ever that threads of the parent held (Zenoh's):
+# the new process calls the kernel itself, before it becomes the program.
+_TIE = (
+    f"import ctypes, os, sys; ctypes.CDLL(None).prctl({_PR_SET_PDEATHSIG}, int(sys.argv[1])); "
+    "os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
+)
 END_TIME_MAX_S = 5.0  # s until a child that was asked to end has ended
 CLOSE_TIME_MAX_S = 60.0  # s for the recorder: what it was sent must reach a slow disk
 
@@ -75,15 +81,16 @@ class Child:
     ) -> None:
         self.name = name
         self.output = folder / f"{name}.txt"
+        words = [sys.executable, "-m", "flightstack.cli.main"] if program is None else tied(program)
         with self.output.open("wb") as errors:
             self.process = subprocess.Popen(
-                [*(program or (sys.executable, "-m", "flightstack.cli.main")), *arguments],
+                [*words, *arguments],
                 cwd=works_in,
+                env=os.environ | {_PARENT: str(os.getpid())},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 start_new_session=True,  # Ctrl-C reaches the launcher alone, which ends the children in order
-                preexec_fn=end_with_parent,
             )
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
@@ -130,22 +137,38 @@ class Child:
 
     def end(self, within_s: float = END_TIME_MAX_S) -> int:
         """Ask it to end, after so many seconds make it; its exit status."""
-        if self.alive():
-            self.process.send_signal(signal.SIGTERM)
-        try:
-            code = self.process.wait(within_s)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            code = self.process.wait()
+        code = ended(self.process, within_s)
         if self.process.stdout is not None:
             self.process.stdout.close()
         return code
 
 
-def end_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
-    """Have the kernel send this signal to this process when its parent is killed; runs in the new process."""
-    if _PRCTL is not None:
-        _PRCTL(_PR_SET_PDEATHSIG, int(number))
+def ended(process: subprocess.Popen[Any], within_s: float = END_TIME_MAX_S) -> int:
+    """Ask a process to end, after so many seconds make it; its exit status."""
+    if process.poll() is None:
+        process.terminate()
+    for _ in range(2):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return process.wait(within_s)
+        process.kill()
+    return -signal.SIGKILL  # the kernel holds it, e.g. at a disk that does not answer
+
+
+def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM) -> list[str]:
+    """Words that start a program to which the kernel sends this signal when our process is killed."""
+    if sys.platform != "linux":
+        return [*map(str, program)]
+    return [sys.executable, "-ISc", _TIE, str(int(number)), str(os.getpid()), *map(str, program)]
+
+
+def end_with_parent() -> None:
+    """Have the kernel end this process when the one that started it as a ``Child`` is killed."""
+    parent = os.environ.pop(_PARENT, None)
+    if parent is None or sys.platform != "linux":
+        return
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
+    if os.getppid() != int(parent):  # it was killed before
+        sys.exit(1)
 
 
 class Port:

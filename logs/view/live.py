@@ -11,7 +11,7 @@ from urllib.parse import quote
 import numpy as np
 import rerun as rr
 
-from flightstack.common.processes import END_TIME_MAX_S, Port
+from flightstack.common.processes import Port, ended
 from flightstack.core.types import Phase
 from logs.schema.events import CONTROLLER, Severity
 from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow
@@ -91,13 +91,8 @@ class LiveRecording:
         with contextlib.suppress(RuntimeError):  # the viewer does not take them
             self._stream.flush(timeout_sec=FLUSH_TIME_MAX_S)
         self._stream.disconnect()
-        if self._viewer is not None and not self._stays and self._viewer.poll() is None:
-            self._viewer.terminate()
-            try:
-                self._viewer.wait(END_TIME_MAX_S)
-            except subprocess.TimeoutExpired:
-                self._viewer.kill()
-                self._viewer.wait()
+        if self._viewer is not None and not self._stays:
+            ended(self._viewer)
 
     def _start(self, *words: str) -> str:
         """Start Rerun and send it the recording; where it listens, on this machine alone."""

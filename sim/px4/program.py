@@ -12,11 +12,10 @@ import tempfile
 import time
 from collections.abc import Mapping
 from enum import Enum
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from flightstack.common.processes import LaunchError, end_with_parent
+from flightstack.common.processes import LaunchError, ended, tied
 from sim.autopilot.ground import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 
 INSTANCES = range(10)  # from 10 on PX4 sends the MAVLink of all instances to one port (px4-rc.mavlink)
@@ -198,14 +197,13 @@ class Px4Program:
                 str(instance),
             ]
             self.process = subprocess.Popen(
-                ("sh", "-c", _END_TOGETHER, "sh", *program),
+                tied(["sh", "-c", _END_TOGETHER, "sh", *program], signal.SIGHUP),
                 cwd=self.folder,
                 env=self._environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # its start script's children are ended with it
-                preexec_fn=partial(end_with_parent, signal.SIGHUP),
             )
 
     def _lay_out(self, files: Px4Files) -> None:
@@ -348,7 +346,7 @@ class Px4Program:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(within_s)
         self._signal(signal.SIGKILL)
-        return self.process.wait()
+        return ended(self.process)
 
     def _signal(self, number: signal.Signals) -> None:
         with contextlib.suppress(ProcessLookupError):

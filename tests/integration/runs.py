@@ -12,6 +12,7 @@ from pathlib import Path
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
+from tests.bounded import killed, lines_of
 from tests.integration.sim_processes import COMMAND, wait_for
 
 WALL_MAX_S = 240.0
@@ -101,11 +102,15 @@ class Flying:
         self.lines = []
 
     def wait_for(self, word: str) -> None:
-        """Read its output until a line holds the word."""
-        for line in self.process.stdout:
-            self.lines.append(line.rstrip())
-            if word in line:
-                return
+        """Read its output until a line holds the word; it is killed if none does."""
+        try:
+            for line in lines_of(self.process.stdout, WALL_MAX_S):
+                self.lines.append(line.rstrip())
+                if word in line:
+                    return
+        except AssertionError as error:
+            self.kill()
+            raise AssertionError(f"{word!r} did not come: {self.lines}") from error
         raise AssertionError(f"ended without {word!r}: {self.lines}")
 
     def some_log(self, some_bytes: int = SOME_BYTES) -> Path:
@@ -126,8 +131,15 @@ class Flying:
 
     def end(self) -> int:
         """Wait for its end, bounded; the exit status."""
-        self.lines += self.process.communicate(timeout=WALL_MAX_S)[0].splitlines()
+        try:
+            self.lines += self.process.communicate(timeout=WALL_MAX_S)[0].splitlines()
+        finally:
+            self.kill()
         return self.process.returncode
+
+    def kill(self) -> None:
+        """Kill it, unless it has ended."""
+        self.lines += killed(self.process).splitlines()
 
 
 def kill(pid: int, number: int = signal.SIGKILL) -> None:

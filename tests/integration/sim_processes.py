@@ -16,10 +16,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.common.processes import Port
+from tests.bounded import PATIENCE_S, killed, line_of
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-m", "flightstack.cli.main"]
-PATIENCE_S = 60.0  # s; a machine with more work than processors starts a process late
 NAN = float("nan")
 
 
@@ -37,13 +37,9 @@ def running(
     child = subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         assert child.stdout is not None
-        if ready:
-            assert select.select([child.stdout], [], [], within_s)[0], "no ready line"
-        yield child, child.stdout.readline().strip() if ready else ""
+        yield child, line_of(child.stdout, within_s).strip() if ready else ""
     finally:
-        if child.poll() is None:
-            child.kill()
-        child.communicate(timeout=PATIENCE_S)
+        killed(child)
 
 
 def verb(*words: object, **more: Any):

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flightstack.common.processes import Child
+from flightstack.common.processes import Child, ended
 from flightstack.common.strict_toml import dumps
 from flightstack.core.types import Mode
 from logs.reader.flight import load_flight
@@ -28,6 +28,7 @@ from sim.px4.airframe import parameters
 from sim.px4.plant import Px4Plant
 from sim.px4.program import InstanceClaim, Px4Error, Px4Model, Px4Program, find_px4
 from sim.scenarios.scenario import load
+from tests.bounded import killed, line_of
 from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.room import on_px4
@@ -58,7 +59,7 @@ def flying(folder, instance, scenario, *more):
         yield px4, wanted
     finally:
         px4.end()
-        simulator.wait(PATIENCE_S)
+        ended(simulator, PATIENCE_S)
 
 
 @pytest.mark.parametrize(("scenario", "more"), [("large", ()), ("grid", ("--mocap",))])
@@ -129,12 +130,11 @@ def test_dies_with_its_parent(tmp_path, instance, after):
         [sys.executable, "-c", code, px4_or_skip(), tmp_path, str(instance)],
         cwd=ROOT, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    group = int(parent.stdout.readline())
+    group = int(line_of(parent.stdout))
     until_s = time.monotonic() + PATIENCE_S
     while len(_members(group)) < after and time.monotonic() < until_s:
         time.sleep(0.001)
-    parent.kill()
-    parent.communicate()
+    killed(parent)
     while left := _members(group):
         assert time.monotonic() < until_s, f"PX4 outlived its parent: {left}"
         time.sleep(0.05)

@@ -20,6 +20,7 @@ from sim.campaign.rows import read_rows
 from sim.campaign.summary import LIMITS, Tier
 from sim.runners.landing import land
 from sim.scenarios.scenario import load, path_of
+from tests.bounded import killed
 from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack, fly, gone, replayed
 
 RUNS = 6
@@ -145,9 +146,9 @@ class Running:
         while time.monotonic() < until:
             if path.exists() and len(read_rows(path)) >= number:
                 return
-            assert self.process.poll() is None, self.process.communicate()[0]
+            assert self.process.poll() is None, killed(self.process)
             time.sleep(0.02)  # polling another process
-        raise AssertionError(f"no {number} rows")
+        raise AssertionError(f"no {number} rows: {killed(self.process)}")
 
     def workers(self):
         """Process ids of the spawned workers."""
@@ -156,7 +157,10 @@ class Running:
         return [int(c) for c in children if "spawn_main" in Path(f"/proc/{c}/cmdline").read_text()]
 
     def end(self):
-        out = self.process.communicate(timeout=WALL_MAX_S)[0]
+        try:
+            out = self.process.communicate(timeout=WALL_MAX_S)[0]
+        finally:
+            killed(self.process)
         return self.process.returncode, out
 
 

@@ -77,9 +77,7 @@ def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float
             run.process.send_signal(signal.SIGINT)
             assert run.end() == 1
     finally:
-        if run.process.poll() is None:
-            run.process.kill()
-        run.process.stdout.close()
+        run.kill()
     return _look(folder, victim, lockstep, begun_s, killed_s)
 
 

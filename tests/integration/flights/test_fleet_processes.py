@@ -53,8 +53,7 @@ def test_two_kinds_of_vehicles_hear_each_other_land_and_replay(tmp_path):
         with verb("vehicle", *words, *wires, *(w for p in parameters for w in ("--parameter", p))):
             assert run.end() == 0, "\n".join(run.lines)
     finally:
-        run.process.kill()
-        run.process.communicate()
+        run.kill()
     fleet, log = load_fleet(out / "flight.mcap"), LogFile(out / "flight.mcap")
     verdict = judge_fleet(fleet)
     assert [each.judged_from for each in verdict.members.values()] == ["truth", "estimate"]

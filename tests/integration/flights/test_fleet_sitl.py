@@ -146,8 +146,7 @@ def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path, options):
         os.kill(onboard_of(run, "cf2"), signal.SIGKILL)
         assert run.end() == 1
     finally:
-        run.process.kill()
-        run.process.communicate()
+        run.kill()
     assert any("onboard-cf2 ended in flight" in line for line in run.lines), run.lines
     fleet = load_fleet(tmp_path / "out" / "flight.mcap")
     verdict = judge_fleet(fleet)

@@ -21,6 +21,7 @@ from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from sim.scenarios.scenario import load
+from tests.bounded import killed, lines_of
 from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack
 from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, free_port
 from tests.integration.wires.test_links import signing
@@ -85,12 +86,15 @@ def test_ctrl_c_flies_clear_and_lands_before_anything_ends(tmp_path):
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
         said = []
-        for line in run.stdout:
-            said.append(line)
-            if "-> APPROACH" in line:
-                run.send_signal(signal.SIGINT)
-                break
-        said.append(run.communicate(timeout=WALL_MAX_S)[0])
+        try:
+            for line in lines_of(run.stdout, WALL_MAX_S):
+                said.append(line)
+                if "-> APPROACH" in line:
+                    run.send_signal(signal.SIGINT)
+                    break
+            said.append(run.communicate(timeout=WALL_MAX_S)[0])
+        finally:
+            killed(run)
     assert run.returncode == 1, said
     flight = load_flight(out / "flight.mcap")
     assert flight.complete

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from logs.reader.flight import load_flight
+from tests.bounded import killed, line_of
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.unit.target.ros2_helpers import on_free_ports
 
@@ -99,7 +101,7 @@ def test_the_parts_apart_land(tmp_path):
                 )
             )
             if name == "vehicle":  # the target says ready once somebody listens
-                ready = running[-1].stdout.readline()
+                ready = line_of(running[-1].stdout)
                 assert ready.startswith("ready"), (tmp_path / f"{name}.txt").read_text()
         said, _ = running[-1].communicate(timeout=WALL_MAX_S)
         assert running[-1].returncode == 0, said + (tmp_path / "fly.txt").read_text()
@@ -108,7 +110,9 @@ def test_the_parts_apart_land(tmp_path):
         for process in reversed(running):
             if process.poll() is None:
                 process.send_signal(signal.SIGTERM)
-            process.communicate(timeout=20.0)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.communicate(timeout=20.0)
+            killed(process)
     flight = load_flight(tmp_path / "runs/real/flight.mcap")
     assert flight.complete
     assert len(flight.steps.tick) > 500

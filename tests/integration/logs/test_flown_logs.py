@@ -15,6 +15,7 @@ from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from logs.replay.replay import replay
 from logs.verdict.verdict import judge
+from tests.bounded import killed, line_of
 from tests.golden.flights import path_of
 from tests.integration.runs import COMMAND, Flying, flightstack, kill, replayed
 
@@ -70,8 +71,7 @@ class Lines:
         return self.process.returncode
 
     def kill(self):
-        self.process.kill()
-        self.process.communicate()
+        killed(self.process)
 
 
 def test_a_log_played_live_lands_a_running_onboard_process(tmp_path):
@@ -158,11 +158,11 @@ def test_keys_of_a_terminal_step_and_start_a_paused_replay(keys, ticks):
     player = subprocess.Popen(command, stdin=slave, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     os.close(slave)
     try:
-        assert player.stdout.readline() == b"ready\n"  # from here on keys count
+        assert line_of(player.stdout) == "ready\n"  # from here on keys count
         os.write(master, keys)
         out, _ = player.communicate(timeout=DEADLINE_S)
     finally:
-        player.kill()
+        killed(player)
         os.close(master)
     assert player.returncode == 0, out
     assert f"played {whole if ticks is None else ticks} ticks" in out.decode()

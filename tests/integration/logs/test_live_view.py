@@ -15,6 +15,7 @@ from bridge.zenoh import zenoh_link
 from flightstack.cli.main import main
 from flightstack.common.processes import Port
 from logs.view.live import LiveRecording
+from tests.bounded import killed, line_of
 from tests.integration.runs import COMMAND, flightstack
 from tests.integration.sim_processes import ROOT, wait_for
 from tests.synthetic_flight import landing
@@ -76,12 +77,10 @@ def watching(sender, tmp_path):
         [*COMMAND, "watch", "--connect", sender[1], "--view", str(out), "--config", str(CONFIG)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert child.stdout.readline() == f"ready {out}\n"
+    assert line_of(child.stdout) == f"ready {out}\n"
     wait_for(lambda: all(map(zenoh_link.is_matched, sender[0].values())), "a viewer that listens")
     yield child, out
-    if child.poll() is None:
-        child.kill()
-    child.communicate()
+    killed(child)
 
 
 def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching):

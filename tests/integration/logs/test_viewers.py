@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -24,6 +25,7 @@ from rosbags.interfaces import Nodetype
 
 from logs.schema.codec_mavlink import unpack_mavlink
 from logs.view.layout_files import layout
+from tests.bounded import killed, lines_of
 from tests.integration.runs import COMMAND, flightstack
 
 ROOT = Path(__file__).parents[3]
@@ -312,7 +314,7 @@ def test_view_serves_a_browser_on_this_machine_only(log):
     )  # fmt: skip
     try:
         said = []
-        for line in process.stdout:  # ends by itself if Rerun does not start
+        for line in lines_of(process.stdout, PATIENCE_S):  # ends by itself if Rerun does not start
             said.append(line)
             if "Hosting a web-viewer at" in line:
                 break
@@ -321,4 +323,6 @@ def test_view_serves_a_browser_on_this_machine_only(log):
         assert address.group(1) == "127.0.0.1"
     finally:
         os.killpg(process.pid, signal.SIGTERM)
-        process.wait(PATIENCE_S)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(PATIENCE_S)
+        killed(process)

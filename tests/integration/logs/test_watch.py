@@ -3,7 +3,6 @@
 import io
 import json
 import math
-import select
 import signal
 import subprocess
 import sys
@@ -21,10 +20,10 @@ from flightstack.watch.live import draw
 from flightstack.watch.state import STALE_S, News, Watch, snapshot
 from logs.schema.rows import HealthRow
 from logs.schema.schemas import HEALTH, schema_text
+from tests.bounded import PATIENCE_S, killed, line_of
 from tests.integration.sim_processes import ROOT
 from tests.synthetic_flight import landing
 
-PATIENCE_S = 60.0
 KEYS = ("controller/step", "loop/timing", "health")
 HEALTHY = HealthRow(
     1_700_000_000_123_456_789, 42, 0.01, 0.02, 0.5, 3.87, 0.9, 1, 2, True, True, True, True, True, False,
@@ -268,9 +267,7 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
         assert (watching.returncode, errors) == (0, "")
     finally:
         for child in (sitl, watching):
-            if child.poll() is None:
-                child.kill()
-            child.communicate(timeout=PATIENCE_S)
+            killed(child)
         port.close()
 
 
@@ -278,9 +275,8 @@ def _lines(child, done):
     """Objects that the child prints, up to one for which ``done`` holds."""
     until_s = time.monotonic() + 3 * PATIENCE_S
     while time.monotonic() < until_s:
-        assert select.select([child.stdout], [], [], PATIENCE_S)[0], "it fell silent"
-        line = child.stdout.readline()
-        assert line, f"it ended: {child.stderr.read()}"
+        line = line_of(child.stdout)
+        assert line, "it ended"
         value = json.loads(line)
         yield value
         if done(value):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import select
 import signal
 import subprocess
 import threading
@@ -14,9 +13,10 @@ from contextlib import contextmanager
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.zenoh import zenoh_link
+from tests.bounded import PATIENCE_S, line_of
 from tests.crazyflie_firmware.server import Server
 from tests.integration.runs import COMMAND
-from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, free_port, is_a, setpoint
+from tests.integration.sim_processes import ROOT, Client, free_port, is_a, setpoint
 from tests.unit.target.ros2_helpers import pose_stamped
 
 OFFBOARD, HOLD = 0x00060000, 0x03040000
@@ -34,8 +34,7 @@ class Verb:
             cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
         assert self.child.stdout is not None
-        assert select.select([self.child.stdout], [], [], PATIENCE_S)[0], "no ready line"
-        ready = self.child.stdout.readline().strip()
+        ready = line_of(self.child.stdout).strip()
         assert ready.startswith("ready"), ready
         self.url = ready.removeprefix("ready ")
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -125,7 +124,7 @@ class Mocap:
         self._session = zenoh_link.open_session([self.endpoint])
         self._publisher = zenoh_link.dropping_publisher(self._session, key)
         self._pose, self._done = pose, threading.Event()
-        self._thread = threading.Thread(target=self._run)
+        self._thread = threading.Thread(target=self._run, daemon=True)
 
     def _run(self) -> None:
         while not self._done.wait(0.01):
@@ -133,7 +132,7 @@ class Mocap:
 
     def stop(self) -> None:
         self._done.set()
-        self._thread.join()
+        self._thread.join(PATIENCE_S)
 
     def __enter__(self) -> Mocap:
         self._thread.start()

@@ -17,6 +17,7 @@ from bridge.ros2.ros2_names import topic_key
 from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
+from flightstack.common.processes import ended
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.server import Server
@@ -61,7 +62,7 @@ def test_the_onboard_process_lands_it_unchanged(tmp_path):
             zeros = (0.0, 0.0, 0.0)
             target.put(target.encode(now_ns, (0.0, 0.0, PAD_M), (1.0, 0.0, 0.0, 0.0), zeros, zeros), now_ns)
 
-    publisher = threading.Thread(target=publish)
+    publisher = threading.Thread(target=publish, daemon=True)
     publisher.start()
     try:
         with Server(Firmware(plant)) as server, bridge(server) as started:
@@ -82,7 +83,7 @@ def test_the_onboard_process_lands_it_unchanged(tmp_path):
             assert started.end() == 0
     finally:
         done.set()
-        publisher.join()
+        publisher.join(PATIENCE_S)
         session.close()
 
 
@@ -111,8 +112,7 @@ def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
             assert (offset[0] ** 2 + offset[1] ** 2) ** 0.5 < 0.1
     finally:
         session.close()
-        robot.terminate()
-        robot.wait(20.0)
+        ended(robot)
 
 
 def test_it_has_the_system_id_of_a_member_of_a_fleet():

@@ -2,14 +2,13 @@
 
 import math
 import re
-import select
 import shlex
 import signal
 import subprocess
 import sys
 import time
 from collections import defaultdict
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -20,6 +19,7 @@ from bridge.ros2.ros2_names import parse_topic_key, topic_key
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import Phase
+from tests.bounded import killed, line_of
 from tests.integration.runs import WALL_MAX_S
 from tests.unit.target.ros2_helpers import PATIENCE_S, decode, on_free_ports, pose_stamped, rmw_session, until
 
@@ -96,8 +96,7 @@ class Parts:
         """Read what a process says up to a line with these words."""
         child, deadline_s = self.running[name], time.monotonic() + WALL_MAX_S
         while time.monotonic() < deadline_s:
-            assert select.select([child.stdout], [], [], WALL_MAX_S)[0], f"{name} is silent"
-            line = child.stdout.readline()
+            line = line_of(child.stdout, WALL_MAX_S)
             assert line, f"{name} ended: {self.errors(name)}"
             if words in line:
                 return
@@ -180,11 +179,9 @@ def seconds(message):
 def end(child):
     if child.poll() is None:
         child.send_signal(signal.SIGTERM)
-    try:
+    with suppress(subprocess.TimeoutExpired):
         child.communicate(timeout=PATIENCE_S)
-    except subprocess.TimeoutExpired:
-        child.kill()
-        child.communicate(timeout=PATIENCE_S)
+    killed(child)
 
 
 @pytest.mark.xdist_group("real-time")

@@ -17,7 +17,8 @@ from bridge.ros2.ros2_names import parse_topic_key
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import Role, ZenohLinkError
 from logs.reader.reader import LogFile
-from tests.integration.runs import flightstack
+from tests.bounded import killed, line_of
+from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import verb
 from tests.unit.target.ros2_helpers import PATIENCE_S, free_endpoint, odometry, rmw_session, until
 
@@ -269,7 +270,10 @@ def test_sitl_is_watched_by_certificate_and_seen_by_ros_2(at_home, tmp_path):
             stack.callback(sessions[name].close)
             heard[name] = zenoh_link.ring_subscriber(sessions[name], "cf1/**", 20_000)
         forged = zenoh_link.dropping_publisher(sessions["watcher"], TARGET)
+        stack.callback(killed, sitl)
+        until_s = time.monotonic() + WALL_MAX_S
         while sitl.poll() is None:
+            assert time.monotonic() < until_s, "sitl did not end"
             forged.put(b"forged")
             time.sleep(0.01)
         said, errors = sitl.communicate(timeout=PATIENCE_S)
@@ -300,8 +304,8 @@ def test_the_recorder_looks_on_by_certificate(at_home, tmp_path):
             [sys.executable, "-m", "flightstack.cli.main", "record", *words],
             cwd=at_home, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-        stack.callback(record.kill)
-        assert record.stdout.readline().strip() == "ready"
+        stack.callback(killed, record)
+        assert line_of(record.stdout).strip() == "ready"
         until(lambda: zenoh_link.is_matched(put), "the recorder's subscription")
         payload = odometry(1_700_000_000_000_000_000)
         for _ in range(5):

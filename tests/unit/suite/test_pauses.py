@@ -46,3 +46,22 @@ def test_a_machine_that_pauses_in_each_attempt_is_said_to_be_unfit(pytester, mon
     result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-rs")
     result.assert_outcomes(skipped=1)
     result.stdout.fnmatch_lines([f"*not a machine for real time*in {pauses.ATTEMPTS} attempts"])
+
+
+def test_the_attempts_for_nothing_of_all_tests_have_one_bound(pytester, monkeypatch):
+    monkeypatch.setattr(pauses, "PAUSE_S", 0.0)
+    monkeypatch.setattr(pauses, "REPEATS_MAX_S", 0.0)
+    pytester.makeconftest("from tests.pauses import pytest_runtest_protocol")
+    pytester.makepyfile(
+        """
+        import pytest
+
+        @pytest.mark.xdist_group("real-time")
+        @pytest.mark.parametrize("number", range(2))
+        def test_flight(number):
+            assert number == 2
+        """
+    )
+    result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-rs")
+    result.assert_outcomes(skipped=2)
+    result.stdout.fnmatch_lines(["*not a machine for real time*in 1 attempts"])

@@ -27,6 +27,7 @@ from logs.recorder.recorder import RecorderError, RecorderProcess, problems
 from logs.recorder.recorder_process import Syncer
 from logs.schema import schemas
 from logs.schema.codec_mavlink import pack_mavlink
+from tests.bounded import line_of
 from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
 
 RECORD = (
@@ -52,7 +53,7 @@ def start(tmp_path, *, file_limit=None, until="None"):
         preexec_fn=limit,
         text=True,
     )
-    assert process.stdout.readline() == "ready\n"
+    assert line_of(process.stdout) == "ready\n"
     return process, *paths
 
 

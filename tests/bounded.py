@@ -1,0 +1,59 @@
+"""Waits for processes that a test started: for a line, for all lines, for the end; each has a bound."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import subprocess
+import time
+from collections.abc import Iterator
+from typing import IO, Any
+
+PATIENCE_S = 60.0  # s; a machine with more work than processors starts a process late
+
+
+def line_of(stream: IO[Any], within_s: float = PATIENCE_S) -> str:
+    """Next line that a process writes, as ``readline``: empty at the end of the output.
+
+    Byte by byte and past the stream's buffer, so that nothing is lost for ``communicate``.
+
+    Raises:
+        AssertionError: no whole line came in time.
+    """
+    until_s, text = time.monotonic() + within_s, b""
+    while not text.endswith(b"\n"):
+        left_s = max(0.0, until_s - time.monotonic())
+        assert select.select([stream], [], [], left_s)[0], f"no line within {within_s:g} s: {text!r}"
+        byte = os.read(stream.fileno(), 1)
+        if not byte:
+            break
+        text += byte
+    return text.decode(errors="replace")
+
+
+def lines_of(stream: IO[Any], within_s: float) -> Iterator[str]:
+    """Lines that a process writes, to its end.
+
+    Raises:
+        AssertionError: it neither wrote a line nor ended when so many seconds were over since the call.
+    """
+    until_s = time.monotonic() + within_s
+    while line := line_of(stream, until_s - time.monotonic()):
+        yield line
+
+
+def killed(child: subprocess.Popen[Any], within_s: float = PATIENCE_S) -> str:
+    """Kill a process unless it has ended; what it wrote and nobody has read.
+
+    A child of it may hold its pipes open, and reading them would not end: they are closed then.
+    """
+    child.kill()
+    said = None
+    if child.stdout is not None and not child.stdout.closed:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            said = child.communicate(timeout=within_s)[0]
+    for pipe in filter(None, (child.stdin, child.stdout, child.stderr)):
+        pipe.close()
+    child.wait(within_s)
+    return said.decode(errors="replace") if isinstance(said, bytes) else said or ""
