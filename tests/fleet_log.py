@@ -151,8 +151,7 @@ class RecordedPairs(Pairs):
 
     def note(self, tick):
         stamp_ns = EPOCH_NS + self._grid.ns(tick + 1)
-        columns = (self._least_m, self._flying_m, self._ellipsoid)
-        for pair, *least in zip(self.all, *(c.tolist() for c in columns), strict=True):
+        for pair, least in zip(self.all, self._team.least.tolist(), strict=True):
             after = (-1 if pair.collided_ms is None else pair.collided_ms,)
             row = FleetPairRow(
                 stamp_ns, pair.one, pair.other, *least, pair.violations, pair.inside_ms, *after

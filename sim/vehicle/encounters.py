@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -80,25 +81,33 @@ def _nearest(
 
 
 @jitted
-def _nearest_all(
-    before: F64, after: F64, steps: int, shapes: F64, distance: F64, ellipsoid: F64, overlap: I64
-) -> None:
-    pair = 0
+def _follow(
+    before: F64, after: F64, flew: I64, steps: int, shapes: F64, least: F64, inside: I64, overlap: I64
+) -> bool:
+    pair, seen = 0, False
     for i in range(len(shapes)):
         for j in range(i + 1, len(shapes)):
             radii_m = shapes[i, 0] + shapes[j, 0]
             down_m, up_m = shapes[i, 1] - shapes[j, 2], shapes[i, 2] - shapes[j, 1]
             found = _nearest(before[j] - before[i], after[j] - after[i], steps, radii_m, down_m, up_m)
-            distance[pair], ellipsoid[pair], overlap[pair] = found[0], found[1], found[2]
+            least[pair, 0] = min(least[pair, 0], found[0])
+            inside[pair], overlap[pair] = 0, found[2]
+            if flew[i] and flew[j]:
+                least[pair, 1] = min(least[pair, 1], found[0])
+                least[pair, 2] = min(least[pair, 2], found[1])
+                inside[pair] = found[1] < 1.0
+            seen = seen or inside[pair] != 0 or overlap[pair] >= 0
             pair += 1
+    return seen
 
 
 class Team:
     """Follows all pairs of a team: (0, 1), (0, 2) and so on, P of them.
 
     Attributes:
-        distance_m: (P,) smallest distance of the centres of mass, of the last call of ``follow``.
-        ellipsoid: (P,) smallest distance in the ellipsoid's measure; below 1: inside.
+        least: (P, 3) smallest distance of the centres of mass so far, m; the same while both flew; and while
+            both flew that in the ellipsoid's measure. Infinite before.
+        inside: (P,) whether they came inside the ellipsoid in the last call of ``follow`` while both flew.
         overlap_ms: (P,) milliseconds after the first tick at which the shapes overlap first; -1: never.
 
     Args:
@@ -108,25 +117,33 @@ class Team:
     def __init__(self, shapes: Sequence[Shape]) -> None:
         number = len(shapes) * (len(shapes) - 1) // 2
         self._shapes = np.array([(each.radius_m, each.bottom_m, each.top_m) for each in shapes])
-        self.distance_m, self.ellipsoid = np.full(number, np.inf), np.full(number, np.inf)
-        self.overlap_ms = np.full(number, -1, dtype=np.int64)
+        self.least = np.full((number, 3), np.inf)
+        self.inside, self.overlap_ms = np.zeros(number, dtype=np.int64), np.full(number, -1, dtype=np.int64)
 
-    def follow(self, before: F64, after: F64, steps: int) -> None:
+    def follow(self, before: F64, after: F64, flew: I64, steps: int) -> bool:
         """Follow all pairs from one tick to the next; the first tick itself belongs to the tick before.
 
         Args:
             before: (N, 6) positions (m) and velocities (m/s), ENU.
             after: (N, 6) the same at the next tick.
+            flew: (N,) whether each flew at both.
             steps: milliseconds between them.
-        """
-        found = (self.distance_m, self.ellipsoid, self.overlap_ms)
-        _nearest_all(before, after, steps, self._shapes, *found)
 
-    def stand(self, places: F64) -> None:
-        """Judge places in which nothing moves; ``overlap_ms`` is 1 where shapes overlap.
-
-        Args:
-            places: (N, 3) positions, ENU, m.
+        Returns:
+            Whether any pair was inside or overlapped.
         """
-        still = np.hstack((places, np.zeros_like(places)))
-        self.follow(still, still, 1)
+        found = (self.least, self.inside, self.overlap_ms)
+        return bool(_follow(before, after, flew, steps, self._shapes, *found))
+
+
+def overlapping(shapes: Sequence[Shape], places: F64) -> list[tuple[int, int]]:
+    """Pairs of members, the lower one first, whose shapes overlap where nothing moves.
+
+    Args:
+        shapes: of the N members.
+        places: (N, 3) positions, ENU, m.
+    """
+    team, still = Team(shapes), np.hstack((places, np.zeros_like(places)))
+    team.follow(still, still, np.zeros(len(shapes), dtype=np.int64), 1)
+    pairs = combinations(range(len(shapes)), 2)
+    return [pair for pair, at_ms in zip(pairs, team.overlap_ms, strict=True) if at_ms >= 0]

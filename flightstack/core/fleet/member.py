@@ -18,7 +18,7 @@ from flightstack.core.memory import AbortWay, FleetMemory, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.target.track import TargetState
-from flightstack.core.types import Intent, Landed, Neighbour, OwnState, Phase, Vec3, VehicleStatus
+from flightstack.core.types import ZERO, Intent, Landed, Neighbour, OwnState, Phase, Vec3, VehicleStatus
 
 FUTURE_MAX_S = 0.05  # by which a stamp may be ahead, besides the bound of its clock
 FLIGHTS_OF_OTHERS = 2.0  # times the wait for a right of way: a wait and a landing of another one
@@ -96,7 +96,7 @@ class FleetMember:
     @property
     def slots(self) -> list[tuple[int, Heard]]:
         """Id of each other member, and what was heard of it."""
-        return [(n, self.memory.slots[k]) for n, k in self._index.items()]
+        return list(zip(self._index, self.memory.slots, strict=False))  # those of a smaller fleet are fewer
 
     def take(self, words: Sequence[Neighbour], now_s: float) -> list[str]:
         """Keep the newest word of each member; the reasons of those that are refused."""
@@ -117,12 +117,12 @@ class FleetMember:
     def _refusal(self, word: Neighbour, now_s: float) -> str:
         if word.id not in self._index:
             return "it is no other member"
-        sums = sum(word.position_enu_m) + sum(word.velocity_enu_m_s) + sum(word.wanted_enu_m_s)
+        (x, y, z), (vx, vy, vz), (wx, wy, wz) = word[3:6]
+        sums = x + y + z + vx + vy + vz + wx + wy + wz
         if not math.isfinite(sums + word.stamp_s + word.position_sigma_m + word.clock_bound_s):
             return "a number is not finite"
-        if math.isinf(word.claim_s) or not all(
-            math.isfinite(sum(pad or ())) for pad in (word.pad_position_enu_m, word.pad_velocity_enu_m_s)
-        ):
+        (x, y, z), (vx, vy, vz) = word.pad_position_enu_m or ZERO, word.pad_velocity_enu_m_s or ZERO
+        if math.isinf(word.claim_s) or not math.isfinite(x + y + z + vx + vy + vz):
             return "its claim or its pad is not finite"
         if word.clock_bound_s < 0.0 or word.position_sigma_m < 0.0:
             return "a bound is negative"
@@ -178,7 +178,8 @@ class FleetMember:
         """
         if phase is Phase.TOUCHDOWN:  # it goes on to the ground: the others keep clear of it
             return NO_ROWS
-        fleet, found = self._fleet, []
+        fleet, (x, y, z), found = self._fleet, own.position_enu_m, []
+        reach_m = fleet.reach_m - fleet.radius_xy_m
         for n, slot in self.slots:
             word = slot.word
             if word is None:
@@ -187,25 +188,26 @@ class FleetMember:
             if part == NONE:
                 continue
             now = estimate(word, now_s, self._sigma_m, fleet, slot.faster_m_s2)
-            away, moves = now.beside(own.position_enu_m)
-            now = now._replace(velocity_enu_m_s=moves)
-            xy_m, z_m = fleet.radius_xy_m + now.grown_m, fleet.radius_z_m + now.grown_m
-            h_m, gradient = barrier(away, xy_m, z_m, first=fleet.id < n)
-            outer_m = h_m
-            if now.late:
-                more_m = now.anywhere_m - now.grown_m
+            px, py, pz = now.position_enu_m
+            away, late, grown_m = (x - px, y - py, z - pz), now.late, now.grown_m
+            if late:
+                away, moves = now.beside(own.position_enu_m)
+                now = now._replace(velocity_enu_m_s=moves)
+            xy_m, z_m = fleet.radius_xy_m + grown_m, fleet.radius_z_m + grown_m
+            h_m, gradient = outer_m, _ = barrier(away, xy_m, z_m, first=fleet.id < n)
+            if late:
+                more_m = now.anywhere_m - grown_m
                 outer_m, _ = barrier(away, xy_m + more_m, z_m + more_m, first=fleet.id < n)
-            if outer_m > fleet.reach_m - fleet.radius_xy_m:
+            if outer_m > reach_m:
                 continue
             lax = row(part, h_m, gradient, wanted_m_s, word, now, fleet)
-            made = wider(lax, outer_m, now, fleet) if now.late else lax
+            made = wider(lax, outer_m, now, fleet) if late else lax
             found.append((h_m, n, made, lax, Near(h_m, gradient, away, now.velocity_enu_m_s)))
-        found.sort(key=lambda each: each[:2])
-        return Rows(
-            tuple(each[2] for each in found),
-            tuple(each[3] for each in found),
-            tuple(each[4] for each in found),
-        )
+        if not found:
+            return NO_ROWS
+        found.sort()  # by h, then by the number
+        _, _, rows, every_lax, near = zip(*found, strict=True)
+        return Rows(rows, every_lax, near)
 
     def aside(self, nominal: Vec3, rows: Rows) -> Vec3:
         """Nominal velocity with the side-step past those that it closes in on."""

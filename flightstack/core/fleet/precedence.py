@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from flightstack.core.memory import FleetMemory, Heard
 from flightstack.core.parameters.fleet import CIRCLE_LATENCIES, DECIDE_LATENCIES, KEPT_PART, Fleet
+from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import ZERO, Intent, Neighbour, Phase, Vec3
 
 CLAIMING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
@@ -62,12 +63,12 @@ class Pad(NamedTuple):
     velocity_enu_m_s: Vec3
 
 
-def nearest_m(a: Pad, b: Pad, ahead_s: float) -> float:
-    """Least horizontal distance of two pads from now until so many seconds ahead, at constant velocities."""
-    x, y = b.position_enu_m[0] - a.position_enu_m[0], b.position_enu_m[1] - a.position_enu_m[1]
-    vx, vy = b.velocity_enu_m_s[0] - a.velocity_enu_m_s[0], b.velocity_enu_m_s[1] - a.velocity_enu_m_s[1]
+def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float) -> float:
+    """Least horizontal distance of a pad and a place until so many seconds ahead, at constant velocities."""
+    (x, y, _), (vx, vy, _) = pad
+    x, y, vx, vy = place_enu_m[0] - x, place_enu_m[1] - y, moves_m_s[0] - vx, moves_m_s[1] - vy
     speed2 = vx * vx + vy * vy
-    at_s = min(max(0.0, -(x * vx + y * vy) / speed2), ahead_s) if speed2 > 0.0 else 0.0
+    at_s = clip(-(x * vx + y * vy) / speed2, 0.0, ahead_s) if speed2 > 0.0 else 0.0
     return math.hypot(x + at_s * vx, y + at_s * vy)
 
 
@@ -89,7 +90,7 @@ def decide(
     if phase not in CLAIMING or pad is None:
         if phase not in CLAIMING:
             drop(memory, slots)
-        text, cut_off = _names("not heard", missing), _cut_off(slots, now_s, fleet)
+        text, cut_off = _names("not heard", missing), bool(missing) and _cut_off(slots, now_s, fleet)
         if phase is Phase.LANDED and pad is not None and fleet.frees_pad and not memory.left:
             waiting = [n for n, slot in slots if _waits_for(slot.word, pad, now_s, fleet)]
             return Way(not missing, False, False, False, _names("waits", waiting) or text, bool(waiting))
@@ -110,7 +111,7 @@ def decide(
         told_s >= fleet.age_max_s + fleet.latency_max_s,
         now_s - memory.waits_since_s > fleet.wait_max_s,
         _names("no right of way because of", blockers),
-        cut_off=_cut_off(slots, now_s, fleet),
+        cut_off=bool(missing) and _cut_off(slots, now_s, fleet),
     )
 
 
@@ -197,15 +198,15 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
 
 def _distance_m(pad: Pad, word: Neighbour) -> float:
     """Horizontal distance of a vehicle from a pad."""
-    return nearest_m(pad, Pad(word.position_enu_m, word.velocity_enu_m_s), 0.0)
+    return nearest_m(pad, word.position_enu_m, word.velocity_enu_m_s, 0.0)
 
 
 def _waits_for(word: Neighbour | None, pad: Pad, now_s: float, fleet: Fleet) -> bool:
     """Whether a member claims the pad on which this vehicle stands."""
     if word is None or word.pad_position_enu_m is None or now_s - word.stamp_s > fleet.age_max_s:
         return False
-    other = Pad(word.pad_position_enu_m, word.pad_velocity_enu_m_s or ZERO)
-    return math.isfinite(word.claim_s) and nearest_m(pad, other, 0.0) < fleet.radius_xy_m
+    place, moves = word.pad_position_enu_m, word.pad_velocity_enu_m_s or ZERO
+    return math.isfinite(word.claim_s) and nearest_m(pad, place, moves, 0.0) < fleet.radius_xy_m
 
 
 def _yields(
@@ -234,8 +235,7 @@ def _conflict(word: Neighbour, pad: Pad, ahead_s: float, fleet: Fleet) -> bool:
     place = word.pad_position_enu_m
     if place is None:
         return math.isfinite(word.claim_s)
-    other = Pad(place, word.pad_velocity_enu_m_s or ZERO)
-    return nearest_m(pad, other, ahead_s) < fleet.pad_distance_m
+    return nearest_m(pad, place, word.pad_velocity_enu_m_s or ZERO, ahead_s) < fleet.pad_distance_m
 
 
 def _names(what: str, ids: Sequence[int]) -> str:

@@ -9,12 +9,11 @@ from itertools import combinations
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from logs.schema.events import Severity
 from sim.clock import TickGrid
-from sim.compiled.records import F64
-from sim.vehicle.encounters import Shape, Team
+from sim.compiled.records import F64, I64
+from sim.vehicle.encounters import Shape, Team, overlapping
 from sim.vehicle.vehicle import VehicleSim
 
 _MS_PER_S = 1000.0
@@ -78,57 +77,48 @@ class Pairs:
         self._members, self._grid = members, grid
         shapes = [Shape.of(member.vehicle.physics.params) for member in members]
         self.all = [Pair(i, j) for i, j in combinations(range(1, len(members) + 1), 2)]
-        self._team, number = Team(shapes), len(self.all)
-        self._one = np.array([pair.one - 1 for pair in self.all], dtype=np.int64)
-        self._other = np.array([pair.other - 1 for pair in self.all], dtype=np.int64)
-        self._least_m, self._flying_m, self._ellipsoid = (np.full(number, np.inf) for _ in range(3))
-        self._inside = np.zeros(number, dtype=bool)
+        self._team, self._inside = Team(shapes), [False] * len(self.all)
         self._before, self._flew = self._states(), self._flying()
-        self._team.stand(self._before[:, :3])
-        for at in np.flatnonzero(self._team.overlap_ms >= 0):
-            one, other = members[self.all[at].one - 1], members[self.all[at].other - 1]
-            place = ", ".join(f"{each:.2f}" for each in one.vehicle.body()[:3])
+        for one, other in overlapping(shapes, self._before[:, :3]):
+            place = ", ".join(f"{each:.2f}" for each in members[one].vehicle.body()[:3])
             raise ValueError(
-                f"{one.name} and {other.name} begin inside each other, at ({place}) m; "
+                f"{members[one].name} and {members[other].name} begin inside each other, at ({place}) m; "
                 "give them other start places"
             )
 
-    def begin(self) -> None:
-        """Note where all are at the begin of a tick."""
-        self._before, self._flew = self._states(), self._flying()
-
     def end(self, tick: int) -> None:
-        """Judge a tick that all have flown.
+        """Judge a tick that all have flown, since the end of the last one.
 
         Args:
             tick: its number.
         """
-        team, grid = self._team, self._grid
+        grid, before, flew = self._grid, self._before, self._flew
         begin_ms, steps = grid.ms(tick), grid.ms(tick + 1) - grid.ms(tick)
-        team.follow(self._before, self._states(), steps)
-        flew = self._flew & self._flying()
-        both = flew[self._one] & flew[self._other]
-        inside = both & (team.ellipsoid < 1.0)
-        np.minimum(self._least_m, team.distance_m, out=self._least_m)
-        np.minimum(self._flying_m, team.distance_m, out=self._flying_m, where=both)
-        np.minimum(self._ellipsoid, team.ellipsoid, out=self._ellipsoid, where=both)
-        hits = []
-        for number in np.flatnonzero(inside | (team.overlap_ms >= 0)):
-            pair = self.all[number]
-            pair.violations += bool(inside[number] and not self._inside[number])
-            pair.inside_ms += steps * bool(inside[number])
-            if team.overlap_ms[number] >= 0 and pair.collided_ms is None:
-                pair.collided_ms = begin_ms + int(team.overlap_ms[number])
-                hits.append((pair.collided_ms, pair))
-        self._inside = inside
-        self._collide(hits)
+        self._before, self._flew = self._states(), self._flying()
+        if self._team.follow(before, self._before, flew & self._flew, steps):
+            self._note(begin_ms, steps)
+        else:
+            self._inside = [False] * len(self.all)
 
     def found(self) -> tuple[Pair, ...]:
         """Return the pairs with their least distances."""
-        columns = (self._least_m.tolist(), self._flying_m.tolist(), self._ellipsoid.tolist())
-        for pair, *least in zip(self.all, *columns, strict=True):
+        for pair, least in zip(self.all, self._team.least.tolist(), strict=True):
             pair.distance_min_m, pair.flying_distance_min_m, pair.ellipsoid_min = least
         return tuple(self.all)
+
+    def _note(self, begin_ms: int, steps: int) -> None:
+        """Count who is inside whose ellipsoid; who overlaps first collides."""
+        now, hits = [bool(each) for each in self._team.inside], []
+        for pair, inside, was, overlap_ms in zip(
+            self.all, now, self._inside, self._team.overlap_ms.tolist(), strict=True
+        ):
+            pair.violations += inside and not was
+            pair.inside_ms += steps * inside
+            if overlap_ms >= 0 and pair.collided_ms is None:
+                pair.collided_ms = begin_ms + overlap_ms
+                hits.append((pair.collided_ms, pair))
+        self._inside = now
+        self._collide(hits)
 
     def _collide(self, hits: Sequence[tuple[int, Pair]]) -> None:
         for at_ms, pair in hits:
@@ -142,7 +132,9 @@ class Pairs:
         """Position (m) and velocity (m/s) of all, (N, 6), ENU."""
         return np.array([member.vehicle.body()[:6] for member in self._members])
 
-    def _flying(self) -> npt.NDArray[np.bool_]:
+    def _flying(self) -> I64:
         """Whether each flies, (N,): motors turning, off the ground and off a pad."""
         vehicles = [member.vehicle for member in self._members]
-        return np.array([each.motors_running and not (each.on_pad or each.on_ground) for each in vehicles])
+        return np.array(
+            [each.motors_running and not (each.on_pad or each.on_ground) for each in vehicles], "i8"
+        )

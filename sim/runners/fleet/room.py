@@ -75,7 +75,6 @@ class Room:
     def begin(self) -> None:
         """Before a tick: jets act as they are now."""
         self._air.blow()
-        self._pairs.begin()
 
     def end(self, tick: int, epoch_ns: int) -> None:
         """Judge a tick that all have flown; write about ten times a second.

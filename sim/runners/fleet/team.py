@@ -23,7 +23,7 @@ from sim.runners.fleet.words import Words
 from sim.runners.landing import Landing
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.air import Air
-from sim.vehicle.encounters import Shape, Team
+from sim.vehicle.encounters import Shape, overlapping
 from sim.vehicle.vehicle import VehicleSim
 from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 
@@ -63,8 +63,10 @@ class _Waits:
     def count(self, outputs: Sequence[Outputs | None]) -> None:
         """Count a tick."""
         for n, out in enumerate(outputs):
-            waits = out is not None and out.phase is Phase.APPROACH and not out.snapshot.way.may_land
-            self._now[n] = self._now[n] + 1 if waits else 0
+            if out is None or out.phase is not Phase.APPROACH or out.snapshot.way.may_land:
+                self._now[n] = 0
+                continue
+            self._now[n] += 1
             self.most[n] = max(self.most[n], self._now[n])
 
 
@@ -100,7 +102,6 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
         if all(member.ended for member in members):
             break
         air.blow()
-        pairs.begin()
         for member in members:
             member.tick(tick)
         pairs.end(tick)
@@ -135,4 +136,4 @@ def warm_up_room(team: TeamScenario) -> None:
     physics = VehicleSim(team.member[0], 0).physics
     Air([physics, physics]).blow()
     shape = Shape.of(physics.params)
-    Team((shape, shape)).stand(np.zeros((2, 3)))
+    overlapping((shape, shape), np.zeros((2, 3)))

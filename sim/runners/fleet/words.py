@@ -32,17 +32,19 @@ class Words:
     """
 
     def __init__(self, team: TeamScenario, seed: int) -> None:
-        link = team.exchange
-        self._loss, self._broken_tick = link.loss, math.ceil(link.broken_from_s * team.rate_hz - 1e-9)
-        self._silent, self._apart = frozenset(link.silent), frozenset(link.apart)
-        self._grid = TickGrid(team.rate_hz)
-        self._ticks = max(1, math.ceil(team.exchange.delay_s * team.rate_hz - 1e-9))
+        link, rate_hz = team.exchange, team.rate_hz
+        silent, apart = frozenset(link.silent), frozenset(link.apart)
+        broken_tick = math.ceil(link.broken_from_s * rate_hz - 1e-9)
+        self._grid = TickGrid(rate_hz)
+        self._ticks = max(1, math.ceil(link.delay_s * rate_hz - 1e-9))
         numbers = range(1, len(team.member) + 1)
-        self._ways = [
-            [_Losses(seed, teller, hearer) if teller != hearer else None for teller in numbers]
-            for hearer in numbers
-        ]
-        self._under_way: list[deque[tuple[int, Any]]] = [deque() for _ in numbers]
+        self._ways: list[list[_Way]] = []
+        for hearer in numbers:
+            broken = {n for n in numbers if n in silent or (n in apart) != (hearer in apart)}
+            since = {n: broken_tick if n in broken else math.inf for n in numbers}
+            since[hearer] = 0  # nobody hears itself
+            self._ways.append([_Way(seed, n, hearer, link.loss, since[n]) for n in numbers])
+        self._under_way: deque[list[list[Any]]] = deque([[] for _ in numbers] for _ in range(self._ticks - 1))
 
     def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[Neighbour, ...]]:
         """Take the outputs of a tick; return the words that each member hears with the next one.
@@ -51,9 +53,10 @@ class Words:
             tick: number of the tick that all have flown.
             outputs: of all controllers; None where the flight is over.
         """
-        heard = self.pass_on(tick, [None if each is None else each.own_word for each in outputs])
-        arrive_s = self._grid.ns(tick + 1) / NS_PER_S
-        return [tuple(word._replace(arrival_s=arrive_s) for word in words) for words in heard]
+        arrive_s = self._grid.ns(tick + self._ticks) / NS_PER_S
+        told = [None if each is None else each.own_word for each in outputs]
+        on_time = [word and word._replace(arrival_s=arrive_s) for word in told]
+        return [tuple(words) for words in self.pass_on(tick, on_time)]
 
     def pass_on(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
         """Take what is told at a tick, in any form; return what each member hears with the next one.
@@ -62,36 +65,34 @@ class Words:
             tick: its number.
             told: by each member; None: nothing.
         """
-        due = tick + self._ticks
-        heard = []
-        for hearer, (ways, under_way) in enumerate(zip(self._ways, self._under_way, strict=True), 1):
-            for teller, (word, way) in enumerate(zip(told, ways, strict=True), 1):
-                if way is None:
-                    continue
-                lost = way.draw() < self._loss  # drawn in each tick: what is told does not shift it
-                lost = lost or (tick >= self._broken_tick and self._broken(teller, hearer))
-                if word is not None and not lost:
-                    under_way.append((due, word))
-            here = []
-            while under_way and under_way[0][0] <= tick + 1:
-                here.append(under_way.popleft()[1])
-            heard.append(here)
-        return heard
-
-    def _broken(self, teller: int, hearer: int) -> bool:
-        """Whether nothing comes through from one member to another."""
-        return teller in self._silent or (teller in self._apart) != (hearer in self._apart)
+        self._under_way.append(
+            [
+                [
+                    word
+                    for word, way in zip(told, ways, strict=True)
+                    if not way.loses(tick) and word is not None
+                ]
+                for ways in self._ways
+            ]
+        )
+        return self._under_way.popleft()
 
 
-class _Losses:
-    """Numbers between 0 and 1 for the words of one teller on their way to one hearer."""
+class _Way:
+    """The way of one teller's words to one hearer; it loses them by chance, and all from a tick on."""
 
-    def __init__(self, seed: int, teller: int, hearer: int) -> None:
+    def __init__(self, seed: int, teller: int, hearer: int, loss: float, broken_tick: float) -> None:
+        self._loss, self._broken_tick = loss, broken_tick
         self._chance = stream(seed_of(seed, hearer), f"words.{teller}")
         self._drawn: list[float] = []
 
-    def draw(self) -> float:
-        """Take the next one."""
+    def loses(self, tick: int) -> bool:
+        """Whether what is told at a tick is lost; asked in each tick, so that what is told shifts nothing."""
+        if self._loss > 0.0 and self._draw() < self._loss:
+            return True
+        return tick >= self._broken_tick
+
+    def _draw(self) -> float:
         if not self._drawn:
             self._drawn = self._chance.random(_BLOCK).tolist()[::-1]
         return self._drawn.pop()

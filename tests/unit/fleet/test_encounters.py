@@ -9,12 +9,13 @@ import pytest
 
 from logs.schema.events import ContactBit
 from sim.plant.params import load
-from sim.vehicle.encounters import Shape, Team, ellipsoid_distance
+from sim.vehicle.encounters import Shape, Team, ellipsoid_distance, overlapping
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import fly, scenario
 
 SHAPE = Shape.of(load("crazyflie20"))
 SMALL = Shape(0.05, -0.01, 0.02)
+BOTH = np.ones(2, dtype=np.int64)
 
 
 class Nearest(NamedTuple):
@@ -28,15 +29,16 @@ class Nearest(NamedTuple):
 def nearest(before, after, steps, one, other):
     """Follow a pair; the states are those of the other one relative to the one."""
     team = Team((one, other))
-    team.follow(np.vstack((np.zeros(6), before)), np.vstack((np.zeros(6), after)), steps)
-    return Nearest(team.distance_m[0], team.ellipsoid[0], team.overlap_ms[0])
+    team.follow(np.vstack((np.zeros(6), before)), np.vstack((np.zeros(6), after)), BOTH, steps)
+    distance_m, flying_m, ellipsoid = team.least[0]
+    assert flying_m == distance_m
+    assert team.inside[0] == (ellipsoid < 1.0)
+    return Nearest(distance_m, ellipsoid, team.overlap_ms[0])
 
 
 def overlaps(relative, one, other):
     """Whether a pair that stands overlaps."""
-    team = Team((one, other))
-    team.stand(np.vstack((np.zeros(3), relative[:3])))
-    return team.overlap_ms[0] == 1
+    return overlapping((one, other), np.vstack((np.zeros(3), relative[:3]))) == [(0, 1)]
 
 
 def states(position, velocity, acceleration, seconds):
@@ -103,16 +105,25 @@ def test_the_pair_is_judged_the_same_from_both_sides():
     assert nearest(before, after, 10, SHAPE, SHAPE) == nearest(-before, -after, 10, SHAPE, SHAPE)
 
 
-def test_a_team_is_all_its_pairs():
+def test_a_team_is_all_its_pairs_and_keeps_the_least_of_those_that_fly():
     rng = np.random.default_rng(1)
     shapes = [SMALL, SHAPE, Shape(0.3, -0.1, 0.2), SHAPE]
-    team = Team(shapes)
+    team, least = Team(shapes), np.full((6, 3), np.inf)
     for _ in range(50):
-        before, after = (rng.normal(0.0, 0.3, (4, 6)) for _ in range(2))
-        team.follow(before, after, 10)
+        before, after = (rng.normal(0.0, 0.6, (4, 6)) for _ in range(2))
+        flew, seen = rng.integers(0, 2, 4), False
+        told = team.follow(before, after, flew, 10)
         for number, (i, j) in enumerate(combinations(range(4), 2)):
-            one = nearest(before[j] - before[i], after[j] - after[i], 10, shapes[i], shapes[j])
-            assert one == (team.distance_m[number], team.ellipsoid[number], team.overlap_ms[number])
+            one, both = (
+                nearest(before[j] - before[i], after[j] - after[i], 10, shapes[i], shapes[j]),
+                flew[i] & flew[j],
+            )
+            found = (one.distance_m, *((one.distance_m, one.ellipsoid) if both else (np.inf, np.inf)))
+            least[number] = np.minimum(least[number], found)
+            assert (team.inside[number], team.overlap_ms[number]) == (found[2] < 1.0, one.overlap_ms)
+            seen = seen or found[2] < 1.0 or one.overlap_ms >= 0
+        assert told == seen
+        assert (team.least == least).all()
 
 
 def test_who_collides_falls_and_the_contact_is_told_once():

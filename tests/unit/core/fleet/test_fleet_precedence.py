@@ -152,10 +152,10 @@ def test_nobody_begins_before_all_are_heard():
 
 def test_pads_that_drive_towards_each_other_come_near_within_the_time():
     a, b = Pad(ZERO, (0.2, 0.0, 0.0)), Pad((2.0, 0.3, 0.0), (-0.2, 0.0, 0.0))
-    assert nearest_m(a, b, 10.0) == pytest.approx(0.3)
-    assert nearest_m(a, b, 2.0) == pytest.approx(math.hypot(1.2, 0.3))
-    assert nearest_m(b, b, 10.0) == 0.0
-    assert nearest_m(a, Pad((-1.0, 0.0, 0.0), ZERO), 10.0) == pytest.approx(1.0)  # it drives away
+    assert nearest_m(a, *b, 10.0) == pytest.approx(0.3)
+    assert nearest_m(a, *b, 2.0) == pytest.approx(math.hypot(1.2, 0.3))
+    assert nearest_m(b, *b, 10.0) == 0.0
+    assert nearest_m(a, (-1.0, 0.0, 0.0), ZERO, 10.0) == pytest.approx(1.0)  # it drives away
 
 
 @pytest.mark.parametrize(
