@@ -167,6 +167,7 @@ class Heard:
     yielded_s: float = -inf  # when it was told so last
     on_pad: bool = False  # it stood on this vehicle's pad when it was heard last
     faster_m_s2: Vec3 = ZERO  # at which the velocity that it wanted changed
+    jumped_m: Vec3 = ZERO  # by which the places that it told were farther apart than it can have flown
 
 
 # one for each other member in the order of their ids; those of a smaller fleet stay as they are

@@ -79,8 +79,9 @@ Three vehicles of `fleet_3` with seed {SEED}; the second one fails, for good, at
 {", ".join(f"{at_s:g} s ({moment})" for moment, at_s in MOMENTS_S.items())}.
 Nothing may collide in any cell, no two vehicles come inside the ellipsoid about each other, and the other two
 land on their pads. A killed process ends its flight by the failsafe of its autopilot, which lands where the
-vehicle is, by chance on its robot. A lie of half a metre is more than the semi-axis of 0.25 m: nobody aboard
-knows of it, and where it points at another vehicle a collision is possible; these flights pass farther away.
+vehicle is, by chance on its robot. A told place that jumps makes the ellipsoid about it larger by the jump,
+so that the place before it is kept clear of, too: whose own pad lies in there may give up its landing. A lie
+from the beginning on does not jump: nobody aboard can know of it.
 
 | fault | in | ends of the members | nearest in the ellipsoid's measure | nearest, m |
 |---|---|---|--:|--:|

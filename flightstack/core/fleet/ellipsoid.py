@@ -93,6 +93,29 @@ def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
     return most_m_s * (age_s - 0.5 * speeds_up_s), most_m_s
 
 
+def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
+    """How far a vehicle tells to be from where its last word leads to; zero if it can have flown there.
+
+    Its velocity may have changed since as fast as the fleet counts with; both words may err by the standard
+    deviations and the errors of clocks that they tell, and by the margin that the ellipsoid has: a landing
+    ends a velocity at once.
+
+    Args:
+        before: its word before.
+        word: its newest.
+        fleet: of the configuration.
+    """
+    v, gone_s = before.velocity_enu_m_s, word.stamp_s - before.stamp_s
+    speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    clocks_s = before.clock_bound_s + word.clock_bound_s
+    allowed_m, _ = growth(gone_s + clocks_s, speed_m_s, fleet)
+    allowed_m += speed_m_s * clocks_s + fleet.margin_m
+    allowed_m += fleet.sigma_factor * math.hypot(before.position_sigma_m, word.position_sigma_m)
+    p, q = before.position_enu_m, word.position_enu_m
+    away = (q[0] - p[0] - v[0] * gone_s, q[1] - p[1] - v[1] * gone_s, q[2] - p[2] - v[2] * gone_s)
+    return away if math.hypot(*away) > allowed_m else ZERO
+
+
 def faster(before_m_s2: Vec3, before: Neighbour, word: Neighbour) -> Vec3:
     """Acceleration of the velocity that another vehicle wants, smoothed.
 

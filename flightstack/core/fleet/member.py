@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from flightstack.core.fleet.beside import place_beside
-from flightstack.core.fleet.ellipsoid import barrier, estimate, faster
+from flightstack.core.fleet.ellipsoid import barrier, estimate, faster, jump
 from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.precedence import Pad, Way, decide, heard
 from flightstack.core.fleet.program import FleetProgram
@@ -99,20 +99,34 @@ class FleetMember:
         return list(zip(self._index, self.memory.slots, strict=False))  # those of a smaller fleet are fewer
 
     def take(self, words: Sequence[Neighbour], now_s: float) -> list[str]:
-        """Keep the newest word of each member; the reasons of those that are refused."""
-        refused = []
+        """Keep the newest word of each member; texts of those that are refused, and of places that jump."""
+        texts = []
         for word in words:
             why = self._refusal(word, now_s)
             if why:
-                refused.append(f"word of vehicle {word.id} refused: {why}")
+                texts.append(f"word of vehicle {word.id} refused: {why}")
                 continue
             slot = self.memory.slots[self._index[word.id]]
             before = slot.word
-            if before is None or word.stamp_s > before.stamp_s:  # what was overtaken is not news
-                if before is not None:
-                    slot.faster_m_s2 = faster(slot.faster_m_s2, before, word)
-                slot.word = word
-        return refused
+            if before is not None and word.stamp_s <= before.stamp_s:
+                continue  # what was overtaken is not news
+            if before is not None:
+                slot.faster_m_s2 = faster(slot.faster_m_s2, before, word)
+                texts += self._jumped(slot, before, word)
+            slot.word = word
+        return texts
+
+    def _jumped(self, slot: Heard, before: Neighbour, word: Neighbour) -> list[str]:
+        """Note a place that jumped; the text of an event."""
+        by_m = jump(before, word, self._fleet)
+        if by_m == ZERO:
+            return []
+        (x, y, z), (jx, jy, jz) = slot.jumped_m, by_m
+        slot.jumped_m = (x + jx, y + jy, z + jz)
+        return [
+            f"the place of vehicle {word.id} jumps by {math.hypot(*by_m):.2f} m: its ellipsoid is larger by "
+            f"{math.hypot(*slot.jumped_m):.2f} m now, since either place may be wrong"
+        ]
 
     def _refusal(self, word: Neighbour, now_s: float) -> str:
         if word.id not in self._index:
@@ -193,10 +207,12 @@ class FleetMember:
             if late:
                 away, moves = now.beside(own.position_enu_m)
                 now = now._replace(velocity_enu_m_s=moves)
+            if slot.jumped_m != ZERO:
+                grown_m += math.hypot(*slot.jumped_m)
             xy_m, z_m = fleet.radius_xy_m + grown_m, fleet.radius_z_m + grown_m
             h_m, gradient = outer_m, _ = barrier(away, xy_m, z_m, first=fleet.id < n)
             if late:
-                more_m = now.anywhere_m - grown_m
+                more_m = now.anywhere_m - now.grown_m
                 outer_m, _ = barrier(away, xy_m + more_m, z_m + more_m, first=fleet.id < n)
             if outer_m > reach_m:
                 continue

@@ -7,11 +7,13 @@ first, then what makes the other one give way to nobody, then what the other one
 
 from __future__ import annotations
 
+import math
+
 from flightstack.core.fleet.ellipsoid import Estimate
 from flightstack.core.fleet.exact import Row
 from flightstack.core.memory import Heard
 from flightstack.core.parameters.fleet import HOLD_LATENCIES, ZERO_LATENCIES, Fleet
-from flightstack.core.types import Intent, Neighbour, Vec3
+from flightstack.core.types import ZERO, Intent, Neighbour, Vec3
 
 # others make way for these: they give way to nobody, or have a fault
 FIRM = frozenset({Intent.STANDING, Intent.COMMITTED, Intent.CLEARING, Intent.DOWN})
@@ -32,6 +34,8 @@ def share(slot: Heard, word: Neighbour, now_s: float, fleet: Fleet) -> float:
     age_s = now_s - word.stamp_s + word.clock_bound_s
     if word.intent in FIRM or age_s > fleet.age_max_s:
         return ALL
+    if slot.jumped_m != ZERO and math.hypot(*slot.jumped_m) > fleet.margin_m:
+        return ALL  # it may not know where it is itself
     if fleet.id in word.yields_to and age_s <= ZERO_LATENCIES * fleet.latency_max_s:
         return NONE
     return HALF

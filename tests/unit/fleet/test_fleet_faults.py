@@ -16,5 +16,7 @@ def test_nothing_collides_and_the_others_land(way, moment):
     verdict = fly(way, MOMENTS_S[moment], SEED)
     assert (verdict.collisions, verdict.ellipsoid_violations) == (0, 0)
     others = [end for number, end in enumerate(verdict.outcomes, 1) if number != WHO]
-    assert others == [Outcome.LANDED, Outcome.LANDED], verdict.reason
+    # where a pad lies near the one that tells a wrong place, its landing may be given up
+    allowed = {Outcome.LANDED, Outcome.ABORTED} if way is Way.LIES else {Outcome.LANDED}
+    assert set(others) <= allowed, verdict.reason
     assert row(way, moment, verdict) in PAGE

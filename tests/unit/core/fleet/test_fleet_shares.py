@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flightstack.core.fleet.ellipsoid import barrier, estimate, growth
+from flightstack.core.fleet.ellipsoid import barrier, estimate, growth, jump
 from flightstack.core.fleet.member import FleetMember
 from flightstack.core.fleet.program import FleetProgram
 from flightstack.core.fleet.shares import ALL, HALF, NONE, row, share
@@ -108,6 +108,8 @@ def word_of(intent=Intent.WAITING, stamp_s=0.0, **keys):
         (Heard(), word_of(yields_to=(3,), clock_bound_s=0.1), 0.21, HALF),
         (Heard(), word_of(yields_to=(4,)), 0.1, HALF),
         (Heard(yields=True), word_of(yields_to=(3,)), 0.1, ALL),
+        (Heard(jumped_m=(0.0, 0.1, 0.0)), word_of(yields_to=(3,)), 0.1, ALL),
+        (Heard(jumped_m=(0.0, 1e-9, 0.0)), word_of(yields_to=(3,)), 0.1, NONE),
         (Heard(yielded_s=0.0), word_of(yields_to=(3,), stamp_s=0.4), 0.44, ALL),
         (Heard(yielded_s=0.0), word_of(yields_to=(3,), stamp_s=0.4), 0.46, NONE),
         *((Heard(), word_of(firm, yields_to=(3,)), 0.1, ALL)
@@ -184,6 +186,61 @@ def test_the_ellipsoid_of_a_silent_vehicle_ends_to_grow_with_its_flight_and_one_
     riding = down._replace(velocity_enu_m_s=(0.1, 0.0, 0.0))
     assert estimate(riding, 1.0, 0.0, A).position_enu_m == pytest.approx((1.1, 0.0, 1.0))
     assert estimate(riding, 1.0, 0.0, A).grown_m == pytest.approx(A.margin_m + 0.1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0.0, 1.0), st.floats(0.0, 0.05))
+def test_a_vehicle_within_its_limits_never_jumps_and_one_that_lies_always_does(seed, lost, sigma_m):
+    rng = np.random.default_rng(seed)
+    p, v, told = rng.normal(size=3), np.zeros(3), None
+    for tick in range(300):
+        v += 0.01 * A.acceleration_max_m_s2 * _towards(rng)
+        v *= min(1.0, A.speed_max_m_s / np.linalg.norm(v))
+        p = p + 0.01 * v
+        if told is not None and rng.random() < lost:
+            continue
+        error = sigma_m * _towards(rng)  # what it tells is a standard deviation
+        says = Neighbour(7, 0.01 * tick, 0.0, tuple((p + error).tolist()), tuple(v.tolist()), ZERO, sigma_m)
+        if told is not None:
+            assert jump(told, says, A) == ZERO
+            since_s = says.stamp_s - told.stamp_s
+            covered_m = growth(since_s, math.hypot(*told.velocity_enu_m_s), A)[0] + A.margin_m
+            covered_m += A.sigma_factor * math.hypot(sigma_m, sigma_m)
+            carried = np.array(told.position_enu_m) + since_s * np.array(told.velocity_enu_m_s)
+            for share, jumps in ((0.99, False), (1.01, True)):
+                away = share * covered_m * _towards(rng)
+                lie = says._replace(position_enu_m=tuple((carried + away).tolist()))
+                found = jump(told, lie, A)
+                assert found == (pytest.approx(away.tolist()) if jumps else ZERO)
+        told = says
+
+
+def _towards(rng):
+    """A unit vector."""
+    away = rng.normal(size=3)
+    return away / np.linalg.norm(away)
+
+
+def test_a_place_that_jumps_makes_the_ellipsoid_larger_until_it_jumps_back():
+    member, own = FleetMember(A, 0.0), OwnState(0.0, 0.0, (2.0, 0.0, 1.0), ZERO, 0.0)
+    told = word_of()._replace(position_enu_m=(0.0, 0.0, 1.0))
+
+    def take(stamp_s, x):
+        place = (x, 0.0, 1.0)
+        texts = member.take([told._replace(stamp_s=stamp_s, position_enu_m=place)], stamp_s)
+        return texts, member.rows(Phase.APPROACH, own, ZERO, stamp_s).near[0].h_m
+
+    assert take(0.0, 0.0) == ([], pytest.approx(2.0 - A.radius_xy_m - A.margin_m))
+    texts, h_m = take(0.02, 0.5)
+    assert texts == [
+        "the place of vehicle 7 jumps by 0.50 m: its ellipsoid is larger by 0.50 m now, since either place "
+        "may be wrong"
+    ]
+    assert h_m == pytest.approx(1.0 - A.radius_xy_m - A.margin_m)  # both places are kept clear of
+    assert take(0.04, 0.5) == ([], pytest.approx(h_m))  # for good ...
+    texts, h_m = take(0.06, 0.0)
+    assert [text[:32] for text in texts] == ["the place of vehicle 7 jumps by "]
+    assert h_m == pytest.approx(2.0 - A.radius_xy_m - A.margin_m)  # ... or until it is back
 
 
 PROGRAM = FleetProgram()
