@@ -18,7 +18,6 @@ from pathlib import Path
 from flightstack.common.strict_toml import dumps
 from sim.autopilot.profiles import PROFILES
 from sim.scenarios.scenario import load
-from tests.bounded import line_of
 
 PORT, PORTS_APART = 5760, 10
 FAR_M = (200.0, 200.0)  # where no robot is in the way
@@ -61,7 +60,7 @@ def main() -> None:
         stack.callback(vehicle.wait, 10.0)
         stack.callback(vehicle.terminate)
         assert vehicle.stdout is not None
-        port = int(line_of(vehicle.stdout).rsplit(":", 1)[1])
+        port = int(vehicle.stdout.readline().rsplit(":", 1)[1])
         server = stack.enter_context(socket.create_server(("127.0.0.1", PORT + PORTS_APART * given.instance)))
         udp = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         udp.connect(("127.0.0.1", port))

@@ -81,12 +81,15 @@ class Child:
     ) -> None:
         self.name = name
         self.output = folder / f"{name}.txt"
-        words = [sys.executable, "-m", "flightstack.cli.main"] if program is None else tied(program)
+        if program is None:
+            words, told = [sys.executable, "-m", "flightstack.cli.main"], {_PARENT: str(os.getpid())}
+        else:
+            words, told = tied(program), {}  # it would hand on what it was told
         with self.output.open("wb") as errors:
             self.process = subprocess.Popen(
                 [*words, *arguments],
                 cwd=works_in,
-                env=os.environ | {_PARENT: str(os.getpid())},
+                env=os.environ | told,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=errors,
