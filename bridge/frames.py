@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from flightstack.core.numeric import numeric, wrapped
 from flightstack.core.types import Vec3
 
 Quat = tuple[float, float, float, float]
@@ -41,26 +42,30 @@ def flu_from_frd(v: Vec3) -> Vec3:
     return (v[0], -v[1], -v[2])
 
 
+@numeric
 def wrap_angle(angle_rad: float) -> float:
     """Wrap a finite angle to (-pi, pi].
 
     Raises:
         ValueError: the angle is infinite.
     """
-    wrapped = math.remainder(angle_rad, math.tau)
-    return math.pi if wrapped <= -math.pi else wrapped
+    turned = wrapped(angle_rad)
+    return math.pi if turned <= -math.pi else turned
 
 
+@numeric
 def yaw_enu_from_ned(yaw_ned_rad: float) -> float:
     """Turn a heading clockwise from north into one counter-clockwise from east, in (-pi, pi]."""
     return wrap_angle(math.pi / 2 - yaw_ned_rad)
 
 
+@numeric
 def yaw_ned_from_enu(yaw_enu_rad: float) -> float:
     """Turn a heading counter-clockwise from east into one clockwise from north, in (-pi, pi]."""
     return wrap_angle(math.pi / 2 - yaw_enu_rad)
 
 
+@numeric
 def ned_frd_from_enu_flu(q: Quat) -> Quat:
     """Turn the attitude of FLU in ENU into the attitude of FRD in NED.
 
@@ -137,6 +142,7 @@ def upper_triangle(covariance: Sequence[float]) -> tuple[float, ...]:
     return tuple(covariance[6 * i + j] for i in range(6) for j in range(i, 6))
 
 
+@numeric
 def euler_from_quaternion(q: Quat) -> Vec3:
     """Roll, pitch and yaw, turned about z, then y, then x, of a unit quaternion; pitch in [-pi/2, pi/2].
 

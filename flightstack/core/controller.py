@@ -132,31 +132,31 @@ class Controller:
         self.barrier = config.barrier.build()
         self.track = TargetTrack(config.checks)
         self.plausibility = Plausibility(config)
-        self._strategy = strategy_of(config)
+        self.strategy = strategy_of(config)
         self._period_s = 1.0 / config.loop.rate_hz
-        most, table = self._strategy.acceleration_max_m_s2, config.reserve
+        most, table = self.strategy.acceleration_max_m_s2, config.reserve
         self._reserve = ReserveEstimate(table, most, self._period_s) if table is not None else None
         self._mission = Mission(
-            config, self.barrier, self._strategy, self.track, self.plausibility, self._reserve
+            config, self.barrier, self.strategy, self.track, self.plausibility, self._reserve
         )
         self.memory = self._mission.memory
-        self._filter = self._strategy.program()
+        self._filter = self.strategy.program()
         limits = config.limits
         self._gate = Gate(
-            self._strategy.rate_1_s, limits.velocity_max_m_s, limits.altitude_max_m, self._period_s
+            self.strategy.rate_1_s, limits.velocity_max_m_s, limits.altitude_max_m, self._period_s
         )
         step = tuple(a * self._period_s for a in most)
-        self._slew_step: Vec3 = (step[0], step[1], step[2])
+        self.slew_step: Vec3 = (step[0], step[1], step[2])
         self._up_step = math.inf  # besides, m/s
         fleet = config.fleet
         self._fleet = FleetMember(fleet, config.own.position_noise_m) if fleet is not None else None
         lag_s = max(config.velocity_loop.lag_z_s, self._period_s)
-        self._cone = Cone(self._strategy.rate_1_s, self.barrier.slope_max, lag_s, self._period_s)
+        self._cone = Cone(self.strategy.rate_1_s, self.barrier.slope_max, lag_s, self._period_s)
 
     @property
     def state(self) -> State:
         """What it remembers; still in use, so to be written down before the next step."""
-        strategy = self._strategy
+        strategy = self.strategy
         known = (self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory)
         kind = state_class(self.config)
         if kind is State:
@@ -168,10 +168,10 @@ class Controller:
         """Go on from a state that was written down."""
         self.memory = self._mission.memory = state.memory
         self.track.memory = state.track
-        self._strategy.motion, self._strategy.tracking = state.motion, state.tracking
+        self.strategy.motion, self.strategy.tracking = state.motion, state.tracking
         self.plausibility.memory = state.plausibility
         if isinstance(state, WholeState):
-            self._strategy.own = state.own
+            self.strategy.own = state.own
             if self._reserve is not None:
                 self._reserve.memory = state.reserve
         if isinstance(state, FleetState) and self._fleet is not None:
@@ -185,7 +185,7 @@ class Controller:
             now_s: stack clock.
             command_failed: the bridge gave up on a requested mode.
         """
-        memory, strategy, plausibility = self.memory, self._strategy, self.plausibility
+        memory, strategy, plausibility = self.memory, self.strategy, self.plausibility
         if inputs.own is not None and not inputs.own.is_finite:  # it would stay in every memory
             inputs = inputs._replace(own=None)
         self.track.memory.settled = memory.phase is not Phase.WAIT
@@ -257,13 +257,13 @@ class Controller:
 
     def _weigh(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
         """Estimate the thrust reserve, and limit the accelerations of this tick to those that it allows."""
-        own, memory, strategy, t = inputs.own, self.memory, self._strategy, self._period_s
+        own, memory, strategy, t = inputs.own, self.memory, self.strategy, self._period_s
         rise_m_s = own.velocity_enu_m_s[2] if own is not None else 0.0
         # near the pad the ground effect helps, and on it the pad does
         flies = memory.commanding and own is not None and memory.phase is not Phase.TOUCHDOWN
         estimate.step(inputs.power, inputs.status, rise_m_s, now_s, flies=flies)
         x, y, z = strategy.acceleration_max_m_s2 = estimate.acceleration_max_m_s2
-        self._slew_step, self._up_step = (x * t, y * t, self._slew_step[2]), z * t
+        self.slew_step, self._up_step = (x * t, y * t, self.slew_step[2]), z * t
         return estimate.charge
 
     def _take_samples(self, inputs: Inputs) -> list[Event]:
@@ -271,7 +271,7 @@ class Controller:
         for sample in inputs.target_samples:
             verdict = self.track.accept(sample)
             if verdict is Verdict.ACCEPTED:
-                self._strategy.take(sample)
+                self.strategy.take(sample)
             else:
                 events.append(Event(WARN, f"target sample refused: {verdict.value}"))
         return events
@@ -306,11 +306,11 @@ class Controller:
             idle = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
             return Barriers(h_m, gradient, dh_dt, nominal, idle)
         lower, upper = self._box(snapshot)
-        climb_m_s = self._strategy.climb_m_s(active_m, gradient, self._base(snapshot), at)
+        climb_m_s = self.strategy.climb_m_s(active_m, gradient, self._base(snapshot), at)
         if climb_m_s > lower[2]:
             lower = (lower[0], lower[1], min(climb_m_s, upper[2]))
         if self._fleet is not None and (rows.rows or not snapshot.way.may_land):
-            landing = Row(gradient, -self._strategy.rate_1_s * active_m - dh_dt)
+            landing = Row(gradient, -self.strategy.rate_1_s * active_m - dh_dt)
             moves_m_s = at.target.velocity_enu_m_s
             outward = self._cone.outward(active_m, gradient, self._base(snapshot), moves_m_s)
             lower, upper = self._cone.box(at.d_m, active_m, nominal, moves_m_s, lower, upper)
@@ -327,7 +327,7 @@ class Controller:
 
     def _box(self, snapshot: Snapshot) -> tuple[Vec3, Vec3]:
         """Admissible velocities of this tick: the box of eq. 11 cut by what the slew limit can reach."""
-        (bx, by, bz), (sx, sy, sz) = self._base(snapshot), self._slew_step
+        (bx, by, bz), (sx, sy, sz) = self._base(snapshot), self.slew_step
         mx, my, mz = self.config.limits.velocity_max_m_s
         x, y, z = bx - sx, by - sy, bz - sz
         lower = (x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz)
@@ -359,11 +359,11 @@ class Controller:
             )
         else:
             most = self.config.limits.velocity_max_m_s
-            wanted = slew(self._base(snapshot), limit(asked.velocity, most), self._slew_step, self._up_step)
+            wanted = slew(self._base(snapshot), limit(asked.velocity, most), self.slew_step, self._up_step)
             if rows.rows and self._fleet is not None:  # nothing may collide in any phase
                 wanted = self._fleet.solve(wanted, (), rows, *self._box(snapshot)).velocity_enu_m_s
         least_z_m_s = self._least_z_m_s(snapshot)
-        setpoint = self._strategy.setpoint(self._base(snapshot), wanted, snapshot, least_z_m_s)
+        setpoint = self.strategy.setpoint(self._base(snapshot), wanted, snapshot, least_z_m_s)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
         verdict, approved = self._gate.check(
             wanted,
@@ -376,7 +376,7 @@ class Controller:
         )
         if approved is None:
             approved = self._gate.stop(yaw_rad, own_fresh=snapshot.own_ok)
-            memory.command = self._strategy.tracking.setpoint_m_s = ZERO
+            memory.command = self.strategy.tracking.setpoint_m_s = ZERO
         else:
             memory.command = wanted
         climbs = memory.phase in (Phase.TAKEOFF, Phase.LEAVE) and not memory.climbed
@@ -392,4 +392,4 @@ class Controller:
         """
         if self.memory.phase is not Phase.TOUCHDOWN or snapshot.target is None:
             return -math.inf
-        return snapshot.target.velocity_enu_m_s[2] - self._strategy.contact_speed_max_m_s
+        return snapshot.target.velocity_enu_m_s[2] - self.strategy.contact_speed_max_m_s

@@ -1,34 +1,138 @@
 """Functions of numbers in the core that a simulator may compile: one source, equal to the last bit.
 
-Such a function takes and returns floats and tuples of floats, and calls nothing but others of them and
-``sqrt`` of ``math``. Compiled code agrees with Python to the last bit on these and on + - * /; it need not on
-``hypot``, ``remainder``, ``expm1``, ``**``, nor on ``max`` and ``min`` of zeros.
+Such a function takes and returns numbers and tuples of them, and calls nothing but others of them, ``exp``,
+``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. Compiled code agrees with
+Python to the last bit on these and on + - * /; it need not on ``math.hypot``, ``math.remainder`` and ``**``.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import cache
+from types import FunctionType
+from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-MARKED: list[Callable[..., Any]] = []  # as they are written
+MARKED: set[Callable[..., Any]] = set()
+_CALLED: list[Callable[..., Any]] = []  # those of them that Python calls where they are compiled
+_SPLIT = 134217729.0  # 2^27 + 1: splits a double into two halves (Veltkamp)
 
 
 def numeric(function: F) -> F:
-    """Mark a function of a module as one that may be compiled; it stays as it is until then."""
-    MARKED.append(function)
+    """Mark a function that may be compiled; Python goes on calling it as it is written."""
+    MARKED.add(function)
     return function
 
 
+def called(function: F) -> F:
+    """Mark one with so much in it that Python, too, is to call the compiled one (``compile_with``)."""
+    _CALLED.append(function)
+    return numeric(function)
+
+
 def compile_with(compiler: Callable[[Any], Any]) -> None:
-    """From now on the names of the marked functions stand for compiled ones; done again, it changes nothing.
+    """From now on the names of what is marked ``called`` stand for compiled functions; again: no change.
 
     Args:
         compiler: turns a function into one that is compiled when it is first called.
     """
-    for function in MARKED:
+    for function in _CALLED:
         module = sys.modules[function.__module__]
         if getattr(module, function.__name__) is function:
-            setattr(module, function.__name__, compiler(function))
+            setattr(module, function.__name__, twin(function, compiler))
+
+
+@cache
+def twin(function: F, compiler: Callable[[Any], Any]) -> F:
+    """Return the compiled twin of a marked function: all that it calls is compiled, and no name changes.
+
+    Raises:
+        ValueError: it is not marked.
+    """
+    if function not in MARKED:
+        raise ValueError(f"{function.__module__}.{function.__qualname__} is not marked @numeric")
+    own = cast("FunctionType", function)
+    scope = dict(own.__globals__)
+    for name in own.__code__.co_names:
+        one = scope.get(name)
+        one = STAND_INS.get(one, one) if callable(one) else one
+        if isinstance(one, FunctionType) and one in MARKED:
+            scope[name] = twin(one, compiler)
+    copy = FunctionType(own.__code__, scope, own.__name__, own.__defaults__)
+    copy.__qualname__, copy.__module__ = own.__qualname__, own.__module__
+    return cast(F, compiler(copy))
+
+
+hypot = math.hypot
+
+
+def wrapped(angle_rad: float) -> float:
+    """Turn an angle into [-pi, pi]; compiled only one of at most one and a half turns."""
+    return math.remainder(angle_rad, math.tau)
+
+
+@numeric
+def _hypot(x: float, y: float) -> float:
+    """``math.hypot`` of two finite numbers as CPython 3.11 computes it (mathmodule.c, vector_norm)."""
+    a, b = abs(x), abs(y)
+    most = a if a > b else b
+    if most == 0.0:
+        return 0.0
+    _, exponent = math.frexp(most)
+    whole, high, cross, low = 1.0, 0.0, 0.0, 0.0
+    if exponent < -1023:  # the power of two below would overflow
+        for v in (a / most, b / most):
+            term, before = v * v, whole
+            whole += term
+            high += (before - whole) + term
+        return most * math.sqrt(whole - 1.0 + high)
+    scale = math.ldexp(1.0, -exponent)
+    for v in (a * scale, b * scale):
+        t = v * _SPLIT
+        hi = t - (t - v)
+        lo = v - hi
+        term, before = hi * hi, whole
+        whole += term
+        high += (before - whole) + term
+        term, before = 2.0 * hi * lo, whole
+        whole += term
+        cross += (before - whole) + term
+        low += lo * lo
+    root = math.sqrt(whole - 1.0 + (high + cross + low))
+    t = root * _SPLIT
+    hi = t - (t - root)
+    lo = root - hi
+    term, before = -hi * hi, whole
+    whole += term
+    high += (before - whole) + term
+    term, before = -2.0 * hi * lo, whole
+    whole += term
+    cross += (before - whole) + term
+    term, before = -lo * lo, whole
+    whole += term
+    low += (before - whole) + term
+    return (root + (whole - 1.0 + (high + cross + low)) / (2.0 * root)) / scale
+
+
+@numeric
+def _wrapped(angle_rad: float) -> float:
+    """``wrapped`` of at most one and a half turns, where the subtraction is exact; NaN beyond that."""
+    if abs(angle_rad) <= math.pi:
+        return angle_rad
+    if not abs(angle_rad) <= 1.5 * math.tau:
+        return math.nan
+    return angle_rad - math.copysign(math.tau, angle_rad)
+
+
+@cache
+def hypot_is_known() -> bool:
+    """Whether this Python computes ``math.hypot`` as ``_hypot`` does, of some thousand numbers."""
+    numbers = [math.ldexp(math.sin(k), k % 37 - 30) for k in range(1, 80)]
+    return all(_hypot(x, y) == math.hypot(x, y) for x in numbers for y in numbers)
+
+
+# what compiled code calls in place of functions that compilers do not have, or have with other last bits
+STAND_INS: dict[Callable[..., Any], Callable[..., Any]] = {math.hypot: _hypot, wrapped: _wrapped}

@@ -73,6 +73,10 @@ class VehicleTicks:
         self._vehicle, self._clock, self._stopped = vehicle, LockstepClock(rate_hz), stopped
         self._last_ns = -1
 
+    def passed(self, sim_ns: int) -> None:
+        """Take note of ticks until now that somebody else has run."""
+        self._last_ns = sim_ns
+
     def wait(self) -> Tick:
         """Wait until the vehicle asks, for a bounded wall time.
 

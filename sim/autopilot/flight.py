@@ -20,7 +20,6 @@ from sim.autopilot.vehicle_like import Standing, VehicleLike
 from sim.autopilot.watches import ACTION_MODES, HEIGHT_RANGE_M, STREAM_LOST, STRENGTH, Action, Alarm, Watches
 
 _ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself
-
 _MODES_TO_LEAVE = frozenset({FlightMode.LAND, FlightMode.RETURN})  # no arming in these, as in PX4
 
 
@@ -31,7 +30,7 @@ class Flight:
         mode: flight mode; meaningful also while disarmed.
         failsafe: the present mode was not asked for but forced by a failure.
         texts: what it says.
-        pilot: flies the mode.
+        pilot, ground: flies the mode; watches the contacts.
         watches: slow fail-safes, with the battery.
         profile: which autopilot it plays.
         origin_known: where the local coordinates lie on earth.
@@ -56,11 +55,11 @@ class Flight:
         self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s, repeats=profile.guided)
         self.watches = Watches(parameters, vehicle, profile.station_id)
         self._parameters = parameters
-        self._ground = Standing(vehicle)
+        self.ground = Standing(vehicle)
         self._owner = ControlOwner()
         self._setpoint_s = -math.inf
         self._was_armed = vehicle.armed
-        self._flew = vehicle.armed and not self._ground.now  # since arming
+        self._flew = vehicle.armed and not self.ground.now  # since arming
         self.origin_known = self._flew or not profile.needs_origin
         self._arrived = False  # at the end of the present take-off
         self._control_s: float | None = None
@@ -82,7 +81,7 @@ class Flight:
     @property
     def standing(self) -> bool:
         """On the ground or on the pad, not just touching."""
-        return self._ground.now
+        return self.ground.now
 
     @property
     def home_enu_m(self) -> Vec3:
@@ -92,7 +91,7 @@ class Flight:
     @property
     def landed_state(self) -> int:
         """MAV_LANDED_STATE."""
-        if self._ground.now:
+        if self.ground.now:
             return int(dialect.MAV_LANDED_STATE_ON_GROUND)
         if self.mode is FlightMode.RETURN and self.pilot.going_down:
             return int(dialect.MAV_LANDED_STATE_LANDING)
@@ -263,6 +262,19 @@ class Flight:
             self._setpoint_s = now_s
         return reason
 
+    def flown(self, now_s: float, setpoint: Setpoint | None, sender: Sender) -> None:
+        """Take note of ticks until now past ``control``; of the last one's set-point if they had one each."""
+        self._control_s = self._estimate_seen_s = now_s
+        if setpoint is not None:
+            self._owner.admit(sender, now_s, self._parameters["COM_OF_LOSS_T"])
+            self._setpoint_s = now_s
+            self.pilot.handed_on(setpoint)
+
+    @property
+    def stream_ends_s(self) -> float:
+        """When the stream of set-points counts as ended, if none comes."""
+        return self._setpoint_s + self._parameters["COM_OF_LOSS_T"]
+
     def refuse_setpoint(self, reason: str, now_s: float) -> None:
         """Say why a set-point is refused; in ArduPilot's GUIDED it stops the vehicle."""
         self.texts.refuse(reason, now_s, "set-point")
@@ -281,7 +293,7 @@ class Flight:
         """Fly: call it at every tick, after the messages and before the physics."""
         dt_s = now_s - self._control_s if self._control_s is not None else self._period_s
         self._control_s = now_s
-        vehicle, ground = self.vehicle, self._ground
+        vehicle, ground = self.vehicle, self.ground
         estimate, armed = vehicle.estimate(), vehicle.armed
         if estimate.valid:
             self._estimate_seen_s = now_s
@@ -379,7 +391,7 @@ class Flight:
         if not self._flew:
             if now_s - self._armed_s >= self._parameters["COM_DISARM_PRFLT"]:
                 self._try_disarm("Disarmed: no take-off")
-        elif now_s - self._ground.since_s >= self._parameters["COM_DISARM_LAND"]:
+        elif now_s - self.ground.since_s >= self._parameters["COM_DISARM_LAND"]:
             self._try_disarm("Disarmed: landed")
 
     def _try_disarm(self, text: str) -> None:

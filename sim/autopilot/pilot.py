@@ -209,6 +209,19 @@ class Pilot:
         """Keep the newest set-point; it is flown in OFFBOARD."""
         self._setpoint, self._fresh = setpoint, True
 
+    @property
+    def passes_on(self) -> tuple[float, float, float] | None:
+        """Speeds over ground, up and down that it hands on, m/s; None while it does more than that."""
+        known = self._version == self._parameters.version and not self._repeats
+        return self._clip if known and self._engaged and self._setpoint is not None else None
+
+    def handed_on(self, setpoint: Setpoint) -> None:
+        """Take note of a set-point that was flown as it is."""
+        self._setpoint, self._fresh = setpoint, False
+        if setpoint.yaw_rad is not None:
+            self._yaw_rad = setpoint.yaw_rad
+        self.velocity_setpoint_enu_m_s = setpoint.velocity_enu_m_s
+
     def halt(self) -> None:
         """Stand still instead of what the last set-point said."""
         if self._setpoint is None or self._setpoint.velocity_enu_m_s != ZERO or self._setpoint.yaw_rate_rad_s:

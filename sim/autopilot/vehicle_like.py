@@ -96,6 +96,11 @@ class Standing:
         self._contact = self.now
         self._changed_s = 0.0
 
+    @property
+    def settled(self) -> bool:
+        """Whether the contact last seen is that of how it counts."""
+        return self._contact == self.now
+
     def watch(self, now_s: float, armed: bool) -> None:
         """Look at the contacts; call it at every tick."""
         vehicle = self._vehicle

@@ -31,14 +31,24 @@ if TYPE_CHECKING or is_off():
         """Numbers that begin at an address."""
         return ctypes.cast(int(address), _NUMBERS)
 
+    def whole(address: int) -> int:
+        """C int at an address."""
+        return ctypes.c_int.from_address(int(address)).value
+
     def call(function: int, first: int, second: int) -> None:
         """Call a C function of two pointers that returns nothing."""
         _PAIR(int(function))(int(first), int(second))
+
+    def ask(function: int, arguments: tuple[int, ...]) -> int:
+        """Call a C function of pointers and whole numbers that returns an int."""
+        kind = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * len(arguments))
+        return int(kind(int(function))(*[int(each) for each in arguments]))
 
 else:
     load_numba()
     from llvmlite import ir
     from numba import types
+    from numba.core import cgutils
     from numba.extending import intrinsic
 
     @intrinsic
@@ -49,6 +59,15 @@ else:
             return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
         return types.CPointer(types.float64)(types.intp), code
+
+    @intrinsic
+    def whole(_typing: Any, _address: Any) -> Any:
+        """C int at an address."""
+
+        def code(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            return builder.load(builder.inttoptr(arguments[0], ir.IntType(32).as_pointer()))
+
+        return types.int32(types.intp), code
 
     @intrinsic
     def call(_typing: Any, _function: Any, _first: Any, _second: Any) -> Any:
@@ -64,6 +83,17 @@ else:
             return context.get_dummy_value()
 
         return types.void(types.intp, types.intp, types.intp), code
+
+    @intrinsic
+    def ask(_typing: Any, _function: Any, arguments: Any) -> Any:
+        """Call a C function of pointers and whole numbers that returns an int."""
+
+        def code(_context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            given = cgutils.unpack_tuple(builder, values[1], len(signature.args[1]))
+            kind = ir.FunctionType(ir.IntType(32), [each.type for each in given]).as_pointer()
+            return builder.call(builder.inttoptr(values[0], kind), given)
+
+        return types.int32(types.intp, types.UniTuple(types.intp, len(arguments))), code
 
 
 def mujoco_function(name: str) -> int:

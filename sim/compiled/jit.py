@@ -18,14 +18,13 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from bridge import frames
-from flightstack.core.safety import barrier
-from flightstack.core.target import estimator
+from flightstack.core import numeric
 
 F = TypeVar("F", bound=Callable[..., object])
 
 HERE = Path(__file__).parent
 # rooms of the simulator whose functions are compiled
-ROOMS = ("compiled", "plant", "world", "firmware", "vehicle", "robot", "validation")
+ROOMS = ("compiled", "plant", "world", "firmware", "vehicle", "robot", "validation", "runners/stretch")
 OFF = "NUMBA_DISABLE_JIT"  # numba's own switch
 _NEEDLESS = ("scipy.linalg", "coverage")
 
@@ -38,7 +37,7 @@ def is_off() -> bool:
 def _fingerprint() -> str:
     """Hash of every source that compiled code can come from."""
     digest = hashlib.sha256()
-    shared = [Path(barrier.__file__), Path(frames.__file__), Path(estimator.__file__)]
+    shared = [Path(frames.__file__), *sorted(Path(numeric.__file__).parent.rglob("*.py"))]
     rooms = [path for room in ROOMS for path in sorted((HERE.parent / room).glob("*.py"))]
     for path in [*shared, *rooms]:
         digest.update(path.read_bytes())

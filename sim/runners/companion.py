@@ -27,6 +27,7 @@ from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.notes import Notes, Seen, VehicleNotes
+from sim.runners.stretch.stretch import Stretch, suited
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
@@ -41,6 +42,9 @@ def warm_up(scenario: Scenario) -> None:
     """Compile everything that a landing calls, or load it from the cache, before the first begins."""
     warm_up_vehicle(scenario)
     warm_up_core(scenario)
+    stretch = Companion(scenario, 0).stretch
+    if stretch is not None:
+        stretch.warm_up()
 
 
 def warm_up_core(scenario: Scenario) -> None:
@@ -61,6 +65,7 @@ class Companion:
         vehicle: the simulated vehicle.
         ticks_max: after so many the flight is over, or never.
         outputs: of the newest tick; None before the first one and after the last one.
+        stretch: flies many ticks at once; None where nobody may, or somebody is called after every step.
         neighbours: what other vehicles have said since the last tick; whoever flies several puts it there.
 
     Args:
@@ -107,17 +112,30 @@ class Companion:
         node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes, self.name))
         here.answer = self._answer
         self._link.poll(0.0)  # says hello, as the process does before the first tick
-        self._loop = LockstepLoop(node, target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
+        radio_s = scenario.vehicle.setpoint_delay_s
+        self._loop = LockstepLoop(node, target, grid, self._stop, radio_s)
         linked = LinkedVehicle(self._link, lockstep=True)
         leaving = Leaving(scenario.duration_max_s)
         ticks = VehicleTicks(linked, rate_hz)
+        self.stretch = None
+        if on_step is None and suited(self.controller, node):
+            self.stretch = Stretch(
+                self.controller, self._link, ticks, target, node, self._loop, self._notes, grid,
+                scenario.duration_max_s, radio_s,
+            )  # fmt: skip
         self._runner = Runner(
             self.controller, ticks, linked, target, leaving, self, words=lambda: self.neighbours
         )
 
     def fly(self) -> Seen:
         """Run to the end."""
-        self._loop.run(self.ticks_max)
+        self.begin()
+        tick = 0
+        while not self._stop.is_set and tick != self.ticks_max:
+            flown = self.stretch.fly(tick) if self.stretch is not None else 0
+            if not flown:
+                self._loop.tick(tick)
+            tick += flown or 1
         return self.seen()
 
     def begin(self) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, cast
 
 from bridge import frames
@@ -46,7 +46,7 @@ def _sample_twist(yaw: float, vx: float, vy: float, vz: float, rate: float) -> t
     return _yaw(q), _turn(q, (vx, vy, vz)), _turn(q, (0.0, 0.0, rate))[2]
 
 
-class _Ahead(NamedTuple):
+class Ahead(NamedTuple):
     """What the robot will say at a tick."""
 
     deck: DeckState
@@ -85,6 +85,19 @@ class DirectTarget(LockstepDeck):
             self._samples += samples
         return deck
 
+    def ahead(self, tick: int) -> Sequence[Ahead]:
+        """What the robot says at this tick, the next one, and at those after it as far as it has driven."""
+        if not self._ahead:
+            self._drive(tick + RUN_AHEAD_TICKS - 1)
+        return self._ahead
+
+    def drop(self, count: int) -> DeckState:
+        """Leave out so many ticks, which somebody else has flown; true pose at the last of them."""
+        for _ in range(count):
+            deck = self._ahead.popleft().deck
+        self._taken += count
+        return deck
+
     def _drive(self, until_tick: int) -> None:
         motion = self._motion
         while motion.tick < until_tick:
@@ -94,13 +107,13 @@ class DirectTarget(LockstepDeck):
             motion.step(self._driving)
             self._ahead.append(self._show())
 
-    def _show(self) -> _Ahead:
+    def _show(self) -> Ahead:
         model = self._motion.model
         position, yaw = model.pose
         yaw, velocity = _deck_twist(yaw, *model.velocity_body_m_s)
         due, self._motion.due = self._motion.due, []
         deck = DeckState(position, yaw, velocity, model.yaw_rate_rad_s, b"")
-        return _Ahead(deck, [in_world(sample) for sample in due])
+        return Ahead(deck, [in_world(sample) for sample in due])
 
     def samples(self, now_s: float) -> Arrived:
         """Odometry released since the last call."""

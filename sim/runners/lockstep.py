@@ -80,6 +80,16 @@ class LockstepLoop:
         """Whether the companion is waited for: it has answered so far."""
         return self._answers
 
+    @property
+    def undisturbed(self) -> bool:
+        """Whether companion and deck come at each tick, and nothing waits for the next one."""
+        waits = self._replies or self._late or not self._node.wire.sound
+        return self._companion is not None and self._answers and self._deck_comes and not waits
+
+    def passed(self, now_ns: int, deck: DeckState) -> None:
+        """Take note of ticks until now that somebody else has flown; the robot's pose at the last."""
+        self._deck_last, self._deck_s = deck, now_ns * 1e-9
+
     def run(self, ticks: int | None) -> None:
         """Simulate.
 

@@ -23,6 +23,13 @@ from logs.recorder.feed import Feed
 from sim.plant import vehicle_types
 from sim.runners.log import VehicleLog
 
+# numbers of each field of a true state
+_WIDTHS = dict.fromkeys(vehicle_types.Truth._fields, 1) | {
+    "position_enu_m": 3, "velocity_enu_m_s": 3, "quaternion": 4, "angular_velocity_flu_rad_s": 3,
+    "rotor_rpm": 4,
+    "pad_position_enu_m": 3, "pad_velocity_enu_m_s": 3, "first_touch_relative_position_enu_m": 3,
+    "first_touch_relative_velocity_enu_m_s": 3, "wind_enu_m_s": 3,
+}  # fmt: skip
 # names that the vehicle's true state shares with the log's
 _SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in vehicle_types.Truth._fields)
 
@@ -70,7 +77,8 @@ class Notes:
         self._config, self._pad_radius_m = config, pad_radius_m
         self._steps: list[tuple[int, int, float, float]] = []
         self._truth_ticks: list[tuple[int, int]] = []
-        self._truth: list[vehicle_types.Truth] = []
+        self._truth: list[vehicle_types.Truth] = []  # since the newest block
+        self._blocks: list[Floats] = []  # true states, one a row
         self._events: list[Event] = []
 
     def step(self, tick: Tick, out: Outputs) -> None:
@@ -88,6 +96,30 @@ class Notes:
         self._truth_ticks.append((tick, now_ns))
         self._truth.append(truth)
 
+    def stretch(
+        self, first: int, times_ns: Sequence[int], phase: Phase, ages_s: Floats, truths: Floats
+    ) -> None:
+        """Note the controller steps and true states of consecutive ticks, with an own state of each.
+
+        Args:
+            first: number of the first tick.
+            times_ns: of all, n of them.
+            phase: in all.
+            ages_s: (n,) of the target's state.
+            truths: (n, 41) numbers of the true states.
+        """
+        number = int(phase)
+        self._steps += [(t, number, 0.0, age_s) for t, age_s in zip(times_ns, ages_s.tolist(), strict=True)]
+        self._truth_ticks += enumerate(times_ns, first)
+        self._close_block()
+        self._blocks.append(truths)
+
+    def _close_block(self) -> None:
+        if self._truth:
+            columns = [_rows(values) for values in zip(*self._truth, strict=True)]
+            self._blocks.append(np.column_stack(columns))
+            self._truth = []
+
     def event(self, t_s: float, level: int, source: str, text: str) -> None:
         """Note something that was said."""
         self._events.append(Event(t_s, level, source, text))
@@ -104,15 +136,23 @@ class Notes:
         )
 
     def _arrays(self) -> Truth:
-        of = dict(zip(vehicle_types.Truth._fields, zip(*self._truth, strict=True), strict=True))
-        columns = {name: _rows(of[name]) for name in _SHARED}
+        self._close_block()
+        numbers = np.concatenate(self._blocks)
+        ends = np.cumsum([_WIDTHS[name] for name in vehicle_types.Truth._fields])
+        of = {
+            name: np.ascontiguousarray(part if part.shape[1] > 1 else part[:, 0])
+            for name, part in zip(
+                vehicle_types.Truth._fields, np.split(numbers, ends[:-1], axis=1), strict=True
+            )
+        }
+        columns = {name: of[name] for name in _SHARED}
         ticks, times_ns = zip(*self._truth_ticks, strict=True)
         return Truth(
             t_s=_seconds(times_ns),
             tick=np.array(ticks),
-            orientation=np.roll(_rows(of["quaternion"]), -1, axis=1),  # x, y, z, w
-            contacts=np.array(of["contacts"]),
-            motors_running=np.array(of["motors_running"]),
+            orientation=np.roll(of["quaternion"], -1, axis=1),  # x, y, z, w
+            contacts=of["contacts"].astype(np.int64),
+            motors_running=of["motors_running"].astype(np.bool_),
             **columns,
         )
 

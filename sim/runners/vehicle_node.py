@@ -179,6 +179,12 @@ class VehicleNode:
                 self._judged = True
                 vehicle.begin_judging()
 
+    @property
+    def watches_nothing(self) -> bool:
+        """Whether the judging has begun, and all that is told of arming and of the firmware has been told."""
+        vehicle = self.vehicle
+        return self._judged and vehicle.armed is self._armed and vehicle.state_text == self._state_text
+
     def move_deck(self, deck: DeckState) -> None:
         """Give the deck a pose and a twist."""
         self.vehicle.set_deck(deck.position_enu_m, deck.yaw_rad, deck.velocity_enu_m_s, deck.yaw_rate_rad_s)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import cast
 
-from flightstack.core.safety.barrier import Barrier
+from flightstack.core.numeric import twin
+from flightstack.core.safety.barrier import boundary_height
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64, Record, Vector
 from sim.world.contact import GROUND, PAD
@@ -27,8 +26,7 @@ class JudgeRecord(Record):
     tumbled: bool
 
 
-# the very formula of the controller, compiled; a record stands in for the object
-_height = cast("Callable[[JudgeRecord, float], float]", jitted(Barrier.height))
+_height = twin(boundary_height, jitted)  # the very formula of the controller
 
 
 @jitted
@@ -37,7 +35,7 @@ def judge(j: JudgeRecord, world: WorldRecord) -> None:
     p, d = world.body.position, world.deck.position
     ex, ey = p[0] - d[0], p[1] - d[1]
     square = ex * ex + ey * ey
-    h = p[2] - d[2] - _height(j, math.sqrt(square))
+    h = p[2] - d[2] - _height(j.alpha_1_m, j.beta_m, math.sqrt(square))
     j.h_min = min(j.h_min, h)
     if square > j.pad_radius * j.pad_radius:
         j.h_min_outside = min(j.h_min_outside, h)

@@ -22,7 +22,7 @@ from sim.vehicle.loop import WIND_EVERY_MS, VehicleRecord, set_up_drag
 from sim.world.world import World
 
 AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
-_TUMBLED = ContactBit.TUMBLED.value
+TUMBLED = ContactBit.TUMBLED.value
 _VEHICLE = ContactBit.VEHICLE.value
 _NAN3: Vec3 = (math.nan, math.nan, math.nan)
 
@@ -148,7 +148,7 @@ class Physics:
             h,
             h_min if h_min < h else h,
             self._h_min_outside[0],
-            self._contacts[0] | (_TUMBLED if self._tumbled[0] else 0),
+            self._contacts[0] | (TUMBLED if self._tumbled[0] else 0),
             touch_e,
             touch_v,
             touch_s,

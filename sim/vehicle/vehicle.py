@@ -152,6 +152,16 @@ class VehicleSim:
             self._ms = stop_ms
         self._physics.judge_once_airborne(self._ms)
 
+    def supplied_until(self, end_ms: int) -> bool:
+        """See to it that what is drawn ahead lasts until then; False where it cannot."""
+        if end_ms > self._supplied_ms:
+            self._supply()
+        return end_ms <= self._supplied_ms
+
+    def flown(self, now_ms: int) -> None:
+        """Take note of steps that somebody else has run with ``fly``."""
+        self._ms = now_ms
+
     def _supply(self) -> None:
         """Draw random numbers in advance for the compiled code."""
         self._imu.top_up()
@@ -262,6 +272,11 @@ class VehicleSim:
     def locked(self) -> bool:
         """Whether only a reboot (a new object) helps."""
         return bool(self._state[0] == _LOCKED)
+
+    @property
+    def supervisor_state(self) -> int:
+        """State of the supervisor, its place in ``STATES``."""
+        return int(self._state[0])
 
     @property
     def crashed(self) -> bool:

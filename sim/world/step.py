@@ -144,6 +144,16 @@ def move_body(body: BodyRecord, s: WrenchRecord) -> None:
 
 
 @jitted
+def arc_of_step(rate: float) -> tuple[float, float, float, float]:
+    """Cosine and sine of the turn of one step, and how far it goes along and across, per m/s; rad/s."""
+    turn = rate * STEP_S
+    sine = math.sin(0.5 * turn)
+    chord = sine / (0.5 * turn) if turn else 1.0  # chord over arc length
+    along, across = chord * math.cos(0.5 * turn) * STEP_S, chord * sine * STEP_S
+    return math.cos(turn), math.sin(turn), along, across
+
+
+@jitted
 def move_deck(deck: DeckRecord) -> None:
     """Move the deck on by one step."""
     p, v = deck.position, deck.velocity

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import mujoco
 import numpy as np
 
@@ -12,10 +10,10 @@ from logs.schema.events import ContactBit
 from sim.compiled.foreign import mujoco_function
 from sim.compiled.jit import jitted
 from sim.compiled.records import Cell, cell, new, reader, writer
-from sim.plant.params import STEP_S, Params
+from sim.plant.params import Params
 from sim.scenarios.scenario import TargetSpec
 from sim.world.model import model_xml
-from sim.world.step import ReachRecord, WorldRecord, physics_step, tumbled
+from sim.world.step import ReachRecord, WorldRecord, arc_of_step, physics_step, tumbled
 
 MARGIN_M = 1e-3  # beyond rounding
 
@@ -84,11 +82,7 @@ class World:
 
     def set_deck(self, position: Vec3, yaw: float, velocity: Vec3, rate: float) -> None:
         """Place the deck; from here on it moves on an arc: body-frame speed, climb and turn rate constant."""
-        turn = rate * STEP_S
-        sine = math.sin(0.5 * turn)
-        chord = sine / (0.5 * turn) if turn else 1.0  # chord over arc length
-        along, across = chord * math.cos(0.5 * turn) * STEP_S, chord * sine * STEP_S
-        self._set_deck(*position, *velocity, yaw, rate, math.cos(turn), math.sin(turn), along, across)
+        self._set_deck(*position, *velocity, yaw, rate, *arc_of_step(rate))
 
     def step(self, force: Vec3, torque: Vec3) -> int:
         """Do one step.

@@ -24,19 +24,25 @@ from sim.runners.landing import land
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import Inlet
 from sim.runners.notes import Notes
+from sim.runners.stretch import stretch
+from sim.runners.stretch.stretch import Stretch
 from sim.scenarios.scenario import load
 from sim.vehicle import vehicle
 from sim.vehicle.vehicle import VehicleSim
 
 LANDINGS = 8
-ASKED = 100.0
-PHYSICS, VEHICLE, CONTROLLER, OSQP, ROBOT, AUTOPILOT, LINK, WIRE, NOTES, SET_UP = (
+ASKED = 200.0
+TICKS, STRETCH, PHYSICS, VEHICLE, CONTROLLER, OSQP, ROBOT, AUTOPILOT, LINK, WIRE, NOTES, SET_UP = (
+    "whole ticks, compiled", "stretches of these: begun, ended, noted",
     "physics and firmware, compiled", "vehicle in Python: events, true and estimated state",
     "controller but for OSQP", "OSQP with its data", "robot", "autopilot: telemetry, commands, modes",
     "companion's link", "wire", "notes and verdict", "setting up",
 )  # fmt: skip
 REST = "rest: lockstep"
 PARTS: tuple[tuple[Any, str, str], ...] = (
+    (stretch, "fly_ticks", TICKS),
+    (Stretch, "fly", STRETCH),
+    (DirectTarget, "ahead", ROBOT),
     (vehicle, "fly", PHYSICS),
     (VehicleSim, "advance", VEHICLE),
     (VehicleSim, "truth", VEHICLE),

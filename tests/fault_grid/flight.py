@@ -34,7 +34,7 @@ from sim.clock import TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
 from sim.robot.target import TargetMeasurement
 from sim.runners.deck import DeckState
-from sim.runners.landing_target import DirectTarget, _Ahead
+from sim.runners.landing_target import Ahead, DirectTarget
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.notes import Notes, Seen, VehicleNotes
@@ -106,7 +106,7 @@ class _Target(DirectTarget):
         self._drive(tick)
         return super().take(tick)
 
-    def _show(self) -> _Ahead:
+    def _show(self) -> Ahead:
         self._measured += self._motion.due
         return super()._show()
 

@@ -78,6 +78,12 @@ class CommandSequencer:
         """The request being worked on."""
         return self._request
 
+    def idle(self, request: Request, status: VehicleStatus | None) -> bool:
+        """Whether this is what is worked on, and ``step`` has nothing to do for it while the status stays."""
+        if request is not self._request or self.failed is not None:
+            return False
+        return self.reached or (self._begun and self._step is None and self._next_step(status) is None)
+
     def note_setpoint(self, now_s: float) -> None:
         """Take note that a set-point goes out now; some autopilots want a stream before they switch."""
         if self._stream_start_s is None or now_s - self._stream_last_s > _STREAM_GAP_S:

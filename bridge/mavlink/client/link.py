@@ -5,21 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
-from bridge.mavlink.client.companion import (
-    Origin,
-    OriginSender,
-    Setpoint,
-    companion_heartbeat,
-    velocity_setpoint,
-)
-from bridge.mavlink.client.streams import StreamRequests
+from bridge.mavlink.client.companion import Origin, Setpoint, companion_heartbeat, velocity_setpoint
 from bridge.mavlink.client.texts import EVENT, TextAssembler, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
+from bridge.mavlink.client.wants import Wants, wanted
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Endpoint, LinkCounters, Peer
 from bridge.mavlink.line_budget import LinePlan
@@ -33,19 +26,9 @@ __all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "VehicleLink", "V
 COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _HEARTBEAT_S = 1.0  # s; every autopilot judges a link by heartbeats of 1 Hz
 _HELLO_S = 0.2  # s of wall time between heartbeats until the vehicle has been heard
-_LANDED_STATE_HZ = 5.0  # Hz; as often as PX4 sends it by itself
-_THROTTLE_HZ = 10.0  # Hz of VFR_HUD, where the thrust reserve is estimated
 _TEXTS_MAX = 256  # texts kept until somebody takes them
 _HELD_MAX = 4096  # messages kept in lockstep until their tick is known
 _RESTARTED = "restarted, or heard again after a silence: what does not come is asked for again"
-
-
-class _Wants(NamedTuple):
-    """What depends on the autopilot."""
-
-    sequencer: CommandSequencer
-    streams: StreamRequests
-    origin: OriginSender
 
 
 class VehicleLink:
@@ -269,23 +252,35 @@ class VehicleLink:
         texts, self._texts = self._texts, []
         return texts
 
+    @property
+    def heeded(self) -> frozenset[int]:
+        """Ids of the messages that mean something to it."""
+        asked = self._wants.streams.asked if self._wants is not None else ()
+        return frozenset((*self._handlers, *self.state.heeded, *asked))
+
+    def silent_until_s(self, request: Request) -> float:
+        """Until when it sends nothing but set-points while this is wanted and only the own state comes."""
+        wants, waits = self._wants, self._outgoing or self._held or self._line
+        restarted = self.state.restarted_s != self._restarted_s
+        if wants is None or waits or restarted or not self.state.following:
+            return -math.inf
+        return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, wants.idle_until_s(request, self.status))
+
+    def took(self, own: OwnState, ticks: int, *, setpoints: bool) -> None:
+        """Take note of ticks past ``poll``, with the newest own state; each had a set-point or none had."""
+        self.state.took(own)
+        self._setpoints += ticks if setpoints else 0
+        if self._wants is not None:
+            self._wants.took(own.arrival_s, ticks, setpoints=setpoints)
+
     def close(self) -> None:
         """Close the endpoint."""
         self.endpoint.close()
 
-    def _wanted(self, profile: Profile) -> _Wants:
+    def _wanted(self, profile: Profile) -> Wants:
         state_hz = self._rate_hz if self._line is None else self._line.state_hz
-        rates_hz = {
-            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,
-            dialect.MAVLINK_MSG_ID_ATTITUDE: state_hz,
-            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_STATE_HZ,
-            **profile.asked_hz,
-            **({dialect.MAVLINK_MSG_ID_VFR_HUD: _THROTTLE_HZ} if self._power else {}),
-        }
-        return _Wants(
-            CommandSequencer(profile, *self._target, self._takeoff_height_m),
-            StreamRequests(rates_hz, *self._target, profile.unset, profile.data_streams),
-            OriginSender(self._origin if profile.needs_origin else None, self._target[0]),
+        return wanted(
+            profile, self._target, self._takeoff_height_m, state_hz, power=self._power, origin=self._origin
         )
 
     def _recognise(self, heartbeat: Message) -> None:

@@ -36,6 +36,9 @@ class StreamRequests:
 
     Where a profile names a data stream for a message, REQUEST_DATA_STREAM is tried after those, and both in
     turn from then on.
+
+    Attributes:
+        quiet_until_s: before that ``step`` returns nothing.
     """
 
     def __init__(
@@ -51,28 +54,33 @@ class StreamRequests:
         self._target = (target_system, target_component)
         self._unset = unset
         self._data_streams = data_streams
-        self._quiet_until_s = -math.inf  # before that no stream can be due
+        self.quiet_until_s = -math.inf  # before that no stream can be due
 
-    def seen(self, message_id: int) -> None:
-        """Take note of a message of the vehicle."""
+    def seen(self, message_id: int, count: int = 1) -> None:
+        """Take note of messages of the vehicle."""
         stream = self._streams.get(message_id)
         if stream is not None:
-            stream.seen += 1
+            stream.seen += count
+
+    @property
+    def asked(self) -> tuple[int, ...]:
+        """Ids of the messages asked for."""
+        return tuple(self._streams)
 
     def restart(self) -> None:
         """Ask again at once for what does not come: the vehicle has restarted and forgotten the requests."""
         for stream in self._streams.values():
             stream.tries = min(stream.tries, 1)
-        self._quiet_until_s = -math.inf
+        self.quiet_until_s = -math.inf
 
     def step(self, now_s: float) -> list[Message]:
         """Return the commands to send now; call it only once the vehicle has been heard."""
-        if now_s < self._quiet_until_s:
+        if now_s < self.quiet_until_s:
             return []
         streams = self._streams.values()
         messages = [self._ask(stream, now_s) for stream in streams if self._due(stream, now_s)]
         since_s = min((stream.since_s for stream in streams), default=now_s)
-        self._quiet_until_s = since_s + _CHECK_S - _ROUNDING_S
+        self.quiet_until_s = since_s + _CHECK_S - _ROUNDING_S
         return messages
 
     def _due(self, stream: _Stream, now_s: float) -> bool:

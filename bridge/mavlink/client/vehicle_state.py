@@ -107,6 +107,15 @@ class VehicleState:
             self._following = following
             self._refresh()
 
+    @property
+    def heeded(self) -> frozenset[int]:
+        """Ids of the messages that mean something to it."""
+        return frozenset(self._handlers)
+
+    def took(self, own: OwnState) -> None:
+        """Take note of an own state that was decoded elsewhere, with the attitude of the same time."""
+        self.own, self._yaw_enu_rad, self._yaw_time_s = own, own.yaw_rad, own.source_time_s
+
     def update(self, message: Message, arrival_s: float) -> None:
         """Take one message of the vehicle; messages of no interest are ignored.
 

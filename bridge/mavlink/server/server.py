@@ -158,6 +158,25 @@ class Server(ABC, Generic[V]):
                 messages += self.parameters.listing()
         return messages
 
+    def silent_until_s(self, now_s: float, heeded: frozenset[int]) -> float:
+        """Until when ``telemetry`` has nothing for who heeds these messages, if the vehicle does not change.
+
+        Args:
+            now_s: of the next tick.
+            heeded: ids; of those that come at every tick it does not speak.
+        """
+        snapshot = self.snapshot(now_s)
+        if (
+            snapshot is None
+            or self.condition(snapshot) != self._shown
+            or self.vehicle.landed_state != self._landed_shown
+            or self.vehicle.texts.waiting
+            or self._texts_to_log
+            or self.parameters.left_to_list
+        ):
+            return -math.inf
+        return min(self._heartbeat_due_s, self.streams.next_s(heeded))
+
     def streamed(self, snapshot: Snapshot[V]) -> list[Message]:
         """Messages of the streams for the present telemetry."""
         return self.stream(snapshot)

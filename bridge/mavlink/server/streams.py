@@ -20,6 +20,15 @@ class _Stream(Generic[V]):
     interval_s: float  # infinite: off
     due_s: float
 
+    def passes(self, now_s: float, limit_s: float) -> bool:
+        """Whether it is due until ``limit_s``; then it is due anew an interval later."""
+        if self.due_s > limit_s:
+            return False
+        self.due_s += self.interval_s
+        if self.due_s <= now_s:  # messages that were missed are not made up for
+            self.due_s = now_s + self.interval_s
+        return True
+
 
 class Streams(Generic[V]):
     """Intervals of all messages, and the messages that are due."""
@@ -98,13 +107,32 @@ class Streams(Generic[V]):
         if self._lazy_due_s > limit_s:
             return messages
         for stream in self._lazy:
-            if stream.due_s <= limit_s:
+            if stream.passes(now_s, limit_s):
                 messages.append(stream.build(snapshot))
-                stream.due_s += stream.interval_s
-                if stream.due_s <= now_s:  # messages that were missed are not made up for
-                    stream.due_s = now_s + stream.interval_s
         self._lazy_due_s = min((stream.due_s for stream in self._lazy), default=_OFF)
         return messages
+
+    def next_s(self, message_ids: frozenset[int]) -> float:
+        """When one of these messages is due next that do not come at every tick, or somewhat earlier.
+
+        It is -inf unless position and attitude come at every tick.
+        """
+        if any(id_ in self._hidden or self._streams[id_].interval_s > self._period_s for id_ in EVERY_TICK):
+            return -_OFF
+        due_s = [
+            stream.due_s
+            for id_, stream in self._streams.items()
+            if stream.interval_s > self._period_s and id_ in message_ids
+        ]
+        return min(due_s, default=_OFF) - 0.5 * self._period_s
+
+    def pass_over(self, now_s: float) -> None:
+        """Go on as with ``due`` where nobody looks at what is due at this tick: it is not even made."""
+        if self._lazy_due_s > now_s + 0.5 * self._period_s:
+            return
+        for stream in self._lazy:
+            stream.passes(now_s, now_s + 0.5 * self._period_s)
+        self._lazy_due_s = min((stream.due_s for stream in self._lazy), default=_OFF)
 
     def _sort(self) -> None:
         streams = [stream for id_, stream in self._streams.items() if id_ not in self._hidden]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
 
 
+@numeric
 def nominal_velocity(e_m: Vec3, gain_1_s: Vec3, target_velocity_enu_m_s: Vec3) -> Vec3:
     """u' = -K_p e + dp_d/dt, metres per second, ENU."""
     return (
@@ -16,6 +18,7 @@ def nominal_velocity(e_m: Vec3, gain_1_s: Vec3, target_velocity_enu_m_s: Vec3) -
     )
 
 
+@numeric
 def clip(value: float, low: float, high: float) -> float:
     """``max(low, min(high, value))``, in a third of its time."""
     value = value if value < high else high
@@ -28,6 +31,7 @@ def clip_to_box(point: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
     return (clip(x, lx, hx), clip(y, ly, hy), clip(z, lz, hz))
 
 
+@numeric
 def limit(velocity: Vec3, velocity_max_m_s: Vec3) -> Vec3:
     """Clip each axis to the symmetric box (the admissible set U of paper eq. 11)."""
     vx, vy, vz = velocity
@@ -35,6 +39,7 @@ def limit(velocity: Vec3, velocity_max_m_s: Vec3) -> Vec3:
     return (clip(vx, -mx, mx), clip(vy, -my, my), clip(vz, -mz, mz))
 
 
+@numeric
 def slew(previous: Vec3, wanted: Vec3, step_max_m_s: Vec3, up_max_m_s: float = math.inf) -> Vec3:
     """Move from the previous command towards the wanted one by at most ``step_max_m_s`` on each axis.
 

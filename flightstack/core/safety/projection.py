@@ -13,9 +13,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
 
 
+@numeric
 def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
     """Point of the box with the largest ``g . u``; an axis with no gradient stays where zero is nearest."""
     return (
@@ -23,6 +25,9 @@ def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
         upper[1] if g[1] > 0.0 else lower[1] if g[1] < 0.0 else min(max(0.0, lower[1]), upper[1]),
         upper[2] if g[2] > 0.0 else lower[2] if g[2] < 0.0 else min(max(0.0, lower[2]), upper[2]),
     )
+
+
+EMPTY = -1.0  # multiplier where no point of the box meets the half-space
 
 
 class Projection(NamedTuple):
@@ -45,27 +50,36 @@ def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 
 
 def projection(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Projection | None:
     """As ``project``, with the multiplier."""
+    point, multiplier = projected(nominal, g, b, lower, upper)
+    return None if multiplier == EMPTY else Projection(point, multiplier)
+
+
+@numeric
+def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
+    """Point and multiplier of ``projection``; ``EMPTY`` for the multiplier and the best corner if none is."""
     (nx, ny, nz), (lx, ly, lz), (hx, hy, hz) = nominal, lower, upper
     x, y, z = min(max(nx, lx), hx), min(max(ny, ly), hy), min(max(nz, lz), hz)
     value = g[0] * x + g[1] * y + g[2] * z
     if value >= b:
-        return Projection((x, y, z), 0.0)
+        return (x, y, z), 0.0
     corner = best_corner(g, lower, upper)
     if g[0] * corner[0] + g[1] * corner[1] + g[2] * corner[2] < b:
-        return None
+        return corner, EMPTY
     multiplier = _multiplier(nominal, g, b, lower, upper, value)
     if not math.isfinite(multiplier):
-        return Projection(corner, math.inf)
+        return corner, math.inf
     x, y, z = nx + multiplier * g[0], ny + multiplier * g[1], nz + multiplier * g[2]
-    return Projection((min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)), multiplier)
+    return (min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)), multiplier
 
 
+@numeric
 def _multiplier(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3, value: float) -> float:
     """Lambda at which the half-space is met; ``value`` is that of ``g . u`` at lambda = 0, below ``b``."""
     # lambdas at which an axis starts to move (leaves its near bound) and stops (meets its far bound)
     events: list[tuple[float, float]] = []
     slope = 0.0
-    for n, gi, lo, hi in zip(nominal, g, lower, upper, strict=True):
+    for axis in range(3):
+        n, gi, lo, hi = nominal[axis], g[axis], lower[axis], upper[axis]
         if gi == 0.0:
             continue
         near, far = (lo, hi) if gi > 0.0 else (hi, lo)

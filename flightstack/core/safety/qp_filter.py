@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from flightstack.core.numeric import numeric
 from flightstack.core.safety.projection import Projection, best_corner, projection
 from flightstack.core.safety.solver import compiled_solver, matrix
 from flightstack.core.types import FilterStatus, Vec3
@@ -147,25 +148,61 @@ class SafetyFilter:
         self, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, start: Projection
     ) -> tuple[Vec3, float, int]:
         """Point clipped to the box, its largest violation before that (inf if not solved), iterations."""
-        (px, py, pz), multiplier = start.point, start.multiplier if math.isfinite(start.multiplier) else 0.0
-        (nx, ny, nz), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = nominal, gradient, lower, upper
         solver = self._solver
-        # All at once: numpy takes as long for three of them. The start is optimal where
-        # u - u' - multiplier g + y = 0, with y of the sides of the box that bind.
+        # all at once: numpy takes as long for three of them
         _NUMBERS.pack_into(
-            self._memory, 0, -nx, -ny, -nz, bound, lx, ly, lz, self._infinity, hx, hy, hz,
-            gx, 1.0, gy, 1.0, gz, 1.0, px, py, pz,
-            -multiplier, nx + multiplier * gx - px, ny + multiplier * gy - py, nz + multiplier * gz - pz,
-        )  # fmt: skip
+            self._memory, 0, *data_and_start(nominal, gradient, bound, lower, upper, self._infinity, *start)
+        )
         solver.update_data_vec(q=self._q, l=self._lower, u=self._upper)
         solver.update_data_mat(P_x=None, P_i=None, A_x=self._ax, A_i=None)
         solver.warm_start(self._x, self._y)
         solver.solve()
         info = solver.info
         x, y, z = solver.solution.x.tolist()
-        cx, cy, cz = min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)
+        point, residual = clipped((x, y, z), gradient, bound, lower, upper)
         if info.status_val != self._solved or not math.isfinite(x + y + z):
-            return (cx, cy, cz), math.inf, info.iter
-        barrier_miss = bound - (gx * cx + gy * cy + gz * cz)
-        residual = max(abs(x - cx), abs(y - cy), abs(z - cz), barrier_miss, 0.0)
-        return (cx, cy, cz), residual, info.iter
+            return point, math.inf, info.iter
+        return point, residual, info.iter
+
+
+@numeric
+def data_and_start(
+    nominal: Vec3,
+    gradient: Vec3,
+    bound: float,
+    lower: Vec3,
+    upper: Vec3,
+    infinity: float,
+    point: Vec3,
+    multiplier: float,
+) -> tuple[float, ...]:
+    """Numbers of the program that change, and the point and multipliers from which the solver starts.
+
+    The start is optimal where u - u' - multiplier g + y = 0, with y of the sides of the box that bind.
+
+    Args:
+        nominal: u', m/s.
+        gradient: of the barrier.
+        bound: least ``gradient . u``, m/s.
+        lower: corner of the box, m/s.
+        upper: the other, m/s.
+        infinity: that of the solver.
+        point: exact solution, m/s.
+        multiplier: its one of the barrier; infinite if none is.
+    """
+    multiplier = multiplier if math.isfinite(multiplier) else 0.0
+    (nx, ny, nz), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = nominal, gradient, lower, upper
+    px, py, pz = point
+    return (
+        -nx, -ny, -nz, bound, lx, ly, lz, infinity, hx, hy, hz, gx, 1.0, gy, 1.0, gz, 1.0, px, py, pz,
+        -multiplier, nx + multiplier * gx - px, ny + multiplier * gy - py, nz + multiplier * gz - pz,
+    )  # fmt: skip
+
+
+@numeric
+def clipped(point: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
+    """A solution clipped to the box, and by how much it misses box or barrier at most."""
+    (x, y, z), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = point, gradient, lower, upper
+    cx, cy, cz = min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)
+    barrier_miss = bound - (gx * cx + gy * cy + gz * cz)
+    return (cx, cy, cz), max(abs(x - cx), abs(y - cy), abs(z - cz), barrier_miss, 0.0)

@@ -11,15 +11,16 @@ import math
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.memory import MotionMemory, OwnMemory, TrackingMemory
+from flightstack.core.numeric import hypot, numeric
 from flightstack.core.parameters.ends import TouchdownRule
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.safety.barrier import Barrier
+from flightstack.core.safety.barrier import Barrier, E, barrier_h, boundary_height
 from flightstack.core.safety.position_loop import limit, nominal_velocity
 from flightstack.core.safety.qp_filter import Program, SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Strategy
-from flightstack.core.strategies.velocity_tracking import VelocityTracking
+from flightstack.core.strategies.velocity_tracking import Axis, VelocityTracking
 from flightstack.core.target.estimator import TargetEstimator
 from flightstack.core.target.own_estimator import OwnEstimator
 from flightstack.core.target.track import TargetState, TargetTrack
@@ -41,22 +42,22 @@ class RobustFilter(Strategy):
         robust = config.robust
         self.rate_1_s = robust.rate_1_s
         self.acceleration_max_m_s2 = config.slew_max_m_s2
-        self._brakes_m_s2 = BRAKING * min(config.slew_max_m_s2[:2])
+        self.brakes_m_s2 = BRAKING * min(config.slew_max_m_s2[:2])
         self.contact_speed_max_m_s = robust.descent_m_s + robust.descent_lead_max_m_s
         self.stopped_below_m = robust.touch_height_m
         self._config, self._barrier = config, barrier
         self._most = config.limits.velocity_max_m_s
-        self._estimator = TargetEstimator(config.target)
+        self.estimator = TargetEstimator(config.target)
         loop, period_s, learns = config.velocity_loop, 1.0 / config.loop.rate_hz, config.own.learns
         self._tracking = VelocityTracking(
             loop, period_s, config.velocity_feedback, 0.0 if learns else config.own.delay_s
         )
         self._own = OwnEstimator(config.own, loop, period_s) if learns else None
-        self._slope = barrier.slope(config.touchdown.pad_radius_m)  # steepest outside the pad
+        self.slope = barrier.slope(config.touchdown.pad_radius_m)  # steepest outside the pad
         self._lag_z_s = config.velocity_loop.lag_z_s
         # so that the margin is there in full where judging begins, at the pad's edge
         edge = config.touchdown.pad_radius_m / robust.fade_radius_m
-        self._full = -math.expm1(-edge * edge)
+        self.full = -math.expm1(-edge * edge)
 
     @staticmethod
     def check_config(config: FlightConfig) -> None:
@@ -82,13 +83,18 @@ class RobustFilter(Strategy):
             )
 
     @property
+    def axes(self) -> tuple[Axis, Axis, Axis]:
+        """Corrections of the set-point on each axis."""
+        return self._tracking.axes
+
+    @property
     def motion(self) -> MotionMemory:
         """State of the estimator."""
-        return self._estimator.memory
+        return self.estimator.memory
 
     @motion.setter
     def motion(self, memory: MotionMemory) -> None:
-        self._estimator.memory = memory
+        self.estimator.memory = memory
 
     @property
     def tracking(self) -> TrackingMemory:
@@ -111,7 +117,7 @@ class RobustFilter(Strategy):
 
     def take(self, sample: TargetSample) -> None:
         """Update the Kalman filter of the target."""
-        self._estimator.update(
+        self.estimator.update(
             sample.source_time_s,
             sample.position_enu_m,
             sample.velocity_enu_m_s,
@@ -129,8 +135,8 @@ class RobustFilter(Strategy):
         if last is None:
             return None
         delay_s = self._config.target.delay_s
-        latest_s = self._estimator.memory.time_s + self._config.checks.target_age_max_s
-        motion = self._estimator.at(min(now_s - track.memory.offset_s, latest_s) + delay_s)
+        latest_s = self.estimator.memory.time_s + self._config.checks.target_age_max_s
+        motion = self.estimator.at(min(now_s - track.memory.offset_s, latest_s) + delay_s)
         return TargetState(
             track.age_s(last, now_s) + delay_s,
             motion.position_enu_m,
@@ -165,10 +171,10 @@ class RobustFilter(Strategy):
     def barrier(self, snapshot: Snapshot) -> RobustBarrier:
         """The barrier with a margin for what is uncertain now."""
         robust, target, own_m = self._config.robust, snapshot.target, self._config.own.position_noise_m
-        sigma_xy_m = math.hypot(target.position_sigma_m, own_m) if target is not None else own_m
-        sigma_z_m = math.hypot(target.position_sigma_z_m, own_m) if target is not None else own_m
-        margin_m = robust.margin_m(self._slope, sigma_xy_m, sigma_z_m)
-        return RobustBarrier(self._barrier, margin_m / self._full, robust.fade_radius_m)
+        sigma_xy_m = hypot(target.position_sigma_m, own_m) if target is not None else own_m
+        sigma_z_m = hypot(target.position_sigma_z_m, own_m) if target is not None else own_m
+        margin_m = robust.margin_m(self.slope, sigma_xy_m, sigma_z_m)
+        return RobustBarrier(self._barrier, margin_m / self.full, robust.fade_radius_m)
 
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
         """Vertical velocity that holds the barrier for the horizontal velocity that is measured.
@@ -177,9 +183,8 @@ class RobustFilter(Strategy):
         measured. Of h counts what is left when the vertical loop has caught up with the velocity wanted.
         """
         v, t = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s
-        left_m = h_m + self._lag_z_s * min(0.0, v[2] - before_m_s[2])
-        inward = gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1])
-        return t[2] - min(self.rate_1_s * left_m, self._braked_m_s(left_m)) - inward
+        left_m = height_left(h_m, self._lag_z_s, v[2], before_m_s[2])
+        return least_climb(gradient, v, t, min(self.rate_1_s * left_m, self._braked_m_s(left_m)))
 
     def _braked_m_s(self, left_m: float) -> float:
         """Fastest descent that the upward acceleration left ends within a height; inf with all of it.
@@ -201,27 +206,13 @@ class RobustFilter(Strategy):
         gain = robust.gain_1_s
         over = robust.gain_over_pad_1_s if over_pad else gain
         above = e[2] - robust.wait_height_m - self._ahead_m(at)
-        x, y, z = nominal_velocity((e[0], e[1], above), (over, over, gain), t)
-        if above > 0.0:
-            fastest_m_s = min(robust.descent_max_m_s, self._braked_m_s(above))
-            z = min(max(z, t[2] - fastest_m_s), t[2] - robust.descent_min_m_s)
-        return (x, y, z)
+        fastest_m_s = min(robust.descent_max_m_s, self._braked_m_s(above))
+        return approach(e, above, over, gain, t, fastest_m_s, robust.descent_min_m_s)
 
     def _ahead_m(self, at: Relative) -> float:
-        """Height of the boundary ahead that no velocity in the box may be quick enough for, once it is there.
-
-        Far out that is its ring, over which the way leads. Near the middle it is where the vehicle comes to
-        rest, if that is on the other side: the barrier sees an overshoot only when the middle has been
-        passed.
-        """
-        ex, ey, _ = at.e_m
-        if at.d_m > self._barrier.peak_distance_m:
-            return self._barrier.peak_height_m
-        vx, vy = at.slip_m_s
-        rest_s = math.hypot(vx, vy) / (2.0 * self._brakes_m_s2)  # at this velocity, until as far as it comes
-        if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
-            return 0.0  # on this side
-        return self._barrier.height(math.hypot(ex + rest_s * vx, ey + rest_s * vy))
+        """Height of the boundary ahead that no velocity in the box may be quick enough for."""
+        barrier = self._barrier
+        return height_ahead(at.e_m, at.d_m, at.slip_m_s, self.brakes_m_s2, barrier.alpha_1_m, barrier.beta_m)
 
     def descent_m_s(self, at: Relative) -> Vec3 | None:
         """Straight down over the pad's middle; by the paper's rule until its height."""
@@ -247,25 +238,23 @@ class RobustFilter(Strategy):
         standing_m = touchdown.feet_below_reference_m + self._config.contact.gap_m
         if d_m <= touchdown.pad_radius_m and z < standing_m:
             return True
-        if not (z < robust.commit_height_m and math.hypot(*at.slip_m_s) < robust.commit_speed_m_s):
-            return False
         uncertain_m = robust.sigma_factor * at.target.position_sigma_m
-        return d_m < robust.commit_radius_m and d_m + uncertain_m < robust.corridor_m
+        return commits(
+            z, d_m, at.slip_m_s, uncertain_m,
+            robust.commit_height_m, robust.commit_speed_m_s, robust.commit_radius_m, robust.corridor_m,
+        )  # fmt: skip
 
     def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
         """Commanded to sink, and not sinking: the velocity estimate tells that sooner than the height."""
-        descent_m_s, pad_m_s = self._config.robust.descent_m_s, at.target.velocity_enu_m_s[2]
-        commanded_m_s, sinking_m_s = pad_m_s - command_m_s[2], pad_m_s - at.own.velocity_enu_m_s[2]
-        return commanded_m_s > COMMANDED_SHARE * descent_m_s and sinking_m_s < STOPPED_SHARE * descent_m_s
+        pad_m_s, own_m_s = at.target.velocity_enu_m_s[2], at.own.velocity_enu_m_s[2]
+        return is_stopped(pad_m_s, command_m_s[2], own_m_s, self._config.robust.descent_m_s)
 
     def drifts(self, at: Relative) -> bool:
         """Going to leave the corridor above the pad, while still high enough above the cone to climb away."""
-        corridor_m, retreat, e = self._config.robust.corridor_m, self._config.retreat, at.e_m
-        if at.d_m < DRIFT_SHARE * corridor_m or self._barrier.h(e) < retreat.h_left_m:
+        corridor_m, retreat, barrier = self._config.robust.corridor_m, self._config.retreat, self._barrier
+        if barrier_h(barrier.alpha_1_m, barrier.beta_m, at.e_m) < retreat.h_left_m:
             return False
-        vx, vy = at.slip_m_s
-        outward_m_s = (e[0] * vx + e[1] * vy) / at.d_m
-        return at.d_m + outward_m_s * retreat.drift_time_s > corridor_m
+        return leaves_corridor(at.e_m, at.d_m, at.slip_m_s, corridor_m, retreat.drift_time_s)
 
     def setpoint(
         self, before_m_s: Vec3, wanted_m_s: Vec3, snapshot: Snapshot, least_z_m_s: float = -math.inf
@@ -275,3 +264,95 @@ class RobustFilter(Strategy):
         velocity = own.velocity_enu_m_s if own is not None else wanted_m_s
         setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s)
         return setpoint if self._own is None else self._own.told(setpoint, self._most)
+
+
+@numeric
+def height_left(h_m: float, lag_z_s: float, rises_m_s: float, before_m_s: float) -> float:
+    """What is left of h when the vertical loop has caught up with the velocity wanted a tick ago."""
+    return h_m + lag_z_s * min(0.0, rises_m_s - before_m_s)
+
+
+@numeric
+def least_climb(gradient: Vec3, velocity_m_s: Vec3, target_m_s: Vec3, sinks_m_s: float) -> float:
+    """Vertical velocity at which h falls by ``sinks_m_s`` at most, with the horizontal velocity that is."""
+    v, t = velocity_m_s, target_m_s
+    inward = gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1])
+    return t[2] - sinks_m_s - inward
+
+
+@numeric
+def approach(
+    e_m: Vec3, above_m: float, over_1_s: float, gain_1_s: float, target_m_s: Vec3, fastest_m_s: float,
+    slowest_m_s: float,
+) -> Vec3:  # fmt: skip
+    """Velocity towards a place low above the pad.
+
+    Args:
+        e_m: vehicle minus landing spot.
+        above_m: height above that place.
+        over_1_s: horizontal gain.
+        gain_1_s: vertical gain.
+        target_m_s: velocity of the target.
+        fastest_m_s: descent relative to it, while above that place.
+        slowest_m_s: the same.
+    """
+    x, y, z = nominal_velocity((e_m[0], e_m[1], above_m), (over_1_s, over_1_s, gain_1_s), target_m_s)
+    if above_m > 0.0:
+        z = min(max(z, target_m_s[2] - fastest_m_s), target_m_s[2] - slowest_m_s)
+    return (x, y, z)
+
+
+@numeric
+def height_ahead(
+    e_m: Vec3, d_m: float, slip_m_s: tuple[float, float], brakes_m_s2: float, alpha_1_m: float, beta_m: float
+) -> float:
+    """Height of the boundary ahead.
+
+    Far out that is its ring, over which the way leads. Near the middle it is where the vehicle comes to
+    rest, if that is on the other side: the barrier sees an overshoot only when the middle has been passed.
+
+    Args:
+        e_m: vehicle minus landing spot.
+        d_m: its horizontal length.
+        slip_m_s: horizontal velocity relative to the target.
+        brakes_m_s2: with which the vehicle comes to rest.
+        alpha_1_m: of the barrier.
+        beta_m: of the barrier.
+    """
+    ex, ey, _ = e_m
+    if d_m > 1.0 / alpha_1_m:
+        return beta_m / E
+    vx, vy = slip_m_s
+    rest_s = hypot(vx, vy) / (2.0 * brakes_m_s2)  # at this velocity, until as far as it comes
+    if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
+        return 0.0  # on this side
+    return boundary_height(alpha_1_m, beta_m, hypot(ex + rest_s * vx, ey + rest_s * vy))
+
+
+@numeric
+def commits(
+    z_m: float, d_m: float, slip_m_s: tuple[float, float], uncertain_m: float,
+    height_m: float, speed_m_s: float, radius_m: float, corridor_m: float,
+) -> bool:  # fmt: skip
+    """Whether it is low, in the middle and moving with the target."""
+    if not (z_m < height_m and hypot(slip_m_s[0], slip_m_s[1]) < speed_m_s):
+        return False
+    return d_m < radius_m and d_m + uncertain_m < corridor_m
+
+
+@numeric
+def is_stopped(pad_m_s: float, command_m_s: float, own_m_s: float, descent_m_s: float) -> bool:
+    """Whether a vehicle is told to sink towards the pad and does not; vertical velocities."""
+    commanded_m_s, sinking_m_s = pad_m_s - command_m_s, pad_m_s - own_m_s
+    return commanded_m_s > COMMANDED_SHARE * descent_m_s and sinking_m_s < STOPPED_SHARE * descent_m_s
+
+
+@numeric
+def leaves_corridor(
+    e_m: Vec3, d_m: float, slip_m_s: tuple[float, float], corridor_m: float, time_s: float
+) -> bool:
+    """Whether the vehicle is going to be outside the corridor in this time."""
+    if d_m < DRIFT_SHARE * corridor_m:
+        return False
+    outward_m_s = (e_m[0] * slip_m_s[0] + e_m[1] * slip_m_s[1]) / d_m
+    return d_m + outward_m_s * time_s > corridor_m

@@ -27,6 +27,7 @@ import math
 from typing import Protocol
 
 from flightstack.core.memory import TrackingMemory
+from flightstack.core.numeric import numeric
 from flightstack.core.parameters.robust import VelocityFeedback, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import ZERO, Vec3
@@ -34,6 +35,10 @@ from flightstack.core.types import ZERO, Vec3
 
 class Axis(Protocol):
     """What is done on one axis, once a tick; m/s and m/s^2."""
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """What it goes by."""
 
     def observe(self, v: float, u: float, m: float, dm: float, d: float) -> tuple[float, float, float]:
         """Velocity by the model, its derivative, and the disturbance, a tick later.
@@ -63,6 +68,67 @@ class Axis(Protocol):
         """
 
 
+# numbers of a ``LeadAxis``: period, lag, rate, gain, most of the error, damping, most of the disturbance,
+# shares of slope and disturbance
+Lead = tuple[float, float, float, float, float, float, float, float, float]
+# of a ``FeedbackAxis``: period, delay, rate, drag, push, most of disturbance and error, share of the slope,
+# of what is missed to velocity and disturbance, rates of error and tilt, most of the acceleration
+Feedback = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
+
+
+@numeric
+def lead_observed(
+    lead: Lead, v: float, u: float, m: float, dm: float, d: float
+) -> tuple[float, float, float]:
+    """``LeadAxis.observe``."""
+    t, _, w, _, _, damping, most_m_s, _, share = lead
+    dm += t * (w * w * (u - m) - 2.0 * damping * w * dm)
+    m += t * dm
+    d += share * (v - m - d)
+    return m, dm, clip(d, -most_m_s, most_m_s)
+
+
+@numeric
+def lead_commanded(
+    lead: Lead, b: float, r: float, v: float, s: float, d: float, most: float
+) -> tuple[float, float]:
+    """``LeadAxis.command``."""
+    t, lag_s, _, gain, error_max_m_s, _, _, share, _ = lead
+    s += share * ((r - b) / t - s)
+    u = r + lag_s * s + gain * (r - v) - d
+    return s, clip(clip(u, v - error_max_m_s, v + error_max_m_s), -most, most)
+
+
+@numeric
+def feedback_observed(
+    feedback: Feedback, v: float, u: float, m: float, dm: float, d: float
+) -> tuple[float, float, float]:
+    """``FeedbackAxis.observe``."""
+    t, delay_s, w, drag_1_s, push_1_s, most_m_s, _, _, to_velocity, to_disturbance, _, _, _ = feedback
+    f = push_1_s * d
+    now = v + delay_s * (dm + f)
+    missed = v - m
+    m += t * (dm + f + to_velocity * missed)
+    dm += t * (w * w * (u - now) - drag_1_s * dm)
+    d += t * to_disturbance * missed
+    return m, dm, clip(d, -most_m_s, most_m_s)
+
+
+@numeric
+def feedback_commanded(
+    feedback: Feedback, b: float, r: float, s: float, m: float, dm: float, d: float, most: float
+) -> tuple[float, float]:
+    """``FeedbackAxis.command``."""
+    t, delay_s, w, drag_1_s, push_1_s, _, error_max_m_s, share, _, _, error_1_s, tilt_1_s, tilts = feedback
+    f = push_1_s * d
+    s += share * ((r - b) / t - s)
+    now = m + delay_s * (dm + f)
+    wanted = s + error_1_s * (r - now) - f
+    wanted = clip(wanted, -tilts, tilts)
+    u = now + (drag_1_s * dm + tilt_1_s * (wanted - dm)) / (w * w)
+    return s, clip(clip(u, now - error_max_m_s, now + error_max_m_s), -most, most)
+
+
 class LeadAxis:
     """Corrections added to the velocity wanted.
 
@@ -84,28 +150,23 @@ class LeadAxis:
         error_max_m_s: float,
         period_s: float,
     ) -> None:
-        self._lag_s, self._rate_1_s, self._gain, self._error_max_m_s = lag_s, rate_1_s, gain, error_max_m_s
-        self._damping, self._most_m_s = loop.damping, loop.disturbance_max_m_s
-        self._period_s = period_s
-        self._slope_share = min(1.0, period_s / loop.slope_time_s)
-        self._disturbance_share = min(1.0, period_s / loop.disturbance_time_s)
+        slope_share = min(1.0, period_s / loop.slope_time_s)
+        disturbance_share = min(1.0, period_s / loop.disturbance_time_s)
+        self.numbers: Lead = (
+            period_s, lag_s, rate_1_s, gain, error_max_m_s, loop.damping, loop.disturbance_max_m_s,
+            slope_share, disturbance_share,
+        )  # fmt: skip
 
     def observe(self, v: float, u: float, m: float, dm: float, d: float) -> tuple[float, float, float]:
         """The model goes by the set-point alone; what the velocity differs by is low-passed."""
-        t, w, most_m_s = self._period_s, self._rate_1_s, self._most_m_s
-        dm += t * (w * w * (u - m) - 2.0 * self._damping * w * dm)
-        m += t * dm
-        d += self._disturbance_share * (v - m - d)
-        return m, dm, clip(d, -most_m_s, most_m_s)
+        return lead_observed(self.numbers, v, u, m, dm, d)
 
     def command(
         self, b: float, r: float, v: float, s: float, m: float, dm: float, d: float, most: float
     ) -> tuple[float, float]:
         """The velocity wanted and its corrections."""
         del m, dm
-        s += self._slope_share * ((r - b) / self._period_s - s)
-        u = r + self._lag_s * s + self._gain * (r - v) - d
-        return s, clip(clip(u, v - self._error_max_m_s, v + self._error_max_m_s), -most, most)
+        return lead_commanded(self.numbers, b, r, v, s, d, most)
 
 
 class FeedbackAxis:
@@ -121,37 +182,26 @@ class FeedbackAxis:
     def __init__(
         self, loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float
     ) -> None:
-        self._rate_1_s, self._drag_1_s = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
-        self._push_1_s = loop.rate_xy_1_s / (2.0 * loop.damping)  # f / d
-        self._most_m_s, self._error_max_m_s = loop.disturbance_max_m_s, loop.error_max_m_s
-        self._feedback, self._delay_s, self._period_s = feedback, delay_s, period_s
-        self._slope_share = min(1.0, period_s / loop.slope_time_s)
+        rate_1_s, push_1_s = loop.rate_xy_1_s, loop.rate_xy_1_s / (2.0 * loop.damping)  # f / d
         # of what the model misses, to velocity and disturbance: both poles at the observer's rate
         rate = feedback.observer_rate_1_s
-        self._to_velocity, self._to_disturbance = 2.0 * rate, rate * rate / self._push_1_s
+        self.numbers: Feedback = (
+            period_s, delay_s, rate_1_s, 2.0 * loop.damping * loop.rate_xy_1_s, push_1_s,
+            loop.disturbance_max_m_s, loop.error_max_m_s, min(1.0, period_s / loop.slope_time_s),
+            2.0 * rate, rate * rate / push_1_s,
+            feedback.error_rate_1_s, feedback.tilt_rate_1_s, feedback.acceleration_max_m_s2,
+        )  # fmt: skip
 
     def observe(self, v: float, u: float, m: float, dm: float, d: float) -> tuple[float, float, float]:
         """The model goes by the velocity; what it misses corrects velocity and disturbance."""
-        t, w, f = self._period_s, self._rate_1_s, self._push_1_s * d
-        now = v + self._delay_s * (dm + f)
-        missed = v - m
-        m += t * (dm + f + self._to_velocity * missed)
-        dm += t * (w * w * (u - now) - self._drag_1_s * dm)
-        d += t * self._to_disturbance * missed
-        return m, dm, clip(d, -self._most_m_s, self._most_m_s)
+        return feedback_observed(self.numbers, v, u, m, dm, d)
 
     def command(
         self, b: float, r: float, v: float, s: float, m: float, dm: float, d: float, most: float
     ) -> tuple[float, float]:
         """The velocity itself, and what tilts as wanted."""
         del v
-        feedback, f, w = self._feedback, self._push_1_s * d, self._rate_1_s
-        s += self._slope_share * ((r - b) / self._period_s - s)
-        now = m + self._delay_s * (dm + f)
-        wanted = s + feedback.error_rate_1_s * (r - now) - f
-        wanted = clip(wanted, -feedback.acceleration_max_m_s2, feedback.acceleration_max_m_s2)
-        u = now + (self._drag_1_s * dm + feedback.tilt_rate_1_s * (wanted - dm)) / (w * w)
-        return s, clip(clip(u, now - self._error_max_m_s, now + self._error_max_m_s), -most, most)
+        return feedback_commanded(self.numbers, b, r, s, m, dm, d, most)
 
 
 def axes(
@@ -184,7 +234,7 @@ class VelocityTracking:
         delay_s: float = 0.0,
     ) -> None:
         self.memory = TrackingMemory()
-        self._axes = axes(loop, feedback or VelocityFeedback(), delay_s, period_s)
+        self.axes = axes(loop, feedback or VelocityFeedback(), delay_s, period_s)
 
     def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
         """Compare the velocity with what the model expects of the last set-point.
@@ -200,7 +250,7 @@ class VelocityTracking:
         v, u, m, dm, d = (
             velocity_enu_m_s, memory.setpoint_m_s, memory.model_m_s, memory.model_m_s2, memory.disturbance_m_s
         )  # fmt: skip
-        x, y, z = self._axes  # written out: a loop over three axes costs twice as much
+        x, y, z = self.axes  # written out: a loop over three axes costs twice as much
         mx, dmx, dx = x.observe(v[0], u[0], m[0], dm[0], d[0])
         my, dmy, dy = y.observe(v[1], u[1], m[1], dm[1], d[1])
         mz, dmz, dz = z.observe(v[2], u[2], m[2], dm[2], d[2])
@@ -225,7 +275,7 @@ class VelocityTracking:
             least_z_m_s: lowest vertical velocity that the set-point may lead to if it stays the last one: the
                 set-point itself and the disturbance that was learned.
         """
-        memory, (x, y, z) = self.memory, self._axes
+        memory, (x, y, z) = self.memory, self.axes
         b, r, v, s = before_m_s, reference_m_s, velocity_m_s, memory.slope_m_s2
         m, dm, d = memory.model_m_s, memory.model_m_s2, memory.disturbance_m_s
         sx, ux = x.command(b[0], r[0], v[0], s[0], m[0], dm[0], d[0], most_m_s[0])

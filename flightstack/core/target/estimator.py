@@ -21,7 +21,7 @@ import math
 from typing import NamedTuple
 
 from flightstack.core.memory import Covariance, MotionMemory
-from flightstack.core.numeric import numeric
+from flightstack.core.numeric import called, numeric, wrapped
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
@@ -74,11 +74,13 @@ class TargetEstimator:
 
     def __init__(self, link: TargetLink) -> None:
         self.memory = MotionMemory()
-        self._growth2_max = link.jerk_growth_max**2
+        self.growth2_max = link.jerk_growth_max**2
         self._fade_s, self._turns = link.acceleration_time_s, link.turns_with_yaw
         position2, velocity2 = link.position_noise_m**2, link.velocity_noise_m_s**2
-        self._xy = _Noise(position2, velocity2, link.jerk_xy_m_s3_sqrthz**2, link.acceleration_xy_m_s2**2)
-        self._z = _Noise(position2, velocity2, link.jerk_z_m_s3_sqrthz**2, link.acceleration_z_m_s2**2)
+        self.noise_xy = _Noise(
+            position2, velocity2, link.jerk_xy_m_s3_sqrthz**2, link.acceleration_xy_m_s2**2
+        )
+        self.noise_z = _Noise(position2, velocity2, link.jerk_z_m_s3_sqrthz**2, link.acceleration_z_m_s2**2)
 
     def update(
         self,
@@ -104,22 +106,25 @@ class TargetEstimator:
         dt_s = time_s - memory.time_s
         before_rad, memory.yaw_rad = memory.yaw_rad, yaw_rad if math.isfinite(yaw_rad) else None
         memory.time_s = time_s
-        xy = self._xy
+        xy = self.noise_xy
         if position_sigma_m > 0.0 or velocity_sigma_m_s > 0.0:
             xy = xy.at_least(position_sigma_m, velocity_sigma_m_s)
         if not 0.0 < dt_s <= RESTART_S:  # also the very first, where it is NaN
             memory.position_enu_m, memory.velocity_enu_m_s = position_enu_m, velocity_enu_m_s
             memory.acceleration_enu_m_s2, memory.turn_rate_rad_s, memory.surprise = ZERO, 0.0, 1.0
-            memory.covariance_xy, memory.covariance_z = _start(xy), _start(self._z)
+            memory.covariance_xy, memory.covariance_z = _start(xy), _start(self.noise_z)
             return
         if self._turns:
-            turned_rad_s = _turn_rate(before_rad, memory.yaw_rad, dt_s)
+            if before_rad is None or memory.yaw_rad is None:
+                turned_rad_s = 0.0
+            else:
+                turned_rad_s = turn_rate(before_rad, memory.yaw_rad, dt_s)
             memory.turn_rate_rad_s += dt_s / (dt_s + TURN_TIME_S) * (turned_rad_s - memory.turn_rate_rad_s)
-        z = self._z
+        z = self.noise_z
         state, memory.covariance_xy, memory.covariance_z, innovation2 = updated(
             (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
             (memory.covariance_xy, memory.covariance_z),
-            self._turn(dt_s), self._fading(dt_s), _lasting(dt_s),
+            turn(memory.turn_rate_rad_s, dt_s), fading(dt_s, self._fade_s), lasting(dt_s),
             (xy.position2, xy.velocity2, self._jerk2_xy()), (z.position2, z.velocity2, z.jerk2),
             position_enu_m, velocity_enu_m_s,
         )  # fmt: skip
@@ -131,8 +136,7 @@ class TargetEstimator:
 
         A value of 2, which chance seldom makes, is four times the jerk already.
         """
-        nis = self.memory.surprise
-        return self._xy.jerk2 * max(1.0, min(self._growth2_max, nis * nis * nis * nis))
+        return raised_jerk2(self.noise_xy.jerk2, self.growth2_max, self.memory.surprise)
 
     def at(self, time_s: float) -> TargetMotion:
         """Carry the newest estimate to another time, on the sender's clock.
@@ -148,35 +152,46 @@ class TargetEstimator:
             *carried(
                 (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
                 (memory.covariance_xy, memory.covariance_z),
-                self._turn(dt_s), self._fading(dt_s), _lasting(dt_s),
-                self._jerk2_xy(), self._z.jerk2,
+                turn(memory.turn_rate_rad_s, dt_s), fading(dt_s, self._fade_s), lasting(dt_s),
+                self._jerk2_xy(), self.noise_z.jerk2,
             )
         )  # fmt: skip
 
-    def _turn(self, dt_s: float) -> float:
-        """Angle by which the velocity turns."""
-        return max(-TURN_MAX_RAD, min(TURN_MAX_RAD, self.memory.turn_rate_rad_s * dt_s))
 
-    def _fading(self, dt_s: float) -> _Time:
-        """Of an acceleration that fades."""
-        fade_s, share = self._fade_s, dt_s / self._fade_s
-        gone = -math.expm1(-share)
-        to_velocity_s = fade_s * gone
-        if abs(share) < 0.01:  # the difference below loses digits: its series, to 1e-10
-            bent = 0.5 - share / 6.0 * (1.0 - share / 4.0 * (1.0 - share / 5.0))
-            return (dt_s, dt_s * dt_s * bent, to_velocity_s, 1.0 - gone)
-        return (dt_s, fade_s * (dt_s - to_velocity_s), to_velocity_s, 1.0 - gone)
+@numeric
+def raised_jerk2(jerk2: float, growth2_max: float, surprise: float) -> float:
+    """Square of the jerk on x and y for a low-passed innovation squared."""
+    return jerk2 * max(1.0, min(growth2_max, surprise * surprise * surprise * surprise))
 
 
-def _turn_rate(before_rad: float | None, after_rad: float | None, dt_s: float) -> float:
-    """Between two measured yaws, 0 if one is not known."""
-    if before_rad is None or after_rad is None:
-        return 0.0
-    rate_rad_s = math.remainder(after_rad - before_rad, math.tau) / dt_s
+@numeric
+def turn(rate_rad_s: float, dt_s: float) -> float:
+    """Angle by which the velocity turns."""
+    return max(-TURN_MAX_RAD, min(TURN_MAX_RAD, rate_rad_s * dt_s))
+
+
+@numeric
+def fading(dt_s: float, fade_s: float) -> _Time:
+    """Of an acceleration that fades."""
+    share = dt_s / fade_s
+    gone = -math.expm1(-share)
+    to_velocity_s = fade_s * gone
+    if abs(share) < 0.01:  # the difference below loses digits: its series, to 1e-10
+        bent = 0.5 - share / 6.0 * (1.0 - share / 4.0 * (1.0 - share / 5.0))
+        return (dt_s, dt_s * dt_s * bent, to_velocity_s, 1.0 - gone)
+    return (dt_s, fade_s * (dt_s - to_velocity_s), to_velocity_s, 1.0 - gone)
+
+
+@numeric
+def turn_rate(before_rad: float, after_rad: float, dt_s: float) -> float:
+    """Between two measured yaws."""
+    rate_rad_s = wrapped(after_rad - before_rad) / dt_s
     return max(-TURN_RATE_MAX_RAD_S, min(TURN_RATE_MAX_RAD_S, rate_rad_s))
 
 
-def _lasting(dt_s: float) -> _Time:
+@numeric
+def lasting(dt_s: float) -> _Time:
+    """Of an acceleration that lasts."""
     return (dt_s, 0.5 * dt_s * dt_s, dt_s, 1.0)
 
 
@@ -307,7 +322,7 @@ def _corrected(
     return p + lp * missed_v, v + lv * missed_v, a + la * missed_v, missed_p * missed_p, missed_v * missed_v
 
 
-@numeric
+@called
 def carried(
     state: _State,
     covariances: tuple[Covariance, Covariance],
@@ -341,7 +356,7 @@ def carried(
     )
 
 
-@numeric
+@called
 def updated(
     state: _State,
     covariances: tuple[Covariance, Covariance],

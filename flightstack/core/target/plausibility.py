@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 
 from flightstack.core.memory import PlausibilityMemory
+from flightstack.core.numeric import numeric
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import ZERO, OwnState, Vec3
 
@@ -46,7 +47,7 @@ class Plausibility:
         vx, vy, _ = config.limits.velocity_max_m_s
         self.tracking_lag_max_m = config.checks.follow_lag_max_s * max(vx, vy)
         period_s = 1.0 / config.loop.rate_hz
-        self._period_s, self._kept = period_s, math.exp(-period_s / config.checks.follow_memory_s)
+        self.period_s, self.kept = period_s, math.exp(-period_s / config.checks.follow_memory_s)
 
     @property
     def drift_m(self) -> float:
@@ -89,11 +90,8 @@ class Plausibility:
         if wanted_m_s is None:
             self.memory.missed_m = ZERO
             return
-        t, kept = self._period_s, self._kept
-        (mx, my, mz), (wx, wy, wz), (vx, vy, vz) = self.memory.missed_m, wanted_m_s, velocity_m_s
-        self.memory.missed_m = (
-            kept * (mx + t * (wx - vx)), kept * (my + t * (wy - vy)), kept * (mz + t * (wz - vz)),
-        )  # fmt: skip
+        memory = self.memory
+        memory.missed_m = missed(memory.missed_m, wanted_m_s, velocity_m_s, self.period_s, self.kept)
 
     @property
     def follows(self) -> bool:
@@ -104,12 +102,36 @@ class Plausibility:
         dt_s = own.arrival_s - last.arrival_s
         if not 0.0 < dt_s <= self._checks.own_age_max_s:
             return  # lost in between: nothing so old binds where it is now
-        kept, half, d = math.exp(-dt_s / self._checks.own_drift_memory_s), 0.5 * dt_s, self.memory.drift_m
-        p, p0, v, v0 = (
-            own.position_enu_m, last.position_enu_m, own.velocity_enu_m_s, last.velocity_enu_m_s
+        self.memory.drift_m = drifted(
+            self.memory.drift_m, last.position_enu_m, own.position_enu_m,
+            last.velocity_enu_m_s, own.velocity_enu_m_s, dt_s, self._checks.own_drift_memory_s,
         )  # fmt: skip
-        self.memory.drift_m = (
-            kept * (d[0] + (p[0] - p0[0]) - half * (v[0] + v0[0])),
-            kept * (d[1] + (p[1] - p0[1]) - half * (v[1] + v0[1])),
-            kept * (d[2] + (p[2] - p0[2]) - half * (v[2] + v0[2])),
-        )
+
+
+@numeric
+def drifted(d: Vec3, p0: Vec3, p: Vec3, v0: Vec3, v: Vec3, dt_s: float, memory_s: float) -> Vec3:
+    """Change of the position that no velocity explains, after another state.
+
+    Args:
+        d: until the last state, m.
+        p0: position then, m.
+        p: position now, m.
+        v0: velocity then, m/s.
+        v: velocity now, m/s.
+        dt_s: between the two.
+        memory_s: in which it is forgotten.
+    """
+    kept, half = math.exp(-dt_s / memory_s), 0.5 * dt_s
+    return (
+        kept * (d[0] + (p[0] - p0[0]) - half * (v[0] + v0[0])),
+        kept * (d[1] + (p[1] - p0[1]) - half * (v[1] + v0[1])),
+        kept * (d[2] + (p[2] - p0[2]) - half * (v[2] + v0[2])),
+    )
+
+
+@numeric
+def missed(before_m: Vec3, wanted_m_s: Vec3, velocity_m_s: Vec3, period_s: float, kept: float) -> Vec3:
+    """Distance by which the vehicle lags behind, a tick later."""
+    t = period_s
+    (mx, my, mz), (wx, wy, wz), (vx, vy, vz) = before_m, wanted_m_s, velocity_m_s
+    return (kept * (mx + t * (wx - vx)), kept * (my + t * (wy - vy)), kept * (mz + t * (wz - vz)))

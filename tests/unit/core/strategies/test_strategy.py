@@ -150,7 +150,7 @@ def test_the_cone_lands_and_the_program_holds_it():
     assert {out.barrier.result.status for out in ran} == {FilterStatus.CLOSED_FORM}
     assert any(out.barrier.result.active for out in ran)
     assert min(out.barrier.result.slack_m_s for out in ran) > -1e-9
-    assert min(world.controller._strategy.barrier(out.snapshot).h(out.snapshot.e_m) for out in ran) > -1e-3
+    assert min(world.controller.strategy.barrier(out.snapshot).h(out.snapshot.e_m) for out in ran) > -1e-3
 
 
 def test_the_cones_linearisation_bound_is_one_and_is_reached():

@@ -177,12 +177,12 @@ def test_a_flight_restored_from_its_text_goes_on_to_the_bit():
         inputs, now_s = world.inputs(), world.t_s
         mine, theirs = again.step(inputs, now_s), world.step()
         assert mine.setpoint.velocity_enu_m_s == theirs.setpoint.velocity_enu_m_s
-        assert again._strategy.own == world.controller._strategy.own
-        moved = moved or again._strategy.own.x[1] != 0.0
+        assert again.strategy.own == world.controller.strategy.own
+        moved = moved or again.strategy.own.x[1] != 0.0
     assert moved
 
 
 def test_a_believed_velocity_needs_no_estimator():
     world = World(config())
     world.step()
-    assert world.controller._strategy.own == OwnMemory()
+    assert world.controller.strategy.own == OwnMemory()

@@ -1,0 +1,69 @@
+"""What the companion wants of the vehicle, and how it asks, which depends on the autopilot."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.client.commands import CommandSequencer
+from bridge.mavlink.client.companion import Origin, OriginSender
+from bridge.mavlink.client.streams import StreamRequests
+from bridge.mavlink.profiles.profile import Profile
+from flightstack.core.types import Request, VehicleStatus
+
+_LANDED_STATE_HZ = 5.0  # Hz; as often as PX4 sends it by itself
+_THROTTLE_HZ = 10.0  # Hz of VFR_HUD, where the thrust reserve is estimated
+
+
+class Wants(NamedTuple):
+    """What is asked for until it is there."""
+
+    sequencer: CommandSequencer
+    streams: StreamRequests
+    origin: OriginSender
+
+    def idle_until_s(self, request: Request, status: VehicleStatus | None) -> float:
+        """Until when nothing is asked for while this is wanted and the status stays; -inf: it is now."""
+        return self.streams.quiet_until_s if self.sequencer.idle(request, status) else -math.inf
+
+    def took(self, now_s: float, ticks: int, *, setpoints: bool) -> None:
+        """Take note of ticks until now in which position and attitude came; each had a set-point or none."""
+        for id_ in (dialect.MAVLINK_MSG_ID_ATTITUDE, dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
+            self.streams.seen(id_, ticks)
+        if setpoints:
+            self.sequencer.note_setpoint(now_s)
+
+
+def wanted(
+    profile: Profile,
+    target: tuple[int, int],
+    takeoff_height_m: float,
+    state_hz: float,
+    *,
+    power: bool,
+    origin: Origin | None,
+) -> Wants:
+    """Make what is wanted of an autopilot.
+
+    Args:
+        profile: of the autopilot.
+        target: its system and component id.
+        takeoff_height_m: height above home of a take-off.
+        state_hz: rate of position and attitude.
+        power: whether the throttle is asked for.
+        origin: where its local coordinates begin, for who needs to be told.
+    """
+    rates_hz = {
+        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,
+        dialect.MAVLINK_MSG_ID_ATTITUDE: state_hz,
+        dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_STATE_HZ,
+        **profile.asked_hz,
+        **({dialect.MAVLINK_MSG_ID_VFR_HUD: _THROTTLE_HZ} if power else {}),
+    }
+    return Wants(
+        CommandSequencer(profile, *target, takeoff_height_m),
+        StreamRequests(rates_hz, *target, profile.unset, profile.data_streams),
+        OriginSender(origin if profile.needs_origin else None, target[0]),
+    )

@@ -1,0 +1,1 @@
+"""Stretches: ticks of a landing that run in one compiled call, because nothing rare happens in them."""

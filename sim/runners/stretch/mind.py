@@ -1,0 +1,385 @@
+"""One step of the controller in compiled code, while it flies to the pad and onto it, or stands there.
+
+It calls the functions of numbers that ``Controller.step`` calls, in the same order, for the phases APPROACH,
+LAND, TOUCHDOWN and LANDED of the robust filter. Whatever does not happen in most ticks it leaves to Python,
+and says so before anything has changed: a phase that ends, a sample or a command that is refused, a bound
+that is near.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.core.mission.conditions import OVER_PAD_LEFT
+from flightstack.core.mission.machine import SLIDING_TIME_S
+from flightstack.core.numeric import hypot, numeric, twin
+from flightstack.core.safety import position_loop, robust_barrier
+from flightstack.core.safety.barrier import barrier_h
+from flightstack.core.safety.gate import BOX_TOLERANCE_M_S, SOLVER_TOLERANCE_M_S
+from flightstack.core.strategies import robust, velocity_tracking
+from flightstack.core.target import estimator, plausibility
+from flightstack.core.target.estimator import RESTART_S
+from flightstack.core.types import Phase, Vec3
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64
+from sim.runners.stretch.program import HOPELESS, NONE, filtered
+from sim.runners.stretch.records import MindRecord, RulesRecord
+
+STANDS, SENDS, PYTHON = 0, 1, 2  # no set-point goes out, one does, and this tick is Python's
+_APPROACH, _LAND = int(Phase.APPROACH), int(Phase.LAND)
+_TOUCHDOWN = int(Phase.TOUCHDOWN)
+
+
+@numeric
+def _length(x: float, y: float) -> float:
+    return hypot(x, y)
+
+
+_hypot = twin(_length, jitted)
+_limit, _slew = twin(position_loop.limit, jitted), twin(position_loop.slew, jitted)
+_nominal = twin(position_loop.nominal_velocity, jitted)
+_robust_h, _bound = twin(robust_barrier.robust_h, jitted), twin(robust_barrier.robust_bound, jitted)
+_evaluated = twin(robust_barrier.robust_evaluated, jitted)
+_barrier_h = twin(barrier_h, jitted)
+_height_left, _least_climb = twin(robust.height_left, jitted), twin(robust.least_climb, jitted)
+_approach, _ahead = twin(robust.approach, jitted), twin(robust.height_ahead, jitted)
+_commits, _leaves = twin(robust.commits, jitted), twin(robust.leaves_corridor, jitted)
+_is_stopped = twin(robust.is_stopped, jitted)
+_lead_observed = twin(velocity_tracking.lead_observed, jitted)
+_lead_commanded = twin(velocity_tracking.lead_commanded, jitted)
+_feedback_observed = twin(velocity_tracking.feedback_observed, jitted)
+_feedback_commanded = twin(velocity_tracking.feedback_commanded, jitted)
+_updated, _carried = twin(estimator.updated, jitted), twin(estimator.carried, jitted)
+_turn, _turn_rate = twin(estimator.turn, jitted), twin(estimator.turn_rate, jitted)
+_fading, _lasting = twin(estimator.fading, jitted), twin(estimator.lasting, jitted)
+_jerk2 = twin(estimator.raised_jerk2, jitted)
+_drifted, _missed = twin(plausibility.drifted, jitted), twin(plausibility.missed, jitted)
+
+
+@jitted
+def three(v: F64) -> Vec3:
+    """Three numbers of an array as a tuple."""
+    return (v[0], v[1], v[2])
+
+
+@jitted
+def keep(into: F64, v: Vec3) -> None:
+    """Write three numbers."""
+    into[0], into[1], into[2] = v[0], v[1], v[2]
+
+
+@jitted
+def _six(v: F64) -> tuple[float, float, float, float, float, float]:
+    return (v[0], v[1], v[2], v[3], v[4], v[5])
+
+
+@jitted
+def _nine(v: F64) -> tuple[float, float, float, float, float, float, float, float, float]:
+    return (v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8])
+
+
+@jitted
+def _thirteen(
+    v: F64,
+) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]:
+    return (v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12])
+
+
+@jitted
+def _take_sample(p: RulesRecord, m: MindRecord, sample: F64, now_s: float) -> bool:
+    """``TargetTrack.accept`` and ``TargetEstimator.update``; False where the sample is no ordinary one."""
+    source_s, x, y, z = sample[0], sample[1], sample[2], sample[3]
+    vx, vy, vz, yaw, rate = sample[4], sample[5], sample[6], sample[7], sample[8]
+    if not math.isfinite(x + y + z + vx + vy + vz + yaw + source_s):
+        return False
+    step_s = source_s - m.sample_source_s
+    p0, v0 = m.sample_position, m.sample_velocity
+    if vx * vx + vy * vy + vz * vz > p.target_speed2_max or not step_s > 0.0:
+        return False
+    if now_s - m.sample_arrival_s > p.target_age_max_s or now_s - source_s - m.offset_s > p.target_age_max_s:
+        return False
+    if p0[0] == x and p0[1] == y and p0[2] == z:
+        return False
+    dx, dy, dz = x - p0[0] - v0[0] * step_s, y - p0[1] - v0[1] * step_s, z - p0[2] - v0[2] * step_s
+    if not dx * dx + dy * dy + dz * dz <= p.target_jump2_max:
+        return False
+    m.sample_arrival_s, m.sample_source_s, m.sample_yaw, m.sample_rate = now_s, source_s, yaw, rate
+    keep(p0, (x, y, z))
+    keep(v0, (vx, vy, vz))
+    m.offset_s = min(m.offset_s, now_s - source_s)
+    m.accepted += 1
+    dt_s = source_s - m.time_s
+    if not 0.0 < dt_s <= RESTART_S:
+        return False
+    before_rad, m.yaw, m.time_s = m.yaw, yaw, source_s
+    if p.turns:
+        turned = 0.0 if math.isnan(before_rad) else _turn_rate(before_rad, yaw, dt_s)
+        m.turn_rate += dt_s / (dt_s + estimator.TURN_TIME_S) * (turned - m.turn_rate)
+    xy, zz = p.noise_xy, p.noise_z
+    (at, speed, push), covariance_xy, covariance_z, innovation2 = _updated(
+        (three(m.position), three(m.velocity), three(m.acceleration)),
+        (_six(m.covariance_xy), _six(m.covariance_z)),
+        _turn(m.turn_rate, dt_s), _fading(dt_s, p.fade_s), _lasting(dt_s),
+        (xy[0], xy[1], _jerk2(xy[2], p.growth2_max, m.surprise)), (zz[0], zz[1], zz[2]),
+        (x, y, z), (vx, vy, vz),
+    )  # fmt: skip
+    keep(m.position, at)
+    keep(m.velocity, speed)
+    keep(m.acceleration, push)
+    for i in range(6):
+        m.covariance_xy[i], m.covariance_z[i] = covariance_xy[i], covariance_z[i]
+    m.surprise += dt_s / (dt_s + estimator.INNOVATION_TIME_S) * (innovation2 - m.surprise)
+    return True
+
+
+@jitted
+def _target(p: RulesRecord, m: MindRecord, now_s: float) -> tuple[Vec3, Vec3, float, float]:
+    """``RobustFilter.target``: position, velocity, standard deviations of position on x and y, and on z."""
+    latest_s = m.time_s + p.target_age_max_s
+    dt_s = min(now_s - m.offset_s, latest_s) + p.target_delay_s - m.time_s
+    m.target_age_s = max(0.0, now_s - m.sample_source_s - m.offset_s) + p.target_delay_s
+    at, speed, _, sigma_m, sigma_z_m, _ = _carried(
+        (three(m.position), three(m.velocity), three(m.acceleration)),
+        (_six(m.covariance_xy), _six(m.covariance_z)),
+        _turn(m.turn_rate, dt_s), _fading(dt_s, p.fade_s), _lasting(dt_s),
+        _jerk2(p.noise_xy[2], p.growth2_max, m.surprise), p.noise_z[2],
+    )  # fmt: skip
+    return at, speed, sigma_m, sigma_z_m
+
+
+@jitted
+def _take_own(
+    p: RulesRecord, m: MindRecord, position: Vec3, velocity: Vec3, source_s: float, now_s: float
+) -> bool:
+    """``Plausibility``; False where the state repeats or a bound is near."""
+    p0, v0 = three(m.own_position), three(m.own_velocity)
+    if p0[0] == position[0] and p0[1] == position[1] and p0[2] == position[2]:
+        return False
+    dt_s = now_s - m.own_arrival_s
+    if not 0.0 < dt_s <= p.own_age_max_s:
+        return False
+    dx, dy, dz = _drifted(three(m.drift), p0, position, v0, velocity, dt_s, p.drift_memory_s)
+    if not dx * dx + dy * dy + dz * dz < p.drift2_max_m2:
+        return False
+    keep(m.drift, (dx, dy, dz))
+    keep(m.own_position, position)
+    keep(m.own_velocity, velocity)
+    m.own_arrival_s, m.own_source_s = now_s, source_s
+    if not m.commanding:
+        keep(m.missed, (0.0, 0.0, 0.0))
+        return True
+    x, y, z = _missed(three(m.missed), three(m.command), velocity, p.period_s, p.missed_kept)
+    keep(m.missed, (x, y, z))
+    return bool(x * x + y * y + z * z < p.missed2_max_m2)
+
+
+@jitted
+def _observe(p: RulesRecord, m: MindRecord, velocity: Vec3) -> None:
+    """``VelocityTracking.observe``."""
+    model, model_2, disturbance = m.model, m.model_2, m.disturbance
+    if not m.commanding:
+        keep(model, velocity)
+        keep(model_2, (0.0, 0.0, 0.0))
+        keep(m.slope, (0.0, 0.0, 0.0))
+        return
+    for i in range(3):
+        v, u, now, rise, d = velocity[i], m.setpoint[i], model[i], model_2[i], disturbance[i]
+        if i == 2:
+            model[i], model_2[i], disturbance[i] = _lead_observed(_nine(p.lead_z), v, u, now, rise, d)
+        elif p.by_feedback:
+            model[i], model_2[i], disturbance[i] = _feedback_observed(
+                _thirteen(p.feedback), v, u, now, rise, d
+            )
+        else:
+            model[i], model_2[i], disturbance[i] = _lead_observed(_nine(p.lead_xy), v, u, now, rise, d)
+
+
+@jitted
+def _correct(
+    p: RulesRecord, m: MindRecord, before: Vec3, wanted: Vec3, velocity: Vec3, least_z: float
+) -> Vec3:
+    """``VelocityTracking.command``."""
+    slope, setpoint = m.slope, m.setpoint
+    for i in range(3):
+        b, r, v, s, d, most = before[i], wanted[i], velocity[i], slope[i], m.disturbance[i], p.most[i]
+        if i == 2:
+            slope[i], setpoint[i] = _lead_commanded(_nine(p.lead_z), b, r, v, s, d, most)
+        elif p.by_feedback:
+            slope[i], setpoint[i] = _feedback_commanded(
+                _thirteen(p.feedback), b, r, s, m.model[i], m.model_2[i], d, most
+            )
+        else:
+            slope[i], setpoint[i] = _lead_commanded(_nine(p.lead_xy), b, r, v, s, d, most)
+    setpoint[2] = min(max(setpoint[2], least_z - m.disturbance[2]), p.most[2])
+    return three(setpoint)
+
+
+@jitted
+def _touches(
+    p: RulesRecord,
+    m: MindRecord,
+    e: Vec3,
+    d_m: float,
+    slip: tuple[float, float],
+    rises: float,
+    pad_rises: float,
+    now_s: float,
+) -> bool:
+    """``Mission._contact`` while there has been none; its timers go on."""
+    on_pad, gap_m = d_m <= p.pad_radius_m + p.beyond_m, e[2] - p.feet_m
+    if _is_stopped(pad_rises, m.command[2], rises, p.descent_m_s):
+        m.stopped_since_s = min(m.stopped_since_s, now_s)
+        held = now_s - m.stopped_since_s >= p.stopped_time_s
+        if held and e[2] < p.stopped_below_m and on_pad:
+            return True
+    else:
+        m.stopped_since_s = math.inf
+    slides = p.sliding_gap_m > max(0.0, gap_m)
+    if on_pad and slides and d_m + SLIDING_TIME_S * _hypot(slip[0], slip[1]) > p.sliding_radius_m:
+        return True
+    if not (on_pad and gap_m < p.gap_m) or pad_rises - rises > p.sinks_m_s:
+        m.contact_since_s = math.inf
+        return False
+    m.contact_since_s = min(m.contact_since_s, now_s)
+    return bool(now_s - m.contact_since_s >= p.contact_time_s)
+
+
+@jitted
+def _leaves_phase(
+    p: RulesRecord, m: MindRecord, e: Vec3, d_m: float, slip: tuple[float, float], sigma_m: float,
+    rises: float, pad_rises: float, now_s: float,
+) -> bool:  # fmt: skip
+    """Whether a rule of the phase may fire."""
+    if p.phase == _APPROACH or p.phase == _LAND:
+        if now_s - p.started_s > p.landing_time_max_s:
+            return True
+        radius_m = p.pad_radius_m * (OVER_PAD_LEFT if p.phase == _LAND else 1.0)
+        over = bool(d_m <= radius_m and e[2] < p.low_m)
+        if over != (p.phase == _LAND):
+            return True
+        if p.phase == _APPROACH:
+            return False
+        if d_m <= p.pad_radius_m and e[2] < p.standing_m:
+            return True
+        uncertain_m = p.sigma_factor * sigma_m
+        height_m, speed_m_s, radius_m = p.commit_height_m, p.commit_speed_m_s, p.commit_radius_m
+        return bool(_commits(e[2], d_m, slip, uncertain_m, height_m, speed_m_s, radius_m, p.corridor_m))
+    if p.phase == _TOUCHDOWN:
+        if now_s - p.since_s > p.touchdown_time_s or _touches(p, m, e, d_m, slip, rises, pad_rises, now_s):
+            return True
+        if _barrier_h(p.alpha_1_m, p.beta_m, e) < p.h_left_m:
+            return False
+        return bool(_leaves(e, d_m, slip, p.corridor_m, p.drift_time_s))
+    return bool(now_s - p.since_s >= p.settle_s)  # LANDED
+
+
+@jitted
+def _inside(p: RulesRecord, v: Vec3, altitude_m: float) -> bool:
+    """``Gate._verdict`` but for the barrier."""
+    if not math.isfinite(v[0] + v[1] + v[2] + p.yaw_rad + altitude_m):
+        return False
+    for i in range(3):
+        if abs(v[i]) > p.most[i] + BOX_TOLERANCE_M_S:
+            return False
+    return bool(altitude_m <= p.altitude_max_m or v[2] <= 0.0)
+
+
+@jitted
+def _land(
+    p: RulesRecord, e: Vec3, d_m: float, slip: tuple[float, float], sigma_m: float, sigma_z_m: float,
+    base: Vec3, own_m_s: Vec3, target_m_s: Vec3,
+) -> tuple[Vec3, bool]:  # fmt: skip
+    """Filtered velocity on the way to the pad, and whether the gate's check of the barrier passes it."""
+    alpha_1_m, beta_m = p.alpha_1_m, p.beta_m
+    above_m = e[2] - p.wait_height_m - _ahead(e, d_m, slip, p.brakes_m_s2, alpha_1_m, beta_m)
+    over_1_s = p.gain_over_1_s if p.phase == _LAND else p.gain_1_s
+    nominal = _approach(e, above_m, over_1_s, p.gain_1_s, target_m_s, p.descent_max_m_s, p.descent_min_m_s)
+    spread_m = _hypot(p.slope_at_pad * _hypot(sigma_m, p.own_noise_m), _hypot(sigma_z_m, p.own_noise_m))
+    margin_m = (p.margin_fixed_m + p.sigma_factor * spread_m) / p.margin_full
+    shape, fade_m = (alpha_1_m, beta_m, p.smoothing_m), p.margin_fade_m
+    h_m, gradient, dh_dt = _evaluated(shape, margin_m, fade_m, e, target_m_s)
+    (bx, by, bz), (sx, sy, sz), (mx, my, mz) = base, three(p.step), three(p.most)
+    x, y, z = bx - sx, by - sy, bz - sz
+    lx, ly, lz = x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz
+    x, y, z = bx + sx, by + sy, bz + sz
+    upper = (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
+    left_m = _height_left(h_m, p.lag_z_s, own_m_s[2], bz)
+    climb = _least_climb(gradient, own_m_s, target_m_s, p.rate_1_s * left_m)
+    if climb > lz:
+        lz = min(climb, upper[2])
+    v, how = filtered(p.program, p.rate_1_s, nominal, h_m, gradient, dh_dt, (lx, ly, lz), upper)
+    if how == NONE:
+        return v, False
+    # Gate._keeps_promise
+    t = p.period_s
+    now_m = _robust_h(shape, margin_m, fade_m, e)
+    vx, vy, vz = v[0] - target_m_s[0], v[1] - target_m_s[1], v[2] - target_m_s[2]
+    then_m = _robust_h(shape, margin_m, fade_m, (e[0] + vx * t, e[1] + vy * t, e[2] + vz * t))
+    if not math.isfinite(now_m + then_m):
+        return v, False
+    if how == HOPELESS:
+        return v, True
+    missing_m = now_m * (1.0 - p.rate_1_s * t) - then_m - SOLVER_TOLERANCE_M_S * t
+    return v, missing_m <= 0.0 or missing_m <= _bound(shape, margin_m, fade_m, e, _hypot(vx, vy) * t)
+
+
+@jitted
+def think(
+    p: RulesRecord, m: MindRecord, position: Vec3, velocity: Vec3, source_s: float, samples: F64, first: int,
+    last: int, now_s: float,
+) -> int:  # fmt: skip
+    """``Controller.step``.
+
+    Args:
+        p: as it is.
+        m: changed in place, also where the result is ``PYTHON``: then it is of no use any more.
+        position: own, as the vehicle told it, ENU, m.
+        velocity: likewise, m/s.
+        source_s: boot clock of the vehicle.
+        samples: of the target, one a row.
+        first: of those that have come.
+        last: end of those.
+        now_s: stack clock.
+
+    Returns:
+        ``STANDS``, ``SENDS`` (the set-point is in ``m``) or ``PYTHON``.
+    """
+    for i in range(first, last):
+        if not _take_sample(p, m, samples[i], now_s):
+            return PYTHON
+    target, target_m_s, sigma_m, sigma_z_m = _target(p, m, now_s)
+    if not _take_own(p, m, position, velocity, source_s, now_s):
+        return PYTHON
+    _observe(p, m, velocity)
+    if m.target_age_s > p.target_age_max_s or now_s - p.status_s > p.status_age_max_s or now_s >= p.ends_s:
+        return PYTHON
+    t = p.own_delay_s
+    x, y, z = position[0] + t * velocity[0], position[1] + t * velocity[1], position[2] + t * velocity[2]
+    e = (x - target[0], y - target[1], z - target[2])
+    d_m, slip = _hypot(e[0], e[1]), (velocity[0] - target_m_s[0], velocity[1] - target_m_s[1])
+    keep(m.target_position, target)
+    keep(m.target_velocity, target_m_s)
+    if _leaves_phase(p, m, e, d_m, slip, sigma_m, velocity[2], target_m_s[2], now_s):
+        return PYTHON
+    if not p.flies:
+        m.commanding = False
+        return STANDS
+    most = three(p.most)
+    base = three(m.command) if m.commanding else _limit(velocity, most)
+    least_z = -math.inf
+    if p.phase == _TOUCHDOWN:
+        gain = p.gain_contact_1_s
+        ax, ay, _ = _nominal(e, (gain, gain, gain), target_m_s)
+        asked = _limit((ax, ay, target_m_s[2] - p.descent_m_s), most)
+        wanted, kept = _slew(base, asked, three(p.step), math.inf), True
+        least_z = target_m_s[2] - p.contact_speed_m_s
+    else:
+        wanted, kept = _land(p, e, d_m, slip, sigma_m, sigma_z_m, base, velocity, target_m_s)
+    if not kept:
+        return PYTHON
+    setpoint = _correct(p, m, base, wanted, velocity, least_z)
+    if not (_inside(p, wanted, z) and _inside(p, setpoint, z)):
+        return PYTHON
+    keep(m.command, wanted)
+    m.commanding = True
+    return SENDS

@@ -1,0 +1,147 @@
+"""OSQP's solver, called by compiled code: the program of ``SafetyFilter``, set up alike."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Annotated, Any
+
+import numpy as np
+
+from flightstack.core.numeric import twin
+from flightstack.core.safety import projection, qp_filter
+from flightstack.core.safety.projection import EMPTY
+from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, solver_settings
+from flightstack.core.safety.solver import Columns, columns, compiled_solver
+from flightstack.core.types import Vec3
+from sim.compiled.foreign import ask, doubles, whole
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, Record
+
+NUMBERS = 24  # of ``data_and_start``
+_STATUS_AT = 32  # bytes in OSQPInfo (osqp_api_types.h): its text comes before it
+_DOUBLE = 8  # bytes
+SOLVED, EXACT, HOPELESS, NONE = 0, 1, 2, 3  # how a velocity came about, as ``FilterStatus``; none: not finite
+
+_best_corner, _projected = twin(projection.best_corner, jitted), twin(projection.projected, jitted)
+_data_and_start, _clipped = twin(qp_filter.data_and_start, jitted), twin(qp_filter.clipped, jitted)
+
+
+class ProgramRecord(Record):
+    """Addresses of OSQP's functions and of its numbers, and what is handed to it."""
+
+    update_vectors: int
+    update_matrix: int
+    warm_start: int
+    solve: int
+    solver: int
+    numbers_at: int  # their address
+    solution: int
+    status: int
+    solved: int
+    infinity: float
+    numbers: Annotated[F64, NUMBERS]
+
+
+class _Csc(ctypes.Structure):
+    """OSQPCscMatrix."""
+
+    _fields_ = (
+        ("m", ctypes.c_int), ("n", ctypes.c_int), ("p", ctypes.c_void_p), ("i", ctypes.c_void_p),
+        ("x", ctypes.c_void_p), ("nzmax", ctypes.c_int), ("nz", ctypes.c_int), ("owned", ctypes.c_int),
+    )  # fmt: skip
+
+
+class OwnProgram:
+    """Owns the solver that a record points to."""
+
+    def __init__(self, record: ProgramRecord) -> None:
+        osqp = compiled_solver()
+        library = ctypes.CDLL(osqp.__file__)
+        settings = solver_settings(osqp)
+        hessian, constraint = columns(np.eye(3)), columns(np.vstack([np.ones((1, 3)), np.eye(3)]))
+        numbers = record.numbers
+        numbers[:] = 1.0
+        numbers[3:7], numbers[7:11], record.infinity = -1.0, osqp.OSQP_INFTY, osqp.OSQP_INFTY
+        record.numbers_at = at = numbers.ctypes.data
+        self._kept = (settings, hessian, constraint, library)
+        p, a, solver = _csc(hessian), _csc(constraint), ctypes.c_void_p()
+        failed = library.osqp_setup(
+            ctypes.byref(solver), ctypes.byref(p), ctypes.c_void_p(at), ctypes.byref(a),
+            ctypes.c_void_p(at + 3 * _DOUBLE), ctypes.c_void_p(at + 7 * _DOUBLE), 4, 3,
+            ctypes.c_void_p(_held(settings)),
+        )  # fmt: skip
+        if failed or solver.value is None:
+            raise RuntimeError(f"OSQP refuses the landing's program: error {failed}")
+        self._cleanup, self._solver = library.osqp_cleanup, solver
+        _, solution, info, _ = (ctypes.c_int64 * 4).from_address(solver.value)  # OSQPSolver: pointers
+        record.solver, record.status = solver.value, info + _STATUS_AT
+        record.solution = ctypes.c_int64.from_address(solution).value
+        record.update_vectors, record.update_matrix, record.warm_start, record.solve = (
+            ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
+            for name in ("osqp_update_data_vec", "osqp_update_data_mat", "osqp_warm_start", "osqp_solve")
+        )
+        record.solved = int(osqp.osqp_status_type.OSQP_SOLVED)
+
+    def __del__(self) -> None:
+        if getattr(self, "_solver", None):
+            self._cleanup(self._solver)
+
+
+def _held(one: Any) -> int:
+    """Address of the C++ object that an object of pybind11 holds: it stands behind Python's own head."""
+    return int(ctypes.c_void_p.from_address(id(one) + object.__basicsize__).value or 0)
+
+
+def _csc(m: Columns) -> _Csc:
+    places = (m.indptr.ctypes.data, m.indices.ctypes.data, m.data.ctypes.data)
+    return _Csc(m.shape[0], m.shape[1], *places, m.nnz, -1, 0)
+
+
+@jitted
+def _solved(p: ProgramRecord) -> Vec3:
+    """Solve the program whose numbers are there; NaN where the solver did not."""
+    at = p.numbers_at
+    ask(p.update_vectors, (p.solver, at, at + 3 * _DOUBLE, at + 7 * _DOUBLE))
+    ask(p.update_matrix, (p.solver, 0, 0, 0, at + 11 * _DOUBLE, 0, 6))
+    ask(p.warm_start, (p.solver, at + 17 * _DOUBLE, at + 20 * _DOUBLE))
+    ask(p.solve, (p.solver,))
+    if whole(p.status) != p.solved:
+        return (np.nan, np.nan, np.nan)
+    x = doubles(p.solution)
+    return (x[0], x[1], x[2])
+
+
+@jitted
+def filtered(
+    p: ProgramRecord,
+    omega_1_s: float,
+    nominal: Vec3,
+    h_m: float,
+    g: Vec3,
+    dh_dt_m_s: float,
+    lower: Vec3,
+    upper: Vec3,
+) -> tuple[Vec3, int]:
+    """``SafetyFilter.solve``: the velocity, and how it came about."""
+    bound = -omega_1_s * h_m - dh_dt_m_s
+    finite = (
+        bound + g[0] + g[1] + g[2] + nominal[0] + nominal[1] + nominal[2] + lower[0] + lower[1] + lower[2]
+    )
+    if not np.isfinite(finite + upper[0] + upper[1] + upper[2]):
+        return (0.0, 0.0, 0.0), NONE
+    corner = _best_corner(g, lower, upper)
+    if g[0] * corner[0] + g[1] * corner[1] + g[2] * corner[2] - bound < 0.0:
+        return corner, HOPELESS
+    exact, multiplier = _projected(nominal, g, bound, lower, upper)
+    given = _data_and_start(
+        nominal, g, bound, lower, upper, p.infinity, exact, np.inf if multiplier == EMPTY else multiplier
+    )
+    for i in range(NUMBERS):
+        p.numbers[i] = given[i]
+    x, y, z = _solved(p)
+    if not np.isfinite(x + y + z):
+        return exact, EXACT
+    point, residual = _clipped((x, y, z), g, bound, lower, upper)
+    if residual > RESIDUAL_MAX_M_S or not np.isfinite(residual):
+        return exact, EXACT
+    return point, SOLVED

@@ -1,0 +1,150 @@
+"""What the controller remembers, and its configuration, as records for compiled code."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from sim.compiled.records import F64, Record, Vector
+from sim.runners.stretch.program import ProgramRecord
+
+Six = Annotated[F64, 6]
+Nine = Annotated[F64, 9]
+Thirteen = Annotated[F64, 13]
+
+
+class MindRecord(Record):
+    """Of the controller's memory what may change in a stretch; times on its clock."""
+
+    # mission
+    contact_since_s: float
+    stopped_since_s: float
+    commanding: bool
+    command: Vector
+    target_position: Vector  # of now, as estimated
+    target_velocity: Vector
+    # track: the newest sample
+    sample_arrival_s: float
+    sample_source_s: float
+    sample_position: Vector
+    sample_velocity: Vector
+    sample_yaw: float
+    sample_rate: float
+    offset_s: float
+    accepted: int  # in this stretch
+    # estimate of the target
+    time_s: float
+    position: Vector
+    velocity: Vector
+    acceleration: Vector
+    yaw: float  # NaN: not known
+    turn_rate: float
+    surprise: float
+    covariance_xy: Six
+    covariance_z: Six
+    # corrections of the set-point
+    slope: Vector
+    setpoint: Vector
+    model: Vector
+    model_2: Vector
+    disturbance: Vector
+    # plausibility: the newest own state
+    own_arrival_s: float
+    own_source_s: float
+    own_position: Vector
+    own_velocity: Vector
+    own_yaw: float
+    drift: Vector
+    missed: Vector
+    # of this tick
+    target_age_s: float
+
+
+class RulesRecord(Record):
+    """What does not change in a stretch: configuration, phase, and what the vehicle says."""
+
+    # of the phase
+    phase: int
+    flies: bool  # set-points go out
+    since_s: float
+    started_s: float
+    status_s: float  # arrival of the heartbeat
+    ends_s: float  # when the flight is too long
+    # configuration
+    period_s: float
+    own_age_max_s: float
+    own_delay_s: float
+    own_noise_m: float
+    drift_memory_s: float
+    drift2_max_m2: float  # nearer to the bounds than this Python decides
+    missed2_max_m2: float
+    missed_kept: float
+    target_age_max_s: float
+    target_speed2_max: float
+    target_jump2_max: float
+    target_delay_s: float
+    fade_s: float
+    turns: bool
+    growth2_max: float
+    noise_xy: Annotated[F64, 4]  # squares: position, velocity, jerk, acceleration
+    noise_z: Annotated[F64, 4]
+    status_age_max_s: float
+    landing_time_max_s: float
+    settle_s: float
+    alpha_1_m: float
+    beta_m: float
+    smoothing_m: float
+    pad_radius_m: float
+    low_m: float  # height below which it may be over the pad
+    slope_at_pad: float
+    sigma_factor: float
+    margin_fixed_m: float
+    margin_full: float  # share of the margin at the pad's edge
+    margin_fade_m: float
+    rate_1_s: float
+    lag_z_s: float
+    gain_1_s: float
+    gain_over_1_s: float
+    gain_contact_1_s: float
+    wait_height_m: float
+    descent_max_m_s: float
+    descent_min_m_s: float
+    descent_m_s: float
+    brakes_m_s2: float
+    standing_m: float
+    commit_height_m: float
+    commit_speed_m_s: float
+    commit_radius_m: float
+    corridor_m: float
+    drift_time_s: float
+    h_left_m: float
+    touchdown_time_s: float
+    contact_speed_m_s: float
+    beyond_m: float
+    feet_m: float
+    gap_m: float
+    sinks_m_s: float
+    contact_time_s: float
+    stopped_time_s: float
+    stopped_below_m: float
+    sliding_gap_m: float
+    sliding_radius_m: float
+    most: Vector
+    step: Vector
+    altitude_max_m: float
+    yaw_rad: float
+    by_feedback: bool
+    lead_xy: Nine
+    lead_z: Nine
+    feedback: Thirteen
+    # the vehicle's autopilot
+    yaw_told_rad: float  # heading as it arrives there
+    cos_yaw: float
+    sin_yaw: float
+    speeds: Vector  # m/s, over ground, up, down
+    delay_ms: int  # of the radio
+    armed: bool
+    standing: bool
+    supervisor: int  # state of the firmware's supervisor
+    stream_until_s: float  # the autopilot waits for set-points until then; without them
+    watch_s: float  # when its watches look next
+    program: ProgramRecord

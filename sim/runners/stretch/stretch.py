@@ -1,0 +1,238 @@
+"""Flies ticks of a landing in which nothing rare happens, and leaves all parts as if they had run them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bridge.frames import yaw_enu_from_ned, yaw_ned_from_enu
+from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
+from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.server.profile import FlightMode
+from bridge.mavlink.server.setpoints import Setpoint
+from flightstack.core.controller import Controller
+from flightstack.core.memory import Memory
+from flightstack.core.numeric import hypot_is_known
+from flightstack.core.types import Landed, Mode, OwnState, Phase, Request, VehicleStatus
+from flightstack.onboard.lockstep import VehicleTicks
+from sim.clock import TickGrid
+from sim.compiled.jit import is_off
+from sim.compiled.records import cell, new
+from sim.runners.landing_target import Ahead, DirectTarget
+from sim.runners.lockstep import LockstepLoop
+from sim.runners.notes import Notes
+from sim.runners.stretch.memory import Notebook, set_up_rules, suits
+from sim.runners.stretch.program import OwnProgram
+from sim.runners.stretch.records import MindRecord, RulesRecord
+from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, narrow
+from sim.runners.vehicle_node import VehicleNode
+
+TICKS = 20  # of one call, at most; as far as the robot drives ahead
+SAMPLES = 64  # of the target in these
+SPAN_S = 0.25  # s of one call, at most: a stream of set-points with a longer gap would begin anew
+_SOON_S = 1e-6  # s before something is due in which Python looks
+_BACK_OFF = 16  # ticks without another try, at most, where tries come to nothing
+
+_FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
+
+
+def suited(controller: Controller, node: VehicleNode) -> bool:
+    """Whether a landing can be flown in stretches: compiled, without faults, its configuration known."""
+    return not is_off() and hypot_is_known() and node.vehicle.faults.quiet and suits(controller.config)
+
+
+class Stretch:
+    """Flies stretches of one landing.
+
+    Args:
+        controller: of the flight.
+        link: of the companion.
+        ticks: of the companion.
+        target: the robot.
+        node: the vehicle.
+        loop: of the vehicle.
+        notes: of the flight.
+        grid: of the ticks.
+        ends_s: when the flight is too long.
+        radio_s: delay of set-points.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        link: VehicleLink,
+        ticks: VehicleTicks,
+        target: DirectTarget,
+        node: VehicleNode,
+        loop: LockstepLoop,
+        notes: Notes,
+        grid: TickGrid,
+        ends_s: float,
+        radio_s: float,
+    ) -> None:
+        self._controller, self._link, self._ticks, self._target = controller, link, ticks, target
+        self._node, self._loop, self._notes, self._grid = node, loop, notes, grid
+        self._rules, mind = new(RulesRecord), new(MindRecord)
+        self._rules.ends_s, self._rules.delay_ms = ends_s, round(radio_s * 1000.0)
+        set_up_rules(self._rules, controller)
+        self._program = OwnProgram(self._rules.program)
+        self._notebook = Notebook(mind, controller)
+        self._cells = (node.vehicle.physics.vehicle, cell(self._rules), cell(mind), cell(new(MindRecord)))
+        self._most = max(1, min(TICKS, int(SPAN_S * grid.rate_hz)))
+        self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms), dtype=np.int64)
+        self._decks, self._samples = np.zeros((TICKS, 8)), np.zeros((SAMPLES, 9))
+        self._come, self._ages, self._told = np.zeros(TICKS, dtype=np.int64), np.zeros(TICKS), np.zeros(11)
+        self._next, self._wait = (
+            0,
+            1,
+        )  # tick of the next try, and how many to leave out when it comes to nothing
+        self._tables = (self._plan, self._decks, self._samples, self._come)
+        self._heeded = link.heeded
+        self._sender = (node.autopilot.system_id, COMPANION_ID)
+
+    def warm_up(self) -> None:
+        """Compile what flies, or load it from the cache."""
+        self._plan[1] = 0
+        fly_ticks(*self._cells, *self._tables, np.empty((0, TRUTH)), self._ages, self._told)
+
+    def fly(self, tick: int) -> int:
+        """Fly from this tick, the next one, as far as possible; returns the number of ticks flown."""
+        if tick < self._next:
+            return 0
+        done, until_s = 0, self._quiet_until_s(tick)
+        if until_s is None:
+            return 0
+        if self._prepare():
+            self._notebook.write()
+            while until_s is not None:
+                flown, how = self._call(tick + done, until_s)
+                done += flown
+                if how == BEFORE or flown == 0:
+                    break
+                until_s = self._quiet_until_s(tick + done)
+            if done:
+                self._notebook.read(self._grid.ns(tick + done - 1) / 1e9, float(self._told[6]))
+        self._wait = 1 if done else min(2 * self._wait, _BACK_OFF)
+        self._next = tick + done + self._wait
+        return done
+
+    def _quiet_until_s(self, tick: int) -> float | None:
+        """Until when nothing but own states and set-points is sent; None: it has to be now."""
+        request = Request.EXTERNAL if self._controller.memory.phase in _FLYING else Request.NONE
+        now_s = self._grid.ns(tick) / 1e9
+        until_s = self._link.silent_until_s(request) - _SOON_S
+        if not now_s < until_s or not self._loop.undisturbed:
+            return None
+        until_s = min(until_s, self._node.autopilot.silent_until_s(now_s, self._heeded) - _SOON_S)
+        return until_s if now_s < until_s else None
+
+    def _prepare(self) -> bool:
+        """Write down the phase and what the vehicle says; whether they are those of a stretch."""
+        c, rules, status = self._controller, self._rules, self._link.status
+        memory, track, watched = c.memory, c.track.memory, c.plausibility.memory
+        flight, vehicle = self._node.autopilot.flight, self._node.vehicle
+        if status is None or track.last is None or watched.last is None or track.elsewhere is not None:
+            return False
+        if watched.distrusted or memory.lifting or not memory.good_since_s < math.inf:
+            return False
+        if (
+            memory.yaw_rad is None
+            or not self._node.watches_nothing
+            or not flight.ground.settled
+            or vehicle.locked
+        ):
+            return False
+        flies, clip = memory.phase in _FLYING, flight.pilot.passes_on
+        if not (_flies(memory, status) if flies else _stands(memory, status)):
+            return False
+        if flies != vehicle.armed or flies == flight.standing:
+            return False
+        if flies and (flight.mode is not FlightMode.OFFBOARD or clip is None):
+            return False
+        rules.phase, rules.flies, rules.since_s = int(memory.phase), flies, memory.phase_since_s
+        rules.started_s, rules.status_s, rules.armed = memory.started_s, status.arrival_s, vehicle.armed
+        rules.standing, rules.supervisor = flight.standing, vehicle.supervisor_state
+        if rules.yaw_rad != memory.yaw_rad or not rules.cos_yaw:
+            rules.yaw_rad = memory.yaw_rad
+            rules.yaw_told_rad = yaw = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
+            rules.cos_yaw, rules.sin_yaw = math.cos(yaw), math.sin(yaw)
+        if clip is not None:
+            rules.speeds[:] = clip
+        return True
+
+    def _call(self, tick: int, until_s: float) -> tuple[int, int]:
+        """Fly ticks in one call; returns how many, and how it ended."""
+        node, grid, flight = self._node, self._grid, self._node.autopilot.flight
+        ahead = self._target.ahead(tick)
+        count = min(len(ahead), self._most, max(0, math.ceil((until_s - grid.ns(tick) / 1e9) * grid.rate_hz)))
+        while count and not grid.ns(tick + count - 1) / 1e9 < until_s:
+            count -= 1
+        count = self._fill(ahead, count)
+        if count == 0 or not node.vehicle.supplied_until(grid.ms(tick + count)):
+            return 0, BEFORE
+        rules, flies = self._rules, self._rules.flies
+        rules.watch_s = flight.watches.due_s
+        waits = not flies and flight.mode is FlightMode.OFFBOARD
+        rules.stream_until_s = flight.stream_ends_s if waits else math.inf
+        self._plan[0], self._plan[1] = tick, count
+        truths = np.empty((count, TRUTH))
+        how, done = fly_ticks(*self._cells, *self._tables, truths, self._ages, self._told)
+        if done == 0:
+            return 0, how
+        last = tick + done - 1
+        times_ns = [grid.ns(each) for each in range(tick, last + 1)]
+        now_s = times_ns[-1] / 1e9
+        self._notes.stretch(tick, times_ns, self._controller.memory.phase, self._ages[:done], truths[:done])
+        self._loop.passed(times_ns[-1], self._target.drop(done))
+        self._ticks.passed(times_ns[-1])
+        for each in times_ns:
+            node.autopilot.streams.pass_over(each / 1e9)
+        x, y, z, vx, vy, vz, yaw, source_s, ux, uy, uz = self._told.tolist()
+        self._link.took(OwnState(now_s, source_s, (x, y, z), (vx, vy, vz), yaw), done, setpoints=flies)
+        setpoint = Setpoint((ux, uy, uz), rules.yaw_told_rad, 0.0) if flies else None
+        ahead_ms = min(grid.ms(last + 1) - grid.ms(last), rules.delay_ms)
+        node.vehicle.sent_before_ms = ahead_ms
+        if how != MIDDLE:
+            flight.flown(now_s, setpoint, self._sender)
+            node.vehicle.flown(grid.ms(last + 1))
+            return done, how
+        if done > 1:
+            flight.flown(times_ns[-2] / 1e9, setpoint, self._sender)
+        node.vehicle.flown(grid.ms(last) + ahead_ms)
+        if setpoint is not None:
+            flight.take_setpoint(setpoint, self._sender, now_s)
+        node.control(now_s)
+        node.vehicle.advance(grid.ms(last + 1) - grid.ms(last) - ahead_ms)
+        return done, how if self._goes_on(flies) else BEFORE
+
+    def _goes_on(self, flies: bool) -> bool:
+        """Whether the autopilot has changed nothing that counts."""
+        flight, vehicle = self._node.autopilot.flight, self._node.vehicle
+        mode = flight.mode is FlightMode.OFFBOARD or not flies
+        return mode and vehicle.armed == flies and flight.standing != flies and flight.ground.settled
+
+    def _fill(self, ahead: Sequence[Ahead], count: int) -> int:
+        """Write down what the robot says; returns how many ticks of it."""
+        come = 0
+        for n, (deck, samples) in zip(range(count), ahead, strict=False):
+            (x, y, z), yaw, (vx, vy, vz), rate, _ = deck
+            self._decks[n] = (x, y, z, yaw, vx, vy, vz, rate)
+            for sample in samples:
+                if come == SAMPLES:
+                    return n
+                time_s, _, _, (px, py, pz), (ux, uy, uz), heading, turns = sample
+                self._samples[come] = (time_s, px, py, pz, ux, uy, uz, heading, turns)
+                come += 1
+            self._come[n] = come
+        return count
+
+
+def _flies(memory: Memory, status: VehicleStatus) -> bool:
+    told = status.armed and status.mode is Mode.EXTERNAL and status.landed is not Landed.ON_GROUND
+    return told and memory.was_armed and memory.was_external and not memory.contact
+
+
+def _stands(memory: Memory, status: VehicleStatus) -> bool:
+    return memory.phase is Phase.LANDED and not status.armed

@@ -1,0 +1,222 @@
+"""Ticks of a landing in one compiled call: deck, telemetry, controller, set-point, physics, true states.
+
+A tick is that of ``LockstepLoop`` with all it calls. It is left to Python, before anything of it has
+happened, where ``think`` or what the vehicle says leaves it; and in its middle, when the controller's answer
+is known and the radio's delay has passed, where the autopilot has more to do than to hand the set-point on.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bridge import frames
+from flightstack.core.numeric import numeric, twin, wrapped
+from flightstack.core.safety.barrier import barrier_h
+from flightstack.core.types import Vec3
+from sim.clock import NS_PER_S
+from sim.compiled.jit import jitted
+from sim.compiled.records import F64, I64, Cell
+from sim.firmware.estimator import INNOVATION_AGE_MAX_S
+from sim.firmware.setpoint import ROOM, WIDTH, InboxRecord
+from sim.firmware.stack import running
+from sim.plant.params import STEP_S
+from sim.runners.stretch.mind import PYTHON, SENDS, think, three
+from sim.runners.stretch.records import MindRecord, RulesRecord
+from sim.vehicle.judge import GAP_MS, NONE_MS
+from sim.vehicle.loop import VehicleRecord, fly
+from sim.vehicle.physics import TUMBLED
+from sim.world.step import arc_of_step
+
+END, BEFORE, MIDDLE = 0, 1, 2  # all ticks are done; Python has to do the next one; the rest of the last one
+TRUTH = 41  # numbers of a true state
+_LARGEST = 1e6  # m, m/s: beyond it a message counts as damaged (bridge.mavlink.client.vehicle_state)
+_POLE = 0.999  # sine of a pitch so near to straight up that Python looks at it
+
+
+@numeric
+def _turned_back(angle_rad: float) -> float:
+    return wrapped(angle_rad)
+
+
+_remainder, _h = twin(_turned_back, jitted), twin(barrier_h, jitted)
+_frd, _euler = twin(frames.ned_frd_from_enu_flu, jitted), twin(frames.euler_from_quaternion, jitted)
+_yaw_enu = twin(frames.yaw_enu_from_ned, jitted)
+
+
+@jitted
+def copy(mind: Cell[MindRecord], into: Cell[MindRecord]) -> None:
+    """Copy a record."""
+    into[0] = mind[0]  # type: ignore[assignment]
+
+
+@jitted
+def narrow(x: float) -> float:
+    """A double as a message with floats of 32 bits carries it."""
+    return float(np.float32(x))
+
+
+@jitted
+def _narrow3(v: Vec3) -> Vec3:
+    return (narrow(v[0]), narrow(v[1]), narrow(v[2]))
+
+
+@jitted
+def _usable(v: Vec3) -> bool:
+    return abs(v[0]) < _LARGEST and abs(v[1]) < _LARGEST and abs(v[2]) < _LARGEST
+
+
+@jitted
+def _place_deck(v: VehicleRecord, deck: F64) -> None:
+    """``World.set_deck``."""
+    d = v.world.deck
+    for i in range(3):
+        d.position[i], d.velocity[i] = deck[i], deck[4 + i]
+    d.yaw, d.rate = deck[3], deck[7]
+    d.cos_turn, d.sin_turn, d.along, d.across = arc_of_step(d.rate)
+
+
+@jitted
+def _write_truth(v: VehicleRecord, now_ms: int, row: F64) -> None:
+    """``Physics.truth``, its numbers in a row."""
+    body, deck, j, c = v.world.body, v.world.deck, v.judge, v.contact
+    p, d = body.position, deck.position
+    h = _h(j.alpha_1_m, j.beta_m, (p[0] - d[0], p[1] - d[1], p[2] - d[2]))
+    row[0] = now_ms * STEP_S
+    for i in range(3):
+        row[1 + i], row[4 + i], row[11 + i] = p[i], body.velocity[i], body.rates[i]
+        row[18 + i], row[21 + i], row[38 + i] = d[i], deck.velocity[i], v.wind.now[i]
+    for i in range(4):
+        row[7 + i], row[14 + i] = body.quaternion[i], v.rotors.rpm[i]
+    row[24], row[25], row[26], row[27] = (
+        _remainder(deck.yaw),
+        h,
+        j.h_min if j.h_min < h else h,
+        j.h_min_outside,
+    )
+    row[28] = c.bits | (TUMBLED if j.tumbled else 0)
+    touched = c.touch_ms != NONE_MS
+    for i in range(3):
+        row[29 + i] = c.touch_e[i] if touched else math.nan
+        row[32 + i] = c.touch_velocity[i] if touched else math.nan
+    row[35] = c.touch_ms * STEP_S if touched else math.nan
+    row[36], row[37] = 1.0 if running(v.firmware.commands) else 0.0, v.battery.voltage_v
+    j.h_min = j.h_min_outside = math.inf
+    j.tumbled = False
+    c.bits = 0
+
+
+@jitted
+def _send(p: RulesRecord, inbox: InboxRecord, setpoint: Vec3, now_ms: int) -> None:
+    """``VehicleSim.set_velocity``; it arrives after the radio's delay."""
+    at = WIDTH * (inbox.end % ROOM)
+    row = inbox.rows[at : at + WIDTH]
+    row[:] = 0.0
+    row[0], row[4], row[6], row[7] = now_ms + p.delay_ms, p.yaw_told_rad, p.cos_yaw, p.sin_yaw
+    row[1], row[2], row[3] = setpoint[0], setpoint[1], setpoint[2]
+    inbox.end += 1
+
+
+@jitted
+def _flyable(p: RulesRecord, v: Vec3) -> bool:
+    """Whether the autopilot hands a velocity on as it is."""
+    xy, up, down = p.speeds[0], p.speeds[1], p.speeds[2]
+    return bool(v[0] * v[0] + v[1] * v[1] <= xy * xy and -down <= v[2] <= up)
+
+
+@jitted
+def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float) -> bool:
+    """Whether the autopilot has anything to do but to hand the set-point on."""
+    c, f = v.contact, v.firmware
+    touches = now_ms - c.pad_ms <= GAP_MS or now_ms - c.ground_ms <= GAP_MS
+    return (
+        now_s >= p.watch_s
+        or bool(f.supervisor.motors_allowed) != bool(p.armed)
+        or touches != bool(p.standing)
+        or not f.estimator.since_sample_s < INNOVATION_AGE_MAX_S
+        or now_s > p.stream_until_s
+    )
+
+
+@jitted
+def fly_ticks(
+    vehicle: Cell[VehicleRecord],
+    rules: Cell[RulesRecord],
+    mind: Cell[MindRecord],
+    spare: Cell[MindRecord],
+    plan: I64,
+    decks: F64,
+    samples: F64,
+    come: I64,
+    truths: F64,
+    ages: F64,
+    told: F64,
+) -> tuple[int, int]:
+    """Fly ticks until all are done or something rare happens.
+
+    Args:
+        vehicle: changed in place.
+        rules: what holds for all ticks.
+        mind: changed in place.
+        spare: for a step that does not count.
+        plan: first tick, how many, rate of the ticks, ms that the radio delays.
+        decks: (n, 8) of each tick: position, yaw, velocity, yaw rate of the pad.
+        samples: (m, 9) of the target, ``think``.
+        come: (n,) how many of them have come until then.
+        truths: (n, TRUTH), filled.
+        ages: (n,) of the target, s, filled.
+        told: own state of the last tick as told, filled: position, velocity, yaw, boot clock; then the
+            set-point of that tick as it arrives.
+
+    Returns:
+        How it ended, and the ticks done; one whose rest is left counts as done.
+    """
+    v, p = vehicle[0], rules[0]
+    tick, count, rate, radio_ms = plan[0], plan[1], plan[2], plan[3]
+    f, done_samples = v.firmware, 0
+    for n in range(count):
+        now_ns = (tick + n) * NS_PER_S // rate
+        now_s = now_ns / 1e9
+        now_ms, end_ms = (
+            (2000 * (tick + n) + rate) // (2 * rate),
+            (2000 * (tick + n + 1) + rate) // (2 * rate),
+        )
+        allowed, state = bool(f.supervisor.motors_allowed), f.supervisor.state
+        e = f.estimator
+        if allowed != bool(p.armed) or state != p.supervisor or f.inbox.end - f.inbox.first >= ROOM:
+            return BEFORE, n
+        if not e.since_sample_s < INNOVATION_AGE_MAX_S:
+            return BEFORE, n
+        position, velocity = _narrow3(three(e.sensed.position)), _narrow3(three(e.sensed.velocity))
+        q = e.sensed.quaternion
+        attitude = _frd((q[0], q[1], q[2], q[3]))
+        if not (_usable(position) and _usable(velocity) and _usable(three(e.sensed.rates))):
+            return BEFORE, n
+        if not abs(2.0 * (attitude[0] * attitude[2] - attitude[3] * attitude[1])) < _POLE:
+            return BEFORE, n
+        source_s = round(now_s * 1000) * 1e-3
+        copy(mind, spare)
+        m = spare[0]
+        does = think(p, m, position, velocity, source_s, samples, done_samples, come[n], now_s)
+        if does == PYTHON:
+            return BEFORE, n
+        setpoint = _narrow3(three(m.setpoint))
+        if does == SENDS and not _flyable(p, setpoint):
+            return BEFORE, n
+        copy(spare, mind)
+        done_samples = come[n]
+        ages[n] = m.target_age_s
+        for i in range(3):
+            told[i], told[3 + i], told[8 + i] = position[i], velocity[i], setpoint[i]
+        told[6], told[7] = _yaw_enu(narrow(_euler(attitude)[2])), source_s
+        _place_deck(v, decks[n])
+        _write_truth(v, now_ms, truths[n])
+        ahead_ms = min(end_ms - now_ms, radio_ms)
+        fly(vehicle, now_ms, now_ms + ahead_ms)
+        if _needs_autopilot(p, v, now_ms + ahead_ms, now_s):
+            return MIDDLE, n + 1
+        if does == SENDS:
+            _send(p, f.inbox, setpoint, now_ms)
+        fly(vehicle, now_ms + ahead_ms, end_ms)
+    return END, count

@@ -1,0 +1,102 @@
+"""Ticks in compiled stretches: the same landing to the last bit as tick by tick, alternating with Python."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flightstack.core import numeric
+from sim.compiled.jit import is_off, jitted
+from sim.runners.companion import Companion, warm_up
+from sim.scenarios.scenario import Start, load
+
+pytestmark = pytest.mark.skipif(is_off(), reason="stretches are compiled")
+
+numbers = st.floats(-1e3, 1e3)
+
+
+def flown(scenario, seed, on_step=None):
+    """The flight, what was seen of it, and the ticks flown in stretches."""
+    flight, stretched = Companion(scenario, seed, on_step), 0
+    if flight.stretch is not None:
+        fly = flight.stretch.fly
+
+        def counted(tick):
+            nonlocal stretched
+            done = fly(tick)
+            stretched += done
+            return done
+
+        flight.stretch.fly = counted
+    return flight, flight.fly(), stretched
+
+
+def assert_equal(scenario, seed, least):
+    """Tick by tick and in stretches, of which at least this share of the ticks is flown."""
+    one, seen, stretched = flown(scenario, seed)
+    other, wanted, none = flown(scenario, seed, lambda tick, out: None)
+    assert stretched >= least * len(wanted.steps.t_s)
+    assert none == 0
+    for part in ("truth", "steps"):
+        for field in fields(getattr(wanted, part)):
+            a, b = (getattr(getattr(each, part), field.name) for each in (seen, wanted))
+            assert a.dtype == b.dtype
+            assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f"), (part, field.name)
+    assert seen.events == wanted.events
+    assert repr(one.controller.state) == repr(other.controller.state)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("field", 3), ("lab", 4), ("storm", 5), ("deck", 6)])
+def test_a_landing_in_stretches_is_the_same_to_the_last_bit(name, seed):
+    assert_equal(load(name), seed, 0.8)
+
+
+def test_stretches_and_python_alternate_where_the_target_is_lost():
+    field = load("field")
+    rare = replace(field, odometry=replace(field.odometry, loss=0.3, dropout_every_s=0.5, dropout_max_s=0.6))
+    assert_equal(rare, 7, 0.3)
+
+
+def test_from_the_ground_at_another_rate():
+    field = load("field")
+    takeoff = replace(field.onboard.takeoff, start_offset_m=(-1.0, 0.0, 1.0))
+    config = replace(field.onboard, loop=replace(field.onboard.loop, rate_hz=50), takeoff=takeoff)
+    assert_equal(replace(field, start=Start(ground_position_m=(-1.2, 0.3)), onboard=config), 1, 0.3)
+
+
+@pytest.mark.parametrize("name", ["room", "paper_moving_1", "fault_motor_dead"])
+def test_what_a_stretch_does_not_know_is_flown_tick_by_tick(name):
+    assert Companion(load(name), 0).stretch is None
+
+
+def test_it_is_compiled_before_the_first_landing():
+    warm_up(load("field"))
+    stretch = Companion(load("field"), 0).stretch
+    assert stretch is not None
+    stretch.warm_up()
+    assert stretch.fly(0) == 0  # nobody has been heard yet
+
+
+@given(numbers, numbers)
+def test_hypot_is_pythons(x, y):
+    assert compiled_hypot()(x, y) == numeric.hypot(x, y)
+
+
+@given(st.floats(-9.4, 9.4))
+def test_an_angle_is_turned_back_as_by_python(angle):
+    assert compiled_wrap()(angle) == numeric.wrapped(angle)
+
+
+def compiled_hypot():
+    return numeric.twin(numeric.STAND_INS[numeric.hypot], jitted)
+
+
+def compiled_wrap():
+    return numeric.twin(numeric.STAND_INS[numeric.wrapped], jitted)
+
+
+def test_what_is_not_marked_has_no_twin():
+    with pytest.raises(ValueError, match=r"wrapped is not marked @numeric"):
+        numeric.twin(numeric.wrapped, jitted)
