@@ -135,6 +135,11 @@ def json(help: str = "Print one JSON object.") -> Any:
 
 member = option("--member", metavar="NAME", help="Take the flight of this member of a fleet, e.g. cf2.")
 
+one_member = option(
+    "--member", type=click.IntRange(min=1), metavar="N",
+    help="With a scenario of several vehicles: member N alone, with its seed, namespace and system id.",
+)  # fmt: skip
+
 zenoh_config = option(
     "--zenoh-config", type=EXISTING_FILE, metavar="FILE",
     help="Zenoh configuration (JSON5): routers, TLS, passwords, access (docs/how_to/zenoh.md).",

@@ -243,6 +243,8 @@ class Launcher:
         child = flight.child
         self._say(flight, child.lines(0.0))
         if child.process.returncode in (0, 1):
+            if flight.name and child.process.returncode and not self._tells:  # others may wait for it
+                self._print(f"{flight.name}  {flight.last_line}")
             return None
         flight.problem = f"{child.name} ended in flight: {child.errors() or 'no reason given'}"
         flight.aborted = True

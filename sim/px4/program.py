@@ -10,7 +10,7 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
@@ -99,12 +99,15 @@ def find_px4(place: Path) -> Px4Files:
 class InstanceClaim:
     """The lowest instance number that no other program of this project uses, kept until ``close``.
 
+    Args:
+        numbers: that will do; PX4's system id is one more (rcS).
+
     Raises:
         Px4Error: all are taken.
     """
 
-    def __init__(self) -> None:
-        for number in INSTANCES:
+    def __init__(self, numbers: Sequence[int] = INSTANCES) -> None:
+        for number in numbers:
             file = os.open(
                 Path(tempfile.gettempdir()) / f"flightstack-px4-{number}.lock", os.O_RDWR | os.O_CREAT, 0o666
             )
@@ -119,7 +122,7 @@ class InstanceClaim:
             self._file = file
             self.number = number
             return
-        raise Px4Error(f"all PX4 instances, 0 to {INSTANCES.stop - 1}, are in use here; end one")
+        raise Px4Error(f"all PX4 instances, {numbers[0]} to {numbers[-1]}, are in use here; end one")
 
     def close(self) -> None:
         """Give the number back."""

@@ -26,6 +26,7 @@ from flightstack.common.strict_toml import (
     span,
     to_table,
 )
+from flightstack.config import files as configurations
 from flightstack.core.fleet.assignment import assign
 from flightstack.core.types import Vec3
 from sim.chance import member as seed_of
@@ -195,6 +196,28 @@ def load_any(name_or_file: str | Path) -> AnyScenario:
     return load(name_or_file) if is_team(name_or_file) else scenarios.load(name_or_file)
 
 
+def one_of(name_or_file: str | Path, seed: int, number: int | None) -> tuple[Scenario, int]:
+    """Scenario and seed of one vehicle: of a scenario of its own, or of a member of a team.
+
+    Args:
+        name_or_file: of the scenario.
+        seed: of it, of all members of a team.
+        number: of the member; None: it is the scenario of one vehicle.
+
+    Raises:
+        ConfigError: with what was found and what is allowed.
+    """
+    found = load_any(name_or_file)
+    if isinstance(found, Scenario):
+        if number is not None:
+            raise ConfigError(f"--member: found {number}; {name_or_file} is of one vehicle: leave it out")
+        return found, seed
+    if number is None or not 1 <= number <= len(found.member):
+        what = "missing" if number is None else f"found {number}"
+        raise ConfigError(f"--member: {what}; allowed are 1 to {len(found.member)} of {name_or_file}")
+    return list(found.singles(seed))[number - 1]
+
+
 def is_team(name_or_file: str | Path) -> bool:
     """Whether a name or file is that of a team; of what there is not, neither is known."""
     path = Path(name_or_file)
@@ -312,10 +335,33 @@ def _team(path: Path, table: dict[str, Any]) -> TeamScenario:
         for key in (*_OF_THE_TEAM, "base"):
             if key in own:
                 raise ConfigError(f"member {number}: {key}: found {own[key]!r}; the team has it, remove it")
-        one = over(shared, own)
+        one = over(_configured(path, shared, own, number), own)
         one["name"], one["description"] = f"{about.get('name')}.cf{number}", ""
         found.append(_checked(one, f"member {number}"))
     return from_table(TeamScenario, {**about, "member": found})
+
+
+def _configured(path: Path, shared: dict[str, Any], own: dict[str, Any], number: int) -> dict[str, Any]:
+    """What a member shares; with ``config`` that configuration takes the place of the onboard processes' one.
+
+    Table [fleet], tick, and the place where landings begin stay those of the team.
+    """
+    name = own.pop("config", None)
+    if name is None:
+        return shared
+    if not isinstance(name, str):
+        raise ConfigError(
+            f"member {number}: config: found {name!r}, allowed: the name of a configuration, or a file"
+        )
+    beside, onboard = path.parent / name, shared.get("onboard", {})
+    kept = {key: onboard[key] for key in ("fleet", "loop") if key in onboard}
+    if "start_offset_m" in (takeoff := onboard.get("takeoff", {})):
+        kept["takeoff"] = {"start_offset_m": takeoff["start_offset_m"]}
+    try:
+        table = configurations.table(beside if beside.is_file() else name)
+    except ConfigError as error:
+        raise ConfigError(f"member {number}: config: {error}") from None
+    return {**shared, "onboard": over(table, kept)}
 
 
 def _base(path: Path, table: dict[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from bridge.zenoh import zenoh_link
 from sim.runners.deck import RealTimeDeck
-from sim.scenarios.scenario import load
+from sim.scenarios.scenario import Scenario, load
 from sim.vehicle.vehicle import VehicleSim, warm_up
 
 MS_MAX = 50  # ms of one step; a longer pause of the machine is one of simulated time
@@ -14,11 +14,13 @@ class SimPlant:
     The simulated firmware levels out and stops by its own watchdog, so only new set-points are handed over.
     """
 
-    def __init__(self, scenario: str, seed: int, session: zenoh_link.Session | None) -> None:
-        loaded = load(scenario)
+    def __init__(
+        self, scenario: str | Scenario, seed: int, session: zenoh_link.Session | None, namespace: str = "cf1"
+    ) -> None:
+        loaded = load(scenario) if isinstance(scenario, str) else scenario
         warm_up(loaded)
         self.vehicle = VehicleSim(loaded, seed)
-        self._deck = RealTimeDeck(session, "cf1") if session is not None else None
+        self._deck = RealTimeDeck(session, namespace) if session is not None else None
         self._pending: tuple | None = None
         self._yaw = self._yaw_rate = self._rest_s = self._now_s = 0.0
 

@@ -30,6 +30,7 @@ class VehicleOptions(shared.Signing, shared.Zenoh, shared.Scenario):
     namespace: str = shared.namespace
     recorder: Path | None = shared.recorder
     system_id: int = shared.system_id
+    member: int | None = shared.one_member
     leave_out: tuple[int, ...] = shared.option(
         "--leave-out", multiple=True, type=click.IntRange(min=1), metavar="N",
         help="Member of a team that is not simulated here, by its number; repeatable.",
@@ -41,11 +42,17 @@ class VehicleOptions(shared.Signing, shared.Zenoh, shared.Scenario):
 def vehicle(options: VehicleOptions) -> None:
     """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's true pose on Zenoh.
 
-    With a scenario of several vehicles it runs all of them, each with a port and a namespace of its own.
+    With a scenario of several vehicles it runs all of them, each with a port and a namespace of its own, or
+    with --member one of them.
     """
+    from logs.schema.names import member_name
     from sim.runners import vehicle_process
-    from sim.scenarios.team import TeamScenario, load_any
+    from sim.scenarios.team import TeamScenario, load_any, one_of
 
+    if options.member is not None:
+        alone, seed = one_of(options.scenario, options.seed, options.member)
+        own = {"seed": seed, "namespace": member_name(options.member), "system_id": options.member}
+        sys.exit(vehicle_process.vehicle_main(alone, options.to(vehicle_process.VehicleOptions, **own)))
     plugged, scenario = options.to(vehicle_process.VehicleOptions), load_any(options.scenario)
     if isinstance(scenario, TeamScenario):
         from sim.runners.fleet.process import fleet_main

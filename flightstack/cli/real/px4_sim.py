@@ -43,6 +43,7 @@ class Px4SimOptions(shared.Zenoh, shared.Scenario):
     mocap: bool = shared.mocap
     duration_s: float | None = shared.duration
     namespace: str = shared.namespace
+    member: int | None = shared.one_member
     recorder: Path | None = shared.recorder
     allow_unsigned: bool = shared.allow_unsigned
 
@@ -55,14 +56,17 @@ def px4_sim(options: Px4SimOptions) -> None:
     PX4 connects over TCP, and both run in lockstep. Exit status: 0 normal end, 1 PX4 stopped answering,
     2 wrong input.
     """
+    from logs.schema.names import member_name
     from sim.plant import params
     from sim.px4 import process
     from sim.px4.airframe import parameter_text
-    from sim.scenarios.scenario import load
+    from sim.scenarios.team import one_of
 
-    loaded = load(options.scenario)
+    loaded, seed = one_of(options.scenario, options.seed, options.member)
     if options.form is not None:
         poses = loaded.vehicle.mocap if options.mocap else None
         click.echo(parameter_text(params.load(loaded.vehicle.airframe), options.form, poses))
         return
-    sys.exit(process.px4_sim_main(loaded, options.to(process.Px4SimOptions)))
+    namespace = options.namespace if options.member is None else member_name(options.member)
+    own = options.to(process.Px4SimOptions, seed=seed, namespace=namespace)
+    sys.exit(process.px4_sim_main(loaded, own))

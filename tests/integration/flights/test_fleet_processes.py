@@ -1,9 +1,8 @@
-"""Two vehicles of a fleet in real time, of two kinds: one of ``sitl``, one by its URL."""
+"""Vehicles of a fleet in real time, of three kinds: one of ``sitl``, two by their URLs."""
 
 import numpy as np
 import pytest
 
-from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogFile
 from logs.replay.replay import replay
@@ -11,18 +10,19 @@ from logs.schema.fleet_rows import unpack_neighbours
 from logs.verdict.fleet import judge_fleet
 from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import PROFILES
-from sim.scenarios import team
+from sim.scenarios.team import one_of
 from tests.integration.runs import Flying, called
 from tests.integration.sim_processes import free_port, verb
+from tests.integration.wires.bridge_processes import member_behind_the_bridge
 
 TEAM = f"""
 name = "two_cross"
-description = "Two vehicles fly to each other's side of the room"
+description = "Two vehicles fly to each other's side of the room, a third one lands beside them"
 base = "paper_static_1"
 [start]
 kind = "hover"
 [onboard.fleet]
-members = [1, 2]
+members = [1, 2, 3]
 id = 1
 [[member]]
 target.position_m = [1.0, 0.0]
@@ -32,39 +32,53 @@ onboard.fleet.id = 2
 onboard.vehicle.origin_wgs84 = {list(ORIGIN_WGS84)}
 target.position_m = [-1.0, 0.0]
 start.offset_m = [2.2, -0.1, 1.0]
+[[member]]
+onboard.fleet.id = 3
+onboard.takeoff.start_offset_m = [-0.6, 0.3, 0.7]
+target.position_m = [0.0, 2.0]
+start.kind = "ground"
+start.ground_position_m = [-0.6, 2.3]
 """
-OTHER = "ardupilot"
+KINDS = {1: "sitl", 2: "ardupilot", 3: "crazyflie"}
 
 
 @pytest.mark.xdist_group("real-time")
-def test_two_kinds_of_vehicles_hear_each_other_land_and_replay(tmp_path):
-    (tmp_path / "team.toml").write_text(TEAM)
-    _, (scenario, seed) = team.load(tmp_path / "team.toml").singles(1)
-    (tmp_path / "cf2.toml").write_text(dumps(scenario))
-    place, out = f"127.0.0.1:{free_port()}", tmp_path / "out"
-    options = ("--seed", 1, "--duration", 90, "--member", f"2=udpout:{place}")
-    run = Flying(out, "--scenario", tmp_path / "team.toml", *options)
+def test_three_kinds_of_vehicles_hear_each_other_land_and_replay(tmp_path):
+    (team_file := tmp_path / "team.toml").write_text(TEAM)
+    places, out = [f"127.0.0.1:{free_port()}" for _ in range(2)], tmp_path / "out"
+    options = ("--seed", 1, "--duration", 90)
+    members = [f"{n}=udpout:{place}" for n, place in enumerate(places, 2)]
+    run = Flying(out, "--scenario", team_file, *options, *(w for m in members for w in ("--member", m)))
     try:
         run.wait_for("robots: ")
-        values = PROFILES[OTHER].set_before_flight | {PROFILES[OTHER].station_id: 2}
+        robots, profile = run.lines[-1].split()[1], PROFILES[KINDS[2]]
+        values = profile.set_before_flight | {profile.station_id: 2}
         parameters = [f"{name}={value:g}" for name, value in values.items()]
-        words = ("--scenario", tmp_path / "cf2.toml", "--seed", seed, "--namespace", "cf2", "--system-id", 2)
-        wires = ("--url", f"udpin:{place}", "--connect", run.lines[-1].split()[1], "--profile", OTHER)
-        with verb("vehicle", *words, *wires, *(w for p in parameters for w in ("--parameter", p))):
+        words = ("--scenario", team_file, "--seed", 1, "--member", 2, "--url", f"udpin:{places[0]}")
+        wires = (
+            "--connect",
+            robots,
+            "--profile",
+            KINDS[2],
+            *(w for p in parameters for w in ("--parameter", p)),
+        )
+        crazyflie = (*one_of(team_file, 1, 3), 3, f"udpin:{places[1]}", robots)
+        with verb("vehicle", *words, *wires), member_behind_the_bridge(*crazyflie) as plant:
             assert run.end() == 0, "\n".join(run.lines)
+            assert plant.vehicle.on_pad
     finally:
         run.kill()
     fleet, log = load_fleet(out / "flight.mcap"), LogFile(out / "flight.mcap")
     verdict = judge_fleet(fleet)
-    assert [each.judged_from for each in verdict.members.values()] == ["truth", "estimate"]
-    assert verdict.collisions is None  # nobody knows where the other one truly was
-    assert log.metadata()["cf2/preflight"]["profile"] == OTHER
-    for n in (1, 2):
+    assert [each.judged_from for each in verdict.members.values()] == ["truth", "estimate", "estimate"]
+    assert verdict.collisions is None  # nobody knows where the other ones truly were
+    for n, kind in KINDS.items():
+        assert log.metadata()[f"cf{n}/preflight"]["profile"] == kind
         result = replay(out / "flight.mcap", member=f"cf{n}")
         assert result.equal, result.outputs.first + result.states.first
         messages = log.messages({f"/cf{n}/controller/neighbours"})
         heard = [word for message in messages for word in unpack_neighbours(message.data)]
-        assert {word.id for word in heard} == {3 - n}
+        assert {word.id for word in heard} == KINDS.keys() - {n}
         bounds_s = np.array([word.clock_bound_s for word in heard])
         assert np.median(bounds_s) < 0.02  # half a tick and what the machine is late by
 

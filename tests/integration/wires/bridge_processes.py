@@ -13,8 +13,11 @@ from contextlib import contextmanager
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.zenoh import zenoh_link
+from sim.scenarios.scenario import Scenario
 from tests.bounded import PATIENCE_S, line_of
+from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.server import Server
+from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.integration.runs import COMMAND
 from tests.integration.sim_processes import ROOT, Client, free_port, is_a, setpoint
 from tests.unit.target.ros2_helpers import pose_stamped
@@ -69,6 +72,30 @@ def verb(*arguments: str) -> Iterator[Verb]:
 def bridge(server: Server, *arguments: str) -> Iterator[Verb]:
     with verb("crazyflie", "--uri", server.uri, "--url", "udpin:127.0.0.1:0", *arguments) as started:
         yield started
+
+
+@contextmanager
+def member_behind_the_bridge(
+    scenario: Scenario, seed: int, number: int, url: str, robots: str
+) -> Iterator[SimPlant]:
+    """A Crazyflie with simulated physics as a member of a fleet: the firmware's stand-in, and its bridge.
+
+    Args:
+        scenario: of this member.
+        seed: of the same.
+        number: of it, which is its system id.
+        url: at which the bridge serves it.
+        robots: Zenoh endpoint of the robots; its deck follows its own one.
+    """
+    session = zenoh_link.open_session([], [robots])
+    try:
+        plant = SimPlant(scenario, seed, session, f"cf{number}")
+        with Server(Firmware(plant)) as server:
+            words = ("--uri", server.uri, "--url", url, "--system-id", str(number))
+            with verb("crazyflie", *words):
+                yield plant
+    finally:
+        session.close()
 
 
 @contextmanager

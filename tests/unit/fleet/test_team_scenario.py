@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from flightstack.common.strict_toml import ConfigError, dumps, from_table
+from flightstack.config import files as configurations
 from logs.verdict.types import Outcome
 from sim.runners.fleet.team import land_team
 from sim.scenarios import scenario, team
@@ -92,6 +93,11 @@ def test_all_members_can_have_another_filter():
             ABOUT + 'base = "field"\n[[member]]\nname = "a"\n',
             "mine.toml: member 1: name: found 'a'; the team has it, remove it",
         ),
+        (
+            ABOUT + 'base = "field"\n[[member]]\nconfig = "px5"\n',
+            "mine.toml: member 1: config: configuration 'px5': neither a file nor one of",
+        ),
+        (ABOUT + 'base = "field"\n[[member]]\nconfig = 3\n', "mine.toml: member 1: config: found 3, allowed"),
         ('base = "field"\n[[member]]\n', "mine.toml: name: missing"),
         (
             ABOUT + 'base = "field"\n[[member]]\n[[member]]\nonboard.loop.rate_hz = 50\n',
@@ -102,6 +108,49 @@ def test_all_members_can_have_another_filter():
 def test_errors_say_what_was_found_and_what_to_do(written, text, error):
     with pytest.raises(ConfigError, match=error):
         team.load(written(text))
+
+
+def test_a_member_can_have_a_configuration_of_its_own(written):
+    text = """base = "grid"
+onboard.checks.retries_max = 7
+onboard.takeoff.start_offset_m = [-0.8, 0.3, 0.7]
+[onboard.fleet]
+members = [1, 2]
+id = 1
+rate_1_s = 0.3
+reach_m = 8.0
+[[member]]
+[[member]]
+config = "px4-crazyflie"
+onboard.fleet.id = 2
+onboard.checks.wait_time_max_s = 99.0
+"""
+    first, second = (each.onboard for each in team.load(written(ABOUT + text)).member)
+    named = configurations.load("px4-crazyflie")
+    assert second.velocity_loop == named.velocity_loop != first.velocity_loop
+    assert second.checks == replace(named.checks, wait_time_max_s=99.0)  # not the team's retries
+    assert second.takeoff == replace(named.takeoff, start_offset_m=(-0.8, 0.3, 0.7))
+    assert second.fleet == replace(first.fleet, id=2)
+    assert first.checks.retries_max == 7
+
+
+def test_one_member_is_taken_with_its_seed_and_one_vehicle_as_it_is():
+    singles = list(team.load("fleet_3").singles(5))
+    assert [team.one_of("fleet_3", 5, number) for number in (1, 2, 3)] == singles
+    assert team.one_of("field", 5, None) == (scenario.load("field"), 5)
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "error"),
+    [
+        ("fleet_3", None, "--member: missing; allowed are 1 to 3 of fleet_3"),
+        ("fleet_3", 4, "--member: found 4; allowed are 1 to 3"),
+        ("field", 1, "--member: found 1; field is of one vehicle"),
+    ],
+)
+def test_a_member_that_there_is_not_is_refused(name, number, error):
+    with pytest.raises(ConfigError, match=error):
+        team.one_of(name, 0, number)
 
 
 def test_an_unknown_team_is_told_with_those_there_are():
