@@ -18,7 +18,41 @@ from tests.quick import mark_slow
 from tests.quick import pytest_runtest_call as pytest_runtest_call
 from tests.quick import pytest_runtest_setup as pytest_runtest_setup
 
-STREAMS = 2  # workers that fly in real time; two cores do not carry three with a PX4 or a fleet among them
+STREAMS = 3  # workers that fly in real time; two cores carry them, as the other workers give way
+# s of wall time of tests in real time that take long; the others: OTHERS_S
+TAKES_S = {
+    "test_arducopters_program_is_started_and_flown_over_tcp": 50,
+    "test_flights_in_a_row_land": 45,
+    "test_two_kinds_of_vehicles_hear_each_other_land_and_replay": 45,
+    "test_one_command_lands_a_real_px4_and_its_log_knows_the_truth": 40,
+    "test_the_commands_that_fly_in_real_time": 40,
+    "test_the_target_is_landed_on": 35,
+    "test_a_given_vehicle_is_flown": 30,
+    "test_make_fly_lands": 30,
+    "test_the_parts_apart_land": 28,
+    "test_a_process_that_is_killed_in_flight_harms_nobody": 27,
+    "test_a_target_that_falls_silent_is_left_alone": 25,
+    "test_lands_records_judges_and_reports": 25,
+    "test_follows_and_lands_on_the_target": 24,
+    "test_real_time_landing_after_the_check": 24,
+    "test_takes_off_holds_follows_set_points_and_lands": 24,
+    "test_an_abort_brings_it_down_clear_of_the_target": 22,
+    "test_whole_flight": 22,
+    "test_whole_flight_as_arducopter": 22,
+    "test_a_companion_beyond_the_fence_is_called_off": 20,
+    "test_ctrl_c_flies_clear_and_lands_before_anything_ends": 20,
+    "test_without_a_log_the_onboard_process_is_believed_and_nothing_measured": 20,
+    "test_a_cut_radio_leaves_a_safe_vehicle": 19,
+    "test_documented_example": 18,
+    "test_refused_arming_has_a_reason_that_mavsdk_shows": 16,
+    "test_a_killed_companion_leaves_a_safe_vehicle": 14,
+    "test_in_real_time_the_deck_follows_the_robot_and_the_truth_is_recorded": 14,
+    "test_second_client_does_not_take_over": 14,
+    "test_signed_flight": 14,
+    "test_motors_stop_in_the_air_when_asked_to": 11,
+}
+OTHERS_S = 4.0
+STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]
 
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -76,7 +110,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     mark_slow(items)
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
-        items[:] = [item for item in items if not _second_profile_early(item)]
+        items[:] = [item for item in items if not _flown_otherwise(item)]
         if config.getoption("--flights") == 1:
             _deal_out(items)
         return
@@ -92,20 +126,44 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _deal_out(items: list[pytest.Item]) -> None:
-    """Give the flights in real time to the streams in turn; those that share a flight name a stream."""
-    turn = 0
+    """Give the flights in real time to the streams so that these end at one time, the longest tests first.
+
+    Tests that share a flight name their stream themselves.
+    """
+    load_s = dict.fromkeys(STREAM_NAMES, 0.0)
+    free = []
     for item in items:
         if _marked(item, "vehicle"):
             item.add_marker(pytest.mark.xdist_group("real-time"))
-        if in_real_time(item) and not any("stream 0" in mark.args for mark in item.iter_markers()):
-            item.add_marker(pytest.mark.xdist_group(f"stream {turn % STREAMS}"))
-            turn += 1
+        if in_real_time(item):
+            named = [name for name in STREAM_NAMES if any(name in mark.args for mark in item.iter_markers())]
+            if named:
+                load_s[named[0]] += _takes_s(item)
+            else:
+                free.append(item)
+    for item in sorted(free, key=_takes_s, reverse=True):
+        least = min(load_s, key=load_s.__getitem__)
+        load_s[least] += _takes_s(item)
+        item.add_marker(pytest.mark.xdist_group(least))
 
 
-def _second_profile_early(item: pytest.Item) -> bool:
-    """The second server profile flies only the last phase of what the first flies in each phase."""
+def _takes_s(item: pytest.Item) -> float:
+    """Wall time of a test in real time, as measured once."""
+    return TAKES_S.get(item.name.partition("[")[0], OTHERS_S)
+
+
+def _flown_otherwise(item: pytest.Item) -> bool:
+    """What is shown by another test: of the suite itself, of the grid of faults, or as the other autopilot.
+
+    One server profile flies the first phase, the other one the last.
+    """
     given = item.callspec.params if hasattr(item, "callspec") else {}
-    return given.get("server_profile") == list(PROFILES)[-1] and given.get("phase", "LAND") != "LAND"
+    if "server_profile" not in given:
+        return False
+    first = given["server_profile"] == next(iter(PROFILES))
+    if item.name.startswith("test_follows") and first:
+        return True  # by test_a_given_vehicle_is_flown
+    return "phase" in given and given["phase"] != ("TAKEOFF" if first else "LAND")
 
 
 def _marked(item: pytest.Item, name: str) -> bool:

@@ -22,6 +22,7 @@ PAUSE_S = 0.1  # half of the age at which an own state is no longer flown by (ch
 CALM_S = 2.0  # s without a pause, waited for before another attempt
 CALM_WAIT_MAX_S = 30.0  # s
 REPEATS_MAX_S = 150.0  # s of wall time for all attempts for nothing of a worker, and for calm after them
+GIVES_WAY = 5  # niceness of a worker, and of what it starts, from its first test that is not in real time on
 _SLEEP_S = 0.01
 _SPENT_S = pytest.StashKey[float]()  # of that bound
 
@@ -86,8 +87,10 @@ def skipped(item: pytest.Item, reports: Sequence[pytest.TestReport], worst_s: Se
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """Run a test in real time again while it fails on a machine that paused."""
+    """Run a test in real time again while it fails on a machine that paused; others give way to it."""
     if not in_real_time(item):
+        if "PYTEST_XDIST_WORKER" in os.environ and os.getpriority(os.PRIO_PROCESS, 0) < GIVES_WAY:
+            os.setpriority(os.PRIO_PROCESS, 0, GIVES_WAY)
         return None
     where = {"nodeid": item.nodeid, "location": item.location}
     item.ihook.pytest_runtest_logstart(**where)

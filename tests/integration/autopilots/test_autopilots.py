@@ -43,13 +43,12 @@ def test_from_the_ground_as_ardupilot_with_an_origin_to_be_told(flown):
 
 
 @pytest.mark.xdist_group("real-time")
-@pytest.mark.parametrize("plays", PROFILES)
-def test_real_time_landing_after_the_check(tmp_path, plays):
-    words = ("--scenario", "lab", "--seed", 2, "--profile", plays, "--no-report", "--json")
+def test_real_time_landing_after_the_check(tmp_path):  # as PX4: test_fly.py
+    words = ("--scenario", "lab", "--seed", 2, "--profile", "ardupilot", "--no-report", "--json")
     done = flightstack("sitl", *words, "--out", tmp_path)
     assert (done.code, done.json["outcome"], done.json["violation"]) == (0, "landed", False), done.err
     found = LogFile(tmp_path / "flight.mcap").metadata()["preflight"]
-    assert found["profile"] == {"px4": "sitl", "ardupilot": "ardupilot"}[plays]
+    assert found["profile"] == "ardupilot"
     assert found["problem"] == ""
     assert not any("UNSAFE" in value for value in found.values())
 

@@ -156,14 +156,14 @@ def test_places_without_a_px4_are_refused_with_what_is_missing(tmp_path):
         Px4Program(tmp_path, tmp_path, Px4Model.NONE_IRIS, instance=10)
 
 
-FLIGHTS = 3
+FLIGHTS = 2
 SPEED = 4.0  # at most, against real time
 FLIGHT_MAX_S = 120.0  # of wall time, however slow the machine
 LOST_S = 10.0  # the same, for COM_OF_LOSS_T = 1.0 s of simulated time, and a heartbeat once a second
 LANDED_MAX_S = 60.0
 RECORDED_MAX_S = 60.0
 ROBOT_M_S = 0.2
-DRIVEN_M = 2.0  # at least, while the three flights last
+DRIVEN_M = 2.0  # at least, while the flights last
 TAKEOFF_M = 1.2
 KILLED_M = 0.2  # above the ground, in the climb: PX4 goes on for about 0.8 m until its failsafe acts
 ERROR_M = 0.25  # of a pad of 0.5 m
@@ -239,7 +239,7 @@ def flown(tmp_path_factory):
     return Flown(ends, load_flight(log).truth)
 
 
-def test_three_flights_in_a_row_land(flown):
+def test_flights_in_a_row_land(flown):
     assert [code for code, _ in flown.ends] == [0] * FLIGHTS, flown.ends
     assert all(line.startswith("LANDED") for _, line in flown.ends)
 

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from flightstack.identify.samples import SAMPLES_MIN, link, motion, noise
 from flightstack.identify.velocity_loop import Segment, TooLittleError, identify
@@ -16,6 +15,8 @@ def made_up(
     seed, *, gain=1.0, rate=5.2, damping=0.68, dead_s=0.0, seconds=20.0, size=0.4, wind=0.0, noisy=0.005
 ):
     """Commands as steps, and what such a vehicle makes of them; by fine steps, not by the fit's model."""
+    from scipy import signal  # half a second, which each worker need not take
+
     rng = np.random.default_rng(seed)
     n, fine = int(seconds / DT_S), 10
     command = np.repeat(rng.uniform(-size, size, n // 40 + 1), 40)[:n]

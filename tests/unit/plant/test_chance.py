@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 
 from sim.chance import MOVE_SEED_MAX, MOVES_MAX, fresh, moved, name, stream
 
@@ -30,6 +29,8 @@ def test_a_plain_seed_is_numpys_generator():
 @pytest.mark.parametrize("moves", [0, 1, 9])
 @pytest.mark.parametrize("weight", [0.05, 0.5])
 def test_each_distribution_stays_itself_whatever_the_moves(weight, moves):
+    from scipy import stats  # half a second, which each worker need not take
+
     seed = walk(weight, moves)
     assert stats.kstest(stream(seed, "a").standard_normal(N), "norm").pvalue > 1e-3
     assert stats.kstest(stream(seed, "b").random(N), "uniform").pvalue > 1e-3
