@@ -44,6 +44,7 @@ TAKES_S = {
     "test_without_a_log_the_onboard_process_is_believed_and_nothing_measured": 20,
     "test_a_cut_radio_leaves_a_safe_vehicle": 19,
     "test_documented_example": 18,
+    "test_a_kill_costs_half_a_second_of_the_log_at_most": 18,
     "test_refused_arming_has_a_reason_that_mavsdk_shows": 16,
     "test_a_killed_companion_leaves_a_safe_vehicle": 14,
     "test_in_real_time_the_deck_follows_the_robot_and_the_truth_is_recorded": 14,

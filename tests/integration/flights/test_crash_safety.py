@@ -114,9 +114,12 @@ def _look(folder: Path, victim: str, lockstep: bool, begun_s: float, killed_s: f
 
 MISSING_MAX_S = 0.5
 CASES = [
-    ("record", False), ("record", True), ("vehicle", False), ("onboard", False), ("target", True),
-    ("launcher", True),
-]  # fmt: skip
+    *(
+        pytest.param(v, False, marks=pytest.mark.xdist_group("real-time"))
+        for v in ("record", "vehicle", "onboard")
+    ),
+    *((v, True) for v in ("record", "target", "launcher")),
+]
 
 
 @pytest.mark.parametrize(("victim", "lockstep"), CASES)
