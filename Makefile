@@ -18,7 +18,7 @@ $(BIN)/ruff check .
 $(BIN)/ruff format --check .
 $(BIN)/lint-imports --no-logo --no-cache
 @# the simulator's loops are compiled once, and the tests' sources, and not by each worker
-{ $(BIN)/python -m sim.runners.warm_up && $(BIN)/python -m pytest --collect-only -q >/dev/null; } & $(BIN)/mypy && wait $$!
+{ $(BIN)/python -m pytest --collect-only -q >/dev/null; $(BIN)/python -m sim.runners.warm_up; } & $(BIN)/mypy && wait $$!
 endef
 
 test: $(VENV)/.test

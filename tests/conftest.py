@@ -23,7 +23,8 @@ STREAMS = 3  # workers that fly in real time; two cores carry them, as the other
 TAKES_S = {
     "test_arducopters_program_is_started_and_flown_over_tcp": 50,
     "test_flights_in_a_row_land": 45,
-    "test_two_kinds_of_vehicles_hear_each_other_land_and_replay": 45,
+    "test_three_kinds_of_vehicles_hear_each_other_land_and_replay": 60,
+    "test_three_kinds_cross_land_and_replay": 60,
     "test_one_command_lands_a_real_px4_and_its_log_knows_the_truth": 40,
     "test_the_commands_that_fly_in_real_time": 40,
     "test_the_target_is_landed_on": 35,
