@@ -1,8 +1,9 @@
-"""Campaign landings as a multiple of real time on one core, and where the time goes."""
+"""Landings of campaigns as a multiple of real time on one core, and where the time goes; teams likewise."""
 
 from __future__ import annotations
 
 import functools
+import gc
 import statistics
 import sys
 import time
@@ -15,19 +16,26 @@ from unittest.mock import patch
 from bridge.mavlink.client.link import VehicleLink
 from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.core.controller import Controller
+from flightstack.core.fleet.member import FleetMember
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.onboard.runner import LinkedVehicle
 from sim.autopilot.autopilot import Autopilot
+from sim.campaign.workers import prepare
 from sim.runners import landing
-from sim.runners.companion import Companion, warm_up
+from sim.runners.companion import Companion
+from sim.runners.fleet import team
+from sim.runners.fleet.pairs import Pairs
+from sim.runners.fleet.team import land_team
+from sim.runners.fleet.words import Words
 from sim.runners.landing import land
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import Inlet
 from sim.runners.notes import Notes
 from sim.runners.stretch import stretch
 from sim.runners.stretch.stretch import Stretch
-from sim.scenarios.scenario import load
+from sim.scenarios.team import AnyScenario, TeamScenario, first_of, load_any
 from sim.vehicle import vehicle
+from sim.vehicle.air import Air
 from sim.vehicle.vehicle import VehicleSim
 
 LANDINGS = 8
@@ -37,6 +45,10 @@ TICKS, STRETCH, PHYSICS, VEHICLE, CONTROLLER, OSQP, ROBOT, AUTOPILOT, LINK, WIRE
     "physics and firmware, compiled", "vehicle in Python: events, true and estimated state",
     "controller but for OSQP", "OSQP with its data", "robot", "autopilot: telemetry, commands, modes",
     "companion's link", "wire", "notes and verdict", "setting up",
+)  # fmt: skip
+HEARS, WAY, ROWS, PROGRAM, TELLS, AROUND = (
+    "fleet: words heard", "fleet: right of way", "fleet: rows of neighbours",
+    "fleet: program with them, OSQP in it", "fleet: own word", "team: words passed on, jets, pairs",
 )  # fmt: skip
 REST = "rest: lockstep"
 PARTS: tuple[tuple[Any, str, str], ...] = (
@@ -63,7 +75,17 @@ PARTS: tuple[tuple[Any, str, str], ...] = (
     (Notes, "truth", NOTES),
     (Notes, "seen", NOTES),
     (landing, "judge_truth", NOTES),
+    (team, "judge_truth", NOTES),
     (Companion, "__init__", SET_UP),
+    (FleetMember, "take", HEARS),
+    (FleetMember, "way", WAY),
+    (FleetMember, "rows", ROWS),
+    (FleetMember, "aside", ROWS),
+    (FleetMember, "solve", PROGRAM),
+    (FleetMember, "word", TELLS),
+    (Words, "__call__", AROUND),
+    (Air, "blow", AROUND),
+    (Pairs, "end", AROUND),
 )
 
 
@@ -100,15 +122,21 @@ class Meter:
             yield
 
 
-def us_per_tick(scenario: Any, seed: int) -> dict[str, float]:
-    """What each part of one landing costs a tick, us."""
+def flown_s(scenario: AnyScenario, seed: int) -> float:
+    """Fly a landing, or those of a team; simulated time of all its vehicles."""
+    if isinstance(scenario, TeamScenario):
+        return sum(each.simulated_s for each in land_team(scenario, seed).landings)
+    return land(scenario, seed).simulated_s
+
+
+def us_per_tick(scenario: AnyScenario, seed: int) -> dict[str, float]:
+    """What each part of one landing, or of a team's, costs a tick of a vehicle, us."""
     meter = Meter()
     with meter.watching():
         began_ns = time.perf_counter_ns()
-        flown = land(scenario, seed)
+        ticks = flown_s(scenario, seed) * first_of(scenario).onboard.loop.rate_hz
         whole_ns = time.perf_counter_ns() - began_ns
     meter.spent_ns[REST] = whole_ns - meter.spent_ns.total()
-    ticks = flown.simulated_s * scenario.onboard.loop.rate_hz
     return {part: spent_ns / ticks / 1e3 for part, spent_ns in meter.spent_ns.items()}
 
 
@@ -116,23 +144,26 @@ def main(scenario_name: str = "lab") -> None:
     """Fly, measure, print."""
     if len(sys.argv) > 1:
         scenario_name = sys.argv[1]
-    scenario = load(scenario_name)
-    warm_up(scenario)
-    land(scenario, 0)
+    scenario = load_any(scenario_name)
+    prepare(scenario)
+    flown_s(scenario, 0)
     quiet_garbage_collector()
-    factors = []
+    factors, spent = [], []
     for seed in range(LANDINGS):
         began_s = time.process_time()
-        flown = land(scenario, seed)
-        factors.append(flown.simulated_s / (time.process_time() - began_s))
+        simulated_s = flown_s(scenario, seed)
+        spent.append(time.process_time() - began_s)
+        factors.append(simulated_s / spent[-1])
+        gc.collect()
     print(
         f"{scenario_name}: {statistics.median(factors):.0f} x real time on one core (asked {ASKED:.0f}), "
-        f"{min(factors):.0f} to {max(factors):.0f} in {LANDINGS} landings"
+        f"{min(factors):.0f} to {max(factors):.0f} in {LANDINGS} flights of one seed, vehicle by vehicle; "
+        f"{statistics.median(spent):.3f} s of processor time a flight"
     )
     rows = [us_per_tick(scenario, seed) for seed in range(LANDINGS)]
     parts = {part: statistics.median(row[part] for row in rows) for part in rows[0]}
     whole = sum(parts.values())
-    period_us = 1e6 / scenario.onboard.loop.rate_hz
+    period_us = 1e6 / first_of(scenario).onboard.loop.rate_hz
     print(
         f"a tick under the meter, which makes short calls look longer: {whole:.0f} us of "
         f"{period_us:.0f}; {ASKED:.0f} x would be {period_us / ASKED:.0f}"
