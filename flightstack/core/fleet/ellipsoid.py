@@ -105,15 +105,17 @@ def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
         word: its newest.
         fleet: of the configuration.
     """
-    v, gone_s = before.velocity_enu_m_s, word.stamp_s - before.stamp_s
+    gone_s = word.stamp_s - before.stamp_s
+    (x, y, z), (px, py, pz), v = word.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
+    away = x, y, z = x - px - v[0] * gone_s, y - py - v[1] * gone_s, z - pz - v[2] * gone_s
+    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # mostly: it has flown on
+        return ZERO
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     clocks_s = before.clock_bound_s + word.clock_bound_s
     allowed_m, _ = growth(gone_s + clocks_s, speed_m_s, fleet)
     allowed_m += speed_m_s * clocks_s + fleet.margin_m
     allowed_m += fleet.sigma_factor * math.hypot(before.position_sigma_m, word.position_sigma_m)
-    p, q = before.position_enu_m, word.position_enu_m
-    away = (q[0] - p[0] - v[0] * gone_s, q[1] - p[1] - v[1] * gone_s, q[2] - p[2] - v[2] * gone_s)
-    return away if math.hypot(*away) > allowed_m else ZERO
+    return away if math.hypot(x, y, z) > allowed_m else ZERO
 
 
 def faster(before_m_s2: Vec3, before: Neighbour, word: Neighbour) -> Vec3:

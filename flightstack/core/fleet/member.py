@@ -108,40 +108,40 @@ class FleetMember:
                 continue
             slot = self.memory.slots[self._index[word.id]]
             before = slot.word
-            if before is not None and word.stamp_s <= before.stamp_s:
-                continue  # what was overtaken is not news
             if before is not None:
+                if word.stamp_s <= before.stamp_s:
+                    continue  # what was overtaken is not news
                 slot.faster_m_s2 = faster(slot.faster_m_s2, before, word)
-                texts += self._jumped(slot, before, word)
+                by_m = jump(before, word, self._fleet)
+                if by_m != ZERO:
+                    texts.append(self._jumped(slot, word.id, by_m))
             slot.word = word
         return texts
 
-    def _jumped(self, slot: Heard, before: Neighbour, word: Neighbour) -> list[str]:
+    def _jumped(self, slot: Heard, who: int, by_m: Vec3) -> str:
         """Note a place that jumped; the text of an event."""
-        by_m = jump(before, word, self._fleet)
-        if by_m == ZERO:
-            return []
         (x, y, z), (jx, jy, jz) = slot.jumped_m, by_m
         slot.jumped_m = (x + jx, y + jy, z + jz)
-        return [
-            f"the place of vehicle {word.id} jumps by {math.hypot(*by_m):.2f} m: its ellipsoid is larger by "
+        return (
+            f"the place of vehicle {who} jumps by {math.hypot(*by_m):.2f} m: its ellipsoid is larger by "
             f"{math.hypot(*slot.jumped_m):.2f} m now, since either place may be wrong"
-        ]
+        )
 
     def _refusal(self, word: Neighbour, now_s: float) -> str:
         if word.id not in self._index:
             return "it is no other member"
-        (x, y, z), (vx, vy, vz), (wx, wy, wz) = word[3:6]
-        sums = x + y + z + vx + vy + vz + wx + wy + wz
-        if not math.isfinite(sums + word.stamp_s + word.position_sigma_m + word.clock_bound_s):
+        _, stamp_s, _, (x, y, z), (vx, vy, vz), (wx, wy, wz), sigma_m, bound_s, _, claim_s, pad, moves, _ = (
+            word
+        )
+        if not math.isfinite(x + y + z + vx + vy + vz + wx + wy + wz + stamp_s + sigma_m + bound_s):
             return "a number is not finite"
-        (x, y, z), (vx, vy, vz) = word.pad_position_enu_m or ZERO, word.pad_velocity_enu_m_s or ZERO
-        if math.isinf(word.claim_s) or not math.isfinite(x + y + z + vx + vy + vz):
+        (x, y, z), (vx, vy, vz) = pad or ZERO, moves or ZERO
+        if math.isinf(claim_s) or not math.isfinite(x + y + z + vx + vy + vz):
             return "its claim or its pad is not finite"
-        if word.clock_bound_s < 0.0 or word.position_sigma_m < 0.0:
+        if bound_s < 0.0 or sigma_m < 0.0:
             return "a bound is negative"
-        if word.stamp_s > now_s + word.clock_bound_s + FUTURE_MAX_S:
-            return f"its stamp is {word.stamp_s - now_s:.2f} s ahead"
+        if stamp_s > now_s + bound_s + FUTURE_MAX_S:
+            return f"its stamp is {stamp_s - now_s:.2f} s ahead"
         return ""
 
     def over(self, since_s: float, now_s: float) -> bool:

@@ -158,7 +158,7 @@ def _is_down(word: Neighbour | None) -> bool:
 
 def _present(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
     """Whether a member is heard; one that is down needs not say so for ever."""
-    return _is_down(word) or heard(word, now_s, fleet)
+    return word is not None and (word.intent is Intent.DOWN or now_s - word.stamp_s <= fleet.age_max_s)
 
 
 def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fleet) -> bool:

@@ -45,6 +45,12 @@ class FleetResult(NamedTuple):
 
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
     """Minimiser of the program; ``None`` if no point of the box meets all rows."""
+    x, y, z = point = clip_to_box(nominal, lower, upper)
+    for (gx, gy, gz), bound_m_s in rows:
+        if gx * x + gy * y + gz * z < bound_m_s:
+            break
+    else:
+        return Nearest(point, (0.0,) * len(rows))
     found = dual.solve(nominal, rows, lower, upper)
     if found is None:
         return exact.nearest(nominal, rows, lower, upper)
@@ -103,7 +109,8 @@ class FleetProgram:
             lax: the neighbours' rows with bounds that are tried where nothing meets all; empty: the same.
         """
         every = [*firm, *neighbours]
-        sums = sum(lower) + sum(upper) + sum(nominal)
+        (lx, ly, lz), (hx, hy, hz), (x, y, z) = lower, upper, nominal
+        sums = lx + ly + lz + hx + hy + hz + x + y + z
         for (gx, gy, gz), bound_m_s in every:
             sums += gx + gy + gz + bound_m_s
         if not math.isfinite(sums):
@@ -112,9 +119,9 @@ class FleetProgram:
         started = time.perf_counter()
         landing = firm[0] if firm else None
         corner = best_corner(landing.g, lower, upper) if landing is not None else ZERO
-        if landing is not None and landing.missing_m_s(corner) > 0.0:
-            slack = -landing.missing_m_s(corner)
-            return FleetResult(FilterResult(corner, slack, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0), 0.0)
+        if landing is not None and (missing_m_s := landing.missing_m_s(corner)) > 0.0:
+            result = FilterResult(corner, -missing_m_s, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
+            return FleetResult(result, 0.0)
         best, given_m_s = nearest(nominal, every, lower, upper), 0.0
         if best is None and lax and lax != neighbours:
             neighbours, every = lax, [*firm, *lax]
