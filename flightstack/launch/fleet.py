@@ -25,6 +25,8 @@ from sim.scenarios import team as teams
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario
 
+RECORDER_YIELDS = 10  # steps of nice, shared by the members: each of them is work for it
+
 
 @dataclass(frozen=True)
 class FleetFlown:
@@ -170,7 +172,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     for child in onboards:
         child.wait_ready()
     if not options.lockstep:
-        recorder.yield_to_others(10)
+        recorder.yield_to_others(RECORDER_YIELDS // len(members))  # starved, it would lose records
         target.yield_to_others(5)
     for member in members:
         command = f"flightstack watch --connect {member.endpoint} --namespace {member.name}"

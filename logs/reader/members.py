@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from logs.schema.names import FLEET, TEAM
+from logs.schema.names import FLEET, LOSSES, TEAM
 from logs.schema.rows import LogRow
 from logs.schema.schemas import LOG
 
@@ -70,6 +70,13 @@ class MemberView:
         """Return the name of a metadata record or attachment; None for what is not this member's."""
         owner, rest = self._members.split(name)
         return rest if owner in (None, self._member) and name not in (FLEET, TEAM) else None
+
+    def values(self, name: str, values: dict[str, str]) -> dict[str, str]:
+        """Return the values of a metadata record; of the losses those of its own and of common processes."""
+        if name != LOSSES:
+            return values
+        whose = {who: self._members.split(who, ".") for who in values}
+        return {whose[who][1]: text for who, text in values.items() if whose[who][0] in (None, self._member)}
 
     def event(self, data: bytes) -> bytes | None:
         """Return an event of /rosout with its logger's name; None for another member's.

@@ -183,7 +183,11 @@ class LogFile:
         view, found = self.view, self._outline.metadata
         if view is None:
             return found
-        return {seen: values for name, values in found.items() if (seen := view.name(name)) is not None}
+        return {
+            seen: view.values(seen, values)
+            for name, values in found.items()
+            if (seen := view.name(name)) is not None
+        }
 
     def attachments(self) -> list[Attachment]:
         """Return the files kept inside the log, in the order they were written."""

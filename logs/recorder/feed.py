@@ -16,7 +16,7 @@ from pathlib import Path
 
 from logs.recorder.feed_wire import HEADER, MAX_PAYLOAD, Kind, encode, encode_json
 
-BUFFER_LIMIT = 4 * 2**20  # bytes kept for a slow recorder, several seconds of a flight
+BUFFER_LIMIT = 4 * 2**20  # bytes kept for a slow recorder, several seconds of one vehicle's flight
 PATIENCE_S = 8.0  # wall time a lossless sender, or a closing one, waits for the recorder
 _MESSAGE = int(Kind.MESSAGE)
 _SOCKET_BUFFER = 2**20  # bytes asked of the kernel, which may give less
@@ -34,12 +34,12 @@ class Feed:
         dropped: Records dropped so far because the recorder did not keep up, or was gone.
     """
 
-    def __init__(self, sock: socket.socket | None, client: str, *, lossless: bool) -> None:
+    def __init__(self, sock: socket.socket | None, client: str, *, lossless: bool, vehicles: int = 1) -> None:
         """Take over a connected socket; None for a feed that goes nowhere. Use :meth:`connect`."""
         self._sock = sock
         self._client = client
         self._lossless = lossless
-        self._buffer = bytearray()
+        self._buffer, self._limit = bytearray(), BUFFER_LIMIT * vehicles
         self._channels: dict[tuple[str, str], int] = {}
         self._log_time_ns = 0
         self._reported = 0
@@ -51,13 +51,14 @@ class Feed:
             self._report_losses()
 
     @staticmethod
-    def connect(path: str | Path | None, client: str, *, lossless: bool) -> Feed:
+    def connect(path: str | Path | None, client: str, *, lossless: bool, vehicles: int = 1) -> Feed:
         """Return a feed to the recorder listening at ``path``.
 
         Args:
             path: Unix socket of the recorder; None gives a feed that goes nowhere.
             client: Name of this process in the log, for example "onboard".
             lossless: True waits for the recorder (lockstep), False never blocks (real time).
+            vehicles: How many the process writes of; the buffer holds as much of each.
 
         Raises:
             FeedError: Nobody listens there.
@@ -72,7 +73,7 @@ class Feed:
             raise FeedError(
                 f"no flight recorder at {path}: {error.strerror or error}; start `flightstack record` first"
             ) from error
-        return Feed(sock, client, lossless=lossless)
+        return Feed(sock, client, lossless=lossless, vehicles=vehicles)
 
     def channel(self, topic: str, schema: str) -> int:
         """Return the number of a channel, declaring it the first time.
@@ -105,7 +106,7 @@ class Feed:
         record = (
             HEADER.pack(len(payload), _MESSAGE, channel, log_time_ns, publish_time_ns, sequence) + payload
         )
-        if self.alive and len(self._buffer) + len(record) <= BUFFER_LIMIT:
+        if self.alive and len(self._buffer) + len(record) <= self._limit:
             self._buffer += record
         else:
             self._make_room_or_drop(record)
@@ -131,7 +132,7 @@ class Feed:
         """Send what is buffered: once a tick. Never raises; a dead recorder clears :attr:`alive`."""
         if not self.alive:
             return
-        if self.dropped != self._reported and len(self._buffer) < BUFFER_LIMIT // 2:
+        if self.dropped != self._reported and len(self._buffer) < self._limit // 2:
             self._report_losses()
         self._send()
         if self._lossless and self._buffer:
@@ -159,7 +160,7 @@ class Feed:
     def _make_room_or_drop(self, record: bytes) -> None:
         if self._lossless and self.alive:
             self._drain(PATIENCE_S)
-        if self.alive and len(self._buffer) + len(record) <= BUFFER_LIMIT:
+        if self.alive and len(self._buffer) + len(record) <= self._limit:
             self._buffer += record
         elif self._sock is not None:
             self.dropped += 1

@@ -11,12 +11,12 @@ from logs.derive.derive import Derive, Derivers
 from logs.recorder.feed_wire import Kind, Record
 from logs.recorder.mcap_file import McapFile
 from logs.schema.events import Severity, pack_log
+from logs.schema.names import LOSSES
 from logs.schema.schemas import LOG, UnknownSchemaError
 
 # A chunk holds no more log time than this: in lockstep that runs faster than the wall clock.
 FLUSH_LOG_TIME_NS = 250_000_000
 RECORDER_NAME = "flight_recorder"  # its own events on /rosout; they depend on wall-clock time
-LOSSES = "losses"  # metadata: records dropped by each client
 RECORDER = "recorder"  # metadata: what the recorder went through
 _TOLD = ("clients", "invalid", "refused", "skipped", "unfinished_bytes", "crashed", "syncs", "sync_worst_s",
          "failure")  # fmt: skip

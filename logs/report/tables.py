@@ -21,6 +21,7 @@ HEADLINES = {
     Outcome.ABORTED: ("Aborted, declared", "fair"),
     Outcome.CRASHED: ("Crashed", "bad"),
     Outcome.TIMEOUT: ("Not landed", "bad"),
+    Outcome.UNKNOWN: ("Not known: records were lost", "bad"),
 }
 YES_NO = {True: "yes", False: "no", None: "not known"}
 _RUN_NAMES = {

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 FLEET = "fleet"  # metadata: who the members are
+LOSSES = "losses"  # metadata: records that each process could not hand to the recorder
 TEAM = "team.toml"  # attachment: the scenario of all
 
 

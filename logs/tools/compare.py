@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from logs.reader.reader import LogError, LogFile, Message
-from logs.recorder.recording import LOSSES, RECORDER, RECORDER_NAME
+from logs.recorder.recording import RECORDER, RECORDER_NAME
 from logs.schema.codec_mavlink import MAVLINK_PEERS
-from logs.schema.names import split
+from logs.schema.names import LOSSES, split
 from logs.schema.rows import LogRow
 from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING
 from logs.tools.edit import LOG_TOOL

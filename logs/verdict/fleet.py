@@ -15,11 +15,11 @@ from typing import Any, Protocol
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Fleet, Flight
 from logs.reader.reader import LogFile
-from logs.schema.names import FLEET
+from logs.schema.names import FLEET, LOSSES
 from logs.verdict.types import GAP_MAX_S, Outcome, Verdict
 from logs.verdict.verdict import flown_by, judge, verdict_result
 
-_WORST_FIRST = (Outcome.CRASHED, Outcome.TIMEOUT, Outcome.ABORTED, Outcome.LANDED)
+_WORST_FIRST = (Outcome.CRASHED, Outcome.TIMEOUT, Outcome.UNKNOWN, Outcome.ABORTED, Outcome.LANDED)
 
 
 class Near(Protocol):
@@ -199,6 +199,7 @@ def fleet_result(
         "violation": verdict.violation,
         "reason": verdict.reason,
         "vehicles": vehicles,
+        "records_lost": sum(int(n) for n in fleet.metadata.get(LOSSES, {}).values()),
         "ellipsoid_violations": verdict.ellipsoid_violations,
         "ellipsoid_min": verdict.ellipsoid_min,
         "distance_min_m": verdict.distance_min_m,

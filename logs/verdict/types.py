@@ -80,6 +80,7 @@ class Outcome(StrEnum):
     ABORTED = "aborted"
     CRASHED = "crashed"
     TIMEOUT = "timeout"
+    UNKNOWN = "unknown"  # records are missing that would tell; never of a flight in a campaign
 
 
 @dataclass(frozen=True, slots=True)

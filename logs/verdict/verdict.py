@@ -8,6 +8,7 @@ not at the controller's estimate:
 * crashed: contact before touchdown with ground, robot body or pad edge, or a tumble;
 * aborted: the phase machine gave up by itself and said so (phase ABORT);
 * timeout: everything else, also a miss without a declared abort and a log that ends too early;
+* unknown: as timeout, but the recorder lost records of the vehicle or of its onboard process;
 * violation: h < -5 mm while d exceeds the pad's radius, in a run that began with h >= 0.
 
 A declared abort that has flown clear ends the judging of h: after the first true state behind it that is
@@ -25,10 +26,12 @@ vehicle's own estimate; ``judged_from`` says which.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from logs.reader.flight_data import Flight
+from logs.schema.names import LOSSES
 from logs.verdict.estimate import judge_estimate
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Outcome, Verdict
@@ -38,7 +41,19 @@ __all__ = ["Outcome", "Verdict", "judge", "verdict_result"]
 
 def judge(flight: Flight) -> Verdict:
     """Judge a flight by its true states, or by the estimate if the log has none."""
-    return judge_estimate(flight) if flight.truth is None else judge_truth(flight, flight.truth)
+    found = judge_estimate(flight) if flight.truth is None else judge_truth(flight, flight.truth)
+    lost = records_lost(flight)
+    if found.outcome is not Outcome.TIMEOUT or not any(lost.values()):
+        return found
+    told = ", ".join(f"{number} of {who}" for who, number in lost.items() if number)
+    reason = f"the recorder lost records ({told}), so that the log does not tell: {found.reason}"
+    return replace(found, outcome=Outcome.UNKNOWN, reason=reason)
+
+
+def records_lost(flight: Flight) -> dict[str, int]:
+    """Records that the vehicle and its onboard process could not hand to the recorder, by process."""
+    told = flight.metadata.get(LOSSES, {})
+    return {who: int(told.get(who, "0")) for who in ("vehicle", "onboard")}
 
 
 def flown_by(told: Mapping[str, Any]) -> dict[str, Any]:
@@ -73,6 +88,7 @@ def verdict_result(
     return {
         **about,
         **verdict.to_json_dict(),
+        "records_lost": sum(records_lost(flight).values()),
         "realtime_factor": realtime_factor,
         "log": str(flight.path),
         "report": str(report) if report is not None else None,

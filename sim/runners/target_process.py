@@ -100,7 +100,7 @@ def target_main(scenario: AnyScenario, options: TargetOptions) -> int:
             if options.ros2 is not None:
                 robots[0].shown = _shown(options.ros2, options.namespace, stack)
             epoch_ns = EPOCH_NS if lockstep else paced.unix_ns()  # once all that takes time is done
-            feed = Feed.connect(options.recorder, NAME, lossless=lockstep)
+            feed = Feed.connect(options.recorder, NAME, lossless=lockstep, vehicles=len(robots))
             stack.callback(feed.close)
             logs = [EventLog(feed, names.logger(NAME), epoch_ns) for _, _, names in flights]
             for robot in robots:

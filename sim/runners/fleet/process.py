@@ -62,7 +62,8 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
     kind, host, port = parse_udp_url(options.url, "the simulated vehicle")
     warm_up_room(team)
     epoch_ns = EPOCH_NS if options.lockstep else time.time_ns()
-    feed = Feed.connect(options.recorder, "vehicle", lossless=options.lockstep)
+    number = len(team.member) - len(options.leave_out)
+    feed = Feed.connect(options.recorder, "vehicle", lossless=options.lockstep, vehicles=max(1, number))
     stack.callback(feed.close)
     members, urls = [], []
     here = [

@@ -18,7 +18,7 @@ FILTERS = {"paper": (), "robust": ("--filter", "robust")}  # the first is what t
 KEYS = {
     "scenario", "seed", "filter", "outcome", "violation", "h_min_m", "h_min_outside_pad_m",
     "touchdown_error_m", "touchdown_speed_vertical_m_s", "touchdown_speed_horizontal_m_s", "time_to_land_s",
-    "realtime_factor", "log", "report",
+    "realtime_factor", "log", "report", "records_lost",
 }  # fmt: skip
 
 

@@ -22,11 +22,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from flightstack.cli.main import main
 from logs.reader.reader import LogError
 from logs.recorder.mcap_file import McapFile
-from logs.recorder.recording import LOSSES, RECORDER_NAME
+from logs.recorder.recording import RECORDER_NAME
 from logs.schema import schemas
 from logs.schema.cdr import CDR_HEADER
 from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.events import pack_log
+from logs.schema.names import LOSSES
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.tools.compare import ABSENT, compare
 from tests.unit.logs.helpers import EPOCH_NS, record

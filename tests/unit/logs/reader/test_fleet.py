@@ -80,6 +80,30 @@ def test_what_needs_one_flight_names_the_members(fleet, tmp_path):
         judge_fleet(single)
 
 
+def test_losses_of_a_member_are_its_own_and_those_of_common_processes():
+    told = {"vehicle": "4", "cf1.onboard": "2", "cf2.onboard": "0", "launcher": "0"}
+    view = MemberView(Members({"fleet": {"members": "cf1,cf2"}}), "cf2")
+    assert view.values("losses", told) == {"vehicle": "4", "onboard": "0", "launcher": "0"}
+    assert view.values("run", told) == told
+
+
+def test_one_member_of_whom_records_are_missing_is_the_fleet_s_outcome(fleet):
+    read = load_fleet(fleet.log)
+    lossy = replace(read.flights["cf2"], truth=None, metadata={"losses": {"vehicle": "0", "onboard": "7"}})
+    lossy = replace(lossy, steps=None)
+    read = replace(read, flights={**read.flights, "cf2": lossy}, metadata={"losses": {"cf2.onboard": "7"}})
+    verdict = judge_fleet(read)
+    assert verdict.outcome is Outcome.UNKNOWN
+    assert verdict.reason.startswith(
+        "cf2: the recorder lost records (7 of onboard), so that the log does not"
+    )
+    told = fleet_result(read, verdict)
+    assert (told["outcome"], told["records_lost"]) == ("unknown", 7)
+    assert {name: each["records_lost"] for name, each in told["vehicles"].items()} == {
+        "cf1": 0, "cf2": 7, "cf3": 0,
+    }  # fmt: skip
+
+
 def test_a_broken_log_gives_what_is_before_the_break(fleet, tmp_path):
     broken = tmp_path / "broken.mcap"
     data = fleet.log.read_bytes()

@@ -231,6 +231,9 @@ NAN, STILL = math.nan, (0.0, 0.0, 0.0)
         ([no_truth(GAP)], Outcome.TIMEOUT, None, "gap"),
         ([no_truth(GAP), truth(since_begin(50, 50), h_min_outside_pad_m=-0.1)], Outcome.TIMEOUT, True, "gap"),
         ([losses], Outcome.LANDED, None, "3 records"),
+        ([losses, no_truth(GAP)], Outcome.UNKNOWN, None, "lost records (3 of vehicle), so that the log"),
+        ([losses, *MISSED], Outcome.UNKNOWN, None, "no contact and no declared abort"),
+        ([losses, truth(since_touch(60), contacts=GROUND)], Outcome.CRASHED, ANY, "left the pad"),
         ([truth(since_begin(9, 9), h_min_m=NAN, h_min_outside_pad_m=NAN)], ANY, None, ""),
         ([lambda rows: rows.cut(3.0)], Outcome.TIMEOUT, None, "never began"),
         (
