@@ -59,7 +59,8 @@ _ROOM = (
 _NEAR = (
     f"By true states. The ellipsoid of two vehicles has the semi-axes {2 * RADIUS_BESIDE_M:g} m sideways and "
     f"{2 * RADIUS_ABOVE_M:g} m up and down; its measure is 1 on the surface, below is too near. It counts "
-    "while both fly; thin: one of them rests. Dotted, in metres: the limit along the line between the two."
+    "while both fly; thin: one of them rests. Dotted, in metres, of up to three pairs: the limit along the "
+    "line between the two. Of many pairs the nearest are shown at first; touch a name to show or hide one."
 )
 _BARRIERS = "h of each member over its own pad since its landing began; below zero is unsafe outside the pad."
 _WAITS = "Times in which a member flew and gave way to others, by its own words."
@@ -248,7 +249,7 @@ def _pairs(fleet: Fleet) -> str:
                 hit,
             )
         )
-    head = ("pair", "measure [1]", "distance [m]", "times inside", "inside [s]", "collided at [s]")
+    head = ("pair", "measure [1]", "distance [m]", "times inside", "inside [s]", "collided [s]")
     return table(head, rows, numbers=range(1, 6))
 
 

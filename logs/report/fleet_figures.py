@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -51,7 +52,9 @@ _WAITS = NOMINAL
 _ROW_PX = 24
 _LETTER_SHARE = 0.009  # of the axis, for a letter of a name; a bar that is too short carries none
 _MEASURE_SHOWN = 6.0  # of the ellipsoid's measure at least; what is farther away is of no interest
-_LIMITS_SHOWN = 3  # pairs; of more the limit along the line between two is hidden at first
+_LIMITS_SHOWN = 3  # pairs; of more the limit along the line between two is not drawn
+_PAIRS_SHOWN = 8  # that came nearest; the others are hidden at first
+_LISTED, _LISTED_PX = 8, 22  # names of pairs in a line of the legend; height of a line
 _LANES_MAX = 16  # of silent ways; more are not read
 _EVENTS_MAX = 500
 
@@ -226,26 +229,34 @@ def plan(fleet: Fleet) -> go.Figure:
 
 
 def distances(fleet: Fleet, series: Sequence[PairSeries]) -> go.Figure | None:
-    """Distance of each pair over time, in the ellipsoid's measure and in metres; ``None`` without a pair."""
+    """Distance of each pair over time, in the ellipsoid's measure and in metres; ``None`` without a pair.
+
+    Of many pairs those that came nearest are shown at first.
+    """
     if not series:
         return None
     figure, many = rows_of(2, 0.06), len(series) > _LIMITS_SHOWN
+    nearest = {pair.name for pair in sorted(series, key=_nearest)[:_PAIRS_SHOWN]}
     for number, pair in enumerate(series):
         color, dash = _PAIR_COLORS[number % len(_PAIR_COLORS)], _DASHES[number // len(_PAIR_COLORS) % 3]
         for row, values in ((1, pair.measure), (2, pair.distance_m)):
             for both, width, opacity in ((pair.flying, 2.2, 1.0), (~pair.flying, 1.2, 0.35)):
                 t_s, shown = low_envelope(pair.t_s, np.where(both, values, np.nan))
                 listed = row == 1 and opacity == 1.0
+                seen = True if pair.name in nearest else "legendonly"
                 add_line(
                     figure, row, t_s, shown, pair.name, color, width=width, dash=dash, opacity=opacity,
-                    showlegend=listed, legendgroup=pair.name, connectgaps=False,
+                    showlegend=listed, legendgroup=pair.name, connectgaps=False, visible=seen,
                 )  # fmt: skip
+        if many:
+            continue
         limit_m = pair.distance_m / np.maximum(pair.measure, 1e-9)
         add_line(
             figure, 2, pair.t_s, np.where(pair.flying, limit_m, np.nan), f"limit of {pair.name}", color,
-            dash="dot", width=1.2, visible="legendonly" if many else True,
+            dash="dot", width=1.2,
         )  # fmt: skip
-    layout(figure, 620)
+    more_px = _LISTED_PX * ((len(series) - 1) // _LISTED)
+    layout(figure, 620 + more_px, more_px)
     _time_axis(figure, fleet, rows=2)
     top = min(
         max(_MEASURE_SHOWN, 2.0 * min(float(p.measure.min()) for p in series)),
@@ -256,6 +267,11 @@ def distances(fleet: Fleet, series: Sequence[PairSeries]) -> go.Figure | None:
     figure.add_hrect(y0=0.0, y1=1.0, fillcolor=UNSAFE, line={"width": 0}, layer="below", row=1, col=1)
     figure.add_hline(1.0, line={"color": BOUNDARY, "width": 1.5}, row=1, col=1)
     return figure
+
+
+def _nearest(pair: PairSeries) -> float:
+    """Least measure of two while both flew; infinite: never both."""
+    return float(pair.measure[pair.flying].min()) if pair.flying.any() else math.inf
 
 
 def barriers(fleet: Fleet) -> go.Figure | None:

@@ -64,13 +64,19 @@ LABEL_SHARE = 0.05  # a band narrower than this share of the axis carries no nam
 BEFORE_S, AFTER_S = 1.0, 3.0  # shown around the landing; zooming out shows all
 
 
-def layout(figure: go.Figure, height_px: int) -> go.Figure:
-    """Give a figure the common look; the legend stands below the title of the time axis."""
-    plot_px = height_px - _TOP_PX - _BOTTOM_PX
+def layout(figure: go.Figure, height_px: int, legend_px: int = 0) -> go.Figure:
+    """Give a figure the common look; the legend stands below the title of the time axis.
+
+    Args:
+        figure: changed.
+        height_px: of all.
+        legend_px: of it for what the legend has besides its first line.
+    """
+    plot_px = height_px - _TOP_PX - _BOTTOM_PX - legend_px
     figure.update_layout(
         template="plotly_white",
         height=height_px,
-        margin={"l": 64, "r": 20, "t": _TOP_PX, "b": _BOTTOM_PX},
+        margin={"l": 64, "r": 20, "t": _TOP_PX, "b": _BOTTOM_PX + legend_px},
         font={"family": "Inter, Segoe UI, Helvetica, Arial, sans-serif", "size": 13, "color": INK},
         legend={
             "orientation": "h",

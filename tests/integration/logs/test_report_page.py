@@ -11,13 +11,17 @@ from html.parser import HTMLParser
 
 import pytest
 
+from logs.reader.flight import load_fleet
 from logs.report.compare import write_comparison
+from logs.report.fleet import write_fleet
 from logs.report.report import ReportError, write_report
+from tests.fleet_log import fly_fleet, near
 from tests.synthetic_flight import landing, write_log
 
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
 
 FIGURES = 13
+FLEET_FIGURES = 5
 SIZE_MAX = 6e6  # bytes, drawing library included
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 BROWSER_LIMIT_S = 180
@@ -105,6 +109,21 @@ def test_every_figure_is_drawn_without_a_complaint(tmp_path, browse):
     assert seen.tags["canvas"] >= 1  # the 3-D figure
     assert "no-webgl" not in seen.classes
     assert seen.classes.count("main-svg") >= FIGURES
+
+
+def test_the_page_of_a_fleet_is_drawn_without_a_complaint(tmp_path, browse, monkeypatch):
+    log = tmp_path / "flight.mcap"
+    verdict = fly_fleet(log, near(), 1, monkeypatch)
+    pages = write_fleet(load_fleet(log), verdict)
+    dom, console = browse(pages.page)
+    assert errors(console) == []
+    seen = Page(dom)
+    assert seen.body["data-figures"] == seen.body["data-figures-drawn"] == str(FLEET_FIGURES)
+    assert seen.tags["canvas"] >= 1  # the paths in the room
+    for words in ("All landed", "cf1–cf3", "cf3 right of way", "time since the log began [s]"):
+        assert words in seen.text.replace("\N{WORD JOINER}", "")
+    assert {each.name for each in pages.members.values()} <= set(seen.sources)  # links to the members
+    assert len(pages.page.read_text(encoding="utf-8")) < SIZE_MAX
 
 
 @pytest.mark.parametrize("kind", ["bare estimate", "cut short", "no steps"])

@@ -15,6 +15,7 @@ from logs.reader.flight import load_fleet
 from logs.report import fleet as fleet_page
 from logs.report.compare import write_comparison
 from logs.report.fleet import write_fleet
+from logs.report.fleet_figures import distances
 from logs.verdict.fleet import judge_fleet
 from logs.verdict.pairs import pair_series
 from tests.fleet_log import near
@@ -62,6 +63,20 @@ def test_who_waited_for_whom_is_what_they_told(read, words):
     down = {name: spans[-1].begin_s for name, spans in words.spans.items()}
     assert goes["cf2"] >= down["cf1"]  # one at a time
     assert goes["cf3"] >= down["cf2"]
+
+
+def test_of_many_pairs_the_nearest_are_shown_at_first(read):
+    pair = pair_series(read)[0]
+    many = [pair._replace(name=f"pair {k}", measure=pair.measure + (k * 5) % 28) for k in range(28)]
+    lines = {line.name: line for line in distances(read, many).data if line.showlegend}
+    shown = [name for name, line in lines.items() if line.visible is True]
+    assert sorted(shown) == sorted(f"pair {k}" for k in range(28) if (k * 5) % 28 < 8)
+    assert len(lines) == 28  # the others can be switched on
+    few = distances(read, many[:3]).data
+    assert [line.name for line in few if line.name.startswith("limit")] == [
+        f"limit of pair {k}" for k in range(3)
+    ]
+    assert all(line.visible is True for line in few if line.showlegend)
 
 
 def test_lost_words_are_counted(words):
