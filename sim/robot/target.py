@@ -186,6 +186,10 @@ class TargetModel:
         # compiled, or loaded, before time begins to count
         drive(cell_of_numbers(new(MotionRecord)), step_s, False)
 
+    def stop(self) -> None:
+        """Stand from now on, as with locked wheels; the next step shows it."""
+        self._record.v = self._record.w = 0.0
+
     def step(self, dt_s: float, driving: bool) -> None:
         """Move on by ``dt_s``, see ``drive``."""
         drive(self._cell, dt_s, driving)

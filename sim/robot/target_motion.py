@@ -1,4 +1,4 @@
-"""The robot on a grid of ticks: its motion, its odometry, and the faults of the odometry."""
+"""The robot on a grid of ticks: its motion, its odometry, and the faults of both."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from sim.faults.samples import SampleFaults, Shape
 from sim.faults.schedule import FaultText, Schedule
 from sim.robot.target import TargetMeasurement, TargetModel, TargetOdometry, wrap
 from sim.scenarios.fault_spec import After, Fault
+from sim.scenarios.fault_table import What
 from sim.scenarios.scenario import Scenario
 
 
@@ -28,6 +29,9 @@ class TargetFaults:
     Args:
         faults: of the scenario; those of the vehicle are not for us.
         seed: of the run.
+
+    Attributes:
+        locked: how many faults lock the robot's wheels.
     """
 
     def __init__(self, faults: Iterable[Fault], seed: int) -> None:
@@ -35,6 +39,7 @@ class TargetFaults:
         self._schedule.add(fault for fault in faults if fault.of_the_robot)
         self._samples = SampleFaults(SHAPE)
         self._texts: list[FaultText] = []
+        self.locked = 0
 
     @property
     def waits_for_landing(self) -> bool:
@@ -53,7 +58,9 @@ class TargetFaults:
         """What leaves the robot now when ``samples`` would have left."""
         if now_ns >= self._schedule.next_ns:
             for running, begins in self._schedule.due(now_ns):
-                if begins:
+                if running.fault.what is What.ROBOT:
+                    self.locked += 1 if begins else -1
+                elif begins:
                     self._samples.begin(running)
                 else:
                     self._samples.end(running, now_ns)
@@ -72,7 +79,7 @@ class TargetMotion:
     Attributes:
         tick: where it is.
         model: true motion at that tick.
-        faults: of the odometry.
+        faults: of robot and odometry.
         drives_at_once: whether it drives before the landing begins.
         due: samples released since somebody took them.
     """
@@ -92,7 +99,9 @@ class TargetMotion:
         """Go on to the next tick."""
         self.tick += 1
         for _ in range(self._substeps):
-            self.model.step(self._step_s, driving)
+            if self.faults.locked:
+                self.model.stop()
+            self.model.step(self._step_s, driving and not self.faults.locked)
             self.due += self._measure()
 
     def _measure(self) -> list[TargetMeasurement]:

@@ -75,7 +75,7 @@ class Fault:
     @property
     def of_the_robot(self) -> bool:
         """Whether the ground robot carries it out, not the vehicle."""
-        return self.what is What.TARGET_ODOMETRY
+        return self.what in (What.TARGET_ODOMETRY, What.ROBOT)
 
     @property
     def cell(self) -> Cell:

@@ -1,7 +1,8 @@
 """What can fail, and how: one table of all faults with their values, units and ranges.
 
 Who carries a fault out: ``sim.faults.drive`` (motors, battery), ``sim.faults.samples``
-(motion capture, own state, target odometry), ``sim.faults.link`` (everything on the MAVLink wire).
+(motion capture, own state, target odometry), ``sim.faults.link`` (everything on the MAVLink wire),
+``sim.robot.target_motion`` (the robot itself).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ class What(Enum):
     MOCAP = "mocap"  # motion capture on its way into the on-board estimator
     OWN_STATE = "own_state"  # the estimate on its way from the firmware to its autopilot
     TARGET_ODOMETRY = "target_odometry"
+    ROBOT = "robot"  # its drive
     LINK_OUT = "link_out"  # MAVLink, vehicle to companion
     LINK_IN = "link_in"  # MAVLink, companion to vehicle
     HEARTBEAT = "heartbeat"  # of the vehicle
@@ -132,6 +134,7 @@ TABLE: Mapping[What, Mapping[Kind, Cell]] = MappingProxyType(
         What.MOCAP: _SAMPLES,
         What.OWN_STATE: _SAMPLES,
         What.TARGET_ODOMETRY: _SAMPLES,
+        What.ROBOT: {Kind.STUCK: Cell("wheels lock: it stands at once, and drives on at the end")},
         What.LINK_OUT: _LINK,
         What.LINK_IN: _LINK,
         What.HEARTBEAT: {

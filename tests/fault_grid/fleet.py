@@ -27,6 +27,7 @@ class Way(StrEnum):
     SILENT = "radio silent"
     CUT = "network cut in two"
     LIES = "tells a place half a metre off"
+    STOPS = "its robot stops at once"
 
 
 def _lying(exchange: Words, from_tick: int) -> Exchange:
@@ -61,13 +62,20 @@ def broken(team: TeamScenario, way: Way, who: int, at_s: float) -> TeamScenario:
     """
     if way is Way.LIES:
         return team
+    if way is Way.STOPS:
+        return _with_fault(team, who, Fault(What.ROBOT, Kind.STUCK, start_s=at_s))
     if way is Way.CUT:
         return replace(team, exchange=ExchangeLink(apart=(who,), broken_from_s=at_s))
     team = replace(team, exchange=ExchangeLink(silent=(who,), broken_from_s=at_s))
     if way is Way.SILENT:
         return team
-    members = list(team.member)  # its autopilot's failsafe ends the flight
-    members[who - 1] = replace(members[who - 1], fault=(Fault(What.LINK_IN, Kind.OFF, start_s=at_s),))
+    # its autopilot's failsafe ends the flight
+    return _with_fault(team, who, Fault(What.LINK_IN, Kind.OFF, start_s=at_s))
+
+
+def _with_fault(team: TeamScenario, who: int, fault: Fault) -> TeamScenario:
+    members = list(team.member)
+    members[who - 1] = replace(members[who - 1], fault=(fault,))
     return replace(team, member=tuple(members))
 
 
@@ -81,11 +89,19 @@ Nothing may collide in any cell, no two vehicles come inside the ellipsoid about
 land on their pads. A killed process ends its flight by the failsafe of its autopilot, which lands where the
 vehicle is, by chance on its robot. A told place that jumps makes the ellipsoid about it larger by the jump,
 so that the place before it is kept clear of, too: whose own pad lies in there may give up its landing. A lie
-from the beginning on does not jump: nobody aboard can know of it.
+from the beginning on does not jump: nobody aboard can know of it. A robot that stops at once is seen by its
+own vehicle, in the robot's odometry; nobody else has to know.
 
 | fault | in | ends of the members | nearest in the ellipsoid's measure | nearest, m |
 |---|---|---|--:|--:|
 """
+
+
+WIRE_TEST = "tests/unit/onboard/test_fleet_wire.py"
+NAMESAKES = (
+    f"| two processes with one id | start, flight | the second is refused: `{WIRE_TEST}` "
+    "(over the wire; words of a team in one process have no senders) | - | - |"
+)
 
 
 def row(way: Way, moment: str, verdict: FleetVerdict) -> str:
@@ -97,4 +113,4 @@ def row(way: Way, moment: str, verdict: FleetVerdict) -> str:
 def section() -> str:
     """Fly all cells; the part of the page."""
     cells = [row(way, moment, fly(way, at_s, SEED)) for way in Way for moment, at_s in MOMENTS_S.items()]
-    return FLEET_HEAD + "\n".join(cells) + "\n"
+    return FLEET_HEAD + "\n".join([*cells, NAMESAKES]) + "\n"

@@ -2,17 +2,20 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 
+from sim.clock import TickGrid
 from sim.faults.samples import HELD_MAX, EstimateFaults, SampleFaults, Shape, turned
 from sim.faults.schedule import Schedule
 from sim.plant.sensors import NEVER_NS, NS
 from sim.plant.vehicle_types import Estimate
 from sim.robot.target import TargetMeasurement
-from sim.robot.target_motion import TargetFaults
+from sim.robot.target_motion import TargetFaults, TargetMotion
 from sim.scenarios.fault_spec import After
 from sim.scenarios.fault_table import TABLE, Kind, What
+from sim.scenarios.scenario import load
 from tests.unit.faults.fault_helpers import fault, running
 
 MS = NS // 1000
@@ -159,6 +162,25 @@ def test_faults_of_the_target_wait_for_the_landing_and_are_told():
     frozen = [s for s in seen if s.position_enu_m[0] != s.time_s]
     assert (frozen[0].time_s, frozen[-1].time_s) == (1.51, 2.49)
     assert {s.position_enu_m for s in frozen} == {(1.5, 0.0, 0.2)}
+
+
+def test_a_robot_with_locked_wheels_stands_at_once_and_drives_on():
+    locked = fault(What.ROBOT, Kind.STUCK, start_s=1.0, duration_s=1.0)
+    free = load("straight")
+    free = replace(free, target=replace(free.target, wait_for_landing=False))
+    one, other = (TargetMotion(s, 1, TickGrid(100)) for s in (free, replace(free, fault=(locked,))))
+    speeds, places = [], []
+    for tick in range(1, 301):
+        one.step(driving=True)
+        other.step(driving=True)
+        speeds.append(math.hypot(*other.model.velocity_enu_m_s[:2]))
+        places.append(other.model.pose.position_enu_m)
+        if tick <= 100:
+            assert other.model.pose == one.model.pose
+    assert set(speeds[100:200]) == {0.0}
+    assert set(places[100:201]) == {places[99]}
+    assert speeds[-1] == pytest.approx(math.hypot(*one.model.velocity_enu_m_s[:2]), abs=1e-3)
+    assert [str(t) for t in other.faults.take_texts()] == ["Fault: robot stuck", "Fault over: robot stuck"]
 
 
 def test_a_wrong_heading_of_the_target_stays_in_its_range():

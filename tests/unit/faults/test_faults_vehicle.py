@@ -15,7 +15,7 @@ from sim.vehicle.vehicle import VehicleSim
 from tests.unit.faults.fault_helpers import CELLS, aloft, fault, hold, off_home
 from tests.unit.vehicle.vehicle_sim_helpers import LOOPS, fly, scenario
 
-OF_THE_VEHICLE = [(what, kind) for what, kind in CELLS if what is not What.TARGET_ODOMETRY]
+OF_THE_VEHICLE = [(what, kind) for what, kind in CELLS if what not in (What.TARGET_ODOMETRY, What.ROBOT)]
 FOR_HALF_A_SECOND = [
     (what, kind)
     for what, kind in OF_THE_VEHICLE
