@@ -266,6 +266,17 @@ class VehicleLink:
             return -math.inf
         return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, wants.idle_until_s(request, self.status))
 
+    def hear(self, now_s: float) -> bool:
+        """Take what has come past the ticks and send a heartbeat that is due; False: more is to be sent."""
+        for received in self.endpoint.receive():
+            self._handle(received.message, now_s)
+        self._queue_due(now_s)
+        if any(m.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT for m in self._outgoing):
+            return False
+        if self._outgoing:
+            self.flush()
+        return True
+
     def took(self, own: OwnState, ticks: int, *, setpoints: bool) -> None:
         """Take note of ticks past ``poll``, with the newest own state; each had a set-point or none had."""
         self.state.took(own)

@@ -165,17 +165,27 @@ class Server(ABC, Generic[V]):
             now_s: of the next tick.
             heeded: ids; of those that come at every tick it does not speak.
         """
-        snapshot = self.snapshot(now_s)
-        if (
-            snapshot is None
-            or self.condition(snapshot) != self._shown
-            or self.vehicle.landed_state != self._landed_shown
-            or self.vehicle.texts.waiting
-            or self._texts_to_log
-            or self.parameters.left_to_list
-        ):
+        if self._calm(now_s) is None:
             return -math.inf
         return min(self._heartbeat_due_s, self.streams.next_s(heeded))
+
+    def brief(self, now_s: float, heeded: frozenset[int]) -> list[Message] | None:
+        """What is left of ``telemetry`` for who heeds these messages, without those of every tick.
+
+        None where it has more to say; then nothing has changed.
+        """
+        snapshot = self._calm(now_s)
+        if snapshot is None:
+            return None
+        return [*self._announced(snapshot, now_s), *self.streams.pass_over(now_s, snapshot, *heeded)]
+
+    def _calm(self, now_s: float) -> Snapshot[V] | None:
+        """State of the vehicle if nothing has changed that it tells at once."""
+        snapshot, texts = self.snapshot(now_s), self.vehicle.texts.waiting or self._texts_to_log
+        if snapshot is None or texts or self.parameters.left_to_list:
+            return None
+        shown = (self.condition(snapshot), self.vehicle.landed_state) == (self._shown, self._landed_shown)
+        return snapshot if shown else None
 
     def streamed(self, snapshot: Snapshot[V]) -> list[Message]:
         """Messages of the streams for the present telemetry."""

@@ -16,6 +16,7 @@ _INTERVAL_MAX_S = 2000.0  # s; MESSAGE_INTERVAL counts microseconds in 32 bits, 
 
 @dataclass(slots=True)
 class _Stream(Generic[V]):
+    message_id: int
     build: Builder[V]
     interval_s: float  # infinite: off
     due_s: float
@@ -44,7 +45,9 @@ class Streams(Generic[V]):
         self._default_s = dict.fromkeys(profile.every_tick, self._period_s)
         self._default_s |= {id_: max(self._period_s, 1.0 / hz) for id_, hz in profile.rates_hz.items()}
         order = (*EVERY_TICK, *(id_ for id_ in builders if id_ not in EVERY_TICK))
-        self._streams = {id_: _Stream(builders[id_], self._default_s.get(id_, _OFF), 0.0) for id_ in order}
+        self._streams = {
+            id_: _Stream(id_, builders[id_], self._default_s.get(id_, _OFF), 0.0) for id_ in order
+        }
         self._busy: list[_Stream[V]] = []  # at every tick
         self._lazy: list[_Stream[V]] = []  # more rarely
         self._lazy_due_s = 0.0  # the first of those
@@ -126,13 +129,19 @@ class Streams(Generic[V]):
         ]
         return min(due_s, default=_OFF) - 0.5 * self._period_s
 
-    def pass_over(self, now_s: float) -> None:
-        """Go on as with ``due`` where nobody looks at what is due at this tick: it is not even made."""
-        if self._lazy_due_s > now_s + 0.5 * self._period_s:
-            return
+    def pass_over(
+        self, now_s: float, snapshot: Snapshot[V] | None = None, *message_ids: int
+    ) -> list[Message]:
+        """Go on as with ``due``, but make only those messages of these ids that are not of every tick."""
+        messages: list[Message] = []
+        limit_s = now_s + 0.5 * self._period_s
+        if self._lazy_due_s > limit_s:
+            return messages
         for stream in self._lazy:
-            stream.passes(now_s, now_s + 0.5 * self._period_s)
+            if stream.passes(now_s, limit_s) and snapshot is not None and stream.message_id in message_ids:
+                messages.append(stream.build(snapshot))
         self._lazy_due_s = min((stream.due_s for stream in self._lazy), default=_OFF)
+        return messages
 
     def _sort(self) -> None:
         streams = [stream for id_, stream in self._streams.items() if id_ not in self._hidden]

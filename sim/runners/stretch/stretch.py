@@ -19,7 +19,7 @@ from flightstack.core.types import Landed, Mode, OwnState, Phase, Request, Vehic
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
 from sim.compiled.jit import is_off
-from sim.compiled.records import cell, new
+from sim.compiled.records import cell, new, scalars
 from sim.runners.landing_target import Ahead, DirectTarget
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.notes import Notes
@@ -33,9 +33,10 @@ TICKS = 20  # of one call, at most; as far as the robot drives ahead
 SAMPLES = 64  # of the target in these
 SPAN_S = 0.25  # s of one call, at most: a stream of set-points with a longer gap would begin anew
 _SOON_S = 1e-6  # s before something is due in which Python looks
-_BACK_OFF = 16  # ticks without another try, at most, where tries come to nothing
+_BACK_OFF = 4  # ticks without another try, at most, where tries come to nothing
 
 _FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
+_FLYING_OR_DOWN = _FLYING | {Phase.LANDED}
 
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
@@ -84,12 +85,17 @@ class Stretch:
         self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms), dtype=np.int64)
         self._decks, self._samples = np.zeros((TICKS, 8)), np.zeros((SAMPLES, 9))
         self._come, self._ages, self._told = np.zeros(TICKS, dtype=np.int64), np.zeros(TICKS), np.zeros(11)
-        self._next, self._wait = (
-            0,
-            1,
-        )  # tick of the next try, and how many to leave out when it comes to nothing
+        self._next, self._wait = 0, 1  # tick of the next try; how many are left out when one fails
+        self._flies, self._yaw_told_rad, self._delay_ms = False, 0.0, round(radio_s * 1000.0)
+        self._watch_s, self._stream_until_s, self._status_s = scalars(
+            self._rules, "watch_s", "stream_until_s", "status_s"
+        )
+        self._phase = scalars(self._rules, "phase", "flies", "armed", "standing", "supervisor")
+        self._began = scalars(self._rules, "since_s", "started_s")
         self._tables = (self._plan, self._decks, self._samples, self._come)
         self._heeded = link.heeded
+        self._yaw_rad: float | None = None
+        self._clip: tuple[float, float, float] | None = None
         self._sender = (node.autopilot.system_id, COMPANION_ID)
 
     def warm_up(self) -> None:
@@ -103,6 +109,8 @@ class Stretch:
             return 0
         done, until_s = 0, self._quiet_until_s(tick)
         if until_s is None:
+            until_s = self._quiet_until_s(tick) if self._speak(tick) else None
+        if until_s is None:
             return 0
         if self._prepare():
             self._notebook.write()
@@ -112,6 +120,8 @@ class Stretch:
                 if how == BEFORE or flown == 0:
                     break
                 until_s = self._quiet_until_s(tick + done)
+                if until_s is None and self._speak(tick + done):
+                    until_s = self._quiet_until_s(tick + done)
             if done:
                 self._notebook.read(self._grid.ns(tick + done - 1) / 1e9, float(self._told[6]))
         self._wait = 1 if done else min(2 * self._wait, _BACK_OFF)
@@ -127,6 +137,29 @@ class Stretch:
             return None
         until_s = min(until_s, self._node.autopilot.silent_until_s(now_s, self._heeded) - _SOON_S)
         return until_s if now_s < until_s else None
+
+    def _speak(self, tick: int) -> bool:
+        """Exchange what is due at this tick, the next one; False where the tick has to be Python's.
+
+        Such are heartbeats, and what the vehicle says of itself now and then. That comes before the step of
+        the controller, or means nothing to the autopilot, as in a tick of Python.
+        """
+        node, now_s = self._node, self._grid.ns(tick) / 1e9
+        if self._controller.memory.phase not in _FLYING_OR_DOWN or not self._loop.undisturbed:
+            return False
+        messages = node.autopilot.brief(now_s, self._heeded)
+        if messages is None:
+            return False
+        node.endpoint.send(messages)
+        if not self._link.hear(now_s):
+            return False
+        for received in node.endpoint.receive():
+            node.answer(received, now_s)
+        status, memory = self._link.status, self._controller.memory
+        if status is None:
+            return False
+        self._status_s[0] = status.arrival_s
+        return _flies(memory, status) or _stands(memory, status)
 
     def _prepare(self) -> bool:
         """Write down the phase and what the vehicle says; whether they are those of a stretch."""
@@ -151,14 +184,17 @@ class Stretch:
             return False
         if flies and (flight.mode is not FlightMode.OFFBOARD or clip is None):
             return False
-        rules.phase, rules.flies, rules.since_s = int(memory.phase), flies, memory.phase_since_s
-        rules.started_s, rules.status_s, rules.armed = memory.started_s, status.arrival_s, vehicle.armed
-        rules.standing, rules.supervisor = flight.standing, vehicle.supervisor_state
-        if rules.yaw_rad != memory.yaw_rad or not rules.cos_yaw:
-            rules.yaw_rad = memory.yaw_rad
-            rules.yaw_told_rad = yaw = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
-            rules.cos_yaw, rules.sin_yaw = math.cos(yaw), math.sin(yaw)
-        if clip is not None:
+        whole = (memory.phase, flies, vehicle.armed, flight.standing, vehicle.supervisor_state)
+        for view, number in zip(self._phase, whole, strict=True):
+            view[0] = int(number)
+        self._began[0][0], self._began[1][0] = memory.phase_since_s, memory.started_s
+        self._status_s[0], self._flies = status.arrival_s, flies
+        if self._yaw_rad != memory.yaw_rad:
+            self._yaw_rad = rules.yaw_rad = memory.yaw_rad
+            self._yaw_told_rad = yaw = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
+            rules.yaw_told_rad, rules.cos_yaw, rules.sin_yaw = yaw, math.cos(yaw), math.sin(yaw)
+        if clip is not None and clip != self._clip:
+            self._clip = clip
             rules.speeds[:] = clip
         return True
 
@@ -172,10 +208,10 @@ class Stretch:
         count = self._fill(ahead, count)
         if count == 0 or not node.vehicle.supplied_until(grid.ms(tick + count)):
             return 0, BEFORE
-        rules, flies = self._rules, self._rules.flies
-        rules.watch_s = flight.watches.due_s
+        flies = self._flies
+        self._watch_s[0] = flight.watches.due_s
         waits = not flies and flight.mode is FlightMode.OFFBOARD
-        rules.stream_until_s = flight.stream_ends_s if waits else math.inf
+        self._stream_until_s[0] = flight.stream_ends_s if waits else math.inf
         self._plan[0], self._plan[1] = tick, count
         truths = np.empty((count, TRUTH))
         how, done = fly_ticks(*self._cells, *self._tables, truths, self._ages, self._told)
@@ -191,8 +227,8 @@ class Stretch:
             node.autopilot.streams.pass_over(each / 1e9)
         x, y, z, vx, vy, vz, yaw, source_s, ux, uy, uz = self._told.tolist()
         self._link.took(OwnState(now_s, source_s, (x, y, z), (vx, vy, vz), yaw), done, setpoints=flies)
-        setpoint = Setpoint((ux, uy, uz), rules.yaw_told_rad, 0.0) if flies else None
-        ahead_ms = min(grid.ms(last + 1) - grid.ms(last), rules.delay_ms)
+        setpoint = Setpoint((ux, uy, uz), self._yaw_told_rad, 0.0) if flies else None
+        ahead_ms = min(grid.ms(last + 1) - grid.ms(last), self._delay_ms)
         node.vehicle.sent_before_ms = ahead_ms
         if how != MIDDLE:
             flight.flown(now_s, setpoint, self._sender)
