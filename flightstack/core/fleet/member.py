@@ -16,6 +16,7 @@ from flightstack.core.fleet.shares import NONE, row, share, wider
 from flightstack.core.fleet.sidestep import Near, sidestep
 from flightstack.core.memory import AbortWay, FleetMemory, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.safety.position_loop import limit
 from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Intent, Landed, Neighbour, OwnState, Phase, Vec3, VehicleStatus
@@ -24,6 +25,7 @@ FUTURE_MAX_S = 0.05  # by which a stamp may be ahead, besides the bound of its c
 FLIGHTS_OF_OTHERS = 2.0  # times the wait for a right of way: a wait and a landing of another one
 TOLD_M_S = 0.005  # of slack, from which a person wants to know
 CALM_S = 1.0  # in which they hold until that is told
+HELD_BACK_M_S = 0.3  # fastest where a vehicle may be that is not heard and may fly
 STAYS_S = 5.0  # after a landing, until it is told that the vehicle stays though others wait for its pad
 _INTENTS = MappingProxyType(
     {
@@ -48,11 +50,13 @@ class Rows(NamedTuple):
         rows: of the program; the nearest first.
         lax: the same without what is asked because an unheard vehicle may be anywhere near.
         near: of the same vehicles.
+        held_back: an unheard vehicle may fly near, and leaves to this one what this one does not fly.
     """
 
     rows: tuple[Row, ...]
     lax: tuple[Row, ...]
     near: tuple[Near, ...]
+    held_back: bool = False
 
 
 NO_ROWS = Rows((), (), ())
@@ -192,7 +196,7 @@ class FleetMember:
         """
         if phase is Phase.TOUCHDOWN:  # it goes on to the ground: the others keep clear of it
             return NO_ROWS
-        fleet, (x, y, z), found = self._fleet, own.position_enu_m, []
+        fleet, (x, y, z), found, held_back = self._fleet, own.position_enu_m, [], False
         reach_m = fleet.reach_m - fleet.radius_xy_m
         for n, slot in self.slots:
             word = slot.word
@@ -216,6 +220,8 @@ class FleetMember:
                 outer_m, _ = barrier(away, xy_m + more_m, z_m + more_m, first=fleet.id < n)
             if outer_m > reach_m:
                 continue
+            if late and outer_m < 0.0:
+                held_back |= fleet.age_max_s < now.age_s <= fleet.silent_flight_s
             lax = row(part, h_m, gradient, wanted_m_s, word, now, fleet)
             made = wider(lax, outer_m, now, fleet) if late else lax
             found.append((h_m, n, made, lax, Near(h_m, gradient, away, now.velocity_enu_m_s)))
@@ -223,10 +229,12 @@ class FleetMember:
             return NO_ROWS
         found.sort()  # by h, then by the number
         _, _, rows, every_lax, near = zip(*found, strict=True)
-        return Rows(rows, every_lax, near)
+        return Rows(rows, every_lax, near, held_back)
 
     def aside(self, nominal: Vec3, rows: Rows) -> Vec3:
-        """Nominal velocity with the side-step past those that it closes in on."""
+        """Nominal velocity, slow where it holds back, with the side-step past those that it closes in on."""
+        if rows.held_back:
+            nominal = limit(nominal, (HELD_BACK_M_S, HELD_BACK_M_S, math.inf))
         return sidestep(nominal, rows.near, self._fleet.rate_1_s)
 
     def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:

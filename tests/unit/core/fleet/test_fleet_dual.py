@@ -17,12 +17,13 @@ from flightstack.core.fleet.ellipsoid import (
     faster,
 )
 from flightstack.core.fleet.exact import Row
+from flightstack.core.fleet.member import HELD_BACK_M_S, FleetMember
 from flightstack.core.fleet.precedence import decide
 from flightstack.core.fleet.program import FleetProgram
 from flightstack.core.fleet.shares import ALL, row, wider
 from flightstack.core.memory import FleetMemory, Heard
 from flightstack.core.parameters.fleet import CARRIED_AGES, Fleet
-from flightstack.core.types import ZERO, FilterStatus, Intent, Neighbour, Phase
+from flightstack.core.types import ZERO, FilterStatus, Intent, Neighbour, OwnState, Phase
 from tests.unit.core.fleet.test_fleet_program import VECTORS, boxes, missing, rows
 
 FLEET = Fleet(3, (3, 7))
@@ -212,3 +213,19 @@ def test_a_member_that_was_never_heard_cuts_nobody_off():
     fleet = Fleet(3, (1, 3, 7))
     slots = [(n, Heard()) for n in fleet.others]
     assert not decide(FleetMemory(), slots, Phase.HOLD, None, 1.0, fleet).cut_off
+
+
+def test_who_may_meet_a_silent_vehicle_holds_back_while_that_may_fly():
+    member = FleetMember(FLEET, 0.0)
+    own = OwnState(0.0, 0.0, (0.6, 0.0, 0.0), ZERO, 0.0)
+    asked = (0.0, 1.0, -1.0)
+    member.take([word()], 0.0)
+    for now_s, expected in (
+        (0.1, asked),
+        (FLEET.age_max_s + 0.1, (0.0, HELD_BACK_M_S, -1.0)),
+        (FLEET.silent_flight_s - 0.1, (0.0, HELD_BACK_M_S, -1.0)),
+        (FLEET.silent_flight_s + 0.1, asked),  # it is down
+    ):
+        rows = member.rows(Phase.APPROACH, own, ZERO, now_s)
+        assert len(rows.rows) == 1
+        assert member.aside(asked, rows)[1:] == pytest.approx(expected[1:])
