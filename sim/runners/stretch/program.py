@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -10,12 +11,12 @@ import numpy as np
 from flightstack.core.numeric import twin
 from flightstack.core.safety import projection, qp_filter
 from flightstack.core.safety.projection import EMPTY
-from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, solver_settings
+from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, SafetyFilter, solver_settings
 from flightstack.core.safety.solver import Columns, columns, compiled_solver
-from flightstack.core.types import Vec3
+from flightstack.core.types import FilterStatus, Vec3
 from sim.compiled.foreign import ask, doubles, whole
 from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Record
+from sim.compiled.records import F64, Record, new
 
 NUMBERS = 24  # of ``data_and_start``
 _STATUS_AT = 32  # bytes in OSQPInfo (osqp_api_types.h): its text comes before it
@@ -55,7 +56,7 @@ class OwnProgram:
     """Owns the solver that a record points to."""
 
     def __init__(self, record: ProgramRecord) -> None:
-        osqp = compiled_solver()
+        osqp, self._record = compiled_solver(), record
         library = ctypes.CDLL(osqp.__file__)
         settings = solver_settings(osqp)
         hessian, constraint = columns(np.eye(3)), columns(np.vstack([np.ones((1, 3)), np.eye(3)]))
@@ -82,9 +83,44 @@ class OwnProgram:
         )
         record.solved = int(osqp.osqp_status_type.OSQP_SOLVED)
 
+    def solve(self) -> Vec3:
+        """Solve the program whose numbers are in the record, from Python; NaN where the solver did not."""
+        r, library = self._record, self._kept[-1]
+        own, at = ctypes.c_void_p(int(r.solver)), int(r.numbers_at)
+        q, low, high, row, x, y = (ctypes.c_void_p(at + n * _DOUBLE) for n in (0, 3, 7, 11, 17, 20))
+        library.osqp_update_data_vec(own, q, low, high)
+        library.osqp_update_data_mat(own, None, None, 0, row, None, 6)
+        library.osqp_warm_start(own, x, y)
+        library.osqp_solve(own)
+        if ctypes.c_int.from_address(int(r.status)).value != r.solved:
+            return (np.nan, np.nan, np.nan)
+        x_m_s, y_m_s, z_m_s = (ctypes.c_double * 3).from_address(int(r.solution))
+        return (x_m_s, y_m_s, z_m_s)
+
     def __del__(self) -> None:
         if getattr(self, "_solver", None):
             self._cleanup(self._solver)
+
+
+@cache
+def layout_is_known() -> bool:
+    """Whether this OSQP lays out its memory as assumed here: it then gives the bits of ``SafetyFilter``."""
+    record, plain = new(ProgramRecord), SafetyFilter(1.0)
+    own = OwnProgram(record)
+    for k in range(1, 9):
+        nominal, g, side = (0.3 * k - 1.0, 0.2, -0.1 * k), (0.1 * k, -0.5, 1.0), 0.25 * k
+        lower, upper, h_m = (-side, -side, -side), (side, side, side), 0.1 * k - 0.4
+        result = plain.solve(nominal, h_m, g, 0.05, lower, upper)
+        if result.status is not FilterStatus.SOLVED:
+            continue
+        exact = projection.projected(nominal, g, -h_m - 0.05, lower, upper)
+        record.numbers[:] = qp_filter.data_and_start(
+            nominal, g, -h_m - 0.05, lower, upper, record.infinity, *exact
+        )
+        found, _ = qp_filter.clipped(own.solve(), g, -h_m - 0.05, lower, upper)
+        if found != result.velocity_enu_m_s:
+            return False
+    return True
 
 
 def _held(one: Any) -> int:

@@ -24,7 +24,7 @@ from sim.runners.landing_target import Ahead, DirectTarget
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.notes import Notes
 from sim.runners.stretch.memory import Notebook, set_up_rules, suits
-from sim.runners.stretch.program import OwnProgram
+from sim.runners.stretch.program import OwnProgram, layout_is_known
 from sim.runners.stretch.records import MindRecord, RulesRecord
 from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, narrow
 from sim.runners.vehicle_node import VehicleNode
@@ -41,7 +41,8 @@ _FLYING_OR_DOWN = _FLYING | {Phase.LANDED}
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
     """Whether a landing can be flown in stretches: compiled, without faults, its configuration known."""
-    return not is_off() and hypot_is_known() and node.vehicle.faults.quiet and suits(controller.config)
+    possible = not is_off() and node.vehicle.faults.quiet and suits(controller.config)
+    return possible and hypot_is_known() and layout_is_known()
 
 
 class Stretch:

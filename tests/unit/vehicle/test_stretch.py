@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from flightstack.core import numeric
 from sim.compiled.jit import is_off, jitted
 from sim.runners.companion import Companion, warm_up
+from sim.runners.stretch.program import OwnProgram, layout_is_known
 from sim.scenarios.scenario import Start, load
 
 pytestmark = pytest.mark.skipif(is_off(), reason="stretches are compiled")
@@ -69,6 +70,12 @@ def test_from_the_ground_at_another_rate():
 @pytest.mark.parametrize("name", ["room", "paper_moving_1", "fault_motor_dead"])
 def test_what_a_stretch_does_not_know_is_flown_tick_by_tick(name):
     assert Companion(load(name), 0).stretch is None
+
+
+def test_another_layout_of_the_solvers_memory_is_noticed(monkeypatch):
+    assert layout_is_known()
+    monkeypatch.setattr(OwnProgram, "solve", lambda _: (0.0, 0.0, 0.0))
+    assert not layout_is_known.__wrapped__()
 
 
 def test_it_is_compiled_before_the_first_landing():
