@@ -36,6 +36,9 @@ from logs.verdict.types import (
 
 REST_SPEED_MAX_M_S = 0.10  # relative to the pad; a resting vehicle's estimate still carries noise
 REST_HEIGHT_MAX_M = 0.05  # of the feet over or under the pad, beyond the configured gap: two estimates drift
+REST_SEEN_S = (
+    0.5  # s from there for a valid state: one in millimetres repeats itself at rest, and looks stuck
+)
 _SAME_S = 1e-6  # below the resolution of a tick
 BEFORE_S = 0.3  # s before phase TOUCHDOWN: a gust may press the vehicle onto the pad while it still waits
 AFTER_S = 1.0  # s after it: with the paper's rule the vehicle falls the last centimetres
@@ -104,6 +107,9 @@ def _outcome(flight: Flight, steps: Steps, touch: EstimatedTouchdown | None) -> 
         return Outcome.TIMEOUT, f"the log ends {seen_s:.2f} s after the motors stopped; 2 s are needed"
     if np.diff(steps.t_s[: at + 1]).max() > GAP_MAX_S:
         return Outcome.TIMEOUT, f"the controller's steps have a gap of more than {GAP_MAX_S:g} s"
+    known = np.flatnonzero(steps.both_valid & (np.abs(steps.t_s - steps.t_s[at]) <= REST_SEEN_S))
+    if len(known):
+        at = int(known[np.argmin(np.abs(steps.t_s[known] - steps.t_s[at]))])
     feet_m, gap_m = feet_and_gap_m(flight.config)
     d_m, height_m = float(steps.d_m[at]), float(steps.e_m[at, 2]) - feet_m
     speed_m_s = float(np.linalg.norm(steps.relative_velocity_m_s[at]))

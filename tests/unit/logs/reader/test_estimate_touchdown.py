@@ -145,6 +145,14 @@ def test_a_state_that_is_missing_at_the_contact_and_after_is_never_a_landing(fli
     assert verdict.violation is None
 
 
+@pytest.mark.parametrize(("lost_s", "outcome"), [(0.4, Outcome.LANDED), (0.6, Outcome.TIMEOUT)])
+def test_a_state_that_is_missing_for_a_moment_while_it_rests_is_looked_for_beside_it(flight, lost_s, outcome):
+    steps = descent(flight)
+    off_s = float(steps.t_s[steps.phase == Phase.LANDED][0])
+    gone = replace(steps, own_valid=np.abs(steps.t_s - off_s - 2.0) > lost_s)
+    assert judged(flight, gone).outcome is outcome
+
+
 def test_after_an_abort_that_has_flown_clear_h_no_longer_counts(flight):
     """Beside the robot h is negative by geometry; until the vehicle is clear it counts."""
     steps = descent(flight, d_m=0.6, stops=False, phase_after=Phase.ABORT)
