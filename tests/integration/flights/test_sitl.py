@@ -124,7 +124,7 @@ def test_a_killed_recorder_does_not_stop_the_landing_and_leaves_a_readable_log(t
 
 def test_a_killed_vehicle_ends_the_run(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
-    run.wait_for("-> APPROACH")
+    run.wait_for("-> TAKEOFF")  # the first of ten seconds, which lockstep flies in half a one
     kill(run.children()["vehicle"])
     assert run.end() == 1
     assert any("vehicle ended in flight" in line for line in run.lines), run.lines
