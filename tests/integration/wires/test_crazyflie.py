@@ -343,6 +343,8 @@ def test_a_vehicle_gets_poses_in_its_own_way(autopilot, kind):
         assert vehicle.until(is_a("TIMESYNC", ts1=4711)).tc1 > 0
         mocap.stop()
         wait_for(lambda: started.said("mocap: no pose for"), "the text")
+        vehicle.send(mav.MAVLink_timesync_message(0, 4712))
+        vehicle.until(is_a("TIMESYNC", ts1=4712))  # what was under way before it has come
         vehicle.log.clear()
         vehicle.beat()
         vehicle.until(is_a("HEARTBEAT"), each=vehicle.beat)
