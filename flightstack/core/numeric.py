@@ -22,19 +22,19 @@ _SPLIT = 134217729.0  # 2^27 + 1: splits a double into two halves (Veltkamp)
 
 
 def numeric(function: F) -> F:
-    """Mark a function that may be compiled; Python goes on calling it as it is written."""
+    """Mark a function that may be compiled. Python code still calls the plain function."""
     MARKED.add(function)
     return function
 
 
 def called(function: F) -> F:
-    """Mark one with so much in it that Python, too, is to call the compiled one (``compile_with``)."""
+    """Mark a long function that Python code calls in its compiled form after ``compile_with``."""
     _CALLED.append(function)
     return numeric(function)
 
 
 def compile_with(compiler: Callable[[Any], Any]) -> None:
-    """From now on the names of what is marked ``called`` stand for compiled functions; again: no change.
+    """Replace each function marked ``called`` by its compiled form. A second call changes nothing.
 
     Args:
         compiler: turns a function into one that is compiled when it is first called.
@@ -47,7 +47,7 @@ def compile_with(compiler: Callable[[Any], Any]) -> None:
 
 @cache
 def twin(function: F, compiler: Callable[[Any], Any]) -> F:
-    """Return the compiled twin of a marked function: all that it calls is compiled, and no name changes.
+    """Return the compiled form of a marked function and of the functions it calls; the plain ones stay.
 
     Raises:
         ValueError: it is not marked.

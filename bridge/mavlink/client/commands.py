@@ -79,7 +79,12 @@ class CommandSequencer:
         return self._request
 
     def idle(self, request: Request, status: VehicleStatus | None) -> bool:
-        """Whether this is what is worked on, and ``step`` has nothing to do for it while the status stays."""
+        """Whether ``step`` sends nothing for this request as long as the status does not change.
+
+        Args:
+            request: that ``step`` would get.
+            status: of the vehicle.
+        """
         if request is not self._request or self.failed is not None:
             return False
         return self.reached or (self._begun and self._step is None and self._next_step(status) is None)

@@ -1,4 +1,4 @@
-"""What the companion wants of the vehicle, and how it asks, which depends on the autopilot."""
+"""Requests of the companion to the vehicle: mode, message rates and origin, in the way of its autopilot."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _THROTTLE_HZ = 10.0  # Hz of VFR_HUD, where the thrust reserve is estimated
 
 
 class Wants(NamedTuple):
-    """What is asked for until it is there."""
+    """Senders of requests, each of which is repeated until the vehicle complies."""
 
     sequencer: CommandSequencer
     streams: StreamRequests
     origin: OriginSender
 
     def idle_until_s(self, request: Request, status: VehicleStatus | None) -> float:
-        """Until when nothing is asked for while this is wanted and the status stays; -inf: it is now."""
+        """Time until which nothing is sent if request and status do not change, s; -inf: it is due now."""
         return self.streams.quiet_until_s if self.sequencer.idle(request, status) else -math.inf
 
     def took(self, now_s: float, ticks: int, *, setpoints: bool) -> None:
@@ -45,7 +45,7 @@ def wanted(
     power: bool,
     origin: Origin | None,
 ) -> Wants:
-    """Make what is wanted of an autopilot.
+    """Return the senders of commands, of message rates and of the origin for one autopilot.
 
     Args:
         profile: of the autopilot.

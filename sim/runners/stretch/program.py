@@ -112,7 +112,7 @@ def layout_is_known() -> bool:
         lower, upper, h_m = (-side, -side, -side), (side, side, side), 0.1 * k - 0.4
         result = plain.solve(nominal, h_m, g, 0.05, lower, upper)
         if result.status is not FilterStatus.SOLVED:
-            continue
+            return False  # OSQP solves all eight; a program left out would show nothing
         exact = projection.projected(nominal, g, -h_m - 0.05, lower, upper)
         record.numbers[:] = qp_filter.data_and_start(
             nominal, g, -h_m - 0.05, lower, upper, record.infinity, *exact

@@ -30,38 +30,31 @@ def test_a_failure_is_repeated_only_after_a_pause(pytester, monkeypatch, pause_s
     pytester.runpytest_inprocess("-p", "no:cacheprovider").assert_outcomes(passed=passed, failed=2 - passed)
 
 
-def test_a_machine_that_pauses_in_each_attempt_is_said_to_be_unfit(pytester, monkeypatch):
+def failing(pytester, monkeypatch, limit, count):
+    """Run so many tests in real time that fail on a machine that always pauses, with this limit at 0 s."""
     monkeypatch.setattr(pauses, "PAUSE_S", 0.0)
-    monkeypatch.setattr(pauses, "CALM_WAIT_MAX_S", 0.0)
+    monkeypatch.setattr(pauses, limit, 0.0)
     pytester.makeconftest("from tests.pauses import pytest_runtest_protocol")
     pytester.makepyfile(
-        """
+        f"""
         import pytest
 
         @pytest.mark.xdist_group("real-time")
-        def test_flight():
+        @pytest.mark.parametrize("number", range({count}))
+        def test_flight(number):
             assert False
         """
     )
     result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-rs")
-    result.assert_outcomes(skipped=1)
-    result.stdout.fnmatch_lines([f"*not a machine for real time*in {pauses.ATTEMPTS} attempts"])
+    result.assert_outcomes(skipped=count)
+    return result.stdout
+
+
+def test_a_machine_that_pauses_in_each_attempt_is_said_to_be_unfit(pytester, monkeypatch):
+    said = failing(pytester, monkeypatch, "CALM_WAIT_MAX_S", 1)
+    said.fnmatch_lines([f"*not a machine for real time*in {pauses.ATTEMPTS} attempts"])
 
 
 def test_the_attempts_for_nothing_of_all_tests_have_one_bound(pytester, monkeypatch):
-    monkeypatch.setattr(pauses, "PAUSE_S", 0.0)
-    monkeypatch.setattr(pauses, "REPEATS_MAX_S", 0.0)
-    pytester.makeconftest("from tests.pauses import pytest_runtest_protocol")
-    pytester.makepyfile(
-        """
-        import pytest
-
-        @pytest.mark.xdist_group("real-time")
-        @pytest.mark.parametrize("number", range(2))
-        def test_flight(number):
-            assert number == 2
-        """
-    )
-    result = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-rs")
-    result.assert_outcomes(skipped=2)
-    result.stdout.fnmatch_lines(["*not a machine for real time*in 1 attempts"])
+    said = failing(pytester, monkeypatch, "REPEATS_MAX_S", 2)
+    said.fnmatch_lines(["*not a machine for real time*in 1 attempts"])

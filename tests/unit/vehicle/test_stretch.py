@@ -13,8 +13,6 @@ from sim.runners.companion import Companion, warm_up
 from sim.runners.stretch.program import OwnProgram, layout_is_known
 from sim.scenarios.scenario import Start, load
 
-pytestmark = pytest.mark.skipif(is_off(), reason="stretches are compiled")
-
 numbers = st.floats(-1e3, 1e3)
 
 
@@ -35,10 +33,10 @@ def flown(scenario, seed, on_step=None):
 
 
 def assert_equal(scenario, seed, least):
-    """Tick by tick and in stretches, of which at least this share of the ticks is flown."""
+    """Tick by tick and in stretches, which fly at least this share of the ticks; none with numba off."""
     one, seen, stretched = flown(scenario, seed)
     other, wanted, none = flown(scenario, seed, lambda tick, out: None)
-    assert stretched >= least * len(wanted.steps.t_s)
+    assert stretched == 0 if is_off() else stretched >= least * len(wanted.steps.t_s)
     assert none == 0
     for part in ("truth", "steps"):
         for field in fields(getattr(wanted, part)):
@@ -81,9 +79,10 @@ def test_another_layout_of_the_solvers_memory_is_noticed(monkeypatch):
 def test_it_is_compiled_before_the_first_landing():
     warm_up(load("field"))
     stretch = Companion(load("field"), 0).stretch
-    assert stretch is not None
-    stretch.warm_up()
-    assert stretch.fly(0) == 0  # nobody has been heard yet
+    assert (stretch is None) == is_off()
+    if stretch is not None:
+        stretch.warm_up()
+        assert stretch.fly(0) == 0  # nobody has been heard yet
 
 
 @given(numbers, numbers)
