@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import signal
 import time
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from _pytest.faulthandler import fault_handler_stderr_fd_key, get_timeout_config_value
 
 from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
 from flightstack.config.files import path_of
@@ -103,6 +105,18 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "arms: not run on a vehicle that was given without --arm-ok")
     config.addinivalue_line("markers", "simulated: needs the simulated room")
     config.addinivalue_line("markers", "xdist_group(name): run by one worker, also where there is no xdist")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_exception_interact(node: pytest.Item | pytest.Collector) -> None:
+    """Bound what follows a failure, such as the ends of fixtures: pytest's own time-outs stop with it.
+
+    The worker ends, with the stacks of all threads, and another one goes on.
+    """
+    within_s = get_timeout_config_value(node.config)
+    stderr = node.config.stash.get(fault_handler_stderr_fd_key, None)
+    if within_s > 0.0 and stderr is not None:
+        faulthandler.dump_traceback_later(within_s, file=stderr, exit=True)
 
 
 @pytest.hookimpl(optionalhook=True)
