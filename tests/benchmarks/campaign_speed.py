@@ -141,10 +141,13 @@ def us_per_tick(scenario: AnyScenario, seed: int) -> dict[str, float]:
 
 
 def main(scenario_name: str = "lab") -> None:
-    """Fly, measure, print."""
+    """Fly, measure, print; arguments are the scenario, and a filter if it is not the scenario's own."""
     if len(sys.argv) > 1:
         scenario_name = sys.argv[1]
     scenario = load_any(scenario_name)
+    if len(sys.argv) > 2:
+        scenario = scenario.with_filter(sys.argv[2])
+        scenario_name += f", {sys.argv[2]}"
     prepare(scenario)
     flown_s(scenario, 0)
     quiet_garbage_collector()

@@ -22,7 +22,7 @@ SPEED_MAX_M_S = 2.5  # on each axis; with more the autopilot's own bound of set-
 def suits(config: FlightConfig) -> bool:
     """Whether ``think`` knows everything that this configuration asks for."""
     return (
-        config.filter == "robust"
+        config.filter in ("robust", "paper")
         and config.fleet is None
         and config.reserve is None
         and not config.own.learns
@@ -36,47 +36,20 @@ def suits(config: FlightConfig) -> bool:
 def set_up_rules(r: RulesRecord, controller: Controller) -> None:
     """Fill in what does not change in a flight."""
     config, strategy = controller.config, controller.strategy
-    assert isinstance(strategy, RobustFilter)
-    checks, robust, touchdown, contact = config.checks, config.robust, config.touchdown, config.contact
-    target, retreat, barrier, watched = (
-        config.target,
-        config.retreat,
-        controller.barrier,
-        controller.plausibility,
-    )
-    r.period_s = watched.period_s
-    r.own_age_max_s, r.own_delay_s, r.own_noise_m = (
-        checks.own_age_max_s, config.own.delay_s, config.own.position_noise_m,
-    )  # fmt: skip
+    checks, touchdown, contact = config.checks, config.touchdown, config.contact
+    retreat, barrier, watched = config.retreat, controller.barrier, controller.plausibility
+    r.period_s, r.own_age_max_s = watched.period_s, checks.own_age_max_s
     r.drift_memory_s, r.missed_kept = checks.own_drift_memory_s, watched.kept
     r.drift2_max_m2 = _NEAR * checks.own_drift_max_m**2
     r.missed2_max_m2 = _NEAR * watched.tracking_lag_max_m**2
-    r.target_age_max_s, r.target_delay_s = checks.target_age_max_s, target.delay_s
+    r.target_age_max_s = checks.target_age_max_s
     r.target_speed2_max, r.target_jump2_max = checks.target_speed_max_m_s**2, checks.target_jump_max_m**2
-    estimator = strategy.estimator
-    r.fade_s, r.turns, r.growth2_max = (
-        target.acceleration_time_s,
-        target.turns_with_yaw,
-        estimator.growth2_max,
-    )
-    r.noise_xy[:], r.noise_z[:] = estimator.noise_xy, estimator.noise_z
     r.status_age_max_s, r.landing_time_max_s = checks.status_age_max_s, checks.landing_time_max_s
     r.settle_s = LANDED_SETTLE_S
     r.alpha_1_m, r.beta_m, r.smoothing_m = barrier.alpha_1_m, barrier.beta_m, barrier.smoothing_m
     r.pad_radius_m, r.low_m = touchdown.pad_radius_m, max(barrier.peak_height_m, touchdown.height_m)
-    r.slope_at_pad, r.sigma_factor = strategy.slope, robust.sigma_factor
-    r.margin_fixed_m = robust.tracking_error_m_s / robust.rate_1_s
-    r.margin_full, r.margin_fade_m = strategy.full, robust.fade_radius_m
     r.rate_1_s, r.lag_z_s = strategy.rate_1_s, config.velocity_loop.lag_z_s
-    r.gain_1_s, r.gain_over_1_s, r.gain_contact_1_s = (
-        robust.gain_1_s, robust.gain_over_pad_1_s, robust.to_contact_1_s,
-    )  # fmt: skip
-    r.wait_height_m, r.descent_m_s = robust.wait_height_m, robust.descent_m_s
-    r.descent_max_m_s, r.descent_min_m_s = robust.descent_max_m_s, robust.descent_min_m_s
-    r.brakes_m_s2 = strategy.brakes_m_s2
     r.standing_m = touchdown.feet_below_reference_m + contact.gap_m
-    r.commit_height_m, r.commit_speed_m_s = robust.commit_height_m, robust.commit_speed_m_s
-    r.commit_radius_m, r.corridor_m = robust.commit_radius_m, robust.corridor_m
     r.drift_time_s, r.h_left_m = retreat.drift_time_s, retreat.h_left_m
     r.touchdown_time_s, r.contact_speed_m_s = touchdown.timeout_s, strategy.contact_speed_max_m_s
     r.beyond_m, r.feet_m, r.gap_m = contact.beyond_m, touchdown.feet_below_reference_m, contact.gap_m
@@ -87,6 +60,39 @@ def set_up_rules(r: RulesRecord, controller: Controller) -> None:
     r.sliding_gap_m, r.sliding_radius_m = contact.sliding_gap_m, contact.sliding_radius_m
     r.most[:], r.altitude_max_m = config.limits.velocity_max_m_s, config.limits.altitude_max_m
     r.step[:] = controller.slew_step
+    if isinstance(strategy, RobustFilter):
+        _set_up_robust(r, config, strategy)
+    else:
+        _set_up_paper(r, config)
+
+
+def _set_up_paper(r: RulesRecord, config: FlightConfig) -> None:
+    """Without estimates, and without a margin of the barrier."""
+    r.paper, r.margin_full, r.margin_fade_m = True, 1.0, 1.0
+    r.gain_contact[:] = config.position_loop.gain_1_s
+    r.descent_m_s, r.touch_height_m = config.touchdown.descent_m_s, config.touchdown.height_m
+
+
+def _set_up_robust(r: RulesRecord, config: FlightConfig, strategy: RobustFilter) -> None:
+    robust, target, estimator = config.robust, config.target, strategy.estimator
+    r.own_delay_s, r.own_noise_m = config.own.delay_s, config.own.position_noise_m
+    r.target_delay_s, r.fade_s, r.turns = target.delay_s, target.acceleration_time_s, target.turns_with_yaw
+    r.growth2_max, r.noise_xy[:], r.noise_z[:] = (
+        estimator.growth2_max,
+        estimator.noise_xy,
+        estimator.noise_z,
+    )
+    r.slope_at_pad, r.sigma_factor = strategy.slope, robust.sigma_factor
+    r.margin_fixed_m = robust.tracking_error_m_s / robust.rate_1_s
+    r.margin_full, r.margin_fade_m = strategy.full, robust.fade_radius_m
+    r.gain_1_s, r.gain_over_1_s, r.gain_contact[:] = (
+        robust.gain_1_s, robust.gain_over_pad_1_s, robust.to_contact_1_s,
+    )  # fmt: skip
+    r.wait_height_m, r.descent_m_s = robust.wait_height_m, robust.descent_m_s
+    r.descent_max_m_s, r.descent_min_m_s = robust.descent_max_m_s, robust.descent_min_m_s
+    r.brakes_m_s2 = strategy.brakes_m_s2
+    r.commit_height_m, r.commit_speed_m_s = robust.commit_height_m, robust.commit_speed_m_s
+    r.commit_radius_m, r.corridor_m = robust.commit_radius_m, robust.corridor_m
     level, _, up = strategy.axes
     r.by_feedback = isinstance(level, FeedbackAxis)
     if isinstance(level, FeedbackAxis):
@@ -138,6 +144,10 @@ class Notebook:
             track.last = TargetSample(v[12], v[13], "map", "target", v[14:17], v[17:20], v[20], v[21])
             track.offset_s, track.refusal = v[22], ""
             track.accepted += v[23]
+        watched.last = OwnState(v[64], v[65], v[66:69], v[69:72], own_yaw_rad)
+        watched.drift_m, watched.missed_m = v[73:76], v[76:79]
+        if not isinstance(strategy, RobustFilter):
+            return
         motion.time_s, motion.position_enu_m, motion.velocity_enu_m_s = v[24], v[25:28], v[28:31]
         motion.acceleration_enu_m_s2 = v[31:34]
         motion.yaw_rad = None if math.isnan(v[34]) else v[34]
@@ -145,5 +155,3 @@ class Notebook:
         motion.covariance_xy, motion.covariance_z = v[37:43], v[43:49]
         tracking.slope_m_s2, tracking.setpoint_m_s, tracking.model_m_s = v[49:52], v[52:55], v[55:58]
         tracking.model_m_s2, tracking.disturbance_m_s = v[58:61], v[61:64]
-        watched.last = OwnState(v[64], v[65], v[66:69], v[69:72], own_yaw_rad)
-        watched.drift_m, watched.missed_m = v[73:76], v[76:79]

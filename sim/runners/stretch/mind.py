@@ -1,9 +1,9 @@
 """One step of the controller in compiled code, while it flies to the pad and onto it, or stands there.
 
 It calls the functions of numbers that ``Controller.step`` calls, in the same order, for the phases APPROACH,
-LAND, TOUCHDOWN and LANDED of the robust filter. Whatever does not happen in most ticks it leaves to Python,
-and says so before anything has changed: a phase that ends, a sample or a command that is refused, a bound
-that is near.
+LAND, TOUCHDOWN and LANDED of the robust and of the paper's filter. Whatever does not happen in most ticks it
+leaves to Python, and says so before anything has changed: a phase that ends, a sample or a command that is
+refused, a bound that is near.
 """
 
 from __future__ import annotations
@@ -108,6 +108,8 @@ def _take_sample(p: RulesRecord, m: MindRecord, sample: F64, now_s: float) -> bo
     keep(v0, (vx, vy, vz))
     m.offset_s = min(m.offset_s, now_s - source_s)
     m.accepted += 1
+    if p.paper:
+        return True
     dt_s = source_s - m.time_s
     if not 0.0 < dt_s <= RESTART_S:
         return False
@@ -145,6 +147,15 @@ def _target(p: RulesRecord, m: MindRecord, now_s: float) -> tuple[Vec3, Vec3, fl
         _jerk2(p.noise_xy[2], p.growth2_max, m.surprise), p.noise_z[2],
     )  # fmt: skip
     return at, speed, sigma_m, sigma_z_m
+
+
+@jitted
+def _newest(p: RulesRecord, m: MindRecord, now_s: float) -> tuple[Vec3, Vec3, float, float]:
+    """``TargetTrack.at``; as ``_target``, and nothing is known of its error."""
+    m.target_age_s = age_s = max(0.0, now_s - m.sample_source_s - m.offset_s)
+    ahead_s = min(age_s, p.target_age_max_s)
+    (x, y, z), (vx, vy, vz) = three(m.sample_position), three(m.sample_velocity)
+    return (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s), (vx, vy, vz), 0.0, 0.0
 
 
 @jitted
@@ -227,7 +238,7 @@ def _touches(
 ) -> bool:
     """``Mission._contact`` while there has been none; its timers go on."""
     on_pad, gap_m = d_m <= p.pad_radius_m + p.beyond_m, e[2] - p.feet_m
-    if _is_stopped(pad_rises, m.command[2], rises, p.descent_m_s):
+    if not p.paper and _is_stopped(pad_rises, m.command[2], rises, p.descent_m_s):
         m.stopped_since_s = min(m.stopped_since_s, now_s)
         held = now_s - m.stopped_since_s >= p.stopped_time_s
         if held and e[2] < p.stopped_below_m and on_pad:
@@ -259,6 +270,9 @@ def _leaves_phase(
             return True
         if p.phase == _APPROACH:
             return False
+        if p.paper:
+            low = bool(e[2] < p.touch_height_m and d_m <= p.pad_radius_m)
+            return low and _barrier_h(p.alpha_1_m, p.beta_m, e) >= 0.0
         if d_m <= p.pad_radius_m and e[2] < p.standing_m:
             return True
         uncertain_m = p.sigma_factor * sigma_m
@@ -267,7 +281,7 @@ def _leaves_phase(
     if p.phase == _TOUCHDOWN:
         if now_s - p.since_s > p.touchdown_time_s or _touches(p, m, e, d_m, slip, rises, pad_rises, now_s):
             return True
-        if _barrier_h(p.alpha_1_m, p.beta_m, e) < p.h_left_m:
+        if p.paper or _barrier_h(p.alpha_1_m, p.beta_m, e) < p.h_left_m:
             return False
         return bool(_leaves(e, d_m, slip, p.corridor_m, p.drift_time_s))
     return bool(now_s - p.since_s >= p.settle_s)  # LANDED
@@ -291,9 +305,14 @@ def _land(
 ) -> tuple[Vec3, bool]:  # fmt: skip
     """Filtered velocity on the way to the pad, and whether the gate's check of the barrier passes it."""
     alpha_1_m, beta_m = p.alpha_1_m, p.beta_m
-    above_m = e[2] - p.wait_height_m - _ahead(e, d_m, slip, p.brakes_m_s2, alpha_1_m, beta_m)
-    over_1_s = p.gain_over_1_s if p.phase == _LAND else p.gain_1_s
-    nominal = _approach(e, above_m, over_1_s, p.gain_1_s, target_m_s, p.descent_max_m_s, p.descent_min_m_s)
+    if p.paper:
+        nominal = _nominal(e, three(p.gain_contact), target_m_s)
+    else:
+        above_m = e[2] - p.wait_height_m - _ahead(e, d_m, slip, p.brakes_m_s2, alpha_1_m, beta_m)
+        over_1_s, most_m_s, least_m_s = p.gain_1_s, p.descent_max_m_s, p.descent_min_m_s
+        if p.phase == _LAND:
+            over_1_s = p.gain_over_1_s
+        nominal = _approach(e, above_m, over_1_s, p.gain_1_s, target_m_s, most_m_s, least_m_s)
     spread_m = _hypot(p.slope_at_pad * _hypot(sigma_m, p.own_noise_m), _hypot(sigma_z_m, p.own_noise_m))
     margin_m = (p.margin_fixed_m + p.sigma_factor * spread_m) / p.margin_full
     shape, fade_m = (alpha_1_m, beta_m, p.smoothing_m), p.margin_fade_m
@@ -303,10 +322,11 @@ def _land(
     lx, ly, lz = x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz
     x, y, z = bx + sx, by + sy, bz + sz
     upper = (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
-    left_m = _height_left(h_m, p.lag_z_s, own_m_s[2], bz)
-    climb = _least_climb(gradient, own_m_s, target_m_s, p.rate_1_s * left_m)
-    if climb > lz:
-        lz = min(climb, upper[2])
+    if not p.paper:
+        left_m = _height_left(h_m, p.lag_z_s, own_m_s[2], bz)
+        climb = _least_climb(gradient, own_m_s, target_m_s, p.rate_1_s * left_m)
+        if climb > lz:
+            lz = min(climb, upper[2])
     v, how = filtered(p.program, p.rate_1_s, nominal, h_m, gradient, dh_dt, (lx, ly, lz), upper)
     if how == NONE:
         return v, False
@@ -347,10 +367,12 @@ def think(
     for i in range(first, last):
         if not _take_sample(p, m, samples[i], now_s):
             return PYTHON
-    target, target_m_s, sigma_m, sigma_z_m = _target(p, m, now_s)
+    seen = _newest(p, m, now_s) if p.paper else _target(p, m, now_s)
+    target, target_m_s, sigma_m, sigma_z_m = seen
     if not _take_own(p, m, position, velocity, source_s, now_s):
         return PYTHON
-    _observe(p, m, velocity)
+    if not p.paper:
+        _observe(p, m, velocity)
     if m.target_age_s > p.target_age_max_s or now_s - p.status_s > p.status_age_max_s or now_s >= p.ends_s:
         return PYTHON
     t = p.own_delay_s
@@ -368,8 +390,7 @@ def think(
     base = three(m.command) if m.commanding else _limit(velocity, most)
     least_z = -math.inf
     if p.phase == _TOUCHDOWN:
-        gain = p.gain_contact_1_s
-        ax, ay, _ = _nominal(e, (gain, gain, gain), target_m_s)
+        ax, ay, _ = _nominal(e, three(p.gain_contact), target_m_s)
         asked = _limit((ax, ay, target_m_s[2] - p.descent_m_s), most)
         wanted, kept = _slew(base, asked, three(p.step), math.inf), True
         least_z = target_m_s[2] - p.contact_speed_m_s
@@ -377,7 +398,8 @@ def think(
         wanted, kept = _land(p, e, d_m, slip, sigma_m, sigma_z_m, base, velocity, target_m_s)
     if not kept:
         return PYTHON
-    setpoint = _correct(p, m, base, wanted, velocity, least_z)
+    setpoint = wanted if p.paper else _correct(p, m, base, wanted, velocity, least_z)
+    keep(m.setpoint, setpoint)
     if not (_inside(p, wanted, z) and _inside(p, setpoint, z)):
         return PYTHON
     keep(m.command, wanted)

@@ -70,6 +70,7 @@ class RulesRecord(Record):
     status_s: float  # arrival of the heartbeat
     ends_s: float  # when the flight is too long
     # configuration
+    paper: bool  # the paper's filter, else the robust one
     period_s: float
     own_age_max_s: float
     own_delay_s: float
@@ -104,7 +105,8 @@ class RulesRecord(Record):
     lag_z_s: float
     gain_1_s: float
     gain_over_1_s: float
-    gain_contact_1_s: float
+    gain_contact: Vector  # 1/s, on the way down to contact
+    touch_height_m: float
     wait_height_m: float
     descent_max_m_s: float
     descent_min_m_s: float

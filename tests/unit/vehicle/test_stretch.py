@@ -52,6 +52,11 @@ def test_a_landing_in_stretches_is_the_same_to_the_last_bit(name, seed):
     assert_equal(load(name), seed, 0.8)
 
 
+@pytest.mark.parametrize(("name", "seed"), [("field", 3), ("lab", 4), ("storm", 5), ("deck", 6)])
+def test_so_is_one_by_the_papers_filter(name, seed):
+    assert_equal(load(name).with_filter("paper"), seed, 0.7)
+
+
 def test_stretches_and_python_alternate_where_the_target_is_lost():
     field = load("field")
     rare = replace(field, odometry=replace(field.odometry, loss=0.3, dropout_every_s=0.5, dropout_max_s=0.6))
