@@ -23,7 +23,7 @@ endef
 
 test: $(VENV)/.test
 	$(CHECK)
-	$(BIN)/python -m pytest -n auto --dist loadgroup -q
+	$(BIN)/python -m pytest -n auto --dist loadgroup --max-worker-restart 1 -q
 
 # the unit tests without those marked slow, each within a bound of processor time (tests/quick.py)
 quick: $(VENV)/.test

@@ -2,18 +2,23 @@
 
 A virtual machine whose host gives its processors to others stands still for tenths of a second; then states
 are too old, and the stack rightly gives up. A thread on each processor measures how late it wakes. A failure
-without such a pause counts at once, and so does that of an attempt which hung until its time was over. A test
+without such a pause counts at once, and so does the second attempt that hung until its time was over. A test
 that failed with a pause in each attempt is skipped, with the pauses as the reason: that machine can not fly
 in real time. The attempts for nothing have a bound over all tests of a worker; beyond it a test that failed
 with a pause is skipped at once.
+
+A test marked ``whole_machine`` starts so many processes that no other flight in real time runs beside it.
 """
 
 from __future__ import annotations
 
+import fcntl
 import os
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import IO
 
 import pytest
 from _pytest.runner import runtestprotocol
@@ -23,10 +28,12 @@ PAUSE_S = 0.1  # half of the age at which an own state is no longer flown by (ch
 CALM_S = 2.0  # s without a pause, waited for before another attempt
 CALM_WAIT_MAX_S = 30.0  # s
 REPEATS_MAX_S = 150.0  # s of wall time for all attempts for nothing of a worker, and for calm after them
+TURN_MAX_S = 120.0  # s of waiting for flights of other workers; then it flies beside them
 GIVES_WAY = 5  # niceness of a worker, and of what it starts, from its first test that is not in real time on
 _SLEEP_S = 0.01
-HANGS_S = 300.0  # s; what takes so long does not fail by a pause
+HANGS_S = 240.0  # s; an attempt that takes so long hangs, and a test that does so twice has failed
 _SPENT_S = pytest.StashKey[float]()  # of that bound
+_HUNG = pytest.StashKey[bool]()  # whether an attempt of a test has hung
 _WORST_S = pytest.StashKey[list[float]]()  # longest pause of each attempt of a test that was for nothing
 
 
@@ -71,6 +78,37 @@ def in_real_time(item: pytest.Item) -> bool:
     return any("real-time" in mark.args for mark in item.iter_markers("xdist_group"))
 
 
+@contextmanager
+def turn(item: pytest.Item) -> Iterator[None]:
+    """Fly while no test of another worker flies that needs the whole machine, or, if it is one, none at all.
+
+    The first lock is held while the second is waited for: so the others begin nothing new meanwhile.
+    """
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        yield
+        return
+    alone = any(item.iter_markers("whole_machine"))
+    base = item.config._tmp_path_factory.getbasetemp().parent  # of all workers
+    until_s = time.monotonic() + TURN_MAX_S
+    with (base / "follows.lock").open("w") as following, (base / "flies.lock").open("w") as flying:
+        _lock(following, fcntl.LOCK_EX, until_s)
+        _lock(flying, fcntl.LOCK_EX if alone else fcntl.LOCK_SH, until_s)
+        fcntl.flock(following, fcntl.LOCK_UN)
+        yield
+
+
+def _lock(file: IO[str], kind: int, until_s: float) -> None:
+    while True:
+        try:
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() >= until_s:
+                return
+            time.sleep(_SLEEP_S)  # polling a lock of other processes: nothing else bounds the wait
+        else:
+            return
+
+
 def await_calm(within_s: float) -> None:
     """Return when the machine has not paused for a while, or after a limit."""
     until_s = time.monotonic() + within_s
@@ -89,6 +127,21 @@ def skipped(item: pytest.Item, reports: Sequence[pytest.TestReport], worst_s: Se
             report.longrepr = (str(item.path), item.location[1] or 0, reason)
 
 
+def _again(item: pytest.Item, took_s: float) -> bool:
+    """Whether a test is tried again after an attempt for nothing, once the machine is calm."""
+    if took_s >= HANGS_S:
+        hung = item.stash.get(_HUNG, False)
+        item.stash[_HUNG] = True
+        return not hung
+    spent_s = item.config.stash[_SPENT_S] = item.config.stash.get(_SPENT_S, 0.0) + took_s
+    if len(item.stash[_WORST_S]) >= ATTEMPTS or spent_s >= REPEATS_MAX_S:
+        return False
+    began_s = time.monotonic()
+    await_calm(min(CALM_WAIT_MAX_S, REPEATS_MAX_S - spent_s))
+    item.config.stash[_SPENT_S] = spent_s + time.monotonic() - began_s
+    return True
+
+
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
     """Run a test in real time again while it fails on a machine that paused; others give way to it."""
     if not in_real_time(item):
@@ -99,22 +152,19 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     worst_s = item.stash.setdefault(_WORST_S, [])
     if not worst_s:
         item.ihook.pytest_runtest_logstart(**where)
-    began_s = time.monotonic()
-    with Pauses() as pauses:
+    with turn(item), Pauses() as pauses:
+        began_s = time.monotonic()
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
-    took_s = time.monotonic() - began_s
-    paused = pauses.worst_s >= PAUSE_S and took_s < HANGS_S
-    if paused and any(report.failed for report in reports):
+        took_s = time.monotonic() - began_s
+    if pauses.worst_s >= PAUSE_S and any(report.failed for report in reports):
         worst_s.append(pauses.worst_s)
         print(f"{item.nodeid}: attempt {len(worst_s)} failed, the machine paused for {pauses.worst_s:.2f} s")
-        spent_s = item.config.stash[_SPENT_S] = item.config.stash.get(_SPENT_S, 0.0) + took_s
-        if len(worst_s) < ATTEMPTS and spent_s < REPEATS_MAX_S:
-            await_calm(min(CALM_WAIT_MAX_S, REPEATS_MAX_S - spent_s))
-            item.config.stash[_SPENT_S] = spent_s + time.monotonic() - began_s - took_s
+        if _again(item, took_s):
             item._initrequest()  # fixtures of the test are made anew
             # by its hook, as the failure has ended the time-outs of pytest, and each attempt needs its own
             return item.ihook.pytest_runtest_protocol(item=item, nextitem=nextitem)
-        skipped(item, reports, worst_s)
+        if took_s < HANGS_S:
+            skipped(item, reports, worst_s)
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(**where)

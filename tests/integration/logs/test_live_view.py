@@ -77,10 +77,12 @@ def watching(sender, tmp_path):
         [*COMMAND, "watch", "--connect", sender[1], "--view", str(out), "--config", str(CONFIG)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert line_of(child.stdout) == f"ready {out}\n"
-    wait_for(lambda: all(map(zenoh_link.is_matched, sender[0].values())), "a viewer that listens")
-    yield child, out
-    killed(child)
+    try:
+        assert line_of(child.stdout) == f"ready {out}\n"
+        wait_for(lambda: all(map(zenoh_link.is_matched, sender[0].values())), "a viewer that listens")
+        yield child, out
+    finally:
+        killed(child)
 
 
 def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching):
