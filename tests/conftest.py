@@ -15,6 +15,10 @@ from _pytest.faulthandler import fault_handler_stderr_fd_key, get_timeout_config
 from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
 from flightstack.config.files import path_of
 from tests.flight_suite.room import PROFILES
+from tests.overdue import pytest_runtest_logfinish as pytest_runtest_logfinish
+from tests.overdue import pytest_runtest_logstart as pytest_runtest_logstart
+from tests.overdue import pytest_sessionfinish as pytest_sessionfinish
+from tests.overdue import pytest_sessionstart as pytest_sessionstart
 from tests.pauses import in_real_time
 from tests.pauses import pytest_runtest_protocol as pytest_runtest_protocol
 from tests.quick import mark_slow
