@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import os
 import pty
 import select
 import signal
 import subprocess
-import termios
+import sys
 from contextlib import contextmanager
 
 import numpy as np
@@ -145,17 +144,19 @@ def test_an_onboard_process_whose_terminal_closes_flies_clear_and_lands(tmp_path
     assert not truth.motors_running[-1]
 
 
+TAKES_ITS_TERMINAL = (
+    "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
+
+
 def on_a_terminal(arguments):
     """Start a verb as the leader of a session on a terminal of its own; returns it and the other end."""
     ours, theirs = pty.openpty()
-
-    def take_terminal():
-        os.setsid()
-        fcntl.ioctl(theirs, termios.TIOCSCTTY, 0)
-
     child = subprocess.Popen(
-        [*COMMAND, *arguments], stdin=theirs, stdout=theirs, stderr=theirs, preexec_fn=take_terminal
-    )
+        [sys.executable, "-c", TAKES_ITS_TERMINAL, *COMMAND, *arguments],
+        stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
+    )  # fmt: skip
     os.close(theirs)
     return child, ours
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import random
-import resource
 import signal
 import socket
 import statistics
@@ -30,6 +29,7 @@ from logs.schema.codec_mavlink import pack_mavlink
 from tests.bounded import line_of
 from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
 
+LIMITS = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"  # bytes of a file
 RECORD = (
     "import sys; from pathlib import Path; from logs.recorder.recorder import record_main;"
     "sys.exit(record_main(Path(sys.argv[1]), Path(sys.argv[2]), None))"
@@ -40,17 +40,13 @@ def start(tmp_path, *, file_limit=None, until="None"):
     """Start a recorder as its own process; returns when it listens."""
     paths = (tmp_path / "feed.sock", tmp_path / "flight.mcap")
     code = RECORD.replace("None", until)
-
-    def limit():
-        if file_limit:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
-
+    if file_limit:
+        code = LIMITS.format(file_limit) + code
     process = subprocess.Popen(
         [sys.executable, "-c", code, *map(str, paths)],
         cwd=Path(__file__).parents[4],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        preexec_fn=limit,
         text=True,
     )
     assert line_of(process.stdout) == "ready\n"
@@ -179,9 +175,8 @@ def test_full_disk_ends_the_recorder_and_stalls_nobody(tmp_path):
 
 def test_a_disk_that_is_full_from_the_start_is_refused(tmp_path):
     process = subprocess.run(
-        [sys.executable, "-c", RECORD, str(tmp_path / "feed.sock"), str(tmp_path / "flight.mcap")],
+        [sys.executable, "-c", LIMITS.format(0) + RECORD, tmp_path / "feed.sock", tmp_path / "flight.mcap"],
         cwd=Path(__file__).parents[4], capture_output=True, text=True, timeout=DEADLINE_S, check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)),
     )  # fmt: skip
     assert process.returncode == 2
     assert "cannot write the log" in process.stderr
