@@ -53,7 +53,9 @@ class Cone(NamedTuple):
     ) -> tuple[Vec3, Vec3]:
         """Box in which making way neither makes the vehicle sink faster nor takes it fast past the middle.
 
-        Beyond the middle a velocity inwards is one outwards. A climb may always end.
+        Beyond the middle a velocity inwards is one outwards. A climb may always end. It sinks no faster than h
+        alone allows: a flight inwards, above the boundary that falls there, may be turned round by a neighbour
+        sooner than the climb follows.
 
         Args:
             d_m: horizontal distance from the pad's middle.
@@ -65,7 +67,8 @@ class Cone(NamedTuple):
         """
         most = INWARD_RATE_1_S * d_m + OUTWARD_PART * max(0.0, h_m) / (self.slope_max * self.lag_s)
         (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = target_m_s, lower, upper
+        sinks = tz - self.rate_1_s * max(0.0, h_m)
         return (
-            (clip(tx - most, lx, ux), clip(ty - most, ly, uy), clip(min(nominal[2], tz), lz, uz)),
+            (clip(tx - most, lx, ux), clip(ty - most, ly, uy), clip(min(tz, max(nominal[2], sinks)), lz, uz)),
             (clip(tx + most, lx, ux), clip(ty + most, ly, uy), uz),
         )
