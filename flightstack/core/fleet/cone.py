@@ -53,9 +53,9 @@ class Cone(NamedTuple):
     ) -> tuple[Vec3, Vec3]:
         """Box in which making way neither makes the vehicle sink faster nor takes it fast past the middle.
 
-        Beyond the middle a velocity inwards is one outwards. A climb may always end. It sinks no faster than h
-        alone allows: a flight inwards, above the boundary that falls there, may be turned round by a neighbour
-        sooner than the climb follows.
+        Beyond the middle a velocity inwards is one outwards. A climb may always end. It sinks no faster than
+        h alone allows: a flight inwards, where the boundary falls, may be turned round by a neighbour sooner
+        than the climb follows.
 
         Args:
             d_m: horizontal distance from the pad's middle.

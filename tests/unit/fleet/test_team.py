@@ -151,3 +151,9 @@ def test_a_team_has_one_wind_of_its_own_gusts():
     assert len(directions) == 1
     given = replace(FIELD, wind=replace(FIELD.wind, direction_rad=0.5))
     assert [each.wind.direction_rad for each, _ in team_of(given).singles(4)] == [0.5]
+
+
+def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():
+    """The fifth vehicle came 11 mm below it when sinking counted on flying on inwards."""
+    landings = land_team(team.load("fleet_8"), 20866).landings
+    assert min(each.verdict.h_min_outside_pad_m for each in landings) > 0.03
