@@ -8,6 +8,7 @@ pytest_plugins = ["pytester"]
 
 
 def test_tests_and_processes_are_told(pytester, monkeypatch):
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
     monkeypatch.setenv("PYTHONPATH", str(Path(overdue.__file__).parents[1]))
     pytester.makeconftest(
         """
