@@ -108,7 +108,6 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "vehicle: flies our simulated vehicle, or the one of --vehicle")
     config.addinivalue_line("markers", "arms: not run on a vehicle that was given without --arm-ok")
     config.addinivalue_line("markers", "simulated: needs the simulated room")
-    config.addinivalue_line("markers", "whole_machine: no other flight in real time runs beside it")
     config.addinivalue_line("markers", "xdist_group(name): run by one worker, also where there is no xdist")
 
 

@@ -6,19 +6,14 @@ without such a pause counts at once, and so does the second attempt that hung un
 that failed with a pause in each attempt is skipped, with the pauses as the reason: that machine can not fly
 in real time. The attempts for nothing have a bound over all tests of a worker; beyond it a test that failed
 with a pause is skipped at once.
-
-A test marked ``whole_machine`` starts so many processes that no other flight in real time runs beside it.
 """
 
 from __future__ import annotations
 
-import fcntl
 import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import IO
+from collections.abc import Sequence
 
 import pytest
 from _pytest.runner import runtestprotocol
@@ -28,7 +23,6 @@ PAUSE_S = 0.1  # half of the age at which an own state is no longer flown by (ch
 CALM_S = 2.0  # s without a pause, waited for before another attempt
 CALM_WAIT_MAX_S = 30.0  # s
 REPEATS_MAX_S = 150.0  # s of wall time for all attempts for nothing of a worker, and for calm after them
-TURN_MAX_S = 120.0  # s of waiting for flights of other workers; then it flies beside them
 GIVES_WAY = 5  # niceness of a worker, and of what it starts, from its first test that is not in real time on
 _SLEEP_S = 0.01
 HANGS_S = 240.0  # s; an attempt that takes so long hangs, and a test that does so twice has failed
@@ -78,37 +72,6 @@ def in_real_time(item: pytest.Item) -> bool:
     return any("real-time" in mark.args for mark in item.iter_markers("xdist_group"))
 
 
-@contextmanager
-def turn(item: pytest.Item) -> Iterator[None]:
-    """Fly while no test of another worker flies that needs the whole machine, or, if it is one, none at all.
-
-    The first lock is held while the second is waited for: so the others begin nothing new meanwhile.
-    """
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        yield
-        return
-    alone = any(item.iter_markers("whole_machine"))
-    base = item.config._tmp_path_factory.getbasetemp().parent  # of all workers
-    until_s = time.monotonic() + TURN_MAX_S
-    with (base / "follows.lock").open("w") as following, (base / "flies.lock").open("w") as flying:
-        _lock(following, fcntl.LOCK_EX, until_s)
-        _lock(flying, fcntl.LOCK_EX if alone else fcntl.LOCK_SH, until_s)
-        fcntl.flock(following, fcntl.LOCK_UN)
-        yield
-
-
-def _lock(file: IO[str], kind: int, until_s: float) -> None:
-    while True:
-        try:
-            fcntl.flock(file, kind | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() >= until_s:
-                return
-            time.sleep(_SLEEP_S)  # polling a lock of other processes: nothing else bounds the wait
-        else:
-            return
-
-
 def await_calm(within_s: float) -> None:
     """Return when the machine has not paused for a while, or after a limit."""
     until_s = time.monotonic() + within_s
@@ -152,7 +115,7 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     worst_s = item.stash.setdefault(_WORST_S, [])
     if not worst_s:
         item.ihook.pytest_runtest_logstart(**where)
-    with turn(item), Pauses() as pauses:
+    with Pauses() as pauses:
         began_s = time.monotonic()
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
         took_s = time.monotonic() - began_s

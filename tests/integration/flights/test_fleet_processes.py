@@ -42,7 +42,6 @@ start.ground_position_m = [-0.6, 2.3]
 KINDS = {1: "sitl", 2: "ardupilot", 3: "crazyflie"}
 
 
-@pytest.mark.whole_machine
 @pytest.mark.xdist_group("real-time")
 def test_three_kinds_of_vehicles_hear_each_other_land_and_replay(tmp_path):
     (team_file := tmp_path / "team.toml").write_text(TEAM)

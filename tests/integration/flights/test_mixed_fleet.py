@@ -82,7 +82,6 @@ def least_rho(one, other, fleet):
     return float(np.sqrt((x * x + y * y) / fleet.radius_xy_m**2 + z * z / fleet.radius_z_m**2).min())
 
 
-@pytest.mark.whole_machine
 @pytest.mark.xdist_group("real-time")
 def test_three_kinds_cross_land_and_replay(tmp_path):
     px4_or_skip()

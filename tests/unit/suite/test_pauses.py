@@ -100,34 +100,3 @@ def test_what_comes_after_a_failure_has_a_bound_too(pytester, monkeypatch, hangs
     ended = pytester.runpytest_subprocess("-p", "no:cacheprovider", *bounds, timeout=60)
     assert ended.ret == 1  # also where another attempt follows the one that hung: it hangs, too
     (ended.stderr if hangs_in_end_of else ended.stdout).fnmatch_lines([said])
-
-
-def test_who_needs_the_whole_machine_flies_alone(pytester, monkeypatch):
-    """Each test writes when it began and ended; of the one that is marked nobody else's time overlaps."""
-    pytester.makeconftest("from tests.pauses import pytest_runtest_protocol")
-    pytester.makepyfile(
-        """
-        import os, time
-        from pathlib import Path
-        import pytest
-
-        NAMES = ["a", "b", "c", pytest.param("alone", marks=pytest.mark.whole_machine)]
-
-        @pytest.mark.parametrize("number", range(3))
-        @pytest.mark.parametrize("name", NAMES)
-        @pytest.mark.xdist_group("real-time")
-        def test_flight(name, number):
-            began_s = time.monotonic()
-            time.sleep(0.02)
-            with Path(os.environ["TIMES"]).open("a") as file:
-                file.write(f"{name} {began_s} {time.monotonic()}\\n")
-        """
-    )
-    monkeypatch.setenv("PYTHONPATH", str(Path(pauses.__file__).parents[1]))
-    monkeypatch.setenv("TIMES", str(pytester.path / "times"))
-    ended = pytester.runpytest_subprocess("-p", "no:cacheprovider", "-n", "3", "--dist", "load")
-    ended.assert_outcomes(passed=12)
-    flights = [line.split() for line in (pytester.path / "times").read_text().splitlines()]
-    spans = [(name, float(began_s), float(ended_s)) for name, began_s, ended_s in flights]
-    for alone in (each for each in spans if each[0] == "alone"):
-        assert sum(began_s < alone[2] and ended_s > alone[1] for _, began_s, ended_s in spans) == 1
