@@ -67,8 +67,12 @@ class Cone(NamedTuple):
         """
         most = INWARD_RATE_1_S * d_m + OUTWARD_PART * max(0.0, h_m) / (self.slope_max * self.lag_s)
         (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = target_m_s, lower, upper
-        sinks = tz - self.rate_1_s * max(0.0, h_m)
+        least_z_m_s = min(tz, max(nominal[2], tz - self.rate_1_s * max(0.0, h_m)))
         return (
-            (clip(tx - most, lx, ux), clip(ty - most, ly, uy), clip(min(tz, max(nominal[2], sinks)), lz, uz)),
+            (
+                clip(tx - most, lx, ux),
+                clip(ty - most, ly, uy),
+                clip(least_z_m_s, lz, uz),
+            ),
             (clip(tx + most, lx, ux), clip(ty + most, ly, uy), uz),
         )

@@ -67,9 +67,9 @@ def set_up_rules(r: RulesRecord, controller: Controller) -> None:
 
 
 def _set_up_paper(r: RulesRecord, config: FlightConfig) -> None:
-    """Without estimates, and without a margin of the barrier."""
-    r.paper, r.margin_full, r.margin_fade_m = True, 1.0, 1.0
-    r.gain_contact[:] = config.position_loop.gain_1_s
+    """Without estimates; and without a margin of the barrier, which may then fade within any radius."""
+    r.paper, r.margin_fade_m = True, 1.0
+    r.gain_contact_1_s[:] = config.position_loop.gain_1_s
     r.descent_m_s, r.touch_height_m = config.touchdown.descent_m_s, config.touchdown.height_m
 
 
@@ -85,7 +85,7 @@ def _set_up_robust(r: RulesRecord, config: FlightConfig, strategy: RobustFilter)
     r.slope_at_pad, r.sigma_factor = strategy.slope, robust.sigma_factor
     r.margin_fixed_m = robust.tracking_error_m_s / robust.rate_1_s
     r.margin_full, r.margin_fade_m = strategy.full, robust.fade_radius_m
-    r.gain_1_s, r.gain_over_1_s, r.gain_contact[:] = (
+    r.gain_1_s, r.gain_over_1_s, r.gain_contact_1_s[:] = (
         robust.gain_1_s, robust.gain_over_pad_1_s, robust.to_contact_1_s,
     )  # fmt: skip
     r.wait_height_m, r.descent_m_s = robust.wait_height_m, robust.descent_m_s
@@ -147,7 +147,7 @@ class Notebook:
         watched.last = OwnState(v[64], v[65], v[66:69], v[69:72], own_yaw_rad)
         watched.drift_m, watched.missed_m = v[73:76], v[76:79]
         if not isinstance(strategy, RobustFilter):
-            return
+            return  # it remembers nothing of the rest
         motion.time_s, motion.position_enu_m, motion.velocity_enu_m_s = v[24], v[25:28], v[28:31]
         motion.acceleration_enu_m_s2 = v[31:34]
         motion.yaw_rad = None if math.isnan(v[34]) else v[34]

@@ -12,82 +12,36 @@ import math
 
 from flightstack.core.mission.conditions import OVER_PAD_LEFT
 from flightstack.core.mission.machine import SLIDING_TIME_S
-from flightstack.core.numeric import hypot, numeric, twin
+from flightstack.core.numeric import twin
 from flightstack.core.safety import position_loop, robust_barrier
 from flightstack.core.safety.barrier import barrier_h
 from flightstack.core.safety.gate import BOX_TOLERANCE_M_S, SOLVER_TOLERANCE_M_S
-from flightstack.core.strategies import robust, velocity_tracking
-from flightstack.core.target import estimator, plausibility
-from flightstack.core.target.estimator import RESTART_S
+from flightstack.core.target import plausibility
 from flightstack.core.types import Phase, Vec3
 from sim.compiled.jit import jitted
 from sim.compiled.records import F64
+from sim.runners.stretch import paper_mind as paper
+from sim.runners.stretch import robust_mind as robust
 from sim.runners.stretch.program import HOPELESS, NONE, filtered
 from sim.runners.stretch.records import MindRecord, RulesRecord
+from sim.runners.stretch.tuples import keep, length, three
 
 STANDS, SENDS, PYTHON = 0, 1, 2  # no set-point goes out, one does, and this tick is Python's
 _APPROACH, _LAND = int(Phase.APPROACH), int(Phase.LAND)
 _TOUCHDOWN = int(Phase.TOUCHDOWN)
 
 
-@numeric
-def _length(x: float, y: float) -> float:
-    return hypot(x, y)
-
-
-_hypot = twin(_length, jitted)
 _limit, _slew = twin(position_loop.limit, jitted), twin(position_loop.slew, jitted)
 _nominal = twin(position_loop.nominal_velocity, jitted)
 _robust_h, _bound = twin(robust_barrier.robust_h, jitted), twin(robust_barrier.robust_bound, jitted)
 _evaluated = twin(robust_barrier.robust_evaluated, jitted)
 _barrier_h = twin(barrier_h, jitted)
-_height_left, _least_climb = twin(robust.height_left, jitted), twin(robust.least_climb, jitted)
-_approach, _ahead = twin(robust.approach, jitted), twin(robust.height_ahead, jitted)
-_commits, _leaves = twin(robust.commits, jitted), twin(robust.leaves_corridor, jitted)
-_is_stopped = twin(robust.is_stopped, jitted)
-_lead_observed = twin(velocity_tracking.lead_observed, jitted)
-_lead_commanded = twin(velocity_tracking.lead_commanded, jitted)
-_feedback_observed = twin(velocity_tracking.feedback_observed, jitted)
-_feedback_commanded = twin(velocity_tracking.feedback_commanded, jitted)
-_updated, _carried = twin(estimator.updated, jitted), twin(estimator.carried, jitted)
-_turn, _turn_rate = twin(estimator.turn, jitted), twin(estimator.turn_rate, jitted)
-_fading, _lasting = twin(estimator.fading, jitted), twin(estimator.lasting, jitted)
-_jerk2 = twin(estimator.raised_jerk2, jitted)
 _drifted, _missed = twin(plausibility.drifted, jitted), twin(plausibility.missed, jitted)
 
 
 @jitted
-def three(v: F64) -> Vec3:
-    """Three numbers of an array as a tuple."""
-    return (v[0], v[1], v[2])
-
-
-@jitted
-def keep(into: F64, v: Vec3) -> None:
-    """Write three numbers."""
-    into[0], into[1], into[2] = v[0], v[1], v[2]
-
-
-@jitted
-def _six(v: F64) -> tuple[float, float, float, float, float, float]:
-    return (v[0], v[1], v[2], v[3], v[4], v[5])
-
-
-@jitted
-def _nine(v: F64) -> tuple[float, float, float, float, float, float, float, float, float]:
-    return (v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8])
-
-
-@jitted
-def _thirteen(
-    v: F64,
-) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]:
-    return (v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12])
-
-
-@jitted
 def _take_sample(p: RulesRecord, m: MindRecord, sample: F64, now_s: float) -> bool:
-    """``TargetTrack.accept`` and ``TargetEstimator.update``; False where the sample is no ordinary one."""
+    """``TargetTrack.accept``, and what the filter makes of it; False where the sample is no ordinary one."""
     source_s, x, y, z = sample[0], sample[1], sample[2], sample[3]
     vx, vy, vz, yaw, rate = sample[4], sample[5], sample[6], sample[7], sample[8]
     if not math.isfinite(x + y + z + vx + vy + vz + yaw + source_s):
@@ -110,52 +64,7 @@ def _take_sample(p: RulesRecord, m: MindRecord, sample: F64, now_s: float) -> bo
     m.accepted += 1
     if p.paper:
         return True
-    dt_s = source_s - m.time_s
-    if not 0.0 < dt_s <= RESTART_S:
-        return False
-    before_rad, m.yaw, m.time_s = m.yaw, yaw, source_s
-    if p.turns:
-        turned = 0.0 if math.isnan(before_rad) else _turn_rate(before_rad, yaw, dt_s)
-        m.turn_rate += dt_s / (dt_s + estimator.TURN_TIME_S) * (turned - m.turn_rate)
-    xy, zz = p.noise_xy, p.noise_z
-    (at, speed, push), covariance_xy, covariance_z, innovation2 = _updated(
-        (three(m.position), three(m.velocity), three(m.acceleration)),
-        (_six(m.covariance_xy), _six(m.covariance_z)),
-        _turn(m.turn_rate, dt_s), _fading(dt_s, p.fade_s), _lasting(dt_s),
-        (xy[0], xy[1], _jerk2(xy[2], p.growth2_max, m.surprise)), (zz[0], zz[1], zz[2]),
-        (x, y, z), (vx, vy, vz),
-    )  # fmt: skip
-    keep(m.position, at)
-    keep(m.velocity, speed)
-    keep(m.acceleration, push)
-    for i in range(6):
-        m.covariance_xy[i], m.covariance_z[i] = covariance_xy[i], covariance_z[i]
-    m.surprise += dt_s / (dt_s + estimator.INNOVATION_TIME_S) * (innovation2 - m.surprise)
-    return True
-
-
-@jitted
-def _target(p: RulesRecord, m: MindRecord, now_s: float) -> tuple[Vec3, Vec3, float, float]:
-    """``RobustFilter.target``: position, velocity, standard deviations of position on x and y, and on z."""
-    latest_s = m.time_s + p.target_age_max_s
-    dt_s = min(now_s - m.offset_s, latest_s) + p.target_delay_s - m.time_s
-    m.target_age_s = max(0.0, now_s - m.sample_source_s - m.offset_s) + p.target_delay_s
-    at, speed, _, sigma_m, sigma_z_m, _ = _carried(
-        (three(m.position), three(m.velocity), three(m.acceleration)),
-        (_six(m.covariance_xy), _six(m.covariance_z)),
-        _turn(m.turn_rate, dt_s), _fading(dt_s, p.fade_s), _lasting(dt_s),
-        _jerk2(p.noise_xy[2], p.growth2_max, m.surprise), p.noise_z[2],
-    )  # fmt: skip
-    return at, speed, sigma_m, sigma_z_m
-
-
-@jitted
-def _newest(p: RulesRecord, m: MindRecord, now_s: float) -> tuple[Vec3, Vec3, float, float]:
-    """``TargetTrack.at``; as ``_target``, and nothing is known of its error."""
-    m.target_age_s = age_s = max(0.0, now_s - m.sample_source_s - m.offset_s)
-    ahead_s = min(age_s, p.target_age_max_s)
-    (x, y, z), (vx, vy, vz) = three(m.sample_position), three(m.sample_velocity)
-    return (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s), (vx, vy, vz), 0.0, 0.0
+    return robust.take(p, m, source_s, (x, y, z), (vx, vy, vz), yaw)
 
 
 @jitted
@@ -185,47 +94,6 @@ def _take_own(
 
 
 @jitted
-def _observe(p: RulesRecord, m: MindRecord, velocity: Vec3) -> None:
-    """``VelocityTracking.observe``."""
-    model, model_2, disturbance = m.model, m.model_2, m.disturbance
-    if not m.commanding:
-        keep(model, velocity)
-        keep(model_2, (0.0, 0.0, 0.0))
-        keep(m.slope, (0.0, 0.0, 0.0))
-        return
-    for i in range(3):
-        v, u, now, rise, d = velocity[i], m.setpoint[i], model[i], model_2[i], disturbance[i]
-        if i == 2:
-            model[i], model_2[i], disturbance[i] = _lead_observed(_nine(p.lead_z), v, u, now, rise, d)
-        elif p.by_feedback:
-            model[i], model_2[i], disturbance[i] = _feedback_observed(
-                _thirteen(p.feedback), v, u, now, rise, d
-            )
-        else:
-            model[i], model_2[i], disturbance[i] = _lead_observed(_nine(p.lead_xy), v, u, now, rise, d)
-
-
-@jitted
-def _correct(
-    p: RulesRecord, m: MindRecord, before: Vec3, wanted: Vec3, velocity: Vec3, least_z: float
-) -> Vec3:
-    """``VelocityTracking.command``."""
-    slope, setpoint = m.slope, m.setpoint
-    for i in range(3):
-        b, r, v, s, d, most = before[i], wanted[i], velocity[i], slope[i], m.disturbance[i], p.most[i]
-        if i == 2:
-            slope[i], setpoint[i] = _lead_commanded(_nine(p.lead_z), b, r, v, s, d, most)
-        elif p.by_feedback:
-            slope[i], setpoint[i] = _feedback_commanded(
-                _thirteen(p.feedback), b, r, s, m.model[i], m.model_2[i], d, most
-            )
-        else:
-            slope[i], setpoint[i] = _lead_commanded(_nine(p.lead_xy), b, r, v, s, d, most)
-    setpoint[2] = min(max(setpoint[2], least_z - m.disturbance[2]), p.most[2])
-    return three(setpoint)
-
-
-@jitted
 def _touches(
     p: RulesRecord,
     m: MindRecord,
@@ -238,7 +106,7 @@ def _touches(
 ) -> bool:
     """``Mission._contact`` while there has been none; its timers go on."""
     on_pad, gap_m = d_m <= p.pad_radius_m + p.beyond_m, e[2] - p.feet_m
-    if not p.paper and _is_stopped(pad_rises, m.command[2], rises, p.descent_m_s):
+    if not p.paper and robust.is_stopped(pad_rises, m.command[2], rises, p.descent_m_s):
         m.stopped_since_s = min(m.stopped_since_s, now_s)
         held = now_s - m.stopped_since_s >= p.stopped_time_s
         if held and e[2] < p.stopped_below_m and on_pad:
@@ -246,7 +114,7 @@ def _touches(
     else:
         m.stopped_since_s = math.inf
     slides = p.sliding_gap_m > max(0.0, gap_m)
-    if on_pad and slides and d_m + SLIDING_TIME_S * _hypot(slip[0], slip[1]) > p.sliding_radius_m:
+    if on_pad and slides and d_m + SLIDING_TIME_S * length(slip[0], slip[1]) > p.sliding_radius_m:
         return True
     if not (on_pad and gap_m < p.gap_m) or pad_rises - rises > p.sinks_m_s:
         m.contact_since_s = math.inf
@@ -271,19 +139,14 @@ def _leaves_phase(
         if p.phase == _APPROACH:
             return False
         if p.paper:
-            low = bool(e[2] < p.touch_height_m and d_m <= p.pad_radius_m)
-            return low and _barrier_h(p.alpha_1_m, p.beta_m, e) >= 0.0
-        if d_m <= p.pad_radius_m and e[2] < p.standing_m:
-            return True
-        uncertain_m = p.sigma_factor * sigma_m
-        height_m, speed_m_s, radius_m = p.commit_height_m, p.commit_speed_m_s, p.commit_radius_m
-        return bool(_commits(e[2], d_m, slip, uncertain_m, height_m, speed_m_s, radius_m, p.corridor_m))
+            return paper.may_touch(p, e, d_m)
+        return robust.may_touch(p, e, d_m, slip, sigma_m)
     if p.phase == _TOUCHDOWN:
         if now_s - p.since_s > p.touchdown_time_s or _touches(p, m, e, d_m, slip, rises, pad_rises, now_s):
             return True
         if p.paper or _barrier_h(p.alpha_1_m, p.beta_m, e) < p.h_left_m:
             return False
-        return bool(_leaves(e, d_m, slip, p.corridor_m, p.drift_time_s))
+        return bool(robust.leaves_corridor(e, d_m, slip, p.corridor_m, p.drift_time_s))
     return bool(now_s - p.since_s >= p.settle_s)  # LANDED
 
 
@@ -304,18 +167,12 @@ def _land(
     base: Vec3, own_m_s: Vec3, target_m_s: Vec3,
 ) -> tuple[Vec3, bool]:  # fmt: skip
     """Filtered velocity on the way to the pad, and whether the gate's check of the barrier passes it."""
-    alpha_1_m, beta_m = p.alpha_1_m, p.beta_m
     if p.paper:
-        nominal = _nominal(e, three(p.gain_contact), target_m_s)
+        nominal, margin_m = paper.approach(p, e, target_m_s), 0.0
     else:
-        above_m = e[2] - p.wait_height_m - _ahead(e, d_m, slip, p.brakes_m_s2, alpha_1_m, beta_m)
-        over_1_s, most_m_s, least_m_s = p.gain_1_s, p.descent_max_m_s, p.descent_min_m_s
-        if p.phase == _LAND:
-            over_1_s = p.gain_over_1_s
-        nominal = _approach(e, above_m, over_1_s, p.gain_1_s, target_m_s, most_m_s, least_m_s)
-    spread_m = _hypot(p.slope_at_pad * _hypot(sigma_m, p.own_noise_m), _hypot(sigma_z_m, p.own_noise_m))
-    margin_m = (p.margin_fixed_m + p.sigma_factor * spread_m) / p.margin_full
-    shape, fade_m = (alpha_1_m, beta_m, p.smoothing_m), p.margin_fade_m
+        nominal = robust.approach(p, e, d_m, slip, target_m_s, p.phase == _LAND)
+        margin_m = robust.margin_m(p, sigma_m, sigma_z_m)
+    shape, fade_m = (p.alpha_1_m, p.beta_m, p.smoothing_m), p.margin_fade_m
     h_m, gradient, dh_dt = _evaluated(shape, margin_m, fade_m, e, target_m_s)
     (bx, by, bz), (sx, sy, sz), (mx, my, mz) = base, three(p.step), three(p.most)
     x, y, z = bx - sx, by - sy, bz - sz
@@ -323,8 +180,7 @@ def _land(
     x, y, z = bx + sx, by + sy, bz + sz
     upper = (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
     if not p.paper:
-        left_m = _height_left(h_m, p.lag_z_s, own_m_s[2], bz)
-        climb = _least_climb(gradient, own_m_s, target_m_s, p.rate_1_s * left_m)
+        climb = robust.climb(p, h_m, gradient, bz, own_m_s, target_m_s)
         if climb > lz:
             lz = min(climb, upper[2])
     v, how = filtered(p.program, p.rate_1_s, nominal, h_m, gradient, dh_dt, (lx, ly, lz), upper)
@@ -340,7 +196,7 @@ def _land(
     if how == HOPELESS:
         return v, True
     missing_m = now_m * (1.0 - p.rate_1_s * t) - then_m - SOLVER_TOLERANCE_M_S * t
-    return v, missing_m <= 0.0 or missing_m <= _bound(shape, margin_m, fade_m, e, _hypot(vx, vy) * t)
+    return v, missing_m <= 0.0 or missing_m <= _bound(shape, margin_m, fade_m, e, length(vx, vy) * t)
 
 
 @jitted
@@ -367,18 +223,18 @@ def think(
     for i in range(first, last):
         if not _take_sample(p, m, samples[i], now_s):
             return PYTHON
-    seen = _newest(p, m, now_s) if p.paper else _target(p, m, now_s)
+    seen = paper.target(p, m, now_s) if p.paper else robust.target(p, m, now_s)
     target, target_m_s, sigma_m, sigma_z_m = seen
     if not _take_own(p, m, position, velocity, source_s, now_s):
         return PYTHON
     if not p.paper:
-        _observe(p, m, velocity)
+        robust.observe(p, m, velocity)
     if m.target_age_s > p.target_age_max_s or now_s - p.status_s > p.status_age_max_s or now_s >= p.ends_s:
         return PYTHON
     t = p.own_delay_s
     x, y, z = position[0] + t * velocity[0], position[1] + t * velocity[1], position[2] + t * velocity[2]
     e = (x - target[0], y - target[1], z - target[2])
-    d_m, slip = _hypot(e[0], e[1]), (velocity[0] - target_m_s[0], velocity[1] - target_m_s[1])
+    d_m, slip = length(e[0], e[1]), (velocity[0] - target_m_s[0], velocity[1] - target_m_s[1])
     keep(m.target_position, target)
     keep(m.target_velocity, target_m_s)
     if _leaves_phase(p, m, e, d_m, slip, sigma_m, velocity[2], target_m_s[2], now_s):
@@ -390,7 +246,7 @@ def think(
     base = three(m.command) if m.commanding else _limit(velocity, most)
     least_z = -math.inf
     if p.phase == _TOUCHDOWN:
-        ax, ay, _ = _nominal(e, three(p.gain_contact), target_m_s)
+        ax, ay, _ = _nominal(e, three(p.gain_contact_1_s), target_m_s)
         asked = _limit((ax, ay, target_m_s[2] - p.descent_m_s), most)
         wanted, kept = _slew(base, asked, three(p.step), math.inf), True
         least_z = target_m_s[2] - p.contact_speed_m_s
@@ -398,8 +254,10 @@ def think(
         wanted, kept = _land(p, e, d_m, slip, sigma_m, sigma_z_m, base, velocity, target_m_s)
     if not kept:
         return PYTHON
-    setpoint = wanted if p.paper else _correct(p, m, base, wanted, velocity, least_z)
-    keep(m.setpoint, setpoint)
+    if p.paper:
+        setpoint = paper.setpoint(m, wanted)
+    else:
+        setpoint = robust.setpoint(p, m, base, wanted, velocity, least_z)
     if not (_inside(p, wanted, z) and _inside(p, setpoint, z)):
         return PYTHON
     keep(m.command, wanted)

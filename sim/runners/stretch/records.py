@@ -105,7 +105,7 @@ class RulesRecord(Record):
     lag_z_s: float
     gain_1_s: float
     gain_over_1_s: float
-    gain_contact: Vector  # 1/s, on the way down to contact
+    gain_contact_1_s: Vector  # on the way down to contact; of the paper's filter all the way
     touch_height_m: float
     wait_height_m: float
     descent_max_m_s: float

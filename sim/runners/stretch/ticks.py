@@ -22,8 +22,9 @@ from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.firmware.setpoint import ROOM, WIDTH, InboxRecord
 from sim.firmware.stack import running
 from sim.plant.params import STEP_S
-from sim.runners.stretch.mind import PYTHON, SENDS, think, three
+from sim.runners.stretch.mind import PYTHON, SENDS, think
 from sim.runners.stretch.records import MindRecord, RulesRecord
+from sim.runners.stretch.tuples import three
 from sim.vehicle.judge import GAP_MS, NONE_MS
 from sim.vehicle.loop import VehicleRecord, fly
 from sim.vehicle.physics import TUMBLED

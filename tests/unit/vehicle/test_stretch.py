@@ -47,14 +47,10 @@ def assert_equal(scenario, seed, least):
     assert repr(one.controller.state) == repr(other.controller.state)
 
 
+@pytest.mark.parametrize(("filter_name", "least"), [("robust", 0.8), ("paper", 0.7)])
 @pytest.mark.parametrize(("name", "seed"), [("field", 3), ("lab", 4), ("storm", 5), ("deck", 6)])
-def test_a_landing_in_stretches_is_the_same_to_the_last_bit(name, seed):
-    assert_equal(load(name), seed, 0.8)
-
-
-@pytest.mark.parametrize(("name", "seed"), [("field", 3), ("lab", 4), ("storm", 5), ("deck", 6)])
-def test_so_is_one_by_the_papers_filter(name, seed):
-    assert_equal(load(name).with_filter("paper"), seed, 0.7)
+def test_a_landing_in_stretches_is_the_same_to_the_last_bit(name, seed, filter_name, least):
+    assert_equal(load(name).with_filter(filter_name), seed, least)
 
 
 def test_stretches_and_python_alternate_where_the_target_is_lost():
