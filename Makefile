@@ -21,6 +21,7 @@ $(BIN)/lint-imports --no-logo --no-cache
 { $(BIN)/python -m pytest --collect-only -q >/dev/null; $(BIN)/python -m sim.runners.warm_up; } & $(BIN)/mypy && wait $$!
 endef
 
+# a test that ends its worker is given to the next one, which it ends, too
 test: $(VENV)/.test
 	$(CHECK)
 	$(BIN)/python -m pytest -n auto --dist loadgroup --max-worker-restart 1 -q

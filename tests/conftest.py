@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import faulthandler
 import os
 import signal
 import time
@@ -10,11 +9,11 @@ from pathlib import Path
 
 import hypothesis
 import pytest
-from _pytest.faulthandler import fault_handler_stderr_fd_key, get_timeout_config_value
 
 from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
 from flightstack.config.files import path_of
 from tests.flight_suite.room import PROFILES
+from tests.overdue import pytest_exception_interact as pytest_exception_interact
 from tests.overdue import pytest_runtest_logfinish as pytest_runtest_logfinish
 from tests.overdue import pytest_runtest_logstart as pytest_runtest_logstart
 from tests.overdue import pytest_sessionfinish as pytest_sessionfinish
@@ -109,18 +108,6 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "arms: not run on a vehicle that was given without --arm-ok")
     config.addinivalue_line("markers", "simulated: needs the simulated room")
     config.addinivalue_line("markers", "xdist_group(name): run by one worker, also where there is no xdist")
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_exception_interact(node: pytest.Item | pytest.Collector) -> None:
-    """Bound what follows a failure, such as the ends of fixtures: pytest's own time-outs stop with it.
-
-    The worker ends, with the stacks of all threads, and another one goes on.
-    """
-    within_s = get_timeout_config_value(node.config)
-    stderr = node.config.stash.get(fault_handler_stderr_fd_key, None)
-    if within_s > 0.0 and stderr is not None:
-        faulthandler.dump_traceback_later(within_s, file=stderr, exit=True)
 
 
 @pytest.hookimpl(optionalhook=True)

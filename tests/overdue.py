@@ -1,4 +1,4 @@
-"""Tells, when a whole run takes too long, which tests are under way and which processes there are.
+"""Ends what hangs after a failure, and tells what a whole run that takes too long waits for.
 
 A worker that hangs says nothing, and a run that is ended from outside tells only what has passed.
 """
@@ -6,16 +6,30 @@ A worker that hangs says nothing, and a run that is ended from outside tells onl
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import os
 import subprocess
 import sys
 import threading
 
 import pytest
+from _pytest.faulthandler import fault_handler_stderr_fd_key, get_timeout_config_value
 
 AFTER_S = 1500.0  # s; a whole run takes ten minutes
 _under_way: set[str] = set()
 _TIMER = pytest.StashKey[threading.Timer]()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_exception_interact(node: pytest.Item | pytest.Collector) -> None:
+    """Bound what follows a failure, such as the ends of fixtures: pytest's own time-outs stop with it.
+
+    The worker ends, with the stacks of all threads, and another one goes on.
+    """
+    within_s = get_timeout_config_value(node.config)
+    stderr = node.config.stash.get(fault_handler_stderr_fd_key, None)
+    if within_s > 0.0 and stderr is not None:
+        faulthandler.dump_traceback_later(within_s, file=stderr, exit=True)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -24,11 +24,10 @@ CALM_S = 2.0  # s without a pause, waited for before another attempt
 CALM_WAIT_MAX_S = 30.0  # s
 REPEATS_MAX_S = 150.0  # s of wall time for all attempts for nothing of a worker, and for calm after them
 GIVES_WAY = 5  # niceness of a worker, and of what it starts, from its first test that is not in real time on
+HANGS_S = 240.0  # s, below pytest's time-out; an attempt that takes so long hangs, twice is a failure
 _SLEEP_S = 0.01
-HANGS_S = 240.0  # s; an attempt that takes so long hangs, and a test that does so twice has failed
 _SPENT_S = pytest.StashKey[float]()  # of that bound
-_HUNG = pytest.StashKey[bool]()  # whether an attempt of a test has hung
-_WORST_S = pytest.StashKey[list[float]]()  # longest pause of each attempt of a test that was for nothing
+_FOR_NOTHING = pytest.StashKey[list[tuple[float, float]]]()  # longest pause and time of such attempts, s
 
 
 class Pauses:
@@ -90,14 +89,13 @@ def skipped(item: pytest.Item, reports: Sequence[pytest.TestReport], worst_s: Se
             report.longrepr = (str(item.path), item.location[1] or 0, reason)
 
 
-def _again(item: pytest.Item, took_s: float) -> bool:
+def _again(item: pytest.Item) -> bool:
     """Whether a test is tried again after an attempt for nothing, once the machine is calm."""
-    if took_s >= HANGS_S:
-        hung = item.stash.get(_HUNG, False)
-        item.stash[_HUNG] = True
-        return not hung
-    spent_s = item.config.stash[_SPENT_S] = item.config.stash.get(_SPENT_S, 0.0) + took_s
-    if len(item.stash[_WORST_S]) >= ATTEMPTS or spent_s >= REPEATS_MAX_S:
+    took_s = [each for _, each in item.stash[_FOR_NOTHING]]
+    if took_s[-1] >= HANGS_S:
+        return sum(each >= HANGS_S for each in took_s) == 1
+    spent_s = item.config.stash[_SPENT_S] = item.config.stash.get(_SPENT_S, 0.0) + took_s[-1]
+    if len(took_s) >= ATTEMPTS or spent_s >= REPEATS_MAX_S:
         return False
     began_s = time.monotonic()
     await_calm(min(CALM_WAIT_MAX_S, REPEATS_MAX_S - spent_s))
@@ -112,22 +110,23 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
             os.setpriority(os.PRIO_PROCESS, 0, GIVES_WAY)
         return None
     where = {"nodeid": item.nodeid, "location": item.location}
-    worst_s = item.stash.setdefault(_WORST_S, [])
-    if not worst_s:
+    for_nothing = item.stash.setdefault(_FOR_NOTHING, [])
+    if not for_nothing:
         item.ihook.pytest_runtest_logstart(**where)
     with Pauses() as pauses:
         began_s = time.monotonic()
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
         took_s = time.monotonic() - began_s
     if pauses.worst_s >= PAUSE_S and any(report.failed for report in reports):
-        worst_s.append(pauses.worst_s)
-        print(f"{item.nodeid}: attempt {len(worst_s)} failed, the machine paused for {pauses.worst_s:.2f} s")
-        if _again(item, took_s):
+        for_nothing.append((pauses.worst_s, took_s))
+        told = f"attempt {len(for_nothing)} failed, the machine paused for {pauses.worst_s:.2f} s"
+        print(f"{item.nodeid}: {told}")
+        if _again(item):
             item._initrequest()  # fixtures of the test are made anew
             # by its hook, as the failure has ended the time-outs of pytest, and each attempt needs its own
             return item.ihook.pytest_runtest_protocol(item=item, nextitem=nextitem)
         if took_s < HANGS_S:
-            skipped(item, reports, worst_s)
+            skipped(item, reports, [worst_s for worst_s, _ in for_nothing])
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(**where)

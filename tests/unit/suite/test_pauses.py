@@ -89,7 +89,7 @@ def test_what_comes_after_a_failure_has_a_bound_too(pytester, monkeypatch, hangs
     pytester.makeconftest(
         """
         from tests import pauses
-        from tests.conftest import pytest_exception_interact
+        from tests.overdue import pytest_exception_interact
         from tests.pauses import pytest_runtest_protocol
         pauses.PAUSE_S = pauses.CALM_WAIT_MAX_S = 0.0
         pauses.HANGS_S = 1.0
