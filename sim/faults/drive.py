@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.compiled.records import F64
+from flightstack.compiled.records import F64
 from sim.faults.schedule import Running
 from sim.plant.params import Rotor
 from sim.plant.rotors import BatteryRecord, RotorRecord

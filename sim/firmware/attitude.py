@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import math
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import Record
-from sim.compiled.rotation import Nine
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import Record
 from sim.plant.params import CONTROL_STEP_S
+from sim.plant.rotation import Nine
 
 # paper V: K1 = diag(7, 7, 0.5)e4, K2 = diag(2, 2, 0.2)e4; the roll and pitch gains are the firmware's
 # defaults, the firmware's yaw gains stand in ``sim.firmware.mellinger``

@@ -19,9 +19,9 @@ from functools import cache
 
 import numpy as np
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Cell, Record, cell, new, reader, scalars
 from flightstack.core.types import Vec3
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Cell, Record, cell, new, reader, scalars
 from sim.firmware.setpoint import SensedState
 from sim.plant.vehicle_types import Estimate
 

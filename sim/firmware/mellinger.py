@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import math
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import Record, Vector, new
-from sim.compiled.rotation import nine
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import Record, Vector, new
 from sim.firmware.attitude import AttitudeRecord, Counts, attitude_moments
 from sim.firmware.paper_loop import axes_from_force
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S
+from sim.plant.rotation import nine
 
 MASS_KG = 0.029  # platform_defaults_cf2.h: CF_MASS; the recorded flights hover where this leads to
 MASS_THRUST = 132000.0  # counts per N: massThrust

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import Motors, Record
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import Motors, Record
 from sim.plant.params import Battery, Params, Rotor
 from sim.plant.rotors import Four
 

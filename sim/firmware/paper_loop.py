@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import Record, new
 from flightstack.core.types import Vec3
-from sim.compiled.jit import jitted
-from sim.compiled.records import Record, new
-from sim.compiled.rotation import Nine, nine
 from sim.firmware.attitude import K_R_Z, K_W_Z, AttitudeRecord, Counts, attitude_moments
 from sim.firmware.mixer import counts_per_n
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import Params
+from sim.plant.rotation import Nine, nine
 
 K_V_N_S_M = 0.5  # paper V: K_v = 0.5 I
 UP_SHARE_MIN = 0.2  # of the weight

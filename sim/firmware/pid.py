@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Record, new
 from flightstack.core.types import Vec3
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Record, new
 from sim.firmware.attitude import Counts
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S, Params

@@ -6,9 +6,9 @@ import math
 import struct
 from typing import Annotated, NamedTuple
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Axes, Quaternion, Record, Vector, cell, scalars
 from flightstack.core.types import Vec3
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Axes, Quaternion, Record, Vector, cell, scalars
 
 ROOM = 256  # set-points under way: twice as many as 0.1 s of delay and 1 kHz can be
 WIDTH = 12  # numbers of a row: time of arrival, then the fields of a set-point

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Motors, Record, reader
 from flightstack.core.types import Vec3
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Motors, Record, reader
 from sim.firmware.estimator import Estimator, EstimatorRecord
 from sim.firmware.mellinger import MellingerLoop, MellingerRecord, mellinger_reset, mellinger_update
 from sim.firmware.mixer import OFF, MapRecord, counts_per_n, moments_of, motor_speeds, set_up_map

@@ -14,8 +14,8 @@ from enum import Enum, IntFlag, auto
 
 import numpy as np
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import Record, new, scalars
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import Record, new, scalars
 
 PERIOD_MS = 40  # SUPERVISOR 25 Hz
 WARNING_MS = 500  # supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE

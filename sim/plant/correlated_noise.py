@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import Record, Vector, new
 from flightstack.core.types import Vec3
-from sim.compiled.jit import jitted
-from sim.compiled.records import Record, Vector, new
 from sim.plant.sensors import Tape, TapeRecord, take
 
 

@@ -19,10 +19,10 @@ from __future__ import annotations
 
 import math
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Motors, Record, Vector
-from sim.compiled.rotation import Nine
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Motors, Record, Vector
 from sim.plant.params import Body, Geometry, Rotor
+from sim.plant.rotation import Nine
 from sim.plant.rotors import POSITION_X, POSITION_Y
 
 AIR_KG_M3 = 1.204  # 20 degrees C at sea level

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Record
-from sim.compiled.rotation import Nine
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Record
 from sim.plant.params import Rotor
+from sim.plant.rotation import Nine
 from sim.plant.rotors import POSITION_X, POSITION_Y
 
 HEIGHT_MIN_M = 0.020

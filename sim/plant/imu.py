@@ -9,12 +9,12 @@ import math
 
 import numpy as np
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Record, Vector, new
 from flightstack.core.types import Vec3
 from sim.chance import stream
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Record, Vector, new
-from sim.compiled.rotation import Nine
 from sim.plant.params import Imu as ImuParams
+from sim.plant.rotation import Nine
 from sim.plant.sensors import Tape, TapeRecord, take
 
 

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Motors, Record, new, scalars
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Motors, Record, new, scalars
 from sim.plant.params import Battery, Plant, Rotor
 
 Four = tuple[float, float, float, float]

@@ -10,9 +10,9 @@ from typing import Annotated
 
 import numpy as np
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Record, cell
 from sim.chance import stream
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Record, cell
 from sim.scenarios.scenario import OdometryLink
 
 NS = 1_000_000_000

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Protocol
 
 import numpy as np
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Cell, Record
 from sim.chance import Chance, stream
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Cell, Record
 from sim.scenarios.scenario import StateError, TapeKind
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import Record, Vector, new, reader
 from flightstack.core.types import Vec3
 from sim.chance import stream
-from sim.compiled.jit import jitted
-from sim.compiled.records import Record, Vector, new, reader
 from sim.plant.correlated_noise import CorrelatedNoise, NoiseRecord, vary
 from sim.plant.params import WindShape
 from sim.scenarios.scenario import Wind

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.common.strict_toml import ConfigError
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Cell
 from flightstack.core.types import Vec3
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Cell
 from sim.plant.params import STEP_S, Params
 from sim.plant.rotors import Four, speed_limit
 from sim.plant.vehicle_types import Truth

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from bridge.frames import body_from_world, frd_from_flu, ned_from_enu
 from flightstack.core.types import Vec3
 from sim.autopilot.ground import degrees_e7
-from sim.compiled.rotation import rotation_axes
 from sim.plant.imu import Imu
 from sim.plant.params import Params
+from sim.plant.rotation import rotation_axes
 from sim.plant.sensors import NoiseRows
 from sim.px4.plant import Body
 

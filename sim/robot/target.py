@@ -11,10 +11,10 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Cell, Record, Vector, cell, cell_of_numbers, new, reader
 from flightstack.core.types import Vec3
 from sim.chance import stream
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Cell, Record, Vector, cell, cell_of_numbers, new, reader
 from sim.plant.params import load
 from sim.plant.sensors import BLOCK, NS, MeasurementChannel
 from sim.plant.state_error import DELAY, TURN, WIDTH, PastRecord, mismeasured, state_errors

@@ -12,6 +12,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles.autopilots import OWN_SITL
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Tick
+from flightstack.compiled.jit import jitted
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.numeric import compile_with
 from flightstack.core.target.estimator import TargetEstimator
@@ -22,7 +23,6 @@ from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
 from logs.schema.names import member_name
 from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.clock import TickGrid
-from sim.compiled.jit import jitted
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepLoop

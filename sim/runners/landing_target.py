@@ -13,10 +13,10 @@ from typing import NamedTuple, cast
 from bridge import frames
 from bridge.frames import Quat
 from flightstack.common.pacing import EPOCH_NS, NO_GO, RUN_AHEAD_TICKS
+from flightstack.compiled.jit import jitted
 from flightstack.core.types import TargetSample, Vec3
 from flightstack.onboard.runner import NOTHING, Arrived
 from sim.clock import TickGrid
-from sim.compiled.jit import jitted
 from sim.robot.target import TargetMeasurement
 from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState, LockstepDeck

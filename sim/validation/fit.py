@@ -23,8 +23,8 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from scipy.stats import bootstrap
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64
 from sim.flights.screening import Screened
 from sim.plant.params import Params
 from sim.plant.rotors import POSITION_X, POSITION_Y

@@ -26,8 +26,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, I64, Cell, cell, new
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, I64, Cell, cell, new
 from sim.flights.screening import Screened
 from sim.plant.params import STEP_S, Params, Plant
 from sim.plant.rotors import Rotors, turn_rotors

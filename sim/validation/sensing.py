@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import correlate
 
-from sim.compiled.records import cell, new
+from flightstack.compiled.records import cell, new
 from sim.flights.recording import Floats
 from sim.flights.screening import Screened
 from sim.plant.state_error import PastRecord, mismeasured_path, state_errors

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Cell
-from sim.compiled.rotation import rotation_axes
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Cell
 from sim.plant.downwash import JET, feel, set_jet
+from sim.plant.rotation import rotation_axes
 from sim.vehicle.loop import VehicleRecord
 from sim.vehicle.physics import Physics
 

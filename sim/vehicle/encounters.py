@@ -14,9 +14,9 @@ from itertools import combinations
 
 import numpy as np
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, I64
 from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, I64
 from sim.plant.params import STEP_S, Params
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Record, Vector
 from flightstack.core.numeric import twin
 from flightstack.core.safety.barrier import boundary_height
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Record, Vector
 from sim.world.contact import GROUND, PAD
 from sim.world.step import WorldRecord, tumbled
 

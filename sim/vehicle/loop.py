@@ -5,9 +5,8 @@ It needs Python only for what is drawn ahead (noise, chance) and for faults.
 
 from __future__ import annotations
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import Cell, Motors, Record, Vector
-from sim.compiled.rotation import rotation_axes
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import Cell, Motors, Record, Vector
 from sim.firmware.estimator import predict
 from sim.firmware.stack import FirmwareRecord, control, listen, oversee
 from sim.firmware.supervisor import PERIOD_MS
@@ -16,6 +15,7 @@ from sim.plant.downwash import DownwashRecord, press
 from sim.plant.ground_effect import GroundRecord, ground_effect
 from sim.plant.imu import ImuRecord, measure
 from sim.plant.params import STEP_S, Body
+from sim.plant.rotation import rotation_axes
 from sim.plant.rotors import BatteryRecord, RotorRecord, drain, speed_at_no_duty, speed_limit, turn_rotors
 from sim.plant.wind import WindRecord, blow
 from sim.vehicle.judge import ContactRecord, JudgeRecord, judge, note_contact

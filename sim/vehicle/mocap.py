@@ -15,10 +15,10 @@ from typing import Annotated
 
 import numpy as np
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, I64, Cell, Record, cell
-from sim.compiled.rotation import rotation_axes
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, I64, Cell, Record, cell
 from sim.firmware.estimator import EstimatorRecord, correct, replace_estimate
+from sim.plant.rotation import rotation_axes
 from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
 from sim.plant.state_error import TURN, WIDTH, PastRecord, mismeasure, state_errors
 from sim.scenarios.scenario import OdometryLink, StateError

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.records import Values, cell, new, reader, scalars
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
-from sim.compiled.records import Values, cell, new, reader, scalars
 from sim.plant.correlated_noise import CorrelatedNoise
 from sim.plant.downwash import set_up_downwash
 from sim.plant.ground_effect import set_up_ground

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.records import Values, reader, scalars
 from flightstack.core.types import ZERO, Vec3
 from sim.chance import stream
-from sim.compiled.records import Values, reader, scalars
-from sim.compiled.rotation import quaternion_from_axes, rotation_axes
 from sim.faults.drive import BatteryFaults, MotorFaults
 from sim.faults.vehicle_faults import Faults
 from sim.firmware.mixer import OFF
@@ -20,6 +19,7 @@ from sim.firmware.stack import Firmware
 from sim.firmware.supervisor import PERIOD_MS, STATES, State
 from sim.plant.imu import Imu
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
+from sim.plant.rotation import quaternion_from_axes, rotation_axes
 from sim.plant.sensors import NS_PER_MS, ms_from
 from sim.plant.vehicle_types import Estimate, Truth
 from sim.scenarios.fault_spec import Fault

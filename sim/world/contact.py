@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from flightstack.compiled.foreign import Doubles
+from flightstack.compiled.jit import jitted
 from logs.schema.events import ContactBit
-from sim.compiled.foreign import Doubles
-from sim.compiled.jit import jitted
 
 TOP_NORMAL = 0.7  # a contact whose normal is within 45 degrees of the vertical is with the pad's top
 RIM_M = 0.002  # a contact lower than this under the pad's top is with its edge

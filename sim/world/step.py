@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from sim.compiled.foreign import call, doubles
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Quaternion, Record, Vector
+from flightstack.compiled.foreign import call, doubles
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Quaternion, Record, Vector
 from sim.plant.params import STEP_S
 from sim.world.contact import touched
 

@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
+import ctypes
+from pathlib import Path
+
 import mujoco
 import numpy as np
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import Cell, cell, new, reader, writer
 from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
-from sim.compiled.foreign import mujoco_function
-from sim.compiled.jit import jitted
-from sim.compiled.records import Cell, cell, new, reader, writer
 from sim.plant.params import Params
 from sim.scenarios.scenario import TargetSpec
 from sim.world.model import model_xml
 from sim.world.step import ReachRecord, WorldRecord, arc_of_step, physics_step, tumbled
 
 MARGIN_M = 1e-3  # beyond rounding
+_LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
+
+
+def mujoco_function(name: str) -> int:
+    """Address of a function of MuJoCo's C library, which its Python package has loaded.
+
+    Raises:
+        OSError: the package holds no such library.
+        AttributeError: the library has no such function.
+    """
+    folder = Path(mujoco.__file__).parent
+    found = sorted(each for kind in _LIBRARIES for each in folder.glob(kind))
+    if not found:
+        raise OSError(f"{folder}: no C library of MuJoCo is there; install mujoco again")
+    return ctypes.cast(getattr(ctypes.CDLL(str(found[0])), name), ctypes.c_void_p).value or 0
 
 
 def measure_reach(model: mujoco.MjModel, reach: ReachRecord) -> None:

@@ -81,7 +81,7 @@ def target(options: TargetOptions) -> None:
 
     With a scenario of several vehicles it runs the robots of all.
     """
-    from sim.compiled.jit import OFF
+    from flightstack.compiled.jit import OFF
 
     # The robot needs only a hundred short steps a second: loading numba would take longer than it saves.
     os.environ.setdefault(OFF, "1")

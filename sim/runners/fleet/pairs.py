@@ -10,9 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
+from flightstack.compiled.records import F64, I64
 from logs.schema.events import Severity
 from sim.clock import TickGrid
-from sim.compiled.records import F64, I64
 from sim.vehicle.encounters import Shape, Team, overlapping
 from sim.vehicle.vehicle import VehicleSim
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from flightstack.compiled.records import reader, writer
 from flightstack.core.controller import Controller
 from flightstack.core.mission.conditions import LANDED_SETTLE_S
 from flightstack.core.parameters.ends import TouchdownRule
@@ -12,7 +13,6 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.strategies.velocity_tracking import FeedbackAxis
 from flightstack.core.types import OwnState, TargetSample
-from sim.compiled.records import reader, writer
 from sim.runners.stretch.records import MindRecord, RulesRecord
 
 _NEAR = 0.99 * 0.99  # share of a bound, squared, from which on Python decides

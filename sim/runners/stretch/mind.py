@@ -10,6 +10,9 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.program import HOPELESS, NONE, filtered
+from flightstack.compiled.records import F64
 from flightstack.core.mission.conditions import OVER_PAD_LEFT
 from flightstack.core.mission.machine import SLIDING_TIME_S
 from flightstack.core.numeric import twin
@@ -18,11 +21,8 @@ from flightstack.core.safety.barrier import barrier_h
 from flightstack.core.safety.gate import BOX_TOLERANCE_M_S, SOLVER_TOLERANCE_M_S
 from flightstack.core.target import plausibility
 from flightstack.core.types import Phase, Vec3
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64
 from sim.runners.stretch import paper_mind as paper
 from sim.runners.stretch import robust_mind as robust
-from sim.runners.stretch.program import HOPELESS, NONE, filtered
 from sim.runners.stretch.records import MindRecord, RulesRecord
 from sim.runners.stretch.tuples import keep, length, three
 

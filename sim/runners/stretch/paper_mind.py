@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from flightstack.compiled.jit import jitted
 from flightstack.core.numeric import twin
 from flightstack.core.safety import position_loop
 from flightstack.core.safety.barrier import barrier_h
 from flightstack.core.types import Vec3
-from sim.compiled.jit import jitted
 from sim.runners.stretch.records import MindRecord, RulesRecord
 from sim.runners.stretch.tuples import keep, three
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from sim.compiled.records import F64, Record, Vector
-from sim.runners.stretch.program import ProgramRecord
+from flightstack.compiled.program import ProgramRecord
+from flightstack.compiled.records import F64, Record, Vector
 
 Six = Annotated[F64, 6]
 Nine = Annotated[F64, 9]

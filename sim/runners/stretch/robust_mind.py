@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.jit import jitted
 from flightstack.core.numeric import twin
 from flightstack.core.strategies import robust, velocity_tracking
 from flightstack.core.target import estimator
 from flightstack.core.target.estimator import RESTART_S
 from flightstack.core.types import Vec3
-from sim.compiled.jit import jitted
 from sim.runners.stretch.records import MindRecord, RulesRecord
 from sim.runners.stretch.tuples import keep, length, nine, six, thirteen, three
 

@@ -12,19 +12,19 @@ from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.setpoints import Setpoint
+from flightstack.compiled.jit import is_off
+from flightstack.compiled.program import OwnProgram, layout_is_known
+from flightstack.compiled.records import cell, new, scalars
 from flightstack.core.controller import Controller
 from flightstack.core.memory import Memory
 from flightstack.core.numeric import hypot_is_known
 from flightstack.core.types import Landed, Mode, OwnState, Phase, Request, VehicleStatus
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
-from sim.compiled.jit import is_off
-from sim.compiled.records import cell, new, scalars
 from sim.runners.landing_target import Ahead, DirectTarget
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.notes import Notes
 from sim.runners.stretch.memory import Notebook, set_up_rules, suits
-from sim.runners.stretch.program import OwnProgram, layout_is_known
 from sim.runners.stretch.records import MindRecord, RulesRecord
 from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, narrow
 from sim.runners.vehicle_node import VehicleNode

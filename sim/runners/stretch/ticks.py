@@ -12,12 +12,12 @@ import math
 import numpy as np
 
 from bridge import frames
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, I64, Cell
 from flightstack.core.numeric import numeric, twin, wrapped
 from flightstack.core.safety.barrier import barrier_h
 from flightstack.core.types import Vec3
 from sim.clock import NS_PER_S
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, I64, Cell
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.firmware.setpoint import ROOM, WIDTH, InboxRecord
 from sim.firmware.stack import running

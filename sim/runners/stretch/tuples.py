@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64
 from flightstack.core.numeric import hypot, numeric, twin
 from flightstack.core.types import Vec3
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64
 
 
 @numeric

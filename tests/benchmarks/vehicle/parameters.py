@@ -8,7 +8,7 @@ import re
 from importlib import resources
 from pathlib import Path
 
-from sim.compiled.records import layout, new
+from flightstack.compiled.records import layout, new
 from sim.firmware.pid import CascadeRecord, PidLoop, PidRecord
 from sim.plant.params import load
 

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from sim.compiled.records import new
+from flightstack.compiled.records import new
 from sim.plant.ground_effect import GroundRecord, set_up_ground, thrust_increase
 from sim.scenarios.scenario import VelocityLoop
 from tests import linear_analysis as analysis

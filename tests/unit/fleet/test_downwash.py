@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sim.compiled.records import new
+from flightstack.compiled.records import new
 from sim.plant import downwash
 from sim.plant.downwash import JET, DownwashRecord, feel, jet_speed, press, set_jet, set_up_downwash
 from sim.plant.params import load

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flightstack.compiled.records import cell, new
 from sim.chance import stream
-from sim.compiled.records import cell, new
 from sim.flights.recording import Recording, RecordingError
 from sim.flights.screening import Screened
 from sim.flights.tape import CUT_S, FLIGHTS, draw_tape, tape_folder, tape_of

@@ -11,12 +11,12 @@ from typing import Annotated
 import numpy as np
 import pytest
 
+from flightstack.compiled import jit
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, I64, Record, cell, layout, new, reader, scalars, writer
 from flightstack.core.parameters.ends import Takeoff
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from sim.clock import TickGrid
-from sim.compiled import jit
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, I64, Record, cell, layout, new, reader, scalars, writer
 from sim.robot.target_motion import TargetMotion
 from sim.scenarios import scenario
 from sim.scenarios.scenario import (

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from sim.compiled.rotation import nine
 from sim.firmware.attitude import attitude_moments
 from sim.firmware.mixer import mix, motor_speed
 from sim.firmware.paper_loop import axes_from_force
 from sim.plant.params import STEP_S, load
+from sim.plant.rotation import nine
 from sim.scenarios.scenario import OdometryLink, VehicleSpec, Wind
 from sim.vehicle.loop import push, sense
 from sim.world.step import physics_step

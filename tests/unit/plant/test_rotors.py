@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from sim.compiled.records import new
-from sim.compiled.rotation import rotation_axes
+from flightstack.compiled.records import new
 from sim.plant.ground_effect import GroundRecord, ground_effect, set_up_ground, thrust_increase
 from sim.plant.params import STEP_S, Plant, load
+from sim.plant.rotation import rotation_axes
 from sim.plant.rotors import (
     MIX_YAW,
     POSITION_X,

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from flightstack.compiled.records import new
 from sim.chance import stream
-from sim.compiled.records import new
 from sim.plant.state_error import (
     AHEAD,
     ASIDE,

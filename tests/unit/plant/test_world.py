@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from logs.schema.events import ContactBit
-from sim.compiled.rotation import quaternion_from_axes, rotation_axes
 from sim.plant.params import STEP_S, load
+from sim.plant.rotation import quaternion_from_axes, rotation_axes
 from sim.scenarios.scenario import TargetSpec
 from sim.world.step import apart
 from sim.world.world import World

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.compiled.records import cell, new
+from flightstack.compiled.records import cell, new
 from sim.flights.recording import Recording, read_columns
 from sim.flights.screening import Screened, load
 from sim.plant.state_error import PastRecord, mismeasured_path, state_errors

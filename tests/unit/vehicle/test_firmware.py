@@ -6,8 +6,7 @@ import statistics
 import numpy as np
 import pytest
 
-from sim.compiled.records import new
-from sim.compiled.rotation import quaternion_from_axes, rotation_axes
+from flightstack.compiled.records import new
 from sim.firmware import attitude as att
 from sim.firmware.attitude import attitude_moments
 from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, Estimator, axis_gains, predict, yaw_gain
@@ -17,6 +16,7 @@ from sim.firmware.pid import THRUST_MIN, PidLoop, cascade_update, pid_output, pi
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
 from sim.firmware.supervisor import PERIOD_MS, TRANSITIONS, State, Supervisor, supervise
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Plant, load
+from sim.plant.rotation import quaternion_from_axes, rotation_axes
 from sim.plant.rotors import Rotors, turn_rotors
 
 PARAMS = load()

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.compiled.records import new
-from sim.compiled.rotation import rotation_axes
+from flightstack.compiled.records import new
 from sim.firmware.mixer import mix
 from sim.firmware.paper_loop import K_V_N_S_M, PaperLoop, paper_update
 from sim.firmware.pid import PidLoop, cascade_update
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
 from sim.firmware.supervisor import PERIOD_MS, State, Supervisor, supervise
 from sim.plant.params import load
+from sim.plant.rotation import rotation_axes
 
 DATA = Path(__file__).parents[2] / "data"
 PARAMS = load()

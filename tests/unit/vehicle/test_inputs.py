@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sim.compiled.records import new
+from flightstack.compiled.records import new
 from sim.firmware.setpoint import ROOM, STOP, Inbox, InboxRecord, Setpoint, SetpointRecord, receive
 from sim.plant.sensors import NS_PER_MS, MeasurementChannel
 from sim.scenarios.scenario import OdometryLink

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.compiled.records import new
+from flightstack.compiled.records import new
 from sim.firmware.mellinger import MASS_KG, MASS_THRUST, MellingerLoop, mellinger_update
 from sim.firmware.mixer import (
     COUNTS_MAX,

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from flightstack.compiled.jit import is_off, jitted
+from flightstack.compiled.program import OwnProgram, layout_is_known
 from flightstack.core import numeric
-from sim.compiled.jit import is_off, jitted
 from sim.runners.companion import Companion, warm_up
-from sim.runners.stretch.program import OwnProgram, layout_is_known
 from sim.scenarios.scenario import Start, load
 
 numbers = st.floats(-1e3, 1e3)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from flightstack.common.strict_toml import from_table
+from flightstack.compiled.jit import jitted
 from flightstack.core.controller import Controller
 from flightstack.core.memory import MotionMemory
 from flightstack.core.numeric import MARKED, compile_with
@@ -20,7 +21,6 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import Inputs, TargetSample
-from sim.compiled.jit import jitted
 
 LINK = TargetLink()
 ORIGIN = (0.0, 0.0, 0.0)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64
 
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 

@@ -17,14 +17,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from bridge import frames
-from flightstack.core import numeric
-
 F = TypeVar("F", bound=Callable[..., object])
 
 HERE = Path(__file__).parent
-# rooms of the simulator whose functions are compiled
-ROOMS = ("compiled", "plant", "world", "firmware", "vehicle", "robot", "validation", "runners/stretch")
+# sources whose functions are compiled, beside this one
+SOURCES = (
+    "flightstack/core/**/*.py",
+    "bridge/frames.py",
+    *(
+        f"sim/{room}/*.py"
+        for room in ("plant", "world", "firmware", "vehicle", "robot", "validation", "runners/stretch")
+    ),
+)
 OFF = "NUMBA_DISABLE_JIT"  # numba's own switch
 _NEEDLESS = ("scipy.linalg", "coverage")
 
@@ -36,10 +40,8 @@ def is_off() -> bool:
 
 def _fingerprint() -> str:
     """Hash of every source that compiled code can come from."""
-    digest = hashlib.sha256()
-    shared = [Path(frames.__file__), *sorted(Path(numeric.__file__).parent.rglob("*.py"))]
-    rooms = [path for room in ROOMS for path in sorted((HERE.parent / room).glob("*.py"))]
-    for path in [*shared, *rooms]:
+    digest, top = hashlib.sha256(), Path(__file__).parents[2]
+    for path in [*sorted(HERE.glob("*.py")), *(each for one in SOURCES for each in sorted(top.glob(one)))]:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Protocol, TypeVar, cast, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
-from sim.compiled.jit import is_off
+from flightstack.compiled.jit import is_off
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

@@ -6,14 +6,9 @@ Plain Python (``NUMBA_DISABLE_JIT=1``) does the same by ctypes. An address holds
 from __future__ import annotations
 
 import ctypes
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-import mujoco
-
-from sim.compiled.jit import is_off, load_numba
-
-_LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
+from flightstack.compiled.jit import is_off, load_numba
 
 
 class Doubles(Protocol):
@@ -94,19 +89,3 @@ else:
             return builder.call(builder.inttoptr(values[0], kind), given)
 
         return types.int32(types.intp, types.UniTuple(types.intp, len(arguments))), code
-
-
-def mujoco_function(name: str) -> int:
-    """Address of a function of MuJoCo's C library, which its Python package has loaded.
-
-    Raises:
-        OSError: the package holds no such library.
-        AttributeError: the library has no such function.
-    """
-    folder = Path(mujoco.__file__).parent
-    found = sorted(
-        each for kind in ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll") for each in folder.glob(kind)
-    )
-    if not found:
-        raise OSError(f"{folder}: no C library of MuJoCo is there; install mujoco again")
-    return ctypes.cast(getattr(ctypes.CDLL(str(found[0])), name), ctypes.c_void_p).value or 0

@@ -8,15 +8,15 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from flightstack.compiled.foreign import ask, doubles, whole
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Record, new
 from flightstack.core.numeric import twin
 from flightstack.core.safety import projection, qp_filter
 from flightstack.core.safety.projection import EMPTY
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, SafetyFilter, solver_settings
 from flightstack.core.safety.solver import Columns, columns, compiled_solver
 from flightstack.core.types import FilterStatus, Vec3
-from sim.compiled.foreign import ask, doubles, whole
-from sim.compiled.jit import jitted
-from sim.compiled.records import F64, Record, new
 
 NUMBERS = 24  # of ``data_and_start``
 _STATUS_AT = 32  # bytes in OSQPInfo (osqp_api_types.h): its text comes before it
