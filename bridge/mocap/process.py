@@ -233,7 +233,9 @@ def run(options: Options, say: Callable[[str], None] = print) -> int:
         stack.callback(endpoint.close)
         for warning in endpoint.warnings:
             print(f"mocap: WARNING: {warning}", file=sys.stderr)
-        session = zenoh_link.open_session(options.listen, options.connect, config_file=options.zenoh_config)
+        session = zenoh_link.open_session(
+            options.listen, options.connect, config_file=options.zenoh_config, prompt=True
+        )
         stack.callback(session.close)
         vehicle = MocapVehicle(options.system_id, options.limits, options.origin)
         source = MocapSource(session, options.spec, options.offset_flu_m)

@@ -19,6 +19,8 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
+from flightstack.common.pacing import ask_for_priority, give_up_priority
+
 Session = Any  # the zenoh package's own types are not relied on
 Publisher = Any
 Subscriber = Any
@@ -85,6 +87,7 @@ def open_session(
     *,
     config_file: Path | None = None,
     role: Role = Role.PEER,
+    prompt: bool = False,
 ) -> Session:
     """Open a session with these endpoints and no others.
 
@@ -98,6 +101,8 @@ def open_session(
         connect: whom to connect to; empty means the file's.
         config_file: a Zenoh configuration (JSON5), for example with TLS keys and access rules.
         role: what to be if the file does not say; a router passes on nothing from one peer to another.
+        prompt: its threads run as soon as they wake, before those of other programs, where the system allows
+            it: what comes late in a flight counts as lost.
 
     Raises:
         ValueError: an endpoint is malformed, or the file is.
@@ -106,6 +111,7 @@ def open_session(
     listen = [check_endpoint(endpoint) for endpoint in listen]
     connect = [check_endpoint(endpoint) for endpoint in connect]
     config = _configuration(listen, connect, config_file, role)
+    prompt = prompt and ask_for_priority()  # threads have that of the one that starts them
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -116,6 +122,9 @@ def open_session(
             f"cannot open a Zenoh session that listens on {_endpoints(config, 'listen') or 'nothing'} and "
             f"connects to {_endpoints(config, 'connect') or 'nobody'}: {_reason(error)}; {hint}?"
         ) from error
+    finally:
+        if prompt:
+            give_up_priority()
 
 
 def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | None, role: Role) -> Any:

@@ -173,7 +173,6 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
         child.wait_ready()
     if not options.lockstep:
         recorder.yield_to_others(RECORDER_YIELDS // len(members))  # starved, it would lose records
-        target.yield_to_others(5)
     for member in members:
         command = f"flightstack watch --connect {member.endpoint} --namespace {member.name}"
         launcher.console.print(f"to watch: {command}", style="dim", soft_wrap=True)

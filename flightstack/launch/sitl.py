@@ -150,7 +150,6 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     onboard.wait_ready()
     if not options.lockstep:
         recorder.yield_to_others(10)
-        target.yield_to_others(5)
     for endpoint in (onboard_at, *options.listen):
         launcher.console.print(
             f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True

@@ -60,7 +60,9 @@ class ZenohWires:
             raise ValueError(
                 f"--target {plan.target.text}: in lockstep it is a Zenoh key of the simulated target"
             )
-        self.session = zenoh_link.open_session(plan.listen, plan.connect, config_file=plan.config_file)
+        self.session = zenoh_link.open_session(
+            plan.listen, plan.connect, config_file=plan.config_file, prompt=not plan.lockstep
+        )
         role, whom = zenoh_link.dialled(plan.connect, config_file=plan.config_file)
         self._alarms = [ConnectionAlarm(self.session, whom, role)]
         self._sessions = [self.session]

@@ -155,7 +155,7 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
             session = None
             if with_robot:
                 session = zenoh_link.open_session(
-                    options.listen, options.connect, config_file=options.zenoh_config
+                    options.listen, options.connect, config_file=options.zenoh_config, prompt=True
                 )
                 stack.callback(session.close)
             server = Px4Server(host, port)

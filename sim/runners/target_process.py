@@ -21,6 +21,7 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import (
     EPOCH_NS,
     RealTimePacer,
+    ask_for_priority,
     quiet_garbage_collector,
 )
 from flightstack.common.simulation_clock import Clock, Follower, chosen_clock
@@ -87,7 +88,7 @@ def target_main(scenario: AnyScenario, options: TargetOptions) -> int:
             raise ValueError("--ros2 is for one robot: those of a team are not shown to ROS 2")
         with ExitStack() as stack:
             session = zenoh_link.open_session(
-                options.listen, options.connect, config_file=options.zenoh_config
+                options.listen, options.connect, config_file=options.zenoh_config, prompt=not lockstep
             )
             stack.callback(session.close)
             flights = list(_flights(scenario, options))
@@ -199,6 +200,7 @@ class _RealTime:
         """Drive until the end."""
         first = self._robots[0].robot
         quiet_garbage_collector()
+        ask_for_priority()  # a pose that comes late counts as lost
         pacer = RealTimePacer(
             first.grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
         )

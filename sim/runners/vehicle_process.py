@@ -317,7 +317,9 @@ def joined(options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | No
     """Open the Zenoh session on which the robots are; None without endpoints."""
     if not (options.connect or options.listen or options.zenoh_config is not None):
         return None
-    session = zenoh_link.open_session(options.listen, options.connect, config_file=options.zenoh_config)
+    session = zenoh_link.open_session(
+        options.listen, options.connect, config_file=options.zenoh_config, prompt=not options.lockstep
+    )
     stack.callback(session.close)
     return session
 

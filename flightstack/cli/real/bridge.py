@@ -115,7 +115,9 @@ def crazyflie(options: CrazyflieOptions) -> None:
 
     process.check_uri(options.uri)
     spec = options.spec(options.mocap_key)
-    session = zenoh_link.open_session(options.listen, options.connect, config_file=options.zenoh_config)
+    session = zenoh_link.open_session(
+        options.listen, options.connect, config_file=options.zenoh_config, prompt=True
+    )
     try:
         source = MocapSource(session, spec, options.offset_flu_m)
         poses = CheckedPoses(source, PoseChecks(options.limits))

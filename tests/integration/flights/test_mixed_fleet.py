@@ -5,6 +5,7 @@ import itertools
 import math
 import re
 import shlex
+import subprocess
 import time
 from pathlib import Path
 
@@ -42,7 +43,10 @@ def claimed(numbers):
     while True:
         with contextlib.suppress(Px4Error):
             return InstanceClaim(numbers)
-        assert time.monotonic() < until_s, f"PX4 instances {numbers} stay in use"
+        if time.monotonic() >= until_s:
+            names = ["pgrep", "--list-full", "px4"]
+            running = subprocess.run(names, capture_output=True, text=True, check=False).stdout
+            pytest.fail(f"PX4 instances {numbers} stay in use; these run:\n{running}")
         time.sleep(0.5)  # polling a lock of other processes: nothing to wait on
 
 

@@ -9,12 +9,14 @@ import re
 import signal
 import struct
 import time
+from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.target.odometry import OdometryPublisher, decode_odometry
 from bridge.zenoh import zenoh_link
+from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.core.types import ZERO, Phase
 from logs.schema.rows import ControllerStepRow
 from tests.integration.sim_processes import (
@@ -101,6 +103,25 @@ def test_after_a_pause_it_goes_on_from_there_and_takes_no_core_from_others() -> 
         assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # it stood still
         assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
         assert terminate(child) < 1.0
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_the_robots_poses_wait_for_no_other_program_but_in_lockstep(lockstep: bool) -> None:
+    if not ask_for_priority():
+        pytest.skip("this system gives no priority: its tests run without it")
+    give_up_priority()
+    with process("target", seed=1, lockstep=lockstep, rate_hz=RATE_HZ) as (child, ready):
+        assert ready == "ready"
+
+        def prompt() -> set[int]:
+            threads = [int(each.name) for each in Path(f"/proc/{child.pid}/task").iterdir()]
+            return {each for each in threads if os.sched_getscheduler(each) == os.SCHED_FIFO}
+
+        if lockstep:
+            assert not prompt()
+        else:  # its own thread asks after it has said that it is ready
+            wait_for(lambda: child.pid in prompt() and len(prompt()) > 1, "priority of the target")
+        terminate(child)
 
 
 def test_bad_url_is_an_error_with_a_reason() -> None:
