@@ -175,29 +175,34 @@ def end_with_parent() -> None:
 
 
 class Port:
-    """A TCP port of loopback for a server to come, kept from other runs as long as this object is open.
+    """A port of loopback for a server to come, kept from other runs as long as this object is open.
 
     A port found free by binding to port 0 is from the range that outgoing connections draw from, and may be
-    gone a moment later. These lie below that range, and the same number under UDP serves as the reservation.
+    gone a moment later. These lie below that range, and the same number of the other kind, TCP or UDP, serves
+    as the reservation.
+
+    Args:
+        udp: for a server of UDP, not of TCP.
     """
 
     _RANGE = range(20_000, 32_000)  # Linux draws outgoing ports from 32768 on (ip_local_port_range)
     _TRIES = 200
 
-    def __init__(self) -> None:
+    def __init__(self, *, udp: bool = False) -> None:
         chance = random.SystemRandom()
+        wanted, other = (socket.SOCK_DGRAM, socket.SOCK_STREAM)[:: 1 if udp else -1]
         for _ in range(self._TRIES):
             self.number = chance.choice(self._RANGE)
-            self._reservation = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._reservation = socket.socket(socket.AF_INET, other)
             try:
                 self._reservation.bind(("127.0.0.1", self.number))
-                with socket.socket() as probe:
+                with socket.socket(socket.AF_INET, wanted) as probe:
                     probe.bind(("127.0.0.1", self.number))
             except OSError:
                 self._reservation.close()
                 continue
             return
-        raise LaunchError(f"no free TCP port of loopback found in {self._TRIES} tries from {self._RANGE}")
+        raise LaunchError(f"no free port of loopback found in {self._TRIES} tries from {self._RANGE}")
 
     @property
     def endpoint(self) -> str:

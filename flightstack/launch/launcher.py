@@ -128,9 +128,17 @@ class Launcher:
         Raises:
             LaunchError: there is no free port.
         """
-        port = Port()
-        self._ports.append(port)
-        return port.endpoint
+        self._ports.append(Port())
+        return self._ports[-1].endpoint
+
+    def udp_port(self) -> int:
+        """Return the number of a UDP port of loopback that is reserved for this flight.
+
+        Raises:
+            LaunchError: there is no free port.
+        """
+        self._ports.append(Port(udp=True))
+        return self._ports[-1].number
 
     def start(self, verb: str, *arguments: str, of: object = "", **options: object) -> Child:
         """Start a verb of ``flightstack``.

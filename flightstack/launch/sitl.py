@@ -125,7 +125,7 @@ def run(options: RunOptions, console: Console) -> Flown:
 
 
 def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Flown:
-    """Start each process after those it connects to; then watch until the flight ends."""
+    """Start the processes, and watch until the flight ends."""
     folder, duration_s = launcher.folder, scenario.duration_max_s
     target_at, onboard_at = launcher.endpoint(), launcher.endpoint()
     recorder = launcher.record(log)
@@ -146,8 +146,8 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
         listen=[onboard_at, *options.listen], config=folder / "onboard.toml", duration=duration_s,
         recorder=launcher.socket, zenoh_config=options.zenoh_config,
     )  # fmt: skip
-    target.wait_ready()
-    onboard.wait_ready()
+    for child in (*vehicle.pending, target, onboard):  # they load at once
+        child.wait_ready()
     if not options.lockstep:
         recorder.yield_to_others(10)
     for endpoint in (onboard_at, *options.listen):

@@ -7,7 +7,7 @@ their position from where they start, so the robot is moved instead.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -38,12 +38,14 @@ class Flying:
         children: processes that have to outlive it.
         teller: the one that says when the motors are armed and disarmed.
         clock: options by which robot and onboard process keep its time.
+        pending: processes that are not ready yet; others may start meanwhile.
     """
 
     options: Mapping[str, object]
     children: list[Running]
     teller: Child | None = None
     clock: Mapping[str, object] = field(default_factory=dict)
+    pending: Sequence[Child] = ()
 
 
 class Vehicle(Protocol):
@@ -53,7 +55,7 @@ class Vehicle(Protocol):
         """Return the scenario with the changes that this vehicle needs."""
 
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
-        """Start it and wait until it can be flown.
+        """Start it; where its URL depends on that, wait until it can be flown.
 
         Args:
             launcher: holds the processes; its folder holds ``scenario.toml``.
@@ -75,19 +77,18 @@ class OwnVehicle:
 
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start it; see ``Vehicle.start``."""
-        values = PROFILES[options.profile].set_before_flight
+        values, at = PROFILES[options.profile].set_before_flight, f"127.0.0.1:{launcher.udp_port()}"
         child = launcher.start(
             "vehicle", **common_options(launcher, options), lockstep=options.lockstep,
             signing_key=options.signing_key, rate=scenario.onboard.loop.rate_hz, duration=others_s(scenario),
-            connect=target_at, url="udpin:127.0.0.1:0", profile=options.profile,
+            connect=target_at, url=f"udpin:{at}", profile=options.profile,
             parameter=[f"{name}={value:g}" for name, value in values.items()],
         )  # fmt: skip
-        url = child.wait_ready().replace("udpin", "udpout")
         # the heartbeat of the simulated vehicle is that of the autopilot it imitates
         own = options.autopilot == AUTO and options.profile == PX4.name
         autopilot = OWN_SITL.name if own else options.autopilot
-        given = {"vehicle": url, "signing_key": options.signing_key, "autopilot": autopilot}
-        return Flying(given, [child], child)
+        given = {"vehicle": f"udpout:{at}", "signing_key": options.signing_key, "autopilot": autopilot}
+        return Flying(given, [child], child, pending=[child])
 
 
 @dataclass

@@ -1,0 +1,243 @@
+"""Compiled code: the same as plain Python, the same every time, on records that both change in place."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+import pytest
+
+from flightstack.compiled import jit
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, I64, Record, cell, layout, new, reader, scalars, writer
+from flightstack.core.parameters.ends import Takeoff
+from flightstack.core.parameters.flight import BarrierShape, FlightConfig
+from sim.clock import TickGrid
+from sim.robot.target_motion import TargetMotion
+from sim.scenarios import scenario
+from sim.scenarios.scenario import (
+    OdometryLink,
+    Scenario,
+    Start,
+    StartKind,
+    StateError,
+    TargetLink,
+    VehicleSpec,
+    VelocityLoop,
+    Wind,
+)
+from sim.vehicle.vehicle import VehicleSim
+
+STEPS = 300
+
+
+def flight(loop, kind, error=False):
+    """All numbers of a gusty flight that lands, or takes off, in short."""
+    mocap = OdometryLink(100.0, 0.005, 0.0, 0.005, 0.02, loss=0.02)
+    spec = VehicleSpec(
+        velocity_loop=VelocityLoop(loop),
+        mocap=mocap,
+        mass_spread=0.1,
+        thrust_spread=0.1,
+        slow_motors=kind == "ground",
+        own=StateError() if error else None,
+    )
+    start = Start(StartKind(kind), offset_m=(0.0, 0.05, 0.03))
+    onboard = FlightConfig(BarrierShape(1.0, 1.5), takeoff=Takeoff(start_offset_m=(-1.0, 0.0, 0.7)))
+    wind = Wind(1.0, 0.6)
+    sim = VehicleSim(Scenario("test", "", onboard, start=start, vehicle=spec, wind=wind), 5)
+    sim.arm()
+    climb = -0.2 if kind == "hover" else 0.3
+    out = []
+    for _ in range(STEPS // 10):
+        sim.set_velocity((0.1, 0.0, climb), 0.3)
+        sim.advance(10)
+        out.append([sim.truth(), sim.estimate()])
+    return out
+
+
+CASES = [(loop.value, kind.value) for loop in VelocityLoop for kind in StartKind]
+CASES.append(("pid", "hover", True))
+
+
+def flat(value):
+    if isinstance(value, (list, tuple)):
+        return [number for part in value for number in flat(part)]
+    return [value]
+
+
+def drives():
+    """All numbers of the robots of all scenarios, with what they measure."""
+    out = []
+    captured = replace(scenario.load("field"), odometry=TargetLink(50.0, error=StateError()))
+    for each in (*map(scenario.load, scenario.names()), captured):
+        robot = TargetMotion(each, 3, TickGrid(100))
+        for tick in range(STEPS):
+            robot.step(driving=tick > 20)
+            model = robot.model
+            out.append([*model.pose, model.velocity_enu_m_s, model.velocity_body_m_s, model.yaw_rate_rad_s])
+        out.append(robot.due)
+    return out
+
+
+FLIGHTS, DRIVES = "[flight(*case) for case in CASES]", "drives()"
+
+
+def in_a_process(what=FLIGHTS, **environment):
+    """The same in a fresh interpreter."""
+    here = "from tests.unit.compiled.test_jit import CASES, drives, flight"
+    needless = "import sys; assert not {'coverage', 'glfw'} & sys.modules.keys()"
+    code = f"import json; {here}; print(json.dumps({what})); {needless}"
+    env = {**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True, text=True)
+    return flat(json.loads(done.stdout))
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    return flat([flight(*case) for case in CASES])
+
+
+def test_plain_python_flies_the_same(compiled):
+    plain = in_a_process(NUMBA_DISABLE_JIT="1")
+    assert plain == pytest.approx(compiled, abs=1e-9, rel=1e-9, nan_ok=True)
+    assert any(isinstance(n, float) and math.isfinite(n) and n not in (0.0, 1.0) for n in plain)
+
+
+def test_the_robot_drives_the_same_bits_in_plain_python_without_numba():
+    """Its process runs so; a campaign runs it compiled, and the two must be equal."""
+    assert repr(in_a_process(DRIVES, NUMBA_DISABLE_JIT="1")) == repr(flat(json.loads(json.dumps(drives()))))
+    words = ["-m", "flightstack.cli.main", "target", "--scenario", "lab", "--duration", "0.1"]
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", *words], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0
+    assert "sim.robot.target_motion" in done.stderr
+    assert "numba" not in done.stderr
+
+
+def test_another_process_flies_the_same_bits(compiled):
+    assert repr(in_a_process()) == repr(compiled)
+
+
+def test_the_flights_touch_pad_and_ground():
+    for loop in VelocityLoop:
+        assert any(truth[12] & 1 for truth, _ in flight(loop.value, "hover"))
+        assert any(truth[12] & 2 for truth, _ in flight(loop.value, "ground"))
+
+
+def test_without_a_writable_directory_there_is_no_cache(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    assert jit.cache_directory.__wrapped__() is None
+    monkeypatch.setattr(jit, "cache_directory", lambda: None)
+    assert jit.jitted(lambda x: x + 1.0)(2.0) == 3.0
+
+
+def test_the_cache_belongs_to_these_sources(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    first = jit.cache_directory.__wrapped__()
+    assert first.parent == tmp_path
+    monkeypatch.setattr(jit, "HERE", tmp_path)
+    (tmp_path / "changed.py").write_text("x = 1")
+    assert jit.cache_directory.__wrapped__() != first
+
+
+class Inner(Record):
+    values: Annotated[F64, 2]
+    on: bool
+
+
+class Outer(Record):
+    count: int
+    inner: Inner
+    x: float
+
+
+def test_layout_has_no_gaps():
+    assert layout(Outer).itemsize == 8 * 5
+    assert layout(Outer).names == ("count", "inner", "x")
+
+
+def test_nested_records_arrays_and_cells_are_views():
+    outer = new(Outer)
+    inner, values, view = outer.inner, outer.inner.values, cell(outer.inner)
+    values[1] = 2.5
+    inner.on = True
+    assert view["values"].tolist() == [[0.0, 2.5]]
+    view[0] = ((7.0, 8.0), False)
+    assert (outer.inner.values.tolist(), bool(outer.inner.on)) == ([7.0, 8.0], False)
+
+
+def test_values_in_the_order_of_the_fields():
+    outer = new(Outer, (3, ((1.0, 2.0), True), 4.0))
+    assert (int(outer.count), outer.inner.values.tolist(), float(outer.x)) == (3, [1.0, 2.0], 4.0)
+
+
+@jitted
+def count(outer):
+    outer[0].count += 1
+    outer[0].inner.values[0] = outer[0].count
+
+
+def test_compiled_code_changes_the_same_memory():
+    outer = new(Outer)
+    for _ in range(3):
+        count(cell(outer))
+    assert (int(outer.count), float(outer.inner.values[0])) == (3, 3.0)
+
+
+class Whole(Record):
+    counts: Annotated[I64, 2]
+    inner: Inner
+    last: int
+
+
+def test_whole_numbers_beyond_what_doubles_hold():
+    whole = new(Whole)
+    whole.counts[1] = (1 << 53) + 1
+    assert reader(whole)()[1] == (1 << 53) + 1
+
+
+def test_a_reader_gives_all_numbers_of_now_in_order():
+    whole = new(Whole)
+    read = reader(whole)
+    whole.counts[:], whole.inner.values[:], whole.last = (1, 2), (0.5, -0.0), 7
+    assert repr(read()) == "(1, 2, 0.5, -0.0, 0, 7)"
+    assert repr(reader(whole.inner)()) == "(0.5, -0.0, 0)"
+    assert repr(reader(whole.inner.values)()) == "(0.5, -0.0)"
+
+
+def test_scalars_read_and_write_the_record():
+    whole = new(Whole)
+    last, on = scalars(whole, "last")[0], scalars(whole.inner, "on")[0]
+    last[0], on[0] = 5, True
+    assert (int(whole.last), bool(whole.inner.on)) == (5, True)
+    whole.last = 6
+    assert last[0] == 6
+
+
+class Clash(Record):
+    mean: float
+
+
+class Text(Record):
+    name: str
+
+
+def test_names_and_kinds_that_cannot_be_fields_are_refused():
+    with pytest.raises(AttributeError, match="mean"):
+        layout(Clash)
+    with pytest.raises(TypeError, match="str"):
+        layout(Text)
+    assert np.dtype(layout(Inner)).names == ("values", "on")
+
+
+def test_a_writer_sets_all_numbers_in_order():
+    whole = new(Whole)
+    writer(whole.inner)(0.5, -0.0, 1)
+    assert repr(reader(whole)()) == "(0, 0, 0.5, -0.0, 1, 0)"
