@@ -23,6 +23,7 @@ TARGET_TYPES = ("odometry", "pose", "pose-covariance", "tf")
 # written out here, so that a verb does not load the rooms that know them; a test compares them
 AUTOPILOTS = ("auto", "sitl", "crazyflie", "px4", "ardupilot")
 PROFILES = ("px4", "ardupilot")
+CORES = ("auto", "plain", "compiled")
 _SEED_DIGITS_MAX = 4000  # more than the longest that ``rare`` makes; Python reads 4,300
 EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -300,6 +301,11 @@ class Flight(Signing, Ros2, Zenoh):
     duration_s: float | None = duration
     system_id: int = system_id
     autopilot: str = autopilot
+    core: str = option(
+        "--core", type=click.Choice(CORES), default=CORES[0],
+        help="Code of the control step: plain Python, or compiled by numba, equal to the last bit; auto: "
+        "compiled in real time where it has been compiled before.",
+    )  # fmt: skip
 
 
 def without_recordings(error: ModuleNotFoundError, what: str) -> Exception:

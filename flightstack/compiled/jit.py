@@ -74,6 +74,16 @@ def jitted(function: F) -> F:
     return cast(F, numba.njit(cache=True)(function))
 
 
+def forbid_compiling(machine: Callable[..., Any]) -> None:
+    """From now on a compiled function raises TypeError where it would compile, which takes seconds.
+
+    Args:
+        machine: made by ``jitted``, and called once with numbers of each kind.
+    """
+    if not is_off():
+        cast("Any", machine).disable_compile()
+
+
 @cache
 def load_numba() -> Any:
     """Return numba, loaded without what it loads only because it is there, and nobody uses here.

@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 import ctypes
+import math
+import time
 from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
 
 from flightstack.compiled.foreign import ask, doubles, whole
-from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Record, new
+from flightstack.compiled.jit import forbid_compiling, jitted
+from flightstack.compiled.records import F64, Cell, Record, cell, new
 from flightstack.core.numeric import twin
 from flightstack.core.safety import projection, qp_filter
 from flightstack.core.safety.projection import EMPTY
-from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, SafetyFilter, solver_settings
+from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult, SafetyFilter, solver_settings
 from flightstack.core.safety.solver import Columns, columns, compiled_solver
 from flightstack.core.types import FilterStatus, Vec3
 
 NUMBERS = 24  # of ``data_and_start``
-_STATUS_AT = 32  # bytes in OSQPInfo (osqp_api_types.h): its text comes before it
+_STATUS_AT, _ITERATIONS_AT = 32, 80  # bytes in OSQPInfo (osqp_api_types.h)
 _DOUBLE = 8  # bytes
-SOLVED, EXACT, HOPELESS, NONE = 0, 1, 2, 3  # how a velocity came about, as ``FilterStatus``; none: not finite
+SOLVED, EXACT, HOPELESS, NONE = 0, 1, 2, 3  # how a velocity came about; none: not finite
+_HOW = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE, FilterStatus.REJECTED)
 
 _best_corner, _projected = twin(projection.best_corner, jitted), twin(projection.projected, jitted)
 _data_and_start, _clipped = twin(qp_filter.data_and_start, jitted), twin(qp_filter.clipped, jitted)
+_judged = twin(qp_filter.judged, jitted)
 
 
 class ProgramRecord(Record):
@@ -38,6 +42,7 @@ class ProgramRecord(Record):
     numbers_at: int  # their address
     solution: int
     status: int
+    iterations: int
     solved: int
     infinity: float
     numbers: Annotated[F64, NUMBERS]
@@ -75,7 +80,9 @@ class OwnProgram:
             raise RuntimeError(f"OSQP refuses the landing's program: error {failed}")
         self._cleanup, self._solver = library.osqp_cleanup, solver
         _, solution, info, _ = (ctypes.c_int64 * 4).from_address(solver.value)  # OSQPSolver: pointers
-        record.solver, record.status = solver.value, info + _STATUS_AT
+        record.solver, record.status, record.iterations = (
+            solver.value, info + _STATUS_AT, info + _ITERATIONS_AT,
+        )  # fmt: skip
         record.solution = ctypes.c_int64.from_address(solution).value
         record.update_vectors, record.update_matrix, record.warm_start, record.solve = (
             ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
@@ -96,6 +103,10 @@ class OwnProgram:
             return (np.nan, np.nan, np.nan)
         x_m_s, y_m_s, z_m_s = (ctypes.c_double * 3).from_address(int(r.solution))
         return (x_m_s, y_m_s, z_m_s)
+
+    def iterations(self) -> int:
+        """Iterations of the newest solution."""
+        return int(ctypes.c_int.from_address(int(self._record.iterations)).value)
 
     def __del__(self) -> None:
         if getattr(self, "_solver", None):
@@ -118,7 +129,7 @@ def layout_is_known() -> bool:
             nominal, g, -h_m - 0.05, lower, upper, record.infinity, *exact
         )
         found, _ = qp_filter.clipped(own.solve(), g, -h_m - 0.05, lower, upper)
-        if found != result.velocity_enu_m_s:
+        if (found, own.iterations()) != (result.velocity_enu_m_s, result.iterations):
             return False
     return True
 
@@ -157,17 +168,17 @@ def filtered(
     dh_dt_m_s: float,
     lower: Vec3,
     upper: Vec3,
-) -> tuple[Vec3, int]:
-    """``SafetyFilter.solve``: the velocity, and how it came about."""
+) -> tuple[Vec3, int, float, int]:
+    """``SafetyFilter.solve``: the velocity, how it came about, the solver's residual and its iterations."""
     bound = -omega_1_s * h_m - dh_dt_m_s
     finite = (
         bound + g[0] + g[1] + g[2] + nominal[0] + nominal[1] + nominal[2] + lower[0] + lower[1] + lower[2]
     )
     if not np.isfinite(finite + upper[0] + upper[1] + upper[2]):
-        return (0.0, 0.0, 0.0), NONE
+        return (0.0, 0.0, 0.0), NONE, np.nan, 0
     corner = _best_corner(g, lower, upper)
     if g[0] * corner[0] + g[1] * corner[1] + g[2] * corner[2] - bound < 0.0:
-        return corner, HOPELESS
+        return corner, HOPELESS, 0.0, 0
     exact, multiplier = _projected(nominal, g, bound, lower, upper)
     given = _data_and_start(
         nominal, g, bound, lower, upper, p.infinity, exact, np.inf if multiplier == EMPTY else multiplier
@@ -175,9 +186,62 @@ def filtered(
     for i in range(NUMBERS):
         p.numbers[i] = given[i]
     x, y, z = _solved(p)
+    iterations = whole(p.iterations)
     if not np.isfinite(x + y + z):
-        return exact, EXACT
+        return exact, EXACT, np.inf, iterations
     point, residual = _clipped((x, y, z), g, bound, lower, upper)
     if residual > RESIDUAL_MAX_M_S or not np.isfinite(residual):
-        return exact, EXACT
-    return point, SOLVED
+        return exact, EXACT, residual, iterations
+    return point, SOLVED, residual, iterations
+
+
+@jitted
+def _answered(
+    cell: Cell[ProgramRecord],
+    omega_1_s: float,
+    nominal: Vec3,
+    h_m: float,
+    g: Vec3,
+    dh_dt_m_s: float,
+    lower: Vec3,
+    upper: Vec3,
+) -> tuple[Vec3, int, float, int, float, bool]:
+    """``filtered``, and what the result says of the barrier's row."""
+    velocity, how, residual, iterations = filtered(
+        cell[0], omega_1_s, nominal, h_m, g, dh_dt_m_s, lower, upper
+    )
+    slack, active = _judged(velocity, nominal, g, -omega_1_s * h_m - dh_dt_m_s, lower, upper)
+    return velocity, how, residual, iterations, slack, active
+
+
+class CompiledFilter:
+    """``SafetyFilter`` in one call of compiled code, which is compiled or loaded when one is made.
+
+    Args:
+        plain: the same in Python.
+    """
+
+    def __init__(self, plain: SafetyFilter) -> None:
+        record = new(ProgramRecord)
+        self._program, self._cell, self._omega_1_s = OwnProgram(record), cell(record), plain.omega_1_s
+        low, high = (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
+        _answered(self._cell, self._omega_1_s, (0.0, 0.0, 0.0), 0.1, (0.1, 0.2, 1.0), 0.0, low, high)
+        self._plain = plain
+        forbid_compiling(_answered)
+
+    def solve(
+        self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
+    ) -> FilterResult:
+        """Filter one nominal velocity; arguments as those of ``SafetyFilter.solve``."""
+        started = time.perf_counter()
+        try:
+            velocity, how, residual, iterations, slack, active = _answered(
+                self._cell, self._omega_1_s, nominal, h_m, gradient, dh_dt_m_s, lower, upper
+            )
+        except TypeError:  # numbers of a kind that it is not compiled for
+            return self._plain.solve(nominal, h_m, gradient, dh_dt_m_s, lower, upper)
+        if how == NONE:
+            slack, active = math.nan, False
+        solve_s = time.perf_counter() - started if iterations else 0.0
+        status = _HOW[how]
+        return FilterResult(velocity, slack, active or how == HOPELESS, status, residual, iterations, solve_s)

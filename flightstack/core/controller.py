@@ -140,7 +140,7 @@ class Controller:
             config, self.barrier, self.strategy, self.track, self.plausibility, self._reserve
         )
         self.memory = self._mission.memory
-        self._filter = self.strategy.program()
+        self.program = self.strategy.program()  # of the landing; an equal form may take its place
         limits = config.limits
         self._gate = Gate(
             self.strategy.rate_1_s, limits.velocity_max_m_s, limits.altitude_max_m, self._period_s
@@ -316,7 +316,7 @@ class Controller:
             lower, upper = self._cone.box(at.d_m, active_m, nominal, moves_m_s, lower, upper)
             result = self._fleet.solve(nominal, (landing, outward), rows, lower, upper)
         else:
-            result = self._filter.solve(nominal, active_m, gradient, dh_dt, lower, upper)
+            result = self.program.solve(nominal, active_m, gradient, dh_dt, lower, upper)
         return Barriers(h_m, gradient, dh_dt, nominal, result)
 
     def _base(self, snapshot: Snapshot) -> Vec3:

@@ -8,7 +8,6 @@ Python to the last bit on these and on + - * /; it need not on ``math.hypot``, `
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from functools import cache
 from types import FunctionType
@@ -17,7 +16,7 @@ from typing import Any, TypeVar, cast
 F = TypeVar("F", bound=Callable[..., Any])
 
 MARKED: set[Callable[..., Any]] = set()
-_CALLED: list[Callable[..., Any]] = []  # those of them that Python calls where they are compiled
+CALLED: list[Callable[..., Any]] = []  # those of them that are worth a call of compiled code by Python
 _SPLIT = 134217729.0  # 2^27 + 1: splits a double into two halves (Veltkamp)
 
 
@@ -28,21 +27,9 @@ def numeric(function: F) -> F:
 
 
 def called(function: F) -> F:
-    """Mark a long function that Python code calls in its compiled form after ``compile_with``."""
-    _CALLED.append(function)
+    """Mark a long function that Python code calls in its compiled form (flightstack/compiled/core.py)."""
+    CALLED.append(function)
     return numeric(function)
-
-
-def compile_with(compiler: Callable[[Any], Any]) -> None:
-    """Replace each function marked ``called`` by its compiled form. A second call changes nothing.
-
-    Args:
-        compiler: turns a function into one that is compiled when it is first called.
-    """
-    for function in _CALLED:
-        module = sys.modules[function.__module__]
-        if getattr(module, function.__name__) is function:
-            setattr(module, function.__name__, twin(function, compiler))
 
 
 @cache

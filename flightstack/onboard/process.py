@@ -24,6 +24,7 @@ from flightstack.common.pacing import (
 )
 from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.common.strict_toml import ConfigError, dumps
+from flightstack.compiled.core import Core, chosen_core, compiled
 from flightstack.core.controller import ERROR, WARN, Controller, Outputs, state_class
 from flightstack.core.memory import Memory
 from flightstack.core.parameters.flight import FlightConfig
@@ -72,6 +73,7 @@ class Options:
     clock: Path | None = None  # of a simulator, to live by instead of the wall's
     speed: float = 1.0  # of stack time against real time; another than 1 only with a simulator as fast
     shared_log: bool = False  # the recorder writes the flights of several vehicles
+    core: Core = Core.AUTO  # code of the control step
 
 
 class Onboard:
@@ -80,7 +82,8 @@ class Onboard:
     def __init__(self, config: FlightConfig, options: Options, say: Callable[[str], None]) -> None:
         self.options, self.config, self.say = options, config, say
         rate_hz = config.loop.rate_hz
-        self.controller = Controller(config)
+        self.core = chosen_core(options.core, lockstep=options.lockstep)
+        self.controller = compiled(config) if self.core is Core.COMPILED else Controller(config)
         chosen = profile(options.autopilot)
         origin = config.vehicle.origin_wgs84
         self.wires = ZenohWires(config, _zenoh_plan(options))
@@ -172,6 +175,7 @@ class Onboard:
                 "system_id": str(options.system_id),
                 "lockstep": str(options.lockstep).lower(),
                 "autopilot": options.autopilot,
+                "core": self.core.value,
             },
         )
 
@@ -223,8 +227,8 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
 
     Raises:
         ConfigError: the configuration must not fly.
-        ValueError: a URL, endpoint or key that is not understood, a network without a key, or a speed that a
-            real vehicle or lockstep does not have.
+        ValueError: a URL, endpoint or key that is not understood, a network without a key, a speed that a
+            real vehicle or lockstep does not have, or compiled code that is not possible.
         OSError: an address or file that cannot be opened.
         LaunchError: its own recorder did not start.
     """
@@ -243,6 +247,7 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
             _warn(warning)
         if onboard.log_file is not None:
             say(f"log {onboard.log_file}")
+        say(f"core {onboard.core.value}")
         say("ready")
         sys.stdout.flush()
         if not options.lockstep:  # only the simulator runs in lockstep, and its parameters are known

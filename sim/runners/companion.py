@@ -12,10 +12,8 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles.autopilots import OWN_SITL
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Tick
-from flightstack.compiled.jit import jitted
+from flightstack.compiled.core import compile_core, quick
 from flightstack.core.controller import Controller, Outputs
-from flightstack.core.numeric import compile_with
-from flightstack.core.target.estimator import TargetEstimator
 from flightstack.core.types import Neighbour
 from flightstack.onboard.leaving import Leaving
 from flightstack.onboard.lockstep import VehicleTicks
@@ -33,27 +31,16 @@ from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
 from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 
-_SAMPLES = (((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.7), ((0.2, 0.3, 0.4), (0.4, 0.5, 0.6), 0.8))
-
 OnStep = Callable[[Tick, Outputs], None]
 
 
 def warm_up(scenario: Scenario) -> None:
     """Compile everything that a landing calls, or load it from the cache, before the first begins."""
     warm_up_vehicle(scenario)
-    warm_up_core(scenario)
+    compile_core(scenario.onboard)
     stretch = Companion(scenario, 0).stretch
     if stretch is not None:
         stretch.warm_up()
-
-
-def warm_up_core(scenario: Scenario) -> None:
-    """Compile the functions of numbers in the core; in this process they are compiled ones from then on."""
-    compile_with(jitted)
-    estimator = TargetEstimator(scenario.onboard.target)
-    for n, (position, velocity, yaw) in enumerate(_SAMPLES):
-        estimator.update(0.05 * n, position, velocity, yaw)
-    estimator.at(0.1)
 
 
 class Companion:
@@ -83,7 +70,7 @@ class Companion:
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
         self.name = member_name(system_id)
-        self.controller = Controller(config)
+        self.controller = quick(Controller(config))
         self._on_step = on_step
         self._stop = Stop()
         self._over = False

@@ -9,6 +9,7 @@ import statistics
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
 
@@ -20,6 +21,7 @@ from bridge.mavlink.codec.packing import pack
 from bridge.mavlink.profiles.autopilots import PX4
 from flightstack.common.pacing import RealTimePacer, ask_for_priority
 from flightstack.common.strict_toml import from_table
+from flightstack.compiled.core import compiled
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.projection import project
@@ -59,9 +61,8 @@ def inputs(tick: int, position_enu_m: Vec3 = (1.1, 0.0, 0.76), velocity_enu_m_s:
     return Inputs(own, VehicleStatus(t, True, Mode.EXTERNAL, Landed.IN_AIR, True), (sample,))
 
 
-def approach(config: FlightConfig, azimuth_rad: float) -> list[float]:
+def approach(controller: Controller, azimuth_rad: float) -> list[float]:
     """Microseconds of each step from near the boundary to above the pad: the barrier acts in most of them."""
-    controller = Controller(config)
     p, v = (1.6 * math.cos(azimuth_rad), 1.6 * math.sin(azimuth_rad), 1.0), ZERO
     took = []
     for tick in range(STEPS_MAX):
@@ -80,14 +81,14 @@ def approach(config: FlightConfig, azimuth_rad: float) -> list[float]:
     raise AssertionError(f"not above the pad after {STEPS_MAX} steps")
 
 
-def one_round() -> list[float]:
+def one_round(make: Callable[[FlightConfig], Controller]) -> list[float]:
     """Microseconds of each step of some approaches from all sides."""
     config = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}})
     took: list[float] = []
     gc.collect()
     gc.disable()
     for k in range(APPROACHES):
-        took += approach(config, 2.0 * math.pi * k / APPROACHES)
+        took += approach(make(config), 2.0 * math.pi * k / APPROACHES)
     gc.enable()
     return took
 
@@ -104,15 +105,16 @@ def closed_form() -> float:
 
 
 def control_step() -> None:
-    """Inputs to packed set-point, us, beside the closed form alone: the least that any filter could cost."""
-    one_round()
-    medians, tails = [], []
-    for _ in range(ROUNDS):
-        took = sorted(one_round())
-        medians.append(took[len(took) // 2])
-        tails.append(took[int(len(took) * 0.99)])
-    p50, p99 = statistics.median(medians), statistics.median(tails)
-    print(f"p50 {p50:.1f} us (asked 55)   p99 {p99:.1f} us (asked 120)")
+    """Inputs to packed set-point, us, plain and compiled, beside the closed form alone: the least of all."""
+    for name, make, asked in (("plain", Controller, (55, 120)), ("compiled", compiled, (30, 80))):
+        one_round(make)
+        medians, tails = [], []
+        for _ in range(ROUNDS):
+            took = sorted(one_round(make))
+            medians.append(took[len(took) // 2])
+            tails.append(took[int(len(took) * 0.99)])
+        p50, p99 = statistics.median(medians), statistics.median(tails)
+        print(f"{name:8}  p50 {p50:.1f} us (asked {asked[0]})   p99 {p99:.1f} us (asked {asked[1]})")
     print(f"closed form alone {closed_form():.1f} us")
 
 
@@ -273,7 +275,7 @@ def fleet_step() -> None:
         took.sort()
         medians.append(took[len(took) // 2])
         tails.append(took[int(len(took) * 0.99)])
-        alone.append(statistics.median(one_round()))
+        alone.append(statistics.median(one_round(Controller)))
     p50, p99, one = (statistics.median(each) for each in (medians, tails, alone))
     print(f"p50 {p50:.0f} us   p99 {p99:.0f} us (asked 300)")
     print(f"{p50 / one:.1f} times the median of a lone vehicle, {one:.0f} us")

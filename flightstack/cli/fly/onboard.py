@@ -38,6 +38,7 @@ def onboard(options: OnboardOptions) -> None:
     """
     from bridge.target.ros2_target import TargetType
     from flightstack.common.processes import LaunchError
+    from flightstack.compiled.core import Core
     from flightstack.config.files import load
     from flightstack.onboard import process
     from flightstack.onboard.fleet_wire import namespace_of
@@ -49,7 +50,10 @@ def onboard(options: OnboardOptions) -> None:
         target_type = TargetType(options.target_type)
         config = load(options.config_file)
         namespace = options.namespace or namespace_of(config)
-        plugged = options.to(process.Options, own_recorder=own, target_type=target_type, namespace=namespace)
+        plugged = options.to(
+            process.Options, own_recorder=own, target_type=target_type, namespace=namespace,
+            core=Core(options.core),
+        )  # fmt: skip
         try:
             ended = process.run(config, plugged, say=say)
         except LaunchError as error:

@@ -136,13 +136,8 @@ class SafetyFilter:
         status = FilterStatus.SOLVED
         if residual > RESIDUAL_MAX_M_S or not math.isfinite(residual):
             point, status = exact.point, FilterStatus.CLOSED_FORM
-        slack = gx * point[0] + gy * point[1] + gz * point[2] - bound
-        free = (
-            gx * min(max(nominal[0], lower[0]), upper[0])
-            + gy * min(max(nominal[1], lower[1]), upper[1])
-            + gz * min(max(nominal[2], lower[2]), upper[2])
-        )
-        return FilterResult(point, slack, free < bound, status, residual, iterations, solve_s)
+        slack, active = judged(point, nominal, gradient, bound, lower, upper)
+        return FilterResult(point, slack, active, status, residual, iterations, solve_s)
 
     def _osqp(
         self, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, start: Projection
@@ -206,3 +201,14 @@ def clipped(point: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3)
     cx, cy, cz = min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)
     barrier_miss = bound - (gx * cx + gy * cy + gz * cz)
     return (cx, cy, cz), max(abs(x - cx), abs(y - cy), abs(z - cz), barrier_miss, 0.0)
+
+
+@numeric
+def judged(
+    point: Vec3, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3
+) -> tuple[float, bool]:
+    """Slack of the barrier's row at a point, and whether the row keeps the nominal velocity from being it."""
+    (x, y, z), (nx, ny, nz), (gx, gy, gz) = point, nominal, gradient
+    (lx, ly, lz), (hx, hy, hz) = lower, upper
+    free = gx * min(max(nx, lx), hx) + gy * min(max(ny, ly), hy) + gz * min(max(nz, lz), hz)
+    return gx * x + gy * y + gz * z - bound, free < bound

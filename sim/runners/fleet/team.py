@@ -13,11 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flightstack.compiled.core import compile_core
 from flightstack.core.controller import Outputs
 from flightstack.core.types import Neighbour, Phase
 from logs.verdict.truth import judge_truth
 from sim.clock import TickGrid
-from sim.runners.companion import Companion, warm_up_core
+from sim.runners.companion import Companion
 from sim.runners.fleet.pairs import Pair, Pairs
 from sim.runners.fleet.words import Words
 from sim.runners.landing import Landing
@@ -127,7 +128,7 @@ def land_team(team: TeamScenario, seed: int, *, exchange: Exchange | None = None
 def warm_up(team: TeamScenario) -> None:
     """Compile everything that a team's flight calls, or load it from the cache, before a flight begins."""
     warm_up_room(team)
-    warm_up_core(team.member[0])
+    compile_core(team.member[0].onboard)
 
 
 def warm_up_room(team: TeamScenario) -> None:

@@ -183,7 +183,7 @@ def _land(
         climb = robust.climb(p, h_m, gradient, bz, own_m_s, target_m_s)
         if climb > lz:
             lz = min(climb, upper[2])
-    v, how = filtered(p.program, p.rate_1_s, nominal, h_m, gradient, dh_dt, (lx, ly, lz), upper)
+    v, how, _, _ = filtered(p.program, p.rate_1_s, nominal, h_m, gradient, dh_dt, (lx, ly, lz), upper)
     if how == NONE:
         return v, False
     # Gate._keeps_promise

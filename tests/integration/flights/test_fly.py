@@ -22,7 +22,7 @@ from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from sim.scenarios.scenario import load
 from tests.bounded import killed, lines_of
-from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack
+from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack, replayed
 from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, free_port
 from tests.integration.wires.test_links import signing
 from tests.unit.target import ros2_helpers as ros
@@ -62,9 +62,11 @@ def theirs(folder):
 
 def test_lands_records_judges_and_reports(tmp_path):
     with theirs(tmp_path) as words:
-        done = flightstack("fly", *words, "--out", tmp_path / "flight", "--json")
+        done = flightstack("fly", *words, "--core", "compiled", "--out", tmp_path / "flight", "--json")
     assert done.code == 0, done.err
     found = done.json
+    assert LogFile(found["log"]).metadata()["onboard"]["core"] == "compiled"
+    assert replayed(found["log"])["compared"] > 500  # by plain Python
     assert found["outcome"] == "landed"
     assert found["judged_from"] == "estimate"
     assert found["touchdown_error_m"] <= 0.10

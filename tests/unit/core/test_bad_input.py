@@ -184,7 +184,7 @@ def test_without_a_target_it_never_takes_off():
 
 def test_a_solver_that_fails_in_flight_is_replaced_and_the_landing_goes_on(monkeypatch):
     world = World(CONFIG)
-    monkeypatch.setattr(world.controller._filter, "_osqp", lambda *_: ((0.0, 0.0, 0.0), math.inf, 4000))
+    monkeypatch.setattr(world.controller.program, "_osqp", lambda *_: ((0.0, 0.0, 0.0), math.inf, 4000))
     world.run(60.0)
     assert world.phase is Phase.LANDED
     landing = [o for o in world.outputs if o.phase in (Phase.APPROACH, Phase.LAND) and o.barrier is not None]

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from flightstack.common.strict_toml import from_table
-from flightstack.compiled.jit import jitted
+from flightstack.compiled.core import compile_core
 from flightstack.core.controller import Controller
 from flightstack.core.memory import MotionMemory
-from flightstack.core.numeric import MARKED, compile_with
+from flightstack.core.numeric import MARKED
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
@@ -357,5 +357,5 @@ def test_compiled_it_is_equal_to_the_last_bit(monkeypatch):
     plain = list(told(400))
     for function in MARKED:
         monkeypatch.setattr(f"{function.__module__}.{function.__name__}", function)  # and put back afterwards
-    compile_with(jitted)
+    compile_core(from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}}))
     assert list(told(400)) == plain

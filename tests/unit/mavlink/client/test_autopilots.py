@@ -24,6 +24,7 @@ from bridge.mavlink.profiles.autopilots import (
 )
 from bridge.mavlink.profiles.profile import Encoding, Reading
 from flightstack.cli import options as cli_options
+from flightstack.compiled.core import Core
 from flightstack.core.types import Landed, Mode, Request
 from sim.autopilot.profiles import PROFILES as SIMULATED
 from tests.unit.mavlink.client.autopilots_page import PAGE, split, tables
@@ -52,9 +53,10 @@ def test_every_profile_is_whole():
     assert (AUTO, *PROFILES) == CHOICES
 
 
-def test_the_command_knows_the_autopilots_and_the_server_profiles_of_the_simulator():
+def test_the_command_knows_cores_and_autopilots_and_the_server_profiles_of_the_simulator():
     assert cli_options.AUTOPILOTS == CHOICES
     assert tuple(SIMULATED) == cli_options.PROFILES
+    assert tuple(each.value for each in Core) == cli_options.CORES
 
 
 def test_names_and_heartbeats_give_profiles():

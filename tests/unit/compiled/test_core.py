@@ -1,0 +1,153 @@
+"""The controller with compiled parts: the same to the last bit, and Python where it is not compiled for."""
+
+import math
+import sys
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flightstack.compiled import core
+from flightstack.compiled.core import Core, chosen_core, compiled, is_possible, quick
+from flightstack.compiled.jit import OFF, is_off
+from flightstack.compiled.program import CompiledFilter
+from flightstack.core.controller import Controller
+from flightstack.core.memory import MotionMemory
+from flightstack.core.numeric import CALLED
+from flightstack.core.safety.qp_filter import SafetyFilter
+from flightstack.core.target.estimator import TargetEstimator
+from flightstack.core.types import FilterStatus
+from sim.runners.companion import Companion
+from sim.scenarios.scenario import load
+
+pytestmark = pytest.mark.skipif(is_off(), reason="numba is switched off")
+numbers = st.floats(-3.0, 3.0)
+any_numbers = st.one_of(numbers, st.sampled_from((math.nan, math.inf, -math.inf, 0.0)))
+vectors, sides = st.tuples(any_numbers, any_numbers, any_numbers), st.floats(0.0, 1.0)
+
+
+@pytest.fixture
+def plain(monkeypatch):
+    """The functions of the core as they are without numba; put back afterwards."""
+    for function in CALLED:
+        monkeypatch.setattr(f"{function.__module__}.{function.__name__}", function)
+
+
+@pytest.fixture(scope="module")
+def filters():
+    program = SafetyFilter(0.7)
+    return program, CompiledFilter(program)
+
+
+def flown(scenario, make, monkeypatch):
+    """What each step of a landing decides, but for wall time."""
+    rows = []
+
+    def note(_tick, out):
+        barrier = out.barrier
+        if barrier is not None:
+            barrier = barrier._replace(result=barrier.result._replace(solve_s=0.0))
+        setpoint = out.setpoint
+        told = (setpoint.velocity_enu_m_s, setpoint.yaw_rad) if setpoint is not None else None
+        rows.append(repr((out._replace(barrier=barrier, setpoint=None), told)))
+
+    monkeypatch.setattr("sim.runners.companion.quick", lambda controller: make(controller.config))
+    flight = Companion(scenario, 3, note)
+    flight.fly()
+    return rows, repr(flight.controller.state)
+
+
+@pytest.mark.parametrize("filter_name", ["robust", "paper"])
+@pytest.mark.parametrize("name", ["storm", "room"])
+def test_each_step_of_a_landing_is_the_same_to_the_last_bit(plain, monkeypatch, name, filter_name):
+    del plain
+    scenario = load(name).with_filter(filter_name)
+    by_python = flown(scenario, Controller, monkeypatch)
+    by_machine = flown(scenario, compiled, monkeypatch)
+    assert len(by_python[0]) > 300
+    assert by_machine == by_python
+
+
+@given(vectors, any_numbers, vectors, any_numbers, vectors, st.tuples(sides, sides, sides))
+@settings(max_examples=500)
+def test_any_program_is_answered_alike(filters, nominal, h_m, gradient, dh_dt_m_s, lower, size):
+    upper = tuple(low + each for low, each in zip(lower, size, strict=True))
+    by_python, by_machine = (
+        each.solve(nominal, h_m, gradient, dh_dt_m_s, lower, upper)._replace(solve_s=0.0) for each in filters
+    )
+    assert repr(by_machine) == repr(by_python)
+
+
+def test_all_ways_to_an_answer_are_among_them(filters):
+    box, gradient = ((-0.2, -0.2, -0.5), (0.2, 0.2, 0.5)), (0.3, 0.4, 1.0)
+    cases = {
+        FilterStatus.SOLVED: ((0.1, 0.0, -0.4), 0.1),
+        FilterStatus.INFEASIBLE: ((0.1, 0.0, -0.4), -9.0),
+        FilterStatus.REJECTED: ((math.nan, 0.0, -0.4), 0.1),
+    }
+    for status, (nominal, h_m) in cases.items():
+        found = [each.solve(nominal, h_m, gradient, 0.0, *box)._replace(solve_s=0.0) for each in filters]
+        assert {each.status for each in found} == {status}
+        assert repr(found[0]) == repr(found[1])
+
+
+def test_where_the_solver_fails_the_exact_projection_is_the_answer(filters, monkeypatch):
+    program, machine = filters
+    monkeypatch.setattr(program, "_solved", -77)
+    monkeypatch.setattr(machine._cell[0], "solved", -77)
+    given_ = ((0.1, 0.0, -0.4), 0.1, (0.3, 0.4, 1.0), 0.0, (-0.2, -0.2, -0.5), (0.2, 0.2, 0.5))
+    found = [each.solve(*given_)._replace(solve_s=0.0) for each in filters]
+    assert {each.status for each in found} == {FilterStatus.CLOSED_FORM}
+    assert repr(found[0]) == repr(found[1])
+
+
+def test_numbers_of_another_kind_are_computed_by_python_and_nothing_is_compiled_in_flight(plain, filters):
+    del plain
+    config = load("lab").onboard
+    compiled(config)
+    told = []
+    for kind in (list, tuple):  # lists are no tuples: compiled code does not take them
+        estimator = TargetEstimator(config.target)
+        estimator.memory = MotionMemory()
+        for n in range(3):
+            estimator.update(0.05 * n, kind((0.1 * n, 0.2, 0.3)), kind((0.1, 0.2, 0.0)), 0.1)
+        told.append(estimator.at(0.2))
+    assert told[0] == told[1]
+    box = ([-0.2, -0.2, -0.5], [0.2, 0.2, 0.5])
+    found = [each.solve([0.1, 0.0, -0.4], 0.1, [0.3, 0.4, 1.0], 0.0, *box) for each in filters]
+    assert found[0]._replace(solve_s=0.0) == found[1]._replace(solve_s=0.0)
+
+
+def test_another_program_stays_as_it_is(filters):
+    controller = Controller(load("lab").onboard)
+    controller.program = other = object()
+    assert quick(controller).program is other
+    assert isinstance(quick(Controller(load("lab").onboard)).program, CompiledFilter)
+
+
+def test_which_core_is_flown(monkeypatch):
+    assert is_possible()
+    for warm in (False, True):
+        monkeypatch.setattr(core, "is_warm", lambda warm=warm: warm)
+        assert chosen_core(Core.AUTO, lockstep=True) is Core.PLAIN
+        assert chosen_core(Core.AUTO, lockstep=False) is (Core.COMPILED if warm else Core.PLAIN)
+        for asked in (Core.PLAIN, Core.COMPILED):
+            assert chosen_core(asked, lockstep=warm) is asked
+    monkeypatch.setenv(OFF, "1")
+    assert chosen_core(Core.AUTO, lockstep=False) is Core.PLAIN
+    with pytest.raises(ValueError, match="--core compiled: numba is not installed, or switched off"):
+        chosen_core(Core.COMPILED, lockstep=False)
+
+
+def test_without_numba_nothing_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.setattr(core, "find_spec", lambda name: None if name == "numba" else object())
+    assert chosen_core(Core.AUTO, lockstep=False) is Core.PLAIN
+
+
+def test_the_machine_code_of_other_sources_is_not_warm(tmp_path, monkeypatch):
+    monkeypatch.setattr(core, "cache_directory", lambda: tmp_path)
+    assert not core.is_warm()
+    compiled(replace(load("lab").onboard))
+    assert core.is_warm()
