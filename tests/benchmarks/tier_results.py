@@ -1,9 +1,13 @@
-"""The four tiers with both filters, many seeds each; writes docs/reference/results.md from the summaries.
+"""The tiers with both filters and the teams, many seeds each; fills the tables of docs/reference/results.md.
 
-``python -m tests.benchmarks tier_results [--robust N] [--paper N] [--out DIR] [--write-only]``
+``python -m tests.benchmarks tier_results [NAME ...] [--seed N] [--runs N] [--out DIR] [--write-only]``
+
+A name is that of a tier, with or without its filter (``field``, ``field_paper``), or of a team. Lines of what
+was not flown stay as they are.
 """
 
 import argparse
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,67 +19,17 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "reference" / "results.md"
 TIERS = ("lab", "room", "field", "storm", "deck")
 FILTERS = ("robust", "paper")
-
-HEAD = """# Seeded landings in five tiers
-
-What the tiers ask of an odometry link, a wind, a plant and a robot stands in `sim/scenarios/lab.toml`,
-`room.toml`, `field.toml`, `storm.toml` and `deck.toml`; the limits of the robust filter in
-`sim/campaign/summary.py`. Each landing is the one that `flightstack sitl --scenario TIER --seed N
---lockstep` flies, to the last bit, judged from true states every millisecond. A violation is h below -5 mm
-outside the pad in a run that began with h >= 0. The upper bound is one-sided, 95 % (Clopper-Pearson).
-
-Made by `{command}`. It goes on where
-it was interrupted; the table says how many landings there are so far.
-
-"""
-ASKED = """
-## What is asked
-
-Of the robust filter, by `sim/campaign/summary.py`; crashes and misses that nobody declared are allowed
-nowhere. Time is the median to first contact against that of the paper's filter.
-
-"""
-TAIL = """
-How the storm is landed in, and what was tried: [storm.md](../how_it_works/storm.md).
-
-`deck` bounds the tilt (set-points at most 0.4 m/s ahead of the velocity). With 0.6 m/s one of 10,000, a weak
-vehicle, came 11 mm below the barrier while the deck rose under it; with 0.4 m/s three others gave up in the
-air, high above it, because they did not fly what they were told.
-
-In `room` seeds 1 to 10,000 were flown before, with the contact rules and the gain of the other tiers: five
-vehicles slid over the pad's edge, since the robot had set off in the last half second of the descent, and
-one gave up as it touched. `contact.sliding_gap_m`, `contact.beyond_m`, `robust.gain_descent_1_s` and
-`checks.follow_lag_max_s` were chosen on the 160 of those landings that slid most or touched farthest from
-the middle. Recorded errors instead of the model's (`tape`, [own_state.md](../how_it_works/own_state.md))
-played no part in that: of 2,000 landings with tapes 2,000 landed without a violation, lowest h outside the
-pad +16 mm, error 1.4 / 3.4 cm, touchdown speed 0.29 / 0.15 m/s, 6.0 s.
-
-The figures of the other tiers were flown before the set-point of the touchdown was bounded
-(`robust.descent_lead_max_m_s`), before an abort stayed clear while it lands, and before the simulated body
-was integrated directly in free flight. The last of these changed 2 of 1,200 outcomes (paper filter). Of 200
-landings of each tier since then, robust filter, all landed without a violation; median / 95 % error 0.6 /
-1.7 cm (`lab`), 1.5 / 2.8 cm (`field`), 1.5 / 3.5 cm (`storm`), 1.4 / 3.0 cm (`deck`).
-"""
-ASKED_COLUMNS = ("tier", "landed", "violations", "error", "speed", "time", "result")
-COLUMNS = (
-    "tier, filter",
-    "landings",
-    "landed",
-    "declared aborts",
-    "misses, crashes",
-    "violations (upper bound)",
-    "lowest h outside the pad",
-    "touchdown error, median / 95 %",
-    "touchdown speed 95 %, vertical / horizontal",
-    "time, median",
-)
+TEAMS = {"fleet_3": 10_000, "fleet_8": 2_000, "turns_4": 200}
+RUNS = {f"{tier}_{kind}": 10_000 for tier in TIERS for kind in FILTERS} | {
+    f"{name}_robust": runs for name, runs in TEAMS.items()
+}
 
 
-def campaign(tier: str, kind: str, runs: int, folder: Path) -> None:
+def campaign(name: str, kind: str, seed: int, runs: int, folder: Path) -> None:
     """Fly, or go on with, one campaign."""
     command = [
-        sys.executable, "-m", "flightstack.cli.main", "campaign", tier, "--runs", str(runs), "--filter", kind,
-        "--out", str(folder), "--json",
+        sys.executable, "-m", "flightstack.cli.main", "campaign", name, "--filter", kind, "--seed", str(seed),
+        "--runs", str(runs), "--out", str(folder), "--json", "--no-report",
     ]  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode:
@@ -83,7 +37,7 @@ def campaign(tier: str, kind: str, runs: int, folder: Path) -> None:
 
 
 def row(tier: str, kind: str, s: dict) -> str:
-    """One line of the table."""
+    """One line of the tiers' table."""
     error, time_s = s["touchdown_error_m"], s["time_to_land_s"]["median"]
     vertical, horizontal = (
         s["touchdown_speed_vertical_m_s"]["p95"],
@@ -121,33 +75,72 @@ def asked_row(tier: str, out: Path) -> str:
     )
 
 
-def table(columns: tuple[str, ...], rows: list[str]) -> str:
-    """A table of the page."""
-    return "\n".join((f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}", *rows, ""))
+def team_row(name: str, s: dict) -> str:
+    """One line of the teams' table."""
+    error = s["touchdown_error_m"]
+    return (
+        f"| `{name}`, robust | {s['runs']} | {s['vehicles_landed']} of {s['vehicles']} | {s['collisions']} "
+        f"| {s['ellipsoid_violations']} | {s['ellipsoid_min']:.2f} | {s['distance_min_m']:.2f} m "
+        f"| {s['violations']} | {1000 * s['h_min_outside_pad_m']:+.0f} mm "
+        f"| {100 * error['median']:.1f} / {100 * error['p95']:.1f} cm |"
+    )
+
+
+def filled(page: str, name: str, lines: list[str]) -> str:
+    """The page with these lines in one of its tables, each in the place of the line of the same first cell.
+
+    Raises:
+        ValueError: the page has no such table, or no such line.
+    """
+    found = re.search(rf"<!-- table: {name} -->\n(.*?)<!-- end -->", page, re.DOTALL)
+    if found is None:
+        raise ValueError(f"{PAGE}: no table {name!r}")
+    table = found[1]
+    for line in lines:
+        first = "|".join(line.split("|")[:2]) + "|"
+        old = [each for each in table.splitlines() if each.startswith(first)]
+        if len(old) != 1:
+            raise ValueError(f"{PAGE}, table {name!r}: {len(old)} lines begin with {first!r}, one is needed")
+        table = table.replace(old[0], line)
+    return page[: found.start(1)] + table + page[found.end(1) :]
+
+
+def chosen(names: list[str]) -> list[str]:
+    """Campaigns of these names; none given: all.
+
+    Raises:
+        ValueError: a name that is none.
+    """
+    found = [each for each in RUNS if not names or {each, each.rpartition("_")[0]} & set(names)]
+    unknown = set(names) - {word for each in RUNS for word in (each, each.rpartition("_")[0])}
+    if unknown:
+        raise ValueError(f"found {sorted(unknown)}, allowed are {', '.join(RUNS)}; without the filter: both")
+    return found
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robust", type=int, default=10_000, help="landings of each tier, robust filter")
-    parser.add_argument("--paper", type=int, default=10_000, help="the same with the paper's")
+    parser.add_argument("names", nargs="*", help="tiers, with or without their filter, and teams; none: all")
+    parser.add_argument("--seed", type=int, default=30_001, help="the first")
+    parser.add_argument("--runs", type=int, help="of each; default: as many as the page has")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "tiers")
-    parser.add_argument("--write-only", action="store_true", help="write the page from what was flown before")
-    asked = parser.parse_args()
-    runs = {"robust": asked.robust, "paper": asked.paper}
-    command = f"python -m tests.benchmarks tier_results --robust {asked.robust} --paper {asked.paper}"
-    rows = []
-    for tier in TIERS:
-        for kind in FILTERS:
-            folder = asked.out / f"{tier}_{kind}"
-            if not asked.write_only:
-                campaign(tier, kind, runs[kind], folder)
-            flown = known(folder)
-            if not flown:
-                continue
-            rows.append(row(tier, kind, summary(flown, "", wall_s=0.0, flown_s=0.0)))
-            print(rows[-1], flush=True)
-    limits = [asked_row(tier, asked.out) for tier in TIERS]
-    print("\n".join(limits))
-    PAGE.write_text(
-        HEAD.format(command=command) + table(COLUMNS, rows) + ASKED + table(ASKED_COLUMNS, limits) + TAIL
+    parser.add_argument(
+        "--write-only", action="store_true", help="fill the tables with what was flown before"
     )
+    asked, lines = parser.parse_args(), {"tiers": [], "asked": [], "teams": []}
+    for each in chosen(asked.names):
+        name, _, kind = each.rpartition("_")
+        if not asked.write_only:
+            campaign(name, kind, asked.seed, asked.runs or RUNS[each], asked.out / each)
+        if rows := known(asked.out / each):
+            told = summary(rows, "", wall_s=0.0, flown_s=0.0)
+            if name in TEAMS:
+                lines["teams"].append(team_row(name, told))
+            else:
+                lines["tiers"].append(row(name, kind, told))
+    lines["asked"] = [asked_row(tier, asked.out) for tier in TIERS if known(asked.out / f"{tier}_robust")]
+    page = PAGE.read_text()
+    for name, each in lines.items():
+        print("\n".join(each))
+        page = filled(page, name, each)
+    PAGE.write_text(page)
