@@ -35,7 +35,10 @@ def test_the_fleets_have_the_errors_of_field(name, count):
         slew = field.onboard.robust.acceleration_max_m_s2  # what a fleet may have less of
         assert all(a <= b for a, b in zip(each.onboard.robust.acceleration_max_m_s2, slew, strict=True))
         robust = replace(each.onboard.robust, acceleration_max_m_s2=slew)
-        alone = replace(each.onboard, fleet=None, robust=robust)
+        slides = each.onboard.contact.sliding_gap_m  # robots that reverse at full speed: down at once
+        assert (slides > 0.0) == (each.target.path is scenario.PathKind.REVERSING)
+        contact = replace(each.onboard.contact, sliding_gap_m=field.onboard.contact.sliding_gap_m)
+        alone = replace(each.onboard, fleet=None, robust=robust, contact=contact)
         assert (each.odometry, each.vehicle, each.wind, alone) == (
             field.odometry, field.vehicle, field.wind, field.onboard,
         )  # fmt: skip
