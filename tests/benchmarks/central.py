@@ -209,7 +209,9 @@ class Central:
         every = [one for one in seen if one is not None]
         if not any(one.landing is not None for one in every):
             return told
-        program = self.programs.setdefault(len(every), JointProgram(len(every), self._distance_m))
+        if len(every) not in self.programs:
+            self.programs[len(every)] = JointProgram(len(every), self._distance_m)
+        program = self.programs[len(every)]
         for number, velocity in zip(flying, program.solve(every), strict=True):
             told[number] = (Neighbour(CENTRAL_ID, 0.0, 0.0, ZERO, ZERO, velocity),)
         return told
