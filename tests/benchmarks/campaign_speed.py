@@ -15,9 +15,9 @@ from unittest.mock import patch
 
 from bridge.mavlink.client.link import VehicleLink
 from flightstack.common.pacing import quiet_garbage_collector
+from flightstack.compiled.program import CompiledFilter
 from flightstack.core.controller import Controller
 from flightstack.core.fleet.member import FleetMember
-from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.onboard.runner import LinkedVehicle
 from sim.autopilot.autopilot import Autopilot
 from sim.campaign.workers import prepare
@@ -61,7 +61,7 @@ PARTS: tuple[tuple[Any, str, str], ...] = (
     (VehicleSim, "estimate", VEHICLE),
     (VehicleSim, "set_deck", VEHICLE),
     (Controller, "step", CONTROLLER),
-    (SafetyFilter, "_osqp", OSQP),
+    (CompiledFilter, "solve", OSQP),
     (DirectTarget, "take", ROBOT),
     (DirectTarget, "samples", ROBOT),
     (Autopilot, "telemetry", AUTOPILOT),
