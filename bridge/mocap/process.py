@@ -160,7 +160,6 @@ class Bridge:
         self._system_id, self._say = system_id, say
         self._told = Told(say)
         self._start_s = time.monotonic()
-        self._greeted = False
 
     @property
     def now_s(self) -> float:

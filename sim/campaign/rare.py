@@ -17,7 +17,7 @@ from flightstack.common.strict_toml import ConfigError
 from logs.verdict.types import VIOLATION_LIMIT_M, Outcome
 from sim.campaign.rows import Row, RowsFile, write_parquet
 from sim.campaign.run import ABOUT, ROWS, SUMMARY, Plan, alone, identity, known_rows
-from sim.campaign.subset import SHARE, Estimate, estimate
+from sim.campaign.subset import Estimate, estimate
 from sim.campaign.summary import why
 from sim.campaign.workers import Workers
 from sim.runners.companion import warm_up
@@ -125,11 +125,6 @@ def fly(wanted: Rare, folder: Path, *, workers: int, on_row: OnRow) -> dict[str,
         told = _told(found, folder, plan, known)
         (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
         return told
-
-
-def landings_of(levels: int, number: int) -> int:
-    """Landings that so many levels take."""
-    return number + (levels - 1) * round(number * (1.0 - SHARE))
 
 
 def _told(found: Estimate, folder: Path, plan: Plan, known: dict[int, Row]) -> dict[str, Any]:

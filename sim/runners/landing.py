@@ -7,7 +7,6 @@ so a landing equals ``flightstack sitl --lockstep`` of the same scenario and see
 
 from __future__ import annotations
 
-import gc
 import time
 from dataclasses import dataclass
 
@@ -57,9 +56,3 @@ def land(scenario: Scenario, seed: int, *, on_step: OnStep | None = None) -> Lan
     simulated_s = float(seen.steps.t_s[-1])
     wall_s = time.perf_counter() - began_s
     return Landing(seed, verdict, seen, simulated_s, wall_s, flight.controller.memory.retries)
-
-
-def keep_garbage_low() -> None:
-    """Collect what a landing left; between landings the collector sleeps, as it does in the processes."""
-    gc.collect()
-    gc.disable()
