@@ -10,13 +10,13 @@ from __future__ import annotations
 import re
 from functools import cache
 from importlib.resources import files
-from typing import Any, NamedTuple
-
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from logs.schema import mavlink_types
+
+if TYPE_CHECKING:  # a process that packs rows needs none of it: a fortieth of a second of each start
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys.store import Typestore
 
 CONTROLLER_STEP = "flightstack_msgs/msg/ControllerStep"
 CONTROLLER_INPUT = "flightstack_msgs/msg/ControllerInput"
@@ -86,6 +86,8 @@ class UnknownSchemaError(ValueError):
 @cache
 def typestore() -> Typestore:
     """Return the one store that knows every type but those :func:`store_for` adds."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     store = get_typestore(Stores.ROS2_JAZZY)
     for name in _OURS:
         store.register(get_types_from_msg(_own_text(name), name))
@@ -110,6 +112,8 @@ def fields_of(name: str) -> tuple[Field, ...]:
 
 def _field(name: str, node: Nodetype, detail: Any) -> Field:
     """A field as ``rosbags`` describes it."""
+    from rosbags.interfaces import Nodetype
+
     if node is Nodetype.NAME:
         return Field(name, detail, None)
     if node is Nodetype.BASE:
@@ -138,6 +142,8 @@ def store_for(name: str) -> Typestore:
     """
     store = typestore()
     if name not in store.fielddefs and name.startswith(mavlink_types.PACKAGE):
+        from rosbags.typesys import get_types_from_msg
+
         try:
             store.register(get_types_from_msg(mavlink_types.definition(name), name))
         except KeyError as error:
