@@ -1,6 +1,7 @@
 """The controller with compiled parts: the same to the last bit, and Python where it is not compiled for."""
 
 import math
+import subprocess
 import sys
 from dataclasses import replace
 
@@ -140,10 +141,19 @@ def test_which_core_is_flown(monkeypatch):
         chosen_core(Core.COMPILED, lockstep=False)
 
 
-def test_without_numba_nothing_is_missing(monkeypatch):
-    monkeypatch.setitem(sys.modules, "numba", None)
-    monkeypatch.setattr(core, "find_spec", lambda name: None if name == "numba" else object())
-    assert chosen_core(Core.AUTO, lockstep=False) is Core.PLAIN
+@pytest.mark.parametrize(
+    ("asked", "status", "said"), [("auto", 1, "core plain"), ("compiled", 2, "pip install")]
+)
+def test_without_numba_and_mujoco_the_onboard_process_misses_nothing(asked, status, said):
+    words = ["onboard", "--config", "sitl-1kg", "--vehicle", "udpout:127.0.0.1:9", "--target", "x/odom"]
+    words += ["--duration", "0.1", "--no-record", "--core", asked]
+    absent = "sys.modules.update(dict.fromkeys(['numba', 'llvmlite', 'mujoco']))"
+    code = f"import sys; {absent}; sys.argv[1:] = {words}; from flightstack.cli.main import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == status, done.stderr
+    assert said in done.stdout + done.stderr
 
 
 def test_the_machine_code_of_other_sources_is_not_warm(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ OURS = ("flightstack", "bridge", "sim", "logs")
 EXTRAS = {
     "bridge.crazyflie": {"crazyflie"},
     "flightstack.cli": {"view"},
+    "flightstack.compiled": {"sim"},  # only where it is installed: tests/unit/compiled/test_core.py
     "logs.report": {"report"},
     "logs.tools": {"export"},
     "logs.view": {"view"},
