@@ -22,6 +22,7 @@ BENCHMARKS = {
     # for hours, or with a picture or a page as their result
     "crash_safety": "flights:crash_safety",
     "fault_grid": "fault_grid:main",
+    "equal_rows": "equal_rows:main",
     "fleet_baseline": "fleet_baseline:main",
     "fleet_faults": "fleet_faults:main",
     "landing_figure": "landing_figure:main",
