@@ -73,7 +73,7 @@ def compile_core(config: FlightConfig) -> None:
         setattr(module, function.__name__, twin(function, _apart))
     _exercise(config)
     for function, module in own:
-        setattr(module, function.__name__, _or_python(getattr(module, function.__name__), function))
+        setattr(module, function.__name__, _or_python(twin(function, _apart), function))
     folder = cache_directory()
     if folder is not None and not is_off():
         (folder / _STAMP).touch()
@@ -81,7 +81,7 @@ def compile_core(config: FlightConfig) -> None:
 
 def _exercise(config: FlightConfig) -> None:
     """Call everything that is compiled."""
-    quick(Controller(config))
+    with_compiled_program(Controller(config))
     estimator = TargetEstimator(config.target)
     for n, (position, velocity, yaw) in enumerate(_SAMPLES):
         estimator.update(0.05 * n, position, velocity, yaw)
@@ -89,7 +89,7 @@ def _exercise(config: FlightConfig) -> None:
 
 
 def _apart(function: F) -> F:
-    """Compile what nobody else compiles any more afterwards."""
+    """Compile a form of its own: the simulator's stretches share theirs, and may compile it on."""
     return jitted(function)
 
 
@@ -109,10 +109,10 @@ def _or_python(machine: Callable[..., Any], plain: Callable[..., Any]) -> Callab
 def compiled(config: FlightConfig) -> Controller:
     """Make a controller with compiled parts; see ``compile_core``."""
     compile_core(config)
-    return quick(Controller(config))
+    return with_compiled_program(Controller(config))
 
 
-def quick(controller: Controller) -> Controller:
+def with_compiled_program(controller: Controller) -> Controller:
     """Give a controller the compiled form of its program, if there is one; return it."""
     program = controller.program
     if type(program) is SafetyFilter and not is_off():

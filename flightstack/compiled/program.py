@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import math
 import time
 from functools import cache
 from typing import Annotated, Any
@@ -197,19 +196,13 @@ def filtered(
 
 @jitted
 def _answered(
-    cell: Cell[ProgramRecord],
-    omega_1_s: float,
-    nominal: Vec3,
-    h_m: float,
-    g: Vec3,
-    dh_dt_m_s: float,
-    lower: Vec3,
-    upper: Vec3,
+    program: Cell[ProgramRecord], omega_1_s: float, *given: Any
 ) -> tuple[Vec3, int, float, int, float, bool]:
-    """``filtered``, and what the result says of the barrier's row."""
-    velocity, how, residual, iterations = filtered(
-        cell[0], omega_1_s, nominal, h_m, g, dh_dt_m_s, lower, upper
-    )
+    """``filtered`` of the same arguments, then slack of the barrier's row, and whether it is active."""
+    velocity, how, residual, iterations = filtered(program[0], omega_1_s, *given)
+    if how == NONE:
+        return velocity, how, residual, iterations, np.nan, False
+    nominal, h_m, g, dh_dt_m_s, lower, upper = given
     slack, active = _judged(velocity, nominal, g, -omega_1_s * h_m - dh_dt_m_s, lower, upper)
     return velocity, how, residual, iterations, slack, active
 
@@ -240,8 +233,5 @@ class CompiledFilter:
             )
         except TypeError:  # numbers of a kind that it is not compiled for
             return self._plain.solve(nominal, h_m, gradient, dh_dt_m_s, lower, upper)
-        if how == NONE:
-            slack, active = math.nan, False
         solve_s = time.perf_counter() - started if iterations else 0.0
-        status = _HOW[how]
-        return FilterResult(velocity, slack, active or how == HOPELESS, status, residual, iterations, solve_s)
+        return FilterResult(velocity, slack, active, _HOW[how], residual, iterations, solve_s)

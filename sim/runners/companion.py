@@ -12,7 +12,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles.autopilots import OWN_SITL
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Tick
-from flightstack.compiled.core import compile_core, quick
+from flightstack.compiled.core import compile_core, with_compiled_program
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import Neighbour
 from flightstack.onboard.leaving import Leaving
@@ -70,7 +70,7 @@ class Companion:
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
         self.name = member_name(system_id)
-        self.controller = quick(Controller(config))
+        self.controller = with_compiled_program(Controller(config))
         self._on_step = on_step
         self._stop = Stop()
         self._over = False

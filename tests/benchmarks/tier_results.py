@@ -128,7 +128,11 @@ def main() -> None:
         "--write-only", action="store_true", help="fill the tables with what was flown before"
     )
     asked, lines = parser.parse_args(), {"tiers": [], "asked": [], "teams": []}
-    for each in chosen(asked.names):
+    try:
+        campaigns = chosen(asked.names)
+    except ValueError as error:
+        parser.error(str(error))
+    for each in campaigns:
         name, _, kind = each.rpartition("_")
         if not asked.write_only:
             campaign(name, kind, asked.seed, asked.runs or RUNS[each], asked.out / each)

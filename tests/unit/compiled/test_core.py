@@ -3,14 +3,13 @@
 import math
 import subprocess
 import sys
-from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flightstack.compiled import core
-from flightstack.compiled.core import Core, chosen_core, compiled, is_possible, quick
+from flightstack.compiled.core import Core, chosen_core, compiled, is_possible, with_compiled_program
 from flightstack.compiled.jit import OFF, is_off
 from flightstack.compiled.program import CompiledFilter
 from flightstack.core.controller import Controller
@@ -22,7 +21,6 @@ from flightstack.core.types import FilterStatus
 from sim.runners.companion import Companion
 from sim.scenarios.scenario import load
 
-pytestmark = pytest.mark.skipif(is_off(), reason="numba is switched off")
 numbers = st.floats(-3.0, 3.0)
 any_numbers = st.one_of(numbers, st.sampled_from((math.nan, math.inf, -math.inf, 0.0)))
 vectors, sides = st.tuples(any_numbers, any_numbers, any_numbers), st.floats(0.0, 1.0)
@@ -53,7 +51,9 @@ def flown(scenario, make, monkeypatch):
         told = (setpoint.velocity_enu_m_s, setpoint.yaw_rad) if setpoint is not None else None
         rows.append(repr((out._replace(barrier=barrier, setpoint=None), told)))
 
-    monkeypatch.setattr("sim.runners.companion.quick", lambda controller: make(controller.config))
+    monkeypatch.setattr(
+        "sim.runners.companion.with_compiled_program", lambda controller: make(controller.config)
+    )
     flight = Companion(scenario, 3, note)
     flight.fly()
     return rows, repr(flight.controller.state)
@@ -123,11 +123,13 @@ def test_numbers_of_another_kind_are_computed_by_python_and_nothing_is_compiled_
 def test_another_program_stays_as_it_is(filters):
     controller = Controller(load("lab").onboard)
     controller.program = other = object()
-    assert quick(controller).program is other
-    assert isinstance(quick(Controller(load("lab").onboard)).program, CompiledFilter)
+    assert with_compiled_program(controller).program is other
+    found = with_compiled_program(Controller(load("lab").onboard)).program
+    assert isinstance(found, SafetyFilter if is_off() else CompiledFilter)
 
 
 def test_which_core_is_flown(monkeypatch):
+    monkeypatch.delenv(OFF, raising=False)
     assert is_possible()
     for warm in (False, True):
         monkeypatch.setattr(core, "is_warm", lambda warm=warm: warm)
@@ -159,5 +161,5 @@ def test_without_numba_and_mujoco_the_onboard_process_misses_nothing(asked, stat
 def test_the_machine_code_of_other_sources_is_not_warm(tmp_path, monkeypatch):
     monkeypatch.setattr(core, "cache_directory", lambda: tmp_path)
     assert not core.is_warm()
-    compiled(replace(load("lab").onboard))
-    assert core.is_warm()
+    compiled(load("lab").onboard)
+    assert core.is_warm() is not is_off()
