@@ -7,12 +7,13 @@ the next interval. Whoever integrates pose and twist over the same interval ends
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Cell, Record, Vector, cell, cell_of_numbers, new, reader
+from flightstack.compiled.records import F64, Cell, Record, Values, Vector, cell, cell_of_numbers, new, reader
 from flightstack.core.types import Vec3
 from sim.chance import stream
 from sim.plant.params import load
@@ -48,6 +49,9 @@ DEMANDS: dict[PathKind, tuple[float, float, float, float]] = {
     PathKind.STOP_AND_GO: (1.0, 1.0, 0.0, 0.0),
     PathKind.REVERSING: (1.0, 1.0, -1.0, 1.0),
 }
+
+
+PAD = 12  # numbers of a PadRecord; as doubles they hold the time, too
 
 
 class PadRecord(Record):
@@ -148,12 +152,30 @@ def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
     publish(motion, dt_s)
 
 
+@jitted
+def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) -> None:
+    """``drive`` once for each row, which is filled with the numbers of the pad's motion after it.
+
+    Args:
+        motion: changed in place.
+        dt_s: of each step.
+        driving: or braking, in all of them.
+        pads: (n, PAD), filled.
+    """
+    pad = motion[0].pad
+    for row in pads:
+        drive(motion, dt_s, driving)
+        row[0], row[4], row[11] = pad.time_ns, pad.yaw, pad.rate
+        for i in range(3):
+            row[1 + i], row[5 + i], row[8 + i] = pad.position[i], pad.body_velocity[i], pad.velocity[i]
+
+
 class TargetModel:
     """True motion of the target.
 
     ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s`` and ``yaw_rate_rad_s`` are of the pad centre at
-    ``time_s``; the body-frame twist holds until the next step. Heave goes on all the time, driving or not: it
-    is the sea's.
+    ``time_s``, and so are the numbers of ``pad``; the body-frame twist holds until the next step. Heave
+    goes on all the time, driving or not: it is the sea's.
 
     Args:
         spec: path, speeds, limits, pad.
@@ -184,7 +206,7 @@ class TargetModel:
         publish(self._cell, step_s)
         self._show()
         # compiled, or loaded, before time begins to count
-        drive(cell_of_numbers(new(MotionRecord)), step_s, False)
+        drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, PAD)))
 
     def stop(self) -> None:
         """Stand from now on, as with locked wheels; the next step shows it."""
@@ -195,8 +217,16 @@ class TargetModel:
         drive(self._cell, dt_s, driving)
         self._show()
 
+    def run(self, steps: int, dt_s: float, driving: bool) -> F64:
+        """Step so often; returns the pad's motion after each, (steps, PAD) numbers of a PadRecord."""
+        pads = np.empty((steps, PAD))
+        drive_on(self._cell, dt_s, driving, pads)
+        self._show()
+        return pads
+
     def _show(self) -> None:
-        pad = self._read()  # in the order of PadRecord
+        self.pad: Values = self._read()  # in the order of PadRecord
+        pad = self.pad
         self.time_s: float = pad[0] / NS
         self.pose = PadPose(pad[1:4], pad[4])
         self.velocity_body_m_s: Vec3 = pad[5:8]
@@ -220,14 +250,18 @@ class TargetError:
         self._past.rate = rate_hz
         self._cell, self._late = cell(self._past), self._past.late
 
-    def apply(self, model: TargetModel) -> tuple[Vec3, float, Vec3]:
-        """Position (ENU, m), heading (rad) and velocity in the body frame (m/s) as measured."""
+    def apply(self, pad: Sequence[float]) -> tuple[Sequence[float], float, Sequence[float]]:
+        """Position (ENU, m), heading (rad) and velocity in the body frame (m/s) as measured.
+
+        Args:
+            pad: true motion, numbers of a PadRecord.
+        """
         if not len(self._left):
             self._left = self._rows.take(BLOCK)
         row, self._left = self._left[0], self._left[1:]
-        mismeasured(self._cell, np.array(model.pose.position_enu_m), np.array(model.velocity_enu_m_s), row)
+        mismeasured(self._cell, np.array(pad[1:4]), np.array(pad[8:11]), row)
         x, y, z, vx, vy, vz = self._late.tolist()
-        yaw = model.pose.yaw_rad - model.yaw_rate_rad_s * float(row[DELAY]) + float(row[TURN + 2])
+        yaw = pad[4] - pad[11] * float(row[DELAY]) + float(row[TURN + 2])
         c, s = math.cos(yaw), math.sin(yaw)
         return (x, y, z), yaw, (c * vx + s * vy, c * vy - s * vx, vz)
 
@@ -249,17 +283,26 @@ class TargetOdometry:
 
     def step(self, model: TargetModel) -> list[TargetMeasurement]:
         """Measure if due and return what has arrived."""
-        now_ns = round(model.time_s * NS)
-        channel = self.channel
-        if now_ns >= channel.due_ns:
-            position, yaw = model.pose
-            velocity = model.velocity_body_m_s
-            if self._error is not None:
-                position, yaw, velocity = self._error.apply(model)
-            channel.sample(now_ns, (*position, yaw, *velocity, model.yaw_rate_rad_s))
-        if now_ns < channel.release_ns:
-            return []
-        return [
-            TargetMeasurement(t_ns / NS, (v[0], v[1], v[2]), wrap(v[3]), (v[4], v[5], v[6]), v[7])
-            for t_ns, v in channel.release(now_ns)
-        ]
+        return [sample for _, sample in self.run([model.pad])]
+
+    def run(self, pads: Iterable[Sequence[float]]) -> list[tuple[int, TargetMeasurement]]:
+        """The same for several steps; with each sample the index of the step in which it arrived.
+
+        Args:
+            pads: true motion after each step, numbers of a PadRecord.
+        """
+        channel, out = self.channel, []
+        for n, pad in enumerate(pads):
+            now_ns = int(pad[0])
+            if now_ns >= channel.due_ns:
+                position, yaw, velocity = pad[1:4], pad[4], pad[5:8]
+                if self._error is not None:
+                    position, yaw, velocity = self._error.apply(pad)
+                channel.sample(now_ns, (*position, yaw, *velocity, pad[11]))
+            if now_ns >= channel.release_ns:
+                out += [(n, _measurement(t_ns, v)) for t_ns, v in channel.release(now_ns)]
+        return out
+
+
+def _measurement(time_ns: int, v: tuple[float, ...]) -> TargetMeasurement:
+    return TargetMeasurement(time_ns / NS, (v[0], v[1], v[2]), wrap(v[3]), (v[4], v[5], v[6]), v[7])

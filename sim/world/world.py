@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from functools import cache, lru_cache
 from pathlib import Path
 
 import mujoco
@@ -21,6 +22,7 @@ MARGIN_M = 1e-3  # beyond rounding
 _LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
 
 
+@cache
 def mujoco_function(name: str) -> int:
     """Address of a function of MuJoCo's C library, which its Python package has loaded.
 
@@ -33,6 +35,12 @@ def mujoco_function(name: str) -> int:
     if not found:
         raise OSError(f"{folder}: no C library of MuJoCo is there; install mujoco again")
     return ctypes.cast(getattr(ctypes.CDLL(str(found[0])), name), ctypes.c_void_p).value or 0
+
+
+@lru_cache(maxsize=64)  # of a scenario's masses: a campaign draws few, and reading takes a millisecond
+def _read_model(xml: str) -> mujoco.MjModel:
+    """Model of this description, which nobody changes."""
+    return mujoco.MjModel.from_xml_string(xml)
 
 
 def measure_reach(model: mujoco.MjModel, reach: ReachRecord) -> None:
@@ -70,7 +78,7 @@ class World:
     def __init__(
         self, params: Params, mass_kg: float, target: TargetSpec, record: WorldRecord | None = None
     ) -> None:
-        self._model = model = mujoco.MjModel.from_xml_string(model_xml(params, mass_kg, target))
+        self._model = model = _read_model(model_xml(params, mass_kg, target))
         self._data = data = mujoco.MjData(model)
         self.record = r = new(WorldRecord) if record is None else record
         measure_reach(model, r.reach)

@@ -8,7 +8,7 @@ ends, nothing more is sent, as when its process ends: what the vehicle does then
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -22,6 +22,7 @@ from bridge.ros2.cdr import encode_odometry
 from bridge.target.odometry import RawSample
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, Tick
+from flightstack.compiled.records import F64
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.memory import Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
@@ -34,7 +35,7 @@ from sim.clock import TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
 from sim.robot.target import TargetMeasurement
 from sim.runners.deck import DeckState
-from sim.runners.landing_target import Ahead, DirectTarget
+from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.notes import Notes, Seen, VehicleNotes
@@ -106,9 +107,9 @@ class _Target(DirectTarget):
         self._drive(tick)
         return super().take(tick)
 
-    def _show(self) -> Ahead:
-        self._measured += self._motion.due
-        return super()._show()
+    def _keep(self, pads: F64, due: Sequence[tuple[int, TargetMeasurement]]) -> None:
+        self._measured += [sample for _, sample in due]
+        super()._keep(pads, due)
 
     def samples(self, now_s: float) -> Arrived:
         """Odometry released since the last call, serialised and mangled on its way."""

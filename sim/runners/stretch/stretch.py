@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from flightstack.core.numeric import hypot_is_known
 from flightstack.core.types import Landed, Mode, OwnState, Phase, Request, VehicleStatus
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
-from sim.runners.landing_target import Ahead, DirectTarget
+from sim.runners.landing_target import DirectTarget
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.notes import Notes
 from sim.runners.stretch.memory import Notebook, set_up_rules, suits
@@ -30,7 +29,6 @@ from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, narrow
 from sim.runners.vehicle_node import VehicleNode
 
 TICKS = 20  # of one call, at most; as far as the robot drives ahead
-SAMPLES = 64  # of the target in these
 SPAN_S = 0.25  # s of one call, at most: a stream of set-points with a longer gap would begin anew
 _SOON_S = 1e-6  # s before something is due in which Python looks
 _BACK_OFF = 4  # ticks without another try, at most, where tries come to nothing
@@ -83,9 +81,8 @@ class Stretch:
         self._notebook = Notebook(mind, controller)
         self._cells = (node.vehicle.physics.vehicle, cell(self._rules), cell(mind), cell(new(MindRecord)))
         self._most = max(1, min(TICKS, int(SPAN_S * grid.rate_hz)))
-        self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms), dtype=np.int64)
-        self._decks, self._samples = np.zeros((TICKS, 8)), np.zeros((SAMPLES, 9))
-        self._come, self._ages, self._told = np.zeros(TICKS, dtype=np.int64), np.zeros(TICKS), np.zeros(11)
+        self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms, 0), dtype=np.int64)
+        self._ages, self._told = np.zeros(TICKS), np.zeros(11)
         self._next, self._wait = 0, 1  # tick of the next try; how many are left out when one fails
         self._flies, self._yaw_told_rad, self._delay_ms = False, 0.0, round(radio_s * 1000.0)
         self._watch_s, self._stream_until_s, self._status_s = scalars(
@@ -93,7 +90,6 @@ class Stretch:
         )
         self._phase = scalars(self._rules, "phase", "flies", "armed", "standing", "supervisor")
         self._began = scalars(self._rules, "since_s", "started_s")
-        self._tables = (self._plan, self._decks, self._samples, self._come)
         self._heeded = link.heeded
         self._yaw_rad: float | None = None
         self._clip: tuple[float, float, float] | None = None
@@ -102,7 +98,10 @@ class Stretch:
     def warm_up(self) -> None:
         """Compile what flies, or load it from the cache."""
         self._plan[1] = 0
-        fly_ticks(*self._cells, *self._tables, np.empty((0, TRUTH)), self._ages, self._told)
+        decks, samples, _, come = self._target.ahead(0, 0)
+        fly_ticks(
+            *self._cells, self._plan, decks, samples, come, np.empty((0, TRUTH)), self._ages, self._told
+        )
 
     def fly(self, tick: int) -> int:
         """Fly from this tick, the next one, as far as possible; returns the number of ticks flown."""
@@ -202,20 +201,20 @@ class Stretch:
     def _call(self, tick: int, until_s: float) -> tuple[int, int]:
         """Fly ticks in one call; returns how many, and how it ended."""
         node, grid, flight = self._node, self._grid, self._node.autopilot.flight
-        ahead = self._target.ahead(tick)
-        count = min(len(ahead), self._most, max(0, math.ceil((until_s - grid.ns(tick) / 1e9) * grid.rate_hz)))
+        count = min(self._most, max(0, math.ceil((until_s - grid.ns(tick) / 1e9) * grid.rate_hz)))
         while count and not grid.ns(tick + count - 1) / 1e9 < until_s:
             count -= 1
-        count = self._fill(ahead, count)
+        decks, samples, come_before, come = self._target.ahead(tick, count)
+        count = len(come)
         if count == 0 or not node.vehicle.supplied_until(grid.ms(tick + count)):
             return 0, BEFORE
         flies = self._flies
         self._watch_s[0] = flight.watches.due_s
         waits = not flies and flight.mode is FlightMode.OFFBOARD
         self._stream_until_s[0] = flight.stream_ends_s if waits else math.inf
-        self._plan[0], self._plan[1] = tick, count
+        self._plan[0], self._plan[1], self._plan[4] = tick, count, come_before
         truths = np.empty((count, TRUTH))
-        how, done = fly_ticks(*self._cells, *self._tables, truths, self._ages, self._told)
+        how, done = fly_ticks(*self._cells, self._plan, decks, samples, come, truths, self._ages, self._told)
         if done == 0:
             return 0, how
         last = tick + done - 1
@@ -249,21 +248,6 @@ class Stretch:
         flight, vehicle = self._node.autopilot.flight, self._node.vehicle
         mode = flight.mode is FlightMode.OFFBOARD or not flies
         return mode and vehicle.armed == flies and flight.standing != flies and flight.ground.settled
-
-    def _fill(self, ahead: Sequence[Ahead], count: int) -> int:
-        """Write down what the robot says; returns how many ticks of it."""
-        come = 0
-        for n, (deck, samples) in zip(range(count), ahead, strict=False):
-            (x, y, z), yaw, (vx, vy, vz), rate, _ = deck
-            self._decks[n] = (x, y, z, yaw, vx, vy, vz, rate)
-            for sample in samples:
-                if come == SAMPLES:
-                    return n
-                time_s, _, _, (px, py, pz), (ux, uy, uz), heading, turns = sample
-                self._samples[come] = (time_s, px, py, pz, ux, uy, uz, heading, turns)
-                come += 1
-            self._come[n] = come
-        return count
 
 
 def _flies(memory: Memory, status: VehicleStatus) -> bool:

@@ -161,7 +161,7 @@ def fly_ticks(
         rules: what holds for all ticks.
         mind: changed in place.
         spare: for a step that does not count.
-        plan: first tick, how many, rate of the ticks, ms that the radio delays.
+        plan: first tick, how many, rate of the ticks, ms that the radio delays, samples that had come before.
         decks: (n, 8) of each tick: position, yaw, velocity, yaw rate of the pad.
         samples: (m, 9) of the target, ``think``.
         come: (n,) how many of them have come until then.
@@ -175,7 +175,7 @@ def fly_ticks(
     """
     v, p = vehicle[0], rules[0]
     tick, count, rate, radio_ms = plan[0], plan[1], plan[2], plan[3]
-    f, done_samples = v.firmware, 0
+    f, done_samples = v.firmware, plan[4]
     for n in range(count):
         now_ns = (tick + n) * NS_PER_S // rate
         now_s = now_ns / 1e9
