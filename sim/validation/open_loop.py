@@ -32,7 +32,7 @@ from sim.flights.screening import Screened
 from sim.plant.params import STEP_S, Params, Plant
 from sim.plant.rotors import Rotors, turn_rotors
 from sim.vehicle.loop import VehicleRecord, push, set_up_drag
-from sim.world.step import move_body
+from sim.world.bodies import move_body
 
 HORIZONS_S = (0.1, 0.25, 0.5)
 EVERY_S = 0.1

@@ -22,7 +22,7 @@ from sim.plant.rotation import rotation_axes
 from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
 from sim.plant.state_error import TURN, WIDTH, PastRecord, mismeasure, state_errors
 from sim.scenarios.scenario import OdometryLink, StateError
-from sim.world.step import BodyRecord
+from sim.world.bodies import BodyRecord
 
 ROWS = 512  # of samples; at most 250 are under way (500 Hz, 0.5 s)
 LOST = -1

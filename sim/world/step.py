@@ -1,44 +1,25 @@
-"""Steps of 1 ms of vehicle and deck; where they may touch, MuJoCo makes the step.
-
-The vehicle is a rigid body. Its rates follow the implicit midpoint rule, which keeps the energy of a free
-rotation; position and attitude follow the mean of the velocities before and after the step, which makes
-constant acceleration exact.
-"""
+"""Steps of 1 ms of vehicle and deck; where they may touch, MuJoCo makes the step."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from flightstack.compiled.foreign import call, doubles
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Quaternion, Record, Vector
+from flightstack.compiled.records import F64, Record
 from sim.plant.params import STEP_S
+from sim.world.bodies import (
+    BodyRecord,
+    DeckRecord,
+    WrenchRecord,
+    gyroscopic,
+    midpoint_rates,
+    move_body,
+    move_deck,
+)  # fmt: skip
 from sim.world.contact import touched
 
 TUMBLE_COS = 0.5  # 60 degrees
-
-
-class BodyRecord(Record):
-    """The vehicle's rigid body: centre of mass ENU, m and m/s; body FLU in world ENU."""
-
-    position: Vector
-    velocity: Vector
-    quaternion: Quaternion
-    rates: Vector  # body frame, rad/s
-
-
-class DeckRecord(Record):
-    """Pad centre (top), ENU, and the arc on which it moves: how a step turns and shifts it."""
-
-    position: Vector
-    velocity: Vector
-    yaw: float
-    rate: float
-    cos_turn: float
-    sin_turn: float
-    along: float  # of one step, per m/s
-    across: float
 
 
 class ReachRecord(Record):
@@ -47,15 +28,6 @@ class ReachRecord(Record):
     vehicle: float  # radius about the centre of mass
     robot: float  # radius about the pad's axis
     robot_top: float  # above the pad
-
-
-class WrenchRecord(Record):
-    """Force and torque on the vehicle, and what they move."""
-
-    force: Vector  # on the centre of mass, weight included, world frame, N
-    torque: Vector  # body frame, N m
-    mass: float  # kg
-    inertia: Vector  # kg m^2
 
 
 class MujocoRecord(Record):
@@ -94,76 +66,6 @@ def apart(reach: ReachRecord, vehicle: F64, deck: F64) -> bool:
     square, beside = x * x + y * y, reach.vehicle + reach.robot
     above = z > reach.vehicle + reach.robot_top and square >= 0.0
     return bool(vehicle[2] > reach.vehicle and (above or square > beside * beside))
-
-
-@jitted
-def gyroscopic(inertia: F64, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Angular velocity cross angular momentum, body frame."""
-    jx, jy, jz = inertia[0], inertia[1], inertia[2]
-    return ((jz - jy) * y * z, (jx - jz) * z * x, (jy - jx) * x * y)
-
-
-@jitted
-def midpoint_rates(rates: F64, s: WrenchRecord) -> tuple[float, float, float]:
-    """Rates in the middle of the step, rad/s."""
-    half = 0.5 * STEP_S
-    x, y, z = rates[0], rates[1], rates[2]
-    for _ in range(4):  # each gains a factor of rate times half a step, 0.01 at most
-        gx, gy, gz = gyroscopic(s.inertia, x, y, z)
-        x = rates[0] + half * (s.torque[0] - gx) / s.inertia[0]
-        y = rates[1] + half * (s.torque[1] - gy) / s.inertia[1]
-        z = rates[2] + half * (s.torque[2] - gz) / s.inertia[2]
-    return x, y, z
-
-
-@jitted
-def rotate(q: F64, x: float, y: float, z: float) -> None:
-    """Turn a unit quaternion by a rotation vector in the body frame, rad."""
-    half = 0.5 * math.sqrt(x * x + y * y + z * z)
-    share = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
-    x, y, z, turn = share * x, share * y, share * z, math.cos(half)
-    a, b, c, d = q[0], q[1], q[2], q[3]
-    w, i = a * turn - b * x - c * y - d * z, b * turn + a * x + c * z - d * y
-    j, k = c * turn + a * y + d * x - b * z, d * turn + a * z + b * y - c * x
-    scale = 1.0 / math.sqrt(w * w + i * i + j * j + k * k)
-    q[0], q[1], q[2], q[3] = w * scale, i * scale, j * scale, k * scale
-
-
-@jitted
-def move_body(body: BodyRecord, s: WrenchRecord) -> None:
-    """Move the vehicle on by one step without contact."""
-    x, y, z = midpoint_rates(body.rates, s)
-    rotate(body.quaternion, STEP_S * x, STEP_S * y, STEP_S * z)
-    body.rates[0] = 2.0 * x - body.rates[0]
-    body.rates[1] = 2.0 * y - body.rates[1]
-    body.rates[2] = 2.0 * z - body.rates[2]
-    for i in range(3):
-        half_gain = 0.5 * STEP_S * s.force[i] / s.mass
-        body.position[i] += STEP_S * (body.velocity[i] + half_gain)
-        body.velocity[i] += 2.0 * half_gain
-
-
-@jitted
-def arc_of_step(rate: float) -> tuple[float, float, float, float]:
-    """Cosine and sine of the turn of one step, and how far it goes along and across, per m/s; rad/s."""
-    turn = rate * STEP_S
-    sine = math.sin(0.5 * turn)
-    chord = sine / (0.5 * turn) if turn else 1.0  # chord over arc length
-    along, across = chord * math.cos(0.5 * turn) * STEP_S, chord * sine * STEP_S
-    return math.cos(turn), math.sin(turn), along, across
-
-
-@jitted
-def move_deck(deck: DeckRecord) -> None:
-    """Move the deck on by one step."""
-    p, v = deck.position, deck.velocity
-    vx, vy, vz = v[0], v[1], v[2]
-    p[0] += deck.along * vx - deck.across * vy
-    p[1] += deck.along * vy + deck.across * vx
-    p[2] += STEP_S * vz
-    v[0] = deck.cos_turn * vx - deck.sin_turn * vy
-    v[1] = deck.cos_turn * vy + deck.sin_turn * vx
-    deck.yaw += deck.rate * STEP_S
 
 
 @jitted

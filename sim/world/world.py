@@ -15,8 +15,9 @@ from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
 from sim.plant.params import Params
 from sim.scenarios.scenario import TargetSpec
+from sim.world.bodies import arc_of_step
 from sim.world.model import model_xml
-from sim.world.step import ReachRecord, WorldRecord, arc_of_step, physics_step, tumbled
+from sim.world.step import ReachRecord, WorldRecord, physics_step, tumbled
 
 MARGIN_M = 1e-3  # beyond rounding
 _LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows

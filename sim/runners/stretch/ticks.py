@@ -28,7 +28,7 @@ from sim.runners.stretch.tuples import three
 from sim.vehicle.judge import GAP_MS, NONE_MS
 from sim.vehicle.loop import VehicleRecord, fly
 from sim.vehicle.physics import TUMBLED
-from sim.world.step import arc_of_step
+from sim.world.bodies import arc_of_step
 
 END, BEFORE, MIDDLE = 0, 1, 2  # all ticks are done; Python has to do the next one; the rest of the last one
 TRUTH = 41  # numbers of a true state

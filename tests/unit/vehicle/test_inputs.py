@@ -9,7 +9,7 @@ from sim.firmware.setpoint import ROOM, STOP, Inbox, InboxRecord, Setpoint, Setp
 from sim.plant.sensors import NS_PER_MS, MeasurementChannel
 from sim.scenarios.scenario import OdometryLink
 from sim.vehicle.mocap import ROWS, MocapRecord, MocapTape
-from sim.world.step import BodyRecord
+from sim.world.bodies import BodyRecord
 
 
 class Radio:
