@@ -51,9 +51,6 @@ DEMANDS: dict[PathKind, tuple[float, float, float, float]] = {
 }
 
 
-PAD = 12  # numbers of a PadRecord; as doubles they hold the time, too
-
-
 class PadRecord(Record):
     """Motion of the pad centre."""
 
@@ -160,7 +157,7 @@ def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) 
         motion: changed in place.
         dt_s: of each step.
         driving: or braking, in all of them.
-        pads: (n, PAD), filled.
+        pads: (n, 12), filled.
     """
     pad = motion[0].pad
     for row in pads:
@@ -206,7 +203,7 @@ class TargetModel:
         publish(self._cell, step_s)
         self._show()
         # compiled, or loaded, before time begins to count
-        drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, PAD)))
+        drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, len(self.pad))))
 
     def stop(self) -> None:
         """Stand from now on, as with locked wheels; the next step shows it."""
@@ -218,8 +215,8 @@ class TargetModel:
         self._show()
 
     def run(self, steps: int, dt_s: float, driving: bool) -> F64:
-        """Step so often; returns the pad's motion after each, (steps, PAD) numbers of a PadRecord."""
-        pads = np.empty((steps, PAD))
+        """Step so often; returns the pad's motion after each, (steps, 12) numbers of a PadRecord."""
+        pads = np.empty((steps, len(self.pad)))
         drive_on(self._cell, dt_s, driving, pads)
         self._show()
         return pads

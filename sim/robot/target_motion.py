@@ -12,7 +12,7 @@ from sim.clock import TickGrid
 from sim.faults.samples import SampleFaults, Shape
 from sim.faults.schedule import FaultText, Schedule
 from sim.plant.sensors import NS
-from sim.robot.target import PAD, TargetMeasurement, TargetModel, TargetOdometry, wrap
+from sim.robot.target import TargetMeasurement, TargetModel, TargetOdometry, wrap
 from sim.scenarios.fault_spec import After, Fault
 from sim.scenarios.fault_table import What
 from sim.scenarios.scenario import Scenario
@@ -116,7 +116,7 @@ class TargetMotion:
         """Go on by some ticks, in one compiled call while no fault is on.
 
         Returns:
-            The pad's motion at each, (ticks, PAD) numbers of a PadRecord; and the samples released
+            The pad's motion at each, (ticks, 12) numbers of a PadRecord; and the samples released
             meanwhile, each with the index of its tick. ``due`` is left empty.
         """
         steps = ticks * self._substeps
@@ -126,7 +126,7 @@ class TargetMotion:
             due, self.due = [(0, sample) for sample in self.due], []
             due += [(n // self._substeps, sample) for n, sample in self._odometry.run(pads.tolist())]
             return np.ascontiguousarray(pads[self._substeps - 1 :: self._substeps]), due
-        pads, due = np.empty((ticks, PAD)), []
+        pads, due = np.empty((ticks, len(self.model.pad))), []
         for n in range(ticks):
             self.step(driving)
             pads[n] = self.model.pad

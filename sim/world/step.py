@@ -17,7 +17,8 @@ from sim.world.bodies import (
     move_body,
     move_deck,
 )  # fmt: skip
-from sim.world.contact import touched
+from sim.world.contact import PAD, touched
+from sim.world.rest import RestRecord, carried, look
 
 TUMBLE_COS = 0.5  # 60 degrees
 
@@ -50,6 +51,7 @@ class WorldRecord(Record):
     reach: ReachRecord
     wrench: WrenchRecord
     contacts: int  # ``ContactBit`` of the state the last step began with
+    rest: RestRecord
     mujoco: MujocoRecord
 
 
@@ -104,8 +106,11 @@ def physics_step(world: WorldRecord) -> None:
     """Advance by one step.
 
     MuJoCo's Euler step moves position and attitude with the velocities at its end, which ``move_body`` does
-    better; so a step of MuJoCo's that finds no contact does not count. It moves nothing but the vehicle.
+    better; so a step of MuJoCo's that finds no contact does not count. It moves nothing but the vehicle. One
+    that rests on the pad is carried, and its contacts stay as they are.
     """
+    if carried(world.rest, world.wrench, world.body, world.deck):
+        return
     m = world.mujoco
     world.contacts = 0
     if not apart(world.reach, world.body.position, world.deck.position):
@@ -117,6 +122,7 @@ def physics_step(world: WorldRecord) -> None:
     else:
         move_body(world.body, world.wrench)
     move_deck(world.deck)
+    look(world.rest, world.body, world.deck, world.contacts == PAD)
 
 
 @jitted

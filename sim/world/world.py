@@ -17,6 +17,7 @@ from sim.plant.params import Params
 from sim.scenarios.scenario import TargetSpec
 from sim.world.bodies import arc_of_step
 from sim.world.model import model_xml
+from sim.world.rest import set_up_rest
 from sim.world.step import ReachRecord, WorldRecord, physics_step, tumbled
 
 MARGIN_M = 1e-3  # beyond rounding
@@ -84,6 +85,7 @@ class World:
         self.record = r = new(WorldRecord) if record is None else record
         measure_reach(model, r.reach)
         r.wrench.mass, r.wrench.inertia[:] = mass_kg, model.body("vehicle").inertia
+        set_up_rest(r.rest, params, mass_kg, target.pad_radius_m)
         self._cell = cell(r)
         self._read_body, self._set_body = reader(r.body), writer(r.body)
         self._read_deck, self._set_deck = reader(r.deck), writer(r.deck)
@@ -104,6 +106,7 @@ class World:
         rates: Vec3 = (0.0, 0.0, 0.0),
     ) -> None:
         """Place the vehicle."""
+        self.record.rest.steps = 0
         self._set_body(*position, *velocity, *quaternion, *rates)
 
     def set_deck(self, position: Vec3, yaw: float, velocity: Vec3, rate: float) -> None:

@@ -23,7 +23,7 @@ MODULES = (
     "sim.plant.params", "sim.plant.ground_effect", "sim.plant.rotors",
     "sim.firmware.attitude", "sim.firmware.paper_loop",
     "sim.firmware.mellinger", "sim.firmware.pid", "sim.firmware.mixer", "sim.firmware.estimator",
-    "sim.firmware.supervisor", "sim.firmware.stack", "sim.robot.target",
+    "sim.firmware.supervisor", "sim.firmware.stack", "sim.robot.target", "sim.world.rest",
 )  # fmt: skip
 PIDS = {
     "x": "position x to velocity [m/s]", "y": "position y to velocity", "z": "position z to velocity",

@@ -1,0 +1,148 @@
+"""A vehicle that stands still on the pad is carried by it; MuJoCo is asked again when anything changes.
+
+Static friction holds it in reality. MuJoCo's contact is soft, so that in it whatever stands under a steady
+side force creeps, and each of its steps costs ten times as much as all the rest of a step.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Quaternion, Record, Vector
+from sim.plant.params import Params
+from sim.world.bodies import BodyRecord, DeckRecord, WrenchRecord, move_deck
+
+WAIT_STEPS = 50  # steps of 1 ms at rest in a row until it is carried: longer than a bounce of the feet
+STILL_M = 1e-4  # on the pad, in all that time
+FOOT = 1.4143  # distance of a foot from the axis of the vehicle, over how far it is beside it
+SAME_RAD = 0.002  # between two attitudes in all that time
+UPRIGHT = 0.99  # cosine of the tilt: on all its feet
+HOLDS = 0.25  # share of what friction and weight could hold; with more MuJoCo decides
+TICK_S = 0.01  # in which the deck takes up a new velocity; it is set in steps
+MOVED_M, TURNED_RAD = 1e-4, 1e-3  # beyond that somebody placed the deck elsewhere
+
+
+class RestRecord(Record):
+    """How long the vehicle has been at rest on the pad, and where it stands there."""
+
+    wait_steps: int  # ``WAIT_STEPS``; more than a flight has: never
+    steps: int  # at rest in a row
+    friction: float
+    weight: float  # N
+    feet_m: float  # of the feet beside the centre of mass
+    pad_radius_m: float
+    place: Vector  # from the pad's centre, along the pad's axes, m
+    attitude: Quaternion  # in the pad's axes
+    deck_position: Vector  # as the last step left the deck
+    deck_velocity: Vector
+    deck_yaw: float
+    deck_rate: float
+
+
+def set_up_rest(r: RestRecord, params: Params, mass_kg: float, pad_radius_m: float) -> None:
+    """Fill in what does not change."""
+    r.wait_steps, r.friction = WAIT_STEPS, params.contact.friction
+    r.weight, r.pad_radius_m = mass_kg * params.contact.gravity_m_s2, pad_radius_m
+    r.feet_m = params.geometry.foot_offset_m
+
+
+@jitted
+def _note_deck(r: RestRecord, deck: DeckRecord) -> None:
+    r.deck_yaw, r.deck_rate = deck.yaw, deck.rate
+    for i in range(3):
+        r.deck_position[i], r.deck_velocity[i] = deck.position[i], deck.velocity[i]
+
+
+@jitted
+def _change(now: F64, before: F64) -> tuple[float, float]:
+    """How much a vector changed, level and up."""
+    x, y = now[0] - before[0], now[1] - before[1]
+    return math.sqrt(x * x + y * y), abs(now[2] - before[2])
+
+
+@jitted
+def _holds(r: RestRecord, wrench: WrenchRecord, deck: DeckRecord) -> bool:
+    """Whether friction and weight hold the vehicle easily; False for NaN."""
+    force, torque, down = wrench.force, wrench.torque, -wrench.force[2]
+    moved_m, raised_m = _change(deck.position, r.deck_position)
+    faster_m_s, rises_m_s = _change(deck.velocity, r.deck_velocity)
+    gravity = r.weight / wrench.mass
+    speed_m_s = math.sqrt(deck.velocity[0] * deck.velocity[0] + deck.velocity[1] * deck.velocity[1])
+    sideways = math.sqrt(force[0] * force[0] + force[1] * force[1]) + wrench.mass * (
+        faster_m_s / TICK_S + abs(deck.rate) * speed_m_s
+    )
+    lever = HOLDS * r.feet_m * down
+    return bool(
+        down > 0.5 * r.weight
+        and moved_m < MOVED_M
+        and raised_m < MOVED_M
+        and abs(deck.yaw - r.deck_yaw) < TURNED_RAD
+        and abs(deck.rate - r.deck_rate) * r.feet_m < HOLDS * r.friction * gravity * TICK_S
+        and rises_m_s < HOLDS * gravity * TICK_S
+        and sideways < HOLDS * r.friction * down
+        and abs(torque[0]) < lever
+        and abs(torque[1]) < lever
+        and abs(torque[2]) < r.friction * lever
+    )
+
+
+@jitted
+def _turned(q: F64, yaw: float) -> tuple[float, float, float, float]:
+    """An attitude, turned about the vertical."""
+    c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    return c * q[0] - s * q[3], c * q[1] - s * q[2], c * q[2] + s * q[1], c * q[3] + s * q[0]
+
+
+@jitted
+def look(r: RestRecord, body: BodyRecord, deck: DeckRecord, on_pad: bool) -> None:
+    """Take note of a step at its end, with the deck moved on.
+
+    Args:
+        r: changed in place.
+        body: the vehicle.
+        deck: the deck.
+        on_pad: whether the vehicle touched the top of the pad, and nothing else, in that step.
+    """
+    q = body.quaternion
+    x, y = body.position[0] - deck.position[0], body.position[1] - deck.position[1]
+    upright = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]) > UPRIGHT
+    if not (on_pad and upright and math.sqrt(x * x + y * y) + FOOT * r.feet_m < r.pad_radius_m):
+        r.steps = 0
+        return
+    c, s = math.cos(deck.yaw), math.sin(deck.yaw)
+    x, y, z = c * x + s * y, c * y - s * x, body.position[2] - deck.position[2]
+    place, attitude, now = r.place, r.attitude, _turned(q, -deck.yaw)
+    dx, dy, dz = x - place[0], y - place[1], z - place[2]
+    product = now[0] * attitude[0] + now[1] * attitude[1] + now[2] * attitude[2] + now[3] * attitude[3]
+    if not (
+        dx * dx + dy * dy + dz * dz < STILL_M * STILL_M and abs(product) > 1.0 - SAME_RAD * SAME_RAD / 8.0
+    ):
+        r.steps = 0
+    r.steps += 1
+    if r.steps == 1 or r.steps == r.wait_steps:
+        place[0], place[1], place[2] = x, y, z
+        attitude[0], attitude[1], attitude[2], attitude[3] = now
+        _note_deck(r, deck)
+
+
+@jitted
+def carried(r: RestRecord, wrench: WrenchRecord, body: BodyRecord, deck: DeckRecord) -> bool:
+    """Move the deck on by one step and a resting vehicle with it; False, and nothing done, for others."""
+    if r.steps < r.wait_steps:
+        return False
+    if not _holds(r, wrench, deck):
+        r.steps = 0
+        return False
+    move_deck(deck)
+    _note_deck(r, deck)
+    c, s = math.cos(deck.yaw), math.sin(deck.yaw)
+    x, y = c * r.place[0] - s * r.place[1], s * r.place[0] + c * r.place[1]
+    p, v, q = body.position, body.velocity, body.quaternion
+    p[0], p[1], p[2] = deck.position[0] + x, deck.position[1] + y, deck.position[2] + r.place[2]
+    v[0], v[1], v[2] = deck.velocity[0] - deck.rate * y, deck.velocity[1] + deck.rate * x, deck.velocity[2]
+    q[0], q[1], q[2], q[3] = _turned(r.attitude, deck.yaw)
+    body.rates[0] = 2.0 * (q[1] * q[3] - q[0] * q[2]) * deck.rate
+    body.rates[1] = 2.0 * (q[2] * q[3] + q[0] * q[1]) * deck.rate
+    body.rates[2] = (1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])) * deck.rate
+    return True
