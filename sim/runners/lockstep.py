@@ -68,6 +68,7 @@ class LockstepLoop:
         self._left = stop if left is None else left
         self._companion: Peer | None = None  # whoever answered first
         self._answers = True  # the companion is waited for
+        self._answered = False  # it has answered for the tick before
         self._replies: list[Message] = []  # for the companion, with the next tick
         self._late: list[Received] = []  # came after the answer: belongs to the next tick
         self._deck_comes = deck is not None
@@ -101,7 +102,8 @@ class LockstepLoop:
         """
         self.begin()
         tick = 0
-        while not self._stop.is_set and tick != ticks:
+        # an answer that was there in time has a true state after it, however late this process gets to run
+        while tick != ticks and (self._answered or not self._stop.is_set):
             self.tick(tick)
             tick += 1
 
@@ -222,6 +224,7 @@ class LockstepLoop:
         late, self._late = self._late, []
         answered = self._take(late, now_ns, now_s)
         if not self._answers:
+            self._answered = False
             self._run_free(now_ns, now_s)
             return
         endpoint, repeat_s = self._node.endpoint, None
@@ -229,16 +232,18 @@ class LockstepLoop:
             endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
             answered = self._take(endpoint.receive(), now_ns, now_s)
             if answered:  # mostly at the first look, which needs no clock
-                return
+                break
             silence = silence or Silence()
             repeat_s = repeat_s or time.monotonic()
             if silence.look() > (COMPANION_SILENT_S if self._companion else STARTUP_S):
                 self._give_up()
-                return
+                break
             wall_s = time.monotonic()
             if wall_s - repeat_s > (_REPEAT_S if endpoint.counters.received else _REPEAT_UNHEARD_S):
                 repeat_s = wall_s
                 self._repeat()
+        # what had come before the companion left
+        self._answered = answered or self._take(endpoint.receive(), now_ns, now_s)
 
     def _send(self, now_ns: int, now_s: float) -> None:
         endpoint, companion = self._node.endpoint, self._companion

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -37,12 +37,6 @@ def mujoco_function(name: str) -> int:
     if not found:
         raise OSError(f"{folder}: no C library of MuJoCo is there; install mujoco again")
     return ctypes.cast(getattr(ctypes.CDLL(str(found[0])), name), ctypes.c_void_p).value or 0
-
-
-@lru_cache(maxsize=64)  # of a scenario's masses: a campaign draws few, and reading takes a millisecond
-def _read_model(xml: str) -> mujoco.MjModel:
-    """Model of this description, which nobody changes."""
-    return mujoco.MjModel.from_xml_string(xml)
 
 
 def measure_reach(model: mujoco.MjModel, reach: ReachRecord) -> None:
@@ -80,7 +74,7 @@ class World:
     def __init__(
         self, params: Params, mass_kg: float, target: TargetSpec, record: WorldRecord | None = None
     ) -> None:
-        self._model = model = _read_model(model_xml(params, mass_kg, target))
+        self._model = model = mujoco.MjModel.from_xml_string(model_xml(params, mass_kg, target))
         self._data = data = mujoco.MjData(model)
         self.record = r = new(WorldRecord) if record is None else record
         measure_reach(model, r.reach)

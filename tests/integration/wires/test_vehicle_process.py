@@ -161,6 +161,23 @@ def test_lockstep_gives_the_same_bytes_for_the_same_seed() -> None:
     assert fly(8, 460) != first
 
 
+def test_an_answer_from_before_the_end_is_acted_on_however_late_the_vehicle_gets_to_run() -> None:
+    class Leaves(Companion):
+        def plan(self, tick: int) -> list:
+            if tick == 20:
+                for number in (signal.SIGSTOP, signal.SIGTERM):
+                    os.kill(child.pid, number)
+            return []
+
+    with vehicle(1, lockstep=True) as (child, ready):
+        companion = Leaves(ready.removeprefix("ready "))
+        for _ in range(21):
+            assert companion.step()
+        os.kill(child.pid, signal.SIGCONT)
+        assert companion.step()  # else a log would hold one true state more or less of the same flight
+        assert child.wait(5.0) == 0
+
+
 def test_companion_that_falls_silent_lets_the_vehicle_land_in_simulated_time_and_may_come_back() -> None:
     with vehicle(3, lockstep=True) as (child, ready):
         companion = Companion(ready.removeprefix("ready "))
