@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from flightstack.compiled.foreign import call, doubles
@@ -27,6 +28,9 @@ class ReachRecord(Record):
     """How far the shapes extend, m, margin included."""
 
     vehicle: float  # radius about the centre of mass
+    side: float  # radius of the cylinder around it, about the body's z axis
+    bottom: float  # of the cylinder, along that axis, below zero
+    top: float
     robot: float  # radius about the pad's axis
     robot_top: float  # above the pad
 
@@ -56,18 +60,23 @@ class WorldRecord(Record):
 
 
 @jitted
-def apart(reach: ReachRecord, vehicle: F64, deck: F64) -> bool:
+def apart(reach: ReachRecord, body: BodyRecord, deck: DeckRecord) -> bool:
     """Return whether vehicle and floor, and vehicle and robot, cannot touch; False for NaN.
 
     Args:
         reach: bounds.
-        vehicle: centre of mass, ENU, m.
-        deck: pad centre, ENU, m.
+        body: the vehicle's.
+        deck: the pad's.
     """
-    x, y, z = vehicle[0] - deck[0], vehicle[1] - deck[1], vehicle[2] - deck[2]
+    p, d, q, below = body.position, deck.position, body.quaternion, reach.vehicle
+    x, y, z = p[0] - d[0], p[1] - d[1], p[2] - d[2]
     square, beside = x * x + y * y, reach.vehicle + reach.robot
-    above = z > reach.vehicle + reach.robot_top and square >= 0.0
-    return bool(vehicle[2] > reach.vehicle and (above or square > beside * beside))
+    if not (p[2] > below and z > below + reach.robot_top):  # near: how far the tilted cylinder reaches down
+        ahead, left = 2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1])
+        up = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
+        below = reach.side * math.sqrt(ahead * ahead + left * left) - min(reach.bottom * up, reach.top * up)
+    above = z > below + reach.robot_top and square >= 0.0
+    return bool(p[2] > below and (above or square > beside * beside))
 
 
 @jitted
@@ -113,7 +122,7 @@ def physics_step(world: WorldRecord) -> None:
         return
     m = world.mujoco
     world.contacts = 0
-    if not apart(world.reach, world.body.position, world.deck.position):
+    if not apart(world.reach, world.body, world.deck):
         ask(world)
         call(m.mj_step, m.mj_model, m.mj_data)
         world.contacts = touched(doubles(m.sensors), world.deck.position[2])

@@ -44,8 +44,12 @@ def measure_reach(model: mujoco.MjModel, reach: ReachRecord) -> None:
     roots = model.body_rootid[model.geom_bodyid]
     of_vehicle, of_robot = (roots == model.body(name).id for name in ("vehicle", "robot_body"))
     margin = MARGIN_M + model.geom_margin.max() + model.geom_gap.max()
-    distances = np.linalg.norm(model.geom_pos[of_vehicle], axis=1)
-    reach.vehicle = margin + (distances + model.geom_rbound[of_vehicle]).max()
+    places, boxes = model.geom_pos[of_vehicle], model.geom_aabb[of_vehicle]
+    reach.vehicle = margin + (np.linalg.norm(places, axis=1) + model.geom_rbound[of_vehicle]).max()
+    # as for the robot: the vehicle's geoms are not turned in its body
+    reach.side = margin + (np.hypot(*(np.abs(places) + np.abs(boxes[:, :3]) + boxes[:, 3:])[:, :2].T)).max()
+    reach.bottom = (places + boxes[:, :3] - boxes[:, 3:])[:, 2].min() - margin
+    reach.top = (places + boxes[:, :3] + boxes[:, 3:])[:, 2].max() + margin
     # boxes about the geoms, which are not turned in their bodies: centre relative to the geom, half sizes
     centre = model.geom_pos[of_robot] + model.geom_aabb[of_robot, :3]
     half = model.geom_aabb[of_robot, 3:]

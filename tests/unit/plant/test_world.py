@@ -332,27 +332,37 @@ def test_apart_means_no_contact_wherever_and_however_the_vehicle_is(spec):
             (rng.uniform(-0.1, 0.1), 0.0, spec.pad_height_m), rng.uniform(-4.0, 4.0), (0.0, 0.0, 0.0), 0.0
         )
         r = w.record
-        reach_m, free = r.reach.vehicle, apart(r.reach, r.body.position, r.deck.position)
-        r.reach.vehicle = math.inf  # MuJoCo is asked
+        reach_m, free = (r.reach.robot, r.reach.robot_top), apart(r.reach, r.body, r.deck)
+        r.reach.robot = r.reach.robot_top = math.inf  # MuJoCo is asked
         bits = w.step((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        r.reach.vehicle = reach_m
+        r.reach.robot, r.reach.robot_top = reach_m
         assert not (free and bits & ~ContactBit.TUMBLED.value), position
         seen[free] += 1
     assert min(seen.values()) > 500
+
+
+@pytest.mark.parametrize(
+    ("height_m", "tilt", "free"),
+    [(0.004, 0.0, True), (0.0005, 0.0, False), (0.004, 1.0, False), (0.06, 1.0, True)],
+)
+def test_a_level_vehicle_just_above_the_pad_touches_nothing(height_m, tilt, free):
+    w = world(target=TargetSpec(pad_height_m=0.2))
+    w.set_vehicle((0.0, 0.0, 0.2 + STANDING + height_m), tilted(tilt, (1.0, 0.0, 0.0)))
+    assert apart(w.record.reach, w.record.body, w.record.deck) == free
 
 
 @pytest.mark.parametrize("place", [(math.nan, 0.0, 1.0), (0.0, 0.0, math.nan)])
 def test_what_is_not_a_number_is_never_apart(place):
     w = world()
     w.set_vehicle(place)
-    assert not apart(w.record.reach, w.record.body.position, w.record.deck.position)
+    assert not apart(w.record.reach, w.record.body, w.record.deck)
 
 
 def tumble_past(spec, aside_m, searching):
     """A spinning fall past, or onto, a moving deck, and bounces; all numbers of every step."""
     w = world(target=spec)
     if searching:
-        w.record.reach.vehicle = math.inf
+        w.record.reach.robot = w.record.reach.robot_top = math.inf
     w.set_vehicle((aside_m, 0.01, spec.pad_height_m + 0.35), velocity=(0.2, 0.0, 0.0), rates=(0.5, -1.0, 2.0))
     w.set_deck((0.0, 0.0, spec.pad_height_m), 0.3, (0.2, 0.0, 0.0), 0.5)
     rows = []
