@@ -91,6 +91,10 @@ class DirectTarget(LockstepDeck):
         self._samples: list[WorldSample] = []  # that the onboard process has not taken yet
         self._taken = -1  # the newest tick taken
         self._ahead, self._at = Ahead(np.empty((0, 8)), np.empty((0, 9)), 0, np.empty(0, np.int64)), 0
+        self._decks: list[
+            list[float]
+        ] = []  # the same in lists, quicker tick by tick
+        self._come: list[int] = []
         due, motion.due = motion.due, []
         self._keep(np.array([motion.model.pad], dtype=np.float64), [(0, sample) for sample in due])
 
@@ -101,23 +105,27 @@ class DirectTarget(LockstepDeck):
 
     def take(self, tick: int) -> DeckState | None:
         """Go on to this tick; true pose there."""
-        _, samples, before, (until,) = self.ahead(tick, 1)
-        self._samples += [_world_sample(row) for row in samples[before:until].tolist()]
+        if self._at == len(self._come):
+            self._drive(tick + RUN_AHEAD_TICKS - 1)
+        at, come = self._at, self._come
+        first, end = (come[at - 1] if at else 0), come[at]
+        if first != end:
+            self._samples += [_world_sample(row) for row in self._ahead.samples[first:end].tolist()]
         return self.drop(1)
 
     def ahead(self, tick: int, count: int) -> Ahead:
         """What the robot says at this tick, the next one, and at those after it; at most ``count`` in all."""
-        if len(self._ahead.come) - self._at < count:
+        if len(self._come) - self._at < count:
             self._drive(tick + RUN_AHEAD_TICKS - 1)
-        at, (decks, samples, before, come) = self._at, self._ahead
-        first = int(come[at - 1]) if at else before
+        at, (decks, samples, _, come) = self._at, self._ahead
+        first = self._come[at - 1] if at else 0
         return Ahead(decks[at : at + count], samples, first, come[at : at + count])
 
     def drop(self, count: int) -> DeckState:
         """Leave out so many ticks, which somebody else has flown; true pose at the last of them."""
         self._at += count
         self._taken += count
-        x, y, z, yaw, vx, vy, vz, rate = self._ahead.decks[self._at - 1].tolist()
+        x, y, z, yaw, vx, vy, vz, rate = self._decks[self._at - 1]
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
 
     def _drive(self, until_tick: int) -> None:
@@ -136,16 +144,16 @@ class DirectTarget(LockstepDeck):
         """Append what the robot says at some ticks; forget what was taken."""
         decks = np.empty((len(pads), 8))
         _decks(pads, decks)
-        left = self.ahead(self._taken + 1, len(self._ahead.come) - self._at)
-        rows = [sample_row(sample) for _, sample in due]
+        left = self.ahead(self._taken + 1, len(self._come) - self._at)
         samples = left.samples[left.come_before :]
         come = len(samples) + np.searchsorted([n for n, _ in due], np.arange(len(pads)), side="right")
-        self._at, self._ahead = 0, Ahead(
-            np.concatenate((left.decks, decks)),
-            np.concatenate((samples, rows)) if rows else samples,
-            0,
-            np.concatenate((left.come - left.come_before, come)),
-        )  # fmt: skip
+        if due:
+            samples = np.concatenate((samples, [sample_row(sample) for _, sample in due]))
+        if len(left.come):
+            decks = np.concatenate((left.decks, decks))
+            come = np.concatenate((left.come - left.come_before, come))
+        self._at, self._ahead = 0, Ahead(decks, samples, 0, come)
+        self._decks, self._come = decks.tolist(), come.tolist()
 
     def samples(self, now_s: float) -> Arrived:
         """Odometry released since the last call."""
