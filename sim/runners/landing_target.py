@@ -91,9 +91,7 @@ class DirectTarget(LockstepDeck):
         self._samples: list[WorldSample] = []  # that the onboard process has not taken yet
         self._taken = -1  # the newest tick taken
         self._ahead, self._at = Ahead(np.empty((0, 8)), np.empty((0, 9)), 0, np.empty(0, np.int64)), 0
-        self._decks: list[
-            list[float]
-        ] = []  # the same in lists, quicker tick by tick
+        self._decks: list[list[float]] = []  # the same in lists, quicker tick by tick
         self._come: list[int] = []
         due, motion.due = motion.due, []
         self._keep(np.array([motion.model.pad], dtype=np.float64), [(0, sample) for sample in due])
