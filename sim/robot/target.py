@@ -211,8 +211,7 @@ class TargetModel:
 
     def step(self, dt_s: float, driving: bool) -> None:
         """Move on by ``dt_s``, see ``drive``."""
-        drive(self._cell, dt_s, driving)
-        self._show()
+        self.run(1, dt_s, driving)
 
     def run(self, steps: int, dt_s: float, driving: bool) -> F64:
         """Step so often; returns the pad's motion after each, (steps, 12) numbers of a PadRecord."""

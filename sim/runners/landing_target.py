@@ -33,15 +33,8 @@ _turn = cast("Callable[[Quat, Vec3], Vec3]", jitted(frames.world_from_body))
 
 
 @jitted
-def _deck_twist(yaw: float, vx: float, vy: float, vz: float) -> tuple[float, Vec3]:
-    """Heading and velocity of a true pose as they arrive."""
-    q = _quaternion(yaw)
-    return _yaw(q), _turn(q, (vx, vy, vz))
-
-
-@jitted
 def _sample_twist(yaw: float, vx: float, vy: float, vz: float, rate: float) -> tuple[float, Vec3, float]:
-    """The same of a sample, and turn rate; here the receiver scales the quaternion to one."""
+    """Heading, velocity and turn rate of a sample as they arrive, its quaternion scaled to one there."""
     w, x, y, z = _quaternion(yaw)
     scale = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     q = (w * scale, x * scale, y * scale, z * scale)
@@ -52,11 +45,11 @@ def _sample_twist(yaw: float, vx: float, vy: float, vz: float, rate: float) -> t
 def _decks(pads: F64, decks: F64) -> None:
     """True poses as they arrive, one a row."""
     for n in range(len(pads)):
-        pad, deck = pads[n], decks[n]
-        yaw, velocity = _deck_twist(pad[4], pad[5], pad[6], pad[7])
+        pad, deck, q = pads[n], decks[n], _quaternion(pads[n, 4])
+        velocity = _turn(q, (pad[5], pad[6], pad[7]))
         for i in range(3):
             deck[i], deck[4 + i] = pad[1 + i], velocity[i]
-        deck[3], deck[7] = yaw, pad[11]
+        deck[3], deck[7] = _yaw(q), pad[11]
 
 
 class Ahead(NamedTuple):
@@ -89,7 +82,7 @@ class DirectTarget(LockstepDeck):
         self._motion = motion = TargetMotion(scenario, seed, grid)
         self._driving = motion.drives_at_once
         self._samples: list[WorldSample] = []  # that the onboard process has not taken yet
-        self._taken = -1  # the newest tick taken
+        # what it says at the ticks that it has driven, and how many of these were taken
         self._ahead, self._at = Ahead(np.empty((0, 8)), np.empty((0, 9)), 0, np.empty(0, np.int64)), 0
         self._decks: list[list[float]] = []  # the same in lists, quicker tick by tick
         self._come: list[int] = []
@@ -105,8 +98,7 @@ class DirectTarget(LockstepDeck):
         """Go on to this tick; true pose there."""
         if self._at == len(self._come):
             self._drive(tick + RUN_AHEAD_TICKS - 1)
-        at, come = self._at, self._come
-        first, end = (come[at - 1] if at else 0), come[at]
+        first, end = self._come_before, self._come[self._at]
         if first != end:
             self._samples += [_world_sample(row) for row in self._ahead.samples[first:end].tolist()]
         return self.drop(1)
@@ -115,16 +107,19 @@ class DirectTarget(LockstepDeck):
         """What the robot says at this tick, the next one, and at those after it; at most ``count`` in all."""
         if len(self._come) - self._at < count:
             self._drive(tick + RUN_AHEAD_TICKS - 1)
-        at, (decks, samples, _, come) = self._at, self._ahead
-        first = self._come[at - 1] if at else 0
-        return Ahead(decks[at : at + count], samples, first, come[at : at + count])
+        these, (decks, samples, _, come) = slice(self._at, self._at + count), self._ahead
+        return Ahead(decks[these], samples, self._come_before, come[these])
 
     def drop(self, count: int) -> DeckState:
         """Leave out so many ticks, which somebody else has flown; true pose at the last of them."""
         self._at += count
-        self._taken += count
         x, y, z, yaw, vx, vy, vz, rate = self._decks[self._at - 1]
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
+
+    @property
+    def _come_before(self) -> int:
+        """Samples of the ticks that were taken."""
+        return self._come[self._at - 1] if self._at else 0
 
     def _drive(self, until_tick: int) -> None:
         """Drive on to a tick, or stay."""
@@ -142,14 +137,14 @@ class DirectTarget(LockstepDeck):
         """Append what the robot says at some ticks; forget what was taken."""
         decks = np.empty((len(pads), 8))
         _decks(pads, decks)
-        left = self.ahead(self._taken + 1, len(self._come) - self._at)
-        samples = left.samples[left.come_before :]
+        before, left = self._come_before, self._ahead
+        samples = left.samples[before:]
         come = len(samples) + np.searchsorted([n for n, _ in due], np.arange(len(pads)), side="right")
         if due:
             samples = np.concatenate((samples, [sample_row(sample) for _, sample in due]))
-        if len(left.come):
-            decks = np.concatenate((left.decks, decks))
-            come = np.concatenate((left.come - left.come_before, come))
+        if self._at < len(self._come):
+            decks = np.concatenate((left.decks[self._at :], decks))
+            come = np.concatenate((left.come[self._at :] - before, come))
         self._at, self._ahead = 0, Ahead(decks, samples, 0, come)
         self._decks, self._come = decks.tolist(), come.tolist()
 

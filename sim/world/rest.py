@@ -11,13 +11,15 @@ import math
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Quaternion, Record, Vector
 from sim.plant.params import Params
+from sim.plant.rotation import rotation_axes
 from sim.world.bodies import BodyRecord, DeckRecord, WrenchRecord, move_deck
 
 WAIT_STEPS = 50  # steps of 1 ms at rest in a row until it is carried: longer than a bounce of the feet
 STILL_M = 1e-4  # on the pad, in all that time
-FOOT = 1.4143  # distance of a foot from the axis of the vehicle, over how far it is beside it
+DIAGONAL = 1.4143  # of a square over its side, rounded up: the feet stand on the corners of one
 SAME_RAD = 0.002  # between two attitudes in all that time
 UPRIGHT = 0.99  # cosine of the tilt: on all its feet
+LOADED = 0.5  # share of the weight that is on the feet, at least
 HOLDS = 0.25  # share of what friction and weight could hold; with more MuJoCo decides
 TICK_S = 0.01  # in which the deck takes up a new velocity; it is set in steps
 MOVED_M, TURNED_RAD = 1e-4, 1e-3  # beyond that somebody placed the deck elsewhere
@@ -29,7 +31,7 @@ class RestRecord(Record):
     wait_steps: int  # ``WAIT_STEPS``; more than a flight has: never
     steps: int  # at rest in a row
     friction: float
-    weight: float  # N
+    gravity: float  # m/s^2
     feet_m: float  # of the feet beside the centre of mass
     pad_radius_m: float
     place: Vector  # from the pad's centre, along the pad's axes, m
@@ -40,10 +42,10 @@ class RestRecord(Record):
     deck_rate: float
 
 
-def set_up_rest(r: RestRecord, params: Params, mass_kg: float, pad_radius_m: float) -> None:
+def set_up_rest(r: RestRecord, params: Params, pad_radius_m: float) -> None:
     """Fill in what does not change."""
     r.wait_steps, r.friction = WAIT_STEPS, params.contact.friction
-    r.weight, r.pad_radius_m = mass_kg * params.contact.gravity_m_s2, pad_radius_m
+    r.gravity, r.pad_radius_m = params.contact.gravity_m_s2, pad_radius_m
     r.feet_m = params.geometry.foot_offset_m
 
 
@@ -67,19 +69,18 @@ def _holds(r: RestRecord, wrench: WrenchRecord, deck: DeckRecord) -> bool:
     force, torque, down = wrench.force, wrench.torque, -wrench.force[2]
     moved_m, raised_m = _change(deck.position, r.deck_position)
     faster_m_s, rises_m_s = _change(deck.velocity, r.deck_velocity)
-    gravity = r.weight / wrench.mass
     speed_m_s = math.sqrt(deck.velocity[0] * deck.velocity[0] + deck.velocity[1] * deck.velocity[1])
     sideways = math.sqrt(force[0] * force[0] + force[1] * force[1]) + wrench.mass * (
         faster_m_s / TICK_S + abs(deck.rate) * speed_m_s
     )
     lever = HOLDS * r.feet_m * down
     return bool(
-        down > 0.5 * r.weight
+        down > LOADED * wrench.mass * r.gravity
         and moved_m < MOVED_M
         and raised_m < MOVED_M
         and abs(deck.yaw - r.deck_yaw) < TURNED_RAD
-        and abs(deck.rate - r.deck_rate) * r.feet_m < HOLDS * r.friction * gravity * TICK_S
-        and rises_m_s < HOLDS * gravity * TICK_S
+        and abs(deck.rate - r.deck_rate) * r.feet_m < HOLDS * r.friction * r.gravity * TICK_S
+        and rises_m_s < HOLDS * r.gravity * TICK_S
         and sideways < HOLDS * r.friction * down
         and abs(torque[0]) < lever
         and abs(torque[1]) < lever
@@ -106,8 +107,8 @@ def look(r: RestRecord, body: BodyRecord, deck: DeckRecord, on_pad: bool) -> Non
     """
     q = body.quaternion
     x, y = body.position[0] - deck.position[0], body.position[1] - deck.position[1]
-    upright = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]) > UPRIGHT
-    if not (on_pad and upright and math.sqrt(x * x + y * y) + FOOT * r.feet_m < r.pad_radius_m):
+    upright = rotation_axes(q)[8] > UPRIGHT
+    if not (on_pad and upright and math.sqrt(x * x + y * y) + DIAGONAL * r.feet_m < r.pad_radius_m):
         r.steps = 0
         return
     c, s = math.cos(deck.yaw), math.sin(deck.yaw)
@@ -115,14 +116,14 @@ def look(r: RestRecord, body: BodyRecord, deck: DeckRecord, on_pad: bool) -> Non
     place, attitude, now = r.place, r.attitude, _turned(q, -deck.yaw)
     dx, dy, dz = x - place[0], y - place[1], z - place[2]
     product = now[0] * attitude[0] + now[1] * attitude[1] + now[2] * attitude[2] + now[3] * attitude[3]
-    if not (
-        dx * dx + dy * dy + dz * dz < STILL_M * STILL_M and abs(product) > 1.0 - SAME_RAD * SAME_RAD / 8.0
-    ):
+    same = abs(product) > 1.0 - SAME_RAD * SAME_RAD / 8.0  # the cosine of half the angle between them
+    if not (same and dx * dx + dy * dy + dz * dz < STILL_M * STILL_M):
         r.steps = 0
     r.steps += 1
     if r.steps == 1 or r.steps == r.wait_steps:
         place[0], place[1], place[2] = x, y, z
         attitude[0], attitude[1], attitude[2], attitude[3] = now
+    if r.steps == r.wait_steps:
         _note_deck(r, deck)
 
 
@@ -142,7 +143,7 @@ def carried(r: RestRecord, wrench: WrenchRecord, body: BodyRecord, deck: DeckRec
     p[0], p[1], p[2] = deck.position[0] + x, deck.position[1] + y, deck.position[2] + r.place[2]
     v[0], v[1], v[2] = deck.velocity[0] - deck.rate * y, deck.velocity[1] + deck.rate * x, deck.velocity[2]
     q[0], q[1], q[2], q[3] = _turned(r.attitude, deck.yaw)
-    body.rates[0] = 2.0 * (q[1] * q[3] - q[0] * q[2]) * deck.rate
-    body.rates[1] = 2.0 * (q[2] * q[3] + q[0] * q[1]) * deck.rate
-    body.rates[2] = (1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])) * deck.rate
+    axes = rotation_axes(q)
+    for i in range(3):
+        body.rates[i] = axes[2 + 3 * i] * deck.rate
     return True

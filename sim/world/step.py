@@ -9,6 +9,7 @@ from flightstack.compiled.foreign import call, doubles
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Record
 from sim.plant.params import STEP_S
+from sim.plant.rotation import rotation_axes
 from sim.world.bodies import (
     BodyRecord,
     DeckRecord,
@@ -17,7 +18,7 @@ from sim.world.bodies import (
     midpoint_rates,
     move_body,
     move_deck,
-)  # fmt: skip
+)
 from sim.world.contact import PAD, touched
 from sim.world.rest import RestRecord, carried, look
 
@@ -68,13 +69,13 @@ def apart(reach: ReachRecord, body: BodyRecord, deck: DeckRecord) -> bool:
         body: the vehicle's.
         deck: the pad's.
     """
-    p, d, q, below = body.position, deck.position, body.quaternion, reach.vehicle
+    p, d, below = body.position, deck.position, reach.vehicle
     x, y, z = p[0] - d[0], p[1] - d[1], p[2] - d[2]
     square, beside = x * x + y * y, reach.vehicle + reach.robot
     if not (p[2] > below and z > below + reach.robot_top):  # near: how far the tilted cylinder reaches down
-        ahead, left = 2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1])
-        up = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
-        below = reach.side * math.sqrt(ahead * ahead + left * left) - min(reach.bottom * up, reach.top * up)
+        axes = rotation_axes(body.quaternion)
+        level, up = math.sqrt(axes[6] * axes[6] + axes[7] * axes[7]), axes[8]
+        below = reach.side * level - min(reach.bottom * up, reach.top * up)
     above = z > below + reach.robot_top and square >= 0.0
     return bool(p[2] > below and (above or square > beside * beside))
 

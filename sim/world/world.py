@@ -8,6 +8,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import Cell, cell, new, reader, writer
@@ -44,17 +45,23 @@ def measure_reach(model: mujoco.MjModel, reach: ReachRecord) -> None:
     roots = model.body_rootid[model.geom_bodyid]
     of_vehicle, of_robot = (roots == model.body(name).id for name in ("vehicle", "robot_body"))
     margin = MARGIN_M + model.geom_margin.max() + model.geom_gap.max()
-    places, boxes = model.geom_pos[of_vehicle], model.geom_aabb[of_vehicle]
-    reach.vehicle = margin + (np.linalg.norm(places, axis=1) + model.geom_rbound[of_vehicle]).max()
-    # as for the robot: the vehicle's geoms are not turned in its body
-    reach.side = margin + (np.hypot(*(np.abs(places) + np.abs(boxes[:, :3]) + boxes[:, 3:])[:, :2].T)).max()
-    reach.bottom = (places + boxes[:, :3] - boxes[:, 3:])[:, 2].min() - margin
-    reach.top = (places + boxes[:, :3] + boxes[:, 3:])[:, 2].max() + margin
-    # boxes about the geoms, which are not turned in their bodies: centre relative to the geom, half sizes
-    centre = model.geom_pos[of_robot] + model.geom_aabb[of_robot, :3]
-    half = model.geom_aabb[of_robot, 3:]
-    reach.robot = margin + np.hypot(*(np.abs(centre) + half)[:, :2].T).max()
-    reach.robot_top = margin + (centre + half)[:, 2].max()
+    distances = np.linalg.norm(model.geom_pos[of_vehicle], axis=1)
+    reach.vehicle = margin + (distances + model.geom_rbound[of_vehicle]).max()
+    side, bottom, top = _cylinder(model, of_vehicle)
+    reach.side, reach.bottom, reach.top = margin + side, bottom - margin, margin + top
+    side, _, top = _cylinder(model, of_robot)
+    reach.robot, reach.robot_top = margin + side, margin + top
+
+
+def _cylinder(model: mujoco.MjModel, geoms: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Radius, bottom and top of a cylinder about the body's z axis around geoms that are not turned in it."""
+    centre = model.geom_pos[geoms] + model.geom_aabb[geoms, :3]
+    half = model.geom_aabb[geoms, 3:]
+    return (
+        np.hypot(*(np.abs(centre) + half)[:, :2].T).max(),
+        (centre - half)[:, 2].min(),
+        (centre + half)[:, 2].max(),
+    )
 
 
 @jitted
@@ -83,7 +90,7 @@ class World:
         self.record = r = new(WorldRecord) if record is None else record
         measure_reach(model, r.reach)
         r.wrench.mass, r.wrench.inertia[:] = mass_kg, model.body("vehicle").inertia
-        set_up_rest(r.rest, params, mass_kg, target.pad_radius_m)
+        set_up_rest(r.rest, params, target.pad_radius_m)
         self._cell = cell(r)
         self._read_body, self._set_body = reader(r.body), writer(r.body)
         self._read_deck, self._set_deck = reader(r.deck), writer(r.deck)
