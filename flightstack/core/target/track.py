@@ -11,6 +11,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from flightstack.core.memory import TrackMemory
+from flightstack.core.numeric import numeric
 from flightstack.core.parameters.flight import Checks
 from flightstack.core.target.plausibility import repeats
 from flightstack.core.types import TargetSample, Vec3
@@ -41,6 +42,18 @@ class TargetState(NamedTuple):
     yaw_rad: float
     position_sigma_m: float = 0.0  # standard deviation of x and of y; 0 where it is not estimated
     position_sigma_z_m: float = 0.0
+
+
+@numeric
+def strayed2_m2(before_m: Vec3, before_m_s: Vec3, after_m: Vec3, after_m_s: Vec3, step_s: float) -> float:
+    """Squared distance, m2, from where the mean of both velocities led: exact under constant acceleration."""
+    (x0, y0, z0), (vx0, vy0, vz0) = before_m, before_m_s
+    (x1, y1, z1), (vx1, vy1, vz1) = after_m, after_m_s
+    half_s = 0.5 * step_s
+    dx = x1 - x0 - (vx0 + vx1) * half_s
+    dy = y1 - y0 - (vy0 + vy1) * half_s
+    dz = z1 - z0 - (vz0 + vz1) * half_s
+    return dx * dx + dy * dy + dz * dz
 
 
 class TargetTrack:
@@ -108,14 +121,14 @@ class TargetTrack:
 
     def _near(self, before: TargetSample, after: TargetSample) -> bool:
         """Whether the target could have gone from one sample to the other."""
-        step_s = after.source_time_s - before.source_time_s
-        (x0, y0, z0), (vx, vy, vz), (x, y, z) = (
+        strayed2 = strayed2_m2(
             before.position_enu_m,
             before.velocity_enu_m_s,
             after.position_enu_m,
+            after.velocity_enu_m_s,
+            after.source_time_s - before.source_time_s,
         )
-        dx, dy, dz = x - x0 - vx * step_s, y - y0 - vy * step_s, z - z0 - vz * step_s
-        return dx * dx + dy * dy + dz * dz <= self._checks.target_jump_max_m**2
+        return strayed2 <= self._checks.target_jump_max_m**2
 
     def _proved(self, sample: TargetSample, lost: bool) -> bool:
         """Whether samples elsewhere have agreed with each other for long enough, the old track being lost."""

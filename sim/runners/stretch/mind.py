@@ -19,7 +19,7 @@ from flightstack.core.numeric import twin
 from flightstack.core.safety import position_loop, robust_barrier
 from flightstack.core.safety.barrier import barrier_h
 from flightstack.core.safety.gate import BOX_TOLERANCE_M_S, SOLVER_TOLERANCE_M_S
-from flightstack.core.target import plausibility
+from flightstack.core.target import plausibility, track
 from flightstack.core.types import Phase, Vec3
 from sim.runners.stretch import paper_mind as paper
 from sim.runners.stretch import robust_mind as robust
@@ -36,6 +36,7 @@ _nominal = twin(position_loop.nominal_velocity, jitted)
 _robust_h, _bound = twin(robust_barrier.robust_h, jitted), twin(robust_barrier.robust_bound, jitted)
 _evaluated = twin(robust_barrier.robust_evaluated, jitted)
 _barrier_h = twin(barrier_h, jitted)
+_strayed2 = twin(track.strayed2_m2, jitted)
 _drifted, _missed = twin(plausibility.drifted, jitted), twin(plausibility.missed, jitted)
 
 
@@ -54,8 +55,8 @@ def _take_sample(p: RulesRecord, m: MindRecord, sample: F64, now_s: float) -> bo
         return False
     if p0[0] == x and p0[1] == y and p0[2] == z:
         return False
-    dx, dy, dz = x - p0[0] - v0[0] * step_s, y - p0[1] - v0[1] * step_s, z - p0[2] - v0[2] * step_s
-    if not dx * dx + dy * dy + dz * dz <= p.target_jump2_max:
+    strayed2 = _strayed2(three(p0), three(v0), (x, y, z), (vx, vy, vz), step_s)
+    if not strayed2 <= p.target_jump2_max:
         return False
     m.sample_arrival_s, m.sample_source_s, m.sample_yaw, m.sample_rate = now_s, source_s, yaw, rate
     keep(p0, (x, y, z))

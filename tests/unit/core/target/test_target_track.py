@@ -15,6 +15,11 @@ from flightstack.core.target.track import TargetTrack, Verdict
 from flightstack.core.types import ZERO, TargetSample
 from tests.unit.core.target.test_target_estimator import LINK, circle, vectors
 
+
+def within(most):
+    return st.tuples(*(st.floats(-most, most),) * 3)
+
+
 FIRST = TargetSample(10.0, 1000.0, "map", "target", (1.0, 2.0, 0.2), (0.1, 0.0, 0.0), 0.0, 0.0)
 
 
@@ -53,6 +58,30 @@ def track():
 def test_verdicts(track, sample, verdict):
     assert track.accept(sample) is verdict
     assert (track.accepted, track.rejected) == ((2, 0) if verdict is Verdict.ACCEPTED else (1, 1))
+
+
+@given(st.floats(0.01, 0.24), within(0.3), within(2.0), within(0.1))
+def test_a_robot_that_sets_off_in_a_gap_is_believed(gap_s, before_m_s, acceleration_m_s2, off_m):
+    """Velocity and position say the same: it is where they lead, within the bound and the noise."""
+    gone = [
+        p + v * gap_s + 0.5 * a * gap_s**2 + o
+        for p, v, a, o in zip(FIRST.position_enu_m, before_m_s, acceleration_m_s2, off_m, strict=True)
+    ]
+    then = tuple(v + a * gap_s for v, a in zip(before_m_s, acceleration_m_s2, strict=True))
+    track = TargetTrack(Checks())
+    track.accept(FIRST._replace(velocity_enu_m_s=before_m_s))
+    sample = later(gap_s, position_enu_m=tuple(gone), velocity_enu_m_s=then)
+    assert track.accept(sample) is Verdict.ACCEPTED
+
+
+def test_a_robot_that_jumps_is_refused_whatever_its_velocity_says(track):
+    fast = (1.4, 0.0, 0.0)  # of which the mean explains 0.15 m
+    assert (
+        track.accept(later(0.2, position_enu_m=(1.34, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.ACCEPTED
+    )
+    track = TargetTrack(Checks())
+    track.accept(FIRST)
+    assert track.accept(later(0.2, position_enu_m=(1.36, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.JUMP
 
 
 def test_a_sample_that_was_long_on_its_way_is_late(track):
