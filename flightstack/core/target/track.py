@@ -114,18 +114,19 @@ class TargetTrack:
             return Verdict.FROZEN
         if lost and memory.elsewhere is None:
             return Verdict.ACCEPTED  # nothing so old binds where it is now
-        if self._near(last, sample) or self._proved(sample, lost):
+        # of a lost one the velocity of now explains nothing: it may meet a wrong place by chance
+        if self._near(last, sample, last if lost else sample) or self._proved(sample, lost):
             memory.elsewhere = None
             return Verdict.ACCEPTED
         return Verdict.JUMP
 
-    def _near(self, before: TargetSample, after: TargetSample) -> bool:
-        """Whether the target could have gone from one sample to the other."""
+    def _near(self, before: TargetSample, after: TargetSample, at_last: TargetSample) -> bool:
+        """Whether the target could have gone from one sample to the other, at the mean of two velocities."""
         strayed2 = strayed2_m2(
             before.position_enu_m,
             before.velocity_enu_m_s,
             after.position_enu_m,
-            after.velocity_enu_m_s,
+            at_last.velocity_enu_m_s,
             after.source_time_s - before.source_time_s,
         )
         return strayed2 <= self._checks.target_jump_max_m**2
@@ -133,7 +134,7 @@ class TargetTrack:
     def _proved(self, sample: TargetSample, lost: bool) -> bool:
         """Whether samples elsewhere have agreed with each other for long enough, the old track being lost."""
         memory = self.memory
-        if memory.elsewhere is None or not self._near(memory.elsewhere, sample):
+        if memory.elsewhere is None or not self._near(memory.elsewhere, sample, sample):
             memory.elsewhere, memory.elsewhere_since_s = sample, sample.arrival_s
             return False
         memory.elsewhere = sample

@@ -84,6 +84,13 @@ def test_a_robot_that_jumps_is_refused_whatever_its_velocity_says(track):
     assert track.accept(later(0.2, position_enu_m=(1.36, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.JUMP
 
 
+def test_of_a_lost_robot_the_velocity_of_now_proves_no_place(track):
+    assert track.accept(later(0.2, position_enu_m=(2.0, 2.0, 0.2))) is Verdict.JUMP
+    fast = (1.0, 0.0, 0.0)  # the mean of both leads to where it is told to be, 0.9 s after the last one
+    there = later(0.9, position_enu_m=(1.495, 2.0, 0.2), velocity_enu_m_s=fast)
+    assert track.accept(there) is Verdict.JUMP
+
+
 def test_a_sample_that_was_long_on_its_way_is_late(track):
     track.accept(later(0.2))
     slow = later(0.21)._replace(arrival_s=10.21 + 0.26)
