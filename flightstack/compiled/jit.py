@@ -24,6 +24,7 @@ HERE = Path(__file__).parent
 SOURCES = (
     "flightstack/core/**/*.py",
     "bridge/frames.py",
+    "sim/autopilot/watches.py",
     *(
         f"sim/{room}/*.py"
         for room in ("plant", "world", "firmware", "vehicle", "robot", "validation", "runners/stretch")

@@ -18,12 +18,13 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode
+from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
 from sim.autopilot.vehicle_like import VehicleLike
 
 HEIGHT_RANGE_M = (0.1, 20.0)  # m above home of take-off and reposition; the room is lower
 _REACH_M = 50.0  # m from home that it may be sent to by itself
-_PERIOD_S = 0.1  # s; nothing here is faster
+PERIOD_S = 0.1 - 1e-6  # s; nothing here is faster
 
 _SMOOTH_S = 1.0  # s, time constant
 _BETTER = 0.03  # of charge above a threshold until the level gets better again
@@ -83,6 +84,7 @@ _THRESHOLDS = (
     (Charge.CRITICAL, "BAT_CRIT_THR"),
     (Charge.LOW, "BAT_LOW_THR"),
 )
+_FENCE_M = ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")  # from home, level and up; 0: no bound
 
 
 class Alarm(NamedTuple):
@@ -92,17 +94,58 @@ class Alarm(NamedTuple):
     text: str
 
 
+@numeric
+def smoothed(before: float, measured: float, dt_s: float) -> float:
+    """Value that follows a measured one slowly."""
+    return before + (1.0 - math.exp(-dt_s / _SMOOTH_S)) * (measured - before)
+
+
+@numeric
+def charge_left(voltage_v: float, throttle: float, empty_v: float, full_v: float, drop_v: float) -> float:
+    """Charge, 0 to 1, of a cell under load; ``drop_v`` is what full throttle takes from its voltage."""
+    rest_v = voltage_v + drop_v * throttle
+    return min(max((rest_v - empty_v) / max(full_v - empty_v, 0.01), 0.0), 1.0)
+
+
+class Calm(NamedTuple):
+    """Within which bounds ``Watches.step`` finds nothing new.
+
+    Attributes:
+        due_s, last_s: when it looks next, and looked last.
+        voltage_v, throttle: of the battery, smoothed.
+        empty_v, full_v, drop_v: of the battery, see ``charge_left``.
+        least: charge.
+        until_s: a ground station may count as lost from then on.
+        home_enu_m: where the fence stands.
+        reach_m, height_m: of the fence.
+    """
+
+    due_s: float
+    last_s: float
+    voltage_v: float
+    throttle: float
+    empty_v: float
+    full_v: float
+    drop_v: float
+    least: float
+    until_s: float
+    home_enu_m: Vec3
+    reach_m: float
+    height_m: float
+
+
 class BatteryGauge:
     """Charge left and its level; while armed the level only gets worse, as in PX4 (failsafe.cpp).
 
     Attributes:
+        voltage_v, throttle: smoothed.
         remaining: 0 to 1.
         level: against BAT_LOW_THR, BAT_CRIT_THR and BAT_EMERGEN_THR.
     """
 
     def __init__(self, parameters: Parameters, voltage_v: float, throttle: float) -> None:
         self._parameters = parameters
-        self._voltage_v, self._throttle = voltage_v, throttle
+        self.voltage_v, self.throttle = voltage_v, throttle
         self.remaining, self.level = 1.0, Charge.OK
         self.step(voltage_v, throttle, 0.0, armed=False)
 
@@ -115,17 +158,22 @@ class BatteryGauge:
         Returns:
             The level when it has just become worse.
         """
-        share = 1.0 - math.exp(-dt_s / _SMOOTH_S)
-        self._voltage_v += share * (voltage_v - self._voltage_v)
-        self._throttle += share * (throttle - self._throttle)
-        p = self._parameters
-        empty_v, full_v = p["BAT1_V_EMPTY"], p["BAT1_V_CHARGED"]
-        rest_v = self._voltage_v + p["BAT1_V_LOAD_DROP"] * self._throttle
-        self.remaining = min(max((rest_v - empty_v) / max(full_v - empty_v, 0.01), 0.0), 1.0)
+        self.passed(smoothed(self.voltage_v, voltage_v, dt_s), smoothed(self.throttle, throttle, dt_s))
         before = self.level
         better = before if armed else self._judge(self.remaining - _BETTER)
         self.level = max(self._judge(self.remaining), min(before, better))
         return self.level if self.level > before else None
+
+    def passed(self, voltage_v: float, throttle: float) -> None:
+        """Take smoothed values that do not change the level."""
+        self.voltage_v, self.throttle = voltage_v, throttle
+        self.remaining = charge_left(voltage_v, throttle, *self.curve)
+
+    @property
+    def curve(self) -> Vec3:
+        """Voltages of an empty and of a full cell, and what full throttle takes."""
+        p = self._parameters
+        return p["BAT1_V_EMPTY"], p["BAT1_V_CHARGED"], p["BAT1_V_LOAD_DROP"]
 
     @property
     def critical(self) -> bool:
@@ -177,18 +225,38 @@ class Watches:
         if now_s < self.due_s:
             return []
         dt_s = now_s - self._last_s if self._last_s is not None else 0.0
-        self._last_s, self.due_s = now_s, now_s + _PERIOD_S - 1e-6
+        self._last_s, self.due_s = now_s, now_s + PERIOD_S
         alarms = self._watch_battery(dt_s)
         alarms += self._watch_station(now_s, flying)
         alarms += self._watch_fence(position_enu_m, home_enu_m, flying)
         return alarms
+
+    def calm(self, home_enu_m: Vec3) -> Calm | None:
+        """Bounds within which ``step`` finds nothing new; None where something is not as it should be."""
+        gauge, station_s = self.battery, self._station_s
+        if self._last_s is None or self._outside or gauge.level is not Charge.OK:
+            return None
+        p = self._parameters
+        least = max(p[name] for _, name in _THRESHOLDS)
+        until_s = math.inf if self._station_lost or station_s is None else station_s + p["COM_DL_LOSS_T"]
+        bounded = FENCE[int(p["GF_ACTION"])] is not Action.NONE
+        reach_m, height_m = (p[name] if bounded and p[name] > 0.0 else math.inf for name in _FENCE_M)
+        return Calm(
+            self.due_s, self._last_s, gauge.voltage_v, gauge.throttle, *gauge.curve, least, until_s,
+            home_enu_m, reach_m, height_m,
+        )  # fmt: skip
+
+    def passed(self, last_s: float, voltage_v: float, throttle: float) -> None:
+        """Take note of what somebody else saw within the bounds of ``calm``."""
+        self._last_s, self.due_s = last_s, last_s + PERIOD_S
+        self.battery.passed(voltage_v, throttle)
 
     def outside(self, position_enu_m: Vec3, home_enu_m: Vec3) -> str | None:
         """Which limit of the geofence a point breaks, None if none."""
         if FENCE[int(self._parameters["GF_ACTION"])] is Action.NONE:
             return None
         x, y, z = (a - b for a, b in zip(position_enu_m, home_enu_m, strict=True))
-        for name, distance_m in (("GF_MAX_HOR_DIST", math.hypot(x, y)), ("GF_MAX_VER_DIST", z)):
+        for name, distance_m in zip(_FENCE_M, (math.hypot(x, y), z), strict=True):
             limit_m = self._parameters[name]
             if limit_m > 0.0 and distance_m > limit_m:
                 return f"{distance_m:.1f} m, {name} is {limit_m:g}"
@@ -232,4 +300,5 @@ class Watches:
 
 def throttle(vehicle: VehicleLike) -> float:
     """Mean of the motors' commands, 0 to 1."""
-    return sum(vehicle.motor_commands) / 4.0
+    m1, m2, m3, m4 = vehicle.motor_commands
+    return (m1 + m2 + m3 + m4) / 4.0  # sum() rounds differently from Python 3.12 on

@@ -24,6 +24,7 @@ from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState, LockstepDeck
 from sim.scenarios.scenario import Scenario
 
+DRIVES_TICKS = 64  # ahead of the vehicle, of which half are for nothing when the landing is over
 WorldSample = tuple[float, str, str, Vec3, Vec3, float, float]  # a target sample but for when it arrives
 
 # the very formulas of both ends, compiled
@@ -97,7 +98,7 @@ class DirectTarget(LockstepDeck):
     def take(self, tick: int) -> DeckState | None:
         """Go on to this tick; true pose there."""
         if self._at == len(self._come):
-            self._drive(tick + RUN_AHEAD_TICKS - 1)
+            self._drive(tick + self._ahead_ticks - 1)
         first, end = self._come_before, self._come[self._at]
         if first != end:
             self._samples += [_world_sample(row) for row in self._ahead.samples[first:end].tolist()]
@@ -106,7 +107,7 @@ class DirectTarget(LockstepDeck):
     def ahead(self, tick: int, count: int) -> Ahead:
         """What the robot says at this tick, the next one, and at those after it; at most ``count`` in all."""
         if len(self._come) - self._at < count:
-            self._drive(tick + RUN_AHEAD_TICKS - 1)
+            self._drive(tick + self._ahead_ticks - 1)
         these, (decks, samples, _, come) = slice(self._at, self._at + count), self._ahead
         return Ahead(decks[these], samples, self._come_before, come[these])
 
@@ -115,6 +116,12 @@ class DirectTarget(LockstepDeck):
         self._at += count
         x, y, z, yaw, vx, vy, vz, rate = self._decks[self._at - 1]
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
+
+    @property
+    def _ahead_ticks(self) -> int:
+        """How far it may drive: once it drives, nothing that is still to be told changes where."""
+        waits = not self._driving or self._motion.faults.waits_for_landing
+        return RUN_AHEAD_TICKS if waits else DRIVES_TICKS
 
     @property
     def _come_before(self) -> int:

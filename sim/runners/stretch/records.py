@@ -6,6 +6,7 @@ from typing import Annotated
 
 from flightstack.compiled.program import ProgramRecord
 from flightstack.compiled.records import F64, Record, Vector
+from sim.runners.stretch.watch import WatchRecord
 
 Six = Annotated[F64, 6]
 Nine = Annotated[F64, 9]
@@ -148,5 +149,5 @@ class RulesRecord(Record):
     standing: bool
     supervisor: int  # state of the firmware's supervisor
     stream_until_s: float  # the autopilot waits for set-points until then; without them
-    watch_s: float  # when its watches look next
+    watch: WatchRecord
     program: ProgramRecord

@@ -26,6 +26,7 @@ from sim.runners.notes import Notes
 from sim.runners.stretch.memory import Notebook, set_up_rules, suits
 from sim.runners.stretch.records import MindRecord, RulesRecord
 from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, narrow
+from sim.runners.stretch.watch import WatchBook
 from sim.runners.vehicle_node import VehicleNode
 
 TICKS = 20  # of one call, at most; as far as the robot drives ahead
@@ -85,9 +86,8 @@ class Stretch:
         self._ages, self._told = np.zeros(TICKS), np.zeros(11)
         self._next, self._wait = 0, 1  # tick of the next try; how many are left out when one fails
         self._flies, self._yaw_told_rad, self._delay_ms = False, 0.0, round(radio_s * 1000.0)
-        self._watch_s, self._stream_until_s, self._status_s = scalars(
-            self._rules, "watch_s", "stream_until_s", "status_s"
-        )
+        self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
+        self._watches, self._watch_book = node.autopilot.flight.watches, WatchBook(self._rules.watch)
         self._phase = scalars(self._rules, "phase", "flies", "armed", "standing", "supervisor")
         self._began = scalars(self._rules, "since_s", "started_s")
         self._heeded = link.heeded
@@ -193,6 +193,7 @@ class Stretch:
             self._yaw_rad = rules.yaw_rad = memory.yaw_rad
             self._yaw_told_rad = yaw = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
             rules.yaw_told_rad, rules.cos_yaw, rules.sin_yaw = yaw, math.cos(yaw), math.sin(yaw)
+        self._watch_book.write(self._watches, flight.home_enu_m)
         if clip is not None and clip != self._clip:
             self._clip = clip
             rules.speeds[:] = clip
@@ -209,7 +210,6 @@ class Stretch:
         if count == 0 or not node.vehicle.supplied_until(grid.ms(tick + count)):
             return 0, BEFORE
         flies = self._flies
-        self._watch_s[0] = flight.watches.due_s
         waits = not flies and flight.mode is FlightMode.OFFBOARD
         self._stream_until_s[0] = flight.stream_ends_s if waits else math.inf
         self._plan[0], self._plan[1], self._plan[4] = tick, count, come_before
@@ -217,14 +217,14 @@ class Stretch:
         how, done = fly_ticks(*self._cells, self._plan, decks, samples, come, truths, self._ages, self._told)
         if done == 0:
             return 0, how
+        self._watch_book.read(self._watches)
         last = tick + done - 1
         times_ns = [grid.ns(each) for each in range(tick, last + 1)]
         now_s = times_ns[-1] / 1e9
         self._notes.stretch(tick, times_ns, self._controller.memory.phase, self._ages[:done], truths[:done])
         self._loop.passed(times_ns[-1], self._target.drop(done))
         self._ticks.passed(times_ns[-1])
-        for each in times_ns:
-            node.autopilot.streams.pass_over(each / 1e9)
+        node.autopilot.streams.skip([each / 1e9 for each in times_ns])
         x, y, z, vx, vy, vz, yaw, source_s, ux, uy, uz = self._told.tolist()
         self._link.took(OwnState(now_s, source_s, (x, y, z), (vx, vy, vz), yaw), done, setpoints=flies)
         setpoint = Setpoint((ux, uy, uz), self._yaw_told_rad, 0.0) if flies else None
@@ -240,6 +240,7 @@ class Stretch:
         if setpoint is not None:
             flight.take_setpoint(setpoint, self._sender, now_s)
         node.control(now_s)
+        self._watch_book.write(self._watches, flight.home_enu_m)
         node.vehicle.advance(grid.ms(last + 1) - grid.ms(last) - ahead_ms)
         return done, how if self._goes_on(flies) else BEFORE
 

@@ -25,6 +25,7 @@ from sim.plant.params import STEP_S
 from sim.runners.stretch.mind import PYTHON, SENDS, think
 from sim.runners.stretch.records import MindRecord, RulesRecord
 from sim.runners.stretch.tuples import three
+from sim.runners.stretch.watch import looks
 from sim.vehicle.judge import GAP_MS, NONE_MS
 from sim.vehicle.loop import VehicleRecord, fly
 from sim.vehicle.physics import TUMBLED
@@ -128,15 +129,15 @@ def _flyable(p: RulesRecord, v: Vec3) -> bool:
 
 @jitted
 def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float) -> bool:
-    """Whether the autopilot has anything to do but to hand the set-point on."""
+    """Whether the autopilot has anything to do but to hand the set-point on, and to look around."""
     c, f = v.contact, v.firmware
     touches = now_ms - c.pad_ms <= GAP_MS or now_ms - c.ground_ms <= GAP_MS
     return (
-        now_s >= p.watch_s
-        or bool(f.supervisor.motors_allowed) != bool(p.armed)
+        bool(f.supervisor.motors_allowed) != bool(p.armed)
         or touches != bool(p.standing)
         or not f.estimator.since_sample_s < INNOVATION_AGE_MAX_S
         or now_s > p.stream_until_s
+        or (now_s >= p.watch.due_s and not looks(p.watch, v, now_s))
     )
 
 

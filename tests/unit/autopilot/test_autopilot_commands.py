@@ -216,7 +216,7 @@ def rig_with(**parameters: float) -> Rig:
 )
 def test_battery_acts_as_its_parameter_says(act: int, remaining: float, mode: FlightMode, text: str) -> None:
     rig = rig_with(COM_LOW_BAT_ACT=act, BAT_LOW_THR=0.15).offboard()
-    rig.autopilot.flight.watches.battery._voltage_v = rig.vehicle.battery_v = voltage_at(remaining)
+    rig.autopilot.flight.watches.battery.voltage_v = rig.vehicle.battery_v = voltage_at(remaining)
     rig.run(0.3, (0.0, 0.0, 0.0))
     assert rig.mode is mode
     assert text in rig.texts()

@@ -16,9 +16,11 @@ from sim.scenarios.scenario import Start, load
 numbers = st.floats(-1e3, 1e3)
 
 
-def flown(scenario, seed, on_step=None):
+def flown(scenario, seed, on_step=None, parameters=()):
     """The flight, what was seen of it, and the ticks flown in stretches."""
     flight, stretched = Companion(scenario, seed, on_step), 0
+    for name, value in parameters:
+        flight._loop._node.autopilot.parameters.preset(name, value)
     if flight.stretch is not None:
         fly = flight.stretch.fly
 
@@ -32,10 +34,10 @@ def flown(scenario, seed, on_step=None):
     return flight, flight.fly(), stretched
 
 
-def assert_equal(scenario, seed, least):
+def assert_equal(scenario, seed, least, *parameters):
     """Tick by tick and in stretches, which fly at least this share of the ticks; none with numba off."""
-    one, seen, stretched = flown(scenario, seed)
-    other, wanted, none = flown(scenario, seed, lambda tick, out: None)
+    one, seen, stretched = flown(scenario, seed, None, parameters)
+    other, wanted, none = flown(scenario, seed, lambda tick, out: None, parameters)
     assert stretched == 0 if is_off() else stretched >= least * len(wanted.steps.t_s)
     assert none == 0
     for part in ("truth", "steps"):
@@ -45,6 +47,7 @@ def assert_equal(scenario, seed, least):
             assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f"), (part, field.name)
     assert seen.events == wanted.events
     assert repr(one.controller.state) == repr(other.controller.state)
+    return seen
 
 
 @pytest.mark.parametrize(("filter_name", "least"), [("robust", 0.8), ("paper", 0.7)])
@@ -57,6 +60,22 @@ def test_stretches_and_python_alternate_where_the_target_is_lost():
     field = load("field")
     rare = replace(field, odometry=replace(field.odometry, loss=0.3, dropout_every_s=0.5, dropout_max_s=0.6))
     assert_equal(rare, 7, 0.3)
+
+
+def test_a_battery_that_becomes_low_in_a_stretch_is_seen_at_the_same_tick():
+    field = load("field")
+    low = replace(field, vehicle=replace(field.vehicle, battery_charge=(0.48, 0.48)))
+    told = [
+        event.t_s
+        for event in assert_equal(low, 3, 0.3, ("BAT_LOW_THR", 0.5)).events
+        if "Battery low" in event.text
+    ]
+    assert 0.5 < min(told) < 4.0  # in the air
+
+
+def test_a_fence_is_met_at_the_same_tick():
+    seen = assert_equal(load("field"), 3, 0.05, ("GF_MAX_HOR_DIST", 0.4), ("GF_ACTION", 5))
+    assert any("Outside the geofence: 0.5 m" in event.text for event in seen.events)
 
 
 def test_from_the_ground_at_another_rate():
