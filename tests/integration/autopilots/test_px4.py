@@ -32,6 +32,7 @@ from tests.bounded import killed, line_of
 from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.room import on_px4
+from tests.integration.sim_processes import wait_for
 from tests.px4_flight import px4_or_skip
 
 ROOT = Path(__file__).parents[3]
@@ -81,9 +82,7 @@ def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_r
 def test_an_instance_that_runs_is_not_claimed_and_not_started_twice(tmp_path, instance):
     first = Px4Program(px4_or_skip(), tmp_path / "first", Px4Model.NONE_IRIS, instance=instance)
     try:
-        until_s = time.monotonic() + PATIENCE_S
-        while "Waiting for simulator" not in first.output.read_text() and time.monotonic() < until_s:
-            time.sleep(0.05)
+        wait_for(lambda: "Waiting for simulator" in first.output.read_text(), "PX4 that waits")
         second = Px4Program(px4_or_skip(), tmp_path / "second", Px4Model.NONE_IRIS, instance=instance)
         with pytest.raises(Px4Error, match="already running"):
             second.wait_ready(PATIENCE_S)
@@ -96,8 +95,9 @@ def test_an_instance_that_runs_is_not_claimed_and_not_started_twice(tmp_path, in
 def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, instance):
     px4 = Px4Program(px4_or_skip(), tmp_path, Px4Model.NONE_IRIS, instance=instance)
     try:
+        wait_for(lambda: "Waiting for simulator" in px4.output.read_text(), "PX4 that waits")
         with pytest.raises(Px4Error, match="Waiting for simulator"):
-            px4.wait_ready(3.0)
+            px4.wait_ready(1.0)
         os.killpg(px4.process.pid, signal.SIGSTOP)  # not even then does its end take long
         began_s = time.monotonic()
         px4.end()
