@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import add
 from typing import Annotated
 
@@ -172,7 +172,7 @@ class MeasurementChannel:
         self._noise = NoiseRows(sigmas, seed, purpose + ".noise")
         self._rate = link.rate_hz
         self._delay_ns = round(link.delay_s * NS)
-        self._queue: deque[tuple[int, int, tuple[float, ...]]] = deque()
+        self._queue: deque[tuple[int, int, Sequence[float]]] = deque()
         self._index = 0
         self.due_ns = 0
         self.release_ns = NEVER_NS
@@ -181,10 +181,50 @@ class MeasurementChannel:
 
     def sample(self, now_ns: int, values: Sequence[float]) -> None:
         """Measure ``values`` now. Call when ``now_ns >= due_ns``; one sample a call."""
+        self._count()
+        self._send(now_ns, tuple(map(add, values, self._noise.take())))
+
+    def run(
+        self, times_ns: Sequence[int], values: F64, worsen: Callable[[int], None] | None = None
+    ) -> tuple[list[int], F64]:
+        """``sample`` and ``release`` at several times, each sample at a fraction of the cost.
+
+        Args:
+            times_ns: in order.
+            values: (n, width) to be measured at each; those of times when none is due are not looked at.
+            worsen: called before with the index of each that is.
+
+        Returns:
+            Index of the time at which each sample was released; and (m, 1 + width) when it was measured, ns,
+            and its values.
+        """
+        due: list[int] = []
+        for n, now_ns in enumerate(times_ns):
+            if now_ns >= self.due_ns:
+                self._count()
+                due.append(n)
+                if worsen is not None:
+                    worsen(n)
+        noisy: list[list[float]] = []
+        if due:
+            noisy = (values[due] + [self._noise.take() for _ in due]).tolist()
+        released, rows, at = [], [], 0
+        for n, now_ns in enumerate(times_ns):
+            if at < len(due) and due[at] == n:
+                self._send(now_ns, noisy[at])
+                at += 1
+            if now_ns >= self.release_ns:
+                for measured_ns, row in self.release(now_ns):
+                    released.append(n)
+                    rows.append((measured_ns, *row))
+        return released, np.array(rows, dtype=np.float64).reshape(len(rows), 1 + values.shape[1])
+
+    def _count(self) -> None:
         self._index += 1
         self.due_ns = round(self._index * NS / self._rate)
         self.taken += 1
-        noisy = tuple(map(add, values, self._noise.take()))
+
+    def _send(self, now_ns: int, noisy: Sequence[float]) -> None:
         if self._losses.lost(now_ns):
             self.lost += 1
             return
@@ -192,7 +232,7 @@ class MeasurementChannel:
             self.release_ns = now_ns + self._delay_ns
         self._queue.append((now_ns + self._delay_ns, now_ns, noisy))
 
-    def release(self, now_ns: int) -> list[tuple[int, tuple[float, ...]]]:
+    def release(self, now_ns: int) -> list[tuple[int, Sequence[float]]]:
         """Return ``(measured_ns, values)`` of all samples whose delay has passed, oldest first."""
         queue = self._queue
         out = []

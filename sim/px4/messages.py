@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -48,7 +49,7 @@ class Px4Mocap:
             return []
         return [self._odometry(values, now_us) for _, values in channel.release(now_ns)]
 
-    def _odometry(self, values: tuple[float, ...], now_us: int) -> Message:
+    def _odometry(self, values: Sequence[float], now_us: int) -> Message:
         x, y, z, yaw, w, i, j, k = values
         c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)  # an error about the vertical turns everything
         attitude = (c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w)

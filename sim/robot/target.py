@@ -262,6 +262,9 @@ class TargetError:
         return (x, y, z), yaw, (c * vx + s * vy, c * vy - s * vx, vz)
 
 
+_MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # numbers of a PadRecord: place, heading, velocity, turn rate
+
+
 class TargetOdometry:
     """Odometry of the target through its link.
 
@@ -279,26 +282,56 @@ class TargetOdometry:
 
     def step(self, model: TargetModel) -> list[TargetMeasurement]:
         """Measure if due and return what has arrived."""
-        return [sample for _, sample in self.run([model.pad])]
+        channel, pad = self.channel, model.pad
+        now_ns = pad[0]
+        if now_ns >= channel.due_ns:
+            channel.sample(now_ns, self._measured(pad))
+        if now_ns < channel.release_ns:
+            return []
+        released = channel.release(now_ns)
+        return [measurement((t_ns / NS, *v[:3], wrap(v[3]), *v[4:])) for t_ns, v in released]
 
-    def run(self, pads: Iterable[Sequence[float]]) -> list[tuple[int, TargetMeasurement]]:
-        """The same for several steps; with each sample the index of the step in which it arrived.
+    def run(self, pads: F64) -> tuple[list[int], F64]:
+        """The same for several steps.
 
         Args:
-            pads: true motion after each step, numbers of a PadRecord.
+            pads: (n, 12) true motion after each step, numbers of a PadRecord.
+
+        Returns:
+            Index of the step in which each sample arrived; and (m, 9) the numbers of a TargetMeasurement.
         """
-        channel, out = self.channel, []
-        for n, pad in enumerate(pads):
-            now_ns = int(pad[0])
-            if now_ns >= channel.due_ns:
-                position, yaw, velocity = pad[1:4], pad[4], pad[5:8]
-                if self._error is not None:
-                    position, yaw, velocity = self._error.apply(pad)
-                channel.sample(now_ns, (*position, yaw, *velocity, pad[11]))
-            if now_ns >= channel.release_ns:
-                out += [(n, _measurement(t_ns, v)) for t_ns, v in channel.release(now_ns)]
-        return out
+        values = pads[:, _MEASURED]
+
+        def worsen(n: int) -> None:
+            values[n] = self._measured(pads[n].tolist())
+
+        times_ns = [int(ns) for ns in pads[:, 0].tolist()]
+        arrived, samples = self.channel.run(times_ns, values, None if self._error is None else worsen)
+        _finish(samples)
+        return arrived, samples
+
+    def _measured(self, pad: Sequence[float]) -> Sequence[float]:
+        position, yaw, velocity = pad[1:4], pad[4], pad[5:8]
+        if self._error is not None:
+            position, yaw, velocity = self._error.apply(pad)
+        return (*position, yaw, *velocity, pad[11])
 
 
-def _measurement(time_ns: int, v: tuple[float, ...]) -> TargetMeasurement:
-    return TargetMeasurement(time_ns / NS, (v[0], v[1], v[2]), wrap(v[3]), (v[4], v[5], v[6]), v[7])
+@jitted
+def _finish(samples: F64) -> None:
+    """Nanoseconds to seconds, and the heading into one turn."""
+    for sample in samples:
+        sample[0] /= NS
+        sample[4] = wrap(sample[4])
+
+
+def measurement(numbers: Sequence[float]) -> TargetMeasurement:
+    """From its nine numbers."""
+    time_s, x, y, z, yaw, vx, vy, vz, rate = numbers
+    return TargetMeasurement(time_s, (x, y, z), yaw, (vx, vy, vz), rate)
+
+
+def numbers(samples: Iterable[TargetMeasurement]) -> F64:
+    """(m, 9) numbers of samples."""
+    rows = [(s.time_s, *s.position_enu_m, s.yaw_rad, *s.velocity_body_m_s, s.yaw_rate_rad_s) for s in samples]
+    return np.array(rows, dtype=np.float64).reshape(len(rows), 9)

@@ -12,7 +12,7 @@ from sim.clock import TickGrid
 from sim.faults.samples import SampleFaults, Shape
 from sim.faults.schedule import FaultText, Schedule
 from sim.plant.sensors import NS
-from sim.robot.target import TargetMeasurement, TargetModel, TargetOdometry, wrap
+from sim.robot.target import TargetMeasurement, TargetModel, TargetOdometry, numbers, wrap
 from sim.scenarios.fault_spec import After, Fault
 from sim.scenarios.fault_table import What
 from sim.scenarios.scenario import Scenario
@@ -112,27 +112,28 @@ class TargetMotion:
             self.model.step(self._step_s, driving and not self.faults.locked)
             self.due += self._measure()
 
-    def run(self, ticks: int, driving: bool) -> tuple[F64, list[tuple[int, TargetMeasurement]]]:
-        """Go on by some ticks, in one compiled call while no fault is on.
+    def run(self, ticks: int, driving: bool) -> tuple[F64, list[int], F64]:
+        """Go on by some ticks, in compiled calls while no fault is on.
 
         Returns:
-            The pad's motion at each, (ticks, 12) numbers of a PadRecord; and the samples released
-            meanwhile, each with the index of its tick. ``due`` is left empty.
+            The pad's motion at each, (ticks, 12) numbers of a PadRecord; index of the tick at which each
+            sample was released; and (m, 9) the numbers of these. ``due`` is left empty.
         """
         steps = ticks * self._substeps
-        if self.faults.quiet_until(self.model.pad[0] + steps * round(self._step_s * NS)):
+        due, self.due = [(0, sample) for sample in self.due], []
+        if not due and self.faults.quiet_until(self.model.pad[0] + steps * round(self._step_s * NS)):
             pads = self.model.run(steps, self._step_s, driving)
             self.tick += ticks
-            due, self.due = [(0, sample) for sample in self.due], []
-            due += [(n // self._substeps, sample) for n, sample in self._odometry.run(pads.tolist())]
-            return np.ascontiguousarray(pads[self._substeps - 1 :: self._substeps]), due
-        pads, due = np.empty((ticks, len(self.model.pad))), []
+            at, samples = self._odometry.run(pads)
+            every = self._substeps
+            return np.ascontiguousarray(pads[every - 1 :: every]), [n // every for n in at], samples
+        pads = np.empty((ticks, len(self.model.pad)))
         for n in range(ticks):
             self.step(driving)
             pads[n] = self.model.pad
             due += [(n, sample) for sample in self.due]
             self.due = []
-        return pads, due
+        return pads, [n for n, _ in due], numbers(sample for _, sample in due)
 
     def _measure(self) -> list[TargetMeasurement]:
         samples = self._odometry.step(self.model)

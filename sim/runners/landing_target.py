@@ -19,7 +19,7 @@ from flightstack.compiled.records import F64, I64
 from flightstack.core.types import TargetSample, Vec3
 from flightstack.onboard.runner import NOTHING, Arrived
 from sim.clock import TickGrid
-from sim.robot.target import TargetMeasurement
+from sim.robot.target import TargetMeasurement, numbers
 from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState, LockstepDeck
 from sim.scenarios.scenario import Scenario
@@ -34,12 +34,17 @@ _turn = cast("Callable[[Quat, Vec3], Vec3]", jitted(frames.world_from_body))
 
 
 @jitted
-def _sample_twist(yaw: float, vx: float, vy: float, vz: float, rate: float) -> tuple[float, Vec3, float]:
-    """Heading, velocity and turn rate of a sample as they arrive, its quaternion scaled to one there."""
-    w, x, y, z = _quaternion(yaw)
-    scale = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
-    q = (w * scale, x * scale, y * scale, z * scale)
-    return _yaw(q), _turn(q, (vx, vy, vz)), _turn(q, (0.0, 0.0, rate))[2]
+def _turn_samples(samples: F64, rows: F64) -> None:
+    """Heading, velocity and turn rate of samples as they arrive, their quaternions scaled to one there."""
+    for n in range(len(samples)):
+        sample, row = samples[n], rows[n]
+        w, x, y, z = _quaternion(sample[4])
+        scale = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+        q = (w * scale, x * scale, y * scale, z * scale)
+        velocity = _turn(q, (sample[5], sample[6], sample[7]))
+        for i in range(3):
+            row[1 + i], row[4 + i] = sample[1 + i], velocity[i]
+        row[7], row[8] = _yaw(q), _turn(q, (0.0, 0.0, sample[8]))[2]
 
 
 @jitted
@@ -88,7 +93,7 @@ class DirectTarget(LockstepDeck):
         self._decks: list[list[float]] = []  # the same in lists, quicker tick by tick
         self._come: list[int] = []
         due, motion.due = motion.due, []
-        self._keep(np.array([motion.model.pad], dtype=np.float64), [(0, sample) for sample in due])
+        self._keep(np.array([motion.model.pad], dtype=np.float64), [0] * len(due), numbers(due))
 
     def has(self, tick: int) -> bool:
         """Always."""
@@ -140,15 +145,15 @@ class DirectTarget(LockstepDeck):
                 end = min(end, goes_at - 1)  # what begins with the landing begins at that tick
             self._keep(*motion.run(end - motion.tick, self._driving))
 
-    def _keep(self, pads: F64, due: Sequence[tuple[int, TargetMeasurement]]) -> None:
+    def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
         """Append what the robot says at some ticks; forget what was taken."""
         decks = np.empty((len(pads), 8))
         _decks(pads, decks)
         before, left = self._come_before, self._ahead
         samples = left.samples[before:]
-        come = len(samples) + np.searchsorted([n for n, _ in due], np.arange(len(pads)), side="right")
+        come = len(samples) + np.searchsorted(due, np.arange(len(pads)), side="right")
         if due:
-            samples = np.concatenate((samples, [sample_row(sample) for _, sample in due]))
+            samples = np.concatenate((samples, sample_rows(new)))
         if self._at < len(self._come):
             decks = np.concatenate((left.decks[self._at :], decks))
             come = np.concatenate((left.come[self._at :] - before, come))
@@ -169,14 +174,15 @@ class DirectTarget(LockstepDeck):
 
 def in_world(sample: TargetMeasurement) -> WorldSample:
     """Equal to ``bridge.target.odometry.sample_from_cdr`` of the encoded sample, which a test holds."""
-    return _world_sample(sample_row(sample))
+    return _world_sample(sample_rows(numbers([sample]))[0].tolist())
 
 
-def sample_row(sample: TargetMeasurement) -> tuple[float, ...]:
-    """The numbers of ``in_world``."""
-    time_s, position, yaw, velocity, rate = sample
-    yaw, velocity, rate = _sample_twist(yaw, *velocity, rate)
-    return ((EPOCH_NS + round(time_s * 1e9)) / 1e9, *position, *velocity, yaw, rate)
+def sample_rows(samples: F64) -> F64:
+    """The numbers of ``in_world``, (m, 9), of those of samples, (m, 9)."""
+    rows = np.empty_like(samples)
+    rows[:, 0] = (EPOCH_NS + np.rint(samples[:, 0] * 1e9).astype(np.int64)) / 1e9
+    _turn_samples(samples, rows)
+    return rows
 
 
 def _world_sample(row: Sequence[float]) -> WorldSample:

@@ -33,7 +33,7 @@ from logs.reader.flight_data import Truth
 from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.clock import TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
-from sim.robot.target import TargetMeasurement
+from sim.robot.target import TargetMeasurement, measurement
 from sim.runners.deck import DeckState
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import wires
@@ -107,9 +107,9 @@ class _Target(DirectTarget):
         self._drive(tick)
         return super().take(tick)
 
-    def _keep(self, pads: F64, due: Sequence[tuple[int, TargetMeasurement]]) -> None:
-        self._measured += [sample for _, sample in due]
-        super()._keep(pads, due)
+    def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
+        self._measured += [measurement(row) for row in new.tolist()]
+        super()._keep(pads, due, new)
 
     def samples(self, now_s: float) -> Arrived:
         """Odometry released since the last call, serialised and mangled on its way."""

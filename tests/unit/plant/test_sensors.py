@@ -4,7 +4,10 @@ import itertools
 import math
 import statistics
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sim.chance import stream
 from sim.plant.imu import Imu
@@ -43,6 +46,29 @@ def test_delay_is_exact_and_order_is_kept():
 def test_no_noise_no_change():
     _, out = run_channel(OdometryLink(100.0), 1.0)
     assert all(v[0] == t / NS for _, t, v in out)
+
+
+@given(
+    st.lists(st.integers(1, 40), max_size=12),
+    st.sampled_from([0.0, 0.3]),
+    st.sampled_from([0.0, 0.05]),
+    st.sampled_from([0.0, 0.027]),
+)
+def test_many_steps_in_one_call_are_the_same_to_the_last_bit(counts, loss, dropout_every_s, delay_s):
+    link = OdometryLink(70.0, loss=loss, delay_s=delay_s, dropout_every_s=dropout_every_s, dropout_max_s=0.03)
+    sigmas = (0.0, 0.01, 0.0, 0.2)
+    one, wanted = run_channel(link, sum(counts) / 100.0, sigmas, step_ms=10)
+    channel, out, k = MeasurementChannel(link, sigmas, 1, "test"), [], 0
+    for count in (1, *counts):
+        times_ns = [10 * MS * n for n in range(k, k + count)]
+        values = np.array([[now / NS] * len(sigmas) for now in times_ns])
+        at, rows = channel.run(times_ns, values)
+        out += [(times_ns[n], int(row[0]), tuple(row[1:])) for n, row in zip(at, rows.tolist(), strict=True)]
+        k += count
+    assert out == wanted
+    assert (channel.taken, channel.lost, channel.due_ns, channel.release_ns) == (
+        one.taken, one.lost, one.due_ns, one.release_ns,
+    )  # fmt: skip
 
 
 def test_loss_is_as_asked():
