@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode
+from flightstack.compiled.records import Record, Vector
 from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
 from sim.autopilot.vehicle_like import VehicleLike
@@ -107,30 +108,20 @@ def charge_left(voltage_v: float, throttle: float, empty_v: float, full_v: float
     return min(max((rest_v - empty_v) / max(full_v - empty_v, 0.01), 0.0), 1.0)
 
 
-class Calm(NamedTuple):
-    """Within which bounds ``Watches.step`` finds nothing new.
+class WatchRecord(Record):
+    """Within which bounds ``Watches.step`` finds nothing new."""
 
-    Attributes:
-        due_s, last_s: when it looks next, and looked last.
-        voltage_v, throttle: of the battery, smoothed.
-        empty_v, full_v, drop_v: of the battery, see ``charge_left``.
-        least: charge.
-        until_s: a ground station may count as lost from then on.
-        home_enu_m: where the fence stands.
-        reach_m, height_m: of the fence.
-    """
-
-    due_s: float
-    last_s: float
-    voltage_v: float
+    due_s: float  # when it looks next
+    last_s: float  # when it looked last
+    voltage_v: float  # of the battery, smoothed, as the throttle is
     throttle: float
-    empty_v: float
+    empty_v: float  # of the battery, as ``charge_left`` takes them
     full_v: float
     drop_v: float
-    least: float
-    until_s: float
-    home_enu_m: Vec3
-    reach_m: float
+    least: float  # charge
+    until_s: float  # a ground station may count as lost from then on
+    home: Vector  # where the fence stands, ENU, m
+    reach_m: float  # of the fence, level and up
     height_m: float
 
 
@@ -231,19 +222,19 @@ class Watches:
         alarms += self._watch_fence(position_enu_m, home_enu_m, flying)
         return alarms
 
-    def calm(self, home_enu_m: Vec3) -> Calm | None:
-        """Bounds within which ``step`` finds nothing new; None where something is not as it should be."""
-        gauge, station_s = self.battery, self._station_s
-        if self._last_s is None or self._outside or gauge.level is not Charge.OK:
-            return None
-        p = self._parameters
+    def calm(self, home_enu_m: Vec3) -> tuple[float, ...]:
+        """Numbers of a ``WatchRecord``; where something is not as it should be, ``until_s`` is past."""
+        gauge, station_s, p = self.battery, self._station_s, self._parameters
         least = max(p[name] for _, name in _THRESHOLDS)
         until_s = math.inf if self._station_lost or station_s is None else station_s + p["COM_DL_LOSS_T"]
+        last_s = self._last_s
+        if last_s is None or self._outside or gauge.level is not Charge.OK:
+            until_s, last_s = -math.inf, -math.inf
         bounded = FENCE[int(p["GF_ACTION"])] is not Action.NONE
         reach_m, height_m = (p[name] if bounded and p[name] > 0.0 else math.inf for name in _FENCE_M)
-        return Calm(
-            self.due_s, self._last_s, gauge.voltage_v, gauge.throttle, *gauge.curve, least, until_s,
-            home_enu_m, reach_m, height_m,
+        return (
+            self.due_s, last_s, gauge.voltage_v, gauge.throttle, *gauge.curve, least, until_s, *home_enu_m,
+            reach_m, height_m,
         )  # fmt: skip
 
     def passed(self, last_s: float, voltage_v: float, throttle: float) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from flightstack.compiled.program import ProgramRecord
 from flightstack.compiled.records import F64, Record, Vector
-from sim.runners.stretch.watch import WatchRecord
+from sim.autopilot.watches import WatchRecord
 
 Six = Annotated[F64, 6]
 Nine = Annotated[F64, 9]

@@ -5,33 +5,16 @@ from __future__ import annotations
 import math
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import Record, Vector, scalars, writer
+from flightstack.compiled.records import scalars, writer
 from flightstack.core.numeric import twin
 from flightstack.core.types import Vec3
 from sim.autopilot import watches
-from sim.autopilot.watches import PERIOD_S, Watches
+from sim.autopilot.watches import PERIOD_S, Watches, WatchRecord
 from sim.plant.rotors import speed_limit
 from sim.vehicle.loop import VehicleRecord
 
 _NEAR = 0.9  # share of the fence from which on Python decides
 _smoothed, _charge_left = twin(watches.smoothed, jitted), twin(watches.charge_left, jitted)
-
-
-class WatchRecord(Record):
-    """``Calm`` of the watches; ``due_s`` is infinite where only Python looks."""
-
-    due_s: float
-    last_s: float
-    voltage_v: float
-    throttle: float
-    empty_v: float
-    full_v: float
-    drop_v: float
-    least: float
-    until_s: float
-    home: Vector
-    reach_m: float
-    height_m: float
 
 
 @jitted
@@ -68,11 +51,7 @@ class WatchBook:
 
     def write(self, of: Watches, home_enu_m: Vec3) -> None:
         """Watches to record."""
-        calm = of.calm(home_enu_m)
-        if calm is None:
-            self._write(of.due_s, *[0.0] * 7, -math.inf, *home_enu_m, 0.0, 0.0)
-        else:
-            self._write(*calm[:9], *calm.home_enu_m, calm.reach_m, calm.height_m)
+        self._write(*of.calm(home_enu_m))
 
     def read(self, of: Watches) -> None:
         """Record to watches, if they have looked."""
