@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from flightstack.common.strict_toml import ConfigError, span
+from flightstack.core.numeric import numeric
 
 GRAVITY_M_S2 = 9.81
 LEAST_M_S2 = 0.1  # of acceleration that is always granted: with none a velocity could not change any more
@@ -63,11 +64,17 @@ class Reserve:
 
     def left(self, effort: float, voltage_v: float) -> float:
         """Reserve for an effort of level flight; the voltage in flight, which sags when the thrust rises."""
-        sags = 1.5 * self.thrust_exponent * self.sag_v / voltage_v
-        reserve = 1.0 + (1.0 / effort - 1.0) / (1.0 + sags)
+        return left(effort, self.sags(voltage_v), self.most(voltage_v))
+
+    def sags(self, voltage_v: float) -> float:
+        """Share of the thrust left that the sag of this voltage takes, see above."""
+        return 1.5 * self.thrust_exponent * self.sag_v / voltage_v
+
+    def most(self, voltage_v: float) -> float:
+        """Effort at which the thrust command ends at this voltage; inf: only at full throttle."""
         if self.motor_voltage_max_v is None:
-            return reserve
-        return min(reserve, self.effort(self.motor_voltage_max_v / voltage_v) / effort)
+            return math.inf
+        return self.effort(self.motor_voltage_max_v / voltage_v)
 
     def voltage_v(self, reserve: float) -> float:
         """Voltage in flight from which the reserve is this one; inf: at none."""
@@ -77,7 +84,7 @@ class Reserve:
         least_v = hover_v / self.throttle_max
         voltage_v = least_v
         for _ in range(30):  # a contraction: a step of the voltage changes the sag by a fraction of it
-            sags = 1.5 * self.thrust_exponent * self.sag_v / voltage_v
+            sags = self.sags(voltage_v)
             voltage_v = least_v * math.pow(1.0 + (reserve - 1.0) * (1.0 + sags), 1.0 / self.thrust_exponent)
         return voltage_v
 
@@ -88,9 +95,27 @@ class Reserve:
 
     def up_m_s2(self, reserve: float) -> float:
         """Upward acceleration that may be wanted with this reserve."""
-        return max(LEAST_M_S2, self.share * (reserve - 1.0) * GRAVITY_M_S2)
+        return up_m_s2(reserve, self.share)
 
     def level_m_s2(self, reserve: float) -> float:
         """Horizontal acceleration that may be wanted on x and on y besides: the thrust left over tilts."""
-        lift = reserve / (1.0 + self.share * (reserve - 1.0)) if reserve > 1.0 else 1.0
-        return max(LEAST_M_S2, GRAVITY_M_S2 * math.sqrt(0.5 * (lift * lift - 1.0)))
+        return level_m_s2(reserve, self.share)
+
+
+@numeric
+def left(effort: float, sags: float, most: float) -> float:
+    """Reserve for an effort of level flight, see ``Reserve``."""
+    return min(1.0 + (1.0 / effort - 1.0) / (1.0 + sags), most / effort)
+
+
+@numeric
+def up_m_s2(reserve: float, share: float) -> float:
+    """Upward acceleration that may be wanted."""
+    return max(LEAST_M_S2, share * (reserve - 1.0) * GRAVITY_M_S2)
+
+
+@numeric
+def level_m_s2(reserve: float, share: float) -> float:
+    """Horizontal acceleration that may be wanted on each axis besides."""
+    lift = reserve / (1.0 + share * (reserve - 1.0)) if reserve > 1.0 else 1.0
+    return max(LEAST_M_S2, GRAVITY_M_S2 * math.sqrt(0.5 * (lift * lift - 1.0)))

@@ -20,6 +20,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from flightstack.core.memory import AxisState, OwnMemory
+from flightstack.core.numeric import numeric
 from flightstack.core.parameters.robust import OwnStateLink, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import OwnState, Vec3
@@ -33,6 +34,7 @@ PUSH_TIME_S = 1.0  # between that of the moments, 0.1 s, and that of a tilt, all
 PERIODS = 600  # of the Riccati recursion: 6 s at 100 Hz, many times the slowest time constant
 
 Matrix = list[list[float]]
+Model = tuple[float, float, float, float, float]  # of an axis, see ``OwnEstimator``
 
 
 class Gains(NamedTuple):
@@ -87,6 +89,12 @@ def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gai
 class OwnEstimator:
     """Call ``step`` once a tick, and ``told`` for each set-point; ``memory`` is all that it remembers.
 
+    Attributes:
+        model: of an axis: period of a tick, s, square of its rate, drag, and what a tick leaves of e and f.
+        gains: of the Kalman filter.
+        oldest: which of the set-points on their way the newest sample shows.
+        after: which of them carry it on to now.
+
     Args:
         link: how the own state comes.
         loop: the vehicle's velocity loop.
@@ -95,17 +103,17 @@ class OwnEstimator:
 
     def __init__(self, link: OwnStateLink, loop: VelocityLoop, period_s: float) -> None:
         self.memory = OwnMemory()
-        self._gains = steady_gains(loop, link, period_s)
-        self._period_s, self._delay_s = period_s, link.delay_s
-        self._rate_2_s2, self._drag_1_s = loop.rate_xy_1_s**2, 2.0 * loop.damping * loop.rate_xy_1_s
-        self._push_1_s = loop.rate_xy_1_s / (2.0 * loop.damping)  # push over the disturbance of the velocity
-        self._fades = 1.0 - period_s / link.velocity_error_time_s
-        self._push_fades = 1.0 - period_s / PUSH_TIME_S
-        self._rate_up_1_s, self._most_m_s = 1.0 / link.velocity_error_time_s, link.velocity_error_max_m_s
+        self.gains = steady_gains(loop, link, period_s)
+        self.period_s, self.delay_s = period_s, link.delay_s
+        drag_1_s = 2.0 * loop.damping * loop.rate_xy_1_s
+        fades = 1.0 - period_s / link.velocity_error_time_s
+        self.model: Model = (period_s, loop.rate_xy_1_s**2, drag_1_s, fades, 1.0 - period_s / PUSH_TIME_S)
+        self.push_1_s = loop.rate_xy_1_s / (2.0 * loop.damping)  # push over the disturbance of the velocity
+        self.rate_up_1_s, self.most_m_s = 1.0 / link.velocity_error_time_s, link.velocity_error_max_m_s
         ahead = max(1, round(link.delay_s / period_s))  # ticks from the newest sample to now
-        self._oldest = max(0, KNOWN - 1 - ahead)  # of a longer delay the last set-points stand for all
-        self._after = tuple(max(0, KNOWN - ahead + k) for k in range(ahead))
-        self._gap_max = round(GAP_MAX_S / period_s)
+        self.oldest = max(0, KNOWN - 1 - ahead)  # of a longer delay the last set-points stand for all
+        self.after = tuple(max(0, KNOWN - ahead + k) for k in range(ahead))
+        self.gap_max = round(GAP_MAX_S / period_s)
 
     def step(self, own: OwnState) -> OwnState:
         """Return the state of now from the newest one received."""
@@ -117,26 +125,26 @@ class OwnEstimator:
         elif elapsed_s > 0.0:
             memory.time_s = own.source_time_s
             self._learn(own, elapsed_s)
-        x, y = memory.x, memory.y
-        for k in self._after:
+        x, y, model = memory.x, memory.y, self.model
+        for k in self.after:
             ux, uy, _ = memory.pending[k]
-            x, y = self._moved(x, ux), self._moved(y, uy)
+            x, y = moved(x, ux, model), moved(y, uy, model)
         memory.x_now, memory.y_now = x, y
         (px, vx, *_), (py, vy, *_) = x, y
         z_m, z_m_s = memory.z_m, own.velocity_enu_m_s[2] - memory.z_error_m_s
         return OwnState(
             own.arrival_s,
             own.source_time_s,
-            (px, py, z_m + self._delay_s * z_m_s),
+            (px, py, z_m + self.delay_s * z_m_s),
             (vx, vy, z_m_s),
             own.yaw_rad,
         )
 
     def told(self, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
         """Velocity that the vehicle tells when it flies this one: the set-point to send."""
-        (x, y, z), (mx, my, mz), memory = velocity_m_s, most_m_s, self.memory
-        ex, ey, ez = memory.x_now[3], memory.y_now[3], memory.z_error_m_s
-        memory.sent_m_s = (clip(x + ex, -mx, mx), clip(y + ey, -my, my), clip(z + ez, -mz, mz))
+        memory = self.memory
+        errors_m_s = memory.x_now[3], memory.y_now[3], memory.z_error_m_s
+        memory.sent_m_s = to_be_told(velocity_m_s, errors_m_s, most_m_s)
         return memory.sent_m_s
 
     def forget(self) -> None:
@@ -152,36 +160,68 @@ class OwnEstimator:
         memory.pending = (told, told, told, told)
 
     def _learn(self, own: OwnState, elapsed_s: float) -> None:
-        (px, py, pz), (vx, vy, vz), memory = own.position_enu_m, own.velocity_enu_m_s, self.memory
-        ux, uy, _ = memory.pending[self._oldest]
-        for _ in range(min(self._gap_max, max(1, round(elapsed_s / self._period_s)))):
-            memory.x, memory.y = self._moved(memory.x, ux), self._moved(memory.y, uy)
-        memory.x, memory.y = self._corrected(memory.x, px, vx), self._corrected(memory.y, py, vy)
-        w, most = self._rate_up_1_s, self._most_m_s
-        q, e = memory.z_m + (vz - memory.z_error_m_s) * elapsed_s, memory.z_error_m_s
-        missed = pz - q
-        memory.z_m = q + min(1.0, 2.0 * w * elapsed_s) * missed
-        memory.z_error_m_s = clip(e - w * w * elapsed_s * missed, -most, most)
-
-    def _moved(self, axis: AxisState, u: float) -> AxisState:
-        """A tick later."""
-        t, (p, v, a, e, f) = self._period_s, axis
-        return (
-            p + t * v,
-            v + t * (a + f),
-            a + t * (self._rate_2_s2 * (u - v - e) - self._drag_1_s * a),
-            self._fades * e,
-            self._push_fades * f,
+        (px, py, pz), (vx, vy, vz), memory, model = (
+            own.position_enu_m,
+            own.velocity_enu_m_s,
+            self.memory,
+            self.model,
         )
-
-    def _corrected(self, axis: AxisState, p_m: float, v_m_s: float) -> AxisState:
-        (p, v, a, e, f), most = axis, self._most_m_s
-        (kp, kv, ka, ke, kf), (lp, lv, la, le, lf) = self._gains
-        i, j = p_m - p, v_m_s - v - e
-        e = clip(e + ke * i + le * j, -most, most)
-        return (p + kp * i + lp * j, v + kv * i + lv * j, a + ka * i + la * j, e, f + kf * i + lf * j)
+        ux, uy, _ = memory.pending[self.oldest]
+        for _ in range(min(self.gap_max, max(1, round(elapsed_s / self.period_s)))):
+            memory.x, memory.y = moved(memory.x, ux, model), moved(memory.y, uy, model)
+        memory.x = corrected(memory.x, px, vx, self.gains, self.most_m_s)
+        memory.y = corrected(memory.y, py, vy, self.gains, self.most_m_s)
+        memory.z_m, memory.z_error_m_s = raised(
+            memory.z_m, memory.z_error_m_s, pz, vz, elapsed_s, self.rate_up_1_s, self.most_m_s
+        )
 
     @property
     def disturbance_m_s(self) -> tuple[float, float]:
         """What the push adds to the velocity in the end, on x and y."""
-        return self.memory.x_now[4] / self._push_1_s, self.memory.y_now[4] / self._push_1_s
+        return self.memory.x_now[4] / self.push_1_s, self.memory.y_now[4] / self.push_1_s
+
+
+@numeric
+def moved(axis: AxisState, u_m_s: float, model: Model) -> AxisState:
+    """A tick later, with this set-point."""
+    (p, v, a, e, f), (t, rate_2_s2, drag_1_s, fades, push_fades) = axis, model
+    return (
+        p + t * v,
+        v + t * (a + f),
+        a + t * (rate_2_s2 * (u_m_s - v - e) - drag_1_s * a),
+        fades * e,
+        push_fades * f,
+    )
+
+
+@numeric
+def corrected(axis: AxisState, p_m: float, v_m_s: float, gains: Gains, most_m_s: float) -> AxisState:
+    """With a position and a velocity as they were told; its error is this large at most."""
+    (p, v, a, e, f), ((kp, kv, ka, ke, kf), (lp, lv, la, le, lf)) = axis, gains
+    i, j = p_m - p, v_m_s - v - e
+    e = clip(e + ke * i + le * j, -most_m_s, most_m_s)
+    return (p + kp * i + lp * j, v + kv * i + lv * j, a + ka * i + la * j, e, f + kf * i + lf * j)
+
+
+@numeric
+def raised(
+    z_m: float,
+    error_m_s: float,
+    told_m: float,
+    told_m_s: float,
+    elapsed_s: float,
+    rate_1_s: float,
+    most_m_s: float,
+) -> tuple[float, float]:
+    """Height, and the error of the vertical velocity told, with a height and a velocity as they were told."""
+    q = z_m + (told_m_s - error_m_s) * elapsed_s
+    missed = told_m - q
+    error_m_s = clip(error_m_s - rate_1_s * rate_1_s * elapsed_s * missed, -most_m_s, most_m_s)
+    return q + min(1.0, 2.0 * rate_1_s * elapsed_s) * missed, error_m_s
+
+
+@numeric
+def to_be_told(velocity_m_s: Vec3, errors_m_s: Vec3, most_m_s: Vec3) -> Vec3:
+    """What a vehicle tells, with these errors, that flies this velocity."""
+    (x, y, z), (ex, ey, ez), (mx, my, mz) = velocity_m_s, errors_m_s, most_m_s
+    return (clip(x + ex, -mx, mx), clip(y + ey, -my, my), clip(z + ez, -mz, mz))

@@ -10,13 +10,31 @@ counts, for which the certificate holds.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from flightstack.core.memory import ReserveMemory
-from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve
+from flightstack.core.numeric import numeric
+from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve, left, level_m_s2, up_m_s2
 from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
 
 LEAST_LIFT = 0.1  # of the weight, averaged over seconds: below it the vehicle falls, and nothing is told
 AGE_MAX_S = 3.0  # s; the voltage comes once a second, two may be lost
+
+
+class Told(NamedTuple):
+    """What a vehicle says of its battery and its motors; NaN for what it does not say.
+
+    Attributes:
+        flying: effort by the throttle, where that is of a flight.
+        resting: the same by the voltage.
+        sags: of this voltage.
+        most: likewise.
+    """
+
+    flying: float
+    resting: float
+    sags: float
+    most: float
 
 
 class ReserveEstimate:
@@ -28,6 +46,10 @@ class ReserveEstimate:
         period_s: of a tick.
 
     Attributes:
+        most_m_s2: acceleration of the velocity wanted, with all reserve.
+        share: of a tick in the average.
+        lasting_m_s: velocity that the acceleration of gravity gives in the time of the average.
+        least: reserve with which it is fit to land.
         reserve: largest thrust over weight; NaN while it is not known.
         charge: what the battery is fit for.
         acceleration_max_m_s2: of the velocity wanted, ENU; upwards on z.
@@ -35,9 +57,11 @@ class ReserveEstimate:
 
     def __init__(self, table: Reserve, most_m_s2: Vec3, period_s: float) -> None:
         self.memory = ReserveMemory()
-        self._table, self._most_m_s2 = table, most_m_s2
-        self._share = min(1.0, period_s / table.smoothing_s)
-        self._least = table.at(table.lowest_voltage_v)
+        self._table, self.most_m_s2 = table, most_m_s2
+        self.share = min(1.0, period_s / table.smoothing_s)
+        self.lasting_m_s = table.smoothing_s * GRAVITY_M_S2
+        self._told: tuple[object, Told] = (), Told(math.nan, math.nan, math.nan, math.nan)
+        self.least = table.at(table.lowest_voltage_v)
         self._power: Power | None = None
         self._standing = False
         self.reserve, self.charge = math.nan, Charge.UNKNOWN
@@ -55,24 +79,24 @@ class ReserveEstimate:
             now_s: stack clock.
             flies: it flies our velocities, away from the ground, so that its throttle is that of a flight.
         """
-        memory, table = self.memory, self._table
+        memory = self.memory
         fresh = power is not None and now_s - power.arrival_s <= AGE_MAX_S
         self._power = power if fresh else None
         self._standing = status is None or not status.armed
         if self._standing:
             memory.effort, memory.tired = math.nan, False
-        effort = self._effort(flies)
+        told = self.told(self._power, standing=self._standing)
+        effort = told.flying if flies else told.resting
         if math.isnan(effort):
             self.reserve = math.nan
         else:
             if math.isnan(memory.effort):
                 memory.effort, memory.rise_m_s = effort, rise_m_s
-            memory.effort += self._share * (effort - memory.effort)
-            memory.rise_m_s += (self._share if flies else 1.0) * (rise_m_s - memory.rise_m_s)
-            gained = (rise_m_s - memory.rise_m_s) / (table.smoothing_s * GRAVITY_M_S2)
-            flight_v = self._flight_v()
-            voltage_v = flight_v if flight_v > 0.0 else table.lowest_voltage_v
-            self.reserve = table.left(memory.effort / max(LEAST_LIFT, 1.0 + gained), voltage_v)
+            share, rise_share = self.share, self.share if flies else 1.0
+            memory.effort, memory.rise_m_s, gained = averaged(
+                memory.effort, memory.rise_m_s, effort, rise_m_s, share, rise_share, self.lasting_m_s
+            )
+            self.reserve = left(memory.effort / max(LEAST_LIFT, 1.0 + gained), told.sags, told.most)
         self._judge(status)
         self.acceleration_max_m_s2 = self._allowed()
 
@@ -87,21 +111,30 @@ class ReserveEstimate:
         if self._standing:
             return too_low(table, power.voltage_v)
         return (
-            f"the thrust reserve is {self.reserve:.2f} at {power.voltage_v:.2f} V, {self._least:.2f} needed "
+            f"the thrust reserve is {self.reserve:.2f} at {power.voltage_v:.2f} V, {self.least:.2f} needed "
             f"(reserve.lowest_voltage_v is {table.lowest_voltage_v:g}): change the battery"
         )
 
-    def _effort(self, flies: bool) -> float:
-        """Weight over largest thrust as this tick tells it, upward acceleration not yet taken out."""
-        table, power = self._table, self._power
+    def told(self, power: Power | None, *, standing: bool) -> Told:
+        """What the vehicle says of its battery and its motors, as efforts; asked again it is kept."""
+        known, told = self._told
+        if known != (power, standing):
+            told = self._of(power, standing=standing)
+            self._told = (power, standing), told
+        return told
+
+    def _of(self, power: Power | None, *, standing: bool) -> Told:
+        table, nan = self._table, math.nan
         if power is None:
-            return math.nan
-        if flies and power.throttle > 0.0 and math.isfinite(power.cos_tilt):
-            return table.effort(power.throttle) * power.cos_tilt
-        flight_v = self._flight_v()
-        if not flight_v > 0.0:
-            return math.nan
-        return table.effort(table.hover_throttle * table.hover_voltage_v / flight_v)
+            return Told(nan, nan, nan, nan)
+        flight_v = power.voltage_v - (table.sag_v if standing else 0.0)
+        resting, known_v = nan, table.lowest_voltage_v
+        if flight_v > 0.0:
+            resting, known_v = table.effort(table.hover_throttle * table.hover_voltage_v / flight_v), flight_v
+        flying = resting
+        if power.throttle > 0.0 and math.isfinite(power.cos_tilt):
+            flying = table.effort(power.throttle) * power.cos_tilt
+        return Told(flying, resting, table.sags(known_v), table.most(known_v))
 
     def _flight_v(self) -> float:
         """Voltage in flight, or at rest what will be left of it there; NaN: not told."""
@@ -117,13 +150,12 @@ class ReserveEstimate:
         if self._standing:
             memory.tired = self._flight_v() < table.start_voltage_v
         elif status is not None and status.landed is not Landed.ON_GROUND:  # spinning up, it tells neither
-            memory.tired = memory.tired or self.reserve < self._least
+            memory.tired = memory.tired or self.reserve < self.least
         self.charge = Charge.TIRED if memory.tired else Charge.FIT
 
     def _allowed(self) -> Vec3:
-        reserve = self._least if math.isnan(self.reserve) else self.reserve
-        (x, y, z), level_m_s2 = self._most_m_s2, self._table.level_m_s2(reserve)
-        return (min(x, level_m_s2), min(y, level_m_s2), min(z, self._table.up_m_s2(reserve)))
+        reserve = self.least if math.isnan(self.reserve) else self.reserve
+        return allowed(self.most_m_s2, reserve, self._table.share)
 
 
 def too_low(table: Reserve, voltage_v: float) -> str:
@@ -135,3 +167,21 @@ def too_low(table: Reserve, voltage_v: float) -> str:
         f"the battery has {voltage_v:.2f} V at rest, at least {least_v:.2f} V are needed to land safely "
         "(reserve.lowest_voltage_v + start_margin_v + sag_v): charge or change it"
     )
+
+
+@numeric
+def averaged(
+    effort: float, rise_m_s: float, effort_now: float, rise_now_m_s: float, share: float, rise_share: float,
+    lasting_m_s: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Effort and vertical velocity, averaged, and the share of gravity that was acceleration meanwhile."""
+    effort += share * (effort_now - effort)
+    rise_m_s += rise_share * (rise_now_m_s - rise_m_s)
+    return effort, rise_m_s, (rise_now_m_s - rise_m_s) / lasting_m_s
+
+
+@numeric
+def allowed(most_m_s2: Vec3, reserve: float, share: float) -> Vec3:
+    """Acceleration of the velocity wanted with this reserve."""
+    (x, y, z), level = most_m_s2, level_m_s2(reserve, share)
+    return (min(x, level), min(y, level), min(z, up_m_s2(reserve, share)))
