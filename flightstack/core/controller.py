@@ -135,9 +135,9 @@ class Controller:
         self.strategy = strategy_of(config)
         self._period_s = 1.0 / config.loop.rate_hz
         most, table = self.strategy.acceleration_max_m_s2, config.reserve
-        self._reserve = ReserveEstimate(table, most, self._period_s) if table is not None else None
+        self.reserve_estimate = ReserveEstimate(table, most, self._period_s) if table is not None else None
         self._mission = Mission(
-            config, self.barrier, self.strategy, self.track, self.plausibility, self._reserve
+            config, self.barrier, self.strategy, self.track, self.plausibility, self.reserve_estimate
         )
         self.memory = self._mission.memory
         self.program = self.strategy.program()  # of the landing; an equal form may take its place
@@ -147,7 +147,7 @@ class Controller:
         )
         step = tuple(a * self._period_s for a in most)
         self.slew_step: Vec3 = (step[0], step[1], step[2])
-        self._up_step = math.inf  # besides, m/s
+        self.up_step = math.inf  # besides, m/s
         fleet = config.fleet
         self._fleet = FleetMember(fleet, config.own.position_noise_m) if fleet is not None else None
         lag_s = max(config.velocity_loop.lag_z_s, self._period_s)
@@ -161,7 +161,7 @@ class Controller:
         kind = state_class(self.config)
         if kind is State:
             return State(*known)
-        more = (self._reserve.memory if self._reserve else ReserveMemory(), strategy.own)
+        more = (self.reserve_estimate.memory if self.reserve_estimate else ReserveMemory(), strategy.own)
         return FleetState(*known, *more, self._fleet.memory) if self._fleet else WholeState(*known, *more)
 
     def restore(self, state: State) -> None:
@@ -172,8 +172,8 @@ class Controller:
         self.plausibility.memory = state.plausibility
         if isinstance(state, WholeState):
             self.strategy.own = state.own
-            if self._reserve is not None:
-                self._reserve.memory = state.reserve
+            if self.reserve_estimate is not None:
+                self.reserve_estimate.memory = state.reserve
         if isinstance(state, FleetState) and self._fleet is not None:
             self._fleet.memory = state.fleet
 
@@ -204,8 +204,8 @@ class Controller:
             )
             strategy.observe(own.velocity_enu_m_s, commanding=flown)
         follows, charge = plausibility.follows, Charge.FIT
-        if self._reserve is not None:
-            charge = self._weigh(self._reserve, inputs, now_s)
+        if self.reserve_estimate is not None:
+            charge = self._weigh(self.reserve_estimate, inputs, now_s)
         way, fleet = ALONE, self._fleet
         if fleet is not None:
             events += [Event(WARN, why) for why in fleet.take(inputs.neighbours, now_s)]
@@ -228,7 +228,10 @@ class Controller:
         gate, setpoint, wanted = self._command(asked, snapshot, barrier, active, rows)
         if fleet is not None:
             events += [Event(WARN, text) for text in fleet.crowded(now_s)]
-            why, landed_s = self._reserve.text if self._reserve else "", now_s - memory.phase_since_s
+            why, landed_s = (
+                self.reserve_estimate.text if self.reserve_estimate else "",
+                now_s - memory.phase_since_s,
+            )
             events += [Event(WARN, text) for text in fleet.stays(way, landed_s, why)]
             if placed is not None:
                 own_word = fleet.word(memory, placed, inputs.status, self._base(snapshot), target, now_s)
@@ -245,7 +248,7 @@ class Controller:
             finished=self._finished(inputs.status, now_s),
             target_accepted=self.track.accepted,
             target_rejected=self.track.rejected,
-            reserve=self._reserve.reserve if self._reserve is not None else math.nan,
+            reserve=self.reserve_estimate.reserve if self.reserve_estimate is not None else math.nan,
             own_word=own_word,
         )
 
@@ -263,7 +266,7 @@ class Controller:
         flies = memory.commanding and own is not None and memory.phase is not Phase.TOUCHDOWN
         estimate.step(inputs.power, inputs.status, rise_m_s, now_s, flies=flies)
         x, y, z = strategy.acceleration_max_m_s2 = estimate.acceleration_max_m_s2
-        self.slew_step, self._up_step = (x * t, y * t, self.slew_step[2]), z * t
+        self.slew_step, self.up_step = (x * t, y * t, self.slew_step[2]), z * t
         return estimate.charge
 
     def _take_samples(self, inputs: Inputs) -> list[Event]:
@@ -331,7 +334,7 @@ class Controller:
         mx, my, mz = self.config.limits.velocity_max_m_s
         x, y, z = bx - sx, by - sy, bz - sz
         lower = (x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz)
-        x, y, z = bx + sx, by + sy, bz + (sz if sz < self._up_step else self._up_step)
+        x, y, z = bx + sx, by + sy, bz + (sz if sz < self.up_step else self.up_step)
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def _command(
@@ -359,7 +362,7 @@ class Controller:
             )
         else:
             most = self.config.limits.velocity_max_m_s
-            wanted = slew(self._base(snapshot), limit(asked.velocity, most), self.slew_step, self._up_step)
+            wanted = slew(self._base(snapshot), limit(asked.velocity, most), self.slew_step, self.up_step)
             if rows.rows and self._fleet is not None:  # nothing may collide in any phase
                 wanted = self._fleet.solve(wanted, (), rows, *self._box(snapshot)).velocity_enu_m_s
         least_z_m_s = self._least_z_m_s(snapshot)

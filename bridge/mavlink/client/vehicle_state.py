@@ -125,6 +125,10 @@ class VehicleState:
         if handler is not None:
             handler(message, arrival_s)
 
+    def tilted(self, roll_rad: float, pitch_rad: float) -> None:
+        """Take note of its tilt, to be told with the power."""
+        self._cos_tilt = math.cos(roll_rad) * math.cos(pitch_rad)
+
     def _on_position(self, m: Message, arrival_s: float) -> None:
         time_s: float = m.time_boot_ms * 1e-3
         if not _usable(m.x, m.y, m.z, m.vx, m.vy, m.vz):
@@ -152,7 +156,7 @@ class VehicleState:
             self._yaw_enu_rad = yaw_enu_from_ned(m.yaw)
             self._yaw_time_s = time_s
             if self._watches_power:
-                self._cos_tilt = math.cos(m.roll) * math.cos(m.pitch)
+                self.tilted(m.roll, m.pitch)
 
     def _on_heartbeat(self, m: Message, arrival_s: float) -> None:
         if arrival_s - self._beat_s > _SILENT_S:

@@ -52,7 +52,7 @@ class RobustFilter(Strategy):
         self._tracking = VelocityTracking(
             loop, period_s, config.velocity_feedback, 0.0 if learns else config.own.delay_s
         )
-        self._own = OwnEstimator(config.own, loop, period_s) if learns else None
+        self.own_estimator = OwnEstimator(config.own, loop, period_s) if learns else None
         self.slope = barrier.slope(config.touchdown.pad_radius_m)  # steepest outside the pad
         self._lag_z_s = config.velocity_loop.lag_z_s
         # so that the margin is there in full where judging begins, at the pad's edge
@@ -108,12 +108,12 @@ class RobustFilter(Strategy):
     @property
     def own(self) -> OwnMemory:
         """State of what is learned of the own state."""
-        return self._own.memory if self._own is not None else OwnMemory()
+        return self.own_estimator.memory if self.own_estimator is not None else OwnMemory()
 
     @own.setter
     def own(self, memory: OwnMemory) -> None:
-        if self._own is not None:
-            self._own.memory = memory
+        if self.own_estimator is not None:
+            self.own_estimator.memory = memory
 
     def take(self, sample: TargetSample) -> None:
         """Update the Kalman filter of the target."""
@@ -148,8 +148,8 @@ class RobustFilter(Strategy):
 
     def vehicle(self, own: OwnState) -> OwnState:
         """Moved on by its delay; estimated from all that is known where its velocity is not believed."""
-        if self._own is not None:
-            return self._own.step(own)
+        if self.own_estimator is not None:
+            return self.own_estimator.step(own)
         t, (x, y, z), (vx, vy, vz) = self._config.own.delay_s, own.position_enu_m, own.velocity_enu_m_s
         position = (x + t * vx, y + t * vy, z + t * vz)
         return OwnState(own.arrival_s, own.source_time_s, position, own.velocity_enu_m_s, own.yaw_rad)
@@ -157,13 +157,16 @@ class RobustFilter(Strategy):
     def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
         """Learn the disturbance."""
         self._tracking.observe(velocity_enu_m_s, commanding=commanding)
-        if self._own is None:
+        if self.own_estimator is None:
             return
         if not commanding:
-            self._own.forget()
+            self.own_estimator.forget()
         elif self._config.velocity_feedback.horizontal:
-            memory, (dx, dy) = self._tracking.memory, self._own.disturbance_m_s
-            (_, vx, ax, *_), (_, vy, ay, *_) = self._own.memory.x_now, self._own.memory.y_now
+            memory, (dx, dy) = self._tracking.memory, self.own_estimator.disturbance_m_s
+            (_, vx, ax, *_), (_, vy, ay, *_) = (
+                self.own_estimator.memory.x_now,
+                self.own_estimator.memory.y_now,
+            )
             memory.model_m_s = (vx, vy, memory.model_m_s[2])
             memory.model_m_s2 = (ax, ay, memory.model_m_s2[2])
             memory.disturbance_m_s = (dx, dy, memory.disturbance_m_s[2])
@@ -194,7 +197,7 @@ class RobustFilter(Strategy):
         """
         if self._config.reserve is None:
             return math.inf
-        return math.sqrt(2.0 * BRAKING * self.acceleration_max_m_s2[2] * max(0.0, left_m))
+        return braked_m_s(left_m, self.acceleration_max_m_s2[2])
 
     def program(self) -> Program:
         """The quadratic program."""
@@ -263,7 +266,13 @@ class RobustFilter(Strategy):
         own = snapshot.inputs.own
         velocity = own.velocity_enu_m_s if own is not None else wanted_m_s
         setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s)
-        return setpoint if self._own is None else self._own.told(setpoint, self._most)
+        return setpoint if self.own_estimator is None else self.own_estimator.told(setpoint, self._most)
+
+
+@numeric
+def braked_m_s(left_m: float, acceleration_m_s2: float) -> float:
+    """Descent that half of an upward acceleration ends within a height."""
+    return math.sqrt(2.0 * BRAKING * acceleration_m_s2 * max(0.0, left_m))
 
 
 @numeric

@@ -115,6 +115,10 @@ class ReserveEstimate:
             f"(reserve.lowest_voltage_v is {table.lowest_voltage_v:g}): change the battery"
         )
 
+    def rests_tired(self, power: Power) -> bool:
+        """Whether a battery at rest begins no landing."""
+        return power.voltage_v - self._table.sag_v < self._table.start_voltage_v
+
     def told(self, power: Power | None, *, standing: bool) -> Told:
         """What the vehicle says of its battery and its motors, as efforts; asked again it is kept."""
         known, told = self._told
@@ -136,19 +140,13 @@ class ReserveEstimate:
             flying = table.effort(power.throttle) * power.cos_tilt
         return Told(flying, resting, table.sags(known_v), table.most(known_v))
 
-    def _flight_v(self) -> float:
-        """Voltage in flight, or at rest what will be left of it there; NaN: not told."""
-        if self._power is None:
-            return math.nan
-        return self._power.voltage_v - (self._table.sag_v if self._standing else 0.0)
-
     def _judge(self, status: VehicleStatus | None) -> None:
-        memory, table, power = self.memory, self._table, self._power
+        memory, power = self.memory, self._power
         if power is None or math.isnan(self.reserve):
             self.charge = Charge.TIRED if memory.tired else Charge.UNKNOWN
             return
         if self._standing:
-            memory.tired = self._flight_v() < table.start_voltage_v
+            memory.tired = self.rests_tired(power)
         elif status is not None and status.landed is not Landed.ON_GROUND:  # spinning up, it tells neither
             memory.tired = memory.tired or self.reserve < self.least
         self.charge = Charge.TIRED if memory.tired else Charge.FIT

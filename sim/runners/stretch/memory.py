@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from itertools import chain
 from typing import Any
 
 from flightstack.compiled.records import reader, writer
 from flightstack.core.controller import Controller
+from flightstack.core.memory import ReserveMemory
 from flightstack.core.mission.conditions import LANDED_SETTLE_S
 from flightstack.core.parameters.ends import TouchdownRule
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.strategies.velocity_tracking import FeedbackAxis
+from flightstack.core.target.own_estimator import OwnEstimator
 from flightstack.core.types import OwnState, TargetSample
 from sim.runners.stretch.records import MindRecord, RulesRecord
 
@@ -24,10 +27,7 @@ def suits(config: FlightConfig) -> bool:
     return (
         config.filter in ("robust", "paper")
         and config.fleet is None
-        and config.reserve is None
-        and not config.own.learns
         and config.touchdown.rule is TouchdownRule.CONTACT
-        and config.touchdown.calm_wait_s == 0.0
         and max(config.limits.velocity_max_m_s) <= SPEED_MAX_M_S
         and (config.checks.target_frame, config.checks.target_child_frame) == ("map", "target")
     )
@@ -59,7 +59,13 @@ def set_up_rules(r: RulesRecord, controller: Controller) -> None:
     r.stopped_below_m = strategy.stopped_below_m
     r.sliding_gap_m, r.sliding_radius_m = contact.sliding_gap_m, contact.sliding_radius_m
     r.most[:], r.altitude_max_m = config.limits.velocity_max_m_s, config.limits.altitude_max_m
-    r.step[:] = controller.slew_step
+    r.calm_wait_s, r.calm_speed_m_s = touchdown.calm_wait_s, touchdown.calm_speed_m_s
+    r.calm_height_m, r.calm_gain_1_s = touchdown.calm_height_m, config.position_loop.gain_1_s[2]
+    table, estimate = config.reserve, controller.reserve_estimate
+    if table is not None and estimate is not None:
+        r.weighs, r.reserve_share, r.reserve_lasting_m_s = True, estimate.share, estimate.lasting_m_s
+        r.reserve_least, r.thrust_share = estimate.least, table.share
+        r.reserve_most_m_s2[:] = estimate.most_m_s2
     if isinstance(strategy, RobustFilter):
         _set_up_robust(r, config, strategy)
     else:
@@ -93,6 +99,8 @@ def _set_up_robust(r: RulesRecord, config: FlightConfig, strategy: RobustFilter)
     r.brakes_m_s2 = strategy.brakes_m_s2
     r.commit_height_m, r.commit_speed_m_s = robust.commit_height_m, robust.commit_speed_m_s
     r.commit_radius_m, r.corridor_m = robust.commit_radius_m, robust.corridor_m
+    if strategy.own_estimator is not None:
+        _set_up_own(r, strategy.own_estimator)
     level, _, up = strategy.axes
     r.by_feedback = isinstance(level, FeedbackAxis)
     if isinstance(level, FeedbackAxis):
@@ -100,6 +108,12 @@ def _set_up_robust(r: RulesRecord, config: FlightConfig, strategy: RobustFilter)
     else:
         r.lead_xy[:] = level.numbers
     r.lead_z[:] = up.numbers
+
+
+def _set_up_own(r: RulesRecord, own: OwnEstimator) -> None:
+    r.learns, r.own_model[:], r.own_gains[:] = True, own.model, (*own.gains.position, *own.gains.velocity)
+    r.own_oldest, r.own_ahead, r.own_gap_max = own.oldest, len(own.after), own.gap_max
+    r.own_push_1_s, r.own_rate_up_1_s, r.own_most_m_s = own.push_1_s, own.rate_up_1_s, own.most_m_s
 
 
 class Notebook:
@@ -114,9 +128,11 @@ class Notebook:
         c = self._controller
         memory, track, strategy = c.memory, c.track.memory, c.strategy
         motion, tracking, watched = strategy.motion, strategy.tracking, c.plausibility.memory
-        sample, own = track.last, watched.last
+        sample, own, learned = track.last, watched.last, strategy.own
         assert sample is not None
         assert own is not None
+        estimate = c.reserve_estimate
+        reserve = ReserveMemory() if estimate is None else estimate.memory
         self._write(
             memory.contact_since_s, memory.stopped_since_s, memory.commanding, *memory.command,
             0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
@@ -128,7 +144,10 @@ class Notebook:
             *tracking.slope_m_s2, *tracking.setpoint_m_s, *tracking.model_m_s, *tracking.model_m_s2,
             *tracking.disturbance_m_s,
             own.arrival_s, own.source_time_s, *own.position_enu_m, *own.velocity_enu_m_s, own.yaw_rad,
-            *watched.drift_m, *watched.missed_m, 0.0,
+            *watched.drift_m, *watched.missed_m,
+            learned.time_s, *learned.x, *learned.y, learned.z_m, learned.z_error_m_s, *learned.x_now,
+            *learned.y_now, *learned.sent_m_s, *chain.from_iterable(learned.pending),
+            reserve.effort, reserve.rise_m_s, *c.slew_step, c.up_step, math.inf, 0.0,
         )  # fmt: skip
 
     def read(self, now_s: float, own_yaw_rad: float) -> None:
@@ -146,6 +165,8 @@ class Notebook:
             track.accepted += v[23]
         watched.last = OwnState(v[64], v[65], v[66:69], v[69:72], own_yaw_rad)
         watched.drift_m, watched.missed_m = v[73:76], v[76:79]
+        if c.reserve_estimate is not None:
+            c.reserve_estimate.memory.effort, c.reserve_estimate.memory.rise_m_s = v[117:119]
         if not isinstance(strategy, RobustFilter):
             return  # it remembers nothing of the rest
         motion.time_s, motion.position_enu_m, motion.velocity_enu_m_s = v[24], v[25:28], v[28:31]
@@ -155,3 +176,9 @@ class Notebook:
         motion.covariance_xy, motion.covariance_z = v[37:43], v[43:49]
         tracking.slope_m_s2, tracking.setpoint_m_s, tracking.model_m_s = v[49:52], v[52:55], v[55:58]
         tracking.model_m_s2, tracking.disturbance_m_s = v[58:61], v[61:64]
+        if strategy.own_estimator is not None:
+            own_memory = strategy.own_estimator.memory
+            own_memory.time_s, own_memory.x, own_memory.y = v[79], v[80:85], v[85:90]
+            own_memory.z_m, own_memory.z_error_m_s = v[90:92]
+            own_memory.x_now, own_memory.y_now, own_memory.sent_m_s = v[92:97], v[97:102], v[102:105]
+            own_memory.pending = (v[105:108], v[108:111], v[111:114], v[114:117])

@@ -23,6 +23,7 @@ from flightstack.core.target import plausibility, track
 from flightstack.core.types import Phase, Vec3
 from sim.runners.stretch import paper_mind as paper
 from sim.runners.stretch import robust_mind as robust
+from sim.runners.stretch import vehicle_mind as vehicle
 from sim.runners.stretch.records import MindRecord, RulesRecord
 from sim.runners.stretch.tuples import keep, length, three
 
@@ -125,9 +126,17 @@ def _touches(
 
 
 @jitted
+def _waits_for_calm(p: RulesRecord, e: Vec3, target_m_s: Vec3, now_s: float) -> bool:
+    """``waits_for_calm``."""
+    if p.calm_wait_s == 0.0 or now_s - p.started_s >= p.calm_wait_s:
+        return False
+    return bool(e[2] > p.standing_m and length(target_m_s[0], target_m_s[1]) >= p.calm_speed_m_s)
+
+
+@jitted
 def _leaves_phase(
     p: RulesRecord, m: MindRecord, e: Vec3, d_m: float, slip: tuple[float, float], sigma_m: float,
-    rises: float, pad_rises: float, now_s: float,
+    rises: float, target_m_s: Vec3, now_s: float,
 ) -> bool:  # fmt: skip
     """Whether a rule of the phase may fire."""
     if p.phase == _APPROACH or p.phase == _LAND:
@@ -139,13 +148,18 @@ def _leaves_phase(
             return True
         if p.phase == _APPROACH:
             return False
-        if p.paper:
-            return paper.may_touch(p, e, d_m)
-        return robust.may_touch(p, e, d_m, slip, sigma_m)
+        touches = paper.may_touch(p, e, d_m) if p.paper else robust.may_touch(p, e, d_m, slip, sigma_m)
+        return touches and not _waits_for_calm(p, e, target_m_s, now_s)
     if p.phase == _TOUCHDOWN:
-        if now_s - p.since_s > p.touchdown_time_s or _touches(p, m, e, d_m, slip, rises, pad_rises, now_s):
+        if now_s - p.since_s > p.touchdown_time_s:
             return True
-        if p.paper or _barrier_h(p.alpha_1_m, p.beta_m, e) < p.h_left_m:
+        if _touches(p, m, e, d_m, slip, rises, target_m_s[2], now_s):
+            return True
+        if _barrier_h(p.alpha_1_m, p.beta_m, e) < p.h_left_m:
+            return False
+        if _waits_for_calm(p, e, target_m_s, now_s):
+            return True
+        if p.paper:
             return False
         return bool(robust.leaves_corridor(e, d_m, slip, p.corridor_m, p.drift_time_s))
     return bool(now_s - p.since_s >= p.settle_s)  # LANDED
@@ -164,24 +178,27 @@ def _inside(p: RulesRecord, v: Vec3, altitude_m: float) -> bool:
 
 @jitted
 def _land(
-    p: RulesRecord, e: Vec3, d_m: float, slip: tuple[float, float], sigma_m: float, sigma_z_m: float,
-    base: Vec3, own_m_s: Vec3, target_m_s: Vec3,
+    p: RulesRecord, m: MindRecord, e: Vec3, d_m: float, slip: tuple[float, float], sigma_m: float,
+    sigma_z_m: float, base: Vec3, own_m_s: Vec3, target_m_s: Vec3, now_s: float,
 ) -> tuple[Vec3, bool]:  # fmt: skip
     """Filtered velocity on the way to the pad, and whether the gate's check of the barrier passes it."""
     if p.paper:
         nominal, margin_m = paper.approach(p, e, target_m_s), 0.0
     else:
-        nominal = robust.approach(p, e, d_m, slip, target_m_s, p.phase == _LAND)
+        nominal = robust.approach(p, m, e, d_m, slip, target_m_s, p.phase == _LAND)
         margin_m = robust.margin_m(p, sigma_m, sigma_z_m)
+    if _waits_for_calm(p, e, target_m_s, now_s):
+        up_m_s = target_m_s[2] + p.calm_gain_1_s * (p.calm_height_m - e[2])
+        nominal = (nominal[0], nominal[1], max(nominal[2], up_m_s))
     shape, fade_m = (p.alpha_1_m, p.beta_m, p.smoothing_m), p.margin_fade_m
     h_m, gradient, dh_dt = _evaluated(shape, margin_m, fade_m, e, target_m_s)
-    (bx, by, bz), (sx, sy, sz), (mx, my, mz) = base, three(p.step), three(p.most)
+    (bx, by, bz), (sx, sy, sz), (mx, my, mz) = base, three(m.step), three(p.most)
     x, y, z = bx - sx, by - sy, bz - sz
     lx, ly, lz = x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz
-    x, y, z = bx + sx, by + sy, bz + sz
+    x, y, z = bx + sx, by + sy, bz + (sz if sz < m.up_step else m.up_step)
     upper = (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
     if not p.paper:
-        climb = robust.climb(p, h_m, gradient, bz, own_m_s, target_m_s)
+        climb = robust.climb(p, m, h_m, gradient, bz, own_m_s, target_m_s)
         if climb > lz:
             lz = min(climb, upper[2])
     v, how, _, _ = filtered(p.program, p.rate_1_s, nominal, h_m, gradient, dh_dt, (lx, ly, lz), upper)
@@ -228,17 +245,24 @@ def think(
     target, target_m_s, sigma_m, sigma_z_m = seen
     if not _take_own(p, m, position, velocity, source_s, now_s):
         return PYTHON
+    t = p.own_delay_s
+    if p.learns:
+        (x, y, z), velocity = vehicle.estimated(p, m, position, velocity, source_s)
+    else:
+        x, y, z = position[0] + t * velocity[0], position[1] + t * velocity[1], position[2] + t * velocity[2]
     if not p.paper:
         robust.observe(p, m, velocity)
+    if p.learns:
+        vehicle.observed(p, m)
+    if p.weighs and not vehicle.weighs(p, m, velocity[2], now_s):
+        return PYTHON
     if m.target_age_s > p.target_age_max_s or now_s - p.status_s > p.status_age_max_s or now_s >= p.ends_s:
         return PYTHON
-    t = p.own_delay_s
-    x, y, z = position[0] + t * velocity[0], position[1] + t * velocity[1], position[2] + t * velocity[2]
     e = (x - target[0], y - target[1], z - target[2])
     d_m, slip = length(e[0], e[1]), (velocity[0] - target_m_s[0], velocity[1] - target_m_s[1])
     keep(m.target_position, target)
     keep(m.target_velocity, target_m_s)
-    if _leaves_phase(p, m, e, d_m, slip, sigma_m, velocity[2], target_m_s[2], now_s):
+    if _leaves_phase(p, m, e, d_m, slip, sigma_m, velocity[2], target_m_s, now_s):
         return PYTHON
     if not p.flies:
         m.commanding = False
@@ -249,18 +273,21 @@ def think(
     if p.phase == _TOUCHDOWN:
         ax, ay, _ = _nominal(e, three(p.gain_contact_1_s), target_m_s)
         asked = _limit((ax, ay, target_m_s[2] - p.descent_m_s), most)
-        wanted, kept = _slew(base, asked, three(p.step), math.inf), True
+        wanted, kept = _slew(base, asked, three(m.step), m.up_step), True
         least_z = target_m_s[2] - p.contact_speed_m_s
     else:
-        wanted, kept = _land(p, e, d_m, slip, sigma_m, sigma_z_m, base, velocity, target_m_s)
+        wanted, kept = _land(p, m, e, d_m, slip, sigma_m, sigma_z_m, base, velocity, target_m_s, now_s)
     if not kept:
         return PYTHON
     if p.paper:
         setpoint = paper.setpoint(m, wanted)
     else:
         setpoint = robust.setpoint(p, m, base, wanted, velocity, least_z)
+        if p.learns:
+            setpoint = vehicle.to_be_told(p, m, setpoint)
     if not (_inside(p, wanted, z) and _inside(p, setpoint, z)):
         return PYTHON
     keep(m.command, wanted)
+    keep(m.told, setpoint)
     m.commanding = True
     return SENDS

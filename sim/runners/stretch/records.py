@@ -8,6 +8,7 @@ from flightstack.compiled.program import ProgramRecord
 from flightstack.compiled.records import F64, Record, Vector
 from sim.autopilot.watches import WatchRecord
 
+Five = Annotated[F64, 5]
 Six = Annotated[F64, 6]
 Nine = Annotated[F64, 9]
 Thirteen = Annotated[F64, 13]
@@ -56,7 +57,23 @@ class MindRecord(Record):
     own_yaw: float
     drift: Vector
     missed: Vector
+    # what is learned of the own state
+    own_time_s: float
+    own_x: Five
+    own_y: Five
+    own_z_m: float
+    own_z_error_m_s: float
+    own_x_now: Five
+    own_y_now: Five
+    told: Vector  # set-point as it is sent
+    pending: Annotated[F64, 12]
+    # thrust reserve
+    effort: float
+    rise_m_s: float
     # of this tick
+    step: Vector  # by which the velocity wanted may change
+    up_step: float  # besides, upwards
+    rises_m_s2: float  # upward acceleration that is left
     target_age_s: float
 
 
@@ -74,6 +91,15 @@ class RulesRecord(Record):
     paper: bool  # the paper's filter, else the robust one
     period_s: float
     own_age_max_s: float
+    learns: bool  # of the own state
+    own_model: Five
+    own_gains: Annotated[F64, 10]
+    own_oldest: int
+    own_ahead: int
+    own_gap_max: int
+    own_push_1_s: float
+    own_rate_up_1_s: float
+    own_most_m_s: float
     own_delay_s: float
     own_noise_m: float
     drift_memory_s: float
@@ -132,13 +158,28 @@ class RulesRecord(Record):
     sliding_gap_m: float
     sliding_radius_m: float
     most: Vector
-    step: Vector
     altitude_max_m: float
     yaw_rad: float
     by_feedback: bool
     lead_xy: Nine
     lead_z: Nine
     feedback: Thirteen
+    calm_wait_s: float
+    calm_speed_m_s: float
+    calm_height_m: float
+    calm_gain_1_s: float
+    # the thrust reserve, and what the vehicle told of its power last
+    weighs: bool
+    reserve_share: float
+    reserve_lasting_m_s: float
+    reserve_least: float
+    thrust_share: float
+    reserve_most_m_s2: Vector
+    power_s: float
+    effort_flying: float
+    effort_resting: float
+    reserve_sags: float
+    reserve_most: float
     # the vehicle's autopilot
     yaw_told_rad: float  # heading as it arrives there
     cos_yaw: float

@@ -18,7 +18,7 @@ from sim.runners.stretch.tuples import keep, length, nine, six, thirteen, three
 
 _height_left, _least_climb = twin(robust.height_left, jitted), twin(robust.least_climb, jitted)
 _approach, _ahead = twin(robust.approach, jitted), twin(robust.height_ahead, jitted)
-_commits = twin(robust.commits, jitted)
+_commits, _braked = twin(robust.commits, jitted), twin(robust.braked_m_s, jitted)
 is_stopped, leaves_corridor = twin(robust.is_stopped, jitted), twin(robust.leaves_corridor, jitted)
 _lead_observed = twin(velocity_tracking.lead_observed, jitted)
 _lead_commanded = twin(velocity_tracking.lead_commanded, jitted)
@@ -102,24 +102,36 @@ def margin_m(p: RulesRecord, sigma_m: float, sigma_z_m: float) -> float:
 
 
 @jitted
+def _braked_m_s(p: RulesRecord, m: MindRecord, left_m: float) -> float:
+    """``RobustFilter._braked_m_s``."""
+    if not p.weighs:
+        return math.inf
+    most_m_s: float = _braked(left_m, m.rises_m_s2)
+    return most_m_s
+
+
+@jitted
 def approach(
-    p: RulesRecord, e: Vec3, d_m: float, slip: tuple[float, float], target_m_s: Vec3, over_pad: bool
-) -> Vec3:
+    p: RulesRecord, m: MindRecord, e: Vec3, d_m: float, slip: tuple[float, float], target_m_s: Vec3,
+    over_pad: bool,
+) -> Vec3:  # fmt: skip
     """To a place low above the pad."""
     above_m = e[2] - p.wait_height_m - _ahead(e, d_m, slip, p.brakes_m_s2, p.alpha_1_m, p.beta_m)
     over_1_s = p.gain_over_1_s if over_pad else p.gain_1_s
-    most_m_s, least_m_s = p.descent_max_m_s, p.descent_min_m_s
+    most_m_s, least_m_s = min(p.descent_max_m_s, _braked_m_s(p, m, above_m)), p.descent_min_m_s
     wanted: Vec3 = _approach(e, above_m, over_1_s, p.gain_1_s, target_m_s, most_m_s, least_m_s)
     return wanted
 
 
 @jitted
 def climb(
-    p: RulesRecord, h_m: float, gradient: Vec3, before_z_m_s: float, own_m_s: Vec3, target_m_s: Vec3
-) -> float:
+    p: RulesRecord, m: MindRecord, h_m: float, gradient: Vec3, before_z_m_s: float, own_m_s: Vec3,
+    target_m_s: Vec3,
+) -> float:  # fmt: skip
     """Least vertical velocity."""
     left_m = _height_left(h_m, p.lag_z_s, own_m_s[2], before_z_m_s)
-    least_m_s: float = _least_climb(gradient, own_m_s, target_m_s, p.rate_1_s * left_m)
+    sinks_m_s = min(p.rate_1_s * left_m, _braked_m_s(p, m, left_m))
+    least_m_s: float = _least_climb(gradient, own_m_s, target_m_s, sinks_m_s)
     return least_m_s
 
 

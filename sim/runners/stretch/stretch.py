@@ -6,7 +6,12 @@ import math
 
 import numpy as np
 
-from bridge.frames import yaw_enu_from_ned, yaw_ned_from_enu
+from bridge.frames import (
+    euler_from_quaternion,
+    ned_frd_from_enu_flu,
+    yaw_enu_from_ned,
+    yaw_ned_from_enu,
+)
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.server.profile import FlightMode
@@ -89,6 +94,10 @@ class Stretch:
         self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
         self._watches, self._watch_book = node.autopilot.flight.watches, WatchBook(self._rules.watch)
         self._phase = scalars(self._rules, "phase", "flies", "armed", "standing", "supervisor")
+        self._weighed, self._tired = controller.reserve_estimate, False
+        self._power = scalars(
+            self._rules, "power_s", "effort_flying", "effort_resting", "reserve_sags", "reserve_most"
+        )
         self._began = scalars(self._rules, "since_s", "started_s")
         self._heeded = link.heeded
         self._yaw_rad: float | None = None
@@ -112,7 +121,7 @@ class Stretch:
             until_s = self._quiet_until_s(tick) if self._speak(tick) else None
         if until_s is None:
             return 0
-        if self._prepare():
+        if self._prepare() and self._weigh():
             self._notebook.write()
             while until_s is not None:
                 flown, how = self._call(tick + done, until_s)
@@ -120,10 +129,12 @@ class Stretch:
                 if how == BEFORE or flown == 0:
                     break
                 until_s = self._quiet_until_s(tick + done)
-                if until_s is None and self._speak(tick + done):
+                if until_s is None and self._speak(tick + done) and self._weigh():
                     until_s = self._quiet_until_s(tick + done)
             if done:
                 self._notebook.read(self._grid.ns(tick + done - 1) / 1e9, float(self._told[6]))
+                if self._weighed is not None and not self._flies:
+                    self._weighed.memory.tired = self._tired
         self._wait = 1 if done else min(2 * self._wait, _BACK_OFF)
         self._next = tick + done + self._wait
         return done
@@ -150,6 +161,11 @@ class Stretch:
         messages = node.autopilot.brief(now_s, self._heeded)
         if messages is None:
             return False
+        if self._weighed is not None:  # the attitude of this tick, which it tells with its power
+            roll_rad, pitch_rad, _ = euler_from_quaternion(
+                ned_frd_from_enu_flu(node.vehicle.estimate().quaternion)
+            )
+            self._link.state.tilted(narrow(roll_rad), narrow(pitch_rad))
         node.endpoint.send(messages)
         if not self._link.hear(now_s):
             return False
@@ -197,6 +213,18 @@ class Stretch:
         if clip is not None and clip != self._clip:
             self._clip = clip
             rules.speeds[:] = clip
+        return True
+
+    def _weigh(self) -> bool:
+        """Write down what the vehicle has told of its power; False where only Python knows what to do."""
+        estimate, power = self._weighed, self._link.power
+        if estimate is None:
+            return True
+        if power is None or (self._flies and estimate.memory.tired):
+            return False
+        told, self._tired = estimate.told(power, standing=not self._flies), estimate.rests_tired(power)
+        for view, number in zip(self._power, (power.arrival_s, *told), strict=True):
+            view[0] = number
         return True
 
     def _call(self, tick: int, until_s: float) -> tuple[int, int]:

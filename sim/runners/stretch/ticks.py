@@ -203,7 +203,7 @@ def fly_ticks(
         does = think(p, m, position, velocity, source_s, samples, done_samples, come[n], now_s)
         if does == PYTHON:
             return BEFORE, n
-        setpoint = _narrow3(three(m.setpoint))
+        setpoint = _narrow3(three(m.told))
         if does == SENDS and not _flyable(p, setpoint):
             return BEFORE, n
         copy(spare, mind)

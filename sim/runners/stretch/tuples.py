@@ -29,6 +29,12 @@ def keep(into: F64, v: Vec3) -> None:
 
 
 @jitted
+def five(v: F64) -> tuple[float, float, float, float, float]:
+    """Five numbers of an array as a tuple."""
+    return (v[0], v[1], v[2], v[3], v[4])
+
+
+@jitted
 def six(v: F64) -> tuple[float, float, float, float, float, float]:
     """Six numbers of an array as a tuple."""
     return (v[0], v[1], v[2], v[3], v[4], v[5])

@@ -264,7 +264,7 @@ def test_restored_from_its_text_it_goes_on_to_the_bit():
     for _ in range(100):
         inputs, now_s = world.inputs(), world.t_s
         assert again.step(inputs, now_s).wanted == world.step().wanted
-        assert again._reserve.memory == world.controller._reserve.memory
+        assert again.reserve_estimate.memory == world.controller.reserve_estimate.memory
 
 
 def test_without_the_table_battery_and_throttle_change_nothing():

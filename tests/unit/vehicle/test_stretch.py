@@ -51,7 +51,7 @@ def assert_equal(scenario, seed, least, *parameters):
 
 
 @pytest.mark.parametrize(("filter_name", "least"), [("robust", 0.8), ("paper", 0.7)])
-@pytest.mark.parametrize(("name", "seed"), [("field", 3), ("lab", 4), ("storm", 5), ("deck", 6)])
+@pytest.mark.parametrize(("name", "seed"), [("field", 3), ("lab", 4), ("storm", 5), ("deck", 6), ("room", 7)])
 def test_a_landing_in_stretches_is_the_same_to_the_last_bit(name, seed, filter_name, least):
     assert_equal(load(name).with_filter(filter_name), seed, least)
 
@@ -85,7 +85,16 @@ def test_from_the_ground_at_another_rate():
     assert_equal(replace(field, start=Start(ground_position_m=(-1.2, 0.3)), onboard=config), 1, 0.3)
 
 
-@pytest.mark.parametrize("name", ["room", "paper_moving_1", "fault_motor_dead"])
+def test_a_thrust_reserve_that_ends_in_a_stretch_is_seen_at_the_same_tick():
+    room = load("room")
+    reserve = replace(room.onboard.reserve, lowest_voltage_v=3.12, start_margin_v=0.0)
+    vehicle = replace(room.vehicle, battery_charge=(0.1, 0.1), hover_reserve=0.0)
+    tired = replace(room, vehicle=vehicle, onboard=replace(room.onboard, reserve=reserve))
+    (ends,) = [event for event in assert_equal(tired, 6, 0.05).events if "battery is too low" in event.text]
+    assert ends.t_s > 1.0
+
+
+@pytest.mark.parametrize("name", ["paper_moving_1", "fault_motor_dead"])
 def test_what_a_stretch_does_not_know_is_flown_tick_by_tick(name):
     assert Companion(load(name), 0).stretch is None
 
