@@ -17,7 +17,9 @@ from sim.campaign.workers import prepare
 from sim.runners.landing import land
 from sim.scenarios.scenario import Scenario, load
 
-NAMES = [f"{tier}_{kind}" for tier in ("lab", "field", "storm", "deck") for kind in ("robust", "paper")]
+NAMES = [
+    f"{tier}_{kind}" for tier in ("lab", "room", "field", "storm", "deck") for kind in ("robust", "paper")
+]
 
 
 @cache
