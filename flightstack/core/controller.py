@@ -147,7 +147,7 @@ class Controller:
         )
         step = tuple(a * self._period_s for a in most)
         self.slew_step: Vec3 = (step[0], step[1], step[2])
-        self.up_step = math.inf  # besides, m/s
+        self.up_step_m_s = math.inf  # besides, upwards
         fleet = config.fleet
         self._fleet = FleetMember(fleet, config.own.position_noise_m) if fleet is not None else None
         lag_s = max(config.velocity_loop.lag_z_s, self._period_s)
@@ -228,11 +228,8 @@ class Controller:
         gate, setpoint, wanted = self._command(asked, snapshot, barrier, active, rows)
         if fleet is not None:
             events += [Event(WARN, text) for text in fleet.crowded(now_s)]
-            why, landed_s = (
-                self.reserve_estimate.text if self.reserve_estimate else "",
-                now_s - memory.phase_since_s,
-            )
-            events += [Event(WARN, text) for text in fleet.stays(way, landed_s, why)]
+            why = self.reserve_estimate.text if self.reserve_estimate else ""
+            events += [Event(WARN, text) for text in fleet.stays(way, now_s - memory.phase_since_s, why)]
             if placed is not None:
                 own_word = fleet.word(memory, placed, inputs.status, self._base(snapshot), target, now_s)
         return Outputs(
@@ -266,7 +263,7 @@ class Controller:
         flies = memory.commanding and own is not None and memory.phase is not Phase.TOUCHDOWN
         estimate.step(inputs.power, inputs.status, rise_m_s, now_s, flies=flies)
         x, y, z = strategy.acceleration_max_m_s2 = estimate.acceleration_max_m_s2
-        self.slew_step, self.up_step = (x * t, y * t, self.slew_step[2]), z * t
+        self.slew_step, self.up_step_m_s = (x * t, y * t, self.slew_step[2]), z * t
         return estimate.charge
 
     def _take_samples(self, inputs: Inputs) -> list[Event]:
@@ -334,7 +331,7 @@ class Controller:
         mx, my, mz = self.config.limits.velocity_max_m_s
         x, y, z = bx - sx, by - sy, bz - sz
         lower = (x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz)
-        x, y, z = bx + sx, by + sy, bz + (sz if sz < self.up_step else self.up_step)
+        x, y, z = bx + sx, by + sy, bz + (sz if sz < self.up_step_m_s else self.up_step_m_s)
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def _command(
@@ -362,7 +359,7 @@ class Controller:
             )
         else:
             most = self.config.limits.velocity_max_m_s
-            wanted = slew(self._base(snapshot), limit(asked.velocity, most), self.slew_step, self.up_step)
+            wanted = slew(self._base(snapshot), limit(asked.velocity, most), self.slew_step, self.up_step_m_s)
             if rows.rows and self._fleet is not None:  # nothing may collide in any phase
                 wanted = self._fleet.solve(wanted, (), rows, *self._box(snapshot)).velocity_enu_m_s
         least_z_m_s = self._least_z_m_s(snapshot)

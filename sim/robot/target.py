@@ -305,7 +305,7 @@ class TargetOdometry:
         def worsen(n: int) -> None:
             values[n] = self._measured(pads[n].tolist())
 
-        times_ns = [int(ns) for ns in pads[:, 0].tolist()]
+        times_ns = pads[:, 0].astype(np.int64).tolist()
         arrived, samples = self.channel.run(times_ns, values, None if self._error is None else worsen)
         _finish(samples)
         return arrived, samples
@@ -325,9 +325,9 @@ def _finish(samples: F64) -> None:
         sample[4] = wrap(sample[4])
 
 
-def measurement(numbers: Sequence[float]) -> TargetMeasurement:
+def measurement(row: Sequence[float]) -> TargetMeasurement:
     """From its nine numbers."""
-    time_s, x, y, z, yaw, vx, vy, vz, rate = numbers
+    time_s, x, y, z, yaw, vx, vy, vz, rate = row
     return TargetMeasurement(time_s, (x, y, z), yaw, (vx, vy, vz), rate)
 
 

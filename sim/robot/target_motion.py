@@ -120,14 +120,13 @@ class TargetMotion:
             sample was released; and (m, 9) the numbers of these. ``due`` is left empty.
         """
         steps = ticks * self._substeps
-        due, self.due = [(0, sample) for sample in self.due], []
-        if not due and self.faults.quiet_until(self.model.pad[0] + steps * round(self._step_s * NS)):
+        if not self.due and self.faults.quiet_until(self.model.pad[0] + steps * round(self._step_s * NS)):
             pads = self.model.run(steps, self._step_s, driving)
             self.tick += ticks
             at, samples = self._odometry.run(pads)
             every = self._substeps
             return np.ascontiguousarray(pads[every - 1 :: every]), [n // every for n in at], samples
-        pads = np.empty((ticks, len(self.model.pad)))
+        pads, due = np.empty((ticks, len(self.model.pad))), []
         for n in range(ticks):
             self.step(driving)
             pads[n] = self.model.pad

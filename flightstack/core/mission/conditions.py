@@ -13,6 +13,7 @@ from typing import NamedTuple
 from flightstack.core.fleet.precedence import Way
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import C, Condition, Rule
+from flightstack.core.numeric import hypot, numeric
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative, Snapshot
@@ -221,11 +222,20 @@ def _sets_off(config: FlightConfig, barrier: Barrier, memory: Memory, at: Relati
 
 def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: float) -> bool:
     """Whether the target is fast now and may be slower soon; a vehicle that is on the pad already stays."""
-    touchdown, (vx, vy, _) = config.touchdown, at.target.velocity_enu_m_s
-    if touchdown.calm_wait_s == 0.0 or now_s - memory.started_s >= touchdown.calm_wait_s:
+    touchdown = config.touchdown
+    standing_m, wait_s = touchdown.feet_below_reference_m + config.contact.gap_m, touchdown.calm_wait_s
+    speed_m_s, velocity_m_s = touchdown.calm_speed_m_s, at.target.velocity_enu_m_s
+    return waits(now_s - memory.started_s, at.e_m[2], velocity_m_s, wait_s, standing_m, speed_m_s)
+
+
+@numeric
+def waits(
+    waited_s: float, above_m: float, target_m_s: Vec3, wait_s: float, standing_m: float, speed_m_s: float
+) -> bool:
+    """``waits_for_calm`` of a vehicle so high above the pad; ``speed_m_s`` is that of a calm target."""
+    if wait_s == 0.0 or waited_s >= wait_s:
         return False
-    on_pad = at.e_m[2] <= touchdown.feet_below_reference_m + config.contact.gap_m
-    return not on_pad and math.hypot(vx, vy) >= touchdown.calm_speed_m_s
+    return above_m > standing_m and hypot(target_m_s[0], target_m_s[1]) >= speed_m_s
 
 
 class Known(NamedTuple):

@@ -92,8 +92,7 @@ class OwnEstimator:
     Attributes:
         model: of an axis: period of a tick, s, square of its rate, drag, and what a tick leaves of e and f.
         gains: of the Kalman filter.
-        oldest: which of the set-points on their way the newest sample shows.
-        after: which of them carry it on to now.
+        ahead: ticks from the newest sample to now.
 
     Args:
         link: how the own state comes.
@@ -110,9 +109,7 @@ class OwnEstimator:
         self.model: Model = (period_s, loop.rate_xy_1_s**2, drag_1_s, fades, 1.0 - period_s / PUSH_TIME_S)
         self.push_1_s = loop.rate_xy_1_s / (2.0 * loop.damping)  # push over the disturbance of the velocity
         self.rate_up_1_s, self.most_m_s = 1.0 / link.velocity_error_time_s, link.velocity_error_max_m_s
-        ahead = max(1, round(link.delay_s / period_s))  # ticks from the newest sample to now
-        self.oldest = max(0, KNOWN - 1 - ahead)  # of a longer delay the last set-points stand for all
-        self.after = tuple(max(0, KNOWN - ahead + k) for k in range(ahead))
+        self.ahead = max(1, round(link.delay_s / period_s))
         self.gap_max = round(GAP_MAX_S / period_s)
 
     def step(self, own: OwnState) -> OwnState:
@@ -126,8 +123,8 @@ class OwnEstimator:
             memory.time_s = own.source_time_s
             self._learn(own, elapsed_s)
         x, y, model = memory.x, memory.y, self.model
-        for k in self.after:
-            ux, uy, _ = memory.pending[k]
+        for k in range(self.ahead):
+            ux, uy, _ = memory.pending[on_its_way(self.ahead, k)]
             x, y = moved(x, ux, model), moved(y, uy, model)
         memory.x_now, memory.y_now = x, y
         (px, vx, *_), (py, vy, *_) = x, y
@@ -160,25 +157,35 @@ class OwnEstimator:
         memory.pending = (told, told, told, told)
 
     def _learn(self, own: OwnState, elapsed_s: float) -> None:
-        (px, py, pz), (vx, vy, vz), memory, model = (
-            own.position_enu_m,
-            own.velocity_enu_m_s,
-            self.memory,
-            self.model,
-        )
-        ux, uy, _ = memory.pending[self.oldest]
-        for _ in range(min(self.gap_max, max(1, round(elapsed_s / self.period_s)))):
-            memory.x, memory.y = moved(memory.x, ux, model), moved(memory.y, uy, model)
-        memory.x = corrected(memory.x, px, vx, self.gains, self.most_m_s)
-        memory.y = corrected(memory.y, py, vy, self.gains, self.most_m_s)
+        (px, py, pz), (vx, vy, vz), memory = own.position_enu_m, own.velocity_enu_m_s, self.memory
+        ux, uy, _ = memory.pending[on_its_way(self.ahead, -1)]
+        ticks = ticks_of(elapsed_s, self.period_s, self.gap_max)
+        model, gains, most_m_s = self.model, self.gains, self.most_m_s
+        memory.x = learned(memory.x, ux, ticks, model, px, vx, gains, most_m_s)
+        memory.y = learned(memory.y, uy, ticks, model, py, vy, gains, most_m_s)
         memory.z_m, memory.z_error_m_s = raised(
-            memory.z_m, memory.z_error_m_s, pz, vz, elapsed_s, self.rate_up_1_s, self.most_m_s
+            memory.z_m, memory.z_error_m_s, pz, vz, elapsed_s, self.rate_up_1_s, most_m_s
         )
 
     @property
     def disturbance_m_s(self) -> tuple[float, float]:
         """What the push adds to the velocity in the end, on x and y."""
         return self.memory.x_now[4] / self.push_1_s, self.memory.y_now[4] / self.push_1_s
+
+
+@numeric
+def on_its_way(ahead: int, k: int) -> int:
+    """Which of the set-points kept is flown k ticks after the newest sample, -1 for the one that it shows.
+
+    Of a delay longer than they reach the oldest one stands for all before it.
+    """
+    return max(0, KNOWN - ahead + k)
+
+
+@numeric
+def ticks_of(elapsed_s: float, period_s: float, most: int) -> int:
+    """Ticks in a time between samples, one at least."""
+    return min(most, max(1, round(elapsed_s / period_s)))
 
 
 @numeric
@@ -195,8 +202,13 @@ def moved(axis: AxisState, u_m_s: float, model: Model) -> AxisState:
 
 
 @numeric
-def corrected(axis: AxisState, p_m: float, v_m_s: float, gains: Gains, most_m_s: float) -> AxisState:
-    """With a position and a velocity as they were told; its error is this large at most."""
+def learned(
+    axis: AxisState, u_m_s: float, ticks: int, model: Model, p_m: float, v_m_s: float, gains: Gains,
+    most_m_s: float,
+) -> AxisState:  # fmt: skip
+    """Some ticks later, with a position and a velocity as they were told; its error is this large at most."""
+    for _ in range(ticks):
+        axis = moved(axis, u_m_s, model)
     (p, v, a, e, f), ((kp, kv, ka, ke, kf), (lp, lv, la, le, lf)) = axis, gains
     i, j = p_m - p, v_m_s - v - e
     e = clip(e + ke * i + le * j, -most_m_s, most_m_s)

@@ -93,10 +93,10 @@ class ReserveEstimate:
             if math.isnan(memory.effort):
                 memory.effort, memory.rise_m_s = effort, rise_m_s
             share, rise_share = self.share, self.share if flies else 1.0
-            memory.effort, memory.rise_m_s, gained = averaged(
-                memory.effort, memory.rise_m_s, effort, rise_m_s, share, rise_share, self.lasting_m_s
-            )
-            self.reserve = left(memory.effort / max(LEAST_LIFT, 1.0 + gained), told.sags, told.most)
+            memory.effort, memory.rise_m_s, self.reserve = estimated(
+                memory.effort, memory.rise_m_s, effort, rise_m_s, share, rise_share, self.lasting_m_s,
+                told.sags, told.most,
+            )  # fmt: skip
         self._judge(status)
         self.acceleration_max_m_s2 = self._allowed()
 
@@ -114,10 +114,6 @@ class ReserveEstimate:
             f"the thrust reserve is {self.reserve:.2f} at {power.voltage_v:.2f} V, {self.least:.2f} needed "
             f"(reserve.lowest_voltage_v is {table.lowest_voltage_v:g}): change the battery"
         )
-
-    def rests_tired(self, power: Power) -> bool:
-        """Whether a battery at rest begins no landing."""
-        return power.voltage_v - self._table.sag_v < self._table.start_voltage_v
 
     def told(self, power: Power | None, *, standing: bool) -> Told:
         """What the vehicle says of its battery and its motors, as efforts; asked again it is kept."""
@@ -141,12 +137,12 @@ class ReserveEstimate:
         return Told(flying, resting, table.sags(known_v), table.most(known_v))
 
     def _judge(self, status: VehicleStatus | None) -> None:
-        memory, power = self.memory, self._power
+        memory, table, power = self.memory, self._table, self._power
         if power is None or math.isnan(self.reserve):
             self.charge = Charge.TIRED if memory.tired else Charge.UNKNOWN
             return
         if self._standing:
-            memory.tired = self.rests_tired(power)
+            memory.tired = power.voltage_v - table.sag_v < table.start_voltage_v
         elif status is not None and status.landed is not Landed.ON_GROUND:  # spinning up, it tells neither
             memory.tired = memory.tired or self.reserve < self.least
         self.charge = Charge.TIRED if memory.tired else Charge.FIT
@@ -168,14 +164,15 @@ def too_low(table: Reserve, voltage_v: float) -> str:
 
 
 @numeric
-def averaged(
+def estimated(
     effort: float, rise_m_s: float, effort_now: float, rise_now_m_s: float, share: float, rise_share: float,
-    lasting_m_s: float,
+    lasting_m_s: float, sags: float, most: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Effort and vertical velocity, averaged, and the share of gravity that was acceleration meanwhile."""
+    """Averages of effort and vertical velocity after this tick, and the reserve."""
     effort += share * (effort_now - effort)
     rise_m_s += rise_share * (rise_now_m_s - rise_m_s)
-    return effort, rise_m_s, (rise_now_m_s - rise_m_s) / lasting_m_s
+    gained = (rise_now_m_s - rise_m_s) / lasting_m_s  # share of gravity that was acceleration meanwhile
+    return effort, rise_m_s, left(effort / max(LEAST_LIFT, 1.0 + gained), sags, most)
 
 
 @numeric

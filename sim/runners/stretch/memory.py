@@ -112,7 +112,7 @@ def _set_up_robust(r: RulesRecord, config: FlightConfig, strategy: RobustFilter)
 
 def _set_up_own(r: RulesRecord, own: OwnEstimator) -> None:
     r.learns, r.own_model[:], r.own_gains[:] = True, own.model, (*own.gains.position, *own.gains.velocity)
-    r.own_oldest, r.own_ahead, r.own_gap_max = own.oldest, len(own.after), own.gap_max
+    r.own_ahead, r.own_gap_max = own.ahead, own.gap_max
     r.own_push_1_s, r.own_rate_up_1_s, r.own_most_m_s = own.push_1_s, own.rate_up_1_s, own.most_m_s
 
 
@@ -147,7 +147,7 @@ class Notebook:
             *watched.drift_m, *watched.missed_m,
             learned.time_s, *learned.x, *learned.y, learned.z_m, learned.z_error_m_s, *learned.x_now,
             *learned.y_now, *learned.sent_m_s, *chain.from_iterable(learned.pending),
-            reserve.effort, reserve.rise_m_s, *c.slew_step, c.up_step, math.inf, 0.0,
+            reserve.effort, reserve.rise_m_s, *c.slew_step, c.up_step_m_s, 0.0, 0.0,
         )  # fmt: skip
 
     def read(self, now_s: float, own_yaw_rad: float) -> None:

@@ -13,6 +13,7 @@ import math
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.program import HOPELESS, NONE, filtered
 from flightstack.compiled.records import F64
+from flightstack.core.mission import conditions
 from flightstack.core.mission.conditions import OVER_PAD_LEFT
 from flightstack.core.mission.machine import SLIDING_TIME_S
 from flightstack.core.numeric import twin
@@ -37,6 +38,7 @@ _nominal = twin(position_loop.nominal_velocity, jitted)
 _robust_h, _bound = twin(robust_barrier.robust_h, jitted), twin(robust_barrier.robust_bound, jitted)
 _evaluated = twin(robust_barrier.robust_evaluated, jitted)
 _barrier_h = twin(barrier_h, jitted)
+_waits = twin(conditions.waits, jitted)
 _strayed2 = twin(track.strayed2_m2, jitted)
 _drifted, _missed = twin(plausibility.drifted, jitted), twin(plausibility.missed, jitted)
 
@@ -128,9 +130,8 @@ def _touches(
 @jitted
 def _waits_for_calm(p: RulesRecord, e: Vec3, target_m_s: Vec3, now_s: float) -> bool:
     """``waits_for_calm``."""
-    if p.calm_wait_s == 0.0 or now_s - p.started_s >= p.calm_wait_s:
-        return False
-    return bool(e[2] > p.standing_m and length(target_m_s[0], target_m_s[1]) >= p.calm_speed_m_s)
+    waited_s = now_s - p.started_s
+    return bool(_waits(waited_s, e[2], target_m_s, p.calm_wait_s, p.standing_m, p.calm_speed_m_s))
 
 
 @jitted
@@ -195,7 +196,7 @@ def _land(
     (bx, by, bz), (sx, sy, sz), (mx, my, mz) = base, three(m.step), three(p.most)
     x, y, z = bx - sx, by - sy, bz - sz
     lx, ly, lz = x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz
-    x, y, z = bx + sx, by + sy, bz + (sz if sz < m.up_step else m.up_step)
+    x, y, z = bx + sx, by + sy, bz + (sz if sz < m.up_step_m_s else m.up_step_m_s)
     upper = (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
     if not p.paper:
         climb = robust.climb(p, m, h_m, gradient, bz, own_m_s, target_m_s)
@@ -245,10 +246,10 @@ def think(
     target, target_m_s, sigma_m, sigma_z_m = seen
     if not _take_own(p, m, position, velocity, source_s, now_s):
         return PYTHON
-    t = p.own_delay_s
     if p.learns:
         (x, y, z), velocity = vehicle.estimated(p, m, position, velocity, source_s)
     else:
+        t = p.own_delay_s
         x, y, z = position[0] + t * velocity[0], position[1] + t * velocity[1], position[2] + t * velocity[2]
     if not p.paper:
         robust.observe(p, m, velocity)
@@ -273,7 +274,7 @@ def think(
     if p.phase == _TOUCHDOWN:
         ax, ay, _ = _nominal(e, three(p.gain_contact_1_s), target_m_s)
         asked = _limit((ax, ay, target_m_s[2] - p.descent_m_s), most)
-        wanted, kept = _slew(base, asked, three(m.step), m.up_step), True
+        wanted, kept = _slew(base, asked, three(m.step), m.up_step_m_s), True
         least_z = target_m_s[2] - p.contact_speed_m_s
     else:
         wanted, kept = _land(p, m, e, d_m, slip, sigma_m, sigma_z_m, base, velocity, target_m_s, now_s)

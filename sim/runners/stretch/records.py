@@ -72,7 +72,7 @@ class MindRecord(Record):
     rise_m_s: float
     # of this tick
     step: Vector  # by which the velocity wanted may change
-    up_step: float  # besides, upwards
+    up_step_m_s: float  # besides, upwards
     rises_m_s2: float  # upward acceleration that is left
     target_age_s: float
 
@@ -94,7 +94,6 @@ class RulesRecord(Record):
     learns: bool  # of the own state
     own_model: Five
     own_gains: Annotated[F64, 10]
-    own_oldest: int
     own_ahead: int
     own_gap_max: int
     own_push_1_s: float

@@ -94,7 +94,7 @@ class Stretch:
         self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
         self._watches, self._watch_book = node.autopilot.flight.watches, WatchBook(self._rules.watch)
         self._phase = scalars(self._rules, "phase", "flies", "armed", "standing", "supervisor")
-        self._weighed, self._tired = controller.reserve_estimate, False
+        self._reserve = controller.reserve_estimate
         self._power = scalars(
             self._rules, "power_s", "effort_flying", "effort_resting", "reserve_sags", "reserve_most"
         )
@@ -133,8 +133,6 @@ class Stretch:
                     until_s = self._quiet_until_s(tick + done)
             if done:
                 self._notebook.read(self._grid.ns(tick + done - 1) / 1e9, float(self._told[6]))
-                if self._weighed is not None and not self._flies:
-                    self._weighed.memory.tired = self._tired
         self._wait = 1 if done else min(2 * self._wait, _BACK_OFF)
         self._next = tick + done + self._wait
         return done
@@ -161,7 +159,7 @@ class Stretch:
         messages = node.autopilot.brief(now_s, self._heeded)
         if messages is None:
             return False
-        if self._weighed is not None:  # the attitude of this tick, which it tells with its power
+        if self._reserve is not None:  # the attitude of this tick, which it tells with its power
             roll_rad, pitch_rad, _ = euler_from_quaternion(
                 ned_frd_from_enu_flu(node.vehicle.estimate().quaternion)
             )
@@ -217,12 +215,12 @@ class Stretch:
 
     def _weigh(self) -> bool:
         """Write down what the vehicle has told of its power; False where only Python knows what to do."""
-        estimate, power = self._weighed, self._link.power
+        estimate, power = self._reserve, self._link.power
         if estimate is None:
             return True
         if power is None or (self._flies and estimate.memory.tired):
             return False
-        told, self._tired = estimate.told(power, standing=not self._flies), estimate.rests_tired(power)
+        told = estimate.told(power, standing=not self._flies)
         for view, number in zip(self._power, (power.arrival_s, *told), strict=True):
             view[0] = number
         return True

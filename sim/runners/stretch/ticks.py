@@ -129,7 +129,7 @@ def _flyable(p: RulesRecord, v: Vec3) -> bool:
 
 @jitted
 def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float) -> bool:
-    """Whether the autopilot has anything to do but to hand the set-point on, and to look around."""
+    """Whether the autopilot has anything to do but to hand the set-point on."""
     c, f = v.contact, v.firmware
     touches = now_ms - c.pad_ms <= GAP_MS or now_ms - c.ground_ms <= GAP_MS
     return (
@@ -137,7 +137,6 @@ def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float
         or touches != bool(p.standing)
         or not f.estimator.since_sample_s < INNOVATION_AGE_MAX_S
         or now_s > p.stream_until_s
-        or (now_s >= p.watch.due_s and not looks(p.watch, v, now_s))
     )
 
 
@@ -216,7 +215,7 @@ def fly_ticks(
         _write_truth(v, now_ms, truths[n])
         ahead_ms = min(end_ms - now_ms, radio_ms)
         fly(vehicle, now_ms, now_ms + ahead_ms)
-        if _needs_autopilot(p, v, now_ms + ahead_ms, now_s):
+        if _needs_autopilot(p, v, now_ms + ahead_ms, now_s) or not looks(p.watch, v, now_s):
             return MIDDLE, n + 1
         if does == SENDS:
             _send(p, f.inbox, setpoint, now_ms)

@@ -12,22 +12,18 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64
 from flightstack.core.memory import AxisState
 from flightstack.core.numeric import twin
-from flightstack.core.parameters import reserve as table
 from flightstack.core.target import own_estimator, reserve
 from flightstack.core.target.own_estimator import GAP_MAX_S, KNOWN
-from flightstack.core.target.reserve import AGE_MAX_S, LEAST_LIFT
+from flightstack.core.target.reserve import AGE_MAX_S
 from flightstack.core.types import Phase, Vec3
 from sim.runners.stretch.records import MindRecord, RulesRecord
 from sim.runners.stretch.tuples import five, keep, three
 
 _TOUCHDOWN = Phase.TOUCHDOWN.value
-_moved, _corrected = twin(own_estimator.moved, jitted), twin(own_estimator.corrected, jitted)
+_moved, _learned = twin(own_estimator.moved, jitted), twin(own_estimator.learned, jitted)
 _raised, _to_be_told = twin(own_estimator.raised, jitted), twin(own_estimator.to_be_told, jitted)
-_left, _averaged, _allowed = (
-    twin(table.left, jitted),
-    twin(reserve.averaged, jitted),
-    twin(reserve.allowed, jitted),
-)
+_on_its_way, _ticks_of = twin(own_estimator.on_its_way, jitted), twin(own_estimator.ticks_of, jitted)
+_estimated, _allowed = twin(reserve.estimated, jitted), twin(reserve.allowed, jitted)
 
 
 @jitted
@@ -38,13 +34,12 @@ def _keep5(into: F64, v: AxisState) -> None:
 @jitted
 def _learn(p: RulesRecord, m: MindRecord, position: Vec3, velocity: Vec3, elapsed_s: float) -> None:
     """``OwnEstimator._learn``."""
-    at, gains, model = 3 * p.own_oldest, p.own_gains, five(p.own_model)
+    at, model, most_m_s = 3 * _on_its_way(p.own_ahead, -1), five(p.own_model), p.own_most_m_s
+    gains, ticks = p.own_gains, _ticks_of(elapsed_s, p.period_s, p.own_gap_max)
     x, y, ux, uy = five(m.own_x), five(m.own_y), m.pending[at], m.pending[at + 1]
-    for _ in range(min(p.own_gap_max, max(1, round(elapsed_s / p.period_s)))):
-        x, y = _moved(x, ux, model), _moved(y, uy, model)
     both = (five(gains[:5]), five(gains[5:]))
-    _keep5(m.own_x, _corrected(x, position[0], velocity[0], both, p.own_most_m_s))
-    _keep5(m.own_y, _corrected(y, position[1], velocity[1], both, p.own_most_m_s))
+    _keep5(m.own_x, _learned(x, ux, ticks, model, position[0], velocity[0], both, most_m_s))
+    _keep5(m.own_y, _learned(y, uy, ticks, model, position[1], velocity[1], both, most_m_s))
     m.own_z_m, m.own_z_error_m_s = _raised(
         m.own_z_m, m.own_z_error_m_s, position[2], velocity[2], elapsed_s, p.own_rate_up_1_s, p.own_most_m_s
     )
@@ -78,7 +73,7 @@ def estimated(
         _learn(p, m, position, velocity, elapsed_s)
     x, y, model = five(m.own_x), five(m.own_y), five(p.own_model)
     for k in range(p.own_ahead):
-        at = 3 * max(0, KNOWN - p.own_ahead + k)
+        at = 3 * _on_its_way(p.own_ahead, k)
         x, y = _moved(x, m.pending[at], model), _moved(y, m.pending[at + 1], model)
     _keep5(m.own_x_now, x)
     _keep5(m.own_y_now, y)
@@ -116,13 +111,13 @@ def weighs(p: RulesRecord, m: MindRecord, rises_m_s: float, now_s: float) -> boo
     if not p.flies or math.isnan(m.effort):
         m.effort, m.rise_m_s = effort, rises_m_s
     share = p.reserve_share
-    m.effort, m.rise_m_s, gained = _averaged(
-        m.effort, m.rise_m_s, effort, rises_m_s, share, share if flies else 1.0, p.reserve_lasting_m_s
-    )
-    left = _left(m.effort / max(LEAST_LIFT, 1.0 + gained), p.reserve_sags, p.reserve_most)
+    m.effort, m.rise_m_s, left = _estimated(
+        m.effort, m.rise_m_s, effort, rises_m_s, share, share if flies else 1.0, p.reserve_lasting_m_s,
+        p.reserve_sags, p.reserve_most,
+    )  # fmt: skip
     if p.flies and not left >= p.reserve_least:
         return False
     x, y, z = _allowed(three(p.reserve_most_m_s2), left, p.thrust_share)
     t = p.period_s
-    m.step[0], m.step[1], m.up_step, m.rises_m_s2 = x * t, y * t, z * t, z
+    m.step[0], m.step[1], m.up_step_m_s, m.rises_m_s2 = x * t, y * t, z * t, z
     return True

@@ -27,7 +27,9 @@ def _within(w: WatchRecord, v: VehicleRecord) -> bool:
 
 @jitted
 def looks(w: WatchRecord, v: VehicleRecord, now_s: float) -> bool:
-    """Look, as it is time; False, and nothing done, where there may be something to be found."""
+    """Look, if it is time; False, and nothing done, where there may be something to be found."""
+    if now_s < w.due_s:
+        return True
     if not (now_s < w.until_s and _within(w, v)):
         return False
     limit, total = speed_limit(v.battery), 0.0
