@@ -178,6 +178,12 @@ class FlightConfig:
         """The same with one gain over the pad: that after the commit."""
         return replace(self, robust=replace(self.robust, gain_over_pad_1_s=self.robust.to_contact_1_s))
 
+    @property
+    def far(self) -> FlightConfig:
+        """The same with the velocity feedback and the gain of the way to the pad."""
+        robust = replace(self.robust, gain_over_pad_1_s=self.robust.gain_1_s)
+        return replace(self, robust=robust, velocity_feedback=self.velocity_feedback.far)
+
     def __post_init__(self) -> None:
         peak = self.barrier.build().peak_height_m
         least_m = peak + self.retreat.climb_margin_m

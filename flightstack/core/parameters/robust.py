@@ -7,7 +7,7 @@ The vehicle's numbers are identified from a log.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from flightstack.common.strict_toml import Each, span
@@ -55,6 +55,15 @@ class VelocityFeedback:
     tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # at which the acceleration for that is reached
     observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # at which disturbances are learned
     acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # wanted; 3.5 tilt a vehicle by 20 degrees
+    # farther from the landing spot the rates are these: quick tilting takes thrust; 0: everywhere the same
+    far_m: Annotated[float, span(0.0, 100.0)] = 0.0
+    far_error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 4.0
+    far_tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 8.0
+
+    @property
+    def far(self) -> VelocityFeedback:
+        """The same with the rates of far away."""
+        return replace(self, error_rate_1_s=self.far_error_rate_1_s, tilt_rate_1_s=self.far_tilt_rate_1_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,6 +88,11 @@ class RobustFilter(Strategy):
         return self._tracking.axes
 
     @property
+    def far_axes(self) -> tuple[Axis, Axis, Axis]:
+        """The same, far from the landing spot."""
+        return self._tracking.far_axes
+
+    @property
     def motion(self) -> MotionMemory:
         """State of the estimator."""
         return self.estimator.memory
@@ -265,7 +270,9 @@ class RobustFilter(Strategy):
         """Corrected for lag and disturbance."""
         own = snapshot.inputs.own
         velocity = own.velocity_enu_m_s if own is not None else wanted_m_s
-        setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s)
+        at, far_m = snapshot.relative, self._config.velocity_feedback.far_m
+        far = at is not None and 0.0 < far_m < at.d_m
+        setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s, far=far)
         return setpoint if self.own_estimator is None else self.own_estimator.told(setpoint, self._most)
 
 

@@ -234,7 +234,9 @@ class VelocityTracking:
         delay_s: float = 0.0,
     ) -> None:
         self.memory = TrackingMemory()
-        self.axes = axes(loop, feedback or VelocityFeedback(), delay_s, period_s)
+        feedback = feedback or VelocityFeedback()
+        self.axes = axes(loop, feedback, delay_s, period_s)
+        self.far_axes = axes(loop, feedback.far, delay_s, period_s)
 
     def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
         """Compare the velocity with what the model expects of the last set-point.
@@ -264,6 +266,8 @@ class VelocityTracking:
         velocity_m_s: Vec3,
         most_m_s: Vec3,
         least_z_m_s: float = -math.inf,
+        *,
+        far: bool = False,
     ) -> Vec3:
         """Set-point that makes the vehicle fly the reference.
 
@@ -274,8 +278,9 @@ class VelocityTracking:
             most_m_s: bound of the set-point on each axis.
             least_z_m_s: lowest vertical velocity that the set-point may lead to if it stays the last one: the
                 set-point itself and the disturbance that was learned.
+            far: the rates are those of far away.
         """
-        memory, (x, y, z) = self.memory, self.axes
+        memory, (x, y, z) = self.memory, self.far_axes if far else self.axes
         b, r, v, s = before_m_s, reference_m_s, velocity_m_s, memory.slope_m_s2
         m, dm, d = memory.model_m_s, memory.model_m_s2, memory.disturbance_m_s
         sx, ux = x.command(b[0], r[0], v[0], s[0], m[0], dm[0], d[0], most_m_s[0])

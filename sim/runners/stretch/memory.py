@@ -104,7 +104,8 @@ def _set_up_robust(r: RulesRecord, config: FlightConfig, strategy: RobustFilter)
     level, _, up = strategy.axes
     r.by_feedback = isinstance(level, FeedbackAxis)
     if isinstance(level, FeedbackAxis):
-        r.feedback[:] = level.numbers
+        r.feedback[:], r.far_feedback[:] = level.numbers, strategy.far_axes[0].numbers
+        r.far_m = config.velocity_feedback.far_m
     else:
         r.lead_xy[:] = level.numbers
     r.lead_z[:] = up.numbers

@@ -283,7 +283,7 @@ def think(
     if p.paper:
         setpoint = paper.setpoint(m, wanted)
     else:
-        setpoint = robust.setpoint(p, m, base, wanted, velocity, least_z)
+        setpoint = robust.setpoint(p, m, base, wanted, velocity, least_z, d_m)
         if p.learns:
             setpoint = vehicle.to_be_told(p, m, setpoint)
     if not (_inside(p, wanted, z) and _inside(p, setpoint, z)):

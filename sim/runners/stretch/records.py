@@ -163,6 +163,8 @@ class RulesRecord(Record):
     lead_xy: Nine
     lead_z: Nine
     feedback: Thirteen
+    far_feedback: Thirteen  # farther from the landing spot
+    far_m: float
     calm_wait_s: float
     calm_speed_m_s: float
     calm_height_m: float

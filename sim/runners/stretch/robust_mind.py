@@ -147,17 +147,18 @@ def may_touch(p: RulesRecord, e: Vec3, d_m: float, slip: tuple[float, float], si
 
 @jitted
 def setpoint(
-    p: RulesRecord, m: MindRecord, before: Vec3, wanted: Vec3, velocity: Vec3, least_z: float
+    p: RulesRecord, m: MindRecord, before: Vec3, wanted: Vec3, velocity: Vec3, least_z: float, d_m: float
 ) -> Vec3:
     """``VelocityTracking.command``."""
     slope, sent = m.slope, m.setpoint
+    feedback = p.far_feedback if 0.0 < p.far_m < d_m else p.feedback
     for i in range(3):
         b, r, v, s, d, most = before[i], wanted[i], velocity[i], slope[i], m.disturbance[i], p.most[i]
         if i == 2:
             slope[i], sent[i] = _lead_commanded(nine(p.lead_z), b, r, v, s, d, most)
         elif p.by_feedback:
             slope[i], sent[i] = _feedback_commanded(
-                thirteen(p.feedback), b, r, s, m.model[i], m.model_2[i], d, most
+                thirteen(feedback), b, r, s, m.model[i], m.model_2[i], d, most
             )
         else:
             slope[i], sent[i] = _lead_commanded(nine(p.lead_xy), b, r, v, s, d, most)
