@@ -84,10 +84,18 @@ def test_a_loop_that_swings_with_a_quicker_vehicle_is_not_proven_but_may_fly():
     assert not [text for text in problems(config(**{**BASE, **hard})) if "velocity feedback" in text]
 
 
+FAR_SWINGS = {"far_error_rate_1_s": 20.0, "far_tilt_rate_1_s": 30.0}
+
+
+def test_rates_of_far_away_do_not_count_where_nothing_is_far_away():
+    assert one("velocity feedback", **{**BASE, "velocity_feedback": {**FEEDBACK, **FAR_SWINGS}}).proven
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
         {"velocity_feedback": {**FEEDBACK, "error_rate_1_s": 20.0, "tilt_rate_1_s": 30.0}},
+        {"velocity_feedback": {**FEEDBACK, **FAR_SWINGS, "far_m": 1.0}},
         {"loop": {"rate_hz": 20}},
         {"own": {"delay_s": 0.15}},
         {"robust": {"gain_descent_1_s": 5.0}, "own": {"delay_s": 0.06}},

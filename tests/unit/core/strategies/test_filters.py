@@ -279,7 +279,7 @@ def test_the_set_point_is_the_corrected_one_and_stays_in_the_box():
     slow = law.setpoint((0.1, 0.0, 0.0), (0.1, 0.0, 0.0), seen(still, still))
     assert 0.1 < slow[0] <= 0.2
     assert law.setpoint((0.1, 0.0, 0.0), (0.2, 0.0, 0.0), seen(still, still))[0] == 0.2
-    blind = SimpleNamespace(inputs=Inputs())
+    blind = SimpleNamespace(inputs=Inputs(), relative=None)
     law.tracking = TrackingMemory()
     assert law.setpoint((0.1, 0.0, 0.0), (0.1, 0.0, 0.0), blind) == pytest.approx((0.1, 0.0, 0.0))
     assert (law.rate_1_s, law.acceleration_max_m_s2) == (
@@ -299,3 +299,16 @@ def test_its_state_can_be_put_back():
     other, _ = robust()
     other.motion, other.tracking = motion, tracking
     assert (other.motion, other.tracking) == (motion, tracking)
+
+
+def test_feedback_is_gentler_beyond_the_distance_of_the_configuration():
+    feedback = {"horizontal": True, "far_m": 1.0, "far_error_rate_1_s": 2.0, "far_tilt_rate_1_s": 6.0}
+    wanted, still = (0.2, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+    def setpoint(distance_m, **changed):
+        law = RobustFilter(config(velocity_feedback=feedback | changed), CONE)
+        return law.setpoint(still, wanted, seen(still, still, (distance_m, 0.0, 1.0)))
+
+    assert 0.0 < setpoint(1.01)[0] < setpoint(1.0)[0]
+    assert setpoint(1.01, far_m=0.0) == setpoint(1.0)
+    assert setpoint(1.01)[1:] == setpoint(1.0)[1:]

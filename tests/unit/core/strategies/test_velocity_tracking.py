@@ -239,6 +239,20 @@ def test_the_fed_back_set_point_is_that_of_the_formula():
     assert memory.slope_m_s2[0] == pytest.approx(slope)
 
 
+def test_far_away_the_rates_are_those_of_far_away():
+    feedback = VelocityFeedback(
+        horizontal=True, error_rate_1_s=6.0, tilt_rate_1_s=17.0, far_error_rate_1_s=3.0, far_tilt_rate_1_s=7.0
+    )
+    gentle = replace(feedback, error_rate_1_s=3.0, tilt_rate_1_s=7.0)
+    wanted = (0.2, -0.1, 0.1)
+    found, same, near = (
+        VelocityTracking(LOOP, T_S, each).command(ZERO, wanted, ZERO, WIDE, far=far)
+        for each, far in ((feedback, True), (gentle, False), (feedback, False))
+    )
+    assert found == same
+    assert abs(found[0]) < abs(near[0])
+
+
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_tilt_is_bounded_twice(sign):
     """By the acceleration wanted, and by the set-point's distance from the velocity."""
