@@ -303,11 +303,11 @@ def test_its_state_can_be_put_back():
 
 def test_feedback_is_gentler_beyond_the_distance_of_the_configuration():
     feedback = {"horizontal": True, "far_m": 1.0, "far_error_rate_1_s": 2.0, "far_tilt_rate_1_s": 6.0}
-    wanted, still = (0.2, 0.0, 0.0), (0.0, 0.0, 0.0)
+    wanted, still = (0.02, 0.0, 0.0), (0.0, 0.0, 0.0)
 
     def setpoint(distance_m, **changed):
         law = RobustFilter(config(velocity_feedback=feedback | changed), CONE)
-        return law.setpoint(still, wanted, seen(still, still, (distance_m, 0.0, 1.0)))
+        return law.setpoint(wanted, wanted, seen(still, still, (distance_m, 0.0, 1.0)))
 
     assert 0.0 < setpoint(1.01)[0] < setpoint(1.0)[0]
     assert setpoint(1.01, far_m=0.0) == setpoint(1.0)

@@ -244,9 +244,9 @@ def test_far_away_the_rates_are_those_of_far_away():
         horizontal=True, error_rate_1_s=6.0, tilt_rate_1_s=17.0, far_error_rate_1_s=3.0, far_tilt_rate_1_s=7.0
     )
     gentle = replace(feedback, error_rate_1_s=3.0, tilt_rate_1_s=7.0)
-    wanted = (0.2, -0.1, 0.1)
+    wanted = (0.02, -0.01, 0.1)
     found, same, near = (
-        VelocityTracking(LOOP, T_S, each).command(ZERO, wanted, ZERO, WIDE, far=far)
+        VelocityTracking(LOOP, T_S, each).command(wanted, wanted, ZERO, WIDE, far=far)
         for each, far in ((feedback, True), (gentle, False), (feedback, False))
     )
     assert found == same
