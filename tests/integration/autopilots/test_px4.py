@@ -169,6 +169,7 @@ KILLED_M = 0.2  # above the ground, in the climb: PX4 goes on for about 0.8 m un
 ERROR_M = 0.25  # of a pad of 0.5 m
 STANDS_M = 0.12  # reference of the vehicle above the pad on which it stands
 NEAR_M = 0.05
+TWITCH_S = 0.1  # s with running motors that is no flight: seen once, 12 ms
 CARRIED_S = 2.0  # after its motors stopped; the robot drives on
 
 
@@ -198,10 +199,11 @@ class Flown:
     truth: Truth
 
     def armed_s(self):
-        """Begin and end of each time with running motors."""
+        """Begin and end of each time with running motors; PX4 may start them for a single sample before."""
         running = np.diff(self.truth.motors_running.astype(int), prepend=0, append=0)
         edges = self.truth.t_s[np.minimum(np.flatnonzero(running), len(self.truth.t_s) - 1)]
-        return list(zip(edges[::2], edges[1::2], strict=True))
+        times_s = zip(edges[::2], edges[1::2], strict=True)
+        return [(begin_s, end_s) for begin_s, end_s in times_s if end_s - begin_s > TWITCH_S]
 
 
 @pytest.fixture(scope="module")

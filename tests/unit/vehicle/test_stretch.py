@@ -90,7 +90,7 @@ def test_a_thrust_reserve_that_ends_in_a_stretch_is_seen_at_the_same_tick():
     reserve = replace(room.onboard.reserve, lowest_voltage_v=3.12, start_margin_v=0.0)
     vehicle = replace(room.vehicle, battery_charge=(0.1, 0.1), hover_reserve=0.0)
     tired = replace(room, vehicle=vehicle, onboard=replace(room.onboard, reserve=reserve))
-    (ends,) = [event for event in assert_equal(tired, 6, 0.05).events if "battery is too low" in event.text]
+    (ends,) = [event for event in assert_equal(tired, 1, 0.05).events if "battery is too low" in event.text]
     assert ends.t_s > 1.0
 
 
