@@ -150,9 +150,8 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         "lower velocity_feedback.error_rate_1_s, far_error_rate_1_s or observer_rate_1_s, or "
         "robust.gain_over_pad_1_s and gain_descent_1_s, or raise loop.rate_hz"
     )
-    flown = {config, config.descending}  # one, unless the gain differs after the commit
-    if config.velocity_feedback.far_m:
-        flown.add(config.far)
+    # one, unless gains differ after the commit or far away
+    flown = {config, config.descending, config.far}
     told = min(decay_1_s(one, 1.0, 1.0)[0] for one in flown)
     least, where = min(decay_1_s(one, 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)) for one in flown)
     return [

@@ -180,7 +180,9 @@ class FlightConfig:
 
     @property
     def far(self) -> FlightConfig:
-        """The same with the velocity feedback and the gain of the way to the pad."""
+        """The same with feedback and gain of far away; itself where the feedback is everywhere the same."""
+        if not self.velocity_feedback.far_m:
+            return self
         robust = replace(self.robust, gain_over_pad_1_s=self.robust.gain_1_s)
         return replace(self, robust=robust, velocity_feedback=self.velocity_feedback.far)
 

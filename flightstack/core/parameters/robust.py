@@ -62,7 +62,9 @@ class VelocityFeedback:
 
     @property
     def far(self) -> VelocityFeedback:
-        """The same with the rates of far away."""
+        """The same with the rates of far away; itself where they are everywhere the same."""
+        if not self.far_m:
+            return self
         return replace(self, error_rate_1_s=self.far_error_rate_1_s, tilt_rate_1_s=self.far_tilt_rate_1_s)
 
 

@@ -270,8 +270,8 @@ class RobustFilter(Strategy):
         """Corrected for lag and disturbance."""
         own = snapshot.inputs.own
         velocity = own.velocity_enu_m_s if own is not None else wanted_m_s
-        at, far_m = snapshot.relative, self._config.velocity_feedback.far_m
-        far = at is not None and 0.0 < far_m < at.d_m
+        at = snapshot.relative
+        far = at is not None and at.d_m > self._config.velocity_feedback.far_m
         setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s, far=far)
         return setpoint if self.own_estimator is None else self.own_estimator.told(setpoint, self._most)
 

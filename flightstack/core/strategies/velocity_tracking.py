@@ -278,7 +278,7 @@ class VelocityTracking:
             most_m_s: bound of the set-point on each axis.
             least_z_m_s: lowest vertical velocity that the set-point may lead to if it stays the last one: the
                 set-point itself and the disturbance that was learned.
-            far: the rates are those of far away.
+            far: farther from the landing spot than ``far_m`` of the feedback.
         """
         memory, (x, y, z) = self.memory, self.far_axes if far else self.axes
         b, r, v, s = before_m_s, reference_m_s, velocity_m_s, memory.slope_m_s2

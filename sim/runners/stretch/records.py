@@ -163,7 +163,7 @@ class RulesRecord(Record):
     lead_xy: Nine
     lead_z: Nine
     feedback: Thirteen
-    far_feedback: Thirteen  # farther from the landing spot
+    far_feedback: Thirteen  # farther from the landing spot than
     far_m: float
     calm_wait_s: float
     calm_speed_m_s: float

@@ -151,7 +151,7 @@ def setpoint(
 ) -> Vec3:
     """``VelocityTracking.command``."""
     slope, sent = m.slope, m.setpoint
-    feedback = p.far_feedback if 0.0 < p.far_m < d_m else p.feedback
+    feedback = p.far_feedback if d_m > p.far_m else p.feedback
     for i in range(3):
         b, r, v, s, d, most = before[i], wanted[i], velocity[i], slope[i], m.disturbance[i], p.most[i]
         if i == 2:

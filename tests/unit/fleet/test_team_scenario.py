@@ -34,14 +34,14 @@ def test_the_fleets_have_the_errors_of_field(name, count):
     for number, each in enumerate(found.member, 1):
         slew = field.onboard.robust.acceleration_max_m_s2  # what a fleet may have less of
         assert all(a <= b for a, b in zip(each.onboard.robust.acceleration_max_m_s2, slew, strict=True))
-        own = (
-            field.onboard.robust
-        )  # of which a fleet has the margin and the descent that its tables were flown with
-        assert each.onboard.robust.tracking_error_m_s < own.tracking_error_m_s
-        assert each.onboard.robust.descent_max_m_s > own.descent_max_m_s
+        error_m_s, descent_m_s = (  # a fleet keeps those that its table of results was flown with
+            field.onboard.robust.tracking_error_m_s, field.onboard.robust.descent_max_m_s,
+        )  # fmt: skip
+        assert each.onboard.robust.tracking_error_m_s < error_m_s
+        assert each.onboard.robust.descent_max_m_s > descent_m_s
         robust = replace(
-            each.onboard.robust, acceleration_max_m_s2=slew, tracking_error_m_s=own.tracking_error_m_s,
-            descent_max_m_s=own.descent_max_m_s,
+            each.onboard.robust, acceleration_max_m_s2=slew, tracking_error_m_s=error_m_s,
+            descent_max_m_s=descent_m_s,
         )  # fmt: skip
         slides = each.onboard.contact.sliding_gap_m  # robots that reverse at full speed: down at once
         assert (slides > 0.0) == (each.target.path is scenario.PathKind.REVERSING)

@@ -241,8 +241,9 @@ def test_the_fed_back_set_point_is_that_of_the_formula():
 
 def test_far_away_the_rates_are_those_of_far_away():
     feedback = VelocityFeedback(
-        horizontal=True, error_rate_1_s=6.0, tilt_rate_1_s=17.0, far_error_rate_1_s=3.0, far_tilt_rate_1_s=7.0
-    )
+        horizontal=True, error_rate_1_s=6.0, tilt_rate_1_s=17.0,
+        far_m=1.0, far_error_rate_1_s=3.0, far_tilt_rate_1_s=7.0,
+    )  # fmt: skip
     gentle = replace(feedback, error_rate_1_s=3.0, tilt_rate_1_s=7.0)
     wanted = (0.02, -0.01, 0.1)
     found, same, near = (
