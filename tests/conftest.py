@@ -112,14 +112,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One for each stream of flights in real time, which mostly wait, and others, which give way.
-
-    One for each core, one less with a third stream: of five workers on two cores a flight lost its states.
-    """
+    """One for each stream of flights in real time, which mostly wait; one for each core, which gives way."""
     del config
     streams = 3 if min(_loop_s() for _ in range(20)) < QUICK_S else 2
     os.environ[STREAMS_SET] = str(streams)
-    return 2 + (os.cpu_count() or 1)
+    return streams + (os.cpu_count() or 1)
 
 
 def _loop_s() -> float:
