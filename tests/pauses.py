@@ -18,6 +18,8 @@ from collections.abc import Sequence
 import pytest
 from _pytest.runner import runtestprotocol
 
+from flightstack.common.pacing import keep_memory
+
 ATTEMPTS = 6
 PAUSE_S = 0.1  # half of the age at which an own state is no longer flown by (checks.own_age_max_s)
 CALM_S = 2.0  # s without a pause, waited for before another attempt
@@ -109,6 +111,7 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
         if "PYTEST_XDIST_WORKER" in os.environ and os.getpriority(os.PRIO_PROCESS, 0) < GIVES_WAY:
             os.setpriority(os.PRIO_PROCESS, 0, GIVES_WAY)
         return None
+    keep_memory()  # relays of the tests are part of the flight
     where = {"nodeid": item.nodeid, "location": item.location}
     for_nothing = item.stash.setdefault(_FOR_NOTHING, [])
     if not for_nothing:

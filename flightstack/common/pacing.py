@@ -2,14 +2,16 @@
 
 Stack time is seconds since the process began (monotonic clock) or simulated time. ``unix_ns`` turns it into
 the time of the log. In lockstep that is simulated time after a fixed date, so that one seed makes one log.
-What keeps a tick from being late in real time, priority and no garbage collection, is at the end.
+What keeps a tick from being late in real time, priority, memory and no garbage collection, is at the end.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import os
+import resource
 import struct
 import time
 from collections.abc import Callable
@@ -25,6 +27,7 @@ COMPANION_SILENT_S = 10.0  # s, the same for the onboard process: longer than it
 _LOOK_MAX_S = 0.1  # s
 PRIORITY = 10  # of 1 to 99 under SCHED_FIFO: above all ordinary processes, below the kernel's own threads
 _DAY_NS = 86_400_000_000_000
+_LOCK_WHAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of mlockall(2), Linux
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +165,21 @@ def give_up_priority() -> None:
     """Be an ordinary process again: one that cannot keep up must not take a core from all others."""
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def keep_memory() -> bool:
+    """Keep in memory what this process uses; False where that is not allowed or not known.
+
+    A system that is short of memory takes pages of programs away, and reads them again when they are used:
+    a tick then waits for the disk, for 0.8 s where that was seen. Needs root or an unlimited memlock limit;
+    with another limit later allocations could fail.
+    """
+    try:
+        unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
+        lock = ctypes.CDLL(None).mlockall
+    except (AttributeError, OSError):
+        return False
+    return (unlimited or os.geteuid() == 0) and lock(_LOCK_WHAT_IS_USED) == 0
 
 
 def quiet_garbage_collector() -> None:

@@ -20,6 +20,7 @@ from flightstack.common.pacing import (
     RealTimePacer,
     Tick,
     ask_for_priority,
+    keep_memory,
     quiet_garbage_collector,
 )
 from flightstack.common.simulation_clock import Follower, chosen_clock
@@ -364,6 +365,7 @@ def _runner(onboard: Onboard, signals: Signals) -> Runner:
             onboard.controller, both, vehicle, both, leaving, onboard, told.words if told else tuple
         )
     ask_for_priority()
+    keep_memory()
     clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
     pacer = RealTimePacer(rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
     words: Words = tuple

@@ -22,6 +22,7 @@ from flightstack.common.pacing import (
     EPOCH_NS,
     RealTimePacer,
     ask_for_priority,
+    keep_memory,
     quiet_garbage_collector,
 )
 from flightstack.common.simulation_clock import Clock, Follower, chosen_clock
@@ -201,6 +202,7 @@ class _RealTime:
         first = self._robots[0].robot
         quiet_garbage_collector()
         ask_for_priority()  # a pose that comes late counts as lost
+        keep_memory()
         pacer = RealTimePacer(
             first.grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
         )

@@ -21,7 +21,13 @@ from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.transport.address import parse_udp_url
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import EPOCH_NS, ask_for_priority, give_up_priority, quiet_garbage_collector
+from flightstack.common.pacing import (
+    EPOCH_NS,
+    ask_for_priority,
+    give_up_priority,
+    keep_memory,
+    quiet_garbage_collector,
+)
 from logs.recorder.feed import Feed, FeedError
 from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
 from sim.autopilot.profiles import PROFILES, PX4
@@ -144,6 +150,7 @@ class RealTimeLoop:
         """
         vehicles, grid, between = self._vehicles, self._grid, self._between
         ask_for_priority()  # a vehicle is nobody's ordinary process: its physics wait for no other program
+        keep_memory()
         self._start_s = time.monotonic()
         self._set_epoch(time.time_ns())  # making the vehicle took a while
         tick = 0

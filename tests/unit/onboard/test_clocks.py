@@ -1,5 +1,6 @@
 """Pacing by a clock of the test's own."""
 
+import os
 import subprocess
 import sys
 import threading
@@ -115,6 +116,22 @@ def test_the_session_of_a_child_has_the_niceness_of_its_starter(tmp_path, steps)
         [sys.executable, "-c", program, tmp_path], capture_output=True, text=True, timeout=60, check=True
     )
     assert done.stdout.split()[1:] == ["nice", str(steps)]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may do both")
+@pytest.mark.parametrize(("rights", "keeps"), [("", True), ("os.setuid(65534); ", False)])
+def test_memory_is_kept_where_that_is_allowed_without_a_limit(rights, keeps):
+    program = (
+        "import os, resource; from flightstack.common.pacing import keep_memory; "
+        f"resource.setrlimit(resource.RLIMIT_MEMLOCK, (2**20, 2**20)); {rights}"
+        "print(keep_memory()); [print(line) for line in open('/proc/self/status') if 'VmLck' in line]"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+    )
+    told, _, locked_kb, _ = done.stdout.split()
+    assert told == str(keeps)
+    assert (int(locked_kb) > 10_000) == keeps
 
 
 STEP_NS = 4_000_000
