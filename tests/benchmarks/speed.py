@@ -177,7 +177,7 @@ def lockstep() -> None:
         with tempfile.TemporaryDirectory() as folder:
             factors.append(sitl(folder, "paper_moving_1", seed, "--lockstep")["realtime_factor"])
     runs = ", ".join(f"{f:.1f}" for f in factors)
-    print(f"{statistics.median(factors):.1f} x real time (asked 20); runs {runs}")
+    print(f"{statistics.median(factors):.1f} x real time (asked 50); runs {runs}")
 
 
 def bare_loop(ticks: int = 1500) -> tuple[float, int]:
