@@ -67,7 +67,7 @@ def _hand_on_niceness(pid: int) -> None:
     """
     steps = os.getpriority(os.PRIO_PROCESS, 0)
     if steps > 0:
-        with contextlib.suppress(OSError):  # a system without such groups
+        with contextlib.suppress(OSError):  # no such groups; or not root, and asked twice within 0.1 s
             Path(f"/proc/{pid}/autogroup").write_text(str(steps))
 
 
