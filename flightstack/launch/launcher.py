@@ -86,6 +86,7 @@ class Launcher:
         children: running processes of this flight, in the order in which they were started.
         interrupted: whether the operator asked for the end of the run.
         socket: where the recorder listens.
+        reserved: what others may have again once all children have ended: ports, numbers.
 
     Args:
         folder: for what the children say.
@@ -100,7 +101,7 @@ class Launcher:
         self.children: list[Running] = []
         self.interrupted = False
         self._tells, self._real = tells, real
-        self._ports: list[Port] = []
+        self.reserved = contextlib.ExitStack()
         # a short path: socket names are limited to 107 bytes
         self._sockets = Path(tempfile.mkdtemp(prefix="flightstack-"))
         self.socket = self._sockets / "recorder"
@@ -128,8 +129,7 @@ class Launcher:
         Raises:
             LaunchError: there is no free port.
         """
-        self._ports.append(Port())
-        return self._ports[-1].endpoint
+        return self.reserved.enter_context(contextlib.closing(Port())).endpoint
 
     def udp_port(self) -> int:
         """Return the number of a UDP port of loopback that is reserved for this flight.
@@ -137,8 +137,7 @@ class Launcher:
         Raises:
             LaunchError: there is no free port.
         """
-        self._ports.append(Port(udp=True))
-        return self._ports[-1].number
+        return self.reserved.enter_context(contextlib.closing(Port(udp=True))).number
 
     def start(self, verb: str, *arguments: str, of: object = "", **options: object) -> Child:
         """Start a verb of ``flightstack``.
@@ -185,8 +184,7 @@ class Launcher:
         for child in reversed(self.children):
             child.end(self._end_max_s(child.name))
         self.children.clear()
-        for port in self._ports:
-            port.close()
+        self.reserved.close()
 
     def _end_max_s(self, name: str) -> float:
         if name == "record":

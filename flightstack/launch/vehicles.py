@@ -7,6 +7,7 @@ their position from where they start, so the robot is moved instead.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -93,10 +94,9 @@ class OwnVehicle:
 
 @dataclass
 class _Px4Child:
-    """PX4 as a child process of a launcher, with its instance number, which selects its ports."""
+    """PX4 as a child process of a launcher."""
 
     program: Px4Program
-    claim: InstanceClaim | None  # to be given back; None: the number was given
     name: str = "px4"
 
     def alive(self) -> bool:
@@ -108,31 +108,28 @@ class _Px4Child:
         return self.program.last_lines()
 
     def end(self, within_s: float) -> int:
-        """End it and give its number back."""
-        code = self.program.end(within_s)
-        if self.claim is not None:
-            self.claim.close()
-        return code
+        """End it; its exit status."""
+        return self.program.end(within_s)
 
 
 class _Px4Start:
     """PX4 before its start; its instance number is chosen first, since the simulator's port depends on it."""
 
-    def __init__(self, options: RunOptions) -> None:
-        self._options, self._binary = options, _program_of(options)
-        self._claim = InstanceClaim() if options.instance is None else None
-        self.number = self._claim.number if self._claim is not None else options.instance or 0
+    def __init__(self, launcher: Launcher, options: RunOptions) -> None:
+        self._launcher, self._options, self._binary = launcher, options, _program_of(options)
+        self.number = options.instance if options.instance is not None else self._claim()
 
-    def run(
-        self, launcher: Launcher, model: Px4Model, wanted: Mapping[str, float]
-    ) -> tuple[_Px4Child, dict[str, object]]:
+    def _claim(self) -> int:
+        return self._launcher.reserved.enter_context(contextlib.closing(InstanceClaim())).number
+
+    def run(self, model: Px4Model, wanted: Mapping[str, float]) -> tuple[_Px4Child, dict[str, object]]:
         """Start it and wait until it would arm; the child, and the options of the onboard process."""
-        speed = self._options.speed
         program = Px4Program(
-            self._binary, launcher.folder / "px4", model, instance=self.number, parameters=wanted, speed=speed
-        )
-        child = _Px4Child(program, self._claim)
-        launcher.children.append(child)
+            self._binary, self._launcher.folder / "px4", model,
+            instance=self.number, parameters=wanted, speed=self._options.speed,
+        )  # fmt: skip
+        child = _Px4Child(program)
+        self._launcher.children.append(child)
         program.wait_ready()
         url = f"udpin:127.0.0.1:{program.onboard_port}"
         system_id = 1 + self.number  # MAV_SYS_ID of rcS
@@ -148,7 +145,7 @@ class Px4OnPlant:
 
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start the simulator, then PX4; see ``Vehicle.start``."""
-        px4 = _Px4Start(options)
+        px4 = _Px4Start(launcher, options)
         clock = {"clock": launcher.socket.with_name("clock")}
         poses = scenario.vehicle.mocap if options.mocap else None
         simulator = launcher.start(
@@ -161,7 +158,7 @@ class Px4OnPlant:
         from sim.px4.airframe import parameters
 
         wanted = parameters(params.load(scenario.vehicle.airframe), poses)
-        child, given = px4.run(launcher, Px4Model.NONE_IRIS, wanted)
+        child, given = px4.run(Px4Model.NONE_IRIS, wanted)
         return Flying(given, [simulator, child], simulator, clock)
 
 
@@ -177,7 +174,7 @@ class Px4WithItsOwnPhysics:
         del target_at
         from sim.px4.airframe import SAFE_PARAMETERS
 
-        child, given = _Px4Start(options).run(launcher, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
+        child, given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
         given["target_offset"] = _to_the_floor_m(scenario)
         return Flying(given, [child], clock={"speed": options.speed})
 

@@ -5,7 +5,7 @@ import os
 import re
 import signal
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -184,6 +184,12 @@ def test_what_does_not_go_together_is_refused(tmp_path, words, said):
     done = called("sitl", "--scenario", "grid", *filled, "--config", "crazyflie", "--out", tmp_path / "run")
     assert done.code == 2, done.out + done.err
     assert said in done.err
+    files = []
+    for each in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # closed since then
+            files.append(str(each.readlink()))
+    assert files
+    assert not [name for name in files if "flightstack-px4-" in name]  # an instance number kept from others
 
 
 def test_several_runs_are_summed_up(tmp_path):
