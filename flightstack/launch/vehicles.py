@@ -92,26 +92,6 @@ class OwnVehicle:
         return Flying(given, [child], child, pending=[child])
 
 
-@dataclass
-class _Px4Child:
-    """PX4 as a child process of a launcher."""
-
-    program: Px4Program
-    name: str = "px4"
-
-    def alive(self) -> bool:
-        """Whether it runs."""
-        return self.program.alive()
-
-    def errors(self) -> str:
-        """Its last lines."""
-        return self.program.last_lines()
-
-    def end(self, within_s: float) -> int:
-        """End it; its exit status."""
-        return self.program.end(within_s)
-
-
 class _Px4Start:
     """PX4 before its start; its instance number is chosen first, since the simulator's port depends on it."""
 
@@ -122,18 +102,17 @@ class _Px4Start:
     def _claim(self) -> int:
         return self._launcher.reserved.enter_context(contextlib.closing(InstanceClaim())).number
 
-    def run(self, model: Px4Model, wanted: Mapping[str, float]) -> tuple[_Px4Child, dict[str, object]]:
-        """Start it and wait until it would arm; the child, and the options of the onboard process."""
+    def run(self, model: Px4Model, wanted: Mapping[str, float]) -> tuple[Px4Program, dict[str, object]]:
+        """Start it and wait until it would arm; the process, and the options of the onboard process."""
         program = Px4Program(
             self._binary, self._launcher.folder / "px4", model,
             instance=self.number, parameters=wanted, speed=self._options.speed,
         )  # fmt: skip
-        child = _Px4Child(program)
-        self._launcher.children.append(child)
+        self._launcher.children.append(program)
         program.wait_ready()
         url = f"udpin:127.0.0.1:{program.onboard_port}"
         system_id = 1 + self.number  # MAV_SYS_ID of rcS
-        return child, {"vehicle": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
+        return program, {"vehicle": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
 
 
 class Px4OnPlant:

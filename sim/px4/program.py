@@ -141,9 +141,10 @@ def _instance_runs(number: int) -> bool:
 
 
 class Px4Program:
-    """One PX4 SITL process.
+    """One PX4 SITL process; a launcher looks after it as a ``Running``.
 
     Attributes:
+        name: of the process, among those of a run.
         folder: its working folder: parameters, its own log (``log/``), output (``px4.txt``).
         simulator_port: TCP port of the simulator that it connects to (``NONE_IRIS``).
         onboard_port: UDP port to which it sends a companion computer's MAVLink: ``udpin:127.0.0.1:PORT``.
@@ -164,6 +165,8 @@ class Px4Program:
         ValueError: an instance that does not exist.
         OSError: it could not be started.
     """
+
+    name = "px4"
 
     def __init__(
         self,
@@ -303,7 +306,7 @@ class Px4Program:
         self, module: str, words: tuple[str, ...], timeout_s: float
     ) -> subprocess.CompletedProcess[str]:
         if not self.alive():
-            raise Px4Error(f"PX4 has ended with status {self.process.returncode}:\n{self.last_lines()}")
+            raise Px4Error(f"PX4 has ended with status {self.process.returncode}:\n{self.errors()}")
         try:
             return subprocess.run(
                 [self._bin / f"px4-{module}", "--instance", str(self.instance), *words],
@@ -319,20 +322,18 @@ class Px4Program:
             raise Px4Error(f"this PX4 has no module {module!r}") from error
         except subprocess.TimeoutExpired as error:
             command = " ".join((module, *words))
-            raise Px4Error(
-                f"PX4 did not answer {command!r} in {timeout_s:g} s:\n{self.last_lines()}"
-            ) from error
+            raise Px4Error(f"PX4 did not answer {command!r} in {timeout_s:g} s:\n{self.errors()}") from error
 
     def _keep_waiting(self, until_s: float, what: str) -> None:
         if not self.alive():
-            raise Px4Error(f"PX4 ended with status {self.process.returncode}:\n{self.last_lines()}")
+            raise Px4Error(f"PX4 ended with status {self.process.returncode}:\n{self.errors()}")
         if time.monotonic() > until_s:
-            raise Px4Error(f"PX4 did not come to {what} in time; its last lines:\n{self.last_lines()}")
+            raise Px4Error(f"PX4 did not come to {what} in time; its last lines:\n{self.errors()}")
 
     def _said(self) -> str:
         return self.output.read_text(errors="replace")
 
-    def last_lines(self) -> str:
+    def errors(self) -> str:
         """Its last lines of output."""
         lines = [line for line in self._said().splitlines() if line.strip()]
         return "\n".join(lines[-_LAST_LINES:]) or "(it said nothing)"
