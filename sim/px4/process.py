@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import FastClock, quiet_garbage_collector
+from flightstack.common.pacing import FastClock, ask_for_priority, give_up_priority, quiet_garbage_collector
 from flightstack.common.simulation_clock import SimulationClock
 from logs.recorder.feed import Feed, FeedError
 from sim.clock import NS_PER_S, NoAnswerError
@@ -95,8 +95,22 @@ def _say(text: str) -> None:
     print(text, flush=True)
 
 
+# A vehicle in flight waits for no other program; a simulation that cannot keep up lets others run.
+_PRIORITY: Mapping[Event, Callable[[], object]] = {
+    Event.ARMED: ask_for_priority,
+    Event.DISARMED: give_up_priority,
+    Event.PAUSED: give_up_priority,
+}
+
+
 def _tell(event: Event) -> None:
     _say(event.value)
+
+
+def _tell_in_real_time(event: Event) -> None:
+    _say(event.value)
+    if event in _PRIORITY:
+        _PRIORITY[event]()
 
 
 @dataclass(frozen=True)
@@ -181,7 +195,7 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
                     stop,
                     speed=speed,
                     silent_max_s=options.silent_max_s,
-                    tell=_tell,
+                    tell=_tell_in_real_time if speed > 0.0 else _tell,
                     mocap=poses,
                 )
                 if _serve(flight, link, node, stop, options.duration_s) or (options.once and flight.steps):

@@ -112,6 +112,7 @@ class Event(Enum):
     LOCKSTEP = "lockstep"
     ARMED = "armed"
     DISARMED = "disarmed"
+    PAUSED = "the machine paused: simulation too"  # the first time in a flight
 
 
 class Px4Session:
@@ -151,7 +152,7 @@ class Px4Session:
         self._speed, self._silent_max_s, self._tell = speed, silent_max_s, tell
         self.steps = 0
         self.nudges = 0
-        self._armed = False
+        self._armed = self._paused = False
         self._state_every_us = 0  # 0: not asked for
         self._state_due_us = 0
         self._start_s = self._connected_s = self._answered_s = time.monotonic()
@@ -292,7 +293,7 @@ class Px4Session:
     def _drive(self, answer: Answer) -> None:
         self.plant.wanted[:] = rotor_speeds(answer.controls, answer.armed, self.plant.params.rotor)
         if answer.armed is not self._armed:
-            self._armed = answer.armed
+            self._armed, self._paused = answer.armed, False
             self._tell(Event.ARMED if answer.armed else Event.DISARMED)
 
     @property
@@ -307,3 +308,6 @@ class Px4Session:
             time.sleep(left_s)
         elif left_s < -_BEHIND_MAX_S:
             self._start_s -= left_s
+            if self._armed and not self._paused:
+                self._paused = True
+                self._tell(Event.PAUSED)

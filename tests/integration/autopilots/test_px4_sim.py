@@ -1,6 +1,7 @@
 """The verb ``px4-sim`` over its real wires, flown by a stand-in for PX4 that sees nothing but the sensors."""
 
 import itertools
+import os
 import signal
 import time
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
+from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.common.processes import Port
 from logs.reader.flight import load_flight
 from tests.integration.sim_processes import verb
@@ -73,6 +75,26 @@ def test_flies_by_motion_capture_in_the_coordinates_of_the_room():
         assert "HIL_GPS" not in fake.counts
         fake.close()
         lines(child)
+
+
+@pytest.mark.xdist_group("real-time")
+@pytest.mark.parametrize("speed", ["1", "0"])
+def test_a_vehicle_in_flight_waits_for_no_other_program_where_time_is_real(speed):
+    if not ask_for_priority():
+        pytest.skip("this system gives no priority: its tests run without it")
+    give_up_priority()
+    with simulator("paper_moving_1", speed=speed) as (child, port):
+        fake = FakePx4(port)
+        fake.hello()
+        policies = []
+        for armed in (False, True, False):
+            fake.answer(fake.sensor().time_usec, (0.0,) * 4, armed=armed)
+            following = fake.sensor()  # sent when the answer has been looked at
+            policies.append(os.sched_getscheduler(child.pid))
+            fake.answer(following.time_usec, (0.0,) * 4, armed=armed)
+        flying = os.SCHED_FIFO if speed == "1" else os.SCHED_OTHER
+        assert policies == [os.SCHED_OTHER, flying, os.SCHED_OTHER]
+        fake.close()
 
 
 def test_lands_on_the_pad_and_says_where():

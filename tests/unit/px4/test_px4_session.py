@@ -12,7 +12,7 @@ from sim.clock import NoAnswerError
 from sim.px4 import session as px4_session
 from sim.px4.link import LinkClosedError, Px4Server
 from sim.px4.plant import Px4Plant
-from sim.px4.session import Event, NoLockstepError, NotPx4Error, Px4Session
+from sim.px4.session import STEP_S, Event, NoLockstepError, NotPx4Error, Px4Session
 from sim.scenarios.scenario import Start
 from tests.unit.px4.px4_fakes import FakePx4
 from tests.unit.vehicle.vehicle_sim_helpers import scenario
@@ -92,6 +92,25 @@ def test_steps_with_each_answer_and_tells_what_happens(pair):
     assert max(pair.session.plant.rotor_rpm) < 1.0
     assert pair.events == [Event.CONNECTED, Event.LOCKSTEP, Event.ARMED, Event.DISARMED]
     assert pair.session.nudges == 0
+
+
+def test_a_pause_of_the_machine_in_flight_is_told_once_and_not_caught_up(pair):
+    pair.begin()
+    session = pair.session
+    session._speed = 1.0
+
+    def pause():
+        session._start_s = time.monotonic() - session.steps * STEP_S - 100.0
+        pair.answering([(0.7,) * 4], armed=session._armed)
+        assert time.monotonic() - session._start_s - session.steps * STEP_S < 50.0
+
+    pause()  # on the ground it harms nobody
+    for _ in range(2):
+        pair.answering([(0.7,) * 4])
+        pause()
+        pause()
+        pair.answering([(0.7,) * 4], armed=False)
+    assert pair.events[2:] == [Event.ARMED, Event.PAUSED, Event.DISARMED] * 2
 
 
 def test_sensors_come_every_4_ms_of_px4_s_clock_and_the_truth_as_often_as_it_asked(pair):
