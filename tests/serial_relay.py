@@ -7,11 +7,13 @@ front of it, noise between frames, stretches in which the cable is pulled.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import pty
 import random
 import select
 import socket
+import termios
 import threading
 import time
 import tty
@@ -20,8 +22,11 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from flightstack.common.pacing import ask_for_priority
+
 _TURN_S = 0.002  # s; at 57,600 baud 12 bytes
 _PIECE = 256  # bytes read at a time
+_NONE = bytes(4)  # no byte to read, as FIONREAD says it
 
 
 class PtyEnd:
@@ -48,8 +53,9 @@ class PtyEnd:
         self._master = -1
 
     def read(self) -> bytes:
-        with contextlib.suppress(OSError):
-            return os.read(self._master, _PIECE) if self._master >= 0 else b""
+        with contextlib.suppress(OSError):  # to read an empty one waits for a worker of the kernel
+            empty = self._master < 0 or fcntl.ioctl(self._master, termios.FIONREAD, _NONE) == _NONE
+            return b"" if empty else os.read(self._master, _PIECE)
         return b""
 
     def write(self, data: bytes) -> int:
@@ -217,6 +223,7 @@ class Relay:
         self.near.close()
 
     def _run(self) -> None:
+        ask_for_priority()  # of this thread: a line carries its bytes, however busy the machine
         then_s, noise, rest = time.monotonic(), 0.0, b""
         parser = mav.MAVLink(None)
         parser.robust_parsing = True

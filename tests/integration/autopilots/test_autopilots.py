@@ -129,6 +129,7 @@ ORIGIN_WGS84 = (47.397742, 8.545594, 10.0)
 
 
 @pytest.mark.xdist_group("real-time")
+@pytest.mark.xdist_group("stream 0")
 def test_one_command_lands_a_real_px4_and_its_log_knows_the_truth(tmp_path):
     px4 = px4_or_skip()
     words = ("--scenario", "large", "--px4", px4, "--seed", 1, "--no-report", "--json")

@@ -87,6 +87,7 @@ def least_rho(one, other, fleet):
 
 
 @pytest.mark.xdist_group("real-time")
+@pytest.mark.xdist_group("stream 0")
 def test_three_kinds_cross_land_and_replay(tmp_path):
     px4_or_skip()
     bridge_at, out = f"127.0.0.1:{free_port()}", tmp_path / "out"
