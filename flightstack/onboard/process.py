@@ -372,5 +372,5 @@ def _runner(onboard: Onboard, signals: Signals) -> Runner:
     if isinstance(onboard.fleet, FleetWire):
         onboard.fleet.begin(pacer.unix_start_ns, pacer.now_s)
         words = onboard.fleet.words
-    ticks, target = RealTimeClock(pacer, link), LiveTarget(wires.odometry)
+    ticks, target = RealTimeClock(pacer, link), LiveTarget(wires.odometry, pacer.now_s)
     return Runner(onboard.controller, ticks, vehicle, target, leaving, onboard, words)

@@ -43,6 +43,7 @@ class Arrived(NamedTuple):
 
 
 NOTHING = Arrived()
+STOOD_MAX_S = 0.05  # s by which a sample may have come later than its tick; checks.target_age_max_s is 0.25
 
 
 class Taken(NamedTuple):
@@ -182,14 +183,27 @@ class RealTimeClock:
 
 
 class LiveTarget:
-    """A target whose samples come when they come; it needs no word about the landing."""
+    """A target whose samples come when they come; it needs no word about the landing.
 
-    def __init__(self, source: SampleSource) -> None:
-        self._source = source
+    Samples of a tick in which the process stood still are not used: they may have come later than the tick.
+    The shortest delay of a sample would be too short from then on, and later ones would count as too late.
+
+    Args:
+        source: of the samples.
+        clock: the stack's, s.
+    """
+
+    def __init__(self, source: SampleSource, clock: Callable[[], float]) -> None:
+        self._source, self._clock = source, clock
 
     def samples(self, now_s: float) -> Arrived:
         """Return what has arrived since the last call."""
-        return decoded(self._source.poll(), now_s)
+        messages = self._source.poll()
+        stood_s = self._clock() - now_s
+        if messages and stood_s > STOOD_MAX_S:
+            told = f"target samples not used: the process stood still for {stood_s:.2f} s before it read them"
+            return Arrived((), [told], messages)
+        return decoded(messages, now_s)
 
     def landing_began(self, tick: int) -> None:
         """Nothing to do."""

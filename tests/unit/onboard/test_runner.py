@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from bridge.ros2.cdr import encode_odometry
 from bridge.target.odometry import RawSample
 from flightstack.common.pacing import Tick
 from flightstack.core.memory import AbortWay, Memory
@@ -12,7 +13,16 @@ from flightstack.core.types import Inputs, Landed, Mode, Operator, Phase, Vehicl
 from flightstack.onboard import lockstep
 from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Leaving
 from flightstack.onboard.lockstep import Patience
-from flightstack.onboard.runner import Arrived, ClockStoppedError, Runner, Taken, VehicleInputs, decoded
+from flightstack.onboard.runner import (
+    STOOD_MAX_S,
+    Arrived,
+    ClockStoppedError,
+    LiveTarget,
+    Runner,
+    Taken,
+    VehicleInputs,
+    decoded,
+)
 
 
 def status(mode=Mode.EXTERNAL, *, armed=True):
@@ -166,6 +176,19 @@ def test_a_clock_that_stops_ends_the_flight_in_its_phase():
     assert parts.runner.run() == (Phase.APPROACH, "the vehicle fell silent", 1)
     with pytest.raises(ClockStoppedError):
         parts.runner.tick()
+
+
+@pytest.mark.parametrize(("stood_s", "used"), [(STOOD_MAX_S / 2, True), (2 * STOOD_MAX_S, False)])
+def test_samples_of_a_tick_in_which_the_process_stood_still_are_told_and_not_used(stood_s, used):
+    messages = [RawSample(encode_odometry(1, "map", "target", (1.0, 2.0, 0.2), (1.0, 0.0, 0.0, 0.0)))]
+    target = LiveTarget(SimpleNamespace(poll=lambda: messages), lambda: 8.0 + stood_s)
+    arrived = target.samples(8.0)
+    assert arrived.messages == messages
+    if used:
+        assert (arrived.samples[0].arrival_s, arrived.problems) == (8.0, [])
+    else:
+        assert arrived.samples == ()
+        assert f"stood still for {stood_s:.2f} s" in arrived.problems[0]
 
 
 def test_a_sample_that_cannot_be_decoded_is_a_problem_and_stays_for_the_log():
