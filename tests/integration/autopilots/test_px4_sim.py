@@ -86,14 +86,14 @@ def test_a_vehicle_in_flight_waits_for_no_other_program_where_time_is_real(speed
     with simulator("paper_moving_1", speed=speed) as (child, port):
         fake = FakePx4(port)
         fake.hello()
-        policies = []
-        for armed in (False, True, False):
-            fake.answer(fake.sensor().time_usec, (0.0,) * 4, armed=armed)
-            following = fake.sensor()  # sent when the answer has been looked at
-            policies.append(os.sched_getscheduler(child.pid))
-            fake.answer(following.time_usec, (0.0,) * 4, armed=armed)
         flying = os.SCHED_FIFO if speed == "1" else os.SCHED_OTHER
-        assert policies == [os.SCHED_OTHER, flying, os.SCHED_OTHER]
+        for armed, wanted in ((False, os.SCHED_OTHER), (True, flying), (False, os.SCHED_OTHER)):
+            policies = []
+            while policies[-1:] != [wanted] and len(policies) < 500:  # its first steps wait for no answer
+                fake.answer(fake.sensor().time_usec, (0.0,) * 4, armed=armed)
+                policies.append(os.sched_getscheduler(child.pid))
+            assert policies[-1] == wanted
+            assert speed == "1" or set(policies) == {wanted}
         fake.close()
 
 
