@@ -23,6 +23,7 @@ from pathlib import Path
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.common.pacing import ask_for_priority
+from tests.ports import free_port
 
 _TURN_S = 0.002  # s; at 57,600 baud 12 bytes
 _PIECE = 256  # bytes read at a time
@@ -72,9 +73,7 @@ class TcpEnd:
     """A TCP server that takes one client at a time; a pulled cable is a connection closed, and none taken."""
 
     def __init__(self) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self._port = probe.getsockname()[1]
+        self._port = free_port()
         self.url = f"tcp:127.0.0.1:{self._port}"
         self._server: socket.socket | None = None
         self._client: socket.socket | None = None

@@ -9,24 +9,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from flightstack.common.processes import Port
 from tests.bounded import PATIENCE_S, killed, line_of
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-m", "flightstack.cli.main"]
 NAN = float("nan")
-
-
-def free_port() -> int:
-    """A port of loopback below the range that outgoing connections draw from: none takes it meanwhile."""
-    with closing(Port()) as port:
-        return port.number
 
 
 @contextmanager

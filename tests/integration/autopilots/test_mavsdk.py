@@ -24,7 +24,8 @@ from tests.integration.autopilots.real_clients import (
     Program,
     vehicle,
 )
-from tests.integration.sim_processes import Client, free_port, is_a, setpoint
+from tests.integration.sim_processes import Client, is_a, setpoint
+from tests.ports import free_port
 
 pytestmark = pytest.mark.xdist_group("real-time")
 
@@ -70,7 +71,7 @@ def test_whole_flight(tmp_path: Path, flight_number: int) -> None:
 def test_documented_example(tmp_path: Path, flight_number: int) -> None:
     block = re.search(r"^```python\n(.*?)^```", DOCUMENTATION.read_text(), re.MULTILINE | re.DOTALL)
     assert block is not None
-    port_there = free_port()
+    port_there = free_port(udp=True)
     script = tmp_path / "example.py"
     script.write_text(block.group(1).replace("0.0.0.0:14540", f"127.0.0.1:{port_there}"))
     with vehicle("--peer", f"127.0.0.1:{port_there}") as port:

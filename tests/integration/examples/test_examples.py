@@ -18,7 +18,8 @@ from bridge.target.odometry import OdometrySubscriber
 from bridge.zenoh.zenoh_link import open_session
 from logs.reader.flight import load_flight
 from tests.integration.runs import WALL_MAX_S, flightstack
-from tests.integration.sim_processes import PATIENCE_S, free_port, verb, wait_for
+from tests.integration.sim_processes import PATIENCE_S, verb, wait_for
+from tests.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import ODOMETRY, decode
 
 ROOT = Path(__file__).parents[3]
@@ -97,7 +98,7 @@ def test_the_scenario_is_proven_lands_and_its_log_becomes_arrays(flown, tmp_path
 
 @pytest.mark.xdist_group("real-time")
 def test_the_target_drives_a_circle_and_says_so():
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     samples = []
     with running("publish_target.py", "--key", "demo/odom", "--speed", "0.5", "--listen", endpoint):
         session = open_session([], [endpoint])
@@ -128,7 +129,7 @@ def test_the_target_drives_a_circle_and_says_so():
 
 @pytest.mark.xdist_group("real-time")
 def test_the_target_is_landed_on(tmp_path):
-    zenoh, url = f"tcp/127.0.0.1:{free_port()}", f"127.0.0.1:{free_port()}"
+    zenoh, url = free_endpoint(), f"127.0.0.1:{free_port(udp=True)}"
     vehicle = ("vehicle", "--scenario", "paper_static_2", "--url", f"udpin:{url}")
     robot = ("publish_target.py", "--key", "demo/odom", "--speed", "0", "--listen", zenoh)
     with verb(*vehicle), running(*robot):

@@ -12,8 +12,9 @@ from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import PROFILES
 from sim.scenarios.team import one_of
 from tests.integration.runs import Flying, called
-from tests.integration.sim_processes import free_port, verb
+from tests.integration.sim_processes import verb
 from tests.integration.wires.bridge_processes import member_behind_the_bridge
+from tests.ports import free_port
 
 TEAM = f"""
 name = "two_cross"
@@ -45,7 +46,7 @@ KINDS = {1: "sitl", 2: "ardupilot", 3: "crazyflie"}
 @pytest.mark.xdist_group("real-time")
 def test_three_kinds_of_vehicles_hear_each_other_land_and_replay(tmp_path):
     (team_file := tmp_path / "team.toml").write_text(TEAM)
-    places, out = [f"127.0.0.1:{free_port()}" for _ in range(2)], tmp_path / "out"
+    places, out = [f"127.0.0.1:{free_port(udp=True)}" for _ in range(2)], tmp_path / "out"
     options = ("--seed", 1, "--duration", 90)
     members = [f"{n}=udpout:{place}" for n, place in enumerate(places, 2)]
     run = Flying(out, "--scenario", team_file, *options, *(w for m in members for w in ("--member", m)))

@@ -23,8 +23,9 @@ from logs.reader.reader import LogFile
 from sim.scenarios.scenario import load
 from tests.bounded import killed, lines_of
 from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack, replayed
-from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, free_port
+from tests.integration.sim_processes import PATIENCE_S, ROOT, Client
 from tests.integration.wires.test_links import signing
+from tests.ports import free_endpoint, free_port
 from tests.unit.target import ros2_helpers as ros
 
 pytestmark = pytest.mark.xdist_group("real-time")
@@ -240,7 +241,7 @@ def start():
 
 @pytest.fixture
 def port():
-    return free_port()
+    return free_port(udp=True)
 
 
 def heartbeat():
@@ -279,7 +280,7 @@ def test_a_vehicle_that_signs_with_another_key_or_not_at_all(start, port, tmp_pa
 
 
 def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(start, tmp_path):
-    log, socket, endpoint = tmp_path / "wait.mcap", tmp_path / "socket", ros.free_endpoint()
+    log, socket, endpoint = tmp_path / "wait.mcap", tmp_path / "socket", free_endpoint()
     recorder = start("record", "--socket", socket, "--out", log)
     recorder.until("ready")
     vehicle = start("vehicle", "--scenario", "paper_moving_1", "--url", "udpin:127.0.0.1:0")

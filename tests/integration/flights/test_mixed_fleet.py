@@ -25,8 +25,9 @@ from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Error, Px4Model, Px4Program
 from sim.scenarios.team import load, one_of
 from tests.integration.runs import Flying
-from tests.integration.sim_processes import free_port, verb
+from tests.integration.sim_processes import verb
 from tests.integration.wires.bridge_processes import member_behind_the_bridge
+from tests.ports import free_port
 from tests.px4_flight import px4_or_skip
 
 ROOT = Path(__file__).parents[3]
@@ -90,7 +91,7 @@ def least_rho(one, other, fleet):
 @pytest.mark.xdist_group("stream 0")
 def test_three_kinds_cross_land_and_replay(tmp_path):
     px4_or_skip()
-    bridge_at, out = f"127.0.0.1:{free_port()}", tmp_path / "out"
+    bridge_at, out = f"127.0.0.1:{free_port(udp=True)}", tmp_path / "out"
     with contextlib.closing(claimed((PX4 - 1,))) as claim:  # its system id is one more
         urls = {PX4: f"udpin:127.0.0.1:{14540 + claim.number}", CRAZYFLIE: f"udpout:{bridge_at}"}
         members = [word for number, url in urls.items() for word in ("--member", f"{number}={url}")]

@@ -19,7 +19,8 @@ from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.server import Server
 from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.integration.runs import COMMAND
-from tests.integration.sim_processes import ROOT, Client, free_port, is_a, setpoint
+from tests.integration.sim_processes import ROOT, Client, is_a, setpoint
+from tests.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import pose_stamped
 
 OFFBOARD, HOLD = 0x00060000, 0x03040000
@@ -147,7 +148,7 @@ class Mocap:
     """Publishes a pose at 100 Hz under a key, until stopped."""
 
     def __init__(self, key: str, pose: Callable[[], tuple]) -> None:
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.endpoint = free_endpoint()
         self._session = zenoh_link.open_session([self.endpoint])
         self._publisher = zenoh_link.dropping_publisher(self._session, key)
         self._pose, self._done = pose, threading.Event()
@@ -173,7 +174,7 @@ class Mocap:
 @contextmanager
 def plain_vehicle(autopilot: int) -> Iterator[Client]:
     """A socket that beats like an autopilot, and decodes what comes with pymavlink alone."""
-    one = Client(f"udpin:127.0.0.1:{free_port()}", 1, 1, listen=True)
+    one = Client(f"udpin:127.0.0.1:{free_port(udp=True)}", 1, 1, listen=True)
     try:
         one.beat = lambda: one.send(mav.MAVLink_heartbeat_message(2, autopilot, 0, 0, 3, 3))
         yield one

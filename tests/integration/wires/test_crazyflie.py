@@ -24,8 +24,9 @@ from tests.crazyflie_firmware.server import Server
 from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.crazyflie_firmware.supervisor import PERIOD_S, TIMEOUT_S, State
 from tests.integration.runs import COMMAND, called, flightstack
-from tests.integration.sim_processes import PATIENCE_S, ROOT, free_port, is_a, setpoint, wait_for
+from tests.integration.sim_processes import PATIENCE_S, ROOT, is_a, setpoint, wait_for
 from tests.integration.wires.bridge_processes import KEY, Mocap, bridge, client, fly, plain_vehicle, verb
+from tests.ports import free_endpoint
 
 pytestmark = pytest.mark.xdist_group("real-time")
 
@@ -51,7 +52,7 @@ def test_the_onboard_process_lands_it_unchanged(tmp_path):
     plant = Point(-1.2, 0.3, lambda x, y: PAD_M if x * x + y * y < PAD_RADIUS_M**2 else 0.0)
     config = tmp_path / "onboard.toml"
     config.write_text(CONFIG)
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     session = zenoh_link.open_session([endpoint])
     target = OdometryPublisher(session, "cf1/target/odom", frame_id="map", child_frame_id="target")
     done = threading.Event()
@@ -88,7 +89,7 @@ def test_the_onboard_process_lands_it_unchanged(tmp_path):
 
 
 def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
-    here, there = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    here, there = (free_endpoint() for _ in range(2))
     robot = subprocess.Popen(
         [*COMMAND, "target", "--scenario", "paper_moving_1", "--listen", here, "--connect", there],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,

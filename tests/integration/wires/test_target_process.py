@@ -18,11 +18,11 @@ from flightstack.core.types import ZERO, Phase
 from logs.schema.rows import ControllerStepRow
 from tests.integration.sim_processes import (
     PATIENCE_S,
-    free_port,
     process,
     terminate,
     wait_for,
 )
+from tests.ports import free_port
 
 PAIR = struct.Struct("<qq")
 RUN_AHEAD = 20

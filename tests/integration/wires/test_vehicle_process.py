@@ -17,13 +17,13 @@ from bridge.zenoh import zenoh_link
 from flightstack.core.types import ZERO
 from tests.integration.sim_processes import (
     Client,
-    free_port,
     is_a,
     process,
     setpoint,
     terminate,
     wait_for,
 )
+from tests.ports import free_port
 
 ARMED = 128
 OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000
@@ -210,7 +210,7 @@ def test_companion_that_falls_silent_lets_the_vehicle_land_in_simulated_time_and
 
 
 def test_vehicle_that_calls_loses_nothing_of_the_first_tick() -> None:
-    port = free_port()
+    port = free_port(udp=True)
     companion = Companion(f"udpin:127.0.0.1:{port}", listen=True)
     with vehicle(1, lockstep=True, url=f"udpout:127.0.0.1:{port}", duration_s=0.2) as (child, ready):
         assert ready == f"ready udpout:127.0.0.1:{port}"

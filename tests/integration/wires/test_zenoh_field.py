@@ -20,7 +20,8 @@ from logs.reader.reader import LogFile
 from tests.bounded import killed, line_of
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import verb
-from tests.unit.target.ros2_helpers import PATIENCE_S, free_endpoint, odometry, rmw_session, until
+from tests.ports import free_endpoint, free_port
+from tests.unit.target.ros2_helpers import PATIENCE_S, odometry, rmw_session, until
 
 ROOT = Path(__file__).parents[3]
 FILES = ROOT / "docs" / "how_to" / "zenoh"
@@ -70,7 +71,7 @@ def client_file(kind, name, secret=None):
 @contextmanager
 def router(kind):
     """A router with the page's configuration; yields the endpoint to dial."""
-    port = free_endpoint().rsplit(":", 1)[1]
+    port = free_port()
     session = zenoh_link.open_session(
         [f"tls/127.0.0.1:{port}"], config_file=FILES / f"router_{kind}.json5", role=Role.ROUTER
     )
@@ -176,7 +177,7 @@ def test_a_router_under_another_name_is_not_believed(at_home):
 
 
 def test_peers_find_each_other(at_home):
-    port = free_endpoint().rsplit(":", 1)[1]  # not the one that other Zenoh processes of this network use
+    port = str(free_port(udp=True))  # not the one that other Zenoh processes of this network use
     file = Path("peers.json5")
     file.write_text((FILES / "peers.json5").read_text().replace("7446", port))
     one = zenoh_link.open_session(config_file=file)

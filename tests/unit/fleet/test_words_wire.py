@@ -18,7 +18,8 @@ from sim.runners.fleet import words_wire
 from sim.runners.fleet.words import Words
 from sim.runners.fleet.words_wire import MemberWords
 from sim.scenarios import team
-from tests.unit.target.ros2_helpers import free_endpoint, until
+from tests.ports import free_endpoint
+from tests.unit.target.ros2_helpers import until
 
 GRID = TickGrid(100)
 NAMES = ("cf1", "cf2", "cf3")

@@ -13,7 +13,8 @@ from flightstack.onboard import fleet_wire
 from flightstack.onboard.fleet_wire import BYTES_MAX, FleetWire
 from logs.schema.fleet_rows import Echo, word_row
 from logs.schema.rows import FleetWordRow
-from tests.unit.target.ros2_helpers import free_endpoint, until
+from tests.ports import free_endpoint
+from tests.unit.target.ros2_helpers import until
 
 EPOCH_NS = 1_700_000_000_000_000_000
 AHEAD_NS = 5_000_000_000  # of the clock of vehicle 7 before that of vehicle 3

@@ -25,6 +25,7 @@ from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, Vehicl
 from flightstack.onboard.live_topics import BATTERY_AGE_MAX_S, health_row
 from flightstack.onboard.waiting import TargetSeen, VehicleSeen, countdown, missing
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
+from tests.ports import free_endpoint, free_port
 from tests.unit.target import ros2_helpers as ros
 from tests.unit.target.ros2_helpers import until
 
@@ -214,14 +215,14 @@ def test_without_one_it_is_on_the_flight_s_own_session(wires):
 
 def test_a_robot_that_is_not_there_is_told_in_real_time_alone(wires):
     for lockstep in (False, True):
-        dialling = wires(connect=[ros.free_endpoint()], lockstep=lockstep)
+        dialling = wires(connect=[free_endpoint()], lockstep=lockstep)
         assert dialling.texts(0.0) == []
         texts = dialling.texts(PATIENCE_S + 1.0)
         assert [("no connection to" in text) for text in texts] == ([] if lockstep else [True])
 
 
 def test_a_door_to_the_network_without_rules_is_told_once(wires):
-    port = ros.free_endpoint().rsplit(":", 1)[1]
+    port = free_port()
     open_door = wires(listen=[f"tcp/0.0.0.0:{port}"])
     [text] = open_door.texts(0.0)
     assert f"listens on tcp/0.0.0.0:{port} without rules" in text
@@ -272,6 +273,6 @@ def test_wrong_words_are_refused_with_what_is_allowed(words, status, said):
 
 
 def test_a_router_of_ros_that_is_not_there_is_said_before_the_flight():
-    done = run(*ONBOARD, "--ros2", ros.free_endpoint())
+    done = run(*ONBOARD, "--ros2", free_endpoint())
     assert done.returncode == 2
     assert "is the router there" in done.stderr

@@ -1,7 +1,6 @@
 """ROS 2 messages by mcap-ros2-support, a CDR codec that shares nothing with ours, and sessions."""
 
 import re
-import socket
 import time
 from contextlib import contextmanager
 from functools import cache
@@ -12,6 +11,7 @@ from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
 
 from bridge.zenoh import zenoh_link
 from logs.schema.schemas import schema_text
+from tests.ports import free_endpoint, free_port
 
 PATIENCE_S = 20.0
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -96,16 +96,10 @@ def odometry(
     return encode(ODOMETRY, message)
 
 
-def free_endpoint():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
 def on_free_ports(text):
     """The same commands with each port they name, 7447 to 14580, changed to one that is free."""
     found = set(re.findall(r":(74\d\d|14\d\d\d)\b", text))
-    free = {port: free_endpoint().rsplit(":", 1)[1] for port in found}
+    free = {port: free_port(udp=port.startswith("14")) for port in found}  # Zenoh's are of TCP
     return re.sub(r":(74\d\d|14\d\d\d)\b", lambda match: f":{free[match[1]]}", text)
 
 

@@ -20,7 +20,8 @@ from bridge.zenoh.zenoh_link import (
     dialled,
     open_session,
 )
-from tests.unit.target.ros2_helpers import free_endpoint, until
+from tests.ports import free_endpoint
+from tests.unit.target.ros2_helpers import until
 
 KEY = "cf1/target/odom"
 
@@ -188,9 +189,8 @@ OTHERS = ("cf1/controller/step", "camera/image")
 @pytest.fixture
 def pair():
     """Two sessions of which the second dials the first, at a port that was free a moment ago."""
-    from tests.unit.target import ros2_helpers as ros
 
-    endpoint = ros.free_endpoint()
+    endpoint = free_endpoint()
     there = zenoh_link.open_session(listen=[endpoint])
     here = zenoh_link.open_session(connect=[endpoint])
     yield there, here

@@ -6,7 +6,6 @@ import io
 import os
 import random
 import signal
-import socket
 import statistics
 import subprocess
 import sys
@@ -27,6 +26,7 @@ from logs.recorder.recorder_process import Syncer
 from logs.schema import schemas
 from logs.schema.codec_mavlink import pack_mavlink
 from tests.bounded import line_of
+from tests.ports import free_endpoint
 from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
 
 LIMITS = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"  # bytes of a file
@@ -288,14 +288,8 @@ def test_full_disk_with_reserve_still_closes_the_file(tmp_path):
         assert make_reader(stream).get_summary().statistics.message_count == file.messages
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 def test_recording_straight_from_zenoh(tmp_path):
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     session = open_session(listen=[endpoint])
     try:
         source = ZenohSource([endpoint], ["cf1/**"])
