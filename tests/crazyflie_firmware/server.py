@@ -7,6 +7,7 @@ import threading
 import time
 from types import TracebackType
 
+from flightstack.common.pacing import ask_for_priority
 from tests.crazyflie_firmware.firmware import Firmware
 
 TICK_S = 0.002
@@ -59,6 +60,7 @@ class Server:
             raise self.error
 
     def _run(self) -> None:
+        ask_for_priority()  # of this thread: a vehicle waits for no other program
         try:
             while not self._stop.is_set():
                 select.select((self._socket,), (), (), TICK_S)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import subprocess
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
@@ -17,6 +19,7 @@ from bridge.ros2.ros2_names import topic_key
 from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
+from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.common.processes import ended
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
@@ -120,6 +123,25 @@ def test_it_has_the_system_id_of_a_member_of_a_fleet():
     with Server(Firmware()) as server, bridge(server, "--system-id", "3") as started, client(started) as one:
         heartbeat = one.until(is_a("HEARTBEAT"), each=one.hello)
         assert heartbeat.get_srcSystem() == 3
+
+
+@pytest.mark.parametrize("kind", ["crazyflie", "mocap"])
+def test_a_bridge_and_its_threads_wait_for_no_other_program(kind):
+    if not ask_for_priority():
+        pytest.skip("this system gives no priority: its tests run without it")
+    give_up_priority()
+    still = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    with Server(Firmware()) as server, Mocap(KEY, lambda: still) as mocap:
+        words = {
+            "crazyflie": ("--uri", server.uri, "--url", "udpin:127.0.0.1:0"),
+            "mocap": ("--key", KEY, "--connect", mocap.endpoint, "--vehicle", "udpin:127.0.0.1:0"),
+        }
+        with verb(kind, *words[kind]) as started:
+            pid = started.child.pid
+            threads = {int(each.name) for each in Path(f"/proc/{pid}/task").iterdir()}
+            prompt = {each for each in threads if os.sched_getscheduler(each) == os.SCHED_FIFO}
+            assert pid in prompt
+            assert len(prompt) > 1
 
 
 def test_set_points_stop_with_their_client_and_the_firmware_does_the_rest():
