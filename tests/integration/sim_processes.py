@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import signal
 import socket
@@ -9,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,16 @@ def terminate(child: subprocess.Popen[str], number: signal.Signals = signal.SIGT
     child.send_signal(number)
     assert child.wait(PATIENCE_S) == 0
     return time.monotonic() - start_s
+
+
+def prompt_threads(pid: int) -> set[int]:
+    """Threads of a process that run before ordinary programs."""
+    found = set()
+    for each in Path(f"/proc/{pid}/task").iterdir():
+        with suppress(ProcessLookupError):  # it has ended meanwhile
+            if os.sched_getscheduler(int(each.name)) == os.SCHED_FIFO:
+                found.add(int(each.name))
+    return found
 
 
 def wait_for(done: Callable[[], bool], what: str) -> None:

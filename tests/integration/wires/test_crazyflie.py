@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
 import signal
 import subprocess
 import threading
 import time
-from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
@@ -27,7 +25,7 @@ from tests.crazyflie_firmware.server import Server
 from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.crazyflie_firmware.supervisor import PERIOD_S, TIMEOUT_S, State
 from tests.integration.runs import COMMAND, called, flightstack
-from tests.integration.sim_processes import PATIENCE_S, ROOT, is_a, setpoint, wait_for
+from tests.integration.sim_processes import PATIENCE_S, ROOT, is_a, prompt_threads, setpoint, wait_for
 from tests.integration.wires.bridge_processes import KEY, Mocap, bridge, client, fly, plain_vehicle, verb
 from tests.ports import free_endpoint
 
@@ -137,10 +135,8 @@ def test_a_bridge_and_its_threads_wait_for_no_other_program(kind):
             "mocap": ("--key", KEY, "--connect", mocap.endpoint, "--vehicle", "udpin:127.0.0.1:0"),
         }
         with verb(kind, *words[kind]) as started:
-            pid = started.child.pid
-            threads = {int(each.name) for each in Path(f"/proc/{pid}/task").iterdir()}
-            prompt = {each for each in threads if os.sched_getscheduler(each) == os.SCHED_FIFO}
-            assert pid in prompt
+            prompt = prompt_threads(started.child.pid)
+            assert started.child.pid in prompt
             assert len(prompt) > 1
 
 

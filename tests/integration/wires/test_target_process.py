@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import struct
 import time
-from pathlib import Path
 
 import pytest
 
@@ -16,12 +14,7 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.core.types import ZERO, Phase
 from logs.schema.rows import ControllerStepRow
-from tests.integration.sim_processes import (
-    PATIENCE_S,
-    process,
-    terminate,
-    wait_for,
-)
+from tests.integration.sim_processes import PATIENCE_S, process, prompt_threads, terminate, wait_for
 from tests.ports import free_port
 
 PAIR = struct.Struct("<qq")
@@ -161,15 +154,11 @@ def test_the_robots_poses_wait_for_no_other_program_but_in_lockstep(lockstep: bo
     give_up_priority()
     with target(1, free_port(), lockstep=lockstep) as (child, ready):
         assert ready == "ready"
-
-        def prompt() -> set[int]:
-            threads = [int(each.name) for each in Path(f"/proc/{child.pid}/task").iterdir()]
-            return {each for each in threads if os.sched_getscheduler(each) == os.SCHED_FIFO}
-
         if lockstep:
-            assert not prompt()
+            assert not prompt_threads(child.pid)
         else:  # its own thread asks after it has said that it is ready
-            wait_for(lambda: child.pid in prompt() and len(prompt()) > 1, "priority of the target")
+            wait_for(lambda: len(prompt_threads(child.pid) - {child.pid}) > 0, "priority of its threads")
+            wait_for(lambda: child.pid in prompt_threads(child.pid), "priority of the target")
         terminate(child)
 
 
