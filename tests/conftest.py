@@ -65,7 +65,7 @@ TAKES_S = {
     "test_motors_stop_in_the_air_when_asked_to": 11,
 }
 OTHERS_S = 4.0
-STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # the first has those of a real PX4
+STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # the first has the flights of a real PX4
 
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)

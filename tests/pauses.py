@@ -15,12 +15,12 @@ import os
 import threading
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 import pytest
 from _pytest.runner import runtestprotocol
 
 from flightstack.common.pacing import keep_memory
+from flightstack.common.processes import hand_on_niceness
 
 ATTEMPTS = 6
 PAUSE_S = 0.1  # half of the age at which an own state is no longer flown by (checks.own_age_max_s)
@@ -113,9 +113,9 @@ def _give_way() -> None:
     In the session of the workers that fly, ordinary threads of these waited up to 0.15 s for a nice one.
     """
     os.setpriority(os.PRIO_PROCESS, 0, GIVES_WAY)
-    with contextlib.suppress(OSError):  # it leads one already; or there are no such groups
+    with contextlib.suppress(OSError):  # it leads one already
         os.setsid()
-        Path("/proc/self/autogroup").write_text(str(GIVES_WAY))
+    hand_on_niceness(os.getpid())
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:

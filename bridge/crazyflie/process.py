@@ -26,7 +26,7 @@ from bridge.mavlink.server.owner import Sender
 from bridge.mavlink.signing.key import load_key
 from bridge.mocap.checks import Passed
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import ask_for_priority, keep_memory
+from flightstack.common.pacing import run_promptly
 
 INITIAL = "kalman.initial"
 RESET = "kalman.resetEstimation"
@@ -224,8 +224,7 @@ def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], N
         stack.callback(endpoint.close)
         for warning in endpoint.warnings:
             print(f"crazyflie: WARNING: {warning}", file=sys.stderr)
-        ask_for_priority()  # what comes goes on at once on a busy computer, too; so do cflib's threads
-        keep_memory()
+        run_promptly()  # before the link: cflib's threads have the priority of the one that starts them
         link = CrazyflieLink(options.uri, options.cache)
         stack.callback(link.close)
         say(f"ready {kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}")

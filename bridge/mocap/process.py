@@ -21,7 +21,7 @@ from bridge.ros2.ros2_names import parse_topic_key
 from bridge.target.ros2_target import ROS_TYPES, Dialect, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import ask_for_priority, keep_memory
+from flightstack.common.pacing import run_promptly
 from flightstack.core.types import ZERO, Vec3
 
 CAPACITY = 256  # samples between two polls; the oldest go first
@@ -240,8 +240,7 @@ def run(options: Options, say: Callable[[str], None] = print) -> int:
         vehicle = MocapVehicle(options.system_id, options.limits, options.origin)
         source = MocapSource(session, options.spec, options.offset_flu_m)
         bridge = Bridge(source, vehicle, endpoint, options.system_id, say)
-        ask_for_priority()  # an old pose is no own state: poses go on at once on a busy computer, too
-        keep_memory()
+        run_promptly()  # an old pose is no own state
         say("ready")
         sys.stdout.flush()
         bridge.run(stop, options.duration_s)

@@ -182,6 +182,12 @@ def keep_memory() -> bool:
     return (unlimited or os.geteuid() == 0) and lock(_LOCK_WHAT_IS_USED) == 0
 
 
+def run_promptly() -> None:
+    """Ask for priority and keep memory, as a process that a flight waits for; the system may refuse each."""
+    ask_for_priority()
+    keep_memory()
+
+
 def quiet_garbage_collector() -> None:
     """Keep collections out of the loop: what exists now stays, and the loop makes no cycles."""
     gc.collect()

@@ -59,8 +59,8 @@ class Running(Protocol):
         """Ask it to end, after so many seconds make it; its exit status."""
 
 
-def _hand_on_niceness(pid: int) -> None:
-    """Give the session of a child the niceness of this process.
+def hand_on_niceness(pid: int) -> None:
+    """Give the niceness of this process to the session of a child, or to its own.
 
     Linux shares processors among sessions before it looks at niceness (sched(7), autogroup), and a session
     begins with none: what is started with ``nice`` would take as much from others as without.
@@ -107,7 +107,7 @@ class Child:
                 stderr=errors,
                 start_new_session=True,  # Ctrl-C reaches the launcher alone, which ends the children in order
             )
-        _hand_on_niceness(self.process.pid)
+        hand_on_niceness(self.process.pid)
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""

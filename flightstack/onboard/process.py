@@ -19,9 +19,8 @@ from bridge.target.ros2_target import TargetSpec, TargetType
 from flightstack.common.pacing import (
     RealTimePacer,
     Tick,
-    ask_for_priority,
-    keep_memory,
     quiet_garbage_collector,
+    run_promptly,
 )
 from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.common.strict_toml import ConfigError, dumps
@@ -364,8 +363,7 @@ def _runner(onboard: Onboard, signals: Signals) -> Runner:
         return Runner(
             onboard.controller, both, vehicle, both, leaving, onboard, told.words if told else tuple
         )
-    ask_for_priority()
-    keep_memory()
+    run_promptly()
     clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
     pacer = RealTimePacer(rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
     words: Words = tuple

@@ -43,7 +43,7 @@ class Arrived(NamedTuple):
 
 
 NOTHING = Arrived()
-STOOD_MAX_S = 0.05  # s by which a sample may have come later than its tick; checks.target_age_max_s is 0.25
+STALL_MAX_S = 0.05  # s by which a sample may come later than its tick, a fifth of checks.target_age_max_s
 
 
 class Taken(NamedTuple):
@@ -185,7 +185,7 @@ class RealTimeClock:
 class LiveTarget:
     """A target whose samples come when they come; it needs no word about the landing.
 
-    Samples of a tick in which the process stood still are not used: they may have come later than the tick.
+    Samples of a tick in which the process stalled are not used: they may have come later than the tick.
     The shortest delay of a sample would be too short from then on, and later ones would count as too late.
 
     Args:
@@ -199,9 +199,9 @@ class LiveTarget:
     def samples(self, now_s: float) -> Arrived:
         """Return what has arrived since the last call."""
         messages = self._source.poll()
-        stood_s = self._clock() - now_s
-        if messages and stood_s > STOOD_MAX_S:
-            told = f"target samples not used: the process stood still for {stood_s:.2f} s before it read them"
+        stall_s = self._clock() - now_s
+        if messages and stall_s > STALL_MAX_S:
+            told = f"target samples not used: the process stalled for {stall_s:.2f} s before it had read them"
             return Arrived((), [told], messages)
         return decoded(messages, now_s)
 

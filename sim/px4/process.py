@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from bridge.zenoh import zenoh_link
@@ -103,13 +104,9 @@ _PRIORITY: Mapping[Event, Callable[[], object]] = {
 }
 
 
-def _tell(event: Event) -> None:
+def _tell(event: Event, *, paced: bool) -> None:
     _say(event.value)
-
-
-def _tell_in_real_time(event: Event) -> None:
-    _say(event.value)
-    if event in _PRIORITY:
+    if paced and event in _PRIORITY:
         _PRIORITY[event]()
 
 
@@ -195,7 +192,7 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
                     stop,
                     speed=speed,
                     silent_max_s=options.silent_max_s,
-                    tell=_tell_in_real_time if speed > 0.0 else _tell,
+                    tell=partial(_tell, paced=speed > 0.0),
                     mocap=poses,
                 )
                 if _serve(flight, link, node, stop, options.duration_s) or (options.once and flight.steps):

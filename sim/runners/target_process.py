@@ -21,9 +21,8 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import (
     EPOCH_NS,
     RealTimePacer,
-    ask_for_priority,
-    keep_memory,
     quiet_garbage_collector,
+    run_promptly,
 )
 from flightstack.common.simulation_clock import Clock, Follower, chosen_clock
 from logs.recorder.feed import Feed, FeedError
@@ -201,8 +200,7 @@ class _RealTime:
         """Drive until the end."""
         first = self._robots[0].robot
         quiet_garbage_collector()
-        ask_for_priority()  # a pose that comes late counts as lost
-        keep_memory()
+        run_promptly()  # a pose that comes late counts as lost
         pacer = RealTimePacer(
             first.grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
         )

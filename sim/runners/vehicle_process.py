@@ -23,10 +23,9 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import (
     EPOCH_NS,
-    ask_for_priority,
     give_up_priority,
-    keep_memory,
     quiet_garbage_collector,
+    run_promptly,
 )
 from logs.recorder.feed import Feed, FeedError
 from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
@@ -149,8 +148,7 @@ class RealTimeLoop:
             ticks: how many; None for no end.
         """
         vehicles, grid, between = self._vehicles, self._grid, self._between
-        ask_for_priority()  # a vehicle is nobody's ordinary process: its physics wait for no other program
-        keep_memory()
+        run_promptly()  # a vehicle is nobody's ordinary process: its physics wait for no other program
         self._start_s = time.monotonic()
         self._set_epoch(time.time_ns())  # making the vehicle took a while
         tick = 0

@@ -14,8 +14,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from flightstack.common.pacing import ask_for_priority, give_up_priority
 from tests.bounded import PATIENCE_S, killed, line_of
 
 ROOT = Path(__file__).parents[2]
@@ -57,6 +59,13 @@ def terminate(child: subprocess.Popen[str], number: signal.Signals = signal.SIGT
     child.send_signal(number)
     assert child.wait(PATIENCE_S) == 0
     return time.monotonic() - start_s
+
+
+def priority_or_skip() -> None:
+    """Skip the test that asks where the system gives no priority."""
+    if not ask_for_priority():
+        pytest.skip("this system gives no priority: its tests run without it")
+    give_up_priority()
 
 
 def prompt_threads(pid: int) -> set[int]:

@@ -1,7 +1,6 @@
 """The verb ``px4-sim`` over its real wires, flown by a stand-in for PX4 that sees nothing but the sensors."""
 
 import itertools
-import os
 import signal
 import time
 from contextlib import contextmanager
@@ -11,10 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
-from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.common.processes import Port
 from logs.reader.flight import load_flight
-from tests.integration.sim_processes import verb
+from tests.integration.sim_processes import priority_or_skip, prompt_threads, verb
 from tests.unit.px4.px4_fakes import FakePx4, Pilot, parameters_of, true_place
 
 PATIENCE_S = 120.0  # the first run on a machine compiles
@@ -80,20 +78,17 @@ def test_flies_by_motion_capture_in_the_coordinates_of_the_room():
 @pytest.mark.xdist_group("real-time")
 @pytest.mark.parametrize("speed", ["1", "0"])
 def test_a_vehicle_in_flight_waits_for_no_other_program_where_time_is_real(speed):
-    if not ask_for_priority():
-        pytest.skip("this system gives no priority: its tests run without it")
-    give_up_priority()
+    priority_or_skip()
     with simulator("paper_moving_1", speed=speed) as (child, port):
         fake = FakePx4(port)
         fake.hello()
-        flying = os.SCHED_FIFO if speed == "1" else os.SCHED_OTHER
-        for armed, wanted in ((False, os.SCHED_OTHER), (True, flying), (False, os.SCHED_OTHER)):
-            policies = []
-            while policies[-1:] != [wanted] and len(policies) < 500:  # its first steps wait for no answer
+        for armed in (False, True, False):
+            wanted, prompt = armed and speed == "1", []
+            while len(prompt) < 50 or (prompt[-1] is not wanted and len(prompt) < 500):
                 fake.answer(fake.sensor().time_usec, (0.0,) * 4, armed=armed)
-                policies.append(os.sched_getscheduler(child.pid))
-            assert policies[-1] == wanted
-            assert speed == "1" or set(policies) == {wanted}
+                prompt.append(child.pid in prompt_threads(child.pid))
+            assert prompt[-1] is wanted
+            assert speed == "1" or not any(prompt)
         fake.close()
 
 

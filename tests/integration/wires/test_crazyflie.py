@@ -17,7 +17,6 @@ from bridge.ros2.ros2_names import topic_key
 from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
-from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.common.processes import ended
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
@@ -25,7 +24,15 @@ from tests.crazyflie_firmware.server import Server
 from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.crazyflie_firmware.supervisor import PERIOD_S, TIMEOUT_S, State
 from tests.integration.runs import COMMAND, called, flightstack
-from tests.integration.sim_processes import PATIENCE_S, ROOT, is_a, prompt_threads, setpoint, wait_for
+from tests.integration.sim_processes import (
+    PATIENCE_S,
+    ROOT,
+    is_a,
+    priority_or_skip,
+    prompt_threads,
+    setpoint,
+    wait_for,
+)
 from tests.integration.wires.bridge_processes import KEY, Mocap, bridge, client, fly, plain_vehicle, verb
 from tests.ports import free_endpoint
 
@@ -125,9 +132,7 @@ def test_it_has_the_system_id_of_a_member_of_a_fleet():
 
 @pytest.mark.parametrize("kind", ["crazyflie", "mocap"])
 def test_a_bridge_and_its_threads_wait_for_no_other_program(kind):
-    if not ask_for_priority():
-        pytest.skip("this system gives no priority: its tests run without it")
-    give_up_priority()
+    priority_or_skip()
     still = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     with Server(Firmware()) as server, Mocap(KEY, lambda: still) as mocap:
         words = {

@@ -11,10 +11,16 @@ import pytest
 
 from bridge.target.odometry import decode_odometry
 from bridge.zenoh import zenoh_link
-from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.core.types import ZERO, Phase
 from logs.schema.rows import ControllerStepRow
-from tests.integration.sim_processes import PATIENCE_S, process, prompt_threads, terminate, wait_for
+from tests.integration.sim_processes import (
+    PATIENCE_S,
+    priority_or_skip,
+    process,
+    prompt_threads,
+    terminate,
+    wait_for,
+)
 from tests.ports import free_port
 
 PAIR = struct.Struct("<qq")
@@ -149,9 +155,7 @@ def test_real_time_rate_and_start_with_the_landing() -> None:
 
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_the_robots_poses_wait_for_no_other_program_but_in_lockstep(lockstep: bool) -> None:
-    if not ask_for_priority():
-        pytest.skip("this system gives no priority: its tests run without it")
-    give_up_priority()
+    priority_or_skip()
     with target(1, free_port(), lockstep=lockstep) as (child, ready):
         assert ready == "ready"
         if lockstep:

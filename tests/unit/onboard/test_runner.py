@@ -14,7 +14,7 @@ from flightstack.onboard import lockstep
 from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Leaving
 from flightstack.onboard.lockstep import Patience
 from flightstack.onboard.runner import (
-    STOOD_MAX_S,
+    STALL_MAX_S,
     Arrived,
     ClockStoppedError,
     LiveTarget,
@@ -178,17 +178,17 @@ def test_a_clock_that_stops_ends_the_flight_in_its_phase():
         parts.runner.tick()
 
 
-@pytest.mark.parametrize(("stood_s", "used"), [(STOOD_MAX_S / 2, True), (2 * STOOD_MAX_S, False)])
-def test_samples_of_a_tick_in_which_the_process_stood_still_are_told_and_not_used(stood_s, used):
+@pytest.mark.parametrize(("stall_s", "used"), [(STALL_MAX_S / 2, True), (2 * STALL_MAX_S, False)])
+def test_samples_of_a_tick_in_which_the_process_stalled_are_told_and_not_used(stall_s, used):
     messages = [RawSample(encode_odometry(1, "map", "target", (1.0, 2.0, 0.2), (1.0, 0.0, 0.0, 0.0)))]
-    target = LiveTarget(SimpleNamespace(poll=lambda: messages), lambda: 8.0 + stood_s)
+    target = LiveTarget(SimpleNamespace(poll=lambda: messages), lambda: 8.0 + stall_s)
     arrived = target.samples(8.0)
     assert arrived.messages == messages
     if used:
         assert (arrived.samples[0].arrival_s, arrived.problems) == (8.0, [])
     else:
         assert arrived.samples == ()
-        assert f"stood still for {stood_s:.2f} s" in arrived.problems[0]
+        assert f"stalled for {stall_s:.2f} s" in arrived.problems[0]
 
 
 def test_a_sample_that_cannot_be_decoded_is_a_problem_and_stays_for_the_log():

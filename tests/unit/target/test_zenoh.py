@@ -188,8 +188,7 @@ OTHERS = ("cf1/controller/step", "camera/image")
 
 @pytest.fixture
 def pair():
-    """Two sessions of which the second dials the first, at a port that was free a moment ago."""
-
+    """Two sessions of which the second dials the first."""
     endpoint = free_endpoint()
     there = zenoh_link.open_session(listen=[endpoint])
     here = zenoh_link.open_session(connect=[endpoint])

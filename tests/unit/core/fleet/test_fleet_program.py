@@ -76,7 +76,7 @@ FLAT = [
 UNIT_BOX = ((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
 # a row that the best corner of the box misses by rounding
 ROUNDED, BESIDE = Row((1.0, -2.220446049250313e-16, 0.0), 0.5), ((-0.5, 0.5, -0.5), (0.5, 1.5, 0.5))
-# a row that the box meets at its side alone, where any height asks for z >= 0 or, within rounding, nothing
+# a row that the box meets on its side x = 0 alone; there it asks for z >= 0 or, within rounding, for nothing
 LEVEL, AGAINST = Row((1.0, 0.0, 4.2e-145), 0.0), ((-0.04, -0.5, -0.5), (0.0, 0.5, 0.5))
 
 
