@@ -24,6 +24,8 @@ from tests.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until
 
 KEY = "cf1/target/odom"
+SCOUTING_S = 0.5  # s that Zenoh would wait for peers when it opens a session (its "scouting/delay")
+TRIES = 20  # a busy machine may take as long for other reasons, but hardly each time
 
 
 @pytest.fixture
@@ -87,9 +89,15 @@ def test_ring_drops_the_oldest_within_one_session():
 
 def test_late_listener_is_found_by_retry():
     endpoint = free_endpoint()
-    started = time.monotonic()
-    dialler = open_session(connect=[endpoint])
-    assert time.monotonic() - started < 0.4  # no wait for the peer that is not there
+    took_s = []
+    for _ in range(TRIES):
+        began_s = time.monotonic()
+        dialler = open_session(connect=[endpoint])
+        took_s.append(time.monotonic() - began_s)
+        if took_s[-1] < SCOUTING_S:
+            break
+        dialler.close()
+    assert min(took_s) < SCOUTING_S  # no wait for the peer that is not there
     assert zenoh_link.transports(dialler) == 0
     listener = open_session([endpoint])
     try:
