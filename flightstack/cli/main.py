@@ -20,21 +20,40 @@ CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
 
 class Verb(NamedTuple):
-    """A verb: its module and function, loaded only when it is called, and its line in ``--help``."""
+    """A verb: its module and function, loaded only when it is called, and its line in ``--help``.
+
+    Attributes:
+        needs: modules that its function loads, and functions that it would call first, ``module:function``;
+            who starts it as a child does that once for all.
+    """
 
     place: str
     help: str
+    needs: tuple[str, ...] = ()
 
 
+_MACHINE_CODE = "flightstack.compiled.jit:make_ready"
 # in the groups of ``--help``, which are the folders of this package
 GROUPS = {
     "Fly": {
         "sitl": Verb("fly.sitl:sitl", "Fly a scenario in software, with everything it needs."),
         "fly": Verb("fly.fly:fly", "Fly a real vehicle onto a real target."),
         "preflight": Verb("fly.preflight:preflight", "Check the vehicle's safety parameters."),
-        "onboard": Verb("fly.onboard:onboard", "Run the onboard process alone."),
-        "vehicle": Verb("fly.simulator:vehicle", "Run the simulated Crazyflie alone."),
-        "target": Verb("fly.simulator:target", "Run the simulated ground robot alone."),
+        "onboard": Verb(
+            "fly.onboard:onboard",
+            "Run the onboard process alone.",
+            ("flightstack.onboard.process", "flightstack.compiled.core"),
+        ),
+        "vehicle": Verb(
+            "fly.simulator:vehicle",
+            "Run the simulated Crazyflie alone.",
+            ("sim.runners.vehicle_process", _MACHINE_CODE),
+        ),
+        "target": Verb(
+            "fly.simulator:target",
+            "Run the simulated ground robot alone.",
+            ("sim.runners.target_process", _MACHINE_CODE),
+        ),
         "watch": Verb("fly.watch:watch", "Show a flight while it flies."),
         "scenarios": Verb("fly.simulator:scenarios", "List the scenarios, or print one."),
     },
@@ -51,7 +70,11 @@ GROUPS = {
         "compare": Verb("logs.log:diff", "Compare two logs message by message."),
         "view": Verb("logs.view:view", "Show a log in 3-D."),
         "log": Verb("logs.log:log", "Inspect, judge, cut, repair, export logs."),
-        "record": Verb("logs.record:record", "Run the recorder alone."),
+        "record": Verb(
+            "logs.record:record",
+            "Run the recorder alone.",
+            ("logs.recorder.recorder", "logs.schema.schemas:typestore"),
+        ),
     },
     "Real things": {
         "config": Verb("real.prepare:config", "List the configurations, or print one."),
@@ -62,6 +85,27 @@ GROUPS = {
     },
 }
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}
+
+
+def _command(verb: Verb) -> click.Command:
+    module, _, name = verb.place.partition(":")
+    command: click.Command = getattr(import_module(f"flightstack.cli.{module}"), name)
+    return command
+
+
+def load(name: str) -> click.Command:
+    """Load a verb with all that it needs; the command that runs it.
+
+    Raises:
+        ImportError: something is not installed.
+    """
+    _command(VERBS[name])
+    for need in VERBS[name].needs:
+        module, _, function = need.partition(":")
+        loaded = import_module(module)
+        if function:
+            getattr(loaded, function)()
+    return main
 
 
 class Verbs(click.Group):
@@ -77,9 +121,7 @@ class Verbs(click.Group):
         del ctx
         if cmd_name not in VERBS:
             return None
-        module, _, name = VERBS[cmd_name].place.partition(":")
-        verb: click.Command = getattr(import_module(f"flightstack.cli.{module}"), name)
-        return verb
+        return _command(VERBS[cmd_name])
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the verbs in their groups."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import random
 import selectors
@@ -12,18 +11,22 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any, Protocol
+
+from flightstack.common.forked import PR_SET_PDEATHSIG, Forked, end_with, may_fork
 
 START_TIME_MAX_S = 120.0  # s until a child says ready: the first time the simulator compiles its loops
+CLI = "flightstack.cli.main"  # the module of the command
 _WRONG_INPUT = 2  # exit status of every verb
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
-_PARENT = "FLIGHTSTACK_PARENT"  # environment: process id of who started a verb and takes it along
+_PARENT = "FLIGHTSTACK_PARENT"  # environment: process id of who started a verb and takes it along, its name
 # A function between fork and exec could find locks taken for ever that threads of the parent held (Zenoh's):
 # the new process calls the kernel itself, before it becomes the program.
 _TIE = (
-    f"import ctypes, os, sys; ctypes.CDLL(None).prctl({_PR_SET_PDEATHSIG}, int(sys.argv[1])); "
+    f"import ctypes, os, sys; ctypes.CDLL(None).prctl({PR_SET_PDEATHSIG}, int(sys.argv[1])); "
     "os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
 )
 END_TIME_MAX_S = 5.0  # s until a child that was asked to end has ended
@@ -74,6 +77,9 @@ def hand_on_niceness(pid: int) -> None:
 class Child:
     """One process of the run, its output kept in a file.
 
+    A verb is loaded by this process, once for all its children, and goes on from there (``Forked``). Where
+    that is not possible it is a program of its own.
+
     Args:
         name: of the process and its file.
         arguments: of the program.
@@ -93,24 +99,37 @@ class Child:
     ) -> None:
         self.name = name
         self.output = folder / f"{name}.txt"
-        if program is None:
-            words, told = [sys.executable, "-m", "flightstack.cli.main"], {_PARENT: str(os.getpid())}
-        else:
-            words, told = tied(program), {}  # it would hand on what it was told
         with self.output.open("wb") as errors:
-            self.process = subprocess.Popen(
-                [*words, *arguments],
-                cwd=works_in,
-                env=os.environ | told,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                start_new_session=True,  # Ctrl-C reaches the launcher alone, which ends the children in order
-            )
+            run = _loaded(arguments) if program is None and may_fork() else None
+            if run is not None:
+                self.process: subprocess.Popen[bytes] | Forked = Forked(name, run, errors)
+            else:
+                self.process = self._program(arguments, program, works_in, errors)
         hand_on_niceness(self.process.pid)
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
+
+    def _program(
+        self,
+        arguments: Sequence[str],
+        program: Sequence[str] | None,
+        works_in: Path | None,
+        errors: IO[bytes],
+    ) -> subprocess.Popen[bytes]:
+        if program is None:
+            words, told = [sys.executable, "-m", CLI], {_PARENT: f"{os.getpid()} {self.name}"}
+        else:
+            words, told = tied(program), {}  # it would hand on what it was told
+        return subprocess.Popen(
+            [*words, *arguments],
+            cwd=works_in,
+            env=os.environ | told,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            start_new_session=True,  # Ctrl-C reaches the launcher alone, which ends the children in order
+        )
 
     def yield_to_others(self, steps: int) -> None:
         """Lower its priority, so that it does not delay the flight."""
@@ -159,7 +178,16 @@ class Child:
         return code
 
 
-def ended(process: subprocess.Popen[Any], within_s: float = END_TIME_MAX_S) -> int:
+def _loaded(arguments: Sequence[str]) -> Callable[[], object] | None:
+    """Load a verb; what runs it, or None: not all that it needs is installed, which the program explains."""
+    try:
+        main = import_module(CLI).load(arguments[0])
+    except ImportError:
+        return None
+    return partial(main, list(arguments), prog_name="flightstack")
+
+
+def ended(process: subprocess.Popen[Any] | Forked, within_s: float = END_TIME_MAX_S) -> int:
     """Ask a process to end, after so many seconds make it; its exit status."""
     if process.poll() is None:
         process.terminate()
@@ -179,12 +207,9 @@ def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM)
 
 def end_with_parent() -> None:
     """Have the kernel end this process when the one that started it as a ``Child`` is killed."""
-    parent = os.environ.pop(_PARENT, None)
-    if parent is None or sys.platform != "linux":
-        return
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
-    if os.getppid() != int(parent):  # it was killed before
-        sys.exit(1)
+    parent, _, name = os.environ.pop(_PARENT, "").partition(" ")
+    if parent:
+        end_with(int(parent), name)
 
 
 class Port:

@@ -75,6 +75,19 @@ def jitted(function: F) -> F:
     return cast(F, numba.njit(cache=True)(function))
 
 
+def _first(numbers: Any) -> float:
+    number: float = numbers[0]
+    return number
+
+
+@cache
+def make_ready() -> None:
+    """Do what the first call of compiled code does, whichever it is: 0.2 s in which numba gets ready."""
+    import numpy as np
+
+    jitted(_first)(np.zeros(1))
+
+
 def forbid_compiling(machine: Callable[..., Any]) -> None:
     """From now on a compiled function raises TypeError where it would compile, which takes seconds.
 

@@ -83,8 +83,10 @@ def target(options: TargetOptions) -> None:
     """
     from flightstack.compiled.jit import OFF
 
-    # The robot needs only a hundred short steps a second: loading numba would take longer than it saves.
-    os.environ.setdefault(OFF, "1")
+    if (
+        "numba" not in sys.modules
+    ):  # a hundred short steps a second: loading it would take longer than it saves
+        os.environ.setdefault(OFF, "1")
     from sim.runners import target_process
     from sim.scenarios.team import load_any
 

@@ -122,15 +122,6 @@ def test_several_runs_are_summed_up_and_the_same_seed_makes_the_same_log(wired, 
     assert compare(wired.log, again["log"]) == []
 
 
-def onboard_of(run, namespace):
-    """Process id of the onboard process of a member."""
-    for child in Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split():
-        words = Path(f"/proc/{child}/cmdline").read_bytes().decode().split("\0")
-        if "onboard" in words and namespace in words:
-            return int(child)
-    raise AssertionError(f"no onboard process of {namespace}")
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -143,7 +134,7 @@ def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path, options):
     run = Flying(tmp_path / "out", *words)
     try:
         run.wait_for("APPROACH -> LAND")
-        os.kill(onboard_of(run, "cf2"), signal.SIGKILL)
+        os.kill(run.children()["onboard-cf2"], signal.SIGKILL)
         assert run.end() == 1
     finally:
         run.kill()

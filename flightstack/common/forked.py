@@ -1,0 +1,172 @@
+"""A child process that goes on with the modules that this one has loaded."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import IO, NoReturn
+
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_PR_SET_NAME = 15
+_NAME_BYTES = 15  # of a thread's name
+_LOOK_MAX_S = 0.05  # s between two looks whether a child has ended, as subprocess has
+
+
+def may_fork() -> bool:
+    """Whether a child may go on from here: on Linux, and where no other thread runs.
+
+    What another thread has locked, Zenoh's for example, would stay locked in the child.
+    """
+    if sys.platform != "linux" or threading.current_thread() is not threading.main_thread():
+        return False
+    return len(list(Path("/proc/self/task").iterdir())) == 1
+
+
+def end_with(parent: int, name: str) -> None:
+    """Have the kernel end this process when its parent is killed, and show it under this name (``ps -e``).
+
+    Args:
+        parent: process id of the one that started this one.
+        name: of the process; 15 bytes are shown.
+    """
+    if sys.platform != "linux":
+        return
+    kernel = ctypes.CDLL(None)
+    kernel.prctl(_PR_SET_NAME, name.encode()[:_NAME_BYTES])
+    kernel.prctl(PR_SET_PDEATHSIG, int(signal.SIGTERM))
+    if os.getppid() != parent:  # it was killed before
+        os._exit(1)
+
+
+class Forked:
+    """A child of ``os.fork``, with what is needed of ``subprocess.Popen``.
+
+    It has a session, signal handlers, standard streams and files of its own; it ends with ``os._exit``, so
+    that nothing runs that this process has registered for its end.
+
+    Attributes:
+        pid: its process id.
+        returncode: its exit status, negative: the signal that ended it; None: it runs, as far as is known.
+        stdout: what it writes to standard output.
+
+    Args:
+        name: under which the system shows it.
+        run: what it does; ends as a Python program does, with SystemExit or an exception.
+        errors: file for what it writes to standard error.
+    """
+
+    def __init__(self, name: str, run: Callable[[], object], errors: IO[bytes]) -> None:
+        self.returncode: int | None = None
+        parent, (output, written) = os.getpid(), os.pipe()
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # until it has its own
+        try:
+            self.pid = os.fork()
+            if self.pid == 0:
+                _go_on(name, run, parent, written, errors.fileno(), blocked)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        os.close(written)
+        self.stdout: IO[bytes] | None = os.fdopen(output, "rb")
+
+    def poll(self) -> int | None:
+        """Exit status if it has ended, else None."""
+        if self.returncode is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self.returncode = os.waitstatus_to_exitcode(status)
+        return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for its end; its exit status.
+
+        Raises:
+            subprocess.TimeoutExpired: it runs longer than so many seconds.
+        """
+        until_s = None if timeout is None else time.monotonic() + timeout
+        look_s = 0.0005
+        while (code := self.poll()) is None:
+            if until_s is not None and time.monotonic() >= until_s:
+                raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
+            time.sleep(look_s)
+            look_s = min(2.0 * look_s, _LOOK_MAX_S)
+        return code
+
+    def send_signal(self, number: int) -> None:
+        """Send it a signal, unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End it."""
+        self.send_signal(signal.SIGKILL)
+
+
+def _go_on(
+    name: str, run: Callable[[], object], parent: int, output: int, errors: int, blocked: Iterable[int]
+) -> NoReturn:
+    """Be the child."""
+    code = 1
+    try:
+        os.setsid()
+        end_with(parent, name)
+        forget_handlers()
+        own_streams(output, errors)
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        gc.freeze()  # what is shared with the parent is not looked through, and so not copied
+        code = _code_of(run)
+        for thread in threading.enumerate():
+            if thread is not threading.current_thread() and not thread.daemon:
+                thread.join()
+    except BaseException:  # nothing of the parent's may catch it
+        traceback.print_exc()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):  # nobody reads it any longer
+            stream.flush()
+    os._exit(code)
+
+
+def forget_handlers() -> None:
+    """Handle signals as a new Python does: those that the parent ignores are ignored."""
+    signal.set_wakeup_fd(-1)
+    for number in signal.valid_signals():
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def own_streams(output: int, errors: int) -> None:
+    """Have no input, these two outputs, and no other file of the parent's."""
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    for place, number in enumerate((nothing, output, errors)):
+        os.dup2(number, place)
+    os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+    sys.stdin = os.fdopen(0, closefd=False)
+    sys.stdout = os.fdopen(1, "w", closefd=False)
+    sys.stderr = os.fdopen(2, "w", buffering=1, errors="backslashreplace", closefd=False)
+
+
+def _code_of(run: Callable[[], object]) -> int:
+    """Exit status with which a Python program ends that does this."""
+    try:
+        run()
+    except SystemExit as ended:
+        if ended.code is None or isinstance(ended.code, int):
+            return ended.code or 0
+        print(ended.code, file=sys.stderr)
+        return 1
+    return 0

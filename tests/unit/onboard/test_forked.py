@@ -1,0 +1,178 @@
+"""Children that go on with what their parent has loaded are as much processes of their own as programs."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from flightstack.common.forked import may_fork
+from tests.bounded import PATIENCE_S, killed, line_of
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux only")
+BEGIN = """
+import os, signal, sys, threading, time
+from pathlib import Path
+from flightstack.common.forked import Forked, may_fork
+from flightstack.common.processes import Child
+folder = Path(sys.argv[1])
+def forked(run):
+    with (folder / "errors").open("wb") as errors:
+        return Forked("a-name-that-is-long", run, errors)
+"""
+
+
+def python(program, folder):
+    """What a program prints that has no other threads, which the tests' process has."""
+    words = [sys.executable, "-c", BEGIN + program, str(folder)]
+    return subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S, check=True).stdout
+
+
+@pytest.mark.parametrize(
+    ("run", "code", "said"),
+    [
+        ("None", 0, ""),
+        ("sys.exit(3)", 3, ""),
+        ("sys.exit()", 0, ""),
+        ("sys.exit('why')", 1, "why\n"),
+        ("1 / 0", 1, "ZeroDivisionError: division by zero\n"),
+        ("os.kill(os.getpid(), signal.SIGKILL)", -9, ""),
+    ],
+)
+def test_it_ends_as_a_program_does(tmp_path, run, code, said):
+    assert python(f"print(forked(lambda: {run}).wait())", tmp_path) == f"{code}\n"
+    errors = (tmp_path / "errors").read_text()
+    assert errors.endswith(said)
+    assert bool(errors) == bool(said)
+
+
+def test_it_has_session_name_streams_and_signals_of_its_own_and_no_file_of_its_parent(tmp_path):
+    program = """
+signal.signal(signal.SIGTERM, lambda *_: None)
+signal.signal(signal.SIGINT, lambda *_: None)
+signal.signal(signal.SIGHUP, signal.SIG_IGN)
+own = open(folder / "own", "wb")
+def tell():
+    import json
+    print(json.dumps({
+        "session": os.getsid(0) == os.getpid(),
+        "name": Path("/proc/self/comm").read_text().strip(),
+        "files": sorted(os.readlink(each) for each in Path("/proc/self/fd").iterdir() if each.exists()),
+        "term": signal.getsignal(signal.SIGTERM) is signal.SIG_DFL,
+        "int": signal.getsignal(signal.SIGINT) is signal.default_int_handler,
+        "hup": signal.getsignal(signal.SIGHUP) is signal.SIG_IGN,
+        "blocked": sorted(signal.pthread_sigmask(signal.SIG_BLOCK, ())),
+        "input": sys.stdin.read(),
+    }))
+child = forked(tell)
+print(child.stdout.read().decode())
+print(child.wait(), signal.getsignal(signal.SIGTERM) is signal.SIG_DFL)
+"""
+    told, _, last = python(program, tmp_path).partition("\n")
+    found = json.loads(told)
+    assert found.pop("name") == "a-name-that-is-"
+    files = found.pop("files")
+    assert [path for path in files if "pipe" not in path] == [
+        "/dev/null", f"{tmp_path}/errors",
+    ]  # fmt: skip
+    assert len(files) == 3
+    assert found == {
+        "session": True, "term": True, "int": True, "hup": True, "blocked": [], "input": "",
+    }  # fmt: skip
+    assert last.split() == ["0", "False"]
+
+
+def test_a_thread_that_is_no_daemon_is_waited_for(tmp_path):
+    program = """
+def run():
+    threading.Thread(target=lambda: (time.sleep(0.2), print("the thread"))).start()
+    threading.Thread(target=time.sleep, args=(600.0,), daemon=True).start()
+    print("the function")
+child = forked(run)
+print(child.stdout.read().decode(), child.wait())
+"""
+    assert python(program, tmp_path).split("\n") == ["the function", "the thread", " 0", ""]
+
+
+def test_it_ends_with_a_parent_that_is_killed(tmp_path):
+    program = BEGIN + "child = forked(lambda: time.sleep(600.0)); print(child.pid, flush=True); child.wait()"
+    parent = subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        child = int(line_of(parent.stdout))
+        os.kill(child, 0)
+        parent.kill()
+        parent.wait(PATIENCE_S)
+        until_s = time.monotonic() + PATIENCE_S
+        while Path(f"/proc/{child}/stat").exists() and " Z " not in Path(f"/proc/{child}/stat").read_text():
+            assert time.monotonic() < until_s, "it outlived its parent"
+            time.sleep(0.01)  # polling another process: nothing to wait on
+    finally:
+        killed(parent)
+
+
+def test_a_wait_that_is_too_long_and_what_comes_after_the_end(tmp_path):
+    program = """
+import subprocess
+child = forked(lambda: time.sleep(600.0))
+try:
+    child.wait(0.01)
+except subprocess.TimeoutExpired:
+    print(child.poll())
+child.terminate()
+print(child.wait())
+child.kill()
+print(child.poll())
+"""
+    assert python(program, tmp_path).split() == ["None", str(-signal.SIGTERM), str(-signal.SIGTERM)]
+
+
+def test_only_the_only_thread_may_fork(tmp_path):
+    assert not may_fork() or threading.active_count() == 1
+    program = """
+over = threading.Event()
+thread = threading.Thread(target=over.wait)
+print(may_fork())
+thread.start()
+print(may_fork())
+over.set()
+thread.join()
+print(may_fork())
+"""
+    assert python(program, tmp_path).split() == ["True", "False", "True"]
+
+
+@pytest.mark.parametrize("threads", [0, 1])
+def test_a_verb_is_the_same_forked_and_as_a_program(tmp_path, threads):
+    """With the words, output, name and exit status, with other threads in the parent and without."""
+    program = f"""
+over = threading.Event()
+for _ in range({threads}):
+    threading.Thread(target=over.wait).start()
+child = Child("config", ["config", "crazyflie"], folder)
+print(type(child.process).__name__)
+code, text = child.process.wait(60.0), child.lines(1.0)
+print(code, text[0], len(text))
+refused = Child("onboard-cf1", ["onboard", "--vehicle"], folder)
+print(refused.process.wait(60.0), refused.errors())
+words = ["record", "--socket", str(folder / "socket"), "--out", str(folder / "x.mcap")]
+waits = Child("record-x", words, folder)
+waits.wait_ready()
+print(Path(f"/proc/{{waits.process.pid}}/comm").read_text(), waits.end())
+over.set()
+"""
+    kind, *others = python(program, tmp_path).splitlines()
+    assert kind == ("Popen" if threads else "Forked")
+    config, *more = others
+    code, *words = config.split()
+    assert code == "0"
+    assert int(words[-1]) > 20
+    assert more[0].startswith("2 ")
+    assert any("Option '--vehicle' requires an argument" in line for line in more)
+    assert more[-2:] == ["record-x", " 0"]
