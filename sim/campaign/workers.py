@@ -2,10 +2,10 @@
 
 A cluster's workers call ``fly_seed_as``; here, processes get seeds and return rows.
 
-Workers are spawned, never forked, each with a pipe of its own: a shared queue could be left locked by one
-that is killed. A worker holds one seed at a time, so that nothing is queued without bound and it is known
-which seed a death concerns. The seed is flown again by another worker; if that one dies, too, it is a row of
-outcome "error".
+Each worker has a pipe of its own: a shared queue could be left locked by one that is killed. Workers go on
+with what this process has loaded and compiled (fork), or are spawned where it has other threads. A worker
+holds one seed at a time, so that nothing is queued without bound and it is known which seed a death concerns.
+The seed is flown again by another worker; if that one dies, too, it is a row of outcome "error".
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ import signal
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from importlib.resources import files
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkContext, SpawnContext
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from flightstack.common.forked import forget_handlers, may_fork
 from flightstack.common.pacing import quiet_garbage_collector
 from sim.campaign.rows import Row, error_row, row_of
 from sim.campaign.team_rows import team_row
@@ -52,10 +55,17 @@ def prepare(scenario: AnyScenario) -> None:
 
 
 @lru_cache(maxsize=4)
-def prepared(scenario_toml: str) -> AnyScenario:
-    """Scenario from its text, with all code compiled; the collector then leaves alone what exists."""
+def loaded(scenario_toml: str) -> AnyScenario:
+    """Scenario from its text, with all code compiled."""
     scenario = from_text(scenario_toml)
     prepare(scenario)
+    return scenario
+
+
+@lru_cache(maxsize=4)
+def prepared(scenario_toml: str) -> AnyScenario:
+    """Scenario from its text, with all code compiled; the collector then leaves alone what exists."""
+    scenario = loaded(scenario_toml)
     quiet_garbage_collector()
     return scenario
 
@@ -105,10 +115,17 @@ class WorkersError(RuntimeError):
 class _Worker:
     """One process and its pipe; ``seed`` is what it flies, None before it is ready."""
 
-    def __init__(self, scenario_toml: str) -> None:
-        context = multiprocessing.get_context("spawn")
+    def __init__(self, scenario_toml: str, others: Sequence[Connection]) -> None:
+        forks = may_fork()
+        context: ForkContext | SpawnContext = multiprocessing.get_context("spawn")
+        if forks:
+            loaded(scenario_toml)
+            context = multiprocessing.get_context("fork")
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_work, args=(theirs, scenario_toml), daemon=True)
+        not_its_own = (*others, self.pipe) if forks else ()
+        self.process: BaseProcess = context.Process(
+            target=_work, args=(theirs, scenario_toml, not_its_own), daemon=True
+        )
         self.process.start()
         theirs.close()
         self.ready = False
@@ -128,8 +145,17 @@ class _Worker:
             self.process.join(_END_S)
 
 
-def _work(pipe: Connection, scenario_toml: str) -> None:
-    """Fly seeds until the pipe is closed; Ctrl-C is for the parent."""
+def _work(pipe: Connection, scenario_toml: str, not_its_own: Sequence[Connection]) -> None:
+    """Fly seeds until the pipe is closed; Ctrl-C is for the parent.
+
+    Args:
+        pipe: seeds come and rows go.
+        scenario_toml: what is flown.
+        not_its_own: ends of the parent that it has of a fork: a pipe is closed when nobody has its other end.
+    """
+    for one in not_its_own:
+        one.close()
+    forget_handlers()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     prepared(scenario_toml)
     try:
@@ -178,7 +204,7 @@ class Workers:
         waiting = deque(seeds)
         while waiting or any(worker.seed is not None for worker in self._workers):
             while len(self._workers) < min(self._number, self._busy() + len(waiting)):
-                self._workers.append(_Worker(self._scenario_toml))
+                self._workers.append(_Worker(self._scenario_toml, [worker.pipe for worker in self._workers]))
             pipes = {worker.pipe: worker for worker in self._workers}
             ends = {worker.process.sentinel: worker for worker in self._workers}
             happened: list[Any] = wait([*pipes, *ends], _LOOK_S)
