@@ -8,7 +8,10 @@ import select
 import subprocess
 import time
 from collections.abc import Iterator
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tests.started import Started
 
 PATIENCE_S = 60.0  # s; a machine with more work than processors starts a process late
 AT_ONCE_S = 10.0  # s, of what waits for nothing: a process told to end took 3.2 s beside the other tests
@@ -44,7 +47,7 @@ def lines_of(stream: IO[Any], within_s: float) -> Iterator[str]:
         yield line
 
 
-def killed(child: subprocess.Popen[Any], within_s: float = PATIENCE_S) -> str:
+def killed(child: subprocess.Popen[Any] | Started, within_s: float = PATIENCE_S) -> str:
     """Kill a process unless it has ended; what it wrote and nobody has read.
 
     A child of it may hold its pipes open, and reading them would not end: they are closed then.

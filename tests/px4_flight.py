@@ -16,6 +16,7 @@ from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program, find_px4
 from sim.scenarios.scenario import load
+from tests.started import StartedChild
 
 PX4_PLACE = "FLIGHTSTACK_PX4"  # environment: the program or a folder that holds it (sim.px4.program.find_px4)
 ROOT = Path(__file__).parents[1]
@@ -59,7 +60,7 @@ class Px4Flying:
 
     def take_off(self) -> Child:
         """Start the onboard process."""
-        self.onboard = Child("onboard", ["onboard", *self._words], self._folder)
+        self.onboard = StartedChild("onboard", ["onboard", *self._words], self._folder)
         return self.onboard
 
     def look(self) -> None:
@@ -134,7 +135,7 @@ def flying(
         stack.callback(px4.end)
 
         def start(verb: str, *words: str, within_s: float | None = None) -> Child:
-            child = Child(verb, [verb, *words], folder)
+            child = StartedChild(verb, [verb, *words], folder)
             stack.callback(child.end, *(() if within_s is None else (within_s,)))
             child.wait_ready()
             return child

@@ -79,7 +79,11 @@ GROUPS = {
     "Real things": {
         "config": Verb("real.prepare:config", "List the configurations, or print one."),
         "bridge": Verb("real.bridge:bridge", "Connect a Crazyflie or motion capture."),
-        "px4-sim": Verb("real.px4_sim:px4_sim", "Simulate the vehicle for PX4's autopilot."),
+        "px4-sim": Verb(
+            "real.px4_sim:px4_sim",
+            "Simulate the vehicle for PX4's autopilot.",
+            ("sim.px4.process", _MACHINE_CODE),
+        ),
         "router": Verb("real.prepare:router", "Run a Zenoh router."),
         "key": Verb("real.prepare:key", "Make a MAVLink signing key."),
     },

@@ -17,6 +17,7 @@ from flightstack.common.processes import END_TIME_MAX_S, Child
 from flightstack.core.types import Phase
 from flightstack.watch.state import News, Watch
 from tests.flight_suite.room import Room
+from tests.started import StartedChild
 
 RADIO_POLL_S = 0.05
 
@@ -193,7 +194,7 @@ def onboard_words(room: Room) -> list[str]:
 @contextlib.contextmanager
 def companion(room: Room) -> Iterator[Companion]:
     """Start the onboard process; on the way out it is ended."""
-    child = Child("onboard", onboard_words(room), room.folder)
+    child = StartedChild("onboard", onboard_words(room), room.folder)
     session = None
     try:
         child.wait_ready()

@@ -19,6 +19,7 @@ from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.scenarios.scenario import Scenario, load
+from tests.started import StartedChild
 
 
 class Lost(Enum):
@@ -165,9 +166,11 @@ def simulated(folder: Path, server_profile: str) -> Iterator[Room]:
     try:
         words = ["--profile", server_profile, "--connect", target_at, "--url", "udpin:127.0.0.1:0"]
         words += [word for one in PROFILES[server_profile] for word in ("--parameter", one)]
-        vehicle = Child("vehicle", ["vehicle", *common, *words], folder)
+        vehicle = StartedChild("vehicle", ["vehicle", *common, *words], folder)
         children.append(vehicle)
-        target = Child("target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder)
+        target = StartedChild(
+            "target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder
+        )
         children.append(target)
         url = vehicle.wait_ready().replace("udpin", "udpout")
         target.wait_ready()
@@ -249,7 +252,7 @@ def on_px4(
         target_at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
 
         def start(verb: str, *words: str) -> Child:
-            child = Child(verb, [verb, *common, *words], folder)
+            child = StartedChild(verb, [verb, *common, *words], folder)
             stack.callback(child.end)
             child.wait_ready()
             return child

@@ -2,12 +2,9 @@
 
 import contextlib
 import json
-import multiprocessing
 import os
 import signal
 import subprocess
-import sys
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +12,9 @@ from pathlib import Path
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
-from flightstack.common.forked import own_streams
-from flightstack.common.processes import hand_on_niceness
 from tests.bounded import killed, lines_of
 from tests.integration.sim_processes import COMMAND, wait_for
+from tests.started import Started, run_verb
 
 WALL_MAX_S = 240.0
 # Verbs that start nothing and catch no signal: called in this process, which has loaded their packages
@@ -35,10 +31,6 @@ CALLED = {
     "report",
     "scenarios",
 }
-# Others begin from a process that has loaded everything: what a program does that was just started, but for
-# loading, which `Flying`, `verb` and the commands of the docs do as people do.
-STARTED = multiprocessing.get_context("forkserver")
-STARTED.set_forkserver_preload(["tests.integration.loaded"])
 SOME_BYTES = 400_000  # of a log, which grows by 170 kB a second
 
 
@@ -60,31 +52,12 @@ def flightstack(*arguments, cwd=None, apart=False) -> Result:
     words = [str(one) for one in arguments]
     if not apart and (words[0] in CALLED or "--help" in words):
         return called(*words, cwd=cwd)
-    with tempfile.TemporaryDirectory() as folder:
-        output, errors = (Path(folder) / name for name in ("out", "err"))
-        nice = os.getpriority(os.PRIO_PROCESS, 0)
-        given = (words, cwd or Path.cwd(), dict(os.environ), nice, output, errors)
-        process = STARTED.Process(target=_run, args=given)
-        process.start()
-        try:
-            process.join(WALL_MAX_S)
-            assert process.exitcode is not None, f"not over after {WALL_MAX_S:g} s: {words}"
-        finally:
-            process.kill()
-        return Result(process.exitcode, output.read_text(), errors.read_text())
-
-
-def _run(words, cwd, environment, nice, output, errors) -> None:
-    """Be a process of its own that runs a verb."""
-    os.setpriority(os.PRIO_PROCESS, 0, nice)
-    os.setsid()
-    hand_on_niceness(os.getpid())
-    own_streams(*(os.open(path, os.O_WRONLY | os.O_CREAT) for path in (output, errors)))
-    os.chdir(cwd)
-    sys.path.insert(0, str(cwd))  # as of ``python -m``
-    os.environ.clear()
-    os.environ.update(environment)
-    main(words, prog_name="flightstack")
+    child = Started(run_verb, words, cwd=cwd)
+    try:
+        out, err = child.communicate(WALL_MAX_S)
+    finally:
+        killed(child)
+    return Result(child.returncode, out, err)
 
 
 def called(*arguments, cwd=None) -> Result:

@@ -6,11 +6,11 @@ import os
 import select
 import signal
 import socket
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.common.pacing import ask_for_priority, give_up_priority
+from sim.scenarios.scenario import load
 from tests.bounded import AT_ONCE_S, PATIENCE_S, killed, line_of
+from tests.started import Started, run_verb
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-m", "flightstack.cli.main"]
@@ -27,33 +29,32 @@ NAN = float("nan")
 
 @contextmanager
 def running(
-    command: Sequence[str], *, ready: bool = True, within_s: float = PATIENCE_S, cwd: Path = ROOT
-) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    child: Started, *, ready: bool = True, within_s: float = PATIENCE_S
+) -> Iterator[tuple[Started, str]]:
     """A process, killed in the end at the latest, and its ready line if it is to have one."""
-    child = subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        assert child.stdout is not None
         yield child, line_of(child.stdout, within_s).strip() if ready else ""
     finally:
         killed(child)
 
 
-def verb(*words: object, **more: Any):
+def verb(*words: object, cwd: Path = ROOT, **more: Any):
     """A verb of ``flightstack`` as a process; see ``running``."""
-    return running([*COMMAND, *map(str, words)], **more)
+    return running(Started(run_verb, [*map(str, words)], cwd=cwd), **more)
 
 
 def process(name: str, **options: object):
     """The vehicle or the target with the scenario paper_moving_1 as a process; see ``running``."""
-    code = (
-        f"import sys; from sim.scenarios.scenario import load; from sim.runners.{name}_process import *; "
-        f"options = {name.title()}Options(**{options!r}); "
-        f"sys.exit({name}_main(load('paper_moving_1'), options))"
-    )
-    return running([sys.executable, "-c", code])
+    return running(Started(_simulate, name, options, cwd=ROOT))
 
 
-def terminate(child: subprocess.Popen[str], number: signal.Signals = signal.SIGTERM) -> None:
+def _simulate(name: str, options: dict[str, object]) -> None:
+    module = import_module(f"sim.runners.{name}_process")
+    plugged = getattr(module, f"{name.title()}Options")(**options)
+    sys.exit(getattr(module, f"{name}_main")(load("paper_moving_1"), plugged))
+
+
+def terminate(child: Started, number: signal.Signals = signal.SIGTERM) -> None:
     """Ask it to end, which it does at once and in order."""
     child.send_signal(number)
     assert child.wait(AT_ONCE_S) == 0

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flightstack.common.processes import Child, ended
+from flightstack.common.processes import ended
 from flightstack.common.strict_toml import dumps
 from flightstack.core.types import Mode
 from logs.reader.flight import load_flight
@@ -34,6 +34,7 @@ from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.room import on_px4
 from tests.integration.sim_processes import wait_for
 from tests.px4_flight import px4_or_skip
+from tests.started import StartedChild
 
 ROOT = Path(__file__).parents[3]
 pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("stream 0")]  # one flight
@@ -213,7 +214,7 @@ def flown(tmp_path_factory):
     words = ["record", "--socket", str(socket), "--out", str(log), "--until-clients", "1"]
     ends = []
     with contextlib.ExitStack() as stack:
-        recorder = Child("record", words, folder)
+        recorder = StartedChild("record", words, folder)
         stack.callback(recorder.end, RECORDED_MAX_S)
         recorder.wait_ready()
         with on_px4(

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.signing.key import load_key
 from bridge.zenoh import zenoh_link
-from flightstack.common.processes import Child, Port
+from flightstack.common.processes import Port
 from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
@@ -26,6 +26,7 @@ from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack, rep
 from tests.integration.sim_processes import PATIENCE_S, ROOT, Client
 from tests.integration.wires.test_links import signing
 from tests.ports import free_endpoint, free_port
+from tests.started import StartedChild
 from tests.unit.target import ros2_helpers as ros
 
 pytestmark = pytest.mark.xdist_group("real-time")
@@ -42,11 +43,13 @@ def theirs(folder):
     target_at, onboard_at = (port.endpoint for port in ports)
     try:
         common = ["--scenario", SCENARIO, "--duration", "200"]
-        vehicle = Child(
+        vehicle = StartedChild(
             "vehicle", ["vehicle", *common, "--connect", target_at, "--url", "udpin:127.0.0.1:0"], folder
         )
         children.append(vehicle)
-        target = Child("target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder)
+        target = StartedChild(
+            "target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder
+        )
         children.append(target)
         url = vehicle.wait_ready().replace("udpin", "udpout")
         target.wait_ready()

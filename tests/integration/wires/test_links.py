@@ -15,10 +15,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.signing.signing import Signer
-from flightstack.common.processes import Child, Port
+from flightstack.common.processes import Port
 from tests.integration.runs import flightstack, fly
 from tests.integration.sim_processes import PATIENCE_S, Client, is_a, terminate, verb
 from tests.serial_relay import PtyEnd, Relay, TcpEnd
+from tests.started import StartedChild
 
 ARMED = 128
 TAKEOFF, HOLD = 0x02040000, 0x03040000
@@ -159,12 +160,12 @@ def land_over(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="s
     with ExitStack() as stack:
         ports = [stack.enter_context(closing(Port())) for _ in range(2)]
         robot, onboard = (port.endpoint for port in ports)
-        target = Child(
+        target = StartedChild(
             "target", ["target", "--scenario", "large", "--listen", robot, "--connect", onboard], folder
         )
         stack.callback(target.end)
         target.wait_ready()
-        vehicle = Child(
+        vehicle = StartedChild(
             "vehicle",
             ["vehicle", "--scenario", "large", "--url", "udpin:127.0.0.1:0", "--connect", robot],
             folder,
@@ -173,7 +174,7 @@ def land_over(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="s
         port = int(vehicle.wait_ready().rpartition(":")[2])
         relay = Relay(make_near(folder), port, baud, noise_bytes_s=noise_bytes_s)
         stack.callback(relay.close)
-        flight = Child(
+        flight = StartedChild(
             "onboard",
             ["onboard", "--vehicle", relay.near.url, "--target", "cf1/target/odom", "--connect", robot,
              "--listen", onboard, "--config", str(config), "--autopilot", "sitl"],

@@ -1,0 +1,159 @@
+"""Processes of tests that go on from one that has loaded everything: what a new program does, but loading.
+
+People load: so do ``Flying``, what the docs' commands start, and all that is started with ``subprocess``.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import IO, Any
+
+from flightstack.cli.main import main
+from flightstack.common.forked import forget_handlers, own_streams
+from flightstack.common.processes import Child, hand_on_niceness
+
+SERVER = multiprocessing.get_context("forkserver")
+SERVER.set_forkserver_preload(["tests.loaded"])
+
+
+class Started:
+    """A process, with what tests need of ``subprocess.Popen``; its output is read from pipes.
+
+    Args:
+        run: what it does, and its arguments.
+        cwd: its working folder.
+        text: whether its output is read as text.
+        errors: file for what it writes to standard error; None: a pipe.
+    """
+
+    stdin = None
+
+    def __init__(
+        self,
+        run: Callable[..., object],
+        *given: object,
+        cwd: Path | None = None,
+        text: bool = True,
+        errors: IO[bytes] | None = None,
+    ) -> None:
+        out, to_out = SERVER.Pipe(duplex=False)
+        err, to_err = SERVER.Pipe(duplex=False)
+        told = to_err if errors is None else Connection(os.dup(errors.fileno()), readable=False)
+        about = (cwd or Path.cwd(), dict(os.environ), os.getpriority(os.PRIO_PROCESS, 0))
+        self._process = SERVER.Process(target=_begin, args=(run, given, about, to_out, told))
+        self._process.start()
+        for theirs in (to_out, to_err, told):
+            theirs.close()
+        kind = "r" if text else "rb"
+        self.stdout, self.stderr = (os.fdopen(os.dup(one.fileno()), kind) for one in (out, err))
+        assert self._process.pid is not None
+        self.pid = self._process.pid
+
+    @property
+    def returncode(self) -> int | None:
+        """Exit status; None: it runs."""
+        return self._process.exitcode
+
+    def poll(self) -> int | None:
+        """Exit status; None: it runs."""
+        return self._process.exitcode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for its end; its exit status.
+
+        Raises:
+            subprocess.TimeoutExpired: it runs longer than so many seconds.
+        """
+        self._process.join(timeout)
+        code = self._process.exitcode
+        if code is None:
+            raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
+        return code
+
+    def communicate(self, timeout: float) -> tuple[Any, Any]:
+        """Read its output to the end, and wait for its end.
+
+        Raises:
+            subprocess.TimeoutExpired: it runs longer than so many seconds.
+        """
+        until_s, said = time.monotonic() + timeout, {self.stdout: b"", self.stderr: b""}
+        with selectors.DefaultSelector() as selector:
+            for stream in said:
+                if not stream.closed:
+                    selector.register(stream, selectors.EVENT_READ)
+            while selector.get_map():
+                left_s = until_s - time.monotonic()
+                if left_s <= 0.0:
+                    raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
+                for key, _ in selector.select(left_s):
+                    data = os.read(key.fd, 65536)
+                    said[key.fileobj] += data  # type: ignore[index]
+                    if not data:
+                        selector.unregister(key.fileobj)
+        self.wait(max(0.0, until_s - time.monotonic()))
+        out, err = (said[stream] for stream in (self.stdout, self.stderr))
+        return (
+            (out.decode(errors="replace"), err.decode(errors="replace"))
+            if "b" not in self.stdout.mode
+            else (out, err)
+        )
+
+    def send_signal(self, number: int) -> None:
+        """Send it a signal, unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End it."""
+        self.send_signal(signal.SIGKILL)
+
+
+class StartedChild(Child):
+    """A ``Child`` of a process that has threads, as the workers of the tests have."""
+
+    def _program(
+        self,
+        arguments: Sequence[str],
+        program: Sequence[str] | None,
+        works_in: Path | None,
+        errors: IO[bytes],
+    ) -> Any:
+        if program is not None:
+            return super()._program(arguments, program, works_in, errors)
+        return Started(run_verb, list(arguments), text=False, errors=errors)
+
+
+def run_verb(words: Sequence[str]) -> None:
+    """Be ``flightstack``."""
+    main(list(words), prog_name="flightstack")
+
+
+def _begin(
+    run: Callable[..., object], given: Sequence[Any], about: tuple[Path, dict[str, str], int],
+    output: Connection, errors: Connection,
+) -> None:  # fmt: skip
+    """Be a process of its own."""
+    folder, environment, nice = about
+    os.setpriority(os.PRIO_PROCESS, 0, nice)
+    os.setsid()
+    hand_on_niceness(os.getpid())
+    forget_handlers()
+    own_streams(output.fileno(), errors.fileno())
+    os.chdir(folder)
+    sys.path.insert(0, str(folder))  # as of ``python -m``
+    os.environ.clear()
+    os.environ.update(environment)
+    run(*given)
