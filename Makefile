@@ -17,8 +17,8 @@ define CHECK
 $(BIN)/ruff check .
 $(BIN)/ruff format --check .
 $(BIN)/lint-imports --no-logo --no-cache
-@# the simulator's loops are compiled once, and the tests' sources, and not by each worker
-{ $(BIN)/python -m pytest --collect-only -q >/dev/null; $(BIN)/python -m sim.runners.warm_up; } & $(BIN)/mypy && wait $$!
+@# meanwhile the simulator's loops are compiled once, and the tests' sources, and not by each worker
+$(BIN)/python -m sim.runners.warm_up & $(BIN)/mypy && $(BIN)/python -m pytest --collect-only -q >/dev/null && wait $$!
 endef
 
 # a test that ends its worker is given to the next one, which it ends, too
