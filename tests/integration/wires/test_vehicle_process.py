@@ -56,21 +56,21 @@ def test_flies_in_real_time_with_a_plain_client() -> None:
         north = [setpoint(0.3)]
         client.send(*north, client.command(176, 1.0, 6.0))
         assert client.until(is_a("COMMAND_ACK", command=176)).result == 0
-        client.until(
+        moved = client.until(
             lambda m: is_a("LOCAL_POSITION_NED")(m) and m.x > high.x + 0.3, each=lambda: client.send(*north)
         )
-        assert client.log[-1].vx > 0.1 or client.until(is_a("LOCAL_POSITION_NED")).vx > 0.1
+        assert moved.vx > 0.1
         client.send(client.command(21))
         client.until(is_a("HEARTBEAT", custom_mode=LAND))
         client.until(is_a("EXTENDED_SYS_STATE", landed_state=mav.MAV_LANDED_STATE_ON_GROUND))
         client.until(lambda m: is_a("HEARTBEAT")(m) and not m.base_mode & ARMED)
 
         client.log.clear()
-        start_s = time.monotonic()
-        while time.monotonic() < start_s + 1.0:
-            client.receive(0.1)
-        times_ms = [m.time_boot_ms for m in client.log if m.get_type() == "LOCAL_POSITION_NED"]
-        assert 60 <= len(times_ms) <= 110  # a busy machine may lose some tenths
+        start_s, times_ms = time.monotonic(), []
+        while len(times_ms) < 101:
+            assert client.receive(), "no telemetry"
+            times_ms = [m.time_boot_ms for m in client.log if m.get_type() == "LOCAL_POSITION_NED"]
+        assert time.monotonic() - start_s > 0.8  # s; what a busy machine held up for 0.1 s comes at once
         assert {b - a for a, b in itertools.pairwise(times_ms)} == {10}
         terminate(child)
 
