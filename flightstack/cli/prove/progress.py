@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+_REFRESH_S = 0.1  # s of wall time between two times that it is drawn, at least
+
 
 class Bar:
-    """Progress of a known number of things; nothing is shown where the output is no terminal."""
+    """Progress of a known number of things; nothing is shown where the output is no terminal.
+
+    It is drawn when something is done, and needs no thread: a process with threads cannot have workers that
+    go on with what it has loaded (``Forked``).
+    """
 
     def __init__(self, console: Console, title: str, total: int | None) -> None:
         self._progress = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
             TextColumn("{task.fields[told]}"), console=console, disable=not console.is_terminal,
+            auto_refresh=False,
         )  # fmt: skip
+        self._drawn_s = 0.0
         self._task = self._progress.add_task(title, total=total, told="")
         self._counts: Counter[str] = Counter()
 
@@ -31,3 +40,6 @@ class Bar:
         self._counts.update(kinds)
         told = "  ".join(f"{number} {name}" for name, number in sorted(self._counts.items()))
         self._progress.update(self._task, advance=1, told=told)
+        if time.monotonic() - self._drawn_s >= _REFRESH_S:
+            self._progress.refresh()
+            self._drawn_s = time.monotonic()
