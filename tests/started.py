@@ -8,7 +8,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import selectors
-import signal
 import subprocess
 import sys
 import time
@@ -18,15 +17,15 @@ from pathlib import Path
 from typing import IO, Any
 
 from flightstack.cli.main import main
-from flightstack.common.forked import forget_handlers, own_streams
+from flightstack.common.forked import Forked, forget_handlers, own_streams
 from flightstack.common.processes import Child, hand_on_niceness
 
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(["tests.loaded"])
 
 
-class Started:
-    """A process, with what tests need of ``subprocess.Popen``; its output is read from pipes.
+class Started(Forked):
+    """A process with what tests need of ``subprocess.Popen``; its output is read from pipes.
 
     Args:
         run: what it does, and its arguments.
@@ -51,6 +50,7 @@ class Started:
         about = (cwd or Path.cwd(), dict(os.environ), os.getpriority(os.PRIO_PROCESS, 0))
         self._process = SERVER.Process(target=_begin, args=(run, given, about, to_out, told))
         self._process.start()
+        self.returncode = None
         for theirs in (to_out, to_err, told):
             theirs.close()
         kind = "r" if text else "rb"
@@ -58,26 +58,10 @@ class Started:
         assert self._process.pid is not None
         self.pid = self._process.pid
 
-    @property
-    def returncode(self) -> int | None:
-        """Exit status; None: it runs."""
-        return self._process.exitcode
-
     def poll(self) -> int | None:
-        """Exit status; None: it runs."""
-        return self._process.exitcode
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Wait for its end; its exit status.
-
-        Raises:
-            subprocess.TimeoutExpired: it runs longer than so many seconds.
-        """
-        self._process.join(timeout)
-        code = self._process.exitcode
-        if code is None:
-            raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
-        return code
+        """Exit status if it has ended, else None."""
+        self.returncode = self._process.exitcode
+        return self.returncode
 
     def communicate(self, timeout: float) -> tuple[Any, Any]:
         """Read its output to the end, and wait for its end.
@@ -107,30 +91,11 @@ class Started:
             else (out, err)
         )
 
-    def send_signal(self, number: int) -> None:
-        """Send it a signal, unless it has ended."""
-        if self.poll() is None:
-            os.kill(self.pid, number)
-
-    def terminate(self) -> None:
-        """Ask it to end."""
-        self.send_signal(signal.SIGTERM)
-
-    def kill(self) -> None:
-        """End it."""
-        self.send_signal(signal.SIGKILL)
-
 
 class StartedChild(Child):
     """A ``Child`` of a process that has threads, as the workers of the tests have."""
 
-    def _program(
-        self,
-        arguments: Sequence[str],
-        program: Sequence[str] | None,
-        works_in: Path | None,
-        errors: IO[bytes],
-    ) -> Any:
+    def _program(self, arguments, program, works_in, errors):
         if program is not None:
             return super()._program(arguments, program, works_in, errors)
         return Started(run_verb, list(arguments), text=False, errors=errors)

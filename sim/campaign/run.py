@@ -266,7 +266,7 @@ def alone(folder: Path) -> Iterator[None]:
     """
     with (folder / LOCK).open("w") as lock:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the workers do not hold it, too
         except BlockingIOError:
             raise RowsError(
                 f"{folder}: another campaign runs there; wait for it, or give another --out"

@@ -83,9 +83,8 @@ def target(options: TargetOptions) -> None:
     """
     from flightstack.compiled.jit import OFF
 
-    if (
-        "numba" not in sys.modules
-    ):  # a hundred short steps a second: loading it would take longer than it saves
+    # The robot needs only a hundred short steps a second: loading numba would take longer than it saves.
+    if "numba" not in sys.modules:
         os.environ.setdefault(OFF, "1")
     from sim.runners import target_process
     from sim.scenarios.team import load_any

@@ -173,8 +173,13 @@ def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
     running = Running(tmp_path, *longer, "--workers", 2)
     running.wait_for_rows(2)
     workers = running.workers()
+    running.process.send_signal(signal.SIGSTOP)  # or it would be over before another one has begun
+    second = called("campaign", *longer, "--out", tmp_path)
     running.process.send_signal(number)
+    running.process.send_signal(signal.SIGCONT)
     code, out = running.end()
+    assert second.code == 2
+    assert "another campaign runs there" in second.err
     if number != signal.SIGKILL:
         assert code == 1, out
         assert "landings are missing" in out
