@@ -19,6 +19,7 @@ from typing import IO, NoReturn
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PR_SET_NAME = 15
 _NAME_BYTES = 15  # of a thread's name
+_LAST_STREAM = 2  # standard error
 _LOOK_MAX_S = 0.05  # s between two looks whether a child has ended, as subprocess has
 
 
@@ -154,7 +155,10 @@ def own_streams(output: int, errors: int) -> None:
     nothing = os.open(os.devnull, os.O_RDONLY)
     for place, number in enumerate((nothing, output, errors)):
         os.dup2(number, place)
-    os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+    for number in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
+        if number > _LAST_STREAM:
+            with contextlib.suppress(OSError):  # the one that was open to list them
+                os.close(number)
     sys.stdin = os.fdopen(0, closefd=False)
     sys.stdout = os.fdopen(1, "w", closefd=False)
     sys.stderr = os.fdopen(2, "w", buffering=1, errors="backslashreplace", closefd=False)
