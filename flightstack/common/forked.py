@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
 import gc
 import os
 import signal
@@ -153,7 +154,8 @@ def forget_handlers() -> None:
 def own_streams(output: int, errors: int) -> None:
     """Have no input, these two outputs, and no other file of the parent's."""
     nothing = os.open(os.devnull, os.O_RDONLY)
-    for place, number in enumerate((nothing, output, errors)):
+    # one of them may have a number of these, if the parent had no streams
+    for place, number in enumerate([_above(each) for each in (nothing, output, errors)]):
         os.dup2(number, place)
     for number in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
         if number > _LAST_STREAM:
@@ -162,6 +164,11 @@ def own_streams(output: int, errors: int) -> None:
     sys.stdin = os.fdopen(0, closefd=False)
     sys.stdout = os.fdopen(1, "w", closefd=False)
     sys.stderr = os.fdopen(2, "w", buffering=1, errors="backslashreplace", closefd=False)
+
+
+def _above(number: int) -> int:
+    """The same file under a number above those of the streams."""
+    return fcntl.fcntl(number, fcntl.F_DUPFD, _LAST_STREAM + 1)
 
 
 def _code_of(run: Callable[[], object]) -> int:
