@@ -190,3 +190,13 @@ def test_a_parent_without_streams_has_children_with_streams(tmp_path):
     assert subprocess.run(words, timeout=PATIENCE_S, check=False).returncode == 0
     assert (tmp_path / "told").read_text() == "out\n"
     assert (tmp_path / "errors").read_text() == "err\n"
+
+
+def test_a_verb_that_cannot_be_loaded_here_is_left_to_a_program_which_says_why(tmp_path):
+    program = """
+import flightstack.cli.main as cli
+cli.VERBS["config"] = cli.VERBS["config"]._replace(needs=("not_installed",))
+child = Child("config", ["config", "crazyflie"], folder)
+print(type(child.process).__name__, child.process.wait(60.0))
+"""
+    assert python(program, tmp_path).split() == ["Popen", "0"]
