@@ -109,6 +109,7 @@ class Child:
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
+        self._read: list[str] = []  # lines that came with the one that was waited for
 
     def _program(
         self,
@@ -144,8 +145,10 @@ class Child:
         """
         until = time.monotonic() + START_TIME_MAX_S
         while time.monotonic() < until:
-            for line in self.lines(0.1):
+            lines = self.lines(0.1)
+            for number, line in enumerate(lines):
                 if line.startswith("ready"):
+                    self._read = lines[number + 1 :]
                     return line.removeprefix("ready").strip()
             if self.process.poll() is not None:
                 break
@@ -155,12 +158,13 @@ class Child:
     def lines(self, timeout_s: float) -> list[str]:
         """Whole lines of output that came within the time."""
         assert self.process.stdout is not None
+        read, self._read = self._read, []
         with selectors.DefaultSelector() as selector:
             selector.register(self.process.stdout, selectors.EVENT_READ)
-            if selector.select(timeout_s):
+            if selector.select(0.0 if read else timeout_s):
                 self._text += self.process.stdout.read() or b""
         *whole, self._text = self._text.split(b"\n")
-        return [line.decode(errors="replace") for line in whole]
+        return read + [line.decode(errors="replace") for line in whole]
 
     def errors(self) -> str:
         """Last lines that it wrote to standard error."""

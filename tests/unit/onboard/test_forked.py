@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from flightstack.common.forked import may_fork
+from flightstack.common.processes import Child
 from tests.bounded import PATIENCE_S, killed, line_of
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux only")
@@ -200,3 +201,12 @@ child = Child("config", ["config", "crazyflie"], folder)
 print(type(child.process).__name__, child.process.wait(60.0))
 """
     assert python(program, tmp_path).split() == ["Popen", "0"]
+
+
+def test_lines_that_come_with_the_one_that_is_waited_for_are_kept(tmp_path):
+    child = Child("printf", [r"hello\nready at once\nfirst\nsec"], tmp_path, program=["printf"])
+    try:
+        assert child.wait_ready() == "at once"
+        assert child.lines(0.0) == ["first"]
+    finally:
+        child.end()
