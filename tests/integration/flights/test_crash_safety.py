@@ -19,6 +19,7 @@ from tests.integration.runs import Flying, flightstack, gone, kill
 NS = 1e9
 # Wall time of the kill after the approach began, by lockstep: so that there is something to replay, and the
 # flight still goes on.
+PAST_APPROACH_BYTES = 1_200_000  # of the log: the approach begins at 980,000, and a replay needs some of it
 WHEN_S = {False: (0.7, 8.0), True: (0.3, 0.8)}
 # A topic that each victim writes into the log. What the target says is written by those who hear it. For the
 # recorder, and the launcher that takes all along, any will do.
@@ -60,7 +61,7 @@ def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float
     try:
         run.wait_for("-> APPROACH")
         begun_s = time.time()
-        run.some_log()
+        run.some_log(PAST_APPROACH_BYTES)
         children = run.children()
         assert set(children) == {"record", "target", "vehicle", "onboard"}
         # the moment is random on purpose: nothing is waited for

@@ -13,6 +13,7 @@ from bridge.target.odometry import decode_odometry
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import ZERO, Phase
 from logs.schema.rows import ControllerStepRow
+from tests.bounded import AT_ONCE_S
 from tests.integration.sim_processes import (
     PATIENCE_S,
     priority_or_skip,
@@ -136,13 +137,13 @@ def test_real_time_rate_and_start_with_the_landing() -> None:
             reader.truths.clear()
             reader.samples.clear()
             start_s = time.monotonic()
-            wait_for(lambda: reader.poll() or time.monotonic() > start_s + 1.0, "a second")
-            assert 60 <= len(reader.truths) <= 110  # a busy machine may lose some tenths
-            assert 60 <= len(reader.samples) <= 110
+            wait_for(lambda: reader.poll() or len(reader.truths) > 100, "a hundred poses")
+            wait_for(lambda: reader.poll() or len(reader.samples) > 100, "a hundred samples")
+            assert time.monotonic() - start_s > 0.5  # s; what a busy machine held up comes at once
             steps.put(controller_step(Phase.TAKEOFF))
             steps.put(b"rubbish")
             last = decode_odometry(reader.truths[-1][1])
-            assert abs(last.stamp_ns - time.time_ns()) < 0.2e9
+            assert abs(last.stamp_ns - time.time_ns()) < 1e9 * AT_ONCE_S
             assert last.linear_m_s[0] == 0.0
             steps.put(controller_step(Phase.APPROACH))
             wait_for(
