@@ -357,11 +357,11 @@ def test_a_vehicle_gets_poses_in_its_own_way(autopilot, kind):
         assert math.remainder(yaw - (math.pi / 2 - 0.6), math.tau) == pytest.approx(0.0, abs=1e-3)
         assert message.get_srcComponent() == 197
         vehicle.log.clear()
-        start_s = time.monotonic()
-        while time.monotonic() < start_s + 2.0:
-            vehicle.receive(0.1)
-        came = [m.get_type() for m in vehicle.log]
-        assert 60 <= came.count(kind) <= 105  # 50 Hz, and a busy machine
+        start_s, came = time.monotonic(), []
+        while came.count(kind) < 100:
+            assert vehicle.receive(), "no poses"
+            came = [m.get_type() for m in vehicle.log]
+        assert time.monotonic() - start_s > 1.5  # s, at 50 Hz; what a busy machine held up comes at once
         assert ("SET_GPS_GLOBAL_ORIGIN" in came) == (autopilot == 3)
         vehicle.send(mav.MAVLink_timesync_message(0, 4711))
         assert vehicle.until(is_a("TIMESYNC", ts1=4711)).tc1 > 0
