@@ -19,8 +19,8 @@ from collections.abc import Sequence
 import pytest
 from _pytest.runner import runtestprotocol
 
+from flightstack.common.forked import hand_on_niceness
 from flightstack.common.pacing import keep_memory
-from flightstack.common.processes import hand_on_niceness
 
 ATTEMPTS = 6
 PAUSE_S = 0.1  # half of the age at which an own state is no longer flown by (checks.own_age_max_s)

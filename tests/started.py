@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from flightstack.cli.main import main
-from flightstack.common.forked import Forked, forget_handlers, own_streams
-from flightstack.common.processes import Child, hand_on_niceness
+from flightstack.common.forked import Forked, leave_parent
+from flightstack.common.processes import Child
 
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(["tests.loaded"])
@@ -113,10 +113,7 @@ def _begin(
     """Be a process of its own."""
     folder, environment, nice = about
     os.setpriority(os.PRIO_PROCESS, 0, nice)
-    os.setsid()
-    hand_on_niceness(os.getpid())
-    forget_handlers()
-    own_streams(output.fileno(), errors.fileno())
+    leave_parent(output.fileno(), errors.fileno())
     os.chdir(folder)
     sys.path.insert(0, str(folder))  # as of ``python -m``
     os.environ.clear()

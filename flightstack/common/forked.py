@@ -1,4 +1,4 @@
-"""A child process that goes on with the modules that this one has loaded."""
+"""Child processes made by fork: they use the modules that their parent has loaded."""
 
 from __future__ import annotations
 
@@ -50,8 +50,20 @@ def end_with(parent: int, name: str) -> None:
         os._exit(1)
 
 
+def hand_on_niceness(pid: int) -> None:
+    """Give the niceness of this process to the session of a child, or to its own.
+
+    Linux shares processors among sessions before it looks at niceness (sched(7), autogroup), and a session
+    begins with none: what is started with ``nice`` would take as much from others as without.
+    """
+    steps = os.getpriority(os.PRIO_PROCESS, 0)
+    if steps > 0:
+        with contextlib.suppress(OSError):  # no such groups; or not root, and asked twice within 0.1 s
+            Path(f"/proc/{pid}/autogroup").write_text(str(steps))
+
+
 class Forked:
-    """A child of ``os.fork``, with what is needed of ``subprocess.Popen``.
+    """A child process made by ``os.fork``; it has those methods of ``subprocess.Popen`` that are used here.
 
     It has a session, signal handlers, standard streams and files of its own; it ends with ``os._exit``, so
     that nothing runs that this process has registered for its end.
@@ -123,10 +135,8 @@ def _go_on(
     """Be the child."""
     code = 1
     try:
-        os.setsid()
         end_with(parent, name)
-        forget_handlers()
-        own_streams(output, errors)
+        leave_parent(output, errors)
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         gc.freeze()  # what is shared with the parent is not looked through, and so not copied
         code = _code_of(run)
@@ -141,6 +151,19 @@ def _go_on(
     os._exit(code)
 
 
+def leave_parent(output: int, errors: int) -> None:
+    """Have a session, signal handlers, standard streams and files of its own; call it in a child after fork.
+
+    Args:
+        output: file number that becomes standard output.
+        errors: the same of standard error.
+    """
+    os.setsid()
+    hand_on_niceness(os.getpid())
+    forget_handlers()
+    _own_streams(output, errors)
+
+
 def forget_handlers() -> None:
     """Handle signals as a new Python does: those that the parent ignores are ignored."""
     signal.set_wakeup_fd(-1)
@@ -151,7 +174,7 @@ def forget_handlers() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def own_streams(output: int, errors: int) -> None:
+def _own_streams(output: int, errors: int) -> None:
     """Have no input, these two outputs, and no other file of the parent's."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     # one of them may have a number of these, if the parent had no streams

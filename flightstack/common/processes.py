@@ -17,7 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, Protocol
 
-from flightstack.common.forked import PR_SET_PDEATHSIG, Forked, end_with, may_fork
+from flightstack.common.forked import PR_SET_PDEATHSIG, Forked, end_with, hand_on_niceness, may_fork
 
 START_TIME_MAX_S = 120.0  # s until a child says ready: the first time the simulator compiles its loops
 CLI = "flightstack.cli.main"  # the module of the command
@@ -62,18 +62,6 @@ class Running(Protocol):
         """Ask it to end, after so many seconds make it; its exit status."""
 
 
-def hand_on_niceness(pid: int) -> None:
-    """Give the niceness of this process to the session of a child, or to its own.
-
-    Linux shares processors among sessions before it looks at niceness (sched(7), autogroup), and a session
-    begins with none: what is started with ``nice`` would take as much from others as without.
-    """
-    steps = os.getpriority(os.PRIO_PROCESS, 0)
-    if steps > 0:
-        with contextlib.suppress(OSError):  # no such groups; or not root, and asked twice within 0.1 s
-            Path(f"/proc/{pid}/autogroup").write_text(str(steps))
-
-
 class Child:
     """One process of the run, its output kept in a file.
 
@@ -105,7 +93,6 @@ class Child:
                 self.process: subprocess.Popen[bytes] | Forked = Forked(name, run, errors)
             else:
                 self.process = self._program(arguments, program, works_in, errors)
-        hand_on_niceness(self.process.pid)
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
@@ -122,7 +109,7 @@ class Child:
             words, told = [sys.executable, "-m", CLI], {_PARENT: f"{os.getpid()} {self.name}"}
         else:
             words, told = tied(program), {}  # it would hand on what it was told
-        return subprocess.Popen(
+        process = subprocess.Popen(
             [*words, *arguments],
             cwd=works_in,
             env=os.environ | told,
@@ -131,6 +118,8 @@ class Child:
             stderr=errors,
             start_new_session=True,  # Ctrl-C reaches the launcher alone, which ends the children in order
         )
+        hand_on_niceness(process.pid)
+        return process
 
     def yield_to_others(self, steps: int) -> None:
         """Lower its priority, so that it does not delay the flight."""

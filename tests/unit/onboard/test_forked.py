@@ -5,17 +5,17 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import pytest
 
-from flightstack.common.forked import may_fork
+from flightstack.cli.main import VERBS, load
 from flightstack.common.processes import Child
 from tests.bounded import PATIENCE_S, killed, line_of
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux only")
+AUTOGROUP = Path("/proc/self/autogroup")
 BEGIN = """
 import os, signal, sys, threading, time
 from pathlib import Path
@@ -135,7 +135,6 @@ print(child.poll())
 
 
 def test_only_the_only_thread_may_fork(tmp_path):
-    assert not may_fork() or threading.active_count() == 1
     program = """
 over = threading.Event()
 thread = threading.Thread(target=over.wait)
@@ -210,3 +209,18 @@ def test_lines_that_come_with_the_one_that_is_waited_for_are_kept(tmp_path):
         assert child.lines(0.0) == ["first"]
     finally:
         child.end()
+
+
+@pytest.mark.parametrize("name", [name for name, verb in VERBS.items() if verb.needs])
+def test_what_a_verb_needs_is_there(name):
+    """Else its children would be programs, and nobody would see why they start slowly."""
+    assert load(name).name == "main"
+
+
+@pytest.mark.skipif(not AUTOGROUP.exists(), reason="this kernel shares processors among threads alone")
+def test_its_session_has_the_niceness_of_its_parent(tmp_path):
+    program = """
+os.setpriority(os.PRIO_PROCESS, 0, 7)
+print(forked(lambda: print(Path("/proc/self/autogroup").read_text())).stdout.read().decode())
+"""
+    assert python(program, tmp_path).split()[1:] == ["nice", "7"]
