@@ -16,7 +16,7 @@ from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program, find_px4
 from sim.scenarios.scenario import load
-from tests.started import StartedChild
+from tests.processes.started import StartedChild
 
 PX4_PLACE = "FLIGHTSTACK_PX4"  # environment: the program or a folder that holds it (sim.px4.program.find_px4)
 ROOT = Path(__file__).parents[1]

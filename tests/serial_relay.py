@@ -23,7 +23,7 @@ from pathlib import Path
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.common.pacing import ask_for_priority
-from tests.ports import free_port
+from tests.processes.ports import free_port
 
 _TURN_S = 0.002  # s; at 57,600 baud 12 bytes
 _PIECE = 256  # bytes read at a time

@@ -17,7 +17,7 @@ from flightstack.common.processes import END_TIME_MAX_S, Child
 from flightstack.core.types import Phase
 from flightstack.watch.state import News, Watch
 from tests.flight_suite.room import Room
-from tests.started import StartedChild
+from tests.processes.started import StartedChild
 
 RADIO_POLL_S = 0.05
 

@@ -19,7 +19,7 @@ from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.scenarios.scenario import Scenario, load
-from tests.started import StartedChild
+from tests.processes.started import StartedChild
 
 
 class Lost(Enum):

@@ -12,9 +12,9 @@ from pathlib import Path
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
-from tests.bounded import killed, lines_of
 from tests.integration.sim_processes import COMMAND, wait_for
-from tests.started import Started, run_verb
+from tests.processes.bounded import killed, lines_of
+from tests.processes.started import Started, run_verb
 
 WALL_MAX_S = 240.0
 # Verbs that start nothing and catch no signal: called in this process, which has loaded their packages

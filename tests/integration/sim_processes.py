@@ -19,8 +19,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.common.pacing import ask_for_priority, give_up_priority
 from sim.scenarios.scenario import load
-from tests.bounded import AT_ONCE_S, PATIENCE_S, killed, line_of
-from tests.started import Started, run_verb
+from tests.processes.bounded import AT_ONCE_S, PATIENCE_S, killed, line_of
+from tests.processes.started import Started, run_verb
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-m", "flightstack.cli.main"]

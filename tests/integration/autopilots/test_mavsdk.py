@@ -25,7 +25,7 @@ from tests.integration.autopilots.real_clients import (
     vehicle,
 )
 from tests.integration.sim_processes import Client, is_a, setpoint
-from tests.ports import free_port
+from tests.processes.ports import free_port
 
 pytestmark = pytest.mark.xdist_group("real-time")
 

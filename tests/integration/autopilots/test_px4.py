@@ -28,13 +28,13 @@ from sim.px4.airframe import parameters
 from sim.px4.plant import Px4Plant
 from sim.px4.program import InstanceClaim, Px4Error, Px4Model, Px4Program, find_px4
 from sim.scenarios.scenario import load
-from tests.bounded import AT_ONCE_S, killed, line_of
 from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.room import on_px4
 from tests.integration.sim_processes import wait_for
+from tests.processes.bounded import AT_ONCE_S, killed, line_of
+from tests.processes.started import StartedChild
 from tests.px4_flight import px4_or_skip
-from tests.started import StartedChild
 
 ROOT = Path(__file__).parents[3]
 pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("stream 0")]  # one flight

@@ -19,7 +19,7 @@ from bridge.zenoh.zenoh_link import open_session
 from logs.reader.flight import load_flight
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import PATIENCE_S, verb, wait_for
-from tests.ports import free_endpoint, free_port
+from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import ODOMETRY, decode
 
 ROOT = Path(__file__).parents[3]

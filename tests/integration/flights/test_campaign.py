@@ -21,8 +21,8 @@ from sim.campaign.run import plan
 from sim.campaign.summary import LIMITS, Tier, count, misses
 from sim.runners.landing import land
 from sim.scenarios.scenario import load, path_of
-from tests.bounded import killed
 from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack, fly, gone, replayed
+from tests.processes.bounded import killed
 
 RUNS = 6
 # as much of a scenario as a campaign test needs: short flights

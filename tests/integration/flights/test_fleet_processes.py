@@ -14,7 +14,7 @@ from sim.scenarios.team import one_of
 from tests.integration.runs import Flying, called
 from tests.integration.sim_processes import verb
 from tests.integration.wires.bridge_processes import member_behind_the_bridge
-from tests.ports import free_port
+from tests.processes.ports import free_port
 
 TEAM = f"""
 name = "two_cross"

@@ -21,12 +21,12 @@ from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from sim.scenarios.scenario import load
-from tests.bounded import killed, lines_of
 from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack, replayed
 from tests.integration.sim_processes import PATIENCE_S, ROOT, Client
 from tests.integration.wires.test_links import signing
-from tests.ports import free_endpoint, free_port
-from tests.started import StartedChild
+from tests.processes.bounded import killed, lines_of
+from tests.processes.ports import free_endpoint, free_port
+from tests.processes.started import StartedChild
 from tests.unit.target import ros2_helpers as ros
 
 pytestmark = pytest.mark.xdist_group("real-time")

@@ -27,7 +27,7 @@ from sim.scenarios.team import load, one_of
 from tests.integration.runs import Flying
 from tests.integration.sim_processes import verb
 from tests.integration.wires.bridge_processes import member_behind_the_bridge
-from tests.ports import free_port
+from tests.processes.ports import free_port
 from tests.px4_flight import px4_or_skip
 
 ROOT = Path(__file__).parents[3]

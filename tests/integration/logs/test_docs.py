@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from logs.reader.flight import load_flight
-from tests.bounded import killed, line_of
 from tests.integration.runs import WALL_MAX_S, Result, flightstack
+from tests.processes.bounded import killed, line_of
 from tests.unit.target.ros2_helpers import on_free_ports
 
 ROOT = Path(__file__).parents[3]

@@ -15,9 +15,9 @@ from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from logs.replay.replay import replay
 from logs.verdict.verdict import judge
-from tests.bounded import killed, line_of
 from tests.golden.flights import path_of
 from tests.integration.runs import COMMAND, Flying, flightstack, kill, replayed
+from tests.processes.bounded import killed, line_of
 
 DEADLINE_S = 90.0
 

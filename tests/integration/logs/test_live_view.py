@@ -15,9 +15,9 @@ from bridge.zenoh import zenoh_link
 from flightstack.cli.main import main
 from flightstack.common.processes import Port
 from logs.view.live import LiveRecording
-from tests.bounded import killed, line_of
 from tests.integration.runs import COMMAND, flightstack
 from tests.integration.sim_processes import ROOT, wait_for
+from tests.processes.bounded import killed, line_of
 from tests.synthetic_flight import landing
 
 pytestmark = pytest.mark.xdist_group("real-time")

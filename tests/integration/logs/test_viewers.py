@@ -25,8 +25,8 @@ from rosbags.interfaces import Nodetype
 
 from logs.schema.codec_mavlink import unpack_mavlink
 from logs.view.layout_files import layout
-from tests.bounded import killed, lines_of
 from tests.integration.runs import COMMAND, flightstack
+from tests.processes.bounded import killed, lines_of
 
 ROOT = Path(__file__).parents[3]
 pytestmark = pytest.mark.xdist_group("viewers")  # they share a flight

@@ -20,8 +20,8 @@ from flightstack.watch.live import draw
 from flightstack.watch.state import STALE_S, News, Watch, snapshot
 from logs.schema.rows import HealthRow
 from logs.schema.schemas import HEALTH, schema_text
-from tests.bounded import PATIENCE_S, killed, line_of
 from tests.integration.sim_processes import ROOT
+from tests.processes.bounded import PATIENCE_S, killed, line_of
 from tests.synthetic_flight import landing
 
 KEYS = ("controller/step", "loop/timing", "health")

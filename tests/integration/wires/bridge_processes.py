@@ -14,13 +14,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.zenoh import zenoh_link
 from sim.scenarios.scenario import Scenario
-from tests.bounded import PATIENCE_S, line_of
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.server import Server
 from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.integration.runs import COMMAND
 from tests.integration.sim_processes import ROOT, Client, is_a, setpoint
-from tests.ports import free_endpoint, free_port
+from tests.processes.bounded import PATIENCE_S, line_of
+from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import pose_stamped
 
 OFFBOARD, HOLD = 0x00060000, 0x03040000

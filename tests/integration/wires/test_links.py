@@ -18,8 +18,8 @@ from bridge.mavlink.signing.signing import Signer
 from flightstack.common.processes import Port
 from tests.integration.runs import flightstack, fly
 from tests.integration.sim_processes import PATIENCE_S, Client, is_a, terminate, verb
+from tests.processes.started import StartedChild
 from tests.serial_relay import PtyEnd, Relay, TcpEnd
-from tests.started import StartedChild
 
 ARMED = 128
 TAKEOFF, HOLD = 0x02040000, 0x03040000

@@ -19,8 +19,8 @@ from bridge.ros2.ros2_names import parse_topic_key, topic_key
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import Phase
-from tests.bounded import killed, line_of
 from tests.integration.runs import WALL_MAX_S
+from tests.processes.bounded import killed, line_of
 from tests.unit.target.ros2_helpers import PATIENCE_S, decode, on_free_ports, pose_stamped, rmw_session, until
 
 ROOT = Path(__file__).parents[3]

@@ -13,7 +13,6 @@ from bridge.target.odometry import decode_odometry
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import ZERO, Phase
 from logs.schema.rows import ControllerStepRow
-from tests.bounded import AT_ONCE_S
 from tests.integration.sim_processes import (
     PATIENCE_S,
     priority_or_skip,
@@ -22,7 +21,8 @@ from tests.integration.sim_processes import (
     terminate,
     wait_for,
 )
-from tests.ports import free_port
+from tests.processes.bounded import AT_ONCE_S
+from tests.processes.ports import free_port
 
 PAIR = struct.Struct("<qq")
 RUN_AHEAD = 20

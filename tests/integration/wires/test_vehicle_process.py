@@ -23,7 +23,7 @@ from tests.integration.sim_processes import (
     terminate,
     wait_for,
 )
-from tests.ports import free_port
+from tests.processes.ports import free_port
 
 ARMED = 128
 OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000

@@ -17,10 +17,10 @@ from bridge.ros2.ros2_names import parse_topic_key
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import Role, ZenohLinkError
 from logs.reader.reader import LogFile
-from tests.bounded import AT_ONCE_S, killed, line_of
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import verb
-from tests.ports import free_endpoint, free_port
+from tests.processes.bounded import AT_ONCE_S, killed, line_of
+from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import PATIENCE_S, odometry, rmw_session, until
 
 ROOT = Path(__file__).parents[3]

@@ -18,7 +18,7 @@ from sim.runners.fleet import words_wire
 from sim.runners.fleet.words import Words
 from sim.runners.fleet.words_wire import MemberWords
 from sim.scenarios import team
-from tests.ports import free_endpoint
+from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until
 
 GRID = TickGrid(100)

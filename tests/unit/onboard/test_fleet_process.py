@@ -17,7 +17,7 @@ from flightstack.onboard.process import Onboard, Options
 from logs.schema import schemas
 from logs.schema.fleet_rows import unpack_neighbours
 from logs.schema.rows import FleetWordRow
-from tests.ports import free_endpoint
+from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until
 
 LONE = load(path_of("crazyflie"))

@@ -13,7 +13,7 @@ from flightstack.onboard import fleet_wire
 from flightstack.onboard.fleet_wire import BYTES_MAX, FleetWire
 from logs.schema.fleet_rows import Echo, word_row
 from logs.schema.rows import FleetWordRow
-from tests.ports import free_endpoint
+from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until
 
 EPOCH_NS = 1_700_000_000_000_000_000

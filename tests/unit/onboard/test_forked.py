@@ -12,7 +12,7 @@ import pytest
 
 from flightstack.cli.main import VERBS, load
 from flightstack.common.processes import Child
-from tests.bounded import PATIENCE_S, killed, line_of
+from tests.processes.bounded import PATIENCE_S, killed, line_of
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux only")
 AUTOGROUP = Path("/proc/self/autogroup")

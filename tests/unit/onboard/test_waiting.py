@@ -25,7 +25,7 @@ from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, Vehicl
 from flightstack.onboard.live_topics import BATTERY_AGE_MAX_S, health_row
 from flightstack.onboard.waiting import TargetSeen, VehicleSeen, countdown, missing
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
-from tests.ports import free_endpoint, free_port
+from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target import ros2_helpers as ros
 from tests.unit.target.ros2_helpers import until
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from tests.bounded import killed, line_of, lines_of
+from tests.processes.bounded import killed, line_of, lines_of
 
 SHORT_S = 0.3
 

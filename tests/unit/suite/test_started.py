@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from flightstack.common.processes import Child
-from tests.bounded import PATIENCE_S, killed, line_of
-from tests.started import Started, StartedChild
+from tests.processes.bounded import PATIENCE_S, killed, line_of
+from tests.processes.started import Started, StartedChild
 
 
 def tell(code):

@@ -11,7 +11,7 @@ from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
 
 from bridge.zenoh import zenoh_link
 from logs.schema.schemas import schema_text
-from tests.ports import free_endpoint, free_port
+from tests.processes.ports import free_endpoint, free_port
 
 PATIENCE_S = 20.0
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -20,7 +20,7 @@ from bridge.zenoh.zenoh_link import (
     dialled,
     open_session,
 )
-from tests.ports import free_endpoint
+from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until
 
 KEY = "cf1/target/odom"

@@ -25,8 +25,8 @@ from logs.recorder.recorder import RecorderError, RecorderProcess, problems
 from logs.recorder.recorder_process import Syncer
 from logs.schema import schemas
 from logs.schema.codec_mavlink import pack_mavlink
-from tests.bounded import line_of
-from tests.ports import free_endpoint
+from tests.processes.bounded import line_of
+from tests.processes.ports import free_endpoint
 from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
 
 LIMITS = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"  # bytes of a file

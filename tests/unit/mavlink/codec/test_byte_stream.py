@@ -10,7 +10,7 @@ import pytest
 from bridge.mavlink.codec.framing import FrameCounters, split_frames
 from bridge.mavlink.endpoint import Direction, Endpoint
 from bridge.mavlink.transport.byte_stream import RETRY_S
-from tests.bounded import AT_ONCE_S
+from tests.processes.bounded import AT_ONCE_S
 from tests.serial_relay import PtyEnd, TcpEnd
 from tests.unit.mavlink.codec.frames_of_messages import UNKNOWN, frames_of, position
 

@@ -21,7 +21,7 @@ from flightstack.common.forked import Forked, leave_parent
 from flightstack.common.processes import Child
 
 SERVER = multiprocessing.get_context("forkserver")
-SERVER.set_forkserver_preload(["tests.loaded"])
+SERVER.set_forkserver_preload(["tests.processes.loaded"])
 
 
 class Started(Forked):

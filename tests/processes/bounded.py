@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import IO, TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tests.started import Started
+    from tests.processes.started import Started
 
 PATIENCE_S = 60.0  # s; a machine with more work than processors starts a process late
 AT_ONCE_S = 10.0  # s, of what waits for nothing: a process told to end took 3.2 s beside the other tests
