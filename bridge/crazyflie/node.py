@@ -93,6 +93,7 @@ class Node(Server[Vehicle]):
         self.clock = BootClock()
         self._streamed: list[Message] = []  # made from new states, not sent yet
         self._readiness_due_s, self._readiness = READINESS_S, ""
+        self._shown_armed = False
         parameters = Parameters(
             (
                 fixed("MAV_SYS_ID", system_id),
@@ -121,7 +122,7 @@ class Node(Server[Vehicle]):
         if now_s >= self._readiness_due_s and not vehicle.armed:
             self._readiness_due_s = now_s + READINESS_S
             self._tell_readiness(now_s)
-        messages = self.telemetry(now_s)
+        messages = [*self._new_home(now_s), *self.telemetry(now_s)]
         if vehicle.arming:
             return messages, []
         return messages, self.commands.finish(ACCEPTED if vehicle.armed else REJECTED)
@@ -168,6 +169,12 @@ class Node(Server[Vehicle]):
         """Its sender is a client, besides."""
         self.vehicle.client(now_s)
         return super().on_command(message, sender, now_s)
+
+    def _new_home(self, now_s: float) -> list[Message]:
+        """Home before the heartbeat that shows it armed: clients add their take-off height to it."""
+        changed, self._shown_armed = self.vehicle.armed != self._shown_armed, self.vehicle.armed
+        snapshot = self.snapshot(now_s) if changed else None
+        return [_home_position(snapshot)] if snapshot is not None else []
 
     def _gap(self, now_s: float) -> bool:
         state = self.vehicle.state

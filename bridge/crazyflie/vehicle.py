@@ -46,7 +46,7 @@ class Vehicle(Known):
     Attributes:
         mode: meaningful also while disarmed.
         failsafe: the mode was not asked for.
-        home_enu_m: the origin, at the height of the place it was armed at last.
+        home_enu_m: the origin, at the height where it stands; armed, where it was armed.
     """
 
     def __init__(self, rules: limits.Rules) -> None:
@@ -130,6 +130,10 @@ class Vehicle(Known):
     def take_state(self, state: CrazyflieState, _now_s: float) -> None:
         """A new state."""
         before, self.state = self.state, state
+        if not self.armed:  # a take-off that waits for the arming climbs from where it stands then
+            height_m = state.position_enu_m[2]
+            self._pilot.takeoff_z_m += height_m - self.home_enu_m[2]
+            self.home_enu_m = (0.0, 0.0, height_m)
         if self._silence_said:
             self.texts.say(INFO, "Radio is back")
             self._silence_said = False
@@ -172,7 +176,6 @@ class Vehicle(Known):
             return f"Arming refused: {_ENDS if self._ends else found[0] if found else 'no state'}"
         if self.mode is FlightMode.LAND:
             self._enter(FlightMode.HOLD, now_s)
-        self.home_enu_m = (0.0, 0.0, self.state.position_enu_m[2])
         self._moved, self._ground = False, Ground()
         self._pilot.begin(now_s)
         packets = self._arming.ask(self.state, now_s)
@@ -208,7 +211,7 @@ class Vehicle(Known):
         """
         if self._ends:
             return f"Take-off refused: {_ENDS}"
-        home_m = self.home_enu_m[2] if self.armed or self.state is None else self.state.position_enu_m[2]
+        home_m = self.home_enu_m[2]
         height_m = home_m + limits.TAKEOFF_M if height_m is None else height_m
         low, high = limits.HEIGHT_RANGE_M
         if not low <= height_m - home_m <= high:
