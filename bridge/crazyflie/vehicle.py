@@ -287,6 +287,8 @@ class Vehicle(Known):
             self.texts.say(CRITICAL, text if text[0].isupper() else f"Arming failed: {text}")
         if self.armed and not was_armed:
             self.texts.say(INFO, "Armed")
+        if not self.armed and self.mode is FlightMode.OFFBOARD and now_s - self._stream_s > limits.STREAM_S:
+            self._change(FlightMode.HOLD)
         if not (self.armed and self.standing):
             self._idle_since_s = now_s
         elif now_s - self._idle_since_s > limits.IDLE_S:
@@ -391,5 +393,4 @@ class Vehicle(Known):
     def _ended(self) -> None:
         self._moved = self.failsafe = False
         self.owner.release()
-        if self.mode is not FlightMode.OFFBOARD:
-            self.mode = FlightMode.HOLD
+        self.mode = FlightMode.HOLD  # in OFFBOARD the next client would find control taken
