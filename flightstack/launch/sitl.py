@@ -21,7 +21,7 @@ from flightstack.core.parameters.filters import short_name
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.launch.launcher import NAMESPACE, Followed, Launcher, Shown
 from flightstack.launch.result import Flown, conclude_values, landed
-from flightstack.launch.run_options import RunOptions
+from flightstack.launch.run_options import Flies, RunOptions
 from flightstack.launch.vehicles import (
     VEHICLES,
     common_options,
@@ -31,6 +31,7 @@ from flightstack.launch.vehicles import (
 )
 from flightstack.onboard.recording import describe, log_in, new_folder
 from flightstack.verify.certificate import problems
+from logs.schema.names import NO_PAD
 from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import PROFILES
 from sim.chance import name as seed_name
@@ -197,6 +198,7 @@ def run_metadata(options: RunOptions, scenario: Scenario, seed: int) -> dict[str
         "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
         "judge_beta_m": repr(scenario.judge.beta_m),
         "pad_radius_m": repr(scenario.target.pad_radius_m),
+        **({"pad": NO_PAD} if options.flies in (Flies.PX4_SIH, Flies.ARDUPILOT) else {}),
     }
 
 

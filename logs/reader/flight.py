@@ -30,7 +30,7 @@ from logs.reader.flight_data import (
 )
 from logs.reader.reader import LogError, LogFile, Message
 from logs.schema.cdr import codec
-from logs.schema.names import FLEET
+from logs.schema.names import FLEET, NO_PAD
 from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE
 
@@ -167,6 +167,7 @@ def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) ->
         barrier=_barrier(run, config),
         velocity_max_m_s=_velocity_max(run, config),
         pad_radius_m=_pad_radius(run, config),
+        pad_carries=run.get("pad") != NO_PAD,
         problems=tuple(problems),
     )
 

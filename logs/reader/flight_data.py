@@ -130,6 +130,7 @@ class Flight:
         barrier: the one to judge by, ``None`` if the log does not say.
         velocity_max_m_s: box of the filter, m/s, ``None`` if the log does not say.
         pad_radius_m: of the landing pad.
+        pad_carries: whether the vehicle's physics has a pad that it can stand on; the log says where not.
     """
 
     path: Path
@@ -149,6 +150,7 @@ class Flight:
     velocity_max_m_s: Vec3 | None
     pad_radius_m: float
     member: str | None = None
+    pad_carries: bool = True
 
     @cached_property
     def landing_start_s(self) -> float | None:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 FLEET = "fleet"  # metadata: who the members are
 LOSSES = "losses"  # metadata: records that each process could not hand to the recorder
+NO_PAD = "absent"  # metadata "run", key "pad": the vehicle's physics has a floor and no pad
 TEAM = "team.toml"  # attachment: the scenario of all
 
 

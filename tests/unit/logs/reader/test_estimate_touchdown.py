@@ -135,6 +135,49 @@ def test_motors_off_without_a_contact_that_shows_gives_no_speeds(flight):
     assert verdict.touchdown_speed_horizontal_m_s is None
 
 
+@pytest.mark.parametrize(("rate_hz", "lag_s"), [(100, 0.06), (50, 0.03), (25, 0.05)])
+@pytest.mark.parametrize("sink_m_s", [0.25, 0.57])
+def test_contact_speed_of_a_state_that_lags_and_comes_seldom(flight, rate_hz, lag_s, sink_m_s):
+    """The estimate loses its speed within some steps; none of them may lower the speed of the contact."""
+    steps = descent(flight, sink_m_s=sink_m_s)
+    every, own = round(1.0 / (rate_hz * DT_S)), steps.own_velocity_enu_m_s.copy()
+    for k in range(1, len(own)):
+        own[k] = own[k - 1] + DT_S / lag_s * (own[k] - own[k - 1])
+    for shift in range(every):
+        held = own[(np.arange(len(own)) - shift) // every * every + shift]
+        found = find_touchdown(replace(steps, own_velocity_enu_m_s=held), LARGE, 0)
+        assert -found.velocity_m_s[2] == pytest.approx(sink_m_s, abs=0.05)
+
+
+@pytest.mark.parametrize(("pad_carries", "outcome"), [(True, Outcome.TIMEOUT), (False, Outcome.LANDED)])
+def test_on_a_floor_without_a_pad_the_vehicle_rests_in_the_world(flight, pad_carries, outcome):
+    """The floor is at the pad's height: the target drives on below, and h falls beside it."""
+    steps = descent(flight)
+    down = steps.t_s >= CONTACT_S
+    at_m = steps.own_position_enu_m[np.flatnonzero(down)[0]]
+    own_m = np.where(down[:, None], at_m, steps.own_position_enu_m)
+    still = np.where(down[:, None], 0.0, steps.own_velocity_enu_m_s)
+    stays = replace(
+        steps, own_position_enu_m=own_m, own_velocity_enu_m_s=still,
+        h_m=np.where(steps.t_s > CONTACT_S + 1.0, -0.3, 0.3),
+    )  # fmt: skip
+    verdict = judged(replace(flight, pad_carries=pad_carries), stays)
+    assert (verdict.outcome, verdict.violation) == (outcome, pad_carries)
+    assert verdict.touchdown_error_m == pytest.approx(0.15, abs=1e-3)
+    slides = replace(stays, own_velocity_enu_m_s=np.where(down[:, None], [0.2, 0.0, 0.0], still))
+    sinks = replace(
+        stays, own_position_enu_m=own_m - np.where(steps.t_s > 4.0, 0.3, 0.0)[:, None] * [0, 0, 1]
+    )
+    for moved in (slides, sinks):
+        assert judged(replace(flight, pad_carries=pad_carries), moved).outcome is Outcome.TIMEOUT
+    low = replace(
+        stays,
+        h_m=np.where(steps.t_s > CONTACT_S - 1.0, -0.3, 0.3),
+        own_position_enu_m=own_m + np.array([0.5, 0.0, 0.0]),
+    )
+    assert judged(replace(flight, pad_carries=pad_carries), low).violation is True
+
+
 @pytest.mark.parametrize("lost", ["own_valid", "target_valid"])
 def test_a_state_that_is_missing_at_the_contact_and_after_is_never_a_landing(flight, lost):
     steps = descent(flight)
