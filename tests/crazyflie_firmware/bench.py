@@ -21,7 +21,8 @@ from bridge.crazyflie.types import (
     StateBlock,
     Velocity,
 )
-from tests.crazyflie_firmware.firmware import CODE, LOGS, Firmware
+from tests.crazyflie_firmware.firmware import Firmware
+from tests.crazyflie_firmware.tables import CODE, LOGS
 
 STEP_S = 0.01
 CLIENT, OTHER, GROUND = (1, 191), (7, 190), (255, 190)
@@ -70,6 +71,7 @@ class Bench:
         return said.splitlines()
 
     def connect(self) -> None:
+        self.firmware.packet(b"\x5d\x05", self.now_s)  # whatever an earlier connection asked for
         params = {name: f"{p.value:g}" for name, p in self.firmware.params.items()}
         self._take(Connected(self.firmware.protocol, params))
         for number, names, period in ((1, [*list(LOGS)[:11], "pm.vbatMV"], 1), (2, list(LOGS)[-3:], 10)):
@@ -95,6 +97,8 @@ class Bench:
 
     def step(self) -> None:
         self.now_s += STEP_S
+        if not self.deaf:
+            self.firmware.packet(b"\xff", self.now_s)  # the link's own; without, log blocks are deleted
         for raw in self.firmware.step(self.now_s):
             self._log(raw)
         beat = mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
@@ -183,6 +187,7 @@ class Bench:
         known = packet.name in self.firmware.params
         if known:
             self.firmware.params[packet.name].value = packet.value
+            self.firmware.written()
         self._take(ParamValue(packet.name, f"{packet.value:g}" if known else None))
 
 

@@ -1,13 +1,16 @@
-"""CRTP in, CRTP out: what a Crazyflie answers to cflib, from bytes and times alone."""
+"""CRTP in, CRTP out: what a Crazyflie answers to cflib, from bytes and times alone.
+
+What it does differently from what one would expect was measured on firmware 2026.08 compiled for a host.
+"""
 
 import struct
-import zlib
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.supervisor import PERIOD_S, State, Supervisor
+from tests.crazyflie_firmware.tables import CODE, LOGS, Param, log_toc, param_toc, params, quaternion_bits
 
 STOP, VELOCITY_WORLD = 0, 8
 PORTS = {
@@ -20,7 +23,8 @@ PORTS = {
     "generic": 7,
     "supervisor": 9,
 }
-SETTLED_M2, UNKNOWN_M2 = 1e-5, 100.0
+SILENT_S = 1.0  # s without any packet, after which the log blocks are deleted (crtp.c, log.c)
+START_S = 3.0  # s of a start; armed by itself at 3.1 s
 
 
 @dataclass
@@ -39,34 +43,79 @@ class Firmware:
     Attributes:
         setpoints: (time, velocity, yaw rate in deg/s) of the last velocity set-points.
         poses: (time, seven numbers) of the last poses from outside.
-        legs: what else arrived: "stop", "notify", "arm", "disarm", "emergency", "rpyt".
+        legs: what else arrived: "stop", "notify", "arm", "disarm", "emergency", "rpyt", "recover".
         needs_poses: it knows where it is only while poses come.
+        clock_rate: seconds of its clock in one of the host's.
+
+    Args:
+        plant: what flies; a ``Point`` by default.
+        protocol: CRTP's. Before 12 it is CrazySim's firmware of 2024: no arming by the supervisor's port.
+        auto_arm: as with brushed motors.
+        needs_poses: see above.
+        clock_rate: see above; CrazySim's ran at 0.97.
+        tables: entries of the tables of logs and parameters; the real ones have 567 and 334.
     """
 
     def __init__(
-        self, plant: Any = None, *, protocol: int = 12, auto_arm: bool = True, needs_poses: bool = False
+        self,
+        plant: Any = None,
+        *,
+        protocol: int = 12,
+        auto_arm: bool = True,
+        needs_poses: bool = False,
+        clock_rate: float = 1.0,
+        tables: tuple[int, int] = (0, 0),
     ):
         self.plant = plant if plant is not None else Point()
-        self.supervisor = Supervisor(auto_arm)
         self.protocol = protocol
         self.needs_poses = needs_poses
+        self.clock_rate = clock_rate
         self.battery_v = 4.1
         self.power_state = 0
-        self.params: dict[str, Param] = params()
         self.setpoints: deque = deque(maxlen=4096)
         self.poses: deque = deque(maxlen=4096)
         self.legs: deque = deque(maxlen=4096)
         self.refuse_arming = False
-        self._log_toc, self._param_toc = log_toc(), param_toc(self.params)
+        self._auto_arm, self._tables = auto_arm, tables
+        self._host_s = self._now_s = self._stepped_s = self._stalled_until_s = self._started_s = 0.0
+        self._start()
+
+    def _start(self) -> None:
+        """Forget everything that is not in its flash."""
+        self.supervisor = Supervisor(self._auto_arm)
+        self.params: dict[str, Param] = params(self._tables[1])
+        self._log_toc, self._param_toc = log_toc(self.protocol, self._tables[0]), param_toc(self.params)
         self._blocks: dict[int, Block] = {}
         self._setpoint: tuple[tuple[float, float, float], float] | None = None
         self._setpoint_s = -1e9
         self._priority = 0
-        self._supervised_s = 0.0
-        self._stepped_s = 0.0
+        self._heard_s = self._supervised_s = self._now_s
+        self._boot_s = self._now_s  # zero of the time that it tells
+
+    def restart(self) -> None:
+        """Restart now, in the air or not: nothing is heard of it for some seconds, then it arms itself."""
+        self._start()
+        self._started_s = self._now_s + START_S
+        self._supervised_s = self._started_s
+        self.plant.restart()
+
+    def stall(self, seconds: float) -> None:
+        """The vehicle stands still, its clock included, as a simulator that is not scheduled."""
+        self._stalled_until_s = self._host_s + seconds
+
+    def _clock(self, host_s: float) -> float:
+        """Advance to a time of the host; returns its own."""
+        begin_s = max(self._host_s, min(self._stalled_until_s, host_s))
+        self._now_s += self.clock_rate * (host_s - begin_s)
+        self._host_s = host_s
+        return self._now_s
 
     def packet(self, raw: bytes, now_s: float) -> list[bytes]:
-        """Answer one packet."""
+        """Answer one packet; ``now_s`` is the host's clock, as everywhere outside."""
+        stalls, now_s = now_s < self._stalled_until_s, self._clock(now_s)
+        if stalls or now_s < self._started_s:
+            return []
+        self._heard_s = now_s
         port, channel, data = raw[0] >> 4, raw[0] & 3, raw[1:]
         if port == 15 and channel == 3:
             return []  # null packet
@@ -94,18 +143,26 @@ class Firmware:
 
     def step(self, now_s: float) -> list[bytes]:
         """Advance to a time; returns the log packets that are due."""
+        stalls, now_s = now_s < self._stalled_until_s, self._clock(now_s)
         dt_s, self._stepped_s = now_s - self._stepped_s, now_s
         while now_s - self._supervised_s >= PERIOD_S:
             self._supervised_s += PERIOD_S  # its own period, also when the host runs this late
             # relaxed, it is fed by the planner
             age_s = self._supervised_s - self._setpoint_s if self._priority else 0.0
+            self.supervisor.setpoints_rule = self._priority > 0
             self.supervisor.step(self._supervised_s, age_s, self.plant.motors)
         level = self.supervisor.state is State.LEVEL_OUT
         if self._setpoint is None or not self.supervisor.motors_may_run:
             self.plant.motors_off()
         else:
             self.plant.command(*self._setpoint, level)
+        if not self.needs_poses:
+            self.plant.pose(*self.plant.position, None)
         self.plant.advance(dt_s)
+        if now_s - self._heard_s > SILENT_S:
+            self._blocks.clear()
+        if stalls or now_s < self._started_s:
+            return []
         return [self._data(i, b, now_s) for i, b in self._blocks.items() if self._is_due(b, now_s)]
 
     # Log and parameters
@@ -146,21 +203,19 @@ class Firmware:
         return True
 
     def _data(self, number: int, block: Block, now_s: float) -> bytes:
-        values = self._values(now_s)
+        values = self._values()
         body = b"".join(struct.pack(CODE[LOGS[name]], values[name]) for name in block.names)
         assert len(body) <= 26, "no more fits a log packet"
-        time_ms = int(now_s * 1000) & 0xFFFFFF
+        time_ms = int((now_s - self._boot_s) * 1000) & 0xFFFFFF
         return b"\x5e" + bytes((number,)) + time_ms.to_bytes(3, "little") + body
 
-    def _values(self, now_s: float) -> dict[str, Any]:
+    def _values(self) -> dict[str, Any]:
         plant = self.plant
+        position, velocity = plant.estimate
         (x, y, z), (vx, vy, vz), (p, q, r) = (
-            [round(1000 * e) for e in vector] for vector in (plant.position, plant.velocity, plant.rates)
-        )
-        known = not self.needs_poses or bool(self.poses and now_s - self.poses[-1][0] < 0.5)
-        variance = SETTLED_M2 if known else UNKNOWN_M2
-        if self.params["stabilizer.estimator"].value != 2:
-            variance = 0.0  # the filter does not run
+            [int(1000 * e) for e in vector] for vector in (position, velocity, plant.rates)
+        )  # truncated towards zero (stabilizer.c, compressState)
+        variance = plant.variance_m2 if self.params["stabilizer.estimator"].value == 2 else 0.0
         state = (x, y, z, vx, vy, vz, quaternion_bits(plant.quaternion), p, -q, r)
         return {
             **dict(zip(LOGS, state, strict=False)),
@@ -184,7 +239,12 @@ class Firmware:
         param = self.params[self._param_toc.name(struct.unpack_from("<H", data)[0])]
         if not param.read_only:
             (param.value,) = struct.unpack_from(CODE[param.kind], data, 2)
+            self.written()
         return [data[:2] + struct.pack(CODE[param.kind], param.value)]
+
+    def written(self) -> None:
+        """Act on the parameters, after one was written."""
+        self.plant.know_drag(tuple(self.params[f"kalman.dragB_{axis}"].value for axis in "xyz"))
 
     # Flying
 
@@ -218,7 +278,10 @@ class Firmware:
 
     def _generic_location(self, data: bytes, now_s: float) -> list[bytes]:
         if data[0] == 8:
-            self.poses.append((now_s, struct.unpack_from("<7f", data, 1)))
+            pose = struct.unpack_from("<7f", data, 1)
+            self.poses.append((now_s, pose))
+            if self.needs_poses:
+                self.plant.pose(*pose[:3], pose[3:])
         elif data[0] == 3 and self.protocol < 12:
             self.supervisor.emergency = True
             self._note("emergency", now_s)
@@ -231,88 +294,11 @@ class Firmware:
             self._note("arm" if data[1] else "disarm", now_s)
             done = False if self.refuse_arming and data[1] else self.supervisor.request(bool(data[1]))
             return [bytes((0x81, done, self.supervisor.armed))]
+        if data[0] == 2:
+            self._note("recover", now_s)
+            done = self.supervisor.recover()
+            return [bytes((0x82, done, not self.supervisor.crashed))]
         if data[0] == 3:
             self.supervisor.emergency = True
             self._note("emergency", now_s)
         return []
-
-
-LOG_TYPES = {"u8": 1, "u16": 2, "u32": 3, "i8": 4, "i16": 5, "i32": 6, "f": 7}
-PARAM_TYPES = {"u8": 8, "u16": 9, "u32": 0xA, "i8": 0, "i16": 1, "i32": 2, "f": 6}
-CODE = {"u8": "<B", "u16": "<H", "u32": "<I", "i8": "<b", "i16": "<h", "i32": "<i", "f": "<f"}
-READ_ONLY = 0x40
-
-LOGS = {
-    **{f"stateEstimateZ.{name}": "i16" for name in ("x", "y", "z", "vx", "vy", "vz")},
-    "stateEstimateZ.quat": "u32",
-    **{f"stateEstimateZ.rate{name}": "i16" for name in ("Roll", "Pitch", "Yaw")},
-    "supervisor.info": "u16",
-    "pm.vbat": "f",
-    "pm.vbatMV": "u16",
-    "pm.state": "i8",
-    "pm.batteryLevel": "u8",
-    **{f"motor.m{number}": "u16" for number in range(1, 5)},
-    **{f"kalman.varP{axis}": "f" for axis in "XYZ"},
-}
-
-
-@dataclass
-class Param:
-    """One parameter."""
-
-    kind: str
-    value: float
-    read_only: bool = False
-
-
-def params() -> dict[str, Param]:
-    return {
-        "stabilizer.estimator": Param("u8", 1),
-        "stabilizer.controller": Param("u8", 1),
-        **{f"kalman.initial{name}": Param("f", 0) for name in ("X", "Y", "Z", "Yaw")},
-        "kalman.resetEstimation": Param("u8", 0),
-        "locSrv.extPosStdDev": Param("f", 0.01),
-        "locSrv.extQuatStdDev": Param("f", 4.5e-3),
-        "deck.bcFlow2": Param("u8", 0, True),
-        "deck.bcLighthouse4": Param("u8", 1, True),
-        "deck.bcLoco": Param("u8", 0, True),
-    }
-
-
-@dataclass
-class Toc:
-    """Names and types by number."""
-
-    entries: list[tuple[str, int]] = field(default_factory=list)
-
-    def info(self) -> bytes:
-        text = repr(self.entries).encode()
-        return struct.pack("<BHI", 3, len(self.entries), zlib.crc32(text))
-
-    def item(self, index: int) -> bytes:
-        name, kind = self.entries[index]
-        group, _, variable = name.partition(".")
-        return struct.pack("<BHB", 2, index, kind) + f"{group}\0{variable}\0".encode()
-
-    def name(self, index: int) -> str:
-        return self.entries[index][0]
-
-
-def log_toc() -> Toc:
-    return Toc([(name, LOG_TYPES[kind]) for name, kind in LOGS.items()])
-
-
-def param_toc(table: dict[str, Param]) -> Toc:
-    return Toc([(name, PARAM_TYPES[p.kind] | (READ_ONLY if p.read_only else 0)) for name, p in table.items()])
-
-
-def quaternion_bits(wxyz: tuple[float, float, float, float]) -> int:
-    """Quaternion in 32 bits (firmware quatcompress.h): largest element's index, three of sign and 9 bits."""
-    q = (wxyz[1], wxyz[2], wxyz[3], wxyz[0])
-    largest = max(range(4), key=lambda i: abs(q[i]))
-    bits = largest
-    for i in range(4):
-        if i != largest:
-            negative = (q[i] < 0) != (q[largest] < 0)
-            bits = bits << 10 | negative << 9 | int(511 * abs(q[i]) * 2**0.5 + 0.5)
-    return bits

@@ -26,11 +26,25 @@ class SimPlant:
 
     @property
     def position(self):
-        return self.vehicle.estimate().position_enu_m
+        return self.vehicle.truth().position_enu_m
 
     @property
-    def velocity(self):
-        return self.vehicle.estimate().velocity_enu_m_s
+    def estimate(self):
+        believed = self.vehicle.estimate()
+        return believed.position_enu_m, believed.velocity_enu_m_s
+
+    @property
+    def variance_m2(self) -> float:
+        return 1e-5
+
+    def pose(self, x: float, y: float, z: float, quaternion_xyzw) -> None:
+        """Its motion capture is the scenario's own."""
+
+    def know_drag(self, drag_1_s) -> None:
+        """The simulated filter knows it."""
+
+    def restart(self) -> None:
+        self.motors_off()
 
     @property
     def quaternion(self):

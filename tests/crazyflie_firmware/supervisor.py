@@ -1,4 +1,4 @@
-"""The firmware's supervisor (supervisor.c, supervisor_state_machine.c), at 25 Hz."""
+"""The firmware's supervisor (supervisor.c, supervisor_state_machine.c of 2026.08), at 25 Hz."""
 
 from enum import Enum, auto
 
@@ -13,6 +13,7 @@ class State(Enum):
 
     CHECKS_FAILED = auto()
     CHECKS_PASSED = auto()
+    ARMING = auto()
     READY = auto()
     FLYING = auto()
     LANDED = auto()
@@ -24,16 +25,22 @@ class State(Enum):
 
 
 MAY_RUN = frozenset({State.READY, State.FLYING, State.LANDED, State.LEVEL_OUT})
+ARMED = MAY_RUN | {State.ARMING}
 
 
 class Supervisor:
-    """Arming, flying, locking."""
+    """Arming, flying, locking.
+
+    Attributes:
+        setpoints_rule: a set-point of the radio has stopped the high-level commander (bit 10).
+        deck_fault: of a deck, which ends a flight (bit 11).
+    """
 
     def __init__(self, auto_arm: bool) -> None:
         self.auto_arm = auto_arm
         self.state = State.CHECKS_FAILED
-        self.armed = False
-        self.tumbled = self.emergency = False
+        self.armed = self.crashed = False
+        self.tumbled = self.emergency = self.deck_fault = self.setpoints_rule = False
         self.checks_pass = True
         self.history: list[tuple[float, State]] = []
         self._motors_s = -1e9
@@ -48,7 +55,7 @@ class Supervisor:
         bits = (
             self.state is State.CHECKS_PASSED, self.armed, self.auto_arm, self.motors_may_run,
             self.state in (State.FLYING, State.LEVEL_OUT), self.tumbled, self.state is State.LOCKED,
-            self.state is State.CRASHED,
+            self.crashed, False, True, self.setpoints_rule, self.deck_fault,
         )  # fmt: skip
         return sum(1 << i for i, bit in enumerate(bits) if bit)
 
@@ -60,6 +67,11 @@ class Supervisor:
         self.armed = arm
         return True
 
+    def recover(self) -> bool:
+        """Crash recovery: granted unless it lies on its back."""
+        self.crashed = self.crashed and self.tumbled
+        return not self.crashed
+
     def step(self, now_s: float, setpoint_age_s: float, motors_run: bool) -> None:
         if motors_run:
             self._motors_s = now_s
@@ -68,37 +80,37 @@ class Supervisor:
         if new is not self.state:
             self.state, self._since_s = new, now_s
             self.history.append((now_s, new))
-            if new not in (State.READY, State.FLYING, State.LEVEL_OUT, State.LANDED):
+            self.crashed = self.crashed or new is State.CRASHED
+            if new not in ARMED:
                 self.armed = False
             if self.auto_arm and new is State.CHECKS_PASSED:
                 self.armed = True
 
     def _next(self, now_s: float, age_s: float, flying: bool) -> State:
         s, old_s = State, now_s - self._since_s
+        stop = (self.emergency, s.FREE_FALL)
+        not_ready = (self.tumbled or not self.checks_pass, s.CHECKS_FAILED)
         rules = {
-            s.CHECKS_FAILED: [(not self.tumbled and self.checks_pass, s.CHECKS_PASSED)],
-            s.CHECKS_PASSED: [
-                (self.tumbled or not self.checks_pass, s.CHECKS_FAILED), (self.armed, s.READY),
-            ],
+            s.CHECKS_FAILED: [stop, (not not_ready[0], s.CHECKS_PASSED)],
+            s.CHECKS_PASSED: [stop, not_ready, (self.armed, s.ARMING)],
+            s.ARMING: [stop, not_ready, (not self.armed, s.CHECKS_FAILED), (True, s.READY)],
             s.READY: [
-                (self.emergency, s.FREE_FALL), (self.tumbled, s.CHECKS_FAILED),
-                (not self.armed or old_s > PREFLIGHT_S, s.CHECKS_PASSED), (flying, s.FLYING),
-            ],
-            s.FLYING: [
-                (age_s > TIMEOUT_S or self.emergency, s.FREE_FALL), (self.tumbled, s.CRASHED),
-                (not self.armed, s.RESET), (age_s > WARN_S, s.LEVEL_OUT), (not flying, s.LANDED),
-            ],
-            s.LANDED: [
-                (self.emergency, s.FREE_FALL), (old_s > LANDED_S or not self.armed, s.RESET),
+                stop, not_ready, (not self.armed or old_s > PREFLIGHT_S, s.CHECKS_FAILED),
                 (flying, s.FLYING),
             ],
+            s.FLYING: [
+                (age_s > TIMEOUT_S or self.emergency or self.deck_fault, s.FREE_FALL),
+                (self.tumbled, s.CRASHED), (not self.armed, s.RESET), (age_s > WARN_S, s.LEVEL_OUT),
+                (not flying, s.LANDED),
+            ],
+            s.LANDED: [(old_s > LANDED_S or not self.armed, s.RESET), (flying, s.FLYING)],
             s.LEVEL_OUT: [
                 (age_s > TIMEOUT_S or self.tumbled or self.emergency, s.FREE_FALL),
                 (age_s <= WARN_S, s.FLYING),
             ],
             s.FREE_FALL: [(True, s.LOCKED)],
             s.RESET: [(True, s.CHECKS_FAILED)],
-            s.CRASHED: [],
+            s.CRASHED: [(not self.crashed, s.CHECKS_FAILED)],
             s.LOCKED: [],
         }  # fmt: skip
         return next((to for condition, to in rules[self.state] if condition), self.state)
