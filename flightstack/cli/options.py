@@ -185,6 +185,10 @@ autopilot = option(
     "--autopilot", type=click.Choice(AUTOPILOTS), default=AUTOPILOTS[0],
     help="Autopilot of the vehicle; auto: the heartbeat says which (docs/how_to/autopilots.md).",
 )  # fmt: skip
+accept_release = option(
+    "--accept-release", is_flag=True,
+    help="Fly an autopilot whose release is not known by the rules of the nearest one.",
+)  # fmt: skip
 profile = option(
     "--profile", "--personality", type=click.Choice(PROFILES), default=PROFILES[0],
     help="Autopilot that the simulated vehicle imitates (--personality is the old name).",
@@ -301,6 +305,7 @@ class Flight(Signing, Ros2, Zenoh):
     duration_s: float | None = duration
     system_id: int = system_id
     autopilot: str = autopilot
+    accept_release: bool = accept_release
     core: str = option(
         "--core", type=click.Choice(CORES), default=CORES[0],
         help="Code of the control step: plain Python, or compiled by numba, equal to the last bit; auto: "

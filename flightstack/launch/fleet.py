@@ -215,6 +215,7 @@ def _start(
         target=f"{member.name}/target/odom", connect=[*simulator, *before], listen=member.endpoint,
         config=member.config, duration=member.scenario.duration_max_s, recorder=launcher.socket,
         zenoh_config=options.zenoh_config, namespace=member.name, system_id=member.number, shared_log=True,
+        accept_release=options.accept_release,
     )  # fmt: skip
 
 

@@ -43,6 +43,7 @@ class RunOptions:
         view: where the scene is shown in 3-D; None: nowhere.
         profile: of the autopilot that the simulated vehicle imitates.
         autopilot: of the onboard process.
+        accept_release: fly an autopilot whose release is not known.
         config: of the onboard process, by name or file; None: the vehicle's, or the scenario's.
         flies: whose autopilot and physics.
         program: of that autopilot.
@@ -66,6 +67,7 @@ class RunOptions:
     view: str | None = None
     profile: str = DEFAULT_PROFILE
     autopilot: str = AUTO
+    accept_release: bool = False
     config: str | Path | None = None
     flies: Flies = Flies.OWN
     program: Path | None = None

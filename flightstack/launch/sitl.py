@@ -145,7 +145,7 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
     onboard = launcher.start(
         "onboard", **vehicle.options, **both, target=f"{NAMESPACE}/target/odom", connect=target_at,
         listen=[onboard_at, *options.listen], config=folder / "onboard.toml", duration=duration_s,
-        recorder=launcher.socket, zenoh_config=options.zenoh_config,
+        recorder=launcher.socket, zenoh_config=options.zenoh_config, accept_release=options.accept_release,
     )  # fmt: skip
     for child in (*vehicle.pending, target, onboard):  # they load at once
         child.wait_ready()

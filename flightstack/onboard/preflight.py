@@ -8,14 +8,15 @@ from dataclasses import replace
 
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.line_budget import LinePlan, LineTooSlowError, plan
-from bridge.mavlink.preflight.rules import Level, Needs
+from bridge.mavlink.preflight.rules import Level
+from bridge.mavlink.preflight.table import Needs
 from bridge.mavlink.preflight.talk import Report, examine
 from bridge.mavlink.profiles.autopilots import profile
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.reserve import too_low
 
-_SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE)
+_SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE, Level.INFO)
 
 
 def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
@@ -53,6 +54,7 @@ def check(
     system_id: int,
     *,
     wait_s: float,
+    accept_release: bool = False,
     stopped: Callable[[], bool] = lambda: False,
     say: Callable[[str], None] = lambda _text: None,
 ) -> Report:
@@ -64,6 +66,7 @@ def check(
         autopilot: name of a profile, or ``auto``.
         system_id: of the vehicle.
         wait_s: for its first heartbeat.
+        accept_release: judge a release that is not known by the nearest rules.
         stopped: the check is broken off when it says so.
         say: takes a sentence every two seconds about what the check waits for.
 
@@ -79,7 +82,7 @@ def check(
     before = (counters.bytes_in, counters.bytes_out)
     report = examine(
         endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
-        stopped=stopped, say=say,
+        accept_release=accept_release, stopped=stopped, say=say,
     )  # fmt: skip
     table = config.reserve  # a voltage that has not come yet, the controller waits for
     if table is not None and report.rest_v is not None and report.problem is None:
@@ -99,6 +102,8 @@ def lines(report: Report) -> Iterator[str]:
         yield f"preflight: {report.profile.title}{version}"
     if report.line is not None:
         yield f"preflight: {report.line}"
+    for note in report.notes:
+        yield f"preflight: note: {note}"
     if report.problem is not None:
         yield f"preflight: {report.problem}"
     for level in _SHOWN:
@@ -130,6 +135,8 @@ def record(report: Report) -> dict[str, str]:
     return {
         "profile": name,
         "version": report.version or "",
+        "rules": report.rules or "",
+        "notes": "; ".join(report.notes),
         "problem": report.problem or "",
         **line,
         **found,

@@ -65,6 +65,7 @@ class Options:
     signing_key: Path | None = None
     allow_unsigned: bool = False
     autopilot: str = AUTO
+    accept_release: bool = False  # judge an autopilot of another release by the nearest rules
     target_type: TargetType = TargetType.ODOMETRY
     zenoh_config: Path | None = None
     ros2: Ros2Network | None = None  # where the flight is shown to ROS 2, and where a target of ROS 2 is
@@ -312,6 +313,7 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
         options.autopilot,
         options.system_id,
         wait_s=wait_s,
+        accept_release=options.accept_release,
         stopped=lambda: signals.stop or signals.operator is not Operator.NONE,
         say=tell,
     )

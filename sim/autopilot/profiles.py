@@ -170,7 +170,7 @@ class SimulatedProfile(ServerProfile):
     needs_origin: bool = False  # no position before SET_GPS_GLOBAL_ORIGIN, unless it starts in the air
     # parameter with the system id whose heartbeats are the ground station's; None: those of type GCS are
     station_id: str | None = None
-    # what a person sets before this stack flies it, since the default is not safe (preflight/rules.py)
+    # what a person sets before this stack flies it, since the default is not safe (bridge/mavlink/preflight)
     set_before_flight: Mapping[str, float] = field(default_factory=dict)
 
     def new_parameters(self, system_id: int) -> Parameters:

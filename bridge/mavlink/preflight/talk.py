@@ -14,14 +14,17 @@ from bridge.mavlink.client.parameters import ParameterReader
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Endpoint, LinkCounters, Peer
-from bridge.mavlink.preflight.rules import RULES, Finding, Level, Needs, Rule, judge
-from bridge.mavlink.profiles.autopilots import found, is_recorded, marked, refusal, release
+from bridge.mavlink.preflight.rules import Choice, Finding, Level, Release, choose, judge, release_of
+from bridge.mavlink.preflight.table import Asked, Needs
+from bridge.mavlink.preflight.table import table as table_of
+from bridge.mavlink.profiles.autopilots import OWN_SITL, found, is_recorded, marked, refusal
 from bridge.mavlink.profiles.profile import Profile
 
 _HELLO_S = 0.2  # s between heartbeats until the vehicle is heard
 _HEARTBEAT_S = 1.0
 _VERSION_S = 0.5  # s between two tries
-_VERSION_TRIES = 4
+_VERSION_TRIES = 12  # a line of 57,600 baud full of telemetry loses most answers
+_VERSION_TRIES_UNNEEDED = 4  # where the rules do not depend on the release
 _SAY_S = 2.0  # s between two sentences about what is waited for
 _VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # s between two looks
@@ -37,6 +40,8 @@ class Report:
         version: its release, None when it did not say.
         findings: one for each rule; none when it did not come so far.
         problem: why it is not flown whatever its parameters, None when nothing speaks against it.
+        notes: what a person should know of the release.
+        rules: release whose rules were taken; None where there are none.
         line: what the flight needs of a serial line, and what was measured on it; None of other links.
         rest_v: voltage of its battery; None while it is armed, and where it did not say.
     """
@@ -45,6 +50,8 @@ class Report:
     version: str | None
     findings: tuple[Finding, ...]
     problem: str | None
+    notes: tuple[str, ...] = ()
+    rules: str | None = None
     line: str | None = None
     rest_v: float | None = None
 
@@ -67,6 +74,7 @@ def examine(
     accepted: Collection[str],
     *,
     wait_s: float,
+    accept_release: bool = False,
     stopped: Callable[[], bool] = lambda: False,
     say: Callable[[str], None] = lambda _text: None,
 ) -> Report:
@@ -79,10 +87,11 @@ def examine(
         needs: of the flight.
         accepted: names of parameters that a person has accepted.
         wait_s: for its first heartbeat.
+        accept_release: judge a release that is not known by the nearest rules.
         stopped: the talk is broken off when it says so.
         say: takes a sentence every two seconds about what it waits for, and how long yet.
     """
-    talk = _Talk(endpoint, system_id, chosen)
+    talk = _Talk(endpoint, system_id, chosen, accept_release=accept_release)
     began_s = time.monotonic()
     until_s = began_s + wait_s
     said_s = began_s
@@ -104,20 +113,26 @@ def examine(
         return Report(profile, talk.version, (), talk.refused)
     if profile is None or reader is None:
         return Report(None, None, (), f"{talk.waits_for()}; within {wait_s:g} s, is the vehicle's link up?")
-    findings = judge(talk.rules, reader.values, reader.missing, needs, accepted)
-    return Report(profile, talk.version, tuple(findings), None, rest_v=talk.rest_v)
+    findings = tuple(judge(talk.asked, reader.values, reader.missing, needs, accepted))
+    rules, problem, note = talk.choice or (None, None, None)
+    notes = (note,) if note is not None else ()
+    return Report(profile, talk.version, findings, problem, notes, rules, rest_v=talk.rest_v)
 
 
 class _Talk:
     """One turn after the other; what has been found so far."""
 
-    def __init__(self, endpoint: Endpoint, system_id: int, chosen: Profile | None) -> None:
+    def __init__(
+        self, endpoint: Endpoint, system_id: int, chosen: Profile | None, *, accept_release: bool
+    ) -> None:
         self._endpoint, self._target, self._chosen = endpoint, (system_id, 1), chosen
+        self._accept_release = accept_release
         self.profile: Profile | None = None
-        self.version: str | None = None
+        self._release: Release | None = None
+        self.choice: Choice | None = None
         self.refused: str | None = None
         self.reader: ParameterReader | None = None
-        self.rules: tuple[Rule, ...] = ()
+        self.asked: tuple[Asked, ...] = ()
         self.heard = False
         self.rest_v: float | None = None
         self._armed = False
@@ -130,6 +145,11 @@ class _Talk:
         self._foreign = LinkCounters()
         self._arrivals = Arrivals()
         self._why = ""  # nothing is heard, as of the last look that found anything
+
+    @property
+    def version(self) -> str | None:
+        """Release of the vehicle in words; None: not told."""
+        return self._release.text if self._release is not None else None
 
     @property
     def over(self) -> bool:
@@ -145,7 +165,7 @@ class _Talk:
             return self._why
         if self.reader is None:
             return "the vehicle does not say its version (AUTOPILOT_VERSION)"
-        names = [rule.name for rule in self.rules]
+        names = [each.name.name for each in self.asked]
         known = self.reader.values.keys() | self.reader.missing.keys()
         left = [name for name in names if name not in known]
         return f"{len(known)} of {len(names)} parameters have come; missing are {', '.join(left[:4])}"
@@ -171,19 +191,32 @@ class _Talk:
 
     def _ask(self, profile: Profile, now_s: float) -> list[Message]:
         if self._version_over and self.reader is None:
-            self.rules = () if self._recorded else RULES[profile.name]
-            names = (rule.name for rule in self.rules)
+            self._choose(profile)
+            names = (each.name.name for each in self.asked)
             self.reader = ParameterReader(names, *self._target, profile.encoding)
         if self.reader is not None:
             return self.reader.step(now_s)
         if now_s - self._version_s < _VERSION_S:
             return []
-        if self._version_tries >= _VERSION_TRIES:
+        if self._version_tries >= _tries(profile):
             self._version_over = True
             return []
         self._version_s = now_s
         self._version_tries += 1
         return [request_message(self._target, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, profile.unset)]
+
+    def _choose(self, profile: Profile) -> None:
+        """Choose the rules; a vehicle of this project's own needs no release for that."""
+        table = table_of(profile.name)
+        if table is None or self._recorded:
+            return
+        if profile is OWN_SITL:
+            self.choice = Choice(table.releases[-1], None, None)
+        else:
+            tries = self._version_tries
+            silence = f"no AUTOPILOT_VERSION in reply to {tries} requests within {tries * _VERSION_S:g} s"
+            self.choice = choose(table, self._release, silence, accept=self._accept_release)
+        self.asked = table.asked(profile.name, self.choice.release)
 
     def _take(self, message: Message) -> None:
         kind = message.get_msgId()
@@ -198,10 +231,16 @@ class _Talk:
             if self.refused is None:
                 self.profile = self._chosen or found(message.autopilot)
         elif kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION and not self._version_over:
-            self.version, self._version_over = release(message), True
+            self._release, self._version_over = release_of(message), True
             self._recorded = is_recorded(message)
             own = marked(message)
             if own is not None and self.profile is not None and own.autopilot == self.profile.autopilot:
                 self.profile = own
         elif self.reader is not None:
             self.reader.take(message)
+
+
+def _tries(profile: Profile) -> int:
+    """Return how often the release is asked for."""
+    unneeded = profile is OWN_SITL or table_of(profile.name) is None
+    return _VERSION_TRIES_UNNEEDED if unneeded else _VERSION_TRIES

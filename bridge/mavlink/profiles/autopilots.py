@@ -334,13 +334,3 @@ def recorded_version() -> Message:
     return dialect.MAVLink_autopilot_version_message(
         0, 0, 0, 0, 0, list(RECORDED_MARK), zeros, zeros, 0, 0, 0
     )
-
-
-def release(message: Message) -> str:
-    """Release as ``1.16.0`` of an AUTOPILOT_VERSION, with what it is short of a release."""
-    version = message.flight_sw_version
-    kind = dialect.enums["FIRMWARE_VERSION_TYPE"].get(version & 0xFF)
-    number = f"{version >> 24 & 0xFF}.{version >> 16 & 0xFF}.{version >> 8 & 0xFF}"
-    if kind is None or kind.name.endswith("OFFICIAL"):
-        return number
-    return f"{number} {kind.name.removeprefix('FIRMWARE_VERSION_TYPE_').lower()}"

@@ -22,7 +22,10 @@ from flightstack.config.files import load
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.onboard import preflight as checks
 
-_STYLE = {Level.OK: "green", Level.NOTE: "yellow", Level.UNSAFE: "bold red", Level.ACCEPTED: "magenta"}
+_STYLE = {
+    Level.OK: "green", Level.INFO: "cyan", Level.NOTE: "yellow", Level.UNSAFE: "bold red",
+    Level.ACCEPTED: "magenta",
+}  # fmt: skip
 _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # its command box, without a file
 
@@ -34,6 +37,7 @@ class PreflightOptions(shared.Signing):
     vehicle_url: str = shared.vehicle_url
     system_id: int = shared.system_id
     autopilot: str = shared.autopilot
+    accept_release: bool = shared.accept_release
     config_file: Path | None = shared.config(
         "Configuration of the flight; default: the paper's limits, no parameter accepted"
     )
@@ -62,6 +66,7 @@ def preflight(options: PreflightOptions) -> None:
             print(f"preflight: WARNING: {warning}", file=sys.stderr)
         report = checks.check(
             endpoint, config, options.autopilot, options.system_id, wait_s=options.wait_s,
+            accept_release=options.accept_release,
             say=lambda text: print(f"preflight: {text}", file=sys.stderr),
         )  # fmt: skip
         for notice in endpoint.take_notices():
@@ -81,6 +86,8 @@ def to_json(report: Report) -> dict[str, Any]:
         "safe": report.safe,
         "autopilot": report.profile.name if report.profile is not None else None,
         "version": report.version,
+        "rules": report.rules,
+        "notes": list(report.notes),
         "problem": report.problem,
         "line": report.line,
         "parameters": [{**asdict(f), "level": f.level.value.lower()} for f in report.findings],
@@ -94,12 +101,12 @@ def _print(report: Report) -> None:
         columns = (Column(name, overflow="fold") for name in ("parameter", "value", "is", "wanted", "why"))
         table = Table(*columns, title=title, title_justify="left")
         for finding in report.findings:
-            value = "missing" if finding.value is None else f"{finding.value:g}"
             style = _STYLE[finding.level]
-            table.add_row(
-                finding.name, value, f"[{style}]{finding.level.value}[/]", finding.wanted, finding.why
-            )
+            level = f"[{style}]{finding.level.value}[/]"
+            table.add_row(finding.name, finding.shown, level, finding.wanted, finding.why)
         console.print(table)
+    for note in report.notes:
+        console.print(f"note: {note}", soft_wrap=True, markup=False)
     if report.line is not None:
         console.print(report.line, soft_wrap=True, markup=False)
     console.print(checks.verdict(report) or "may arm", soft_wrap=True, markup=False)

@@ -45,6 +45,7 @@ class SitlOptions(shared.Ros2, shared.Result, shared.Scenario):
     view: str | None = shared.view
     profile: str = shared.profile
     autopilot: str = shared.autopilot
+    accept_release: bool = shared.accept_release
     px4: Path | None = shared.option(
         "--px4", type=_PROGRAM, help="Fly this PX4 (SITL program or build folder) on the simulated vehicle."
     )

@@ -113,7 +113,7 @@ def test_onboard_does_not_arm_what_is_unsafe():
     with vehicle_process("--profile", "ardupilot") as (child, url):
         done = flightstack(*onboard, "--vehicle", url)
         assert done.code == 1, done.out
-        assert "UNSAFE: GUID_TIMEOUT is 3: s without set-points" in done.out
+        assert "UNSAFE: GUID_TIMEOUT is 3 s: until then it flies on" in done.out
         assert (
             "WAIT: unsafe parameters of the autopilot: GUID_TIMEOUT, FS_GCS_ENABLE, SYSID_MYGCS" in done.out
         )

@@ -5,7 +5,9 @@ import threading
 import pytest
 
 from bridge.mavlink.endpoint import Endpoint, dialect
-from bridge.mavlink.preflight.rules import RULES, Level, Needs, judge
+from bridge.mavlink.preflight import talk as module
+from bridge.mavlink.preflight.rules import Level, judge
+from bridge.mavlink.preflight.table import Needs, table
 from bridge.mavlink.preflight.talk import examine
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4, recorded_version
 from flightstack.common.strict_toml import ConfigError, from_table
@@ -16,105 +18,57 @@ from sim.autopilot.profiles import ARDUPILOT as PLAYS_ARDUPILOT
 from sim.autopilot.profiles import PX4 as PLAYS_PX4
 from sim.scenarios import scenario
 from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle
+from tests.unit.onboard.fake_release import SAFE
 
 NEEDS = Needs((0.5, 0.5, 0.5), 3.0, 0.5, (0.8, 0.6, 1.5))
-RULE_OF = {(name, rule.name): rule for name, rules in RULES.items() for rule in rules}
-SHARED = {  # of PX4 v1.16 and its SITL, with an Offboard flight in mind
-    "COM_OF_LOSS_T": 1.0, "MPC_XY_VEL_MAX": 12.0, "MPC_Z_VEL_MAX_UP": 3.0, "MPC_Z_VEL_MAX_DN": 1.5,
-    "COM_DISARM_PRFLT": 10.0, "GF_MAX_VER_DIST": 0.0, "GF_MAX_HOR_DIST": 0.0, "GF_ACTION": 2.0,
-    "NAV_DLL_ACT": 0.0, "COM_LOW_BAT_ACT": 0.0, "SYS_FAILURE_EN": 0.0,
-}  # fmt: skip
-PX4_DEFAULTS = SHARED | {
-    "COM_OBL_RC_ACT": 0.0, "COM_RC_IN_MODE": 3.0, "COM_RCL_EXCEPT": 0.0, "COM_RC_OVERRIDE": 1.0,
-    "MAV_FWDEXTSP": 1.0,
-}  # fmt: skip
 ARDUPILOT_UNSAFE = {"GUID_TIMEOUT", "FS_GCS_ENABLE", "SYSID_MYGCS"}  # with its defaults
 
 
+def asked(name):
+    """Parameters of the newest release that the simulator has."""
+    return table(name).asked(name, "4.6" if name == "ardupilot" else table(name).releases[-1])
+
+
 def unsafe(name, values, needs=NEEDS, accepted=()):
-    findings = judge(RULES[name], values, {}, needs, accepted)
+    findings = judge(asked(name), values, {}, needs, accepted)
     return {f.name for f in findings if f.level is Level.UNSAFE}
 
 
-def test_every_profile_has_rules_and_no_rule_twice():
-    assert set(RULES) == set(PROFILES)
-    for rules in RULES.values():
-        assert len({rule.name for rule in rules}) == len(rules)
-        assert all(len(rule.name) <= 16 for rule in rules)
-    assert RULES[CRAZYFLIE.name] == ()
-
-
-def test_px4s_defaults_are_unsafe_for_what_they_do_when_the_stream_stops():
-    assert unsafe(PX4.name, PX4_DEFAULTS) == {"COM_OBL_RC_ACT"}
-    assert unsafe(PX4.name, PX4_DEFAULTS | {"COM_OBL_RC_ACT": 4.0}) == set()
-
-
-@pytest.mark.parametrize(
-    ("name", "parameter", "safe", "not_safe"),
-    [
-        ("px4", "COM_OF_LOSS_T", (0.1, 0.5, 1.0), (0.05, 1.01, 60.0, 0.0)),
-        ("px4", "COM_OBL_RC_ACT", (4, 5), (0, 1, 2, 3, 6, 7)),
-        ("sitl", "COM_OBL_RC_ACT", (0, 3, 4, 5), (1, 2, 6, 7)),
-        ("px4", "MPC_XY_VEL_MAX", (0.7072, 12.0), (0.7, 0.0)),
-        ("px4", "MPC_Z_VEL_MAX_UP", (0.5, 3.0), (0.49,)),
-        ("px4", "MPC_Z_VEL_MAX_DN", (0.5,), (0.49,)),
-        ("px4", "COM_DISARM_PRFLT", (-1.0, 5.0, 10.0), (0.0, 4.9)),
-        ("px4", "GF_MAX_VER_DIST", (0.0, 3.0), (2.9, 0.1)),
-        ("px4", "GF_ACTION", (0, 1, 2, 3, 5), (4,)),
-        ("px4", "NAV_DLL_ACT", (0, 1, 2, 3), (5, 6)),
-        ("px4", "COM_RCL_EXCEPT", (4, 7), (0, 3, 8)),
-        ("px4", "COM_RC_OVERRIDE", (2, 3), (0, 1)),
-        ("px4", "MAV_FWDEXTSP", (1,), (0,)),
-        ("px4", "SYS_FAILURE_EN", (0,), (1,)),
-        ("ardupilot", "GUID_TIMEOUT", (0.1, 1.0), (3.0, 0.0)),
-        ("ardupilot", "GUID_OPTIONS", (0, 1, 64), (16, 32, 49)),
-        ("ardupilot", "WPNAV_SPEED", (71.0, 1000.0), (70.0,)),
-        ("ardupilot", "WPNAV_SPEED_DN", (50.0,), (49.0,)),
-        ("ardupilot", "DISARM_DELAY", (0, 5, 10), (1, 4)),
-        ("ardupilot", "ARMING_CHECK", (1, 64), (0,)),
-        ("ardupilot", "FS_EKF_ACTION", (1, 2, 3), (0,)),
-        ("ardupilot", "FS_GCS_ENABLE", (1, 5), (0, 2)),
-        ("ardupilot", "SYSID_MYGCS", (1,), (255, 0, 2)),
-        ("ardupilot", "WPNAV_ACCEL", (100, 250), (99,)),
-        ("ardupilot", "WPNAV_ACCEL_Z", (150, 400), (100, 149)),
-    ],
-)
-def test_limits_of_what_is_safe(name, parameter, safe, not_safe):
-    rule = RULE_OF[name, parameter]
-    assert all(rule.safe(value, NEEDS) for value in safe)
-    assert not any(rule.safe(value, NEEDS) for value in not_safe)
+def test_every_profile_but_the_crazyflies_has_rules():
+    assert {name for name in PROFILES if table(name) is None} == {CRAZYFLIE.name}
 
 
 @pytest.mark.parametrize("box", [(0.2, 0.2, 0.5), (0.333, 1.0, 0.1), (3.0, 4.0, 1.234)])
 def test_the_speed_that_is_asked_for_suffices(box):
     needs = Needs(box, 3.0, 0.5, (1.0, 1.0, 1.0))
-    for rule in (
-        r for rules in RULES.values() for r in rules if "VEL_MAX" in r.name or "WPNAV_SPEED" in r.name
-    ):
-        number = float(rule.wanted(needs).removeprefix("at least "))
-        assert rule.safe(number, needs), rule.name
-        assert not rule.safe(0.97 * number, needs), rule.name
+    all_ = [each for name in ("px4", "sitl", "ardupilot") for r in table(name).releases
+            for each in table(name).asked(name, r) if each.rule.means.endswith("speed")]  # fmt: skip
+    assert len(all_) == 36
+    for name, rule, _ in all_:
+        number = float(rule.wanted_in(name, needs).split()[2]) * name.scale
+        assert rule.safe(number, needs), name
+        assert not rule.safe(0.97 * number, needs), name
 
 
-def test_what_is_missing_is_as_bad_as_what_is_unsafe_and_says_why():
-    findings = judge(RULES["px4"], {}, {"COM_OF_LOSS_T": "no answer to 5 requests"}, NEEDS, ())
+def test_what_is_missing_says_why():
+    findings = judge(asked("px4"), {}, {"COM_OF_LOSS_T": "no answer to 5 requests"}, NEEDS, ())
     assert all(f.level is not Level.OK for f in findings)
-    by_name = {f.name: f for f in findings}
-    assert by_name["COM_OF_LOSS_T"].level is Level.UNSAFE
-    assert "COM_OF_LOSS_T is missing: no answer to 5 requests; " in by_name["COM_OF_LOSS_T"].text
-    assert by_name["COM_RCL_EXCEPT"].level is Level.NOTE
+    (found,) = (f for f in findings if f.name == "COM_OF_LOSS_T")
+    assert found.level is Level.UNSAFE
+    assert "COM_OF_LOSS_T is missing: no answer to 5 requests; " in found.text
 
 
 def test_what_a_person_accepted_does_not_keep_it_from_arming():
-    values = PX4_DEFAULTS | {"COM_OF_LOSS_T": 2.0}
+    values = SAFE["px4", "1.18"] | {"COM_OF_LOSS_T": 2.0, "COM_OBL_RC_ACT": 0}
     assert unsafe("px4", values) == {"COM_OBL_RC_ACT", "COM_OF_LOSS_T"}
     assert unsafe("px4", values, accepted=("COM_OBL_RC_ACT",)) == {"COM_OF_LOSS_T"}
-    assert unsafe("px4", {}, accepted=tuple(rule.name for rule in RULES["px4"])) == set()
-    (found,) = (
-        f for f in judge(RULES["px4"], values, {}, NEEDS, ("COM_OF_LOSS_T",)) if f.name == "COM_OF_LOSS_T"
+    assert unsafe("px4", {}, accepted=tuple(each.name.name for each in asked("px4"))) == set()
+    findings = judge(asked("px4"), values, {}, NEEDS, ("COM_OF_LOSS_T",))
+    (found,) = (f for f in findings if f.level is Level.ACCEPTED)
+    assert (
+        "COM_OF_LOSS_T is 2 s: until then it flies on with the last set-point; set it to 0.1 to 1 s"
+        in found.text
     )
-    assert found.level is Level.ACCEPTED
-    assert "set it to 0.1 to 1" in found.text
 
 
 @pytest.mark.parametrize("name", scenario.names())
@@ -126,7 +80,7 @@ def test_the_simulators_own_parameters_are_safe_for_every_scenario(name, who):
         values.preset(parameter, value)
     shown = {p.name: p.outside(values[p.names[0]]) for p in who.parameters(1)}
     rules = "sitl" if who is PLAYS_PX4 else who.name
-    assert {rule.name for rule in RULES[rules]} <= set(shown)
+    assert {each.name.name for each in asked(rules) if each.rule.missing is None} <= set(shown)
     assert unsafe(rules, shown, needs_of(scenario.load(name).onboard)) == set()
 
 
@@ -199,7 +153,7 @@ def test_the_simulator_is_recognised_and_safe():
     assert (report.profile, report.version, report.problem) == (OWN_SITL, "1.16.0", None)
     assert report.safe
     assert verdict(report) is None
-    assert {f.name for f in report.findings} == {rule.name for rule in RULES["sitl"]}
+    assert {f.name for f in report.findings} == {each.name.name for each in asked("sitl")}
     assert record(report)["COM_OF_LOSS_T"] == "0.5 ok"
     # it reads and never changes anything
     assert {m.get_type() for m in vehicle.asked} == {"HEARTBEAT", "COMMAND_LONG", "PARAM_REQUEST_READ"}
@@ -212,30 +166,22 @@ def test_ardupilots_default_time_out_keeps_it_from_arming():
     assert {f.name for f in report.blocking} == ARDUPILOT_UNSAFE
     assert "GUID_TIMEOUT" in verdict(report)
     assert "accepted_parameters" in verdict(report)
-    assert any("UNSAFE: GUID_TIMEOUT is 3: s without set-points" in line for line in lines(report))
+    assert any("UNSAFE: GUID_TIMEOUT is 3 s: until then it flies on" in line for line in lines(report))
     assert talk(Vehicle(PLAYS_ARDUPILOT), accepted=ARDUPILOT_UNSAFE).safe
 
 
 def test_a_lost_companion_comes_down_only_if_its_own_heartbeats_are_minded():
     """Both parameters together: FS_GCS_ENABLE alone acts on the loss of somebody else."""
-    values = {"FS_GCS_ENABLE": 5.0, "SYSID_MYGCS": 7.0}
-    rules = [RULE_OF["ardupilot", name] for name in values]
-    needs = NEEDS._replace(system_id=7)
-    assert [f.level for f in judge(rules, values, {}, needs, ())] == [Level.OK, Level.OK]
-    for wrong in ({"FS_GCS_ENABLE": 0.0}, {"SYSID_MYGCS": 255.0}):
-        (name,) = wrong
-        assert {f.name for f in judge(rules, values | wrong, {}, needs, ()) if f.level is Level.UNSAFE} == {
-            name
-        }
-    (finding,) = (f for f in judge(rules, {"SYSID_MYGCS": 255.0}, {}, needs, ()) if f.name == "SYSID_MYGCS")
+    values, needs = SAFE["ardupilot", "4.6"] | {"SYSID_MYGCS": 7}, NEEDS._replace(system_id=7)
+    assert unsafe("ardupilot", values, needs) == set()
+    for wrong in ({"FS_GCS_ENABLE": 0}, {"SYSID_MYGCS": 255}):
+        assert unsafe("ardupilot", values | wrong, needs) == set(wrong)
+    findings = judge(asked("ardupilot"), values | {"SYSID_MYGCS": 255}, {}, needs, ())
+    (finding,) = (f for f in findings if f.name == "SYSID_MYGCS")
     assert "set it to 7 (the companion's system id, the vehicle's own)" in finding.text
 
 
-def test_a_limit_of_acceleration_below_the_configuration_is_noted():
-    found = judge([RULE_OF["ardupilot", "WPNAV_ACCEL_Z"]], {"WPNAV_ACCEL_Z": 100.0}, {}, NEEDS, ())
-    assert [f.level for f in found] == [Level.NOTE]
-    assert "WPNAV_ACCEL_Z is 100: cm/s^2" in found[0].text
-    assert "set it to at least 150" in found[0].text
+def test_the_accelerations_are_those_of_the_filter():
     robust, paper = (needs_of(scenario.load("lab").with_filter(kind).onboard) for kind in ("robust", "paper"))
     config = scenario.load("lab").onboard
     assert robust.acceleration_max_m_s2 == config.robust.acceleration_max_m_s2
@@ -259,11 +205,20 @@ def test_parameters_that_do_not_come_make_it_unsafe():
     assert "no answer" in report.blocking[0].text
 
 
-def test_without_a_version_it_counts_as_the_real_one():
+def test_without_a_version_it_counts_as_the_real_one_whose_release_is_not_known(monkeypatch):
+    monkeypatch.setattr(module, "_VERSION_TRIES", 2)
     report = talk(Vehicle(mute=("AUTOPILOT_VERSION",)))
     assert (report.profile, report.version) == (PX4, None)
+    assert "no AUTOPILOT_VERSION in reply to 2 requests within 1 s" in verdict(report)
     assert "MAV_FWDEXTSP" in {f.name for f in report.blocking}  # the simulator has none
     assert "refused: DOES_NOT_EXIST" in next(f.why for f in report.findings if f.name == "MAV_FWDEXTSP")
+
+
+def test_a_profile_that_is_given_needs_no_version(monkeypatch):
+    monkeypatch.setattr(module, "_VERSION_TRIES_UNNEEDED", 1)
+    for profile, rules in ((OWN_SITL, "1.18"), (CRAZYFLIE, None)):
+        report = talk(Vehicle(mute=("AUTOPILOT_VERSION",)), chosen=profile)
+        assert (report.profile, report.version, report.rules, report.safe) == (profile, None, rules, True)
 
 
 def test_unknown_autopilots_are_refused_before_anything_is_asked():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.mavlink.preflight.rules import RULES, Needs
+from bridge.mavlink.preflight.table import Needs, table
 from bridge.mocap.vehicle import WANTS
 from flightstack.common.strict_toml import ConfigError
 from sim.plant.params import load
@@ -240,9 +240,10 @@ def test_the_lines_of_every_form_hold_all_of_them(airframe, form):
 
 def test_the_check_before_a_flight_finds_nothing_unsafe_in_them():
     found, needs = parameters(load()), Needs((0.5, 0.5, 0.5), 3.0, 0.5, (2.0, 2.0, 2.5))
-    checked = [rule for rule in RULES["px4"] if rule.name in found]
-    assert {rule.name for rule in checked} == {"COM_OBL_RC_ACT", "COM_RC_IN_MODE", "SYS_FAILURE_EN"}
-    assert all(rule.safe(found[rule.name], needs) for rule in checked)
+    for release in table("px4").releases:
+        checked = [each for each in table("px4").asked("px4", release) if each.name.name in found]
+        assert {each.name.name for each in checked} == {"COM_OBL_RC_ACT", "COM_RC_IN_MODE", "SYS_FAILURE_EN"}
+        assert all(rule.safe(found[name.name], needs) for name, rule, _ in checked)
 
 
 def test_motion_capture_takes_the_place_of_satellites():

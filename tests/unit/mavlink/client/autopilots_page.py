@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.line_budget import LineTooSlowError
-from bridge.mavlink.preflight.rules import RULES, Level, Needs
+from bridge.mavlink.preflight.table import Needs, Severity, table
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
 from bridge.mavlink.profiles.profile import Reading
 from bridge.mavlink.server.profile import FlightMode
@@ -99,16 +99,25 @@ def _needs() -> Needs:
     return needs_of(scenario.load(EXAMPLE).onboard)
 
 
+_OTHERWISE = {
+    Severity.UNSAFE: "keeps it from arming", Severity.NOTE: "note", Severity.INFO: "hint",
+    Severity.IGNORED: "",
+}  # fmt: skip
+
+
 def rules(name):
-    """Parameters of the check of one autopilot."""
+    """Parameters of the check of one autopilot, of all releases."""
     rows = [
         [
-            rule.name,
-            rule.wanted(_needs()),
-            "keeps it from arming" if rule.level is Level.UNSAFE else "note",
-            rule.why,
+            each.name + (f" ({each.where})" if each.where else ""),
+            rule.wanted_in(each, _needs()),
+            _OTHERWISE[rule.severity],
+            rule.text,
         ]
-        for rule in RULES[name]
+        for rule in table(name).rule
+        if not rule.profiles or name in rule.profiles
+        for each in rule.names
+        if name != "sitl" or each.has(table(name).releases[-1])
     ]
     return _table(["parameter", "wanted", "otherwise", "why"], rows)
 
@@ -163,14 +172,14 @@ def line_rates():
 
 def tables():
     found = {"profiles": profiles(), "played": played(), "line rates": line_rates()}
-    return found | {f"rules {name}": rules(name) for name in RULES if RULES[name]}
+    return found | {f"rules {p.name}": rules(p.name) for p in PROFILES if table(p.name)}
 
 
 if __name__ == "__main__":
     page = PAGE.read_text()
-    for name, table in tables().items():
+    for name, made in tables().items():
         before, _, after = split(page, name)
-        page = before + table + after
+        page = before + made + after
     PAGE.write_text(page)
     assert all(BEGIN.format(name) in page for name in tables())
     assert page.count(END) == len(tables())

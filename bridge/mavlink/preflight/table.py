@@ -1,0 +1,265 @@
+"""Rules for an autopilot's parameters as its TOML file has them: names, units and meanings by release."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from itertools import combinations
+from typing import NamedTuple
+
+from bridge.mavlink.profiles.autopilots import ARDUPILOT, OWN_SITL, PX4
+from flightstack.common.strict_toml import Files
+from flightstack.core.types import Vec3
+
+_FILE_OF = {OWN_SITL.name: "px4", PX4.name: "px4", ARDUPILOT.name: "ardupilot"}  # others have no parameters
+_SLACK = 1e-6  # of a parameter in single precision
+_NAME_MAX = 16  # characters, MAVLink PARAM_VALUE
+
+
+class Needs(NamedTuple):
+    """What the flight needs of its autopilot."""
+
+    velocity_max_m_s: Vec3  # command box
+    altitude_max_m: float  # above the ground
+    takeoff_height_m: float
+    acceleration_max_m_s2: Vec3  # of the wanted velocity, ENU
+    system_id: int = 1  # of the vehicle, and so of the companion, which shares it
+
+    @property
+    def horizontal_m_s(self) -> float:
+        """Longest horizontal velocity that may be commanded."""
+        x, y, _ = self.velocity_max_m_s
+        return math.hypot(x, y)
+
+    @property
+    def vertical_m_s(self) -> float:
+        """Largest vertical velocity that may be commanded."""
+        return self.velocity_max_m_s[2]
+
+    @property
+    def horizontal_m_s2(self) -> float:
+        """Largest horizontal acceleration of the wanted velocity."""
+        x, y, _ = self.acceleration_max_m_s2
+        return math.hypot(x, y)
+
+    @property
+    def vertical_m_s2(self) -> float:
+        """Largest vertical acceleration of the wanted velocity."""
+        return self.acceleration_max_m_s2[2]
+
+
+class Need(Enum):
+    """A number of ``Needs``."""
+
+    HORIZONTAL_M_S = "horizontal_m_s"
+    VERTICAL_M_S = "vertical_m_s"
+    HORIZONTAL_M_S2 = "horizontal_m_s2"
+    VERTICAL_M_S2 = "vertical_m_s2"
+    ALTITUDE_MAX_M = "altitude_max_m"
+    SYSTEM_ID = "system_id"
+
+    def of(self, needs: Needs) -> float:
+        """Return the number that a flight needs."""
+        return float(getattr(needs, self.value))
+
+
+class Severity(Enum):
+    """What a value that is not safe, or does not come, leads to."""
+
+    UNSAFE = "unsafe"  # does not arm, unless accepted by name
+    NOTE = "note"  # a person should know
+    INFO = "info"  # worth a try
+    IGNORED = "ignored"  # of a value that does not come: not every vehicle has it
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """Name of a parameter in a range of releases."""
+
+    name: str
+    since: str = ""  # first release; empty: the oldest of the table
+    before: str = ""  # first release that no longer has it; empty: none
+    unit: str = ""
+    scale: float = 1.0  # 1 of the parameter in the rule's unit
+
+    def has(self, release: str) -> bool:
+        """Whether a release of the table has this name."""
+        number = minor(release)
+        return (not self.since or minor(self.since) <= number) and (
+            not self.before or number < minor(self.before)
+        )
+
+    @property
+    def where(self) -> str:
+        """Releases that have it."""
+        ends = (f"from {self.since}" if self.since else "", f"before {self.before}" if self.before else "")
+        return " ".join(filter(None, ends))
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What one setting of the vehicle has to be, under each of its names. Exactly one condition is given.
+
+    Numbers are in the rule's unit: a parameter's value times the ``scale`` of its name.
+    """
+
+    means: str  # ours, the same over all releases
+    names: tuple[Name, ...]
+    text: str  # what happens otherwise
+    severity: Severity = Severity.UNSAFE
+    missing: Severity | None = None  # of a value that does not come; None: the rule's
+    profiles: tuple[str, ...] = ()  # of those that share the file; empty: all
+    wanted: str = ""  # in words; {} stands for the number; empty: made from the condition
+    # conditions
+    between: tuple[float, float] | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    least: Need | None = None
+    most: Need | None = None
+    equals: Need | None = None
+    values: tuple[str, ...] = ()  # allowed whole numbers, each with its meaning, as "4 (land)"
+    bits_set: int | None = None
+    bits_clear: int | None = None
+    not_zero: bool = False
+    # also allowed: this number and all below
+    off: float | None = None
+    off_text: str = ""
+
+    def __post_init__(self) -> None:
+        given = (
+            self.between, self.at_least, self.at_most, self.least, self.most, self.equals,
+            self.values or None, self.bits_set, self.bits_clear, self.not_zero or None,
+        )  # fmt: skip
+        if sum(condition is not None for condition in given) != 1:
+            raise ValueError(f"{self.means}: exactly one condition is needed")
+        if any(not value.split()[0].lstrip("-").isdecimal() for value in self.values if value.strip()):
+            raise ValueError(f"{self.means}: values are whole numbers with their meaning, as '4 (land)'")
+        if not self.names or any(not 0 < len(each.name) <= _NAME_MAX for each in self.names):
+            raise ValueError(f"{self.means}: names of 1 to {_NAME_MAX} characters are needed")
+
+    def safe(self, number: float, needs: Needs) -> bool:
+        """Whether a number, in the rule's unit, is safe for a flight."""
+        if self.off is not None and number <= self.off + _SLACK:
+            return True
+        if self.between is not None:
+            return self.between[0] - _SLACK <= number <= self.between[1] + _SLACK
+        if self.values:
+            return number in {float(value.split()[0]) for value in self.values}
+        if self.bits_set is not None:
+            return int(number) & self.bits_set == self.bits_set
+        if self.bits_clear is not None:
+            return not int(number) & self.bits_clear
+        if self.not_zero:
+            return number != 0.0
+        if self.equals is not None:
+            return number == self.equals.of(needs)
+        low = self.at_least if self.least is None else self.least.of(needs)
+        if low is not None:
+            return number >= low - _SLACK
+        high = self.at_most if self.most is None else self.most.of(needs)
+        return high is not None and number <= high + _SLACK
+
+    def wanted_in(self, name: Name, needs: Needs) -> str:
+        """Return what the parameter has to be, in its own unit; rounded up, so that it suffices."""
+        unit = f" {name.unit}" if name.unit else ""
+
+        def own(number: float) -> str:
+            return f"{math.ceil(number / name.scale * 100.0 - 1e-4) / 100.0:g}"
+
+        if self.wanted:
+            return self.wanted.format(own(self.equals.of(needs)) if self.equals is not None else "")
+        text = " or ".join(self.values)
+        low = self.at_least if self.least is None else self.least.of(needs)
+        high = self.at_most if self.most is None else self.most.of(needs)
+        if self.between is not None:
+            text = f"{own(self.between[0])} to {own(self.between[1])}{unit}"
+        elif low is not None:
+            text = f"at least {own(low)}{unit}"
+        elif high is not None:
+            text = f"at most {own(high)}{unit}"
+        return f"{self.off_text} or {text}" if self.off is not None else text
+
+
+class Asked(NamedTuple):
+    """A parameter of one release, and the rule for it."""
+
+    name: Name
+    rule: Rule
+    others: tuple[tuple[Name, bool], ...]  # names in other releases; whether they only differ by unit
+
+    def elsewhere(self, value: float | None) -> str:
+        """Return names and, where it can be converted, values in other releases; empty: the same."""
+        texts = []
+        for other, converts in self.others:
+            converted = ""
+            if value is not None and converts:
+                converted = f" {value * self.name.scale / other.scale:g} {other.unit}".rstrip()
+            texts.append(f"{other.name}{converted} {other.where}")
+        return ", ".join(texts)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """All rules for one autopilot."""
+
+    title: str
+    releases: tuple[str, ...]  # whose parameters are known, the oldest first
+    rule: tuple[Rule, ...]
+
+    def __post_init__(self) -> None:
+        if not self.releases or list(self.releases) != sorted(self.releases, key=minor):
+            raise ValueError("releases: a list in rising order is needed")
+        known = ("", *self.releases)
+        for one in self.rule:
+            for name in one.names:
+                if name.since not in known or name.before not in known:
+                    raise ValueError(f"{name.name}: since and before are of {', '.join(self.releases)}")
+        for release in self.releases:
+            for a, b in combinations(((n, r) for r in self.rule for n in r.names if n.has(release)), 2):
+                shared = set(a[1].profiles) & set(b[1].profiles) or not (a[1].profiles and b[1].profiles)
+                if a[0].name == b[0].name and shared:
+                    raise ValueError(f"{a[0].name}: two rules for release {release}")
+
+    def asked(self, profile: str, release: str) -> tuple[Asked, ...]:
+        """Return the parameters of one of the table's releases, for one of the profiles that share it."""
+        rules = [rule for rule in self.rule if not rule.profiles or profile in rule.profiles]
+        found = []
+        for rule in rules:
+            for name in (each for each in rule.names if each.has(release)):
+                others = tuple(
+                    (other, twin is rule)
+                    for twin in rules
+                    if twin.means == rule.means
+                    for other in twin.names
+                    if not other.has(release) and other.name != name.name
+                )
+                found.append(Asked(name, rule, others))
+        return tuple(found)
+
+
+def minor(release: str) -> tuple[int, int]:
+    """Return major and minor number of a release such as ``4.7``.
+
+    Raises:
+        ValueError: it is none.
+    """
+    major, dot, number = release.partition(".")
+    if not (dot and major.isdecimal() and number.isdecimal()):
+        raise ValueError(f"found {release!r}, a release such as '4.7' is needed")
+    return int(major), int(number)
+
+
+_FILES = Files(Table, "bridge.mavlink.preflight", "rules")
+
+
+@cache
+def table(profile: str) -> Table | None:
+    """Return the rules of a profile; None: its vehicle has no parameters.
+
+    Raises:
+        ConfigError: the file that comes with the package is broken.
+    """
+    file = _FILE_OF.get(profile)
+    return _FILES.load(file) if file is not None else None
