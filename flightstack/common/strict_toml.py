@@ -6,6 +6,7 @@ name. msgspec ignores unknown keys of a dataclass and takes NaN: both are refuse
 
 from __future__ import annotations
 
+import codecs
 import difflib
 import json
 import math
@@ -135,11 +136,49 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: the file is missing or not TOML.
     """
     try:
-        return tomllib.loads(path.read_text())
+        return parse_toml(path.read_bytes())
     except OSError as error:
         raise ConfigError(f"{path}: can't be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def parse_toml(data: bytes) -> dict[str, Any]:
+    """Parse TOML in any encoding that says which it is.
+
+    Raises:
+        ConfigError: not TOML, or text without a known encoding.
+    """
+    try:
+        return tomllib.loads(decoded(data))
+    except (ValueError, RecursionError) as error:  # of tomllib, or of the encoding
+        raise ConfigError(f"not TOML: {error}") from error
+
+
+def decoded(data: bytes) -> str:
+    """Text in UTF-8, or in the encoding of its byte order mark, as editors on Windows write it.
+
+    Raises:
+        ValueError: neither.
+    """
+    encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "utf-8")
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as error:
+        where = f"byte {error.start} is {data[error.start]:#04x}"
+        raise ValueError(f"not text in the encoding {encoding} ({where}); save it as UTF-8") from None
+    if "\0" in text:
+        raise ValueError("it holds zero bytes: UTF-16 without a byte order mark? Save it as UTF-8")
+    return text
+
+
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),  # begins with the mark of UTF-16
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
 
 
 def from_table(cls: type[T], table: object, where: str = "") -> T:

@@ -1,7 +1,7 @@
 """Read a flight log into numpy arrays.
 
-Three thousand steps with everything around them take a fraction of a second. A log that was cut short gives
-what came before the cut, and says so.
+Three thousand steps with everything around them take a fraction of a second. A damaged log gives
+what can be read of it, and says so.
 """
 
 from __future__ import annotations
@@ -145,8 +145,6 @@ def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) ->
         )
     times_ns = [m.log_time_ns for m in spine]
     origin_ns = min(times_ns)
-    if not log.complete and not problems:
-        problems.append("the recorder did not close the log; what follows its last flush is lost")
     attachments = {a.name: a.data for a in log.attachments()}
     run = log.metadata().get("run", {})
     config = _config(attachments, problems)

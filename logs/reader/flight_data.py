@@ -7,7 +7,6 @@ number that was not known at a tick is NaN; nothing is ever filled with zeros.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.common.strict_toml import ConfigError, from_table
+from flightstack.common.strict_toml import from_table, parse_toml
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Phase, Vec3
@@ -224,10 +223,7 @@ def read_config(data: bytes) -> FlightConfig:
     Raises:
         ConfigError: not a configuration of this version.
     """
-    try:
-        return from_table(FlightConfig, tomllib.loads(data.decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"not TOML: {error}") from error
+    return from_table(FlightConfig, parse_toml(data))
 
 
 def shape(config: FlightConfig) -> dict[str, str]:

@@ -64,7 +64,8 @@ class MemberView:
             return topic
         if self._members.owner(topic) != self._member:
             return None
-        return topic if topic.startswith(f"/{self._member}/") else f"{_FRAMES}/{topic.split('/', 2)[2]}"
+        rest = topic.removeprefix("/").partition("/")[2]
+        return topic if topic.startswith(f"/{self._member}/") else f"{_FRAMES}/{rest}"
 
     def name(self, name: str) -> str | None:
         """Return the name of a metadata record or attachment; None for what is not this member's."""

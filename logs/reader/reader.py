@@ -1,37 +1,40 @@
 """Read a flight log, whole or broken; of a fleet's log all of it, or the part of one member.
 
-A recorder that was killed leaves a file without its index, cut at any byte. Everything before the cut is
-read; only the last, unfinished chunk is lost. Readers that want the index refuse such a file.
+A recorder that was killed leaves a file without its index, cut at any byte; a disk or a transfer damages
+bytes anywhere. What can be read is read, and what cannot is named.
 """
 
 from __future__ import annotations
 
-import os
-import struct
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
 from mcap.records import Attachment as AttachmentRecord
-from mcap.records import Channel, Chunk, Footer, MessageIndex, Metadata, Schema
+from mcap.records import Channel, Metadata, Schema
 from mcap.records import Message as MessageRecord
-from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 
+from logs.reader.mcap_records import MAGIC, Records
 from logs.reader.members import Members, MemberView
 from logs.schema.schemas import store_for
 
-_MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # MCAP specification, "Magic"
-_HEAD = struct.Struct("<BQ")  # of a record: its kind and the length of what follows
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time; then the payload
-_DECLARED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
-_INDEX = MessageIndex(0, [])
-_BROKEN = (McapError, struct.error, ValueError, OverflowError, EOFError, RuntimeError, KeyError, MemoryError)
+# what is opened in place of an MCAP file: how it begins, what it is, what to do
+_OTHERS = (
+    (b"version https://git-lfs", "a pointer of Git LFS; fetch the file itself with `git lfs pull`"),
+    (b"\x28\xb5\x2f\xfd", "compressed by zstd; unpack it with `zstd -d`"),
+    (b"\x04\x22\x4d\x18", "compressed by lz4; unpack it with `lz4 -d`"),
+    (b"\x1f\x8b", "compressed by gzip; unpack it with `gunzip`"),
+    (b"BZh", "compressed by bzip2; unpack it with `bunzip2`"),
+    (b"\xfd7zXZ", "compressed by xz; unpack it with `unxz`"),
+    (b"PK\x03\x04", "a ZIP archive; unpack it with `unzip`"),
+    (b"SQLite format 3", "an SQLite database, as rosbag2 writes .db3; `ros2 bag convert` makes MCAP of it"),
+    (b"#ROSBAG V", "a bag of ROS 1; `mcap convert` makes MCAP of it"),
+    (b"ULog\x01", "a ULog of PX4; `validate` and `identify` read logs of this stack only"),
+    (b"\xa3\x95", "a DataFlash log of ArduPilot; logs of this stack are needed"),
+)
+_HEAD_BYTES = 32
 
 
 class LogError(ValueError):
@@ -49,8 +52,16 @@ class Message(NamedTuple):
     data: bytes  # CDR with its four-byte header
 
     def decode(self) -> Any:
-        """Return the message as an object with the fields of its definition (slow path, by ``rosbags``)."""
-        return store_for(self.schema).deserialize_cdr(self.data, self.schema)
+        """Return the message as an object with the fields of its definition (slow path, by ``rosbags``).
+
+        Raises:
+            LogError: it does not fit its definition.
+        """
+        try:
+            return store_for(self.schema).deserialize_cdr(self.data, self.schema)
+        except Exception as error:  # a library raises whatever it likes about damaged bytes
+            where = f"{self.topic}, sequence {self.sequence}: not a {self.schema}"
+            raise LogError(f"{where} ({type(error).__name__}: {error})") from error
 
 
 class Attachment(NamedTuple):
@@ -63,11 +74,10 @@ class Attachment(NamedTuple):
 
 
 class _Outline(NamedTuple):
-    """What one pass over the records outside the chunks gives."""
+    """What one pass gives besides the messages."""
 
     metadata: dict[str, dict[str, str]]
     attachments: list[Attachment]
-    complete: bool
     problem: str
 
 
@@ -77,8 +87,6 @@ class LogFile:
     Attributes:
         path: Where it is.
         member: Whose part is seen; None: everything.
-        problem: Why the last pass ended early; empty when it did not.
-        broken_at: Bytes from the start up to which the last pass could read; the size of a whole file.
     """
 
     def __init__(self, path: Path | str, member: str | None = None) -> None:
@@ -94,17 +102,21 @@ class LogFile:
         """
         self.path = Path(path)
         self.member = member
-        self.problem = ""
-        self.broken_at = 0
+        self._last: Records | None = None
+        self._refused, self._first_refused = 0, ""
         try:
+            if self.path.exists() and not self.path.is_file():
+                raise LogError(f"{self.path} is a {_kind_of(self.path)}; an MCAP file is needed")
             with self.path.open("rb") as stream:
-                head = stream.read(len(_MAGIC))
+                head = stream.read(_HEAD_BYTES)
         except OSError as error:
             raise LogError(f"cannot open the log {self.path}: {error.strerror}") from error
         if not head:
             raise LogError(f"{self.path} is empty; expected an MCAP file")
-        if head != _MAGIC:
-            raise LogError(f"{self.path} is not an MCAP file: it begins with {head.hex(' ')}")
+        if not head.startswith(MAGIC):
+            begins = f"it begins with {head[:8].hex(' ')}"
+            found = next((f"it is {what}" for magic, what in _OTHERS if head.startswith(magic)), begins)
+            raise LogError(f"{self.path} is not an MCAP file: {found}")
         if member is not None and member not in (names := self.parts.names):
             holds = f"a fleet of {', '.join(names)}" if names else "one flight, without members"
             raise LogError(f"{self.path} has no member {member!r}; it holds {holds}")
@@ -128,19 +140,35 @@ class LogFile:
         return self
 
     @property
+    def problem(self) -> str:
+        """What the last pass could not read so far, and where; empty while it could read everything."""
+        return self._last.problem if self._last is not None else ""
+
+    @property
+    def broken_at(self) -> int:
+        """First byte that the last pass could not read; the size of a whole file."""
+        return self._last.broken_at if self._last is not None else 0
+
+    @property
     def complete(self) -> bool:
-        """Whether the recorder closed the file properly and every byte before the end could be read."""
-        return self._outline.complete
+        """Whether the recorder closed the file properly and every byte of it was understood."""
+        return not self._outline.problem
 
     @property
     def why_broken(self) -> str:
-        """Where and why a log that is not complete ends; empty for one that is."""
-        if self.complete:
-            return ""
-        return self._outline.problem or "the recorder did not close it"
+        """What of the log could not be read or decoded; empty for one that is whole."""
+        more = f" and {self._refused - 1} more" if self._refused > 1 else ""
+        refused = f"{self._first_refused}{more}" if self._refused else ""
+        return "; ".join(filter(None, (self._outline.problem, refused)))
+
+    def refuse(self, message: Message, error: Exception) -> None:
+        """Count a message that its reader could not decode, for ``why_broken``."""
+        self._refused += 1
+        what = f"{message.topic}, sequence {message.sequence}, cannot be decoded"
+        self._first_refused = self._first_refused or f"{what} ({type(error).__name__}: {error})"
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Yield the messages in the order they were written, up to the end or the break.
+        """Yield the messages that can be read, in the order they were written.
 
         Args:
             topics: Only these; None for all.
@@ -161,22 +189,12 @@ class LogFile:
                 channels[record.id] = record
 
     def records(self) -> Iterator[Any]:
-        """Yield the MCAP records, those in chunks included, in the order they were written, up to a break.
+        """Yield the MCAP records that can be read, those in chunks included, in the order they were written.
 
         A message never comes before its channel. Schemas and channels come again from the summary.
         """
-        records = self._whole()
+        records = self._records()
         return records if self.view is None else _seen(records, self.view)
-
-    def _whole(self) -> Iterator[Any]:
-        known: set[int] = set()
-        for record in self._records(inside_chunks=True):
-            if isinstance(record, Channel):
-                known.add(record.id)
-            elif isinstance(record, MessageRecord) and record.channel_id not in known:
-                self.problem = f"a message on channel {record.channel_id}, which was never declared"
-                return
-            yield record
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Return the metadata records by name; of several with one name the last value of each key."""
@@ -212,37 +230,24 @@ class LogFile:
 
     @cached_property
     def _outline(self) -> _Outline:
+        for _ in self._records(messages=False):
+            pass
+        return self.__dict__["_outline"]  # type: ignore[no-any-return]  # of the pass that has ended
+
+    def _records(self, *, messages: bool = True) -> Iterator[Any]:
+        """Yield the MCAP records that can be read, and remember where and why one could not."""
         metadata: dict[str, dict[str, str]] = {}
         attachments: list[Attachment] = []
-        ended = False
-        for record in self._records(inside_chunks=False):
-            if isinstance(record, Metadata):
-                metadata.setdefault(record.name, {}).update(record.metadata)
-            elif isinstance(record, AttachmentRecord):
-                attachments.append(Attachment(record.name, record.media_type, record.log_time, record.data))
-            ended = ended or isinstance(record, Footer)
-        return _Outline(metadata, attachments, ended and not self.problem, self.problem)
-
-    def _records(self, inside_chunks: bool) -> Iterator[Any]:
-        """Yield MCAP records; stop without an exception where the file breaks, and remember where and why."""
-        self.problem = ""
         with self.path.open("rb") as stream:
-            # A length field that was never filled in must not make us ask for that much memory.
-            size = max(os.fstat(stream.fileno()).st_size, 1)
-            records = _Records(stream, emit_chunks=True, record_size_limit=size).records
-            while True:
-                self.broken_at = stream.tell()
-                try:
-                    record = next(records, None)
-                    if record is None:
-                        self.broken_at = size  # behind the last record there is the closing magic
-                        return
-                    inner = _opened(record, inside_chunks)
-                except _BROKEN as error:
-                    reason = f"{type(error).__name__}: {error}".rstrip(": ")
-                    self.problem = f"nothing after byte {self.broken_at} of {size} can be read ({reason})"
-                    return
-                yield from inner
+            self._last = records = Records(stream, messages=messages)
+            for record in records:
+                if isinstance(record, Metadata):
+                    metadata.setdefault(record.name, {}).update(record.metadata)
+                elif isinstance(record, AttachmentRecord):
+                    kept = Attachment(record.name, record.media_type, record.log_time, record.data)
+                    attachments.append(kept)
+                yield record
+        self._outline = _Outline(metadata, attachments, records.problem)
 
 
 def _seen(records: Iterable[Any], view: MemberView) -> Iterator[Any]:
@@ -273,46 +278,8 @@ def _seen(records: Iterable[Any], view: MemberView) -> Iterator[Any]:
         yield record
 
 
-def _opened(record: Any, inside_chunks: bool) -> Sequence[Any]:
-    """Return the records in a chunk, or the record itself; checks the chunk's CRC either way."""
-    if not isinstance(record, Chunk):
-        return (record,)
-    stream, size = get_chunk_data_stream(record, validate_crc=True)
-    return _in_chunk(stream.read(size), record) if inside_chunks else ()
-
-
-def _in_chunk(data: bytes, chunk: Chunk) -> Sequence[Any]:
-    """Return the records in the data of a chunk, as ``breakup_chunk`` does in ten times the time.
-
-    What is not as it should be is left to that function, which says what is wrong.
-    """
-    found: list[Any] = []
-    at, size = 0, len(data)
-    while at < size - _HEAD.size:
-        kind, length = _HEAD.unpack_from(data, at)
-        begin = at + _HEAD.size
-        at = begin + length
-        if at > size:
-            break
-        if kind == Opcode.MESSAGE and length >= _MESSAGE.size:
-            channel, sequence, logged_ns, published_ns = _MESSAGE.unpack_from(data, begin)
-            payload = data[begin + _MESSAGE.size : at]
-            found.append(MessageRecord(channel, logged_ns, payload, published_ns, sequence))
-        elif kind in _DECLARED:
-            found.append(_DECLARED[kind].read(ReadDataStream(BytesIO(data[begin:at]))))
-        else:
-            break
-    return found if at == size else breakup_chunk(chunk, validate_crc=True)
-
-
-class _Records(StreamReader):  # type: ignore[misc]
-    """Reads records without the entries of message indices, which nobody asks for and which take as long."""
-
-    def _read_record(self, opcode: int, length: int) -> Any:
-        if opcode == Opcode.MESSAGE_INDEX:
-            self._stream.read(length)
-            return _INDEX
-        return super()._read_record(opcode, length)
+def _kind_of(path: Path) -> str:
+    return "folder" if path.is_dir() else "pipe, socket or device"
 
 
 def open_log(path: Path | str) -> Iterator[Message]:

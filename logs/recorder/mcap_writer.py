@@ -80,6 +80,7 @@ class ChunkedWriter:
     def __init__(self, output: Output, chunk_bytes: int) -> None:
         """Write to ``output``; a chunk is closed when it holds more than ``chunk_bytes`` uncompressed."""
         self._output = output
+        self._crc = 0  # of everything written before the end of the data
         self._chunk_bytes = chunk_bytes
         self._chunk = bytearray()
         self._entries: dict[int, list[int]] = {}  # channel -> log time, offset, log time, offset, ...
@@ -94,7 +95,7 @@ class ChunkedWriter:
 
     def start(self, profile: str, library: str) -> None:
         """Write the head of the file."""
-        self._output.write(MCAP0_MAGIC + _encoded(Header(profile, library)))
+        self._write(MCAP0_MAGIC + _encoded(Header(profile, library)))
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add a schema and return its number, from 1."""
@@ -129,7 +130,7 @@ class ChunkedWriter:
         """Write a metadata record."""
         data = _encoded(Metadata(name=name, metadata=dict(values)))
         self._metadata.append(MetadataIndex(self._output.tell(), len(data), name))
-        self._output.write(data)
+        self._write(data)
 
     def add_attachment(
         self, log_time_ns: int, name: str, media_type: str, content: bytes, create_time_ns: int | None = None
@@ -141,7 +142,7 @@ class ChunkedWriter:
         self._attachments.append(
             AttachmentIndex(at, len(data), log_time_ns, created_ns, len(content), name, media_type)
         )
-        self._output.write(data)
+        self._write(data)
 
     @property
     def index_bytes(self) -> int:
@@ -159,7 +160,7 @@ class ChunkedWriter:
         packed = lz4.frame.compress(raw)
         chunk = _encoded(Chunk("lz4", packed, end_ns, start_ns, zlib.crc32(raw), len(raw)))
         at = self._output.tell()
-        self._output.write(chunk)
+        self._write(chunk)
         offsets: dict[int, int] = {}
         index = bytearray()
         for channel, flat in entries.items():
@@ -168,7 +169,7 @@ class ChunkedWriter:
             index += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size)
             index += struct.pack(f"<{len(flat)}Q", *flat)
             self._counts[channel] += len(flat) // 2
-        self._output.write(bytes(index))
+        self._write(bytes(index))
         entry = ChunkIndex(
             chunk_length=len(chunk),
             chunk_start_offset=at,
@@ -186,10 +187,14 @@ class ChunkedWriter:
         self._chunk.clear()
         self._entries = {channel: [] for channel in self._entries}
 
+    def _write(self, data: bytes) -> None:
+        self._crc = zlib.crc32(data, self._crc)
+        self._output.write(data)
+
     def finish(self) -> None:
         """Write the last chunk, the summary and the end of the file."""
         self.flush()
-        self._output.write(_encoded(DataEnd(0)))  # 0: the data section has no checksum of its own
+        self._output.write(_encoded(DataEnd(self._crc)))
         start = self._output.tell()
         crc = 0
         offsets = bytearray()

@@ -7,13 +7,12 @@ read once, from its start to its end or its break, and only one tick is held in 
 from __future__ import annotations
 
 import copy
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from flightstack.common.strict_toml import ConfigError, from_table
+from flightstack.common.strict_toml import ConfigError, from_table, parse_toml
 from flightstack.core.parameters.flight import FlightConfig
 from logs.reader.flight_data import ATTACHMENT
 from logs.reader.reader import LogError, LogFile
@@ -97,9 +96,9 @@ class FlightInputs:
                 f"{path}: no attachment {ATTACHMENT}: without its configuration nothing can be replayed"
             )
         try:
-            self.table = tomllib.loads(data.decode())
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ReplayError(f"{path}: the attachment {ATTACHMENT} is not TOML: {error}") from error
+            self.table = parse_toml(data)
+        except ConfigError as error:
+            raise ReplayError(f"{path}: the attachment {ATTACHMENT} is {error}") from error
 
     def _space(self) -> str:
         """Where the inputs are; a log that is one flight has them in one place."""
@@ -212,6 +211,6 @@ def changed(table: dict[str, Any], settings: Sequence[str]) -> FlightConfig:
 
 def _value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parse_toml(f"value = {text}".encode())["value"]
+    except ConfigError:
         return text

@@ -183,13 +183,18 @@ class _Run:
         last: int | None = None
         cut: TickRecord | None = None
         for record in ticks:
+            damaged = bool(self.flight.log.problem) and last is not None
             if cut is not None and last is not None:
+                if damaged:
+                    break
                 raise self._gap(cut, last)
             if record.given is None or record.step is None:
                 cut = record
                 continue
             tick = record.given.tick
             if last is not None and tick != last + 1:
+                if damaged:
+                    break  # what is behind the damage began from a state that nobody knows
                 raise self._missing(last, tick)
             last, cut = tick, None
             yield record

@@ -92,8 +92,9 @@ def _by_topic(log: LogFile) -> dict[str, list[Message]]:
         if not _wall_clock(message):
             topics.setdefault(message.topic, []).append(message)
     if not log.complete:
-        reason = log.problem or "it has no end"
-        raise LogError(f"{log.path} is not a whole log ({reason}); only logs closed by the recorder compare")
+        raise LogError(
+            f"{log.path} is not a whole log ({log.why_broken}); only logs closed by the recorder compare"
+        )
     if not steps:
         raise LogError(f"{log.path} holds no controller step, so there is nothing to compare")
     for messages in topics.values():

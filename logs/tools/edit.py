@@ -34,7 +34,7 @@ class Edited:
     Attributes:
         messages: In the new file, repeated ones included.
         repeated: Messages from before a cut, given again at its start.
-        problem: Why the old file could not be read to its end; empty when it could.
+        problem: What of the old file could not be read; empty when it was whole.
     """
 
     messages: int
@@ -43,7 +43,7 @@ class Edited:
 
 
 def recover(log: LogFile, out: Path, *, force: bool = False) -> Edited:
-    """Write a whole file with every message before the break.
+    """Write a whole file with every message that can be read.
 
     Raises:
         OSError: ``out`` exists, or cannot be written.
@@ -128,7 +128,10 @@ class _Span:
 
 def _frames(message: MessageRecord) -> tuple[str, ...]:
     """Return the child frames of transforms: each publisher of /tf_static latches its own."""
-    decoded = typestore().deserialize_cdr(message.data, TF_MESSAGE)
+    try:
+        decoded = typestore().deserialize_cdr(message.data, TF_MESSAGE)
+    except Exception:  # a library raises whatever it likes about damaged bytes; they are copied as they are
+        return (message.data.hex(),)
     return tuple(t.child_frame_id for t in decoded.transforms)
 
 

@@ -82,15 +82,23 @@ class Table:
         schema = _schema_of(log, topic)
         self._type = schema.name
         self._store = get_typestore(Stores.EMPTY)
-        self._store.register(get_types_from_msg(schema.data.decode(), schema.name))
-        self.columns = list(_columns(self._store, (Nodetype.NAME, schema.name), "", ()))
+        try:
+            self._store.register(get_types_from_msg(schema.data.decode(), schema.name))
+            self.columns = list(_columns(self._store, (Nodetype.NAME, schema.name), "", ()))
+        except Exception as error:  # a library raises whatever it likes about a damaged definition
+            what = f"{log.path}: the definition of {schema.name} cannot be read"
+            raise ValueError(f"{what} ({type(error).__name__}: {error})") from error
 
     def rows(self) -> Iterator[list[Any]]:
-        """Yield one row a message, in the order of the file."""
+        """Yield one row a message that can be decoded, in the order of the file."""
         for message in self._log.messages([self._topic]):
-            decoded = self._store.deserialize_cdr(message.data, self._type)
-            head = [message.log_time_ns, message.publish_time_ns, message.sequence]
-            yield head + [column.value(decoded) for column in self.columns]
+            try:
+                decoded = self._store.deserialize_cdr(message.data, self._type)
+                values = [column.value(decoded) for column in self.columns]
+            except Exception as error:  # or about a damaged message
+                self._log.refuse(message, error)
+                continue
+            yield [message.log_time_ns, message.publish_time_ns, message.sequence, *values]
 
 
 def _schema_of(log: LogFile, topic: str) -> Schema:
@@ -211,7 +219,7 @@ def export_tlog(log: LogFile, out: Path, *, topic: str | None = None, force: boo
     """Write the recorded frames of both directions, or of one topic; return their number.
 
     Raises:
-        ValueError: The log holds no MAVLink frame, or one that contradicts itself.
+        ValueError: The log holds no MAVLink frame.
         OSError: ``out`` exists, or cannot be written.
     """
     frames = 0
@@ -223,7 +231,8 @@ def export_tlog(log: LogFile, out: Path, *, topic: str | None = None, force: boo
                 try:
                     _, frame = unpack_mavlink(message.data)
                 except FrameError as error:
-                    raise ValueError(f"{message.topic}, sequence {message.sequence}: {error}") from error
+                    log.refuse(message, error)
+                    continue
                 direction = SENT if message.topic.endswith(SENT_SUFFIX) else RECEIVED
                 time_us = message.log_time_ns // 1000 & ~3 | direction
                 stream.write(time_us.to_bytes(8, "big") + frame)

@@ -39,8 +39,8 @@ class Info:
     path: str
     size_bytes: int
     complete: bool
-    problem: str  # why reading ended early; empty when it did not
-    readable_bytes: int  # from the start; the size of a whole file
+    problem: str  # what could not be read; empty of a whole log
+    readable_bytes: int  # from the start up to the first damage; the size of a whole file
     profile: str = ""
     library: str = ""
     start_ns: int = 0  # log time of the first message, Unix
@@ -90,7 +90,7 @@ def gather(log: LogFile) -> Info:
             channels[record.id] = topics.setdefault((record.topic, schema), new)
         elif isinstance(record, Header):
             info.profile, info.library = record.profile, record.library
-    info.problem, info.readable_bytes = log.problem or log.why_broken, log.broken_at
+    info.problem, info.readable_bytes = log.problem, log.broken_at
     info.complete = log.complete
     info.topics = sorted(topics.values(), key=lambda t: t.topic)
     info.messages = sum(t.messages for t in info.topics)
@@ -123,7 +123,7 @@ def lines(info: Info) -> list[str]:
 
 
 def broken(info: Info) -> str:
-    """Return in words where a broken log ends."""
+    """Return in words where a log is broken."""
     return f"{info.problem}; last message {info.duration_s:.3f} s after the first"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from flightstack.common.strict_toml import ConfigError
 from logs.reader.flight_data import ATTACHMENT, read_config, shape
-from logs.reader.reader import LogError, LogFile, Message
+from logs.reader.reader import LogError, LogFile
 from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, TRUE_STATE
 
@@ -53,12 +53,12 @@ def read(path: Path, member: str | None = None) -> Seen:
         member: of a fleet, whose flight it shall be; None in the log of one flight.
 
     Raises:
-        LogError: Not a log, without controller steps and true states, or a message that is not ours; no such
-            member, or a fleet where no member is named.
+        LogError: Not a log, without controller steps and true states; no such member, or a fleet where no
+            member is named.
     """
     log = LogFile(path, member).single()
     seen = Seen(_shape(log) | log.metadata().get("run", {}))
-    _fill(path, log.messages(), lambda _: seen)
+    _fill(log, lambda _: seen)
     _finish(path, seen, log.why_broken)
     return seen
 
@@ -70,7 +70,7 @@ def read_fleet(path: Path) -> tuple[dict[str, Seen], list[tuple[int, LogRow]]]:
     for member in log.members:
         part = LogFile(path, member)
         found[member] = Seen(_shape(part) | part.metadata().get("run", {}))
-    _fill(path, log.messages(), lambda topic: found.get(log.parts.owner(topic) or "", events))
+    _fill(log, lambda topic: found.get(log.parts.owner(topic) or "", events))
     for seen in found.values():
         _finish(path, seen, log.why_broken)
     events.events.sort(key=lambda row: row[0])
@@ -85,17 +85,19 @@ _UNPACK: dict[str, tuple[str, Callable[[bytes], Any]]] = {
 }
 
 
-def _fill(path: Path, messages: Iterable[Message], seen_of: Callable[[str], Seen]) -> None:
+def _fill(log: LogFile, seen_of: Callable[[str], Seen]) -> None:
     """Put the messages that are shown into what is seen of the flight with their topic."""
-    for message in messages:
+    for message in log.messages():
         if message.schema not in _UNPACK:
             continue
         name, unpack = _UNPACK[message.schema]
         seen = seen_of(message.topic)
         try:
-            getattr(seen, name).append((message.log_time_ns, unpack(message.data)))
+            row = unpack(message.data)
         except ValueError as error:
-            raise LogError(f"{path}: {message.topic}: {error}; recorded by another version?") from error
+            log.refuse(message, error)
+            continue
+        getattr(seen, name).append((message.log_time_ns, row))
         if message.schema == CONTROLLER_STEP:
             seen.namespace = message.topic.removesuffix("/controller/step").strip("/")
 

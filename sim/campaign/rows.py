@@ -215,15 +215,18 @@ def read_rows(path: Path) -> list[Row]:
         RowsError: it is not such a file, or a line in it is damaged.
     """
     rows: list[Row] = []
-    with path.open(newline="") as file:
-        head = file.readline()
-        if head.endswith("\n") and head != _HEADER:
-            raise RowsError(f"{path}: the first line is not that of a file of rows; give another --out")
-        for number, values in enumerate(csv.reader(line for line in file if line.endswith("\n")), 2):
-            try:
+    with path.open(newline="", encoding="utf-8") as file:
+        try:
+            head = file.readline()
+            if head.endswith("\n") and head != _HEADER:
+                raise RowsError(f"{path}: the first line is not that of a file of rows; give another --out")
+            for values in csv.reader(line for line in file if line.endswith("\n")):
                 rows.append(Row(*(_value(n, v) for n, v in zip(_NAMES, values, strict=True))))
-            except (ValueError, KeyError) as error:
-                raise RowsError(f"{path}, line {number}: not a row ({error}); give another --out") from None
+        except RowsError:
+            raise
+        except (ValueError, KeyError, csv.Error) as error:
+            where = f"{path}, line {len(rows) + 2}"
+            raise RowsError(f"{where}: not a row ({error}); give another --out") from None
     return rows
 
 

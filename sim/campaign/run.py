@@ -133,8 +133,8 @@ def known_rows(now: dict[str, Any], folder: Path) -> list[Row]:
     if not path.exists() and not about.exists():
         return []
     try:
-        before = json.loads(about.read_text())
-    except (OSError, ValueError) as error:
+        before = dict(json.loads(about.read_text()))
+    except (OSError, ValueError, TypeError, RecursionError) as error:
         raise RowsError(f"{about}: cannot be read ({error}); give another --out") from None
     for key in sorted({*now, *before}):
         text = now.get(key)

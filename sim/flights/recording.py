@@ -6,7 +6,6 @@ World axes are level with z up (ENU where the room's x is called east); the body
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,8 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
+
+from flightstack.common.strict_toml import ConfigError, read_toml
 
 Floats = NDArray[np.float64]
 
@@ -125,11 +126,9 @@ def read_columns(path: Path = COLUMNS) -> dict[str, Group]:
         RecordingError: not TOML, an unknown quantity or unit, or the wrong number of columns.
     """
     try:
-        tables = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise RecordingError(f"{path}: can't be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: not TOML: {error}") from error
+        tables = read_toml(path)
+    except ConfigError as error:
+        raise RecordingError(str(error)) from error
     for name in tables:
         if name not in QUANTITIES:
             raise RecordingError(
@@ -206,7 +205,7 @@ def _numbers(table: pa.Table, group: Group) -> Floats:
             factor * np.asarray(table[column].to_numpy(), dtype=np.float64)
             for column, factor in zip(group.columns, group.factors, strict=True)
         ]
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, pa.ArrowException) as error:
         raise RecordingError(f"columns {', '.join(group.columns)} are not numbers: {error}") from error
     values = made[0] if len(made) == 1 else np.stack(made, axis=1)
     values[~np.isfinite(values)] = np.nan  # infinite is missing, too

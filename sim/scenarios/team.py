@@ -8,7 +8,6 @@ set for all members or for one. Files that come with the package are in ``sim/sc
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -22,6 +21,7 @@ from flightstack.common.strict_toml import (
     dumps,
     from_table,
     over,
+    parse_toml,
     read_toml,
     span,
     to_table,
@@ -232,7 +232,7 @@ def from_text(toml: str) -> AnyScenario:
     Raises:
         ConfigError: with key, what was found and what is allowed.
     """
-    table = tomllib.loads(toml)
+    table = parse_toml(toml.encode())
     return from_table(TeamScenario, table) if "member" in table else from_table(Scenario, table)
 
 

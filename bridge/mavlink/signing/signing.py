@@ -59,7 +59,7 @@ def load_state(path: Path) -> SigningState:
         table = json.loads(data)
         streams = {_stream(*row[:3]): _timestamp(row[3]) for row in table["streams"]}
         state = SigningState(_timestamp(table["clock"]), _timestamp(table["sent"]), streams)
-    except (ValueError, TypeError, KeyError, IndexError) as error:
+    except (ValueError, TypeError, KeyError, IndexError, RecursionError) as error:
         raise ValueError(
             f"signing state {path} cannot be read ({error}): delete it, and frames of the minute before "
             "could be replayed once"

@@ -31,9 +31,9 @@ def _out(command: Callable[..., None]) -> Callable[..., None]:
 
 @click.group()
 def log() -> None:
-    """Inspect, judge, compare, cut, repair and export flight logs. A broken LOG is read up to the break.
+    """Inspect, judge, compare, cut, repair and export flight logs. Of a broken LOG is used what can be read.
 
-    Exit status: 0 done, 1 the LOG is broken (what is before the break was used) or differs, 2 wrong input.
+    Exit status: 0 done, 1 the LOG is broken (what can be read was used) or differs, 2 wrong input.
     """
 
 
@@ -155,7 +155,7 @@ def filter_(log_file: Path, member: str | None, patterns: tuple[str, ...], out: 
 @_member
 @_out
 def recover(log_file: Path, member: str | None, out: Path, force: bool) -> None:
-    """Repair a broken LOG: write all messages before the break and a new index."""
+    """Repair a broken LOG: write all messages that can be read, and a new index."""
     from logs.tools import edit as tools_edit
 
     edited = tools_edit.recover(_open(log_file, member), out, force=force)
@@ -200,5 +200,5 @@ def _end(out: Path, text: str, problem: str) -> Any:
     """Print what was written, and whether the log was broken."""
     click.echo(f"{out}: {text}")
     if problem:
-        click.echo(f"flightstack: the log is broken; the part before the break was used: {problem}", err=True)
+        click.echo(f"flightstack: the log is broken; what can be read was used: {problem}", err=True)
     sys.exit(BROKEN if problem else DONE)

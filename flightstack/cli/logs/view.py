@@ -69,4 +69,4 @@ def view(
 
 def _warn(problem: str) -> None:
     if problem:
-        click.echo(f"flightstack: the log is broken; the part before the break is shown: {problem}", err=True)
+        click.echo(f"flightstack: the log is broken; what can be read is shown: {problem}", err=True)

@@ -275,7 +275,7 @@ def test_a_broken_log_is_exported_up_to_its_break(whole, tmp_path):
     (tmp_path / "broken.mcap").write_bytes(data[: len(data) // 2])
     result = export(tmp_path / "broken.mcap", tmp_path / "a.csv", "--topic", "/cf1/loop/timing")
     assert result.exit_code == 1
-    assert "before the break" in result.stderr
+    assert "what can be read was used" in result.stderr
     assert 50 < len((tmp_path / "a.csv").read_text().splitlines()) < TICKS
 
 

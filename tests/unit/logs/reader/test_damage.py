@@ -1,0 +1,264 @@
+"""Damaged logs and files that are none: every verb ends with a sentence, and what can be read is read."""
+
+import os
+import random
+import re
+import struct
+import zlib
+
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+
+from flightstack.cli.main import main
+from logs.reader.mcap_records import MAGIC
+from logs.reader.reader import LogError, LogFile
+from tests.unit.logs.helpers import record
+
+STEP = "/cf1/controller/step"
+KINDS = {
+    "zstd": {"compression": CompressionType.ZSTD},
+    "none": {"compression": CompressionType.NONE},
+    "no_crc": {"compression": CompressionType.NONE, "enable_crcs": False},
+    "no_index": {"compression": CompressionType.LZ4, "index_types": IndexType.NONE},
+    "no_chunks": {"use_chunking": False, "enable_crcs": False},
+}
+VERBS = (
+    ("log", "info"),
+    ("log", "verdict"),
+    ("log", "recover", "--force", "--out", "o.mcap"),
+    ("log", "cut", "--from", "0.1", "--force", "--out", "o.mcap"),
+    ("log", "export", "--topic", STEP, "--format", "csv", "--force", "--out", "o.csv"),
+    ("log", "export", "--format", "tlog", "--force", "--out", "o.tlog"),
+    ("replay",),
+    ("view", "--layouts", "layouts", "--force"),
+    ("identify",),
+)
+
+
+def rows(path):
+    return [(m.topic, m.log_time_ns, m.sequence, m.data) for m in LogFile(path).messages()]
+
+
+def rewritten(source, path, **how):
+    """The same log as another writer makes it, in chunks of 4 kB."""
+    with source.open("rb") as stream, path.open("wb") as out:
+        reader, writer, channels = make_reader(stream), Writer(out, chunk_size=4096, **how), {}
+        writer.start("ros2", "test")
+        for schema, channel, m in reader.iter_messages(log_time_order=False):
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
+            writer.add_message(channels[channel.id], m.log_time, m.data, m.publish_time, m.sequence)
+        for each in reader.iter_metadata():
+            writer.add_metadata(each.name, each.metadata)
+        for each in reader.iter_attachments():
+            writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type, each.data)
+        writer.finish()
+    return path
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    ours = record(folder / "ours.mcap", 60)
+    made = {name: rewritten(ours, folder / f"{name}.mcap", **how) for name, how in KINDS.items()}
+    return {"ours": ours, **made}
+
+
+def chunks(path):
+    """(begin, end) of each chunk in the file."""
+    with path.open("rb") as stream:
+        indexes = make_reader(stream).get_summary().chunk_indexes
+    return [(c.chunk_start_offset, c.chunk_start_offset + c.chunk_length) for c in indexes]
+
+
+def damaged(data, rng):
+    at, size, how = rng.randrange(8, len(data)), rng.choice((1, 4, 60, 2000)), rng.randrange(6)
+    if how < 3:
+        data[at] ^= 1 << rng.randrange(8)
+    elif how == 3:
+        data[at : at + size] = bytes([rng.choice((0, 255))]) * len(data[at : at + size])
+    elif how == 4:
+        del data[at : at + size]
+    else:
+        data[at:at] = rng.randbytes(size)
+    return data
+
+
+@pytest.mark.parametrize("kind", ["ours", *KINDS])
+def test_every_verb_ends_with_a_sentence_whatever_is_damaged(logs, kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    bad, rng, whole, broken = tmp_path / "bad.mcap", random.Random(kind), set(rows(logs[kind])), 0
+    assert len(whole) > 200
+    checked = kind in ("ours", "zstd", "none")  # every byte has a checksum
+    assert LogFile(logs[kind]).complete
+    for number in range(24):
+        bad.write_bytes(damaged(bytearray(logs[kind].read_bytes()), rng))
+        log = LogFile(bad)
+        broken += not log.complete
+        if checked:
+            assert not log.complete or set(rows(bad)) == whole
+            assert set(rows(bad)) <= whole
+        for verb in rng.sample(VERBS, 3 if number else len(VERBS)):
+            result = CliRunner().invoke(main, [*verb, str(bad)])
+            assert result.exception is None or isinstance(result.exception, SystemExit), (
+                verb,
+                result.exc_info,
+            )
+            assert result.exit_code in (0, 1, 2), verb
+            assert result.output.strip(), verb
+    assert broken >= (12 if checked else 4)
+
+
+@pytest.mark.parametrize("kind", ["ours", "zstd", "none"])
+@pytest.mark.parametrize("place", ["data", "length", "kind"])
+@pytest.mark.parametrize("number", [0, 1, -2])
+def test_what_is_before_and_behind_a_damaged_chunk_is_read(logs, kind, place, number, tmp_path):
+    """The first chunk holds the declarations, which the summary repeats."""
+    data, spans = bytearray(logs[kind].read_bytes()), chunks(logs[kind])
+    begin, end = spans[number]
+    at = {"data": (begin + end) // 2, "length": begin + 4, "kind": begin}[place]
+    data[at] ^= 0x40
+    bad, out = tmp_path / "bad.mcap", tmp_path / "out.mcap"
+    bad.write_bytes(data)
+    log, found, whole = LogFile(bad), rows(bad), rows(logs[kind])
+    assert 0 < len(whole) - len(found) <= 3 * len(whole) // len(spans)
+    assert (found[0] == whole[0], found[-1] == whole[-1]) == (number != 0, True)
+    assert f"bytes {begin} to " in log.why_broken
+    assert log.broken_at == begin
+    result = CliRunner().invoke(main, ["log", "recover", str(bad), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert LogFile(out).complete
+    assert rows(out) == found
+
+
+def message(channel, number):
+    return frame(
+        5, struct.pack("<HIQQ", channel, number, number, number) + b"\0\1\0\0" + struct.pack("<d", number)
+    )
+
+
+def frame(kind, body):
+    return struct.pack("<BQ", kind, len(body)) + body
+
+
+def text(value):
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def channel(number, schema, topic):
+    return frame(4, struct.pack("<HH", number, schema) + text(topic) + text("cdr") + struct.pack("<I", 0))
+
+
+def chunk(records, compression="", size=None, crc=0):
+    size = len(records) if size is None else size
+    head = struct.pack("<QQQI", 0, 0, size, crc)
+    return frame(6, head + text(compression) + struct.pack("<Q", len(records)) + records)
+
+
+DEFINITION = "float64 data\n"
+SCHEMA = struct.pack("<H", 1) + text("std_msgs/msg/Float64") + text("ros2msg") + text(DEFINITION)
+HEAD = MAGIC + frame(1, text("ros2") + text("t")) + frame(3, SCHEMA) + channel(1, 1, "/x")
+END = frame(15, bytes(4)) + frame(2, bytes(20)) + MAGIC
+TEN, MORE = b"".join(message(1, n) for n in range(10)), b"".join(message(1, n) for n in range(10, 20))
+
+
+@pytest.mark.parametrize(
+    ("between", "messages", "problem"),
+    [
+        (b"", 20, ""),
+        (message(7, 3), 20, "1 message at byte .*channel 7 was never declared"),
+        (chunk(message(7, 3) + message(7, 4) + message(1, 5)), 21, "2 messages .*channel 7 was never"),
+        (channel(2, 9, "/y") + message(2, 3), 21, "schema 9 of /y was never declared"),
+        (channel(1, 1, "/z"), 20, "Channel 1 is declared a second time"),
+        (frame(0x21, b"abc"), 20, "kind 0x21 is not known"),
+        (chunk(chunk(message(1, 3))), 20, "kind 0x06 is not known"),
+        (chunk(message(1, 3), "brotli"), 20, "compression 'brotli'"),
+        (chunk(message(1, 3), size=7), 20, "a chunk of .* bytes instead of 7"),
+        (chunk(message(1, 3), crc=7), 20, "crc validation failed"),
+        (chunk(message(1, 3) + message(1, 4)[:-3]), 21, "a record is longer than the chunk"),
+        (chunk(b"\xff" * 50, "zstd"), 20, "ZstdError"),
+        (chunk(b"\xff" * 50, "lz4"), 20, "RuntimeError"),
+        (frame(9, bytes(40)), 20, "the attachment|mean nothing"),
+        (frame(12, text("m") + struct.pack("<I", 99)), 20, "a field is longer than its record"),
+        (frame(5, b"abc"), 20, "kind 0x05"),
+        (frame(7, b"abc"), 20, "an index of messages"),
+        (bytes(500), 10, "no record begins with a zero byte"),
+        (END + END, 10, "closing magic"),
+    ],
+)  # fmt: skip
+def test_a_log_is_complete_only_if_every_byte_was_understood(tmp_path, between, messages, problem):
+    path = tmp_path / "log.mcap"
+    path.write_bytes(HEAD + TEN + between + MORE + END)
+    log = LogFile(path)
+    assert len(list(log.messages())) == messages
+    assert log.complete == (not problem)
+    assert log.problem == log.why_broken
+    assert bool(log.problem) == bool(problem)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        result = CliRunner().invoke(
+            main, ["log", "export", "log.mcap", "--topic", "/x", "--format", "csv", "--out", "x.csv"]
+        )
+        assert result.exit_code == (1 if problem else 0)
+    assert re.search(problem, log.problem)
+
+
+@pytest.mark.parametrize(
+    ("definition", "data", "status", "said"),
+    [
+        (DEFINITION, b"\0\1\0\0abc", 1, "/x, sequence 3, cannot be decoded"),
+        (DEFINITION, b"", 1, "/x, sequence 3, cannot be decoded"),
+        ("float64 [[[ what", b"", 2, "the definition of std_msgs/msg/Float64 cannot be read"),
+        ("nowhere/Kind x\n", b"", 2, "the definition of std_msgs/msg/Float64 cannot be read"),
+    ],
+)  # fmt: skip
+def test_what_the_decoder_raises_becomes_a_sentence(tmp_path, definition, data, status, said):
+    schema = struct.pack("<H", 1) + text("std_msgs/msg/Float64") + text("ros2msg") + text(definition)
+    head = MAGIC + frame(1, text("ros2") + text("t")) + frame(3, schema) + channel(1, 1, "/x")
+    path, out = tmp_path / "log.mcap", tmp_path / "x.csv"
+    path.write_bytes(head + TEN + frame(5, struct.pack("<HIQQ", 1, 3, 3, 3) + data) + MORE + END)
+    result = CliRunner().invoke(
+        main, ["log", "export", str(path), "--topic", "/x", "--format", "csv", "--out", str(out)]
+    )
+    assert (result.exit_code, isinstance(result.exception, SystemExit)) == (status, True)
+    assert said in result.stderr
+    assert out.exists() == (status == 1)
+    if out.exists():
+        assert len(out.read_text().splitlines()) == 21  # the other messages
+
+
+@pytest.mark.parametrize(
+    ("begin", "said"),
+    [
+        (b"\x28\xb5\x2f\xfd" + bytes(40), "zstd -d"),
+        (b"SQLite format 3\0" + bytes(40), "rosbag2"),
+        (b"ULog\x01\x12\x35\x01" + bytes(40), "ULog"),
+        (b"#ROSBAG V2.0\n" + bytes(40), "ROS 1"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:12\n", "git lfs pull"),
+        (b"\xa3\x95\x80\x80", "DataFlash"),
+        (b"\x1f\x8b\x08", "gunzip"),
+        (bytes(100), "begins with 00"),
+        (b"", "is empty"),
+        (None, "folder"),
+    ],
+)  # fmt: skip
+def test_what_is_no_log_is_named(tmp_path, begin, said):
+    path = tmp_path / "flight.mcap"
+    path.mkdir() if begin is None else path.write_bytes(begin)
+    with pytest.raises(LogError, match=said):
+        LogFile(path)
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(LogError, match="pipe"):
+        LogFile(tmp_path / "pipe")
+
+
+def test_our_files_have_a_checksum_of_the_data(logs):
+    data = logs["ours"].read_bytes()
+    at = data.rindex(struct.pack("<BQ", 15, 4))
+    assert struct.unpack("<I", data[at + 9 : at + 13]) == (zlib.crc32(data[:at]),)
