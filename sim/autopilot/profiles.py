@@ -1,6 +1,6 @@
 """The autopilots that the simulated vehicle plays: their parameters, and one server profile each.
 
-PX4 1.16 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``) and ArduCopter 4.6 (``mode.h``,
+PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``) and ArduCopter 4.6 (``mode.h``,
 ``mode_guided.cpp``, ``GCS_Mavlink.cpp``, ``Parameters.cpp``), both also measured in their own SITL. The
 simulator's own parameters have PX4's names and units. Each of ArduCopter's stands for one or more of them;
 the defaults are ArduCopter's where they fit into a room. The fixed ones say what the simulator does, or mean
@@ -44,7 +44,9 @@ _OWN = (
     real("COM_DISARM_LAND", 2.0, 0.1, 20.0),  # s, PX4's default
     real("COM_DISARM_PRFLT", 10.0, 1.0, 120.0),  # s, PX4's default
     fixed("COM_RC_IN_MODE", 4),  # no stick input
-    one_of("COM_LOW_BAT_ACT", 0, 0, 2, 3),  # warn; land when critical; return, and land in emergency
+    fixed("MAN_OVERRIDE_SPD", -1.0, REAL32),  # sticks never take over
+    # warn; land when critical; twice return, and land in emergency: it does not estimate the time left
+    one_of("COM_LOW_BAT_ACT", 0, 0, 2, 3, 5),
     integer("COM_DL_LOSS_T", 10, 1, 300),  # s without a ground station's heartbeat before NAV_DLL_ACT
     one_of("NAV_DLL_ACT", 0, 0, 1, 2, 3),  # then: nothing, hold, return, land
     real("BAT_LOW_THR", 0.15, 0.12, 0.5),  # share of charge; these three are PX4's

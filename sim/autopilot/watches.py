@@ -62,13 +62,12 @@ FENCE: Mapping[int, Action] = {
     5: Action.LAND,
 }
 BATTERY: Mapping[tuple[Charge, int], Action] = {
-    **{(Charge.LOW, act): Action.WARN for act in (0, 2, 3)},
+    **{(Charge.LOW, act): Action.WARN for act in (0, 2, 3, 5)},
     (Charge.CRITICAL, 0): Action.WARN,
     (Charge.CRITICAL, 2): Action.LAND,
-    (Charge.CRITICAL, 3): Action.RETURN,
+    **{(Charge.CRITICAL, act): Action.RETURN for act in (3, 5)},
     (Charge.EMERGENCY, 0): Action.WARN,
-    (Charge.EMERGENCY, 2): Action.LAND,
-    (Charge.EMERGENCY, 3): Action.LAND,
+    **{(Charge.EMERGENCY, act): Action.LAND for act in (2, 3, 5)},
 }
 
 

@@ -157,17 +157,11 @@ class Commands(Generic[V]):
             m.MAV_CMD_DO_SET_MODE: Entry(self._set_mode, owner, right_of=self._right_to_mode),
             m.MAV_CMD_COMPONENT_ARM_DISARM: Entry(self._arm_disarm, owner, right_of=_right_to_arm),
             m.MAV_CMD_RUN_PREARM_CHECKS: Entry(self._prearm_checks, anybody),
-            m.MAV_CMD_GET_HOME_POSITION: Entry(self._home, anybody),
             m.MAV_CMD_GET_MESSAGE_INTERVAL: Entry(self._get_interval, anybody),
             m.MAV_CMD_SET_MESSAGE_INTERVAL: Entry(
                 self._set_interval, anybody, right_of=self._right_to_interval
             ),
             m.MAV_CMD_REQUEST_MESSAGE: Entry(self._request_message, anybody),
-            m.MAV_CMD_REQUEST_PROTOCOL_VERSION: Entry(
-                lambda _: Answer(UNSUPPORTED, "No PROTOCOL_VERSION: AUTOPILOT_VERSION says MAVLink 2"),
-                anybody,
-            ),
-            m.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: Entry(self._capabilities, anybody),
             m.MAV_CMD_REQUEST_CAMERA_INFORMATION: Entry(lambda _: Answer(UNSUPPORTED, "No camera"), anybody),
             **own,
         }
@@ -281,14 +275,6 @@ class Commands(Generic[V]):
 
     def _request_message(self, command: Command) -> Answer:
         return self._give(integer(command.given(1)), command.now_s)
-
-    def _capabilities(self, command: Command) -> Answer:
-        if command.given(1) != 1.0:
-            return Answer(DENIED, "Capabilities refused: param1 must be 1")
-        return self._give(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, command.now_s)
-
-    def _home(self, command: Command) -> Answer:
-        return self._give(dialect.MAVLINK_MSG_ID_HOME_POSITION, command.now_s)
 
     def _give(self, message_id: int | None, now_s: float) -> Answer:
         builder = self._builders.get(message_id) if message_id is not None else None

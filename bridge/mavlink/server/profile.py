@@ -1,7 +1,7 @@
 """Server profile: what a vehicle of this project shows and accepts when it plays some autopilot.
 
 The other side, how the flight stack talks to an autopilot, is ``bridge.mavlink.profiles``. All defaults are
-those of PX4 1.16 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``).
+those of PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``).
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class ServerProfile:
     sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always in good order
     rates_hz: Mapping[int, float]  # default rates by message id; a message that is missing is sent on request
     autopilot: int = _M.MAV_AUTOPILOT_PX4
-    version: int = 1 << 24 | 16 << 16 | RELEASE  # AUTOPILOT_VERSION.flight_sw_version
+    version: int = 1 << 24 | 18 << 16 | RELEASE  # AUTOPILOT_VERSION.flight_sw_version
     capabilities: int = CAPABILITIES | _M.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     codes: Mapping[FlightMode, Code] = field(default_factory=lambda: PX4_CODES)  # the modes that it has
     custom_mode: Callable[[Code], int] = lambda code: code.custom_mode  # of HEARTBEAT

@@ -1,6 +1,6 @@
 """One MAVLink vehicle for other programs: messages and times in, messages out.
 
-Pure: no socket, no clock, no randomness. Behaviour follows PX4 1.16 (``Commander.cpp``,
+Pure: no socket, no clock, no randomness. Behaviour follows PX4 1.18 (``Commander.cpp``,
 ``mavlink_receiver.cpp``, ``streams/*.hpp``), except where the code says so, or where the profile differs.
 """
 
@@ -28,13 +28,7 @@ SYSTEM_ID = 1
 COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot nowhere else
 _HEARTBEAT_S = 1.0
 _LOG_MAX = 1024  # texts kept for a log that nobody takes
-_BROADCAST = frozenset(  # the only commands PX4 obeys when sent to system 0
-    {
-        dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
-        dialect.MAV_CMD_REQUEST_MESSAGE,
-        dialect.MAV_CMD_REQUEST_PROTOCOL_VERSION,
-    }
-)
+_BROADCAST = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE})  # the only command obeyed when sent to system 0
 _NOTHING: frozenset[int] = frozenset()
 
 

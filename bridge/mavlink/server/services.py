@@ -109,7 +109,7 @@ class Services:
 
 
 def _no_parameter(message: Any, sender: Sender) -> Message:
-    """PX4 1.16 says nothing here, and clients wait for seconds (mavlink.io, services/parameter)."""
+    """PX4 says nothing here, and clients wait for seconds (mavlink.io, services/parameter)."""
     index = getattr(message, "param_index", -1)
     name = parameter_name(message.param_id).encode("ascii", "replace")
     return _parameter_error(name, index, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST, sender)

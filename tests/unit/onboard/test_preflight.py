@@ -150,7 +150,7 @@ def talk(vehicle, chosen=None, wait_s=10.0, accepted=(), system_id=1, stopped=la
 def test_the_simulator_is_recognised_and_safe():
     vehicle = Vehicle()
     report = talk(vehicle)
-    assert (report.profile, report.version, report.problem) == (OWN_SITL, "1.16.0", None)
+    assert (report.profile, report.version, report.problem) == (OWN_SITL, "1.18.0", None)
     assert report.safe
     assert verdict(report) is None
     assert {f.name for f in report.findings} == {each.name.name for each in asked("sitl")}

@@ -10,7 +10,7 @@ from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.codec.packing import pack
 from bridge.mavlink.server.texts import Text, TextWire
-from tests.unit.mavlink.server.served import ACCEPTED, COMPANION, DENIED, FAILED, NAN, as_long
+from tests.unit.mavlink.server.served import ACCEPTED, COMPANION, DENIED, FAILED, NAN, UNSUPPORTED, as_long
 
 
 def test_heartbeat_comes_once_a_second_and_at_once_on_a_change(served) -> None:
@@ -72,8 +72,8 @@ def test_messages_on_request(served) -> None:
     assert {0, 1, 30, 31, 32, 147, 148, 242, 245} <= served.server.messages
     assert served.command(512, 435.0) == DENIED  # AVAILABLE_MODES: a promise would hang QGC
     assert served.command(512, NAN) == DENIED
-    assert served.command(520, 1.0) == ACCEPTED
-    assert served.command(410) == ACCEPTED
+    for removed in (410, 519, 520, 525, 528):  # PX4 1.18
+        assert served.command(removed, 1.0) == UNSUPPORTED
 
 
 def values(served) -> list:
