@@ -33,7 +33,8 @@ _LAST_LINES = 12
 _SAME_PLACE_DEG = 1e-5  # 1 m: PX4 prints its reference with six digits
 _REFERENCE = re.compile(r"^\s*(ref_lat|ref_lon): (\S+)", re.MULTILINE)
 _ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
-# rcS multiplies these with the speed, for clients that stay in real time; ours are as fast as the simulation
+# rcS multiplies these with the speed, for clients that stay in real time; ours are as fast as the simulation.
+# PX4 1.18 has no COM_OBC_LOSS_T: there it is always 5 s.
 _SCALED_WITH_SPEED = ("COM_DL_LOSS_T", "COM_RC_LOSS_T", "COM_OF_LOSS_T", "COM_OBC_LOSS_T")
 # Waits for the program. SIGHUP, sent when our process is killed, ends the whole group at once: during its
 # start script PX4 does not react to SIGTERM, and the script's commands would wait for a killed PX4 for ever.
@@ -150,6 +151,7 @@ class Px4Program:
         onboard_port: UDP port to which it sends a companion computer's MAVLink: ``udpin:127.0.0.1:PORT``.
         onboard_local_port: UDP port from which it does so: ``udpout:127.0.0.1:PORT`` meets it there.
         ground_port: UDP port of loopback on which it answers ground stations.
+        absent: wanted parameters that this release of PX4 does not have, once it is ready.
 
     Args:
         binary: see ``find_px4``.
@@ -189,6 +191,7 @@ class Px4Program:
         self.ground_port = 18570 + instance
         self._parameters = dict(parameters or {})
         self._speed, self._model, self._origin = speed, model, origin_wgs84
+        self.absent: list[str] = []
         self._bin = self.folder / "bin"
         self.output = self.folder / "px4.txt"
         self._lay_out(files)
@@ -265,20 +268,26 @@ class Px4Program:
             time.sleep(_LOOK_S)
 
     def _settle_parameters(self) -> None:
-        """Set one by one what the environment did not.
+        """Set one by one what the environment did not, as far as this release has it.
 
         PX4 keeps no value that equals its own default, so there the start script's default for simulations
         wins (SYS_FAILURE_EN of v1.16).
         """
         if self._model is Px4Model.SIHSIM_QUADX and self._speed != 1.0:
             for name in _SCALED_WITH_SPEED:
-                if name not in self._parameters:
+                if name not in self._parameters and self._has(name):
                     self.console("param", "reset", name)
         for name, value in self._parameters.items():
             if self._client("param", ("compare", name, str(value)), CONSOLE_MAX_S).returncode == 0:
                 continue
+            if not self._has(name):
+                self.absent.append(name)
+                continue
             self.console("param", "set", name, str(value))
             self.console("param", "compare", name, str(value))
+
+    def _has(self, name: str) -> bool:
+        return self._client("param", ("find", name), CONSOLE_MAX_S).returncode == 0
 
     def _at_origin(self) -> bool:
         assert self._origin is not None
