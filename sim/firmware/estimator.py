@@ -4,8 +4,13 @@ It stands for the Crazyflie's Kalman filter with external pose: same noise figur
 taken as if they were new, so that the estimate lags by the capture's delay when it moves), but with the
 filter's stationary gains instead of a covariance. Per axis the states are position, velocity and an
 acceleration error; horizontally the latter is a tilt of the attitude estimate (a tilt d makes g d of
-acceleration), vertically it is the accelerometer's bias. Unlike the firmware in flight, which takes body z
-alone, all three accelerometer axes count, so that wind does not pass for tilt.
+acceleration), vertically it is the accelerometer's bias.
+
+There are two forms. By default all three accelerometer axes count, so that neither wind nor drag passes for
+tilt, and a pose has no roll and pitch. With ``known_drag_1_s`` it is the firmware's form: in flight body z
+alone counts, drag along body x and y is what ``kalman.dragB_x`` and ``_y`` say (along z the accelerometer
+feels it), a pose has a whole attitude, and no bias is learned. What drag is not known makes the velocity too
+high: 16 % at 0.46 1/s.
 
 Gains: steady state of the discrete Kalman filter at the capture's rate. Noise from firmware
 kalman_core_params_defaults.h and kalman_core.c, which add (sigma dt)^2 every 1 ms: procNoiseAcc 0.5 and 1.0
@@ -20,7 +25,7 @@ from functools import cache
 import numpy as np
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Cell, Record, cell, new, reader, scalars
+from flightstack.compiled.records import F64, Cell, Record, Vector, cell, new, reader, scalars
 from flightstack.core.types import Vec3
 from sim.firmware.setpoint import SensedState
 from sim.plant.vehicle_types import Estimate
@@ -29,7 +34,8 @@ FIRMWARE_STEP_S = 0.001
 ACCEL_XY_M_S2, ACCEL_Z_M_S2 = 0.5, 1.0  # procNoiseAcc_xy, procNoiseAcc_z
 GYRO_RAD_S = 0.1  # measNoiseGyro
 POSITION_STD_M = 0.01  # extPosStdDev
-YAW_STD_RAD = 2.0 * 4.5e-3  # extQuatStdDev is of half the angle
+YAW_STD_RAD = 2.0 * 4.5e-3  # twice extQuatStdDev
+TILT_STD_RAD = 4.5e-3  # extQuatStdDev (mm_pose.c)
 INNOVATION_AGE_MAX_S = 0.5  # without a sample for this long the estimate counts as invalid
 
 
@@ -63,6 +69,31 @@ def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float
     return (k[0], k[1], k[2])
 
 
+@cache
+def pose_gains(
+    period_s: float, gravity: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Stationary gains on (position, velocity, tilt), as the firmware takes a pose: position, then attitude.
+
+    Returns:
+        Gains for one metre and for one radian of innovation.
+    """
+    t, g = FIRMWARE_STEP_S, gravity
+    f = np.array([[1.0, t, 0.5 * g * t * t], [0.0, 1.0, g * t], [0.0, 0.0, 1.0]])
+    q = np.diag([(ACCEL_XY_M_S2 * t * t) ** 2, (ACCEL_XY_M_S2 * t) ** 2, (GYRO_RAD_S * t) ** 2])
+    p = np.eye(3) * POSITION_STD_M**2
+    gains: list[tuple[float, float, float]] = []
+    for _ in range(round(10.0 / period_s)):  # its slowest part has settled within a second
+        gains.clear()
+        for _ in range(round(period_s / t)):
+            p = f @ p @ f.T + q
+        for i, std in ((0, POSITION_STD_M), (2, TILT_STD_RAD)):
+            k = p[:, i] / (p[i, i] + std**2)
+            p = p - np.outer(k, p[i])
+            gains.append((float(k[0]), float(k[1]), float(k[2])))
+    return gains[0], gains[1]
+
+
 def yaw_gain(period_s: float) -> float:
     """Stationary gain on yaw for one radian of innovation (scalar Riccati equation)."""
     q = GYRO_RAD_S**2 * FIRMWARE_STEP_S * period_s
@@ -84,6 +115,12 @@ class EstimatorRecord(Record):
     kv_z: float
     kz: float  # bias, 1/s^2
     kyaw: float
+    by_pose: bool  # the firmware's form
+    body_z: bool  # and it flies, so that body z alone counts
+    known_drag: Vector  # kalman.dragB_*, body axes, 1/s
+    kp_tilt: float  # by the attitude of a pose: position, m per rad
+    kv_tilt: float  # velocity, m/s per rad
+    kt_tilt: float  # tilt
     step: float  # s
     gravity: float
 
@@ -113,6 +150,10 @@ def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
     for i in range(9):
         s.axes[i] = axes[i]
     fx, fy, fz = accel[0], accel[1], accel[2]
+    if e.body_z:
+        v = s.velocity
+        fx = -e.known_drag[0] * (axes[0] * v[0] + axes[1] * v[1] + axes[2] * v[2])
+        fy = -e.known_drag[1] * (axes[3] * v[0] + axes[4] * v[1] + axes[5] * v[2])
     for i in range(3):
         s.rates[i] = gyro[i]
         felt = axes[i] * fx + axes[3 + i] * fy + axes[6 + i] * fz
@@ -136,6 +177,22 @@ def correct(e: EstimatorRecord, x: float, y: float, z: float, yaw: float) -> Non
     turn = e.kyaw * math.atan2(math.sin(error), math.cos(error))
     turn_estimate(e.sensed, -e.kt * ry, e.kt * rx, turn)  # tilt d makes the acceleration g (d_y, -d_x)
     e.since_sample_s = 0.0
+
+
+@jitted
+def correct_tilt(e: EstimatorRecord, quaternion: F64) -> None:
+    """Take roll and pitch of a pose, after ``correct`` has taken the rest."""
+    s = e.sensed
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    mx, my, mz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+    w, x, y, z = s.quaternion[0], s.quaternion[1], s.quaternion[2], s.quaternion[3]
+    bx, by, bz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+    about_x, about_y = by * mz - bz * my, bz * mx - bx * mz  # turns the believed body z into the measured
+    s.position[0] += e.kp_tilt * about_y
+    s.position[1] -= e.kp_tilt * about_x
+    s.velocity[0] += e.kv_tilt * about_y
+    s.velocity[1] -= e.kv_tilt * about_x
+    turn_estimate(s, e.kt_tilt * about_x, e.kt_tilt * about_y, 0.0)
 
 
 @jitted
@@ -182,6 +239,11 @@ def _correct(estimator: Cell[EstimatorRecord], x: float, y: float, z: float, yaw
     correct(estimator[0], x, y, z, yaw)
 
 
+@jitted
+def _correct_tilt(estimator: Cell[EstimatorRecord], quaternion: F64) -> None:
+    correct_tilt(estimator[0], quaternion)
+
+
 class Estimator:
     """Predict and correct. ``sensed`` holds the result, updated in place.
 
@@ -190,6 +252,7 @@ class Estimator:
         step_s: time between calls of ``predict``.
         gravity_m_s2: of the place.
         record: where to keep everything; None for a place of its own.
+        known_drag_1_s: ``kalman.dragB_*``, for the firmware's form; None for the other.
     """
 
     def __init__(
@@ -198,6 +261,7 @@ class Estimator:
         step_s: float,
         gravity_m_s2: float,
         record: EstimatorRecord | None = None,
+        known_drag_1_s: Vec3 | None = None,
     ) -> None:
         self.record = r = new(EstimatorRecord) if record is None else record
         self.sensed = s = r.sensed
@@ -208,6 +272,9 @@ class Estimator:
         r.kt = accel / gravity_m_s2
         r.kp_z, r.kv_z, r.kz = axis_gains(mocap_period_s, ACCEL_Z_M_S2, gravity_m_s2)
         r.kyaw = yaw_gain(mocap_period_s)
+        if known_drag_1_s is not None:
+            (r.kp, r.kv, r.kt), (r.kp_tilt, r.kv_tilt, r.kt_tilt) = pose_gains(mocap_period_s, gravity_m_s2)
+            r.by_pose, r.known_drag[:], r.kz = True, known_drag_1_s, 0.0
         r.step = step_s
         r.gravity = gravity_m_s2
         self.sensed.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
@@ -224,6 +291,8 @@ class Estimator:
         """Start converged: where the corrections would have balanced the accelerometer's bias."""
         sensed, gravity = self.sensed, float(self.record.gravity)
         sensed.position[:], sensed.velocity[:], sensed.quaternion[:] = position, velocity, quaternion
+        if self.record.by_pose:  # nothing is learned that could balance it
+            return
         a, b, c = accel_bias
         bx, by, bz = (axes[i] * a + axes[3 + i] * b + axes[6 + i] * c for i in range(3))
         self.record.bias_z = -bz
@@ -232,6 +301,16 @@ class Estimator:
     def correct(self, x: float, y: float, z: float, yaw: float) -> None:
         """Take a motion-capture sample, see ``correct``."""
         _correct(self._cell, x, y, z, yaw)
+
+    def take_pose(self, position: Vec3, quaternion: tuple[float, float, float, float]) -> None:
+        """Take a whole pose from outside, in the firmware's form."""
+        w, x, y, z = quaternion
+        self.correct(*position, math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
+        _correct_tilt(self._cell, np.array(quaternion))
+
+    def know_drag(self, drag_1_s: Vec3) -> None:
+        """Write ``kalman.dragB_*``."""
+        self.record.known_drag[:] = drag_1_s
 
     def believed(self) -> Estimate:
         """Newest estimate; valid while samples still come."""

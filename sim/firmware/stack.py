@@ -20,7 +20,7 @@ from sim.firmware.setpoint import (
     SetpointRecord,
     receive,
 )
-from sim.firmware.supervisor import Supervisor, SupervisorRecord, supervise
+from sim.firmware.supervisor import Supervisor, SupervisorRecord, flies, supervise
 from sim.plant.params import CONTROL_STEP_S, Params
 from sim.plant.rotors import Four
 from sim.scenarios.scenario import VehicleSpec, VelocityLoop
@@ -64,6 +64,7 @@ def oversee(f: FirmwareRecord, now_ms: int, accel: F64) -> None:
     """Run the supervisor; call every ``PERIOD_MS``, between estimate and control."""
     g, age_ms = f.gravity, now_ms - f.inbox.taken_ms
     supervise(f.supervisor, now_ms, age_ms, running(f.commands), accel[0] / g, accel[1] / g, accel[2] / g)
+    f.estimator.body_z = f.estimator.by_pose and flies(f.supervisor)
 
 
 @jitted
@@ -118,7 +119,7 @@ class Firmware:
         self.controller: PaperLoop | PidLoop = paper if record.loop == PAPER else pid
         self._mellinger = MellingerLoop(record.mellinger)
         period_s = 1.0 / spec.mocap.rate_hz
-        self.estimator = Estimator(period_s, CONTROL_STEP_S, gravity, record.estimator)
+        self.estimator = Estimator(period_s, CONTROL_STEP_S, gravity, record.estimator, spec.known_drag_1_s)
         self.supervisor = Supervisor(record.supervisor)
 
     @property

@@ -88,7 +88,7 @@ _TABLE = np.array(
     ]
 )
 _ALLOWED = np.array([state in MOTORS_ALLOWED for state in STATES])
-_LEVEL_OUT = STATES.index(State.LEVEL_OUT)
+_LEVEL_OUT, _IN_FLIGHT = STATES.index(State.LEVEL_OUT), STATES.index(State.FLYING)
 _FLYING, _NOT_FLYING = Condition.FLYING.value, Condition.NOT_FLYING.value
 _WARNING, _FRESH, _TIMEOUT = Condition.WARNING.value, Condition.FRESH.value, Condition.TIMEOUT.value
 _TUMBLED, _STAYED_READY = Condition.TUMBLED.value, Condition.STAYED_READY.value
@@ -113,6 +113,12 @@ def enter(s: SupervisorRecord, state: int, now_ms: int) -> None:
     """Go to a state."""
     s.state, s.since_ms = state, now_ms
     s.motors_allowed, s.level = _ALLOWED[state], state == _LEVEL_OUT
+
+
+@jitted
+def flies(s: SupervisorRecord) -> bool:
+    """Whether the estimator takes it for flying (supervisor.c: isFlying)."""
+    return s.state == _IN_FLIGHT or s.state == _LEVEL_OUT
 
 
 @jitted

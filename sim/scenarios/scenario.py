@@ -18,6 +18,7 @@ from flightstack.core.types import Vec3
 from sim.scenarios.fault_spec import Fault
 
 Share = Annotated[float, span(0.0, 1.0)]
+Drag = Annotated[float, span(0.0, 10.0)]
 VEHICLE_FILES = Files(dict, "sim.vehicles", "vehicle.airframe")  # read by ``sim.plant.params``
 
 
@@ -150,7 +151,8 @@ class VehicleSpec:
     """The simulated vehicle: its file, velocity loop, spreads of its plant, mocap of its estimator.
 
     With ``own`` the estimate on board has the errors of recorded flights. Rate and losses of ``mocap`` hold,
-    its noise and delay do not count.
+    its noise and delay do not count. With ``known_drag_1_s`` the estimate is the firmware's in flight: of the
+    accelerometer by body z alone, and by these ``kalman.dragB_*``.
     """
 
     airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or the path of another
@@ -166,6 +168,7 @@ class VehicleSpec:
     ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0
     mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
     own: StateError | None = None
+    known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # body axes
     setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # radio, one way (Crazyradio: 2 to 7 ms)
 
     def __post_init__(self) -> None:

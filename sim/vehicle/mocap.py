@@ -17,7 +17,7 @@ import numpy as np
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell, Record, cell
-from sim.firmware.estimator import EstimatorRecord, correct, replace_estimate
+from sim.firmware.estimator import EstimatorRecord, correct, correct_tilt, replace_estimate
 from sim.plant.rotation import rotation_axes
 from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
 from sim.plant.state_error import TURN, WIDTH, PastRecord, mismeasure, state_errors
@@ -82,6 +82,8 @@ def correct_estimate(m: MocapRecord, estimator: EstimatorRecord, body: BodyRecor
             replace_estimate(estimator, m.past.late, body.quaternion, turn)
         else:
             correct(estimator, m.values[at], m.values[at + 1], m.values[at + 2], m.values[at + 3])
+            if estimator.by_pose:
+                correct_tilt(estimator, body.quaternion)  # without noise and delay
         at = next_arrived(m, now_ms)
 
 

@@ -240,6 +240,14 @@ class VehicleSim:
         """Fly by the Mellinger controller from now on; it follows positions and no velocities."""
         self._firmware.choose_mellinger()
 
+    def take_pose(self, position_enu_m: Vec3, quaternion: tuple[float, float, float, float]) -> None:
+        """Take a pose that somebody else has measured; needs ``known_drag_1_s`` in the scenario."""
+        self._firmware.estimator.take_pose(position_enu_m, quaternion)
+
+    def know_drag(self, drag_1_s: Vec3) -> None:
+        """Write the firmware's parameters kalman.dragB_*."""
+        self._firmware.estimator.know_drag(drag_1_s)
+
     def stop_setpoint(self) -> None:
         """Send a stop set-point: motors off while it is the newest. It ages like any other."""
         self._firmware.send(STOP, self._ms - self.sent_before_ms)

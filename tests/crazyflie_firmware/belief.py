@@ -17,6 +17,14 @@ UNKNOWN_M2 = 100.0  # before the first pose
 G = 9.81
 
 
+def variance_m2(pose_age_s: float) -> float:
+    """Of a position: the filter's own covariance, propagated since the last pose."""
+    t = pose_age_s
+    if t == math.inf:
+        return UNKNOWN_M2
+    return 5.6e-6 + 9.2e-5 * t**2 + 8.3e-5 * t**3 + 3.3e-5 * t**4 + 4.8e-5 * t**5
+
+
 class Belief:
     """Errors of position and velocity, and the variance, of a vehicle whose truth is known.
 
@@ -37,11 +45,7 @@ class Belief:
 
     @property
     def variance_m2(self) -> float:
-        """Of a position: the filter's own covariance, propagated since the last pose."""
-        t = self._pose_age_s
-        if t == math.inf:
-            return UNKNOWN_M2
-        return 5.6e-6 + 9.2e-5 * t**2 + 8.3e-5 * t**3 + 3.3e-5 * t**4 + 4.8e-5 * t**5
+        return variance_m2(self._pose_age_s)
 
     def pose(self, x: float, y: float, z: float, w: float) -> None:
         """A pose has come, of a vehicle that is level."""

@@ -244,7 +244,8 @@ class Firmware:
 
     def written(self) -> None:
         """Act on the parameters, after one was written."""
-        self.plant.know_drag(tuple(self.params[f"kalman.dragB_{axis}"].value for axis in "xyz"))
+        drag = [self.params.get(f"kalman.dragB_{axis}") for axis in "xyz"]
+        self.plant.know_drag(tuple(param.value if param else 0.0 for param in drag))
 
     # Flying
 

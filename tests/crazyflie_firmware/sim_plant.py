@@ -1,9 +1,16 @@
-"""The simulated vehicle under the stand-in's CRTP: MuJoCo, rotors, battery, attitude and velocity loops."""
+"""The simulated vehicle under the stand-in's CRTP: MuJoCo, rotors, battery, attitude and velocity loops.
+
+Its filter is the firmware's (``sim.firmware.estimator``): body z alone counts, and ``kalman.dragB_*``.
+"""
+
+import math
+from dataclasses import replace
 
 from bridge.zenoh import zenoh_link
 from sim.runners.deck import RealTimeDeck
 from sim.scenarios.scenario import Scenario, load
 from sim.vehicle.vehicle import VehicleSim, warm_up
+from tests.crazyflie_firmware.belief import variance_m2
 
 MS_MAX = 50  # ms of one step; a longer pause of the machine is one of simulated time
 
@@ -12,12 +19,30 @@ class SimPlant:
     """A ``VehicleSim`` with the face of ``plant.Point``; its deck follows the robot's true pose.
 
     The simulated firmware levels out and stops by its own watchdog, so only new set-points are handed over.
+
+    Args:
+        scenario: of the vehicle, by name or as it is.
+        seed: of the run.
+        session: where the robot is heard; None: the deck stands where the scenario has it.
+        namespace: of the robot.
+        by_poses: it is given poses from outside, not the scenario's motion capture.
     """
 
     def __init__(
-        self, scenario: str | Scenario, seed: int, session: zenoh_link.Session | None, namespace: str = "cf1"
+        self,
+        scenario: str | Scenario,
+        seed: int,
+        session: zenoh_link.Session | None,
+        namespace: str = "cf1",
+        *,
+        by_poses: bool = False,
     ) -> None:
         loaded = load(scenario) if isinstance(scenario, str) else scenario
+        spec = replace(loaded.vehicle, known_drag_1_s=(0.0, 0.0, 0.0))
+        if by_poses:
+            spec = replace(spec, mocap=replace(spec.mocap, loss=1.0))
+        loaded = replace(loaded, vehicle=spec)
+        self._by_poses, self._posed_s = by_poses, -math.inf if by_poses else math.inf
         warm_up(loaded)
         self.vehicle = VehicleSim(loaded, seed)
         self._deck = RealTimeDeck(session, namespace) if session is not None else None
@@ -26,7 +51,11 @@ class SimPlant:
 
     @property
     def position(self):
-        return self.vehicle.truth().position_enu_m
+        return self.vehicle.body()[:3]
+
+    @property
+    def true_quaternion(self):
+        return self.vehicle.body()[6:10]
 
     @property
     def estimate(self):
@@ -35,16 +64,23 @@ class SimPlant:
 
     @property
     def variance_m2(self) -> float:
-        return 1e-5
+        return variance_m2(max(0.0, self._now_s - self._posed_s))
 
     def pose(self, x: float, y: float, z: float, quaternion_xyzw) -> None:
-        """Its motion capture is the scenario's own."""
+        """A pose for the filter; None, and none of the scenario's motion capture counts."""
+        if self._by_poses and quaternion_xyzw is not None:
+            self._posed_s = self._now_s
+            qx, qy, qz, qw = quaternion_xyzw
+            self.vehicle.take_pose((x, y, z), (qw, qx, qy, qz))
 
     def know_drag(self, drag_1_s) -> None:
-        """The simulated filter knows it."""
+        """Set ``kalman.dragB_*``."""
+        self.vehicle.know_drag(drag_1_s)
 
     def restart(self) -> None:
+        """The firmware starts anew."""
         self.motors_off()
+        self.vehicle.reboot()
 
     @property
     def quaternion(self):
