@@ -21,6 +21,7 @@ from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
 from cflib.crtp.crtpstack import CRTPPort
 
+from bridge.crazyflie.settings import DRAG
 from bridge.crazyflie.state import (
     FETCHED_AS,
     HEALTH_PERIOD_MS,
@@ -46,6 +47,7 @@ from bridge.crazyflie.types import (
 
 PARAMS = (  # what the bridge looks at before it lets anybody arm
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",
+    *DRAG,
 )  # fmt: skip
 EVENTS_MAX = 512  # five seconds of packets; older ones are no use to anybody
 SILENT_S = 2.0  # s without any answer while connecting, after which an attempt is given up

@@ -171,7 +171,11 @@ class Loop:
             if told_s is None and (stop.count or (duration_s is not None and self.now_s >= duration_s)):
                 told_s = self.now_s
                 vehicle.end(told_s)
-            if told_s is not None and (not vehicle.busy or self.now_s - told_s > SHUT_DOWN_MAX_S):
+            if told_s is None or (vehicle.busy and self.now_s - told_s <= SHUT_DOWN_MAX_S):
+                continue
+            for packet in vehicle.settings.leave(self.now_s):
+                self._link.send(packet)
+            if not vehicle.settings.busy(self.now_s):
                 return
 
     def _remember(self, sender: Sender, peer: Peer) -> None:

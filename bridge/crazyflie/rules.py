@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from flightstack.core.types import Vec3
+
 SILENT_S = 0.5  # s without state: said; the flight stack calls its own state lost after 0.2 s
 LOST_S = 1.0  # s without state: no heartbeat any more
 RECONNECT_S = 3.0  # s without state: the firmware has stopped by itself; the link is opened anew
@@ -28,3 +30,5 @@ class Rules:
     speed_max_m_s: float = SPEED_MAX_M_S
     land_on_silence: bool = False  # land when set-points stop, instead of leaving it to the firmware
     mocap: bool = False  # poses come from outside
+    drag_1_s: Vec3 | None = None  # for the firmware's filter, body axes; None leaves what it has
+    restore: bool = False  # the firmware's parameters, when the bridge ends

@@ -14,8 +14,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.crazyflie import rules as limits
 from bridge.crazyflie.arming import Arming
-from bridge.crazyflie.checks import ESTIMATOR, KALMAN, Known, stuck
+from bridge.crazyflie.checks import Known, stuck
 from bridge.crazyflie.pilot import Done, Ground, Pilot, yaw_rate
+from bridge.crazyflie.settings import Settings
 from bridge.crazyflie.types import (
     ArmReply,
     Connected,
@@ -26,7 +27,6 @@ from bridge.crazyflie.types import (
     Order,
     Packet,
     ParamValue,
-    SetParam,
     Velocity,
 )
 from bridge.mavlink.server.owner import ControlOwner, Right, Sender
@@ -55,6 +55,7 @@ class Vehicle(Known):
         self.home_enu_m: Vec3 = ZERO
         super().__init__(mocap=rules.mocap)
         self.texts, self.owner = Texts(), ControlOwner()
+        self.settings = Settings(rules.drag_1_s, restore=rules.restore)
         self._arming = Arming()
         self._packets: list[Packet] = []
         self._pilot = Pilot()
@@ -106,8 +107,10 @@ class Vehicle(Known):
             self.emergency_stop(now_s)
         self._kill_s = -math.inf
         self.texts.say(INFO, f"Crazyflie connected, CRTP {event.protocol}")
-        if event.params.get(ESTIMATOR, KALMAN) != KALMAN:
-            self._packets.append(SetParam(ESTIMATOR, float(KALMAN)))  # its echo comes as a ``ParamValue``
+        packets, warning = self.settings.connected(event.params)
+        self._packets += packets  # their echoes arrive as ``ParamValue``
+        if warning is not None:
+            self.texts.say(WARNING, warning)
 
     def param(self, event: ParamValue, now_s: float) -> None:
         """A parameter's value, after somebody wrote it."""
@@ -115,6 +118,7 @@ class Vehicle(Known):
             self.texts.refuse(f"The firmware has no parameter {event.name}", now_s)
             return
         self.link.params[event.name] = event.value
+        self.settings.echoed(event.name)
         self.texts.say(INFO, f"{event.name} is {event.value}")
 
     def lost(self, event: Lost, now_s: float) -> None:

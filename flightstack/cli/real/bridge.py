@@ -16,6 +16,7 @@ from flightstack.common.hangup import say
 if TYPE_CHECKING:
     from bridge.mocap.checks import Limits
     from bridge.target.ros2_target import TargetSpec
+    from flightstack.core.types import Vec3
 
 POSE_TYPES = ("pose", "pose-covariance")
 
@@ -82,6 +83,15 @@ class CrazyflieOptions(Poses):
         help="Land when the client's set-points stop for 1 s; without it the firmware stops the motors at "
         "2 s.",
     )  # fmt: skip
+    airframe: str = shared.option(
+        "--airframe", default="crazyflie20", metavar="NAME|FILE",
+        help="Vehicle file whose mass and drag the firmware's filter gets (kalman.dragB_*), or 'none'.",
+    )  # fmt: skip
+    restore: bool = shared.option(
+        "--restore",
+        is_flag=True,
+        help="When the bridge ends, restore the firmware parameters that it changed.",
+    )
     system_id: int = shared.system_id
     cache: Path | None = shared.option(
         "--cache", type=shared.FOLDER, metavar="FOLDER",
@@ -104,7 +114,13 @@ def crazyflie(options: CrazyflieOptions) -> None:
     from bridge.crazyflie import process
     from bridge.crazyflie.rules import Rules
 
-    rules = Rules(options.speed_max_m_s, options.land_on_silence, options.mocap_key is not None)
+    rules = Rules(
+        options.speed_max_m_s,
+        options.land_on_silence,
+        options.mocap_key is not None,
+        _drag_1_s(options.airframe),
+        options.restore,
+    )
     plugged = options.to(process.Options, rules=rules)
     if options.mocap_key is None:
         sys.exit(process.run(plugged, say=say))
@@ -126,6 +142,21 @@ def crazyflie(options: CrazyflieOptions) -> None:
     finally:
         session.close()
     sys.exit(status)
+
+
+def _drag_1_s(airframe: str) -> Vec3 | None:
+    """Rotor drag over mass, along body axes.
+
+    Raises:
+        ConfigError: no such vehicle file, or a key of it that is wrong.
+    """
+    if airframe == "none":
+        return None
+    from sim.plant.params import load
+
+    body = load(airframe).body
+    x, y, z = body.drag_n_s_m
+    return (x / body.mass_kg, y / body.mass_kg, z / body.mass_kg)
 
 
 @dataclass(frozen=True)
