@@ -23,8 +23,8 @@ _RESULTS: dict[int, str] = {
 }
 _TEXTS_KEPT = 4
 _WORKING_S = 3.0  # s until the next try of what the vehicle says it is working on (as MAVSDK waits)
-_HOME_PERIOD_S = 1.0  # s between two questions for HOME_POSITION; PX4 sends it every 2 s by itself
-_HOME_TRIES = 30
+_DATUM_PERIOD_S = 1.0  # s between two requests for what a take-off counts from
+_DATUM_TRIES = 30
 _FINALS = 2  # final refusals until a request is given up: one may be of an earlier try
 
 
@@ -39,12 +39,14 @@ class CommandSequencer:
         reached: a heartbeat has shown what the present request wants.
         home_amsl_m: height of home above sea level, for autopilots that count from there; None: not told yet,
             and then it is asked for before anything is armed.
+        above_home: arrival, s, and newest height above home, m, for autopilots that count from there: home
+            moves to where it stands when it arms, unless somebody has locked it.
     """
 
     def __init__(
         self, profile: Profile, target_system: int, target_component: int, takeoff_height_m: float
     ) -> None:
-        """Set up for one vehicle. ``takeoff_height_m`` is the height above home that TAKEOFF climbs to.
+        """Set up for one vehicle. ``takeoff_height_m`` is what TAKEOFF climbs from where it stands.
 
         Raises:
             ValueError: the height is not a positive number.
@@ -57,8 +59,11 @@ class CommandSequencer:
         self._stream_start_s: float | None = None
         self._stream_last_s = -math.inf
         self.home_amsl_m: float | None = None
-        self._home_tries = 0
-        self._home_s = -math.inf
+        self.above_home: tuple[float, float] | None = None
+        self._entered_s = -math.inf  # when the present step came up
+        self._datum_tries = 0
+        self._datum_s = -math.inf
+        self._offset_m = 0.0  # height from which this take-off counts, above what its command counts from
         self.failed: str | None = None
         self.reached = False
         self._request = Request.NONE
@@ -115,18 +120,19 @@ class CommandSequencer:
             self._request, self._since_s = request, now_s
             self.failed, self.reached = None, False
             self._begun = True
-            self._enter(None)
+            self._enter(None, now_s)
         if self.reached or self.failed is not None:
             return []
         step = self._next_step(status)
         if step is not self._step:
-            self._enter(step)
+            self._enter(step, now_s)
         if step is None:
             # Before the first request nothing counts as reached: the vehicle may leave the prepared mode.
             self.reached = self._begun and status is not None and status.arrival_s > self._since_s
             return []
-        if self._request is Request.TAKEOFF and self.home_amsl_m is None and self._counts_from_sea_level:
-            return self._ask_home(now_s)
+        datum = self._lacking(step)
+        if datum is not None:
+            return self._ask_datum(datum, now_s)
         period_s = max(step.period_s, _WORKING_S) if self._working else step.period_s
         if (step.prestream and not self._streaming(now_s)) or now_s - self._last_try_s < period_s:
             return []
@@ -144,20 +150,31 @@ class CommandSequencer:
         own = any(step.command == _NAV_TAKEOFF for step in self._profile.sequences[Request.TAKEOFF])
         return own and self._profile.takeoff_altitude is TakeoffAltitude.AMSL
 
-    def _ask_home(self, now_s: float) -> list[Message]:
-        """Without its height above sea level no height above home can be told."""
-        if now_s - self._home_s < _HOME_PERIOD_S:
-            return []
-        if self._home_tries >= _HOME_TRIES:
-            self.failed = f"the vehicle did not tell its home (HOME_POSITION) in {self._home_tries} tries"
-            return []
-        self._home_s = now_s
-        self._home_tries += 1
-        wanted = dialect.MAVLINK_MSG_ID_HOME_POSITION
-        return [request_message(self._target, wanted, self._profile.unset)]
+    def _lacking(self, step: Step) -> int | None:
+        """Return the id of the message without which the height of a take-off cannot be given."""
+        if self._request is not Request.TAKEOFF:
+            return None
+        if self._counts_from_sea_level:
+            return dialect.MAVLINK_MSG_ID_HOME_POSITION if self.home_amsl_m is None else None
+        if step.command != _NAV_TAKEOFF or self._tries > 0:  # a repeated one has the height of the first
+            return None
+        newer = self.above_home is not None and self.above_home[0] > self._entered_s
+        return None if newer else dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 
-    def _enter(self, step: Step | None) -> None:
+    def _ask_datum(self, message_id: int, now_s: float) -> list[Message]:
+        if now_s - self._datum_s < _DATUM_PERIOD_S:
+            return []
+        if self._datum_tries >= _DATUM_TRIES:
+            name = dialect.mavlink_map[message_id].msgname
+            self.failed = f"the vehicle did not send {name} in {self._datum_tries} tries"
+            return []
+        self._datum_s = now_s
+        self._datum_tries += 1
+        return [request_message(self._target, message_id, self._profile.unset)]
+
+    def _enter(self, step: Step | None, now_s: float) -> None:
         self._step, self._tries, self._last_try_s = step, 0, -math.inf
+        self._entered_s, self._datum_tries, self._datum_s = now_s, 0, -math.inf
         self._last_result, self._working, self._finals, self._texts = None, False, 0, []
 
     def _next_step(self, status: VehicleStatus | None) -> Step | None:
@@ -174,8 +191,10 @@ class CommandSequencer:
         return now_s - start_s >= self._profile.prestream_s - 1e-9
 
     def _message(self, step: Step) -> Message:
-        offset_m = self.home_amsl_m if self._counts_from_sea_level else None
-        params = step.params(self._height_m + (offset_m or 0.0))
+        if self._tries == 1:
+            stands_m = self.above_home[1] if self.above_home is not None else 0.0
+            self._offset_m = (self.home_amsl_m or 0.0) if self._counts_from_sea_level else stands_m
+        params = step.params(self._height_m + self._offset_m)
         values = [self._profile.unset if value is None else value for value in params]
         confirmation = min(self._tries - 1, 255)
         return dialect.MAVLink_command_long_message(*self._target, step.command, confirmation, *values)

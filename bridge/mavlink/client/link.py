@@ -64,7 +64,7 @@ class VehicleLink:
 
         Args:
             url: MAVLink URL, as ``bridge.mavlink.transport.address.parse_url`` reads it.
-            takeoff_height_m: height above home of ``Request.TAKEOFF``, m.
+            takeoff_height_m: height of ``Request.TAKEOFF`` above where it stands, m.
             rate_hz: rate of the loop, asked of the vehicle for position and attitude.
             profile: what the autopilot wants; None: the one that fits its first heartbeat.
             system_id: the one vehicle that is listened to.
@@ -199,8 +199,7 @@ class VehicleLink:
                 self._outgoing += self._kill.step(request, None, now_s)
             return
         sequencer, _, origin = self._wants
-        if self.state.home_amsl_m is not None:
-            sequencer.home_amsl_m = self.state.home_amsl_m
+        sequencer.home_amsl_m, sequencer.above_home = self.state.home_amsl_m, self.state.above_home
         commands = sequencer.step(request, self.status, now_s)
         self._outgoing += commands
         if commands and any(command.command == dialect.MAV_CMD_NAV_TAKEOFF for command in commands):

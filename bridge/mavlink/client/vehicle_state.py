@@ -11,9 +11,10 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.frames import enu_from_ned, yaw_enu_from_ned
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.autopilots import refusal
-from bridge.mavlink.profiles.profile import Profile
+from bridge.mavlink.profiles.profile import Profile, TakeoffAltitude
 from flightstack.core.types import Landed, Mode, OwnState, Power, VehicleStatus
 
+_GLOBAL_POSITION = dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 _RESTART_S = 1.0  # s; a boot clock that falls back further than this is a reboot, less is a late datagram
@@ -50,6 +51,7 @@ class VehicleState:
         own: newest own state, None until a position and an attitude have come.
         status: newest status, None until a heartbeat has come; ``arrival_s`` is the heartbeat's.
         home_amsl_m: altitude of home above sea level, None until HOME_POSITION has come.
+        above_home: arrival, s, and newest height above home, m; None until GLOBAL_POSITION_INT has come.
         battery: newest battery state, None until SYS_STATUS has come.
         power: newest of battery and motors, None until one has come; kept only after ``watch_power``.
         autopilot: MAV_AUTOPILOT of the newest heartbeat, None before.
@@ -66,6 +68,7 @@ class VehicleState:
         self.own: OwnState | None = None
         self.status: VehicleStatus | None = None
         self.home_amsl_m: float | None = None
+        self.above_home: tuple[float, float] | None = None
         self.autopilot: int | None = None
         self.type: int | None = None
         self.origin_known = False
@@ -88,6 +91,7 @@ class VehicleState:
             dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._on_extended_state,
             dialect.MAVLINK_MSG_ID_SYS_STATUS: self._on_sys_status,
             dialect.MAVLINK_MSG_ID_HOME_POSITION: self._on_home,
+            _GLOBAL_POSITION: self._on_global_position,
             dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._on_origin,
         }
 
@@ -110,7 +114,8 @@ class VehicleState:
     @property
     def heeded(self) -> frozenset[int]:
         """Ids of the messages that mean something to it."""
-        return frozenset(self._handlers)
+        counts_from_home = self.profile is None or self.profile.takeoff_altitude is TakeoffAltitude.ABOVE_HOME
+        return frozenset(self._handlers) - (set() if counts_from_home else {_GLOBAL_POSITION})
 
     def took(self, own: OwnState) -> None:
         """Take note of an own state that was decoded elsewhere, with the attitude of the same time."""
@@ -212,6 +217,9 @@ class VehicleState:
 
     def _on_home(self, m: Message, _arrival_s: float) -> None:
         self.home_amsl_m = m.altitude * 1e-3  # mm
+
+    def _on_global_position(self, m: Message, arrival_s: float) -> None:
+        self.above_home = (arrival_s, m.relative_alt * 1e-3)  # mm
 
     def _on_origin(self, _m: Message, _arrival_s: float) -> None:
         self.origin_known = True

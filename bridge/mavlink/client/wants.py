@@ -50,7 +50,7 @@ def wanted(
     Args:
         profile: of the autopilot.
         target: its system and component id.
-        takeoff_height_m: height above home of a take-off.
+        takeoff_height_m: height of a take-off above where it stands.
         state_hz: rate of position and attitude.
         power: whether the throttle is asked for.
         origin: where its local coordinates begin, for who needs to be told.

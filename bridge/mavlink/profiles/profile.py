@@ -17,7 +17,7 @@ class TakeoffAltitude(Enum):
     """What param7 of MAV_CMD_NAV_TAKEOFF means."""
 
     AMSL = "above sea level"
-    ABOVE_HOME = "above home"
+    ABOVE_HOME = "above home, from its height there"
 
 
 class Reading(Enum):

@@ -174,6 +174,7 @@ def test_offboard_of_px4_always_follows():
 
 def test_ardupilots_take_off_is_over_for_the_sequencer_only_in_the_air():
     s = sequencer(ARDUPILOT)
+    s.above_home = (0.01, 0.0)
     armed = status(0.0, armed=True, mode=Mode.TAKEOFF)
     (takeoff,) = s.step(Request.TAKEOFF, armed, 0.0)
     assert (takeoff.command, takeoff.param7) == (22, pytest.approx(HEIGHT))

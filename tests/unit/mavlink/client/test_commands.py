@@ -71,13 +71,35 @@ def test_takeoff_arms_then_takes_off_then_is_quiet():
 
 
 def test_takeoff_height_counts_from_home_above_sea_level_where_px4s_commands_are_flown():
-    for autopilot, expected in ((CRAZYFLIE, 488.0 + HEIGHT), (ARDUPILOT, HEIGHT)):
-        s = sequencer(autopilot)
-        s.home_amsl_m = 488.0
-        ready = status(0.0, armed=True, mode=Mode.EXTERNAL)
-        (takeoff,) = s.step(Request.TAKEOFF, ready, 0.0)
-        assert takeoff.command == 22
-        assert takeoff.param7 == pytest.approx(expected)
+    s = sequencer(CRAZYFLIE)
+    s.home_amsl_m = 488.0
+    (takeoff,) = s.step(Request.TAKEOFF, status(0.0, armed=True, mode=Mode.EXTERNAL), 0.0)
+    assert (takeoff.command, takeoff.param7) == (22, pytest.approx(488.0 + HEIGHT))
+
+
+@pytest.mark.parametrize("stands_m", [0.0, 0.4, -2.5, 31.0])
+def test_ardupilot_climbs_from_where_it_stands_wherever_home_is(stands_m):
+    """Home moves to the vehicle when it arms, but not a home that somebody has locked."""
+    s, guided = sequencer(ARDUPILOT), {"mode": Mode.EXTERNAL}
+    s.above_home = (-1.0, 99.0)  # before it was armed
+    assert commands(s.step(Request.TAKEOFF, status(0.0, **guided), 0.0)) == [400]
+    (asked,) = s.step(Request.TAKEOFF, status(0.5, armed=True, **guided), 0.5)
+    assert (asked.command, asked.param1) == (512, 33.0)
+    assert s.step(Request.TAKEOFF, status(0.5, armed=True, **guided), 1.0) == []
+    s.above_home = (1.5, stands_m)
+    (takeoff,) = s.step(Request.TAKEOFF, status(1.5, armed=True, **guided), 1.51)
+    assert (takeoff.command, takeoff.param7) == (22, pytest.approx(stands_m + HEIGHT))
+    s.above_home = (5.0, stands_m + 0.7)  # it has begun to climb, and its heartbeat does not say so yet
+    (again,) = s.step(Request.TAKEOFF, status(5.5, armed=True, **guided), 5.6)
+    assert again.param7 == takeoff.param7
+
+
+def test_without_a_height_above_home_ardupilot_is_not_told_to_take_off():
+    s = sequencer(ARDUPILOT)
+    ready = {"armed": True, "mode": Mode.EXTERNAL}
+    asked = [m for t in range(310) for m in s.step(Request.TAKEOFF, status(t * 0.1, **ready), t * 0.1)]
+    assert {(m.command, m.param1) for m in asked} == {(512, 33.0)}
+    assert s.failed == "the vehicle did not send GLOBAL_POSITION_INT in 30 tries"
 
 
 def test_home_is_asked_for_before_arming_where_heights_count_from_the_sea():
@@ -204,7 +226,9 @@ def test_ardupilot_switches_to_guided_before_it_arms_and_sends_no_nan():
     sent = s.step(Request.TAKEOFF, status(0.0), 0.0)
     sent += s.step(Request.TAKEOFF, status(0.1, mode=Mode.EXTERNAL), 0.1)
     sent += s.step(Request.TAKEOFF, status(0.2, mode=Mode.EXTERNAL, armed=True), 0.2)
-    assert commands(sent) == [176, 400, 22]
+    s.above_home = (0.3, 0.0)
+    sent += s.step(Request.TAKEOFF, status(0.2, mode=Mode.EXTERNAL, armed=True), 0.3)
+    assert commands(sent) == [176, 400, 512, 22]
     assert params(sent[0])[:2] == [1.0, 4.0]
     assert not any(math.isnan(p) for m in sent for p in params(m))
 
