@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from bridge.mavlink.endpoint import Endpoint
+from bridge.mavlink.preflight.provision import provision
 from bridge.mavlink.preflight.rules import Level
 from bridge.mavlink.preflight.talk import Report
 from bridge.mavlink.signing.key import load_key
@@ -45,6 +46,14 @@ class PreflightOptions(shared.Signing):
         "--wait", type=click.FloatRange(0.1, 600.0), default=10.0, metavar="S",
         help="Longest wait for the vehicle's heartbeat.",
     )  # fmt: skip
+    provision_signing: bool = shared.option(
+        "--provision-signing", is_flag=True,
+        help="First give the vehicle the key of --signing-key; over a cable or loopback.",
+    )  # fmt: skip
+    remove_signing: bool = shared.option(
+        "--remove-signing", is_flag=True,
+        help="Take the key of --signing-key away from the vehicle, and end; over a cable or loopback.",
+    )  # fmt: skip
     as_json: bool = shared.json()
 
 
@@ -53,9 +62,12 @@ class PreflightOptions(shared.Signing):
 def preflight(options: PreflightOptions) -> None:
     """Read the vehicle's safety parameters and print what is unsafe, why, and what to set.
 
-    Nothing is changed on the vehicle. Exit status: 0 it may arm, 1 it must not arm, 2 wrong input.
+    Nothing is changed on the vehicle, but for its signing key where one of two options asks for that. Exit
+    status: 0 it may arm, 1 it must not arm, 2 wrong input.
     """
     config = load(options.config_file) if options.config_file is not None else _PAPER
+    if options.provision_signing or options.remove_signing:
+        _set_up_signing(options)
     endpoint = Endpoint(
         options.vehicle_url, options.system_id, _COMPONENT_ID,
         signing_key=load_key(options.signing_key) if options.signing_key else None,
@@ -78,6 +90,31 @@ def preflight(options: PreflightOptions) -> None:
     else:
         _print(report)
     sys.exit(0 if report.safe else 1)
+
+
+def _set_up_signing(options: PreflightOptions) -> None:
+    """Give the vehicle its key, or take it away and end.
+
+    Raises:
+        click.UsageError: without a key, or both at once.
+    """
+    remove = options.remove_signing
+    if options.signing_key is None or options.provision_signing == remove:
+        raise click.UsageError(
+            "--provision-signing or --remove-signing, one of them, needs --signing-key FILE"
+        )
+    key = load_key(options.signing_key)
+    problem = provision(options.vehicle_url, options.system_id, key, remove=remove, wait_s=options.wait_s)
+    if problem is not None:
+        print(f"preflight: signing: {problem}", file=sys.stderr)
+    elif remove:
+        print("preflight: signing: the vehicle no longer signs", file=sys.stderr)
+    else:
+        print(
+            f"preflight: signing: the vehicle signs, with the key of {options.signing_key}", file=sys.stderr
+        )
+    if problem is not None or remove:
+        sys.exit(0 if problem is None else 1)
 
 
 def to_json(report: Report) -> dict[str, Any]:
