@@ -21,8 +21,7 @@ from bridge.crazyflie.node import COMPONENT_ID, SYSTEM_ID, Node
 from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.types import Arrived, Link, Packet, Pose, SetParam
 from bridge.frames import yaw_from_quaternion
-from bridge.mavlink.endpoint import Endpoint, Peer, parse_peer, parse_url
-from bridge.mavlink.server.owner import Sender
+from bridge.mavlink.endpoint import Endpoint, parse_peer, parse_url
 from bridge.mavlink.signing.key import load_key
 from bridge.mocap.checks import Passed
 from flightstack.common.hangup import Stop
@@ -74,7 +73,6 @@ _URI = re.compile(
 TICK_S = 0.01  # s; longest sleep
 POSE_TICK_S = 0.002  # s; the same with motion capture, which cannot wake the loop
 SHUT_DOWN_MAX_S = 20.0  # s to land in when told to end in the air
-_PEERS_MAX = 16  # senders whose address is kept for late acknowledgements
 
 
 class LinkLike(Protocol):
@@ -118,7 +116,6 @@ class Loop:
     ) -> None:
         self._node, self._link, self._endpoint, self._poses, self._say = node, link, endpoint, poses, say
         self._start_s = time.monotonic()
-        self._peer_of: dict[Sender, Peer] = {}
         self._feed = PoseFeed()
         self._tick_s = TICK_S if poses is None else POSE_TICK_S
 
@@ -136,8 +133,7 @@ class Loop:
         now_s = self.now_s
         for received in endpoint.receive():
             header = received.message.get_header()
-            sender = (header.srcSystem, header.srcComponent)
-            self._remember(sender, received.peer)
+            sender = (header.srcSystem, header.srcComponent, received.peer)
             endpoint.send(node.handle(received.message, sender, now_s), received.peer)
         if self._poses is not None:
             self._pass_pose(self._poses, now_s)
@@ -146,9 +142,8 @@ class Loop:
             self._link.send(packet)
         endpoint.send(messages)
         for reply in replies:
-            peer = self._peer_of.get(reply.sender)
-            if peer is not None:
-                endpoint.send([reply.message], peer)
+            if len(reply.sender) == 3:
+                endpoint.send([reply.message], reply.sender[2])
         for notice in endpoint.take_notices():
             self._say(f"crazyflie: {notice}")
         for text in node.take_texts():
@@ -177,12 +172,6 @@ class Loop:
                 self._link.send(packet)
             if not vehicle.settings.busy(self.now_s):
                 return
-
-    def _remember(self, sender: Sender, peer: Peer) -> None:
-        self._peer_of.pop(sender, None)
-        if len(self._peer_of) >= _PEERS_MAX:
-            del self._peer_of[next(iter(self._peer_of))]
-        self._peer_of[sender] = peer
 
 
 def check_uri(uri: str) -> None:

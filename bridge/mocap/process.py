@@ -12,6 +12,7 @@ from pathlib import Path
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import Origin
+from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.signing.key import load_key
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample, centre
@@ -104,7 +105,7 @@ class CheckedPoses:
 
 
 TICK_S = 0.002  # s; longest a pose waits for the loop
-_AUTOPILOT = (dialect.MAV_COMP_ID_AUTOPILOT1,)
+_AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 _SAY_S = 2.0  # s between two texts about the same
 
 
@@ -159,7 +160,7 @@ class Bridge:
     ) -> None:
         self._source, self._vehicle, self._endpoint = source, vehicle, endpoint
         self._system_id, self._say = system_id, say
-        self._told = Told(say)
+        self._told, self._senders = Told(say), Senders()
         self._start_s = time.monotonic()
 
     @property
@@ -182,13 +183,15 @@ class Bridge:
     def turn(self) -> None:
         """Wait for a tick or the vehicle, then pass on what has come."""
         self._endpoint.wait(TICK_S)
-        for notice in self._endpoint.take_notices():
+        for notice in (*self._endpoint.take_notices(), *self._senders.take_notices()):
             self._say(f"mocap: {notice}")
         now_s, vehicle = self.now_s, self._vehicle
         for received in self._endpoint.receive():
-            header = received.message.get_header()
-            if (header.srcSystem, header.srcComponent) in ((self._system_id, c) for c in _AUTOPILOT):
-                self._endpoint.send(vehicle.handle(received.message, now_s), received.peer)
+            message, peer = received.message, received.peer
+            header, armed = message.get_header(), vehicle.flies(now_s)
+            ours = (header.srcSystem, header.srcComponent) == (self._system_id, _AUTOPILOT)
+            if ours and self._senders.admits(message, peer, now_s, armed=armed):
+                self._endpoint.send(vehicle.handle(message, now_s), peer)
         messages, problem = vehicle.step(self._source.poll(now_s), now_s)
         self._endpoint.send(messages)
         if problem is not None and self._source.problem_text is not None:

@@ -1,7 +1,6 @@
-"""How the onboard process leaves a vehicle: never in the air without having asked for its landing.
+"""What a person asks of the onboard process, and when a flight is over.
 
-Autopilots differ in what they do when set-points stop: PX4 lands, ArduPilot hovers. So a process that is told
-to end asks for the vehicle's own landing first, and one whose time is over aborts as a person would have it.
+Whatever ends it, ``way_out`` then leaves the vehicle: never in the air without having asked for its landing.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import NamedTuple, Protocol
 from flightstack.common.hangup import on_hangup
 from flightstack.core.controller import Outputs
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.types import Mode, Operator, Phase, VehicleStatus
+from flightstack.core.types import Operator, Phase, VehicleStatus
 
 LAND_SHOWN_MAX_S = 1.0  # s in which the landing is asked for until a heartbeat, sent at 1 Hz, shows it
 
@@ -87,7 +86,9 @@ class Leaving:
     def __init__(self, duration_s: float | None, person: Person | None = None) -> None:
         self._duration_s = duration_s
         self.person = person if person is not None else _Nobody()
-        self._landing_since_s: float | None = None  # when the landing was asked for first
+        self.leaves = False  # the process is about to end: it asks for the landing
+        self.arms = False  # the vehicle was told to arm
+        self._theirs = False  # the process waits, and somebody else flies the vehicle
 
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
         """Return what the controller is to be told in this tick.
@@ -99,10 +100,10 @@ class Leaving:
         asked = self.person.operator
         if asked is Operator.EMERGENCY_STOP or status is None or not status.armed:
             return asked
-        if self.person.stop:
-            if self._landing_since_s is None:
-                self._landing_since_s = now_s
+        if self.leaves:
             return Operator.LAND
+        if self._theirs:
+            return Operator.NONE
         return Operator.ABORT if self._over(now_s) else asked
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
@@ -117,25 +118,23 @@ class Leaving:
         if out.finished:
             told = f"; {self._duration_s:g} s are over" if self._over(now_s) else ""
             return Ended(out.phase, memory.reason + told, 0 if out.phase is Phase.LANDED else 1)
-        flying = status is not None and status.armed and memory.abort_way is not AbortWay.HANDS_OFF
-        if self.person.stop and not (flying and self._asks(status, now_s)):
-            return Ended(out.phase, self._how(status, flying=flying), 1)
-        if self._over(now_s) and not flying:
+        armed = status is not None and status.armed
+        self.arms = self.arms or memory.phase not in (Phase.WAIT, Phase.ABORT)
+        self._theirs = armed and memory.phase is Phase.WAIT and not memory.was_external
+        if self.person.stop or (self._theirs and self.person.operator is Operator.ABORT):
+            return Ended(out.phase, "ended by the operator", 1)
+        if self._over(now_s) and not flies(memory, status):
             return Ended(out.phase, f"{self._duration_s:g} s are over", 1)
         return None
 
     def _over(self, now_s: float) -> bool:
         return self._duration_s is not None and now_s >= self._duration_s
 
-    def _asks(self, status: VehicleStatus | None, now_s: float) -> bool:
-        """Whether the landing is still to be asked for."""
-        shown = status is not None and status.mode is Mode.LAND
-        since_s = self._landing_since_s
-        return not shown and (since_s is None or now_s - since_s < LAND_SHOWN_MAX_S)
 
-    def _how(self, status: VehicleStatus | None, *, flying: bool) -> str:
-        if not flying or status is None:
-            return "ended by the operator"
-        if status.mode is Mode.LAND:
-            return "ended by the operator; the vehicle lands"
-        return f"ended by the operator; the vehicle did not show in {LAND_SHOWN_MAX_S:g} s that it lands"
+def flies(memory: Memory, status: VehicleStatus | None) -> bool:
+    """Whether the vehicle is in the air, as far as is known, and flown by this process and by nobody else."""
+    if status is None or not status.armed or memory.abort_way is AbortWay.HANDS_OFF:
+        return False
+    if memory.phase is Phase.LANDED:  # its motors were off: who armed it since was not this process
+        return False
+    return memory.phase is not Phase.WAIT or memory.was_external

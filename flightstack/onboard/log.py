@@ -101,7 +101,7 @@ class OnboardLog:
         self._peer_names = PeerNames(feed, names.record(MAVLINK_PEERS))
         self._packed_step = b""  # of the last tick
         self._asked = b""  # last TIMESYNC that came
-        self._sequence = 0
+        self._sequence = self._unix_ns = 0
         self._flush_every = 10 if lockstep else 1  # ticks; fewer wake-ups of the recorder, 0.1 s of flight
         self._lockstep = lockstep
         self._every = max(1, round(rate_hz / STATUS_HZ))
@@ -137,6 +137,15 @@ class OnboardLog:
             self._rosout, unix_ns, unix_ns, 0, pack_log(unix_ns, level, self._names.logger(name), text)
         )
 
+    def frames(self) -> None:
+        """Write the frames that have passed since the last call, with the time of the newest tick."""
+        frames, self._frames, unix_ns = self._frames, [], self._unix_ns
+        for direction, frame, peer in frames:
+            self._sequence += 1
+            self._feed.write(
+                self._mavlink[direction], unix_ns, unix_ns, self._sequence, pack_mavlink(unix_ns, frame, peer)
+            )
+
     def step(self, tick: Tick, taken: Taken, out: Outputs, state: State) -> ControllerStepRow:
         """Write the frames, inputs, events and decisions of a tick; return the decisions.
 
@@ -146,13 +155,8 @@ class OnboardLog:
             out: what it decided.
             state: the controller's, after the tick; written once a second.
         """
-        unix_ns = tick.unix_ns
-        frames, self._frames = self._frames, []
-        for direction, frame, peer in frames:
-            self._sequence += 1
-            self._feed.write(
-                self._mavlink[direction], unix_ns, unix_ns, self._sequence, pack_mavlink(unix_ns, frame, peer)
-            )
+        unix_ns = self._unix_ns = tick.unix_ns
+        self.frames()
         given = TickInputs(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)
         self._feed.write(self._input, unix_ns, unix_ns, tick.number, pack_controller_input(given))
         if self._power is not None:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.line_budget import LinePlan, LineTooSlowError, plan
 from bridge.mavlink.preflight.rules import Level
@@ -57,6 +58,7 @@ def check(
     accept_release: bool = False,
     stopped: Callable[[], bool] = lambda: False,
     say: Callable[[str], None] = lambda _text: None,
+    senders: Senders | None = None,
 ) -> Report:
     """Ask the vehicle for its parameters and judge them.
 
@@ -69,6 +71,7 @@ def check(
         accept_release: judge a release that is not known by the nearest rules.
         stopped: the check is broken off when it says so.
         say: takes a sentence every two seconds about what the check waits for.
+        senders: learn the vehicle's address; None: nobody needs it.
 
     Raises:
         ValueError: there is no such autopilot.
@@ -82,7 +85,7 @@ def check(
     before = (counters.bytes_in, counters.bytes_out)
     report = examine(
         endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
-        accept_release=accept_release, stopped=stopped, say=say,
+        accept_release=accept_release, stopped=stopped, say=say, senders=senders,
     )  # fmt: skip
     table = config.reserve  # a voltage that has not come yet, the controller waits for
     if table is not None and report.rest_v is not None and report.problem is None:

@@ -38,6 +38,7 @@ from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.recording import OwnRecorder
 from flightstack.onboard.runner import LinkedVehicle, LiveTarget, RealTimeClock, Runner, Taken, Words
 from flightstack.onboard.waiting import WaitReport
+from flightstack.onboard.way_out import fly
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
 from flightstack.verify.certificate import problems
 from logs.recorder.feed import Feed
@@ -145,7 +146,8 @@ class Onboard:
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self._foreign_due = 2 * link.counters.foreign
         said = fleet.texts() if fleet is not None else ()
-        for text in (*link.endpoint.take_notices(), *self.wires.texts(tick.now_s), *said):
+        notices = (*link.endpoint.take_notices(), *link.senders.take_notices())
+        for text in (*notices, *self.wires.texts(tick.now_s), *said):
             _warn(text)
             self.log.event(tick.unix_ns, WARN, text)
         memory = self.controller.memory
@@ -189,6 +191,11 @@ class Onboard:
             f"lost {counters.connections_lost} times"
         )
 
+    def failed(self, text: str) -> None:
+        """Say and log an exception that ended the flight."""
+        _warn(text)
+        self.log.event(time.time_ns(), ERROR, text)
+
     def close(self) -> None:
         """Close all links; the feed says goodbye to the recorder."""
         dropped = self.link.endpoint.counters.dropped()
@@ -196,11 +203,13 @@ class Onboard:
             print(f"onboard: MAVLink not let through: {dropped}", file=sys.stderr)
         if self.link.endpoint.baud is not None:
             print(f"onboard: {self._line_use()}", file=sys.stderr)
-        if self.fleet is not None:
-            self.fleet.close()  # first: in lockstep the others wait until they know that nothing more is told
-        self.feed.close()
-        self.link.close()
-        self.wires.close()
+        # the fleet first: in lockstep the others wait until they know that nothing more is told
+        ends = [self.fleet.close] if self.fleet is not None else []
+        for end in (*ends, self.log.frames, self.feed.close, self.link.close, self.wires.close):
+            try:
+                end()
+            except Exception as error:  # the others are closed all the same
+                _warn(f"not closed in order: {error!r}")
 
 
 def _warn(text: str) -> None:
@@ -258,7 +267,8 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
             if ended is not None:
                 return ended
         quiet_garbage_collector()
-        return _runner(onboard, signals).run()
+        leaving, vehicle = _Leaving(onboard, signals), LinkedVehicle(onboard.link, lockstep=options.lockstep)
+        return fly(_runner(onboard, vehicle, leaving, signals), vehicle, leaving, onboard.failed)
     finally:
         onboard.close()
 
@@ -297,7 +307,7 @@ def _alone_with_its_id(onboard: Onboard, signals: Signals) -> Ended | None:
 
 def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended | None:
     """Look at the autopilot's parameters; its frames are no part of the flight, and not in the log."""
-    options, endpoint = onboard.options, onboard.link.endpoint
+    options, endpoint, senders = onboard.options, onboard.link.endpoint, onboard.link.senders
     wait_s = onboard.config.checks.wait_time_max_s
     if options.duration_s is not None:
         wait_s = min(wait_s, options.duration_s)
@@ -316,10 +326,13 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
         accept_release=options.accept_release,
         stopped=lambda: signals.stop or signals.operator is not Operator.NONE,
         say=tell,
+        senders=senders,
     )
     endpoint.tap = tap
-    for notice in endpoint.take_notices():
+    senders.begin(0.0)
+    for notice in (*endpoint.take_notices(), *senders.take_notices()):
         _warn(notice)
+        onboard.log.event(time.time_ns(), WARN, notice)
     onboard.feed.metadata(onboard.names.record("preflight"), preflight.record(report))
     if report.profile is not None and onboard.link.profile is None:
         onboard.link.adopt(report.profile)
@@ -340,11 +353,11 @@ class _Leaving(Leaving):
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
         """Return how the flight ended; None if it has not ended."""
-        if self._link.refused is not None and not out.finished:
-            return Ended(out.phase, self._link.refused, 1)
         armed = status is not None and status.armed
-        if self._fleet is not None and self._fleet.doubled and out.phase is Phase.WAIT and not armed:
-            return Ended(out.phase, self._fleet.doubled, 1)
+        doubled = self._link.senders.doubled or (self._fleet.doubled if self._fleet is not None else "")
+        refused = self._link.refused or (doubled if out.phase is Phase.WAIT and not armed else "")
+        if refused and not out.finished:
+            return Ended(out.phase, refused, 1)
         ended = super().ended(out, memory, status, now_s)
         lacking, person = self._waiting.lacking, self.person
         if ended is None or not lacking or person.stop or person.operator is not Operator.NONE:
@@ -352,11 +365,10 @@ class _Leaving(Leaving):
         return ended._replace(reason=f"{ended.reason}: {'; '.join(lacking)}")
 
 
-def _runner(onboard: Onboard, signals: Signals) -> Runner:
+def _runner(onboard: Onboard, vehicle: LinkedVehicle, leaving: Leaving, signals: Signals) -> Runner:
     """The sequence of ticks, in real time or in lockstep."""
     options, link, wires = onboard.options, onboard.link, onboard.wires
     rate_hz = onboard.config.loop.rate_hz
-    vehicle, leaving = LinkedVehicle(link, lockstep=options.lockstep), _Leaving(onboard, signals)
     if options.lockstep:
         told = onboard.fleet if isinstance(onboard.fleet, LockstepWords) else None
         both = LockstepWires(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 from bridge.mavlink.client.link import VehicleLink
@@ -22,6 +23,7 @@ from flightstack.core.types import (
     Operator,
     OwnState,
     Power,
+    Request,
     TargetSample,
     VehicleStatus,
 )
@@ -119,7 +121,11 @@ Words = Callable[[], tuple[Neighbour, ...]]  # what other vehicles said since th
 
 
 class Runner:
-    """Runs ticks; ``run`` until the flight is over, ``tick`` one of them."""
+    """Runs ticks.
+
+    Attributes:
+        now_s: stack clock at the newest tick.
+    """
 
     def __init__(
         self,
@@ -134,16 +140,12 @@ class Runner:
         self._controller, self._clock, self._vehicle, self._words = controller, clock, vehicle, words
         self._target, self._ending, self._sink = target, ending, sink
         self._landing = False
+        self.now_s = 0.0
 
-    def run(self) -> Ended:
-        """Fly until the flight is over, or the clock stops."""
-        ended = None
-        while ended is None:
-            try:
-                ended = self.tick()
-            except ClockStoppedError as error:
-                ended = Ended(self._controller.memory.phase, str(error), 1)
-        return ended
+    @property
+    def memory(self) -> Memory:
+        """Of the controller."""
+        return self._controller.memory
 
     def tick(self) -> Ended | None:
         """Run one tick; the vehicle is answered before anything is written down.
@@ -153,7 +155,8 @@ class Runner:
         """
         tick = self._clock.wait()
         began_s = time.perf_counter()
-        now_s, controller = tick.now_s, self._controller
+        self.now_s, controller = tick.now_s, self._controller
+        now_s = tick.now_s
         arrived = self._target.samples(now_s)
         own, status, command_failed, power = self._vehicle.read()
         operator = self._ending.operator(status, now_s)
@@ -228,8 +231,16 @@ class LinkedVehicle:
     def read(self) -> VehicleInputs:
         """Return what the link has decoded."""
         link = self.link
-        state = link.state
-        return VehicleInputs(state.own, state.status, link.failed is not None, state.power)
+        state, status = link.state, link.state.status
+        if status is not None and status.ready_to_arm and link.senders.suspects:
+            status = replace(status, ready_to_arm=False)  # it may be a second vehicle
+        return VehicleInputs(state.own, status, link.failed is not None, state.power)
+
+    def ask(self, request: Request, now_s: float) -> None:
+        """Hear it and ask for a mode, without the controller."""
+        self.link.poll(now_s)
+        self.link.command(request, now_s)
+        self.link.flush()
 
     def answer(self, out: Outputs, now_s: float) -> None:
         """Send set-point and commands in one datagram, and in lockstep the answer that ends the tick."""

@@ -16,7 +16,7 @@ from flightstack.common.strict_toml import ConfigError, from_table, parse_toml
 from flightstack.core.parameters.flight import FlightConfig
 from logs.reader.flight_data import ATTACHMENT
 from logs.reader.reader import LogError, LogFile
-from logs.schema.codec_mavlink import unpack_mavlink
+from logs.schema.codec_mavlink import peer_of, unpack_mavlink
 from logs.schema.controller_rows import TickInputs, unpack_controller_input, unpack_power
 from logs.schema.events import CONTROLLER, ONBOARD
 from logs.schema.fleet_rows import unpack_neighbours
@@ -44,7 +44,7 @@ class TickRecord:
         state: snapshot after the tick, None in most ticks.
         events: what the controller said, as recorded.
         said: what else the onboard process said.
-        frames_in, frames_out: MAVLink frames.
+        frames_in, frames_out: MAVLink frames; those that came with the name of their peer.
         odometry: target samples as they came.
     """
 
@@ -56,7 +56,7 @@ class TickRecord:
     state: ControllerStateRow | None = None
     events: list[LogRow] = field(default_factory=list)
     said: list[LogRow] = field(default_factory=list)
-    frames_in: list[bytes] = field(default_factory=list)
+    frames_in: list[tuple[bytes, str]] = field(default_factory=list)
     frames_out: list[bytes] = field(default_factory=list)
     odometry: list[bytes] = field(default_factory=list)
 
@@ -172,8 +172,11 @@ class FlightInputs:
                 elif topic == odometry:
                     tick.odometry.append(data)
                 else:
-                    frames = tick.frames_in if topic == SOURCE else tick.frames_out
-                    frames.append(unpack_mavlink(data)[1])
+                    frame = unpack_mavlink(data)[1]
+                    if topic == SOURCE:
+                        tick.frames_in.append((frame, peer_of(data)))
+                    else:
+                        tick.frames_out.append(frame)
             except ValueError as error:
                 raise ReplayError(
                     f"{self.log.path}: {topic} at log time {message.log_time_ns}: {error}"

@@ -28,7 +28,6 @@ from logs.replay.compare import TickDifference, values_of
 from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
 from logs.schema.controller_rows import TickInputs
 
-_VEHICLE: Peer = ("recorded", 0)
 _SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # the other lines are about the socket
 _ID_AND_PAYLOAD = slice(7, -2)  # of an unsigned frame: what is left of head, sequence number and checksum
 
@@ -42,14 +41,14 @@ class RecordedEndpoint(Endpoint):
         self.counters = EndpointCounters()
         self.warnings = ()
         self.local_port, self.baud = 0, None
-        self.incoming: deque[bytes] = deque()
+        self.incoming: deque[tuple[bytes, str]] = deque()  # with the name of the peer
         self.sent: list[bytes] = []
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=COMPONENT_ID)
 
     def receive(self) -> list[Received]:
         """Take all frames, oldest first."""
-        known = [frame for frame in self.incoming if message_id(frame) in MESSAGES]  # others were kept raw
-        received = [Received(decode(frame), frame, _VEHICLE) for frame in known]
+        known = [each for each in self.incoming if message_id(each[0]) in MESSAGES]  # others were kept raw
+        received = [Received(decode(frame), frame, (peer, 0)) for frame, peer in known]
         self.incoming.clear()
         return received
 

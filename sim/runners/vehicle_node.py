@@ -160,7 +160,7 @@ class VehicleNode:
         """Let the autopilot act on a frame; returns what to answer its sender."""
         message = received.message
         header = message.get_header()
-        return self.autopilot.handle(message, (header.srcSystem, header.srcComponent), now_s)
+        return self.autopilot.handle(message, (header.srcSystem, header.srcComponent, received.peer), now_s)
 
     def control(self, now_s: float) -> None:
         """Let the autopilot fly; its first flight by the companion's set-points begins the judging."""

@@ -10,11 +10,12 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.companion import Origin, Setpoint, companion_heartbeat, velocity_setpoint
+from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.client.texts import EVENT, TextAssembler, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.client.wants import Wants, wanted
 from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.endpoint import Endpoint, LinkCounters, Peer
+from bridge.mavlink.endpoint import Endpoint, LinkCounters
 from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles.autopilots import PX4, found, refusal
 from bridge.mavlink.profiles.profile import Profile
@@ -39,8 +40,9 @@ class VehicleLink:
         state: decoder with its counters of refused telemetry.
         defer_timesync: lockstep: TIMESYNC requests are not answered here but handed to ``take_timesync``, and
             what arrived is stamped with the simulated time of the request that follows it.
-        counters: what was not let through.
+        counters, senders: what was not let through; which address is the vehicle's.
         refused: why this vehicle is not flown at all, None while nothing speaks against it.
+        heard: the vehicle has been heard.
     """
 
     def __init__(
@@ -86,12 +88,13 @@ class VehicleLink:
         if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
             raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
         self.state = VehicleState(profile)
-        self.counters = LinkCounters()
+        self.counters, self.senders = LinkCounters(), Senders()
         self.defer_timesync = defer_timesync
         self._power = power
         if power:
             self.state.watch_power()
         self.refused: str | None = None
+        self.heard = False
         self._target = (system_id, component_id)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
         self._line, self._setpoints = line, 0
@@ -105,9 +108,7 @@ class VehicleLink:
         self._outgoing: list[Message] = []
         self._held: list[Message] = []
         self._timesync_ns: int | None = None
-        self._vehicle: Peer | None = None
-        self._heartbeat_at_s = -math.inf
-        self._hello_at_s = -math.inf
+        self._heartbeat_at_s = self._hello_at_s = -math.inf
         self._hello = b""  # heartbeat sent first, repeated until the vehicle has been heard
         self._restarted_s = -math.inf  # the newest restart that was acted on
         self._warned: str | None = None
@@ -156,11 +157,6 @@ class VehicleLink:
         self.state.follow(profile.stream_in_takeoff)
         self._wants = self._wanted(profile)
 
-    @property
-    def heard(self) -> bool:
-        """Whether the vehicle has ever been heard."""
-        return self._vehicle is not None
-
     def poll(self, now_s: float) -> None:
         """Take everything that has arrived and queue what is due: heartbeat, requests for telemetry.
 
@@ -169,7 +165,8 @@ class VehicleLink:
         followed yet waits for the next call.
         """
         tick_s: float | None = None if self.defer_timesync else now_s
-        target = self._target
+        target, status = self._target, self.state.status
+        armed = status is not None and status.armed
         for received in self.endpoint.receive():
             message = received.message
             header = message.get_header()
@@ -177,7 +174,9 @@ class VehicleLink:
             if sender != target:
                 self.counters.add_foreign(sender)
                 continue
-            self._vehicle = received.peer
+            if not self.senders.admits(message, received.peer, now_s, armed=armed):
+                continue
+            self.heard = True
             if not self.defer_timesync:
                 self._handle(message, now_s)
                 continue
@@ -187,7 +186,7 @@ class VehicleLink:
                 self._release(tick_s)
         if len(self._held) > _HELD_MAX:
             self._shorten_held()
-        if self._vehicle is None:
+        if not self.heard:
             self._say_hello()
         elif tick_s is not None:
             self._queue_due(tick_s)
@@ -234,7 +233,7 @@ class VehicleLink:
         """Send everything queued, then ``extra_messages``, in one datagram to the vehicle."""
         messages = [*self._outgoing, *extra_messages]
         self._outgoing.clear()
-        self.endpoint.send(messages, self._vehicle)
+        self.endpoint.send(messages, self.senders.known)
 
     def take_timesync(self) -> int | None:
         """Time ``ts1`` in nanoseconds of the newest TIMESYNC request not yet taken; lockstep only."""
@@ -357,7 +356,7 @@ class VehicleLink:
             self._timesync_ns = message.ts1
         else:
             reply = dialect.MAVLink_timesync_message(max(1, round(arrival_s * 1e9)), message.ts1)
-            self.endpoint.send([reply], self._vehicle)
+            self.endpoint.send([reply], self.senders.known)
 
     def _say_hello(self) -> None:
         # The vehicle may be waiting to learn where we are; before that, no clock but the wall's counts.

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import enu_from_ned, yaw_enu_from_ned
+from bridge.mavlink.client.senders import SILENT_S
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.autopilots import refusal
 from bridge.mavlink.profiles.profile import Profile, TakeoffAltitude
@@ -18,7 +19,6 @@ _GLOBAL_POSITION = dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 _RESTART_S = 1.0  # s; a boot clock that falls back further than this is a reboot, less is a late datagram
-_SILENT_S = 2.5  # s without a heartbeat, which comes at 1 Hz: it may have restarted meanwhile
 _YAW_AGE_MAX_S = 0.5  # s between a position and the attitude its heading is taken from
 _LARGEST = 1e6  # m, m/s: a number beyond this is damage
 _THROTTLE_AGE_MAX_S = 1.0  # s; an older throttle, from VFR_HUD, counts as not told
@@ -164,7 +164,7 @@ class VehicleState:
                 self.tilted(m.roll, m.pitch)
 
     def _on_heartbeat(self, m: Message, arrival_s: float) -> None:
-        if arrival_s - self._beat_s > _SILENT_S:
+        if arrival_s - self._beat_s > SILENT_S:
             self._restart(arrival_s)
         self._beat_s = arrival_s
         self.autopilot, self.type, profile = m.autopilot, m.type, self.profile

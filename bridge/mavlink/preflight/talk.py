@@ -11,9 +11,10 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import companion_heartbeat, request_message
 from bridge.mavlink.client.parameters import ParameterReader
+from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.endpoint import Endpoint, LinkCounters, Peer
+from bridge.mavlink.endpoint import Endpoint, LinkCounters
 from bridge.mavlink.preflight.rules import Choice, Finding, Level, Release, choose, judge, release_of
 from bridge.mavlink.preflight.table import Asked, Needs
 from bridge.mavlink.preflight.table import table as table_of
@@ -77,6 +78,7 @@ def examine(
     accept_release: bool = False,
     stopped: Callable[[], bool] = lambda: False,
     say: Callable[[str], None] = lambda _text: None,
+    senders: Senders | None = None,
 ) -> Report:
     """Ask the vehicle and judge its answers.
 
@@ -90,8 +92,9 @@ def examine(
         accept_release: judge a release that is not known by the nearest rules.
         stopped: the talk is broken off when it says so.
         say: takes a sentence every two seconds about what it waits for, and how long yet.
+        senders: learn the vehicle's address, for the flight; None: nobody needs it.
     """
-    talk = _Talk(endpoint, system_id, chosen, accept_release=accept_release)
+    talk = _Talk(endpoint, system_id, chosen, senders or Senders(), accept_release=accept_release)
     began_s = time.monotonic()
     until_s = began_s + wait_s
     said_s = began_s
@@ -123,8 +126,10 @@ class _Talk:
     """One turn after the other; what has been found so far."""
 
     def __init__(
-        self, endpoint: Endpoint, system_id: int, chosen: Profile | None, *, accept_release: bool
-    ) -> None:
+        self, endpoint: Endpoint, system_id: int, chosen: Profile | None, senders: Senders, *,
+        accept_release: bool,
+    ) -> None:  # fmt: skip
+        self._senders = senders
         self._endpoint, self._target, self._chosen = endpoint, (system_id, 1), chosen
         self._accept_release = accept_release
         self.profile: Profile | None = None
@@ -136,7 +141,6 @@ class _Talk:
         self.heard = False
         self.rest_v: float | None = None
         self._armed = False
-        self._peer: Peer | None = None
         self._said_s = -math.inf
         self._version_s = -math.inf
         self._version_tries = 0
@@ -154,7 +158,8 @@ class _Talk:
     @property
     def over(self) -> bool:
         """Whether nothing is left to find out."""
-        return self.refused is not None or (self.reader is not None and self.reader.done)
+        read = self.reader is not None and self.reader.done
+        return self.refused is not None or (read and not self._senders.suspects)
 
     def waits_for(self) -> str:
         """Say what has not come yet."""
@@ -178,16 +183,16 @@ class _Talk:
             messages.append(companion_heartbeat())
         if self.profile is not None:
             messages += self._ask(self.profile, now_s)
-        self._endpoint.send(messages, self._peer)
+        self._endpoint.send(messages, self._senders.known)
         self._endpoint.wait(_SLICE_S)
         for received in self._endpoint.receive():
             header = received.message.get_header()
             sender = (header.srcSystem, header.srcComponent)
-            if sender == self._target:
-                self._peer = received.peer
-                self._take(received.message)
-            else:
+            if sender != self._target:
                 self._foreign.add_foreign(sender)
+            elif self._senders.admits(received.message, received.peer, now_s, armed=self._armed):
+                self._take(received.message)
+        self.refused = self.refused or self._senders.doubled
 
     def _ask(self, profile: Profile, now_s: float) -> list[Message]:
         if self._version_over and self.reader is None:

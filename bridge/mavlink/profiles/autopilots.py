@@ -292,7 +292,7 @@ def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
     """
     if chosen is None and found(autopilot) is None:
         known = ", ".join(f"{p.title} ({number})" for number, p in _BY_AUTOPILOT.items())
-        name = _name("MAV_AUTOPILOT", autopilot)
+        name = named("MAV_AUTOPILOT", autopilot)
         return f"the vehicle's heartbeat says autopilot {name}: it is not flown; known are {known}"
     if chosen is not None and autopilot != chosen.autopilot:
         return (
@@ -300,13 +300,14 @@ def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
             f"autopilot {chosen.autopilot}: it is not flown; choose the profile that fits, or auto"
         )
     if type_ not in _MULTIROTORS:
-        types = ", ".join(_name("MAV_TYPE", number) for number in sorted(_MULTIROTORS))
-        name = _name("MAV_TYPE", type_)
+        types = ", ".join(named("MAV_TYPE", number) for number in sorted(_MULTIROTORS))
+        name = named("MAV_TYPE", type_)
         return f"the vehicle's heartbeat says type {name}: it is not flown; known are {types}"
     return None
 
 
-def _name(enum: str, number: int) -> str:
+def named(enum: str, number: int) -> str:
+    """Name of an entry of a MAVLink enum with its number; the number alone of an unknown one."""
     entry = dialect.enums[enum].get(number)
     return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)
 

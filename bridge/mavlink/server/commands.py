@@ -190,7 +190,7 @@ class Commands(Generic[V]):
     def _acknowledge(self, number: int, result: int, sender: Sender) -> Message:
         if result == REJECTED:
             result = self._profile.refused
-        return dialect.MAVLink_command_ack_message(number, result, 0, 0, *sender)
+        return dialect.MAVLink_command_ack_message(number, result, 0, 0, *sender[:2])
 
     def _run(self, message: Message, sender: Sender, now_s: float) -> Answer:
         command = read_command(message, sender, now_s, self._profile.long_frame)

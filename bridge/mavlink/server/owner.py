@@ -9,7 +9,10 @@ from __future__ import annotations
 import math
 from enum import Enum
 
-Sender = tuple[int, int]  # system id, component id
+from bridge.mavlink.transport.address import Peer
+
+# system id, component id, and the address where there is one: ids alone identify nobody
+Sender = tuple[int, int] | tuple[int, int, Peer]
 
 # System ids of ground stations: QGroundControl, MAVProxy and dronekit use 255, MAVSDK uses 245.
 GROUND_STATIONS = frozenset({255, 245})
@@ -39,7 +42,7 @@ class ControlOwner:
             The reason when another sender has control, else None.
         """
         if sender != self._owner and self._owner is not None and now_s - self._heard_s <= silence_s:
-            return f"Set-point dropped: {_name(self._owner)} has control"
+            return f"Set-point dropped: {_name(self._owner, sender)} has control"
         self._owner, self._heard_s = sender, now_s
         return None
 
@@ -51,12 +54,14 @@ class ControlOwner:
             return None
         if right is Right.OWNER_OR_GROUND and sender[0] in GROUND_STATIONS:
             return None
-        return f"{_name(self._owner)} has control"
+        return f"{_name(self._owner, sender)} has control"
 
     def release(self) -> None:
         """Make control free, for example after disarming."""
         self._owner = None
 
 
-def _name(sender: Sender) -> str:
-    return f"{sender[0]}/{sender[1]}"
+def _name(owner: Sender, other: Sender) -> str:
+    """Ids of the one that has control; with its address if the other has the same ids."""
+    at = f" at {owner[2][0]}:{owner[2][1]}" if len(owner) == 3 and owner[:2] == other[:2] else ""
+    return f"{owner[0]}/{owner[1]}{at}"

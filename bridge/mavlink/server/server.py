@@ -133,7 +133,7 @@ class Server(ABC, Generic[V]):
             Answers for this sender.
         """
         handler = self._handlers.get(message.get_msgId())  # some messages have a field named id
-        if handler is None or sender == (self.system_id, COMPONENT_ID) or not self._for_us(message):
+        if handler is None or sender[:2] == (self.system_id, COMPONENT_ID) or not self._for_us(message):
             return []
         return handler(message, sender, now_s)
 

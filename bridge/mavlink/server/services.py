@@ -116,20 +116,20 @@ def _no_parameter(message: Any, sender: Sender) -> Message:
 
 
 def _parameter_error(name: bytes, index: int, error: int, sender: Sender) -> Message:
-    return dialect.MAVLink_param_error_message(*sender, name, index, error)
+    return dialect.MAVLink_param_error_message(*sender[:2], name, index, error)
 
 
 def _ping(message: Any, sender: Sender, _now_s: float) -> list[Message]:
     if message.target_system != 0 or message.target_component != 0:
         return []  # an answer
-    return [dialect.MAVLink_ping_message(message.time_usec, message.seq, *sender)]
+    return [dialect.MAVLink_ping_message(message.time_usec, message.seq, *sender[:2])]
 
 
 def _mission_list(message: Any, sender: Sender, _now_s: float) -> list[Message]:
     """MISSION_REQUEST_LIST: empty."""
     if message.mission_type not in _TYPES:
         return _mission_ack(message, sender, dialect.MAV_MISSION_UNSUPPORTED)
-    return [dialect.MAVLink_mission_count_message(*sender, 0, message.mission_type)]
+    return [dialect.MAVLink_mission_count_message(*sender[:2], 0, message.mission_type)]
 
 
 def _mission_change(message: Any, sender: Sender, _now_s: float) -> list[Message]:
@@ -149,7 +149,7 @@ def _mission_refused(message: Any, sender: Sender, _now_s: float) -> list[Messag
 
 
 def _mission_ack(message: Any, sender: Sender, result: int) -> list[Message]:
-    return [dialect.MAVLink_mission_ack_message(*sender, result, message.mission_type)]
+    return [dialect.MAVLink_mission_ack_message(*sender[:2], result, message.mission_type)]
 
 
 def _log_list(_message: Any, _sender: Sender, _now_s: float) -> list[Message]:
@@ -163,4 +163,4 @@ def _file_transfer(message: Any, sender: Sender, _now_s: float) -> list[Message]
     reply[:2] = sequence.to_bytes(2, "little")
     reply[2:6] = bytes((asked[2], _FTP_NAK, 1, asked[3]))
     reply[_FTP_HEADER] = _FTP_FAIL
-    return [dialect.MAVLink_file_transfer_protocol_message(0, *sender, reply)]
+    return [dialect.MAVLink_file_transfer_protocol_message(0, *sender[:2], reply)]

@@ -6,6 +6,7 @@ from dataclasses import replace as with_
 import pytest
 from click.testing import CliRunner
 
+from bridge.mavlink.codec.packing import pack as packed
 from bridge.mavlink.endpoint import dialect
 from bridge.target.odometry import OdometryError, sample_from_cdr
 from flightstack.cli.main import main
@@ -15,7 +16,7 @@ from logs.replay.live import SLICE_S, LiveOptions, Player, groups, play
 from logs.replay.read import SINK, SOURCE, FlightInputs, ReplayError, TickRecord
 from logs.replay.replay import replay
 from logs.replay.wire import WireReplay
-from logs.schema.codec_mavlink import pack_mavlink, unpack_mavlink
+from logs.schema.codec_mavlink import pack_mavlink, peer_of, unpack_mavlink
 from logs.schema.controller_rows import TickInputs
 from logs.schema.events import ONBOARD
 from logs.schema.rows import LogRow
@@ -146,7 +147,7 @@ def frame_changed(target, topic, message_id, byte, *, value=None):
         changed = bytearray(frame)
         changed[PAYLOAD_AT + byte] = (frame[PAYLOAD_AT + byte] ^ 1) if value is None else value
         seen += 1
-        return pack_mavlink(stamp_ns, bytes(changed))
+        return pack_mavlink(stamp_ns, bytes(changed), peer_of(message.data).encode())
 
     write_kept(GOLDEN, target, change=change)
     assert seen > SKIPPED
@@ -211,10 +212,22 @@ def test_a_changed_frame_to_the_vehicle_is_found(tmp_path):
 def test_a_frame_of_an_unknown_message_is_passed_over_and_what_it_was_is_missed(tmp_path):
     def change(data):
         stamp_ns, frame = unpack_mavlink(data)
-        return pack_mavlink(stamp_ns, frame[:7] + b"\xff\xff\xff" + frame[10:])
+        return pack_mavlink(stamp_ns, frame[:7] + b"\xff\xff\xff" + frame[10:], peer_of(data).encode())
 
     found = misread(write_kept(GOLDEN, tmp_path / "changed.mcap", change=once(SOURCE, 700, change)))
     assert found[0].topic == "wire, inputs"
+
+
+def test_a_frame_that_came_from_another_address_is_ignored_as_in_the_flight(tmp_path):
+    def change(message):
+        if message.topic != SOURCE or unpack_mavlink(message.data)[1][7] != dialect.MAVLINK_MSG_ID_VFR_HUD:
+            return message.data
+        hello = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+        stamp_ns, frame = unpack_mavlink(message.data)
+        return pack_mavlink(stamp_ns, packed(hello, frame[4], 1, 1), b"p07")
+
+    found = misread(write_kept(GOLDEN, tmp_path / "changed.mcap", change=change))
+    assert {d.field for d in found} == {"status.ready_to_arm"}  # on the ground it may be a second vehicle
 
 
 def tick_of(odometry, said):

@@ -77,10 +77,11 @@ def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
     sent = vehicle.take("COMMAND_LONG")
     assert [m.command for m in sent if m.get_type() == "COMMAND_LONG"] == [511, 511, 511, 21]
     assert auto.take_texts() == [(6, "its heartbeat says: PX4, OFFBOARD")]
-    vehicle.send(heartbeat(4, autopilot=3))  # another one later is not flown, and not taken for the first
-    poll(auto, 0.4)
-    assert auto.profile is PX4
-    assert "autopilot 3" in auto.refused
+    for now_s in (0.4, 60.0):  # another one on the line is not taken for it, however long it is silent
+        vehicle.send(heartbeat(4, autopilot=3))
+        poll(auto, now_s)
+    assert (auto.profile, auto.refused, auto.senders.ignored) == (PX4, None, 2)
+    assert auto.status.mode is Mode.HOLD
 
 
 def test_the_motors_of_one_that_is_not_known_are_stopped_all_the_same(vehicle, auto):

@@ -88,7 +88,7 @@ class Served(ABC):
         """MAV_RESULT of a command, None when it is not answered."""
         replies = self.handle(as_long(number, params, target), sender)
         acks = [r for r in replies if r.get_type() == "COMMAND_ACK"]
-        assert all((a.target_system, a.target_component, a.command) == (*sender, number) for a in acks)
+        assert all((a.target_system, a.target_component, a.command) == (*sender[:2], number) for a in acks)
         return acks[0].result if acks else None
 
     def run(self, duration_s: float, velocity_ned=None, sender=COMPANION) -> None:

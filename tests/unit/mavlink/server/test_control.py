@@ -50,6 +50,18 @@ def test_others_cannot_take_a_vehicle_that_is_flown(flown, sender) -> None:
         assert flown.armed
 
 
+def test_the_owners_ids_from_another_address_are_another_sender(flown) -> None:
+    here, there = (*COMPANION, ("127.0.0.1", 5000)), (*COMPANION, ("127.0.0.1", 6000))
+    flown.run(flown.silence_s + 0.02)  # control is free
+    flown.run(0.1, (0.1, 0.0, 0.0), here)
+    flown.texts()
+    flown.handle(setpoint(0.5), there)
+    assert flown.texts() == ["Set-point dropped: 1/191 at 127.0.0.1:5000 has control"]
+    assert flown.command(400, *KILL, sender=there) == REJECTED
+    assert flown.armed
+    assert flown.command(21, sender=there) == ACCEPTED  # everybody may land it
+
+
 def test_that_holds_in_every_mode_while_the_stream_lives(flown) -> None:
     assert flown.command(176, *HOLD) == ACCEPTED
     flown.run(0.1, (0.0, 0.0, 0.0))

@@ -1,0 +1,186 @@
+"""Which frames are the vehicle's: its ids, from the address where it is known. Pure.
+
+Ids alone identify nobody: a script or router with default ids, or a second vehicle, has the same. So a sender
+is its address and its ids, and a heartbeat also names its kind (type and autopilot). What contradicts the
+known sender is counted, reported whenever the count has doubled, and ignored while that sender is well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.profiles.autopilots import named
+from bridge.mavlink.transport.address import Peer
+
+SILENT_S = 2.5  # s without a heartbeat, which is sent at 1 Hz, after which a sender is no longer well
+_APART_S = 0.5  # s for which two addresses alternate that are two senders; datagrams overtake less
+_GAP_MAX = 4  # between sequence numbers of one stream: three frames lost, of 256 that can be told apart
+_AGAIN_S = 0.95  # s until a heartbeat that was not believed is: the known ones come at 1 Hz
+_OTHERS_MAX = 8  # other addresses remembered at a time; the oldest makes room
+
+
+class Kind(NamedTuple):
+    """Type and autopilot, as a heartbeat names them."""
+
+    type: int  # MAV_TYPE
+    autopilot: int  # MAV_AUTOPILOT
+
+    def __str__(self) -> str:
+        return f"type {named('MAV_TYPE', self.type)}, autopilot {named('MAV_AUTOPILOT', self.autopilot)}"
+
+
+@dataclass(slots=True)
+class _Other:
+    """Another address with the same ids."""
+
+    first_s: float
+    last_s: float
+    met: bool = False  # the known sender was heard after it
+
+
+@dataclass(slots=True)
+class Senders:
+    """Admits the frames of one vehicle. All times are of one clock, the caller's.
+
+    Attributes:
+        known: address of the vehicle; None before its first frame.
+        ignored: frames with its ids that were not admitted.
+        doubled: why no flight may begin: a second address with the same ids is alive. None: there is none.
+    """
+
+    known: Peer | None = None
+    ignored: int = 0
+    doubled: str | None = None
+    _now_s: float = -math.inf  # of the newest frame
+    _kind: Kind | None = None
+    _beat_s: float = -math.inf  # newest heartbeat of the known sender
+    _claims: tuple[int, int] | None = None  # base_mode and custom_mode of that heartbeat
+    _doubted: tuple[tuple[int, int], float] | None = None  # the same of one not believed yet, and its time
+    _sequence: int | None = None  # of the newest frame of the known sender
+    _others: dict[Peer, _Other] = field(default_factory=dict)
+    _due: int = 1  # count of ignored frames at which the next notice is due
+    _notices: list[str] = field(default_factory=list)
+
+    def begin(self, now_s: float) -> None:
+        """Start another clock; the known sender stays and counts as heard now."""
+        if self._kind is not None:
+            self._beat_s = now_s
+        self.ignored, self._due, self._now_s = 0, 1, now_s
+        self._others.clear()
+
+    @property
+    def suspects(self) -> bool:
+        """Whether another address was heard so lately that it may be a second vehicle: nothing arms then."""
+        return any(self._now_s - other.last_s <= SILENT_S for other in self._others.values())
+
+    def take_notices(self) -> list[str]:
+        """Texts for a person since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def admits(self, message: Message, peer: Peer, now_s: float, *, armed: bool) -> bool:
+        """Whether a frame with the vehicle's ids is the vehicle's.
+
+        Another address takes over only by a heartbeat, once the known one is silent; in flight only one of
+        the same kind. So a radio that restarts behind another port is followed, and a second vehicle is not.
+
+        Args:
+            message: the frame.
+            peer: its address.
+            now_s: when it counts as arrived.
+            armed: the vehicle is armed.
+        """
+        self._now_s = now_s
+        beats = message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT
+        kind = Kind(message.type, message.autopilot) if beats else None
+        if self.known is None:
+            self.known = peer
+        well = now_s - self._beat_s <= SILENT_S
+        fits = kind is not None and (self._kind is None or kind == self._kind or not (well or armed))
+        if peer == self.known:
+            if self._others:
+                self._meet(now_s)
+            if kind is None:
+                self._sequence = message.get_header().seq
+                return True
+            if fits and self._believed(message, now_s, well=well):
+                self._kind, self._beat_s = kind, now_s
+                return True
+        elif kind is not None and fits and not well:
+            self._move(peer, now_s)
+            self._kind, self._beat_s = kind, now_s
+            return True
+        else:
+            self._note(peer, now_s, well=well)
+        self._ignore(message, kind, peer)
+        return False
+
+    def _believed(self, heartbeat: Message, now_s: float, *, well: bool) -> bool:
+        """Whether a heartbeat is of the known stream.
+
+        One that says something new, and whose sequence number does not continue the stream, must come again
+        after a second without another one: what a router puts onto the same line has numbers of its own.
+        """
+        claims = (heartbeat.base_mode, heartbeat.custom_mode)
+        number = heartbeat.get_header().seq
+        continues = self._sequence is None or (number - self._sequence) % 256 <= _GAP_MAX
+        if well and not continues and claims != self._claims:
+            if self._doubted is None or self._doubted[0] != claims:
+                self._doubted = (claims, now_s)
+            if now_s - self._doubted[1] < _AGAIN_S:
+                return False
+        self._sequence, self._claims, self._doubted = number, claims, None
+        return True
+
+    def _meet(self, now_s: float) -> None:
+        for other in self._others.values():
+            other.met = other.met or now_s - other.first_s >= _APART_S
+
+    def _note(self, peer: Peer, now_s: float, *, well: bool) -> None:
+        """Remember another address; one that alternates with the known one is a second sender."""
+        other = self._others.get(peer)
+        if other is None or now_s - other.last_s > SILENT_S:
+            if len(self._others) >= _OTHERS_MAX:
+                del self._others[next(iter(self._others))]
+            self._others[peer] = other = _Other(now_s, now_s)
+        other.last_s = now_s
+        if well and other.met and self.known is not None:
+            self.doubled = (
+                f"two senders have the vehicle's ids: {_at(self.known)} and {_at(peer)}; stop one of them, "
+                "or give it another system id (PX4 MAV_SYS_ID, ArduPilot MAV_SYSID or SYSID_THISMAV), which "
+                "--system-id names"
+            )
+
+    def _move(self, peer: Peer, now_s: float) -> None:
+        """Follow the vehicle to another address."""
+        if self._kind is not None and self.known is not None:
+            self._notices.append(
+                f"the vehicle is heard at {_at(peer)} now; {_at(self.known)} has sent no heartbeat for "
+                f"{now_s - self._beat_s:.1f} s"
+            )
+        self.known, self.doubled = peer, None
+        self._claims = self._doubted = self._sequence = None
+        self._others.pop(peer, None)
+
+    def _ignore(self, message: Message, kind: Kind | None, peer: Peer) -> None:
+        self.ignored += 1
+        if self.ignored < self._due or self.known is None:
+            return
+        self._due = 2 * self.ignored
+        where = f"from {_at(peer)}, while the vehicle is at {_at(self.known)}"
+        if peer == self.known:
+            where = f"that contradict those of the vehicle at {_at(peer)}"
+        says = f" of {kind}" if kind is not None else ""
+        self._notices.append(
+            f"{self.ignored} frames with the vehicle's ids ignored {where}; "
+            f"the newest: {message.get_type()}{says}"
+        )
+
+
+def _at(peer: Peer) -> str:
+    return f"{peer[0]}:{peer[1]}"

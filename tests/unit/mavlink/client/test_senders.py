@@ -1,0 +1,208 @@
+"""Whose frames are the vehicle's: its ids from the address where it is known, and heartbeats of its kind."""
+
+import pytest
+
+from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.client.senders import SILENT_S, Kind, Senders
+from bridge.mavlink.codec.decoding import decode
+from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.endpoint import dialect
+from bridge.mavlink.preflight.talk import examine
+from flightstack.core.types import Mode, Request
+from flightstack.onboard.runner import LinkedVehicle
+from tests.unit.mavlink.client.vehicle_link_fakes import (
+    HEIGHT,
+    LAND,
+    LOITER,
+    OFFBOARD,
+    FakeAutopilot,
+    attitude,
+    heartbeat,
+    poll,
+    position,
+)
+from tests.unit.onboard.test_preflight import NEEDS
+
+HERE, THERE = ("127.0.0.1", 14580), ("127.0.0.1", 14590)
+QUADROTOR, STATION, PLANE = Kind(2, 12), Kind(6, 8), Kind(1, 12)
+TEXT = dialect.MAVLink_statustext_message(4, b"motors on fire")
+ACK = dialect.MAVLink_command_ack_message(400, 4)
+BEAT_S = 1.0
+
+
+class Wire:
+    """Senders with a number for the frames of each stream."""
+
+    def __init__(self, **known):
+        self.senders = Senders(**known)
+        self.numbers = {}
+
+    def admits(self, message, peer=HERE, now_s=0.0, *, armed=False, stream=None):
+        number = self.numbers[stream or peer] = (self.numbers.get(stream or peer, 7) + 1) % 256
+        decoded = decode(pack(message, number, 1, 1))
+        return self.senders.admits(decoded, peer, now_s, armed=armed)
+
+    def beats(self, kind=QUADROTOR, peer=HERE, now_s=0.0, *, armed=False, mode=LOITER, stream=None):
+        message = dialect.MAVLink_heartbeat_message(*kind, 128 if armed else 1, mode, 3, 3)
+        return self.admits(message, peer, now_s, armed=armed, stream=stream)
+
+
+@pytest.mark.parametrize("armed", [False, True])
+@pytest.mark.parametrize(
+    "foreign",
+    [heartbeat(OFFBOARD, armed=True), heartbeat(LOITER), heartbeat(LAND), position(9), attitude(9), ACK, TEXT,
+     dialect.MAVLink_heartbeat_message(*STATION, 0, 0, 4, 3)],
+)  # fmt: skip
+def test_another_address_is_counted_and_ignored_while_the_known_one_is_well(foreign, armed):
+    wire = Wire()
+    for second in range(4):
+        assert wire.beats(now_s=second, armed=armed)
+        assert not wire.admits(foreign, THERE, second + 0.9, armed=armed)
+    assert wire.senders.known == HERE
+    assert wire.senders.ignored == 4
+    told = wire.senders.take_notices()
+    assert len(told) == 3  # of 1, 2 and 4
+    words = ("ignored from 127.0.0.1:14590", "the vehicle is at 127.0.0.1:14580", foreign.get_type())
+    assert all(word in told[-1] for word in words)
+
+
+@pytest.mark.parametrize("kind", [STATION, PLANE, Kind(2, 3)])
+@pytest.mark.parametrize(("peer", "stream"), [(HERE, "script"), (THERE, "script")])
+def test_a_heartbeat_of_another_kind_never_outweighs_the_vehicles_in_flight(kind, peer, stream):
+    wire = Wire()
+    assert wire.beats(armed=True)
+    assert not wire.beats(kind, peer, 0.5, armed=True, stream=stream)
+    assert not wire.beats(kind, peer, 60.0, armed=True, stream=stream)  # however long it is silent
+    assert wire.admits(position(), now_s=60.0, armed=True)
+
+
+def test_a_vehicle_behind_a_new_port_is_followed_once_the_old_one_is_silent():
+    wire = Wire()
+    assert wire.beats(armed=True)
+    assert not wire.beats(peer=THERE, now_s=SILENT_S, armed=True)
+    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # by a heartbeat alone
+    assert wire.beats(peer=THERE, now_s=SILENT_S + 0.1, armed=True)
+    assert wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)
+    assert not wire.admits(position(), HERE, SILENT_S + 0.2, armed=True)
+    assert any("heard at 127.0.0.1:14590 now" in text for text in wire.senders.take_notices())
+
+
+def test_before_arming_another_vehicle_may_take_the_place_of_a_silent_one():
+    wire = Wire()
+    assert wire.beats()
+    assert wire.beats(Kind(2, 3), THERE, SILENT_S + 0.1)
+    assert wire.beats(Kind(13, 3), THERE, 2.0 * SILENT_S + 0.2)
+    assert wire.senders.doubled is None
+
+
+def test_a_sender_without_a_heartbeat_gives_way_to_one_with():
+    wire = Wire()
+    assert wire.admits(position(), THERE, 0.0)
+    assert wire.beats(now_s=0.1)
+    assert wire.senders.known == HERE
+
+
+def test_two_live_addresses_are_named_and_nothing_arms_until_that_is_known():
+    wire = Wire()
+    assert wire.beats()
+    assert not wire.senders.suspects
+    for tick in range(1, 7):
+        wire.admits(position(tick), THERE, 0.1 * tick)
+        assert wire.senders.suspects
+        assert wire.senders.doubled is None
+        assert wire.admits(position(tick), HERE, 0.1 * tick)
+    wire.admits(position(), THERE, 0.8)
+    assert "127.0.0.1:14580 and 127.0.0.1:14590" in wire.senders.doubled
+    assert "system id" in wire.senders.doubled
+
+
+def test_datagrams_that_overtake_each_other_are_no_second_sender():
+    wire = Wire()
+    wire.beats()
+    wire.admits(position(1), THERE, 3.0)
+    wire.admits(position(2), HERE, 3.01)
+    wire.beats(peer=THERE, now_s=3.02)
+    assert wire.senders.known == THERE
+    wire.admits(position(3), THERE, 4.0)
+    assert wire.senders.doubled is None
+    wire.admits(position(3), THERE, 3.0 + 2.0 * SILENT_S)
+    assert not wire.senders.suspects
+
+
+@pytest.mark.parametrize("claim", [{"armed": False}, {"mode": LOITER, "armed": True}])
+def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
+    wire = Wire()
+    wire.numbers["script"] = 90
+    for second in range(3):
+        assert wire.beats(now_s=second, armed=True, mode=OFFBOARD)
+        message = heartbeat(claim.get("mode", OFFBOARD), armed=claim["armed"])
+        assert not wire.admits(message, now_s=second + 0.5, armed=True, stream="script")
+    assert not wire.admits(message, now_s=2.9, armed=True, stream="script")
+    assert wire.beats(now_s=3.0, armed=True, mode=OFFBOARD)
+    wire.numbers[HERE] += 100  # frames were lost, and the vehicle has changed
+    assert not wire.admits(message, now_s=4.0, armed=True)
+    assert wire.admits(message, now_s=5.0, armed=True)
+
+
+def test_the_other_clock_of_the_flight_begins_with_the_address_of_the_check():
+    wire = Wire()
+    assert wire.beats(now_s=5_000.0)
+    wire.senders.begin(0.0)
+    assert not wire.beats(peer=THERE, now_s=0.1)
+    assert wire.beats(now_s=0.2)
+
+
+@pytest.fixture
+def listening():
+    link = VehicleLink("udpin:127.0.0.1:0", takeoff_height_m=HEIGHT)
+    ends = [FakeAutopilot(f"udpout:127.0.0.1:{link.endpoint.local_port}") for _ in range(2)]
+    yield link, *ends
+    for end in (*ends, link):
+        (end.endpoint if end is not link else end).close()
+
+
+def test_over_sockets_a_second_vehicle_changes_nothing_and_gets_nothing(listening):
+    link, vehicle, other = listening
+    vehicle.mode, vehicle.armed = OFFBOARD, True
+    for second in range(3):
+        vehicle.beat()
+        vehicle.send(attitude(1000 * second), position(1000 * second))
+        poll(link, second)
+        other.send(heartbeat(LAND), attitude(1000 * second + 500), position(1000 * second + 500, x=9.0), TEXT)
+        poll(link, second + 0.5)
+        assert (link.status.armed, link.status.mode) == (True, Mode.EXTERNAL)
+        assert link.own.position_enu_m[1] == 1.0
+        link.command(Request.LAND, second + 0.5)
+        link.flush()
+        assert vehicle.take("COMMAND_LONG")
+    assert link.take_texts() == []
+    assert not other.endpoint.wait(0.0)
+    assert link.refused is None
+
+
+def test_a_vehicle_is_not_ready_while_a_second_one_may_be_there(listening):
+    link, vehicle, other = listening
+    ready = dialect.MAVLink_sys_status_message(0, 0, 1 << 28, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+    vehicle.send(heartbeat(), ready)
+    poll(link, 0.0)
+    seen = LinkedVehicle(link, lockstep=False)
+    assert seen.read().status.ready_to_arm
+    other.beat()
+    poll(link, 0.1)
+    assert not seen.read().status.ready_to_arm
+    vehicle.beat()
+    poll(link, 0.2 + SILENT_S)
+    assert seen.read().status.ready_to_arm
+
+
+def test_the_check_before_the_flight_refuses_two_vehicles_with_one_id(listening):
+    link, vehicle, other = listening
+
+    def both_speak():
+        for each in (vehicle, other):
+            each.beat()
+        return False
+
+    report = examine(link.endpoint, 1, None, NEEDS, (), wait_s=5.0, stopped=both_speak, senders=link.senders)
+    assert report.problem.startswith("two senders have the vehicle's ids: 127.0.0.1:")
+    assert not report.safe
