@@ -190,7 +190,9 @@ class Controller:
             inputs = inputs._replace(own=None)
         self.track.memory.settled = memory.phase is not Phase.WAIT
         events = self._take_samples(inputs)
-        target = strategy.target(self.track, now_s)
+        target, believed_target = strategy.target(self.track, now_s), not self.track.memory.distrusted
+        if target is not None and not believed_target:
+            target = target._replace(velocity_enu_m_s=self.track.moves_m_s)
         if inputs.own is not None:
             plausibility.take(inputs.own)
         believed = plausibility.believes(now_s)
@@ -211,8 +213,9 @@ class Controller:
             events += [Event(WARN, why) for why in fleet.take(inputs.neighbours, now_s)]
             way = fleet.way(memory.phase, target, now_s, inputs.own)
         snapshot = snapshot_of(
-            self.config, inputs, target, now_s, believed=believed, follows=follows, charge=charge, way=way
-        )
+            self.config, inputs, target, now_s, believed=believed, follows=follows, charge=charge, way=way,
+            target_believed=believed_target,
+        )  # fmt: skip
         transition = self._mission.step(snapshot, command_failed=command_failed, now_s=now_s)
         if transition is not None:
             events.append(Event(_level(transition), transition.text))

@@ -62,6 +62,11 @@ class TrackMemory:
     offset_s: float = inf  # smallest arrival - stamp seen: clock offset plus the shortest delay
     elsewhere: TargetSample | None = None  # newest of samples that jumped but agree with each other
     elsewhere_since_s: float = 0.0
+    drift_m: Vec3 = ZERO  # change of the position that the velocity does not explain
+    drift_smooth_m: Vec3 = ZERO  # the same without the noise of single samples
+    distrusted: bool = False  # positions and velocity contradict each other
+    distrusts: int = 0  # how often they have in this flight
+    parted_m: float = 0.0  # largest distance since they do
     settled: bool = False  # the flight has begun: the target does not turn up elsewhere any more
     accepted: int = 0
     rejected: int = 0

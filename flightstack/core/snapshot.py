@@ -44,13 +44,15 @@ class Snapshot:
         inputs: as they came; the vehicle's state as the filter estimates it for now.
         target: state of the target for now; ``None`` before the first sample.
         own_ok: the vehicle's state is plausible and young enough.
-        target_ok: the target's state is young enough.
+        target_ok: the target's state is plausible and young enough.
         link_ok: the heartbeat is young enough.
         e_m: position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known.
         follows: the vehicle flies the commanded velocity.
         charge: what the battery is fit for; without a table [reserve] it always is.
         way: what the other vehicles allow; without a table [fleet] everything.
         good: all inputs can be flown by.
+        target_placed: the target is young enough, and its velocity is not believed: ``target`` has the one
+            that its positions show.
         relative: vehicle relative to target; ``None`` unless both are known.
     """
 
@@ -63,6 +65,7 @@ class Snapshot:
     follows: bool = True
     charge: Charge = Charge.FIT
     way: Way = ALONE
+    target_placed: bool = False
     good: bool = field(init=False)
     relative: Relative | None = field(init=False)
 
@@ -85,6 +88,7 @@ def snapshot_of(
     follows: bool = True,
     charge: Charge = Charge.FIT,
     way: Way = ALONE,
+    target_believed: bool = True,
 ) -> Snapshot:
     """Judge the ages of this tick's inputs.
 
@@ -97,13 +101,15 @@ def snapshot_of(
         follows: the vehicle flies the commanded velocity.
         charge: what the battery is fit for.
         way: what the other vehicles allow.
+        target_believed: positions and velocity of the target agree.
     """
     checks, own, status = config.checks, inputs.own, inputs.status
     own_ok = believed and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
-    target_ok = target is not None and target.age_s <= checks.target_age_max_s
+    target_fresh = target is not None and target.age_s <= checks.target_age_max_s
     link_ok = status is not None and now_s - status.arrival_s <= checks.status_age_max_s
     e_m = None
     if own is not None and target is not None:
         p, q = own.position_enu_m, target.position_enu_m
         e_m = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
-    return Snapshot(inputs, target, own_ok, target_ok, link_ok, e_m, follows, charge, way)
+    target_ok, placed = target_fresh and target_believed, target_fresh and not target_believed
+    return Snapshot(inputs, target, own_ok, target_ok, link_ok, e_m, follows, charge, way, placed)

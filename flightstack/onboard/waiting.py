@@ -16,6 +16,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from flightstack.core.controller import WARN, Outputs
 from flightstack.core.memory import Memory
+from flightstack.core.mission.conditions import DRIFT_CAUSES
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import Landed, Mode, Phase, VehicleStatus
 from flightstack.onboard.zenoh_wires import ZenohWires
@@ -58,6 +59,7 @@ class TargetSeen(NamedTuple):
     Attributes:
         name: key or topic, as given.
         age_s: of the newest sample that was believed; None: there was none.
+        contradicts: its positions contradict its velocity.
         arrived: samples since the last report, believed or not, those that made no odometry included.
         problems: what was found wrong with samples.
         keys: others that a target might be under.
@@ -68,6 +70,7 @@ class TargetSeen(NamedTuple):
     arrived: int
     problems: tuple[str, ...]
     keys: tuple[str, ...]
+    contradicts: bool = False
 
 
 def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[str, ...]:
@@ -126,6 +129,9 @@ def _of_status(seen: VehicleSeen, status: VehicleStatus) -> tuple[str, ...]:
 
 
 def _of_target(seen: TargetSeen, checks: Checks) -> tuple[str, ...]:
+    if seen.contradicts:
+        causes = f"checks.target_drift_max_m is {checks.target_drift_max_m:g}; {DRIFT_CAUSES}"
+        return (f"position and velocity of the target do not agree; {causes}",)
     if seen.age_s is not None and seen.age_s <= checks.target_age_max_s:
         return ()
     problems = f": {' | '.join(seen.problems)}" if seen.problems else ""
@@ -292,4 +298,5 @@ class WaitReport:
             arrived=arrived,
             problems=problems,
             keys=wires.search.keys() if search else (),
+            contradicts=out.snapshot.target_placed,
         )

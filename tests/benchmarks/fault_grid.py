@@ -61,6 +61,8 @@ _TAIL = """
 - Target samples farther than `checks.target_jump_max_m` from where the mean of the velocities of the last
   sample and of this one leads (of a lost target: the last velocity alone): refused; in flight for good, as
   nobody knows which of the two places is right.
+- Target positions against target velocity over 2 s, more than `checks.target_drift_max_m` apart: lost, until
+  they agree; at the second time in a flight for good. What flies clear goes by the positions.
 - Velocity against the one wanted over 1 s: more than `checks.follow_lag_max_s` times the highest velocity
   behind is not following: the autopilot lands. How slowly it rises in a take-off counts after 7 s only.
 - Disarmed, but in the air: one of the two is not true; the autopilot is told to land.

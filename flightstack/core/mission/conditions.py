@@ -19,12 +19,16 @@ from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.target.plausibility import Plausibility
-from flightstack.core.target.track import TargetState
+from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3
 
 OVER_PAD_LEFT = 1.5  # times the radius at which the cone over the pad is entered
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
 LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
+DRIFT_CAUSES = (
+    "usual causes: a twist in header.frame_id instead of child_frame_id, a heading that is off by 180 "
+    "degrees, swapped axes"
+)
 _ASKED: dict[Operator, int] = {
     Operator.NONE: 0,
     Operator.ABORT: C.ABORT_ASKED,
@@ -245,7 +249,7 @@ class Known(NamedTuple):
         checks: of the configuration.
         snapshot: this tick's inputs.
         plausibility: of the own state and of following.
-        refusal: why the newest sample of the target was refused; empty: it was not.
+        track: of the target.
         now_s: stack clock.
         battery: what is wrong with it, where something is.
     """
@@ -253,7 +257,7 @@ class Known(NamedTuple):
     checks: Checks
     snapshot: Snapshot
     plausibility: Plausibility
-    refusal: str
+    track: TargetTrack
     now_s: float
     battery: str = ""
 
@@ -303,8 +307,13 @@ def _heartbeat(known: Known) -> str:
 
 
 def _target(known: Known) -> str:
-    target = known.snapshot.target
-    refused = f", the newest was refused: {known.refusal}" if known.refusal else ""
+    target, refusal = known.snapshot.target, known.track.memory.refusal
+    if known.track.memory.distrusted:
+        return (
+            f"the target's positions moved {known.track.memory.parted_m:.2f} m away from where its velocity "
+            f"leads; checks.target_drift_max_m is {known.checks.target_drift_max_m:g}; {DRIFT_CAUSES}"
+        )
+    refused = f", the newest was refused: {refusal}" if refusal else ""
     if target is None:
         return f"no sample of the target has been accepted{refused}"
     limit = f"checks.target_age_max_s is {known.checks.target_age_max_s:g}"

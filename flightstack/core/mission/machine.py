@@ -163,7 +163,7 @@ class Mission:
             snapshot.inputs.own,
             snapshot.inputs.status,
         )
-        if target is not None and snapshot.target_ok:
+        if target is not None and (snapshot.target_ok or snapshot.target_placed):
             memory.target_position_enu_m = target.position_enu_m
             memory.target_velocity_enu_m_s = target.velocity_enu_m_s
         if memory.yaw_rad is None and own is not None:
@@ -236,8 +236,8 @@ class Mission:
         if rule is None:
             return None
         before, after = memory.phase, rule.to
-        refusal, battery = self._track.memory.refusal, self._reserve.text if self._reserve else ""
-        known = Known(self._config.checks, snapshot, self._plausibility, refusal, now_s, battery)
+        battery = self._reserve.text if self._reserve else ""
+        known = Known(self._config.checks, snapshot, self._plausibility, self._track, now_s, battery)
         why = reason(rule, flags, known)
         if before in RETRY_FROM and after in RETRY_TO:
             memory.retries += 1

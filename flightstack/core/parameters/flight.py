@@ -103,6 +103,8 @@ class Checks:
     status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
     target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5
     target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2
+    target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1  # positions against velocity
+    target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # s in which it is forgotten
     target_frame: str = "map"
     target_child_frame: str = "target"
     hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0

@@ -1,5 +1,7 @@
 """Whether the vehicle's own state can be true, and whether the vehicle flies the commanded velocity.
 
+``drifted`` and ``smoothed`` judge the target's samples, too (``track.py``).
+
 A link that delivers fresh time stamps can still deliver nonsense. Three things are known without a second
 sensor:
 
@@ -21,6 +23,7 @@ from flightstack.core.numeric import numeric
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import ZERO, OwnState, Vec3
 
+SMOOTHING_S = 0.2  # time constant, s: noise of 2 cm in each of 20 samples a second becomes 1 cm
 TRUSTED_AGAIN = 0.5  # share of the bound; an offset of 0.3 m stays distrusted for some seconds
 STANDING_M_S = 1e-3  # slower, equal numbers may be a perfect sensor that stands, or the wire's rounding
 
@@ -127,6 +130,14 @@ def drifted(d: Vec3, p0: Vec3, p: Vec3, v0: Vec3, v: Vec3, dt_s: float, memory_s
         kept * (d[1] + (p[1] - p0[1]) - half * (v[1] + v0[1])),
         kept * (d[2] + (p[2] - p0[2]) - half * (v[2] + v0[2])),
     )
+
+
+@numeric
+def smoothed(before: Vec3, now: Vec3, dt_s: float) -> Vec3:
+    """Low-pass of a drift, after a sample."""
+    share = dt_s / (dt_s + SMOOTHING_S)
+    (x0, y0, z0), (x, y, z) = before, now
+    return (x0 + share * (x - x0), y0 + share * (y - y0), z0 + share * (z - z0))
 
 
 @numeric

@@ -2,6 +2,11 @@
 
 Default deny: a sample counts only if it is finite, of the right robot, newer than the last, in time and where
 the last one could have gone. What was refused is counted by reason.
+
+A velocity that its positions contradict is noticed over some samples: a twist in the wrong frame, a heading
+that is off by half a turn. Position minus integrated velocity, with a memory, is noise of both; beyond
+``checks.target_drift_max_m`` the target is not believed, until half of that. One that stands agrees with any
+twist: the second contradiction of a flight is the last.
 """
 
 from __future__ import annotations
@@ -13,9 +18,10 @@ from typing import NamedTuple
 from flightstack.core.memory import TrackMemory
 from flightstack.core.numeric import numeric
 from flightstack.core.parameters.flight import Checks
-from flightstack.core.target.plausibility import repeats
+from flightstack.core.target.plausibility import SMOOTHING_S, TRUSTED_AGAIN, drifted, repeats, smoothed
 from flightstack.core.types import TargetSample, Vec3
 
+DISTRUSTS_MAX = 2  # contradictions of positions and velocity in a flight, the last one for good
 RESTART_S = 10.0  # stamps this far apart after a silence: the sender's clock started anew
 
 
@@ -77,6 +83,8 @@ class TargetTrack:
         """Take or refuse one sample."""
         verdict, memory = self._judge(sample), self.memory
         if verdict is Verdict.ACCEPTED:
+            if memory.last is not None:
+                self._drift(memory.last, sample)
             memory.last = sample
             memory.offset_s = min(memory.offset_s, sample.arrival_s - sample.source_time_s)
             memory.accepted += 1
@@ -85,6 +93,36 @@ class TargetTrack:
             memory.rejected += 1
             memory.refusal = verdict.value
         return verdict
+
+    @property
+    def moves_m_s(self) -> Vec3:
+        """Velocity that the positions show: the newest sample's, and the rate at which the two part."""
+        memory, memory_s = self.memory, self._checks.target_drift_memory_s
+        assert memory.last is not None
+        x, y, z = (
+            v + (d - s) / SMOOTHING_S + s / memory_s
+            for v, d, s in zip(
+                memory.last.velocity_enu_m_s, memory.drift_m, memory.drift_smooth_m, strict=True
+            )
+        )
+        return x, y, z
+
+    def _drift(self, last: TargetSample, sample: TargetSample) -> None:
+        checks, memory, dt_s = self._checks, self.memory, sample.source_time_s - last.source_time_s
+        if not 0.0 < dt_s <= checks.target_age_max_s:
+            return  # lost in between: nothing so old binds where it is now
+        memory.drift_m = drifted(
+            memory.drift_m, last.position_enu_m, sample.position_enu_m,
+            last.velocity_enu_m_s, sample.velocity_enu_m_s, dt_s, checks.target_drift_memory_s,
+        )  # fmt: skip
+        memory.drift_smooth_m = smoothed(memory.drift_smooth_m, memory.drift_m, dt_s)
+        drift_m, most_m = math.hypot(*memory.drift_smooth_m), checks.target_drift_max_m
+        if memory.distrusted:
+            memory.parted_m = max(memory.parted_m, drift_m)
+            memory.distrusted = drift_m > TRUSTED_AGAIN * most_m or memory.distrusts >= DISTRUSTS_MAX
+        elif drift_m > most_m:
+            memory.distrusted, memory.parted_m = True, drift_m
+            memory.distrusts += memory.settled
 
     def _judge(self, sample: TargetSample) -> Verdict:
         checks, memory = self._checks, self.memory

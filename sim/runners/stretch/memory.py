@@ -44,6 +44,8 @@ def set_up_rules(r: RulesRecord, controller: Controller) -> None:
     r.missed2_max_m2 = _NEAR * watched.tracking_lag_max_m**2
     r.target_age_max_s = checks.target_age_max_s
     r.target_speed2_max, r.target_jump2_max = checks.target_speed_max_m_s**2, checks.target_jump_max_m**2
+    r.target_drift_memory_s = checks.target_drift_memory_s
+    r.target_drift2_max_m2 = _NEAR * checks.target_drift_max_m**2
     r.status_age_max_s, r.landing_time_max_s = checks.status_age_max_s, checks.landing_time_max_s
     r.settle_s = LANDED_SETTLE_S
     r.alpha_1_m, r.beta_m, r.smoothing_m = barrier.alpha_1_m, barrier.beta_m, barrier.smoothing_m
@@ -148,7 +150,8 @@ class Notebook:
             *watched.drift_m, *watched.missed_m,
             learned.time_s, *learned.x, *learned.y, learned.z_m, learned.z_error_m_s, *learned.x_now,
             *learned.y_now, *learned.sent_m_s, *chain.from_iterable(learned.pending),
-            reserve.effort, reserve.rise_m_s, *c.slew_step, c.up_step_m_s, 0.0, 0.0,
+            reserve.effort, reserve.rise_m_s, *track.drift_m, *track.drift_smooth_m, *c.slew_step,
+            c.up_step_m_s, 0.0, 0.0,
         )  # fmt: skip
 
     def read(self, now_s: float, own_yaw_rad: float) -> None:
@@ -164,6 +167,7 @@ class Notebook:
             track.last = TargetSample(v[12], v[13], "map", "target", v[14:17], v[17:20], v[20], v[21])
             track.offset_s, track.refusal = v[22], ""
             track.accepted += v[23]
+            track.drift_m, track.drift_smooth_m = v[119:122], v[122:125]
         watched.last = OwnState(v[64], v[65], v[66:69], v[69:72], own_yaw_rad)
         watched.drift_m, watched.missed_m = v[73:76], v[76:79]
         if c.reserve_estimate is not None:

@@ -41,6 +41,7 @@ _barrier_h = twin(barrier_h, jitted)
 _waits = twin(conditions.waits, jitted)
 _strayed2 = twin(track.strayed2_m2, jitted)
 _drifted, _missed = twin(plausibility.drifted, jitted), twin(plausibility.missed, jitted)
+_smoothed = twin(plausibility.smoothed, jitted)
 
 
 @jitted
@@ -61,6 +62,16 @@ def _take_sample(p: RulesRecord, m: MindRecord, sample: F64, now_s: float) -> bo
     strayed2 = _strayed2(three(p0), three(v0), (x, y, z), (vx, vy, vz), step_s)
     if not strayed2 <= p.target_jump2_max:
         return False
+    if step_s <= p.target_age_max_s:
+        d = _drifted(
+            three(m.target_drift), three(p0), (x, y, z), three(v0), (vx, vy, vz), step_s,
+            p.target_drift_memory_s,
+        )  # fmt: skip
+        smooth = _smoothed(three(m.target_drift_smooth), d, step_s)
+        if not smooth[0] * smooth[0] + smooth[1] * smooth[1] + smooth[2] * smooth[2] < p.target_drift2_max_m2:
+            return False
+        keep(m.target_drift, d)
+        keep(m.target_drift_smooth, smooth)
     m.sample_arrival_s, m.sample_source_s, m.sample_yaw, m.sample_rate = now_s, source_s, yaw, rate
     keep(p0, (x, y, z))
     keep(v0, (vx, vy, vz))

@@ -70,6 +70,9 @@ class MindRecord(Record):
     # thrust reserve
     effort: float
     rise_m_s: float
+    # track: positions of the target against its velocity
+    target_drift: Vector
+    target_drift_smooth: Vector
     # of this tick
     step: Vector  # by which the velocity wanted may change
     up_step_m_s: float  # besides, upwards
@@ -108,6 +111,8 @@ class RulesRecord(Record):
     target_age_max_s: float
     target_speed2_max: float
     target_jump2_max: float
+    target_drift_memory_s: float
+    target_drift2_max_m2: float
     target_delay_s: float
     fade_s: float
     turns: bool

@@ -182,7 +182,7 @@ class Stretch:
         flight, vehicle = self._node.autopilot.flight, self._node.vehicle
         if status is None or track.last is None or watched.last is None or track.elsewhere is not None:
             return False
-        if watched.distrusted or memory.lifting or not memory.good_since_s < math.inf:
+        if watched.distrusted or track.distrusted or memory.lifting or not memory.good_since_s < math.inf:
             return False
         if (
             memory.yaw_rad is None

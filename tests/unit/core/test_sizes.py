@@ -23,6 +23,7 @@ from flightstack.core.types import (
     OwnState,
     Phase,
     Request,
+    TargetSample,
     VehicleStatus,
 )
 from flightstack.verify.certificate import checks
@@ -97,6 +98,15 @@ def drifted_away(settings):
     return watch.memory.distrusted
 
 
+def parted(settings):
+    """Whether a target that moves with 0.1 m/s unsaid is noticed."""
+    track = TargetTrack(settings.checks)
+    for n in range(500):
+        at = TargetSample(0.01 * n, 0.01 * n, "map", "target", (0.001 * n, 0.0, 0.0), ZERO, 0.0, 0.0)
+        track.accept(at)
+    return track.memory.distrusted
+
+
 def ended(settings, after_s=70.0):
     """Whether the stack ends although the vehicle flies on after an abort."""
     controller = Controller(settings)
@@ -156,6 +166,8 @@ CHANGES = [
     ("retreat", "abort_time_max_s", 200.0, ended, (True, False)),
     ("checks", "follow_memory_s", 0.4, lags, (True, False)),
     ("checks", "own_drift_memory_s", 1.0, drifted_away, (True, False)),
+    ("checks", "target_drift_memory_s", 0.5, parted, (True, False)),
+    ("checks", "target_drift_max_m", 0.3, parted, (True, False)),
     ("robust", "descent_min_m_s", 0.3,
      lambda c: velocity(c, Phase.LAND, (0.0, 0.0, 0.11)).velocity[2], (-0.1, -0.3)),
     ("velocity_loop", "disturbance_max_m_s", 1.5, learned, (0.6, 1.5)),

@@ -80,6 +80,7 @@ def test_each_lack_of_the_vehicle_has_its_sentence(changed, words):
             {"age_s": None, "arrived": 7, "problems": ("frame_id is 'odom'",)},
             "7 samples on cf1/target/odom, none believed: frame_id is 'odom'",
         ),
+        ({"contradicts": True}, "do not agree; checks.target_drift_max_m is 0.1; usual causes: a twist in"),
         ({"age_s": 1.04, "arrived": 0}, "is 1.0 s old; checks.target_age_max_s allows 0.25"),
     ],
 )

@@ -4,13 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flightstack.core.memory import AbortWay, PlausibilityMemory
+from flightstack.core.memory import AbortWay, PlausibilityMemory, TrackMemory
 from flightstack.core.mission.conditions import Known, reason
 from flightstack.core.mission.machine import Transition, parse
 from flightstack.core.mission.phases import Condition, next_phase
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.target.plausibility import Plausibility
-from flightstack.core.target.track import TargetState
+from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
 from tests.point_mass import World
 from tests.unit.core.mission.test_guidance import ROBUST
@@ -80,13 +80,15 @@ def own(arrival_s=NOW_S):
     return OwnState(arrival_s, arrival_s, ZERO, ZERO, 0.0)
 
 
-def known(own_state=None, *, status_s=None, target_age_s=None, refusal="", **watched):
+def known(own_state=None, *, status_s=None, target_age_s=None, track=None, **watched):
     status = None if status_s is None else VehicleStatus(status_s, True, Mode.EXTERNAL, Landed.IN_AIR, True)
     target = None if target_age_s is None else TargetState(target_age_s, ZERO, ZERO, 0.0)
     view = Snapshot(Inputs(own_state, status), target, False, False, False, None)
     plausibility = Plausibility(ROBUST)
     plausibility.memory = PlausibilityMemory(**watched)
-    return Known(CHECKS, view, plausibility, refusal, NOW_S)
+    seen = TargetTrack(CHECKS)
+    seen.memory = TrackMemory(**(track or {}))
+    return Known(CHECKS, view, plausibility, seen, NOW_S)
 
 
 def told(phase, word, what):
@@ -124,9 +126,11 @@ def test_a_target_says_how_old_it_is_and_why_it_was_refused():
     lost = Condition.TARGET_LOST
     found = told(Phase.LAND, lost, known(target_age_s=0.26))
     assert found == "target lost: the target's newest sample is 0.26 s old; checks.target_age_max_s is 0.25"
-    refused = known(target_age_s=0.26, refusal="jumped")
+    refused = known(target_age_s=0.26, track={"refusal": "jumped"})
     assert told(Phase.LAND, lost, refused).endswith("is 0.25, the newest was refused: jumped")
-    late = told(Phase.HOLD, lost | Condition.PHASE_TIME_OVER, known(refusal="not finite"))
+    parted = told(Phase.LAND, lost, known(track={"distrusted": True, "parted_m": 0.12}))
+    assert "positions moved 0.12 m away from where its velocity leads; checks.target_drift_max_m is" in parted
+    late = told(Phase.HOLD, lost | Condition.PHASE_TIME_OVER, known(track={"refusal": "not finite"}))
     assert late == (
         "target stayed lost: no sample of the target has been accepted, the newest was refused: not finite"
     )

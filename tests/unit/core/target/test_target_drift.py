@@ -1,0 +1,114 @@
+"""Positions of the target held against its velocity: what is noticed, how soon, and what is not."""
+
+import math
+import random
+from dataclasses import replace
+
+import pytest
+
+from flightstack.core.parameters.flight import Checks
+from flightstack.core.target.track import TargetTrack
+from flightstack.core.types import TargetSample
+from sim.runners.landing import land
+from sim.runners.landing_target import DirectTarget
+from sim.scenarios.scenario import load
+
+RATE_HZ = 50.0
+
+
+def turned(velocity, angle_rad):
+    (x, y, z), c, s = velocity, math.cos(angle_rad), math.sin(angle_rad)
+    return c * x - s * y, s * x + c * y, z
+
+
+# a velocity as it arrives, of the true one, the heading and the time
+WRONG = {
+    "world frame": lambda v, yaw, t: turned(v, yaw),
+    "heading off by half a turn": lambda v, yaw, t: turned(v, math.pi),
+    "flips every other second": lambda v, yaw, t: turned(v, math.pi * (int(t) % 2)),
+    "body axes swapped": lambda v, yaw, t: turned(turned(v, -yaw)[1::-1] + v[2:], yaw),
+    "twice": lambda v, yaw, t: tuple(2.0 * c for c in v),
+    "half": lambda v, yaw, t: tuple(0.5 * c for c in v),
+    "zero": lambda v, yaw, t: (0.0, 0.0, 0.0),
+    "climbs": lambda v, yaw, t: (v[0], v[1], 0.1),
+}
+
+
+def drive(checks, seconds, *, speed=0.2, yaw=2.5, turn_rate=0.0, says=lambda v, yaw, t: v, noise=(), lost=()):
+    """A robot's track while it drives; yields time, track and true velocity after each sample."""
+    track, chance, (x, y) = TargetTrack(checks), random.Random(1), (0.0, 0.0)
+    track.memory.settled = True
+    position_m, velocity_m_s = noise or (0.0, 0.0)
+    for n in range(int(seconds * RATE_HZ)):
+        t, heading = n / RATE_HZ, yaw + turn_rate * n / RATE_HZ
+        true = turned((speed, 0.0, 0.0), heading)
+        x, y = x + true[0] / RATE_HZ, y + true[1] / RATE_HZ
+        if any(begin <= t % 5.0 < end for begin, end in lost):
+            continue
+        place = tuple(chance.gauss(c, position_m) for c in (x, y, 0.2))
+        told = tuple(chance.gauss(c, velocity_m_s) for c in says(true, heading, t))
+        track.accept(TargetSample(t, 1000.0 + t, "map", "target", place, told, heading, turn_rate))
+        yield t, track, true
+
+
+@pytest.mark.parametrize("fault", WRONG)
+@pytest.mark.parametrize("yaw", [1.0, 2.5, -2.0])
+def test_a_velocity_that_the_positions_contradict_is_soon_noticed(fault, yaw):
+    noticed_s = next(
+        t for t, track, _ in drive(Checks(), 4.0, yaw=yaw, says=WRONG[fault]) if track.memory.distrusted
+    )
+    # 0.1 m at the difference of both, a time constant of 0.2 s; 0.1 m/s is forgotten with 2 s meanwhile
+    assert noticed_s < (2.0 if fault in ("half", "climbs", "flips every other second") else 1.3)
+
+
+def test_then_the_velocity_is_that_of_the_positions():
+    *_, (_, track, true) = drive(Checks(), 3.0, says=WRONG["world frame"])
+    assert track.moves_m_s == pytest.approx(true, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [
+        {"speed": 0.5, "turn_rate": 0.5, "noise": (0.01, 0.03), "lost": ((2.0, 2.2),)},
+        {"speed": 0.3, "turn_rate": -2.0, "noise": (0.02, 0.06)},
+        {"speed": 1.0, "noise": (0.005, 0.02), "says": lambda v, yaw, t: tuple(0.97 * c for c in v)},
+        {"speed": 0.0, "noise": (0.02, 0.06), "lost": ((1.0, 1.3),)},
+    ],
+)
+def test_noise_bends_and_gaps_are_no_contradiction(robot):
+    worst = max(math.hypot(*t.memory.drift_smooth_m) for _, t, _ in drive(Checks(), 60.0, **robot))
+    assert worst < 0.8 * Checks().target_drift_max_m
+
+
+@pytest.mark.parametrize(("settled", "last"), [(False, False), (True, True)])
+def test_it_is_believed_again_once_in_a_flight_and_always_on_the_ground(settled, last):
+    seen = []
+    for t, track, _ in drive(
+        Checks(), 40.0, says=lambda v, yaw, t: v if int(t) % 20 > 3 else (0.0, 0.0, 0.0)
+    ):
+        track.memory.settled = settled
+        seen.append((t, track.memory.distrusted))
+    assert not any(distrusted for t, distrusted in seen if 10.0 < t < 20.0)
+    assert next(distrusted for t, distrusted in seen if t > 32.0) is last
+    assert seen[-1][1] is last
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_a_landing_ends_clear_of_a_target_whose_velocity_is_wrong(fault, monkeypatch):
+    true_samples = DirectTarget.samples
+
+    def samples(self, now_s):
+        arrived = true_samples(self, now_s)
+        wrong = [
+            s._replace(velocity_enu_m_s=WRONG[fault](s.velocity_enu_m_s, s.yaw_rad, now_s))
+            for s in arrived.samples
+        ]
+        return arrived._replace(samples=tuple(wrong))
+
+    monkeypatch.setattr(DirectTarget, "samples", samples)
+    scenario, phases = load("straight"), []
+    west = replace(scenario, target=replace(scenario.target, heading_rad=2.5))
+    landing = land(west, 3, on_step=lambda tick, out: phases.append(out.phase.name))
+    assert not landing.verdict.violation
+    assert "TOUCHDOWN" not in phases
+    assert "header.frame_id instead of child_frame_id" in landing.verdict.reason
