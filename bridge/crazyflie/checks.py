@@ -61,11 +61,15 @@ _STUCK = {
 }
 
 
-def _protocol(seen: Seen) -> str | None:
-    found = seen.link.protocol
-    if found is None or found >= PROTOCOL_MIN:
+def too_old(protocol: int) -> str | None:
+    """Why firmware of this CRTP protocol is not flown; None: it is."""
+    if protocol >= PROTOCOL_MIN:
         return None
-    return f"firmware speaks CRTP {found}, arming by supervisor needs {PROTOCOL_MIN}: update it"
+    return f"firmware speaks CRTP {protocol}, arming by supervisor needs {PROTOCOL_MIN}: update it"
+
+
+def _protocol(seen: Seen) -> str | None:
+    return too_old(seen.link.protocol) if seen.link.protocol is not None else None
 
 
 def _state(seen: Seen) -> str | None:

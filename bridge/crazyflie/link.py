@@ -8,40 +8,35 @@ the outbox few things wait for the radio: the urgent first, and no velocity that
 from __future__ import annotations
 
 import logging
+import math
 import os
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cflib.crtp
 from cflib.crazyflie import Crazyflie
-from cflib.crazyflie.log import LogConfig
 from cflib.crtp.crtpstack import CRTPPort
 
+from bridge.crazyflie.blocks import LogBlocks
+from bridge.crazyflie.checks import too_old
 from bridge.crazyflie.settings import DRAG
-from bridge.crazyflie.state import (
-    FETCHED_AS,
-    HEALTH_PERIOD_MS,
-    HEALTH_VARIABLES,
-    STATE_PERIOD_MS,
-    STATE_VARIABLES,
-)
 from bridge.crazyflie.types import (
     ArmReply,
     Arrived,
     Connected,
     Event,
-    HealthBlock,
     Lost,
     Order,
     Packet,
     ParamValue,
     Pose,
     SetParam,
-    StateBlock,
     Velocity,
 )
 
@@ -51,16 +46,17 @@ PARAMS = (  # what the bridge looks at before it lets anybody arm
 )  # fmt: skip
 EVENTS_MAX = 512  # five seconds of packets; older ones are no use to anybody
 SILENT_S = 2.0  # s without any answer while connecting, after which an attempt is given up
-CONNECT_MAX_S = 60.0  # s of one attempt; 500 parameters over a bad radio take 20
+CONNECT_MAX_S = 120.0  # s of one attempt; 1,235 questions of which every fifth is lost take 40
+RESEND_S = 0.05  # s without an answer until cflib asks again over UDP; its own 0.2 s are for a radio
 RETRY_S = 0.5  # s between two attempts
+REOPEN_S = 0.1  # s the same in a blind landing: without set-points the motors stop at 2 s
+FLOWN_S = 0.5  # s since the last set-point: it flies
 _ANSWERS = (CRTPPort.PARAM, CRTPPort.MEM, CRTPPort.LOGGING, CRTPPort.PLATFORM, CRTPPort.LINKCTRL)
 _LOG_DATA = (CRTPPort.LOGGING, 2)  # port, channel
-LOG_WAIT_S, LOG_TRIES = 1.0, 10  # s, number; until a log block's first packet has come
+LOGS_MAX_S = 10.0  # s until each log block's first packet has come
+_ANEW = (Order.RECONNECT, Order.REOPEN)
+_Senders = dict[Any, Callable[[Any], None]]
 _ARM_REPLY = 0x81  # answer to command 1 on channel 1 of the supervisor's port (cflib supervisor.py)
-_BLOCKS: tuple[tuple[str, int, tuple[str, ...], Callable[[int, dict[str, Any]], Event]], ...] = (
-    ("state", STATE_PERIOD_MS, STATE_VARIABLES, StateBlock),
-    ("health", HEALTH_PERIOD_MS, HEALTH_VARIABLES, lambda _, values: HealthBlock(values)),
-)
 
 
 class CrazyflieLink:
@@ -88,6 +84,8 @@ class CrazyflieLink:
         os.set_blocking(self._write_fd, False)
         self._heard_s = 0.0
         self._broken: str | None = None
+        self._current: Any = None  # cflib's object of the present connection
+        self._stops, self._flown_s = False, -math.inf
         self._fully = threading.Event()
         # cflib logs a trace for every packet it cannot use; what counts, missing packets, is watched here.
         logging.getLogger("cflib").setLevel(logging.CRITICAL)
@@ -143,38 +141,82 @@ class CrazyflieLink:
             except Exception as error:  # cflib raises bare exceptions, from USB to its table of contents
                 reason = f"{type(error).__name__}: {error}"
             finally:
-                _close(crazyflie)
+                self._close(crazyflie)
             if not self._closing.is_set():
                 self._put(Lost(reason))
-                self._closing.wait(RETRY_S)
+                self._closing.wait(REOPEN_S if self._flies else RETRY_S)
 
     def _connection(self, crazyflie: Any) -> str:
         """Connect, then send what comes until the end; returns why it ended."""
-        self._broken, self._heard_s = None, time.monotonic()
+        if not self._flies:
+            self._outbox.clear()  # nothing from before this connection may act
+        self._broken, self._heard_s, self._stops = None, time.monotonic(), False
         self._fully.clear()
-        self._listen(crazyflie)
+        self._current = crazyflie
+
+        def put(event: Event) -> None:
+            if self._current is crazyflie:
+                self._put(event)
+
+        self._listen(crazyflie, put)
         crazyflie.open_link(self._uri)
-        reason = self._wait_connected()
+        senders = _senders(crazyflie, put)
+        reason = self._wait_connected(crazyflie, senders)
         if reason is not None:
             return reason
-        for name, period_ms, variables, make in _BLOCKS:
-            if not self._start_log(crazyflie, name, period_ms, variables, make):
+        protocol = crazyflie.platform.get_protocol_version()
+        try:
+            logs = LogBlocks(crazyflie, put)
+        except ValueError as error:
+            return too_old(protocol) or str(error)
+        deadline_s = time.monotonic() + LOGS_MAX_S
+        while (name := logs.waits_for) is not None:
+            if self._ended or time.monotonic() > deadline_s:
                 return self._broken or f"the Crazyflie sends no {name} log"
-        crazyflie.param.add_update_callback(cb=lambda name, value: self._put(ParamValue(name, str(value))))
-        self._outbox.clear()  # nothing from before this connection may act
-        self._put(Connected(crazyflie.platform.get_protocol_version(), _read_params(crazyflie)))
-        senders = _senders(crazyflie, self._put)
-        while not self._closing.is_set() and self._broken is None:
-            packet = self._outbox.get(0.1, time.monotonic)
-            if packet is Order.RECONNECT:
+            logs.step()
+            self._pass_on(crazyflie, senders, 0.02)
+        crazyflie.param.add_update_callback(cb=lambda name, value: put(ParamValue(name, str(value))))
+        self._put(Connected(protocol, _read_params(crazyflie)))
+        while not self._ended:
+            logs.step()
+            packet = self._pass_on(crazyflie, senders, 0.1)
+            if packet in _ANEW:
+                self._stops = packet is Order.RECONNECT
                 return "silent"
-            if packet is not None:
-                senders[packet if isinstance(packet, Order) else type(packet)](packet)
+            if isinstance(packet, SetParam | Pose):
+                senders[type(packet)](packet)
         return self._broken or "closed"
 
-    def _wait_connected(self) -> str | None:
+    @property
+    def _flies(self) -> bool:
+        """Whether set-points continue over a connection that is opened anew."""
+        stops = self._stops or self._closing.is_set()
+        return not stops and time.monotonic() - self._flown_s < FLOWN_S
+
+    @property
+    def _ended(self) -> bool:
+        return self._closing.is_set() or self._broken is not None
+
+    def _pass_on(self, crazyflie: Any, senders: _Senders, wait_s: float) -> Packet | None:
+        """Wait for a packet; set-points and orders go out as soon as the link is open.
+
+        Nothing waits for the end of a connection's set-up: a blind landing continues meanwhile, and what
+        finds no link is dropped.
+        """
+        packet = self._outbox.get(wait_s, time.monotonic)
+        if not isinstance(packet, Velocity | Order) or packet in _ANEW:
+            return packet
+        if isinstance(packet, Velocity):
+            self._flown_s = time.monotonic()
+        # before the version has come cflib would send the form of years ago
+        if crazyflie.link is not None and crazyflie.platform.get_protocol_version() >= 0:
+            senders[packet if isinstance(packet, Order) else Velocity](packet)
+        return None
+
+    def _wait_connected(self, crazyflie: Any, senders: _Senders) -> str | None:
         deadline_s = time.monotonic() + CONNECT_MAX_S
-        while not self._fully.wait(0.05):
+        while not self._fully.is_set():
+            self._pass_on(crazyflie, senders, 0.05)
             now_s = time.monotonic()
             if self._broken is not None:
                 return self._broken
@@ -184,78 +226,64 @@ class CrazyflieLink:
                 return f"no answer from {self._uri}: is it switched on, and are channel and address right?"
         return None
 
-    def _listen(self, crazyflie: Any) -> None:
+    def _close(self, crazyflie: Any) -> None:
+        """Close the link with the motors off, unless it flies.
+
+        cflib itself sends a set-point of no thrust at the end, and then nothing: within two seconds after a
+        flight the supervisor takes that for a lost link, and locks. So the stop and its notice go out
+        instead. cflib joins its threads for up to two seconds, in which the next connection may begin.
+        """
+        if crazyflie.link is not None and not self._flies:
+            crazyflie.commander.send_stop_setpoint()
+            for _ in range(3):  # in case one gets lost
+                crazyflie.commander.send_notify_setpoint_stop()
+        crazyflie.commander.send_setpoint = lambda *_: None
+        self._current = None  # what its threads still say counts no more
+        closer = threading.Thread(
+            target=_close_quietly, args=(crazyflie,), name="crazyflie-close", daemon=True
+        )
+        closer.start()
+        if self._closing.is_set():
+            closer.join()
+
+    def _listen(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
         def resend(_uri: str) -> None:
             # The UDP driver never asks again by itself; then one lost answer hangs the connection for ever.
             if crazyflie.link is not None and crazyflie.link.get_name() == "udp":
                 crazyflie.link.needs_resending = True
+                crazyflie.send_packet = partial(crazyflie.send_packet, timeout=RESEND_S)
 
         def heard(packet: Any) -> None:
             # Log blocks of an earlier connection go on: they are no answer to anything.
-            if packet.port in _ANSWERS and (packet.port, packet.channel) != _LOG_DATA:
+            answer = packet.port in _ANSWERS and (packet.port, packet.channel) != _LOG_DATA
+            if answer and self._current is crazyflie:
                 self._heard_s = time.monotonic()
 
+        def fully(_uri: str) -> None:
+            if self._current is crazyflie:
+                self._fully.set()
+                self._outbox.wake()
+
         def broken(_uri: str, reason: str) -> None:
-            self._broken = reason.strip().partition("\n")[0]
-            self._outbox.wake()
+            if self._current is crazyflie:
+                self._broken = reason.strip().partition("\n")[0]
+                self._outbox.wake()
+
+        def supervisor(packet: Any) -> None:
+            if len(packet.data) >= 3 and packet.data[0] == _ARM_REPLY:
+                put(ArmReply(bool(packet.data[1]), bool(packet.data[2])))
 
         crazyflie.link_established.add_callback(resend)
         crazyflie.packet_received.add_callback(heard)
         crazyflie.connection_failed.add_callback(broken)
         crazyflie.connection_lost.add_callback(broken)
-        crazyflie.fully_connected.add_callback(lambda _uri: self._fully.set())
-        crazyflie.add_port_callback(CRTPPort.SUPERVISOR, self._on_supervisor)
-
-    def _start_log(
-        self,
-        crazyflie: Any,
-        name: str,
-        period_ms: int,
-        variables: tuple[str, ...],
-        make: Callable[[int, dict[str, Any]], Event],
-    ) -> bool:
-        """Let a block be sent; True once its first packet has come.
-
-        cflib asks for a long block in two packets and does not look whether the second has arrived; a block
-        that is too short is never decoded. So one that does not come is asked for anew.
-        """
-        came = threading.Event()
-
-        def take(time_ms: int, values: dict[str, Any], _block: Any) -> None:
-            came.set()
-            self._put(make(time_ms, values))
-
-        for _ in range(LOG_TRIES):
-            block = LogConfig(name, period_ms)
-            for variable in variables:
-                block.add_variable(variable, FETCHED_AS.get(variable))
-            crazyflie.log.add_config(block)
-            block.data_received_cb.add_callback(take)
-            block.start()
-            if came.wait(LOG_WAIT_S):
-                return True
-            if self._broken is not None or self._closing.is_set():
-                break
-            block.delete()
-        return False
-
-    def _on_supervisor(self, packet: Any) -> None:
-        if len(packet.data) >= 3 and packet.data[0] == _ARM_REPLY:
-            self._put(ArmReply(bool(packet.data[1]), bool(packet.data[2])))
+        crazyflie.fully_connected.add_callback(fully)
+        crazyflie.add_port_callback(CRTPPort.SUPERVISOR, supervisor)
 
 
-def _close(crazyflie: Any) -> None:
-    """Close the link with the motors off.
-
-    cflib itself sends a set-point of no thrust at the end, and then nothing: within two seconds after a
-    flight the supervisor takes that for a lost link, and locks. So the stop and its notice go out instead.
-    """
-    if crazyflie.link is not None:
-        crazyflie.commander.send_stop_setpoint()
-        for _ in range(3):  # in case one gets lost
-            crazyflie.commander.send_notify_setpoint_stop()
-    crazyflie.commander.send_setpoint = lambda *_: None
-    crazyflie.close_link()
+def _close_quietly(crazyflie: Any) -> None:
+    with suppress(Exception):  # a link that broke breaks again when it is closed
+        crazyflie.close_link()
 
 
 def _read_params(crazyflie: Any) -> dict[str, str]:
@@ -264,7 +292,7 @@ def _read_params(crazyflie: Any) -> dict[str, str]:
     return {name: str(value) for name, value in pairs if value is not None}
 
 
-def _senders(crazyflie: Any, put: Callable[[Event], None]) -> dict[Any, Callable[[Any], None]]:
+def _senders(crazyflie: Any, put: Callable[[Event], None]) -> _Senders:
     commander, supervisor = crazyflie.commander, crazyflie.supervisor
 
     def velocity(packet: Velocity) -> None:
@@ -289,6 +317,7 @@ def _senders(crazyflie: Any, put: Callable[[Event], None]) -> dict[Any, Callable
         Order.NOTIFY_STOP: lambda _: commander.send_notify_setpoint_stop(),
         Order.ARM: lambda _: supervisor.send_arming_request(True),
         Order.DISARM: lambda _: supervisor.send_arming_request(False),
+        Order.RECOVER: lambda _: supervisor.send_crash_recovery_request(),
         Order.EMERGENCY_STOP: lambda _: supervisor.send_emergency_stop(),
     }
 

@@ -62,7 +62,9 @@ class Order(Enum):
     ARM = "arm"
     DISARM = "disarm"
     EMERGENCY_STOP = "emergency stop, latched until restart"
-    RECONNECT = "close the link and open it again"
+    RECOVER = "crash recovery"
+    RECONNECT = "motors off, close the link and open it again"
+    REOPEN = "open the link again; set-points continue"
 
 
 class SetParam(NamedTuple):

@@ -1,0 +1,92 @@
+"""Log blocks of one connection: asked for, and asked for anew when they fall silent.
+
+The firmware deletes them when it has heard nothing for a second (crtp.c, log.c), and cflib never looks
+whether a block arrives. It also asks for a long one in two packets and does not look whether the second has
+arrived; a block that is too short is never decoded.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from cflib.crazyflie.log import LogConfig
+
+from bridge.crazyflie.state import (
+    FETCHED_AS,
+    HEALTH_PERIOD_MS,
+    HEALTH_VARIABLES,
+    STATE_PERIOD_MS,
+    STATE_VARIABLES,
+)
+from bridge.crazyflie.types import Event, HealthBlock, StateBlock
+
+SILENT_S = 1.0  # s without a packet of a block until it is asked for anew
+
+
+class _Kind(NamedTuple):
+    name: str
+    period_ms: int
+    variables: tuple[str, ...]
+    event: Callable[[int, dict[str, Any]], Event]
+
+
+_KINDS = (
+    _Kind("state", STATE_PERIOD_MS, STATE_VARIABLES, StateBlock),
+    _Kind("health", HEALTH_PERIOD_MS, HEALTH_VARIABLES, lambda _, values: HealthBlock(values)),
+)
+
+
+class _Block:
+    def __init__(self, kind: _Kind, put: Callable[[Event], None]) -> None:
+        self._kind, self._put = kind, put
+        self.name = kind.name
+        self.heard_s = self.asked_s = -math.inf
+        self._config: Any = None
+
+    def ask(self, crazyflie: Any) -> None:
+        """Ask for it under a new number; data of the old one is not decoded any more."""
+        if self._config is not None:
+            self._config.delete()
+            crazyflie.log.log_blocks.remove(self._config)
+        self.asked_s = time.monotonic()
+        self._config = LogConfig(self.name, self._kind.period_ms)
+        for variable in self._kind.variables:
+            self._config.add_variable(variable, FETCHED_AS.get(variable))
+        crazyflie.log.add_config(self._config)
+        self._config.data_received_cb.add_callback(self._take)
+        self._config.start()
+
+    def _take(self, time_ms: int, values: dict[str, Any], _config: Any) -> None:
+        self.heard_s = time.monotonic()
+        self._put(self._kind.event(time_ms, values))
+
+
+class LogBlocks:
+    """Call ``step`` often. Several are asked for at once, and none is waited for."""
+
+    def __init__(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
+        """Ask for nothing yet. ``put`` is called by cflib's thread.
+
+        Raises:
+            ValueError: the firmware has not all variables.
+        """
+        self._crazyflie = crazyflie
+        known = crazyflie.log.toc.get_element_by_complete_name
+        for name in (name for kind in _KINDS for name in kind.variables if known(name) is None):
+            raise ValueError(f"the firmware has no log variable {name}: update it")
+        self._blocks = [_Block(kind, put) for kind in _KINDS]
+
+    def step(self) -> None:
+        """Ask for what has been silent for a second."""
+        since_s = time.monotonic() - SILENT_S
+        for block in self._blocks:
+            if max(block.heard_s, block.asked_s) <= since_s:
+                block.ask(self._crazyflie)
+
+    @property
+    def waits_for(self) -> str | None:
+        """A block that has not come yet; None: all have."""
+        return next((block.name for block in self._blocks if block.heard_s == -math.inf), None)
