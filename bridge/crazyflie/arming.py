@@ -16,6 +16,7 @@ ARM_MAX_S = 0.6  # s until an unanswered arming request has failed
 KILL_UNSEEN_S = 0.2  # s until a forced disarm that is not seen becomes an emergency stop
 OFF_MAX_S = 1.0  # s; no longer is anything repeated
 NOTICES = 6  # how often the notice is sent again once the motors are off, in case one gets lost
+REFUSED = "the supervisor refused"
 _OFF = (Order.STOP, Order.NOTIFY_STOP, Order.DISARM)
 
 
@@ -24,6 +25,7 @@ class _Asked:
     since_s: float
     sent_s: float
     forced: bool = False
+    refused: bool = False
 
 
 class Arming:
@@ -39,6 +41,7 @@ class Arming:
         self._off: _Asked | None = None
         self._latched = False
         self._notices, self._notice_s = 0, 0.0
+        self._arms_itself = False
 
     @property
     def arming(self) -> bool:
@@ -56,15 +59,21 @@ class Arming:
         if state.info & Info.ARMED:
             self.armed = True
             return []
-        self._arm = _Asked(now_s, now_s)
+        self._arm, self._arms_itself = _Asked(now_s, now_s), bool(state.info & Info.AUTO_ARM)
         return [Order.ARM]
 
     def reply(self, reply: ArmReply) -> str | None:
-        """Take the supervisor's answer; the reason when it refused."""
+        """Take the supervisor's answer; the reason when it refused.
+
+        One that arms itself refuses while it arms itself anew, and has no need to be asked.
+        """
         if self._arm is None or reply.accepted:
             return None
+        self._arm.refused = True
+        if self._arms_itself:
+            return None
         self._arm = None
-        return "the supervisor refused"
+        return REFUSED
 
     def off(self, now_s: float, *, forced: bool) -> list[Packet]:
         """Motors off, now; again when asked again, so that nobody waits for a packet that was lost."""
@@ -79,9 +88,9 @@ class Arming:
         self._latched = True
         return [Order.EMERGENCY_STOP, *packets]
 
-    def forget(self) -> None:
+    def forget(self, *, armed: bool) -> None:
         """The link is gone, and with it what was asked."""
-        self.armed, self._arm, self._off, self._latched = False, None, None, False
+        self.armed, self._arm, self._off, self._latched = armed, None, None, False
         self._notices = 0
 
     def step(self, state: CrazyflieState | None, now_s: float) -> tuple[list[Packet], str | None]:
@@ -107,7 +116,7 @@ class Arming:
             return [], None
         if now_s - asked.since_s > ARM_MAX_S:
             self._arm = None
-            return [], "the supervisor did not answer"
+            return [], REFUSED if asked.refused else "the supervisor did not answer"
         return self._repeat(asked, (Order.ARM,), now_s), None
 
     def _step_off(

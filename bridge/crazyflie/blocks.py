@@ -18,10 +18,12 @@ from bridge.crazyflie.state import (
     FETCHED_AS,
     HEALTH_PERIOD_MS,
     HEALTH_VARIABLES,
+    OUTSIDE_PERIOD_MS,
+    OUTSIDE_VARIABLES,
     STATE_PERIOD_MS,
     STATE_VARIABLES,
 )
-from bridge.crazyflie.types import Event, HealthBlock, StateBlock
+from bridge.crazyflie.types import Event, HealthBlock, OutsideBlock, StateBlock
 
 SILENT_S = 1.0  # s without a packet of a block until it is asked for anew
 
@@ -31,18 +33,19 @@ class _Kind(NamedTuple):
     period_ms: int
     variables: tuple[str, ...]
     event: Callable[[int, dict[str, Any]], Event]
+    needed: bool = True
 
 
 _KINDS = (
     _Kind("state", STATE_PERIOD_MS, STATE_VARIABLES, StateBlock),
     _Kind("health", HEALTH_PERIOD_MS, HEALTH_VARIABLES, lambda _, values: HealthBlock(values)),
+    _Kind("outside", OUTSIDE_PERIOD_MS, OUTSIDE_VARIABLES, lambda _, values: OutsideBlock(values), False),
 )
 
 
 class _Block:
     def __init__(self, kind: _Kind, put: Callable[[Event], None]) -> None:
-        self._kind, self._put = kind, put
-        self.name = kind.name
+        self.kind, self._put = kind, put
         self.heard_s = self.asked_s = -math.inf
         self._config: Any = None
 
@@ -52,8 +55,8 @@ class _Block:
             self._config.delete()
             crazyflie.log.log_blocks.remove(self._config)
         self.asked_s = time.monotonic()
-        self._config = LogConfig(self.name, self._kind.period_ms)
-        for variable in self._kind.variables:
+        self._config = LogConfig(self.kind.name, self.kind.period_ms)
+        for variable in self.kind.variables:
             self._config.add_variable(variable, FETCHED_AS.get(variable))
         crazyflie.log.add_config(self._config)
         self._config.data_received_cb.add_callback(self._take)
@@ -61,7 +64,7 @@ class _Block:
 
     def _take(self, time_ms: int, values: dict[str, Any], _config: Any) -> None:
         self.heard_s = time.monotonic()
-        self._put(self._kind.event(time_ms, values))
+        self._put(self.kind.event(time_ms, values))
 
 
 class LogBlocks:
@@ -75,9 +78,14 @@ class LogBlocks:
         """
         self._crazyflie = crazyflie
         known = crazyflie.log.toc.get_element_by_complete_name
-        for name in (name for kind in _KINDS for name in kind.variables if known(name) is None):
-            raise ValueError(f"the firmware has no log variable {name}: update it")
-        self._blocks = [_Block(kind, put) for kind in _KINDS]
+        self._blocks = []
+        for kind in _KINDS:
+            there = tuple(name for name in kind.variables if known(name) is not None)
+            if kind.needed and there != kind.variables:
+                missing = next(name for name in kind.variables if name not in there)
+                raise ValueError(f"the firmware has no log variable {missing}: update it")
+            if there:
+                self._blocks.append(_Block(kind._replace(variables=there), put))
 
     def step(self) -> None:
         """Ask for what has been silent for a second."""
@@ -88,5 +96,6 @@ class LogBlocks:
 
     @property
     def waits_for(self) -> str | None:
-        """A block that has not come yet; None: all have."""
-        return next((block.name for block in self._blocks if block.heard_s == -math.inf), None)
+        """A needed block that has not come yet; None: all have."""
+        waiting = (block for block in self._blocks if block.kind.needed and block.heard_s == -math.inf)
+        return next((block.kind.name for block in waiting), None)

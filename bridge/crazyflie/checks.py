@@ -1,4 +1,4 @@
-"""What is known of a Crazyflie, and why it must not be armed now: one table, each line with what to do."""
+"""Why a Crazyflie must not be armed now: one table, each line with what to do."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from bridge.crazyflie.rules import LOST_S
+from bridge.crazyflie.rules import POSE_AGE_MAX_S, REARM_S
 from bridge.crazyflie.types import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Power
-from bridge.frames import yaw_from_quaternion
-from bridge.mavlink.server.profile import POSITION_SOURCE
-from bridge.mavlink.server.telemetry import Battery
 
 STATE_AGE_MAX_S = 0.3  # s; thirty packets missing
 HEALTH_AGE_MAX_S = 1.0  # s; ten packets missing
 VARIANCE_MAX_M2 = 0.01  # m2 on each axis: 0.1 m; settled ones have 0.001 and less (cflib reset_estimator)
+TILT_MAX_DEG = 2.0  # degrees; each makes 6.8 cm/s of drift, and an accelerometer's zero is 1 degree off
 BATTERY_MIN_V = 3.7  # V at rest, a sixth of the charge; the firmware lands nobody when it runs empty
 ESTIMATOR, KALMAN = "stabilizer.estimator", "2"
 # stabilizer.controller that fly velocities: 0 is the default, which is PID (firmware controller.c). Mellinger
@@ -35,6 +33,9 @@ class Seen(NamedTuple):
     state: CrazyflieState | None
     health: Health | None
     mocap: str | None = None  # why motion capture is not used, when it should be
+    pose_age_s: float | None = None  # of the newest pose from outside; None: none are expected
+    tilt_rad: float = 0.0  # between the poses' upright and gravity's
+    fit_s: float = -math.inf  # when the supervisor last showed that it is, or can be, armed
 
 
 def problems(seen: Seen) -> list[str]:
@@ -46,7 +47,7 @@ def problems(seen: Seen) -> list[str]:
 
 def position_known(seen: Seen) -> bool:
     """Whether the estimate of position may be flown by."""
-    return all(check(seen) is None for check in (_state, _estimator, _position))
+    return all(check(seen) is None for check in (_state, _estimator, _poses, _position))
 
 
 def stuck(info: Info) -> str | None:
@@ -54,10 +55,12 @@ def stuck(info: Info) -> str | None:
     return next((text for bit, text in _STUCK.items() if info & bit), None)
 
 
+FIT = Info.CAN_BE_ARMED | Info.ARMED
+STUCK = Info.LOCKED | Info.TUMBLED | Info.CRASHED
 _STUCK = {
     Info.LOCKED: "supervisor has locked: restart the Crazyflie",
-    Info.CRASHED: "supervisor saw a crash: restart it, or recover it in cfclient",
     Info.TUMBLED: "it lies on its side or back: put it upright",
+    Info.CRASHED: "supervisor saw a crash: look for damage, then arm it once: that recovers it",
 }
 
 
@@ -82,8 +85,10 @@ def _state(seen: Seen) -> str | None:
 def _supervisor(seen: Seen) -> str | None:
     info = seen.state.info if seen.state is not None else Info(0)
     found = stuck(info)
-    if found is not None or seen.state is None or info & (Info.CAN_BE_ARMED | Info.ARMED):
+    if found is not None or seen.state is None or info & FIT:
         return found
+    if info & Info.AUTO_ARM and seen.state.at_s - seen.fit_s <= REARM_S:
+        return None  # it arms itself anew
     return "supervisor's pre-flight checks have not passed"
 
 
@@ -127,58 +132,22 @@ def _mocap(seen: Seen) -> str | None:
     return seen.mocap
 
 
+def _poses(seen: Seen) -> str | None:
+    """Without poses the variance stays small for seconds, while the position is 0.65 m off after 2.5 s."""
+    if seen.pose_age_s is None or seen.pose_age_s <= POSE_AGE_MAX_S:
+        return None
+    return "no pose from outside: has motion capture, or the program that sends its poses, stopped?"
+
+
+def _level(seen: Seen) -> str | None:
+    if seen.tilt_rad <= math.radians(TILT_MAX_DEG):
+        return None
+    return (
+        f"markers are tilted by {math.degrees(seen.tilt_rad):.1f} degrees against the body, "
+        f"{TILT_MAX_DEG:g} allowed: define the body anew in motion capture while it stands level"
+    )
+
+
 CHECKS: tuple[Callable[[Seen], str | None], ...] = (
-    _protocol, _state, _supervisor, _battery, _controller, _estimator, _mocap, _position,
+    _protocol, _state, _supervisor, _battery, _controller, _estimator, _mocap, _poses, _position, _level,
 )  # fmt: skip
-
-
-class Known:
-    """The newest that is known of a Crazyflie, and whether that is fresh and good enough.
-
-    Attributes:
-        link: the firmware on the other side.
-        state: newest state; its age is for the reader to judge.
-        health: newest quality of the estimate, and battery.
-        mocap_problem: why there are no good poses from outside, None: there are, or none are needed.
-    """
-
-    def __init__(self, *, mocap: bool) -> None:
-        self.link = Link()
-        self.state: CrazyflieState | None = None
-        self.health: Health | None = None
-        self.mocap_problem: str | None = "mocap: no pose yet" if mocap else None
-
-    def alive(self, now_s: float) -> bool:
-        """Whether it is heard; while it is not, no telemetry is sent."""
-        heard = self.state is not None and now_s - self.state.at_s <= LOST_S
-        return heard and self.link.protocol is not None
-
-    def problems(self, now_s: float) -> list[str]:
-        """Reasons against arming, now."""
-        return problems(self._seen(now_s))
-
-    def position_known(self, now_s: float) -> bool:
-        """Whether its estimate of position may be flown by."""
-        return position_known(self._seen(now_s))
-
-    def fresh_state(self, now_s: float) -> CrazyflieState | None:
-        """The newest state, None when it is too old to fly by."""
-        state = self.state
-        return state if state is not None and now_s - state.at_s <= STATE_AGE_MAX_S else None
-
-    def yaw_rad(self) -> float | None:
-        """Heading, counter-clockwise from east; None: no state yet."""
-        return yaw_from_quaternion(self.state.quaternion) if self.state is not None else None
-
-    def sensors_healthy(self, now_s: float) -> int:
-        """The position, while it may be flown by."""
-        return POSITION_SOURCE if self.position_known(now_s) else 0
-
-    @property
-    def battery(self) -> Battery:
-        """Battery, by the firmware."""
-        voltage_v = self.state.battery_v if self.state is not None else 0.0
-        return Battery(voltage_v, self.health.battery_percent if self.health is not None else -1)
-
-    def _seen(self, now_s: float) -> Seen:
-        return Seen(now_s, self.link, self.state, self.health, self.mocap_problem)

@@ -25,6 +25,7 @@ from cflib.crtp.crtpstack import CRTPPort
 
 from bridge.crazyflie.blocks import LogBlocks
 from bridge.crazyflie.checks import too_old
+from bridge.crazyflie.outbox import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
 from bridge.crazyflie.settings import DRAG
 from bridge.crazyflie.types import (
     ArmReply,
@@ -39,6 +40,8 @@ from bridge.crazyflie.types import (
     SetParam,
     Velocity,
 )
+
+__all__ = ["ORDERS_MAX", "VELOCITY_AGE_MAX_S", "CrazyflieLink", "Outbox"]
 
 PARAMS = (  # what the bridge looks at before it lets anybody arm
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",
@@ -84,6 +87,7 @@ class CrazyflieLink:
         os.set_blocking(self._write_fd, False)
         self._heard_s = 0.0
         self._broken: str | None = None
+        self._protocol: int | None = None  # of the last connection
         self._current: Any = None  # cflib's object of the present connection
         self._stops, self._flown_s = False, -math.inf
         self._fully = threading.Event()
@@ -160,11 +164,13 @@ class CrazyflieLink:
 
         self._listen(crazyflie, put)
         crazyflie.open_link(self._uri)
+        if self._flies and self._protocol is not None:  # until it answers; meanwhile set-points have a form
+            crazyflie.platform._protocolVersion = self._protocol
         senders = _senders(crazyflie, put)
         reason = self._wait_connected(crazyflie, senders)
         if reason is not None:
             return reason
-        protocol = crazyflie.platform.get_protocol_version()
+        protocol = self._protocol = crazyflie.platform.get_protocol_version()
         try:
             logs = LogBlocks(crazyflie, put)
         except ValueError as error:
@@ -320,81 +326,3 @@ def _senders(crazyflie: Any, put: Callable[[Event], None]) -> _Senders:
         Order.RECOVER: lambda _: supervisor.send_crash_recovery_request(),
         Order.EMERGENCY_STOP: lambda _: supervisor.send_emergency_stop(),
     }
-
-
-ORDERS_MAX = 64
-VELOCITY_AGE_MAX_S = 0.1  # s; an older velocity was meant for another moment, silence is what is safe
-_URGENT = frozenset({Order.EMERGENCY_STOP, Order.STOP, Order.DISARM})
-
-
-class Outbox:
-    """Thread-safe; ``put`` never blocks.
-
-    Attributes:
-        late: velocities dropped for their age.
-        lost: orders dropped because too many waited.
-    """
-
-    def __init__(self) -> None:
-        self.late = 0
-        self.lost = 0
-        self._ready = threading.Condition()
-        self._orders: deque[Order | SetParam] = deque()
-        self._velocity: tuple[Velocity, float] | None = None
-        self._pose: Pose | None = None
-        self._woken = False
-
-    def put(self, packet: Packet, now_s: float) -> None:
-        """Add a packet; motors-off clears the velocity that waits."""
-        with self._ready:
-            if isinstance(packet, Velocity):
-                self._velocity = (packet, now_s)
-            elif isinstance(packet, Pose):
-                self._pose = packet
-            else:
-                self._add_order(packet)
-            self._ready.notify()
-
-    def _add_order(self, order: Order | SetParam) -> None:
-        urgent = order in _URGENT
-        if urgent:
-            self._velocity = None
-        if len(self._orders) >= ORDERS_MAX:
-            self.lost += 1
-            if not urgent:
-                return
-            self._orders.pop()
-        if order is Order.EMERGENCY_STOP:
-            self._orders.appendleft(order)
-        else:
-            self._orders.append(order)
-
-    def get(self, timeout_s: float, clock: Callable[[], float]) -> Packet | None:
-        """Take the next packet, waiting for one at most so long; None when none came."""
-        with self._ready:
-            self._ready.wait_for(self._anything, timeout_s)
-            self._woken = False
-            if self._orders:
-                return self._orders.popleft()
-            if self._velocity is not None:
-                (velocity, since_s), self._velocity = self._velocity, None
-                if clock() - since_s <= VELOCITY_AGE_MAX_S:
-                    return velocity
-                self.late += 1
-            pose, self._pose = self._pose, None
-            return pose
-
-    def clear(self) -> None:
-        """Forget everything."""
-        with self._ready:
-            self._orders.clear()
-            self._velocity = self._pose = None
-
-    def wake(self) -> None:
-        """End a wait."""
-        with self._ready:
-            self._woken = True
-            self._ready.notify()
-
-    def _anything(self) -> bool:
-        return bool(self._woken or self._orders or self._velocity or self._pose)

@@ -14,8 +14,24 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.crazyflie.rules import Rules
-from bridge.crazyflie.state import LATE_MAX_S, STATE_PERIOD_MS, BootClock, decode_health, decode_state
-from bridge.crazyflie.types import ArmReply, Arrived, Connected, HealthBlock, Lost, ParamValue, StateBlock
+from bridge.crazyflie.state import (
+    LATE_MAX_S,
+    STATE_PERIOD_MS,
+    BootClock,
+    decode_health,
+    decode_outside,
+    decode_state,
+)
+from bridge.crazyflie.types import (
+    ArmReply,
+    Arrived,
+    Connected,
+    HealthBlock,
+    Lost,
+    OutsideBlock,
+    ParamValue,
+    StateBlock,
+)
 from bridge.crazyflie.vehicle import Vehicle
 from bridge.frames import yaw_from_quaternion, yaw_ned_from_enu
 from bridge.mavlink.codec.decoding import Message
@@ -94,6 +110,7 @@ class Node(Server[Vehicle]):
         self._streamed: list[Message] = []  # made from new states, not sent yet
         self._readiness_due_s, self._readiness = READINESS_S, ""
         self._shown_armed = False
+        self._restarts = 0
         parameters = Parameters(
             (
                 fixed("MAV_SYS_ID", system_id),
@@ -103,12 +120,13 @@ class Node(Server[Vehicle]):
         )
         super().__init__(Vehicle(rules), PROFILE, parameters, _RATE_HZ, BUILDERS, system_id=system_id)
         self._events: dict[type, Callable[[Any, float], None]] = {
-            Connected: self.vehicle.connected,
+            Connected: self._on_connected,
             Lost: self.vehicle.lost,
             ArmReply: self.vehicle.arm_reply,
             ParamValue: self.vehicle.param,
             StateBlock: self._on_state,
             HealthBlock: self._on_health,
+            OutsideBlock: self._on_outside,
         }
 
     def take(self, arrived: Arrived, at_s: float) -> None:
@@ -195,6 +213,10 @@ class Node(Server[Vehicle]):
             self._readiness = kind
             self.vehicle.texts.say(dialect.MAV_SEVERITY_INFO, text)
 
+    def _on_connected(self, event: Connected, at_s: float) -> None:
+        self.clock.begin()
+        self.vehicle.connected(event, at_s)
+
     def _on_state(self, block: StateBlock, at_s: float) -> None:
         timed = self.clock.take(block.time_ms, at_s)
         if timed is None or self.vehicle.link.protocol is None:  # out of order, or the link is being set up
@@ -204,10 +226,14 @@ class Node(Server[Vehicle]):
             self.late += 1
             return
         state = decode_state(block, boot_ms, at_s - late_s)  # as old as it is, not as it came
-        self.vehicle.take_state(state, at_s)
+        restarts, self._restarts = self._restarts, self.clock.restarts
+        self.vehicle.take_state(state, at_s, restarted=restarts != self.clock.restarts)
         snapshot = self.snapshot(state.at_s)  # this clock is as even as the Crazyflie's
         if snapshot is not None:
             self._streamed += self.stream(snapshot)
 
     def _on_health(self, block: HealthBlock, at_s: float) -> None:
-        self.vehicle.health = decode_health(block, at_s)
+        self.vehicle.take_health(decode_health(block, at_s))
+
+    def _on_outside(self, block: OutsideBlock, at_s: float) -> None:
+        self.vehicle.take_outside(decode_outside(block, at_s))

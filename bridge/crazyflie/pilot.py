@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from bridge.crazyflie.rules import BLIND_LANDING_MAX_S, STANDING_S, TAKEOFF_M, TAKEOFF_MAX_S
+from bridge.crazyflie.rules import STANDING_S, TAKEOFF_M, TAKEOFF_MAX_S
 from bridge.crazyflie.types import CrazyflieState, Velocity
 from bridge.frames import wrap_angle, yaw_from_quaternion
 from bridge.mavlink.server.profile import FlightMode
@@ -110,20 +110,17 @@ class Pilot:
 
     Attributes:
         takeoff_z_m: height of the next or present take-off.
+        since_s: begin of the present mode.
     """
 
     def __init__(self) -> None:
         self.takeoff_z_m = TAKEOFF_M
         self._anchor: Anchor | None = None
-        self._since_s = -math.inf
+        self.since_s = -math.inf
 
     def begin(self, now_s: float) -> None:
         """Begin a mode, from wherever it is."""
-        self._anchor, self._since_s = None, now_s
-
-    def goes_on(self, now_s: float) -> bool:
-        """Whether a landing without any state still goes down."""
-        return now_s - self._since_s <= BLIND_LANDING_MAX_S
+        self._anchor, self.since_s = None, now_s
 
     def step(
         self, mode: FlightMode, state: CrazyflieState | None, now_s: float, *, standing: bool, placed: bool
@@ -131,25 +128,25 @@ class Pilot:
         """Velocity to send, and whether the mode is done.
 
         ``mode`` is any but OFFBOARD. ``state`` is None when there is no fresh one: then it stops in the air,
-        or goes on down for a while. ``standing``: it has not moved yet. ``placed``: its position is known; a
+        or continues down. ``standing``: it has not moved yet. ``placed``: its position is known; a
         landing goes straight down without.
         """
         if state is None:
             if mode is FlightMode.LAND:
-                return (Velocity((0.0, 0.0, -DESCENT_M_S), 0.0) if self.goes_on(now_s) else None), None
+                return Velocity((0.0, 0.0, -DESCENT_M_S), 0.0), None
             return (None if standing else Velocity(ZERO, 0.0)), None
         if self._anchor is None:
             self._anchor = Anchor.here(state, self.takeoff_z_m if mode is FlightMode.TAKEOFF else None)
         anchor = self._anchor
         turn_rad_s = yaw_rate(anchor.yaw_rad, state)
         if mode is FlightMode.LAND:
-            if anchor.down(state, now_s) and now_s - self._since_s > LANDING_MIN_S:
+            if anchor.down(state, now_s) and now_s - self.since_s > LANDING_MIN_S:
                 return None, Done.LANDED
             velocity = anchor.descend(state) if placed else (0.0, 0.0, -DESCENT_M_S)
             return Velocity(velocity, turn_rad_s), None
         done: Done | None = None
         if mode is FlightMode.TAKEOFF and anchor.arrived(state):
             done = Done.ARRIVED
-        elif mode is FlightMode.TAKEOFF and now_s - self._since_s > TAKEOFF_MAX_S:
+        elif mode is FlightMode.TAKEOFF and now_s - self.since_s > TAKEOFF_MAX_S:
             done = Done.STUCK
         return Velocity(anchor.hold(state), turn_rad_s), done

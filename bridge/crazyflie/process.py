@@ -152,7 +152,7 @@ class Loop:
     def _pass_pose(self, poses: PosesLike, now_s: float) -> None:
         vehicle = self._node.vehicle
         passed = poses.poll(now_s, armed=vehicle.armed)
-        vehicle.mocap(poses.problem)
+        vehicle.mocap(poses.problem, passed, now_s)
         if passed is not None:
             for packet in self._feed.packets(passed, vehicle.link, armed=vehicle.armed):
                 self._link.send(packet)

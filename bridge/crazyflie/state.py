@@ -9,7 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from bridge.crazyflie.types import CrazyflieState, Health, HealthBlock, Info, Power, StateBlock
+from bridge.crazyflie.types import (
+    CrazyflieState,
+    Health,
+    HealthBlock,
+    Info,
+    Outside,
+    OutsideBlock,
+    Power,
+    StateBlock,
+)
 from bridge.frames import Quat
 
 STATE_PERIOD_MS = 10
@@ -24,25 +33,39 @@ HEALTH_VARIABLES: tuple[str, ...] = (
     *(f"kalman.varP{axis}" for axis in "XYZ"), "pm.state", "pm.batteryLevel",
     *(f"motor.m{number}" for number in (1, 2, 3, 4)),
 )  # fmt: skip
+OUTSIDE_PERIOD_MS = 100
+OUTSIDE_VARIABLES: tuple[str, ...] = ("acc.x", "acc.y", "acc.z", "locSrvZ.tick")
 FETCHED_AS: Mapping[str, str] = dict.fromkeys(HEALTH_VARIABLES[-4:], "uint16_t")  # older firmware has 32 bits
 _PWM_MAX = 65535.0
 LATE_MAX_S = 0.2  # s; a packet that was held up longer is not the present any more
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # a clock that falls back further is a restart, less is a packet out of order
-_DRIFT = 1e-4  # of two crystals, generous: the shortest delay seen is forgotten this fast
+_DRIFT = 0.1  # of a simulated firmware's clock, at most; CrazySim's ran at 0.97
+_SPAN_S, _SPAN_PACKETS = 0.25, 10  # s, number; packets that were held up arrive in less
 _MAGNITUDE = (1 << 9) - 1  # of a quaternion's element, besides a sign bit (quatcompress.h)
 
 
 class BootClock:
-    """The firmware's 24-bit milliseconds as a clock that goes on, and how late a packet is.
+    """The firmware's 24-bit milliseconds as a clock that continues, and how late a packet is.
 
-    The packet with the shortest way sets the zero of lateness; a longer way is lateness.
+    The packet with the shortest way sets the zero of lateness; a longer way is lateness. The shortest is
+    forgotten after half a second of packets: the clock of a simulated firmware may be slow, or stall.
+
+    Attributes:
+        restarts: how often the firmware has restarted, or its clock was set back.
     """
 
     def __init__(self) -> None:
+        self.restarts = 0
         self._last_ms: int | None = None
-        self._zero_s = math.inf  # shortest of arrival minus firmware time
-        self._zero_at_s = 0.0
+        self._last_at_s = 0.0
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew, with another connection; the last time stays, to know a restart by."""
+        self._shortest_s = [math.inf, math.inf]  # arrival minus firmware time, of two spans of packets
+        self._span_s, self._in_span = -math.inf, 0
+        self._odd_ms: int | None = None  # a time that fits neither the clock nor a restart
 
     @property
     def running(self) -> bool:
@@ -50,28 +73,42 @@ class BootClock:
         return self._last_ms is not None
 
     def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:
-        """Unwrapped milliseconds and lateness in seconds; None: not newer than the last.
+        """Unwrapped milliseconds and lateness in seconds; None: not newer than the last, or not believed yet.
 
         ``time_ms`` has 24 bits.
         """
-        if self._last_ms is None:
-            boot_ms = time_ms
-        else:
-            step_ms = (time_ms - self._last_ms + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
-            if -_REBOOT_MS < step_ms <= 0:
-                return None
-            boot_ms = self._last_ms + step_ms
-            if step_ms <= -_REBOOT_MS:  # restarted
-                boot_ms, self._zero_s = time_ms, math.inf
-        self._last_ms = boot_ms
+        boot_ms: int | None = time_ms
+        if self._last_ms is not None:
+            boot_ms = self._unwrapped(time_ms, self._last_ms, 1000.0 * (at_s - self._last_at_s))
+        if boot_ms is None:
+            return None
+        self._last_ms, self._last_at_s, self._odd_ms = boot_ms, at_s, None
+        if at_s - self._span_s >= _SPAN_S and self._in_span >= _SPAN_PACKETS:
+            self._shortest_s = [self._shortest_s[1], math.inf]
+            self._in_span = 0
+        if self._in_span == 0:
+            self._span_s = at_s
+        self._in_span += 1
         way_s = at_s - boot_ms / 1000.0
-        self._zero_s = min(way_s, self._zero_s + _DRIFT * (at_s - self._zero_at_s))
-        self._zero_at_s = at_s
-        return boot_ms, way_s - self._zero_s
+        self._shortest_s[1] = min(way_s, self._shortest_s[1])
+        return boot_ms, way_s - min(self._shortest_s)
+
+    def _unwrapped(self, time_ms: int, last_ms: int, elapsed_ms: float) -> int | None:
+        step_ms = (time_ms - last_ms + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
+        tolerance_ms = _REBOOT_MS + _DRIFT * elapsed_ms
+        restarted = time_ms <= elapsed_ms + _REBOOT_MS and abs(step_ms - elapsed_ms) > tolerance_ms
+        if not restarted and -_REBOOT_MS < step_ms <= elapsed_ms + tolerance_ms:
+            return last_ms + step_ms if step_ms > 0 else None
+        if not restarted and (self._odd_ms is None or not 0 < time_ms - self._odd_ms < _REBOOT_MS):
+            self._odd_ms = time_ms  # one packet alone moves no clock
+            return None
+        self.restarts += restarted or step_ms < 0
+        self.begin()
+        return time_ms if restarted or step_ms < 0 else last_ms + step_ms
 
     def now_ns(self, now_s: float) -> int:
         """Firmware clock at a bridge time, ns, for TIMESYNC."""
-        return max(1, round((now_s - self._zero_s) * 1e9))
+        return max(1, round((now_s - min(self._shortest_s)) * 1e9))
 
 
 def decode_state(block: StateBlock, boot_ms: int, at_s: float) -> CrazyflieState:
@@ -109,6 +146,13 @@ def decode_health(block: HealthBlock, at_s: float) -> Health:
     variance = (v["kalman.varPX"], v["kalman.varPY"], v["kalman.varPZ"])
     throttle = sum(v[name] for name in HEALTH_VARIABLES[-4:]) / (4.0 * _PWM_MAX)
     return Health(at_s, variance, Power(int(v["pm.state"])), int(v["pm.batteryLevel"]), throttle)
+
+
+def decode_outside(block: OutsideBlock, at_s: float) -> Outside:
+    """Turn a packet into what it says of gravity and poses; variables may be missing."""
+    v = block.values
+    acceleration = (v["acc.x"], v["acc.y"], v["acc.z"]) if {"acc.x", "acc.y", "acc.z"} <= v.keys() else None
+    return Outside(at_s, acceleration, int(v["locSrvZ.tick"]) if "locSrvZ.tick" in v else None)
 
 
 def decompress_quaternion(packed: int) -> Quat:

@@ -103,6 +103,12 @@ class HealthBlock(NamedTuple):
     values: dict[str, float]
 
 
+class OutsideBlock(NamedTuple):
+    """One log packet of what helps to judge poses from outside; firmware may lack any of it."""
+
+    values: dict[str, float]
+
+
 class ArmReply(NamedTuple):
     """The supervisor's answer to an arming request."""
 
@@ -117,7 +123,7 @@ class ParamValue(NamedTuple):
     value: str | None  # None: the firmware has no such parameter
 
 
-Event = Connected | Lost | StateBlock | HealthBlock | ArmReply | ParamValue
+Event = Connected | Lost | StateBlock | HealthBlock | OutsideBlock | ArmReply | ParamValue
 
 
 class Arrived(NamedTuple):
@@ -150,6 +156,15 @@ class Health:
     power: Power
     battery_percent: int
     throttle: float = 0.0  # mean of the motors' PWM, 0 to 1
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """Gravity by the accelerometer, and the firmware's time of the newest pose from outside."""
+
+    at_s: float
+    acceleration_flu_g: Vec3 | None  # specific force
+    tick: int | None  # 16 bits, ms
 
 
 @dataclass(frozen=True, slots=True)

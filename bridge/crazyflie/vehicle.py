@@ -10,156 +10,27 @@ from __future__ import annotations
 
 import math
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
-
 from bridge.crazyflie import rules as limits
-from bridge.crazyflie.arming import Arming
-from bridge.crazyflie.checks import Known, stuck
-from bridge.crazyflie.pilot import Done, Ground, Pilot, yaw_rate
-from bridge.crazyflie.settings import Settings
-from bridge.crazyflie.types import (
-    ArmReply,
-    Connected,
-    CrazyflieState,
-    Info,
-    Link,
-    Lost,
-    Order,
-    Packet,
-    ParamValue,
-    Velocity,
-)
-from bridge.mavlink.server.owner import ControlOwner, Right, Sender
-from bridge.mavlink.server.profile import AIRBORNE_STATE, FlightMode
+from bridge.crazyflie.checks import STUCK
+from bridge.crazyflie.craft import CRITICAL, INFO, Craft
+from bridge.crazyflie.pilot import Done, Ground, yaw_rate
+from bridge.crazyflie.types import Info, Order, Velocity
+from bridge.mavlink.server.owner import Right, Sender
+from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.setpoints import Setpoint
-from bridge.mavlink.server.texts import Texts
-from flightstack.core.types import ZERO, Vec3
 
-INFO, WARNING = dialect.MAV_SEVERITY_INFO, dialect.MAV_SEVERITY_WARNING
-CRITICAL = dialect.MAV_SEVERITY_CRITICAL
 _ENDS = "the bridge ends"
 
 
-class Vehicle(Known):
-    """Call the methods as things come, then ``step``, then take ``packets`` and ``texts``.
-
-    Attributes:
-        mode: meaningful also while disarmed.
-        failsafe: the mode was not asked for.
-        home_enu_m: the origin, at the height where it stands; armed, where it was armed.
-    """
+class Vehicle(Craft):
+    """Call the methods as things come, then ``step``, then take ``packets`` and ``texts``."""
 
     def __init__(self, rules: limits.Rules) -> None:
-        self.rules = rules
-        self.mode, self.failsafe = FlightMode.HOLD, False
-        self.home_enu_m: Vec3 = ZERO
-        super().__init__(mocap=rules.mocap)
-        self.texts, self.owner = Texts(), ControlOwner()
-        self.settings = Settings(rules.drag_1_s, restore=rules.restore)
-        self._arming = Arming()
-        self._packets: list[Packet] = []
-        self._pilot = Pilot()
-        self._moved = False  # a velocity has gone out since arming
+        super().__init__(rules)
         self._ground = Ground()
-        self._stream_s = self._client_s = self._own_s = self._kill_s = -math.inf
-        self._silence_said = self._stream_end_said = self._ends = False
-        self._connected_s = self._idle_since_s = 0.0
-
-    @property
-    def armed(self) -> bool:
-        """Armed through this bridge."""
-        return self._arming.armed
-
-    @property
-    def arming(self) -> bool:
-        """Whether the supervisor has been asked and has not answered."""
-        return self._arming.arming
-
-    @property
-    def busy(self) -> bool:
-        """Armed, or not done with the supervisor: the link must not be closed yet."""
-        return self.armed or self._arming.busy
-
-    @property
-    def standing(self) -> bool:
-        """Not in the air, as far as can be told without a sensor for it."""
-        return not (self.armed and self._moved)
-
-    @property
-    def landed_state(self) -> int:
-        """MAV_LANDED_STATE."""
-        return 1 if self.standing else AIRBORNE_STATE[self.mode]
-
-    def take_packets(self) -> list[Packet]:
-        """What goes to the Crazyflie, in order."""
-        packets, self._packets = self._packets, []
-        return packets
-
-    # What comes from the Crazyflie
-
-    def connected(self, event: Connected, now_s: float) -> None:
-        """The link is open."""
-        self.link = Link(event.protocol, dict(event.params), "")
-        self.state = self.health = None
-        self._connected_s = now_s
-        self._arming.forget()
-        if now_s - self._kill_s <= limits.KILL_KEPT_S:
-            self.emergency_stop(now_s)
-        self._kill_s = -math.inf
-        self.texts.say(INFO, f"Crazyflie connected, CRTP {event.protocol}")
-        packets, warning = self.settings.connected(event.params)
-        self._packets += packets  # their echoes arrive as ``ParamValue``
-        if warning is not None:
-            self.texts.say(WARNING, warning)
-
-    def param(self, event: ParamValue, now_s: float) -> None:
-        """A parameter's value, after somebody wrote it."""
-        if event.value is None:
-            self.texts.refuse(f"The firmware has no parameter {event.name}", now_s)
-            return
-        self.link.params[event.name] = event.value
-        self.settings.echoed(event.name)
-        self.texts.say(INFO, f"{event.name} is {event.value}")
-
-    def lost(self, event: Lost, now_s: float) -> None:
-        """The link is gone."""
-        if self.link.protocol is not None:
-            self.texts.say(CRITICAL, f"Radio lost: {event.reason}")
-        else:
-            self.texts.refuse(event.reason, now_s, "connecting")
-        self.link = Link(reason=event.reason)
-        self._end("radio lost")
-        self._arming.forget()
-
-    def take_state(self, state: CrazyflieState, _now_s: float) -> None:
-        """A new state."""
-        before, self.state = self.state, state
-        if not self.armed:  # a take-off that waits for the arming climbs from where it stands then
-            height_m = state.position_enu_m[2]
-            self._pilot.takeoff_z_m += height_m - self.home_enu_m[2]
-            self.home_enu_m = (0.0, 0.0, height_m)
-        if self._silence_said:
-            self.texts.say(INFO, "Radio is back")
-            self._silence_said = False
-        if before is not None and state.boot_ms < before.boot_ms:
-            self._end("it restarted")
-        reason = stuck(state.info)
-        if reason is not None and (before is None or stuck(before.info) != reason):
-            self.texts.say(CRITICAL, reason)
-        if self.armed and (reason is not None or not state.info & Info.ARMED):
-            self._end("by the firmware")
-
-    def arm_reply(self, reply: ArmReply, now_s: float) -> None:
-        """The supervisor's answer."""
-        reason = self._arming.reply(reply)
-        if reason is not None:
-            self.texts.refuse(f"Arming refused: {reason}", now_s)
-
-    def mocap(self, problem: str | None) -> None:
-        """Why there are no good poses from outside now; None: there are."""
-        if self.armed and problem is not None and self.mocap_problem is None:
-            self.texts.say(CRITICAL, problem)
-        self.mocap_problem = problem
+        self._stream_s = self._client_s = self._own_s = -math.inf
+        self._stream_end_said = self._ends = False
+        self._idle_since_s = 0.0
 
     # What clients want; the reason if refused
 
@@ -175,6 +46,9 @@ class Vehicle(Known):
         """Ask the supervisor; ``armed`` or a text shows what became of it."""
         if self.armed or self.arming:
             return None
+        if self.state is not None and self.state.info & STUCK == Info.CRASHED and not self._ends:
+            self._packets.append(Order.RECOVER)
+            return "Arming refused: crash recovery begun: look for damage, then arm again"
         found = self.problems(now_s)
         if self._ends or found or self.state is None:
             return f"Arming refused: {_ENDS if self._ends else found[0] if found else 'no state'}"
@@ -194,19 +68,12 @@ class Vehicle(Known):
             return "Disarming refused: not landed"
         if force and self.link.protocol is None:
             self._kill_s = now_s
+            self._end("motors off requested, no link")
             return f"No link to the Crazyflie: motors off if it is back within {limits.KILL_KEPT_S:g} s"
         flying = self.state is not None and bool(self.state.info & Info.FLYING)
         if self.armed or self.arming or (force and flying):
             self._motors_off(now_s, "Disarmed by force" if force else "Disarmed", forced=force)
         return None
-
-    def emergency_stop(self, now_s: float) -> None:
-        """Stop the motors by the way that latches until a restart."""
-        if self.link.protocol is None:
-            self._kill_s = now_s
-            self.texts.say(CRITICAL, "Emergency stop waits for the radio")
-        self._packets += self._arming.emergency(now_s)
-        self._end("emergency stop, restart needed")
 
     def take_off(self, height_m: float | None, now_s: float) -> str | None:
         """Climb and hold there; disarmed: as soon as it is armed.
@@ -283,6 +150,7 @@ class Vehicle(Known):
 
     def step(self, now_s: float) -> None:
         """Whatever time brings; call it at least every 10 ms."""
+        self._note_pose(self.mocap_problem, None, now_s)
         self._watch_radio(now_s)
         was_armed = self.armed
         packets, text = self._arming.step(self.state, now_s)
@@ -319,6 +187,9 @@ class Vehicle(Known):
             self._fall_back(f"No client for {limits.CLIENT_SILENT_S:g} s", now_s)
             return
         state = self.fresh_state(now_s)
+        if state is None and self.mode is FlightMode.LAND and self._has_sunk(now_s):
+            self._motors_off(now_s, "Blind landing over: motors off", forced=False)
+            return
         placed = state is None or self.position_known(now_s)
         if not placed and self.mode is not FlightMode.LAND:
             self._fall_back("No position estimate", now_s)
@@ -343,58 +214,3 @@ class Vehicle(Known):
             self.texts.say(CRITICAL, "Set-points stopped: firmware levels out, motors off at 2 s")
         if silence_s > limits.STREAM_S and (self.rules.land_on_silence or self.standing):
             self._fall_back("No set-points", now_s)
-
-    def _watch_radio(self, now_s: float) -> None:
-        if self.link.protocol is None:
-            return
-        heard_s = self.state.at_s if self.state is not None else self._connected_s
-        silence_s = now_s - heard_s
-        if silence_s > limits.SILENT_S and not self._silence_said:
-            self._silence_said = True
-            self.texts.say(CRITICAL, f"Radio silent for {limits.SILENT_S:g} s")
-        silent = silence_s > limits.LOST_S and self.mode in (FlightMode.HOLD, FlightMode.TAKEOFF)
-        if silent and self.armed and not self.standing:
-            self._fall_back("Radio silent", now_s)
-        landing_blind = self.armed and self.mode is FlightMode.LAND and self._pilot.goes_on(now_s)
-        if silence_s > limits.RECONNECT_S and not landing_blind:
-            self._packets.append(Order.RECONNECT)
-            self.lost(Lost(f"nothing heard for {limits.RECONNECT_S:g} s"), now_s)
-
-    # Changes
-
-    def _enter(self, mode: FlightMode, now_s: float, *, failsafe: bool = False) -> None:
-        self.failsafe = failsafe
-        if mode is self.mode and mode is FlightMode.LAND:
-            return  # it goes on
-        self._change(mode)
-        self._pilot.begin(now_s)
-
-    def _change(self, mode: FlightMode) -> None:
-        if mode is not self.mode:
-            self.texts.say(INFO, f"Mode {mode.value}")
-        self.mode = mode
-
-    def _fall_back(self, reason: str, now_s: float) -> None:
-        if self.standing:
-            self.texts.say(WARNING, f"{reason}: stays on the ground")
-            self._enter(FlightMode.HOLD, now_s)
-            return
-        self.texts.say(CRITICAL, f"{reason}: landing")
-        self._enter(FlightMode.LAND, now_s, failsafe=True)
-
-    def _motors_off(self, now_s: float, text: str, *, forced: bool) -> None:
-        self._packets += self._arming.off(now_s, forced=forced)
-        self.texts.say(WARNING if forced else INFO, text)
-        self._ended()
-
-    def _end(self, reason: str) -> None:
-        """It is no longer armed, whoever did that."""
-        if self.armed:
-            self.texts.say(CRITICAL, f"Disarmed: {reason}")
-        self._arming.armed = False
-        self._ended()
-
-    def _ended(self) -> None:
-        self._moved = self.failsafe = False
-        self.owner.release()
-        self.mode = FlightMode.HOLD  # in OFFBOARD the next client would find control taken

@@ -7,6 +7,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.crazyflie.node import Node
 from bridge.crazyflie.rules import Rules
+from bridge.crazyflie.state import (
+    HEALTH_PERIOD_MS,
+    HEALTH_VARIABLES,
+    OUTSIDE_PERIOD_MS,
+    OUTSIDE_VARIABLES,
+    STATE_PERIOD_MS,
+    STATE_VARIABLES,
+)
 from bridge.crazyflie.types import (
     ArmReply,
     Arrived,
@@ -14,6 +22,7 @@ from bridge.crazyflie.types import (
     HealthBlock,
     Lost,
     Order,
+    OutsideBlock,
     Packet,
     ParamValue,
     Pose,
@@ -27,11 +36,17 @@ from tests.crazyflie_firmware.tables import CODE, LOGS
 STEP_S = 0.01
 CLIENT, OTHER, GROUND = (1, 191), (7, 190), (255, 190)
 NAN = float("nan")
+BLOCKS = {
+    1: (STATE_VARIABLES, STATE_PERIOD_MS, StateBlock),
+    2: (HEALTH_VARIABLES, HEALTH_PERIOD_MS, lambda _, values: HealthBlock(values)),
+    3: (OUTSIDE_VARIABLES, OUTSIDE_PERIOD_MS, lambda _, values: OutsideBlock(values)),
+}
 _HEADS = {
     Order.STOP: b"\x7c\x00",
     Order.NOTIFY_STOP: b"\x7d\x00" + bytes(4),
     Order.ARM: b"\x9d\x01\x01",
     Order.DISARM: b"\x9d\x01\x00",
+    Order.RECOVER: b"\x9d\x02",
     Order.EMERGENCY_STOP: b"\x9d\x03",
 }
 
@@ -74,11 +89,17 @@ class Bench:
         self.firmware.packet(b"\x5d\x05", self.now_s)  # whatever an earlier connection asked for
         params = {name: f"{p.value:g}" for name, p in self.firmware.params.items()}
         self._take(Connected(self.firmware.protocol, params))
-        for number, names, period in ((1, [*list(LOGS)[:11], "pm.vbatMV"], 1), (2, list(LOGS)[-3:], 10)):
-            names = names if number == 1 else [*names, "pm.state", "pm.batteryLevel", *list(LOGS)[-7:-3]]
-            ids = b"".join(bytes((0, i & 0xFF, i >> 8)) for i in (list(LOGS).index(n) for n in names))
-            self.firmware.packet(b"\x5d\x06" + bytes((number,)) + ids, self.now_s)
-            self.firmware.packet(b"\x5d\x03" + bytes((number, period)), self.now_s)
+        self._ask_logs()
+
+    def _ask_logs(self) -> None:
+        self._asked_s = self.now_s
+        for number, (names, period_ms, _) in BLOCKS.items():
+            ids = [bytes((0, i & 0xFF, i >> 8)) for i in (list(LOGS).index(n) for n in names)]
+            head = bytes((number,))
+            self.firmware.packet(b"\x5d\x06" + head + b"".join(ids[:9]), self.now_s)
+            if ids[9:]:
+                self.firmware.packet(b"\x5d\x07" + head + b"".join(ids[9:]), self.now_s)
+            self.firmware.packet(b"\x5d\x03" + head + bytes((period_ms // 10,)), self.now_s)
 
     def lose(self, reason: str = "Too many packets lost") -> None:
         self._take(Lost(reason))
@@ -101,6 +122,8 @@ class Bench:
             self.firmware.packet(b"\xff", self.now_s)  # the link's own; without, log blocks are deleted
         for raw in self.firmware.step(self.now_s):
             self._log(raw)
+        if not (self.firmware._blocks or self.deaf or self.now_s - self._asked_s < 1.0):
+            self._ask_logs()  # as the link does
         beat = mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
         if not self.client_gone and round(self.now_s / STEP_S) % 50 == 0:
             self.node.handle(beat, CLIENT, self.now_s)
@@ -168,7 +191,7 @@ class Bench:
         names = self.firmware._blocks[number].names
         values = struct.unpack("<" + "".join(CODE[LOGS[n]][1] for n in names), body)
         pairs = dict(zip(names, values, strict=True))
-        self._take(StateBlock(time_ms, pairs) if number == 1 else HealthBlock(pairs))
+        self._take(BLOCKS[number][2](time_ms, pairs))
 
     def _send(self) -> None:
         for packet in self.vehicle.take_packets():
@@ -178,6 +201,9 @@ class Bench:
             if isinstance(packet, SetParam):
                 self._write(packet)
                 continue
+            if packet is Order.RECONNECT:  # the link ends with these
+                self.firmware.packet(_HEADS[Order.STOP], self.now_s)
+                packet = Order.NOTIFY_STOP
             raw = _raw(packet)
             for answer in self.firmware.packet(raw, self.now_s) if raw else ():
                 if answer[:2] == b"\x9d\x81" and not self.mute:

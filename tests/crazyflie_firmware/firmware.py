@@ -8,6 +8,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
+from bridge.frames import body_from_world
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.supervisor import PERIOD_S, State, Supervisor
 from tests.crazyflie_firmware.tables import CODE, LOGS, Param, log_toc, param_toc, params, quaternion_bits
@@ -23,6 +24,7 @@ PORTS = {
     "generic": 7,
     "supervisor": 9,
 }
+UP = (0.0, 0.0, 1.0)
 SILENT_S = 1.0  # s without any packet, after which the log blocks are deleted (crtp.c, log.c)
 START_S = 3.0  # s of a start; armed by itself at 3.1 s
 
@@ -215,8 +217,12 @@ class Firmware:
         (x, y, z), (vx, vy, vz), (p, q, r) = (
             [int(1000 * e) for e in vector] for vector in (position, velocity, plant.rates)
         )  # truncated towards zero (stabilizer.c, compressState)
+        attitude = plant.quaternion
+        if self.needs_poses and self.poses:  # the filter takes that of the poses, tilted or not
+            x_, y_, z_, w_ = self.poses[-1][1][3:]
+            attitude = (w_, x_, y_, z_)
         variance = plant.variance_m2 if self.params["stabilizer.estimator"].value == 2 else 0.0
-        state = (x, y, z, vx, vy, vz, quaternion_bits(plant.quaternion), p, -q, r)
+        state = (x, y, z, vx, vy, vz, quaternion_bits(attitude), p, -q, r)
         return {
             **dict(zip(LOGS, state, strict=False)),
             "supervisor.info": self.supervisor.info,
@@ -224,6 +230,8 @@ class Firmware:
             "pm.vbatMV": round(1000 * self.battery_v),
             "pm.state": self.power_state,
             "pm.batteryLevel": 90,
+            **dict(zip(("acc.x", "acc.y", "acc.z"), body_from_world(plant.quaternion, UP), strict=True)),
+            "locSrvZ.tick": int(1000 * self.poses[-1][0]) & 0xFFFF if self.poses else 0,
             **{
                 f"motor.m{number}": (50_000 + 1_000 * number) * self.supervisor.armed
                 for number in range(1, 5)

@@ -21,6 +21,7 @@ from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.crazyflie_firmware.supervisor import PERIOD_S, TIMEOUT_S, State
 from tests.integration.runs import COMMAND, called
 from tests.integration.sim_processes import (
+    NAN,
     PATIENCE_S,
     ROOT,
     is_a,
@@ -34,7 +35,8 @@ from tests.processes.ports import free_endpoint
 
 pytestmark = pytest.mark.xdist_group("real-time")
 
-ARMED, LAND = 128, 0x06040000
+ARMED, LAND, HOLD = 128, 0x06040000, 0x03040000
+HIGH_M, TABLES = 1.5, (567, 334)  # m; entries of firmware 2026.08's tables of logs and parameters
 PAD_M, PAD_RADIUS_M = 0.2, 0.15
 SENT = 50  # set-points of a client that then stops
 CONFIG = """
@@ -195,11 +197,44 @@ def test_a_silent_radio_ends_the_heartbeat_within_its_bound_and_comes_back():
         assert started.end() == 0
 
 
-def test_connects_over_a_radio_that_loses_every_tenth_packet():
-    with Server(Firmware(), loss=0.1, seed=4) as server, bridge(server) as started, client(started) as one:
-        one.until(is_a("HEARTBEAT"), timeout_s=60.0, each=one.hello)
+@pytest.mark.parametrize("gap", ["1.3 s of silence, both ways", "4.5 s without telemetry", "restart"])
+def test_after_a_gap_in_its_own_mode_it_stands_with_the_motors_off(gap):
+    with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
+        fly(one, server)
+        firmware = server.firmware
+        one.send(one.command(22, *[NAN] * 6, HIGH_M))
+        high = lambda: firmware.plant.position[2] > HIGH_M - 0.1  # noqa: E731
+        one.until(lambda m: is_a("HEARTBEAT", custom_mode=HOLD)(m) and high(), each=one.hello)
+        if gap == "restart":
+            firmware.restart()
+        else:
+            server.mute, server.deaf = True, "both" in gap
+            since_s, seconds = server.now_s, float(gap.partition(" ")[0])
+            wait_for(lambda: one.hello() or server.now_s - since_s > seconds, "the end of the gap")
+            server.mute = server.deaf = False
+        text = "it restarted" if gap == "restart" else "Landed, disarmed"
+        wait_for(lambda: one.hello() or started.said(text), text)
+        one.log.clear()
+        one.until(lambda m: is_a("HEARTBEAT")(m) and not m.base_mode & ARMED, each=one.hello)
+        assert firmware.plant.on_surface
+        stays_unlocked(server)
+        assert not firmware.plant.motors
+
+
+def test_connects_over_a_radio_that_loses_every_tenth_packet_of_the_real_tables():
+    with (
+        Server(Firmware(tables=TABLES), loss=0.1, seed=4) as server,
+        bridge(server) as started,
+        client(started) as one,
+    ):
+        one.until(is_a("HEARTBEAT"), timeout_s=90.0, each=one.hello)
         fly(one, server)
         assert server.lost > 20
+
+
+def test_firmware_without_a_log_variable_is_refused_by_its_version():
+    with Server(Firmware(protocol=7, auto_arm=False)) as server, bridge(server) as started:
+        wait_for(lambda: started.said("firmware speaks CRTP 7, arming by supervisor needs 12"), "the reason")
 
 
 def test_old_firmware_is_refused_with_the_version_needed():

@@ -1,0 +1,252 @@
+"""What comes from a Crazyflie, what its silence means, and how a flight ends: the part without clients."""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.crazyflie import rules as limits
+from bridge.crazyflie.arming import Arming
+from bridge.crazyflie.checks import stuck
+from bridge.crazyflie.known import Known
+from bridge.crazyflie.pilot import DESCENT_M_S, Pilot
+from bridge.crazyflie.settings import Settings
+from bridge.crazyflie.types import (
+    ArmReply,
+    Connected,
+    CrazyflieState,
+    Info,
+    Link,
+    Lost,
+    Order,
+    Packet,
+    ParamValue,
+)
+from bridge.mavlink.server.owner import ControlOwner
+from bridge.mavlink.server.profile import AIRBORNE_STATE, FlightMode
+from bridge.mavlink.server.texts import Texts
+from bridge.mocap.checks import Passed
+from flightstack.core.types import ZERO, Vec3
+
+INFO, WARNING = dialect.MAV_SEVERITY_INFO, dialect.MAV_SEVERITY_WARNING
+CRITICAL = dialect.MAV_SEVERITY_CRITICAL
+
+
+class Craft(Known):
+    """Call the methods as things come.
+
+    Attributes:
+        mode: meaningful also while disarmed.
+        failsafe: the mode was not asked for.
+        home_enu_m: the origin, at the height where it stands; armed, where it was armed.
+    """
+
+    def __init__(self, rules: limits.Rules) -> None:
+        self.rules = rules
+        self.mode, self.failsafe = FlightMode.HOLD, False
+        self.home_enu_m: Vec3 = ZERO
+        self._arming = Arming()
+        super().__init__(mocap=rules.mocap)
+        self.texts, self.owner = Texts(), ControlOwner()
+        self.settings = Settings(rules.drag_1_s, restore=rules.restore)
+        self._packets: list[Packet] = []
+        self._pilot = Pilot()
+        self._moved = False  # a velocity has gone out since arming
+        self._kill_s = -math.inf
+        self._silence_said = False
+        self._connected_s = 0.0
+        self._armed_state: CrazyflieState | None = None  # the newest that shows it armed
+        self._heard_s, self._sink_s = -math.inf, 0.0  # the newest state, and how long it may sink without one
+
+    @property
+    def armed(self) -> bool:
+        """Armed through this bridge."""
+        return self._arming.armed
+
+    @property
+    def arming(self) -> bool:
+        """Whether the supervisor has been asked and has not answered."""
+        return self._arming.arming
+
+    @property
+    def busy(self) -> bool:
+        """Armed, or not done with the supervisor: the link must not be closed yet."""
+        return self.armed or self._arming.busy
+
+    @property
+    def standing(self) -> bool:
+        """Not in the air, as far as can be told without a sensor for it."""
+        return not (self.armed and self._moved)
+
+    @property
+    def landed_state(self) -> int:
+        """MAV_LANDED_STATE."""
+        return 1 if self.standing else AIRBORNE_STATE[self.mode]
+
+    def take_packets(self) -> list[Packet]:
+        """What goes to the Crazyflie, in order."""
+        packets, self._packets = self._packets, []
+        return packets
+
+    # What comes from the Crazyflie
+
+    def connected(self, event: Connected, now_s: float) -> None:
+        """The link is open."""
+        self.link = Link(event.protocol, dict(event.params), "")
+        self.state = self.health = None
+        self._forget_outside()
+        self._connected_s = now_s
+        self._arming.forget(armed=self.armed)
+        if now_s - self._kill_s <= limits.KILL_KEPT_S:
+            self.emergency_stop(now_s)
+        self._kill_s = -math.inf
+        self.texts.say(INFO, f"Crazyflie connected, CRTP {event.protocol}")
+        packets, warning = self.settings.connected(event.params)
+        self._packets += packets  # their echoes arrive as ``ParamValue``
+        if warning is not None:
+            self.texts.say(WARNING, warning)
+
+    def param(self, event: ParamValue, now_s: float) -> None:
+        """A parameter's value, after somebody wrote it."""
+        if event.value is None:
+            self.texts.refuse(f"The firmware has no parameter {event.name}", now_s)
+            return
+        self.link.params[event.name] = event.value
+        self.settings.echoed(event.name)
+        self.texts.say(INFO, f"{event.name} is {event.value}")
+
+    def lost(self, event: Lost, now_s: float) -> None:
+        """The link is gone; in the bridge's own modes it lands meanwhile, blindly."""
+        if self.link.protocol is not None:
+            self.texts.say(CRITICAL, f"Radio lost: {event.reason}")
+        else:
+            self.texts.refuse(event.reason, now_s, "connecting")
+        self.link = Link(reason=event.reason)
+        if self.standing or self.mode is FlightMode.OFFBOARD:
+            self._end("radio lost")
+        elif self.mode is not FlightMode.LAND:
+            self._fall_back("Radio lost", now_s)
+        self._arming.forget(armed=self.armed)
+
+    def take_state(self, state: CrazyflieState, now_s: float, *, restarted: bool = False) -> None:
+        """A new state; ``restarted``: the firmware has, since the one before."""
+        before, self.state = self.state, state
+        if not self.armed:  # a take-off that waits for the arming climbs from where it stands then
+            height_m = state.position_enu_m[2]
+            self._pilot.takeoff_z_m += height_m - self.home_enu_m[2]
+            self.home_enu_m = (0.0, 0.0, height_m)
+        if self._silence_said:
+            self.texts.say(INFO, "Radio is back")
+            self._silence_said = False
+        self._heard_s = state.at_s
+        height_m = state.position_enu_m[2] - min(0.0, self.home_enu_m[2])  # the floor may be below a table
+        self._sink_s = limits.BLIND_SPARE_S + limits.BLIND_SHARE * max(0.0, height_m) / DESCENT_M_S
+        if restarted:
+            self._stop("it restarted", now_s)
+            if before is not None:  # its settings are those of its start again
+                self._packets.append(Order.RECONNECT)
+                self.lost(Lost("it restarted"), now_s)
+                return
+        self._note_fitness(state)
+        reason = stuck(state.info)
+        if reason is not None and (before is None or stuck(before.info) != reason):
+            self.texts.say(CRITICAL, reason)
+        if self.armed and (reason is not None or not self._stays_armed(state)):
+            self._stop("by the firmware", now_s)
+
+    def _stays_armed(self, state: CrazyflieState) -> bool:
+        """Whether it is armed, or arms itself anew: such firmware is disarmed for 0.12 s every 30 s."""
+        if state.info & Info.ARMED:
+            self._armed_state = state
+            return True
+        last = self._armed_state
+        on_ground = last is not None and not last.info & Info.FLYING
+        rearms = on_ground and bool(state.info & Info.AUTO_ARM)
+        return rearms and last is not None and state.at_s - last.at_s <= limits.REARM_S
+
+    def emergency_stop(self, now_s: float) -> None:
+        """Stop the motors by the way that latches until a restart."""
+        if self.link.protocol is None:
+            self._kill_s = now_s
+            self.texts.say(CRITICAL, "Emergency stop waits for the radio")
+        self._packets += self._arming.emergency(now_s)
+        self._end("emergency stop, restart needed")
+
+    def arm_reply(self, reply: ArmReply, now_s: float) -> None:
+        """The supervisor's answer."""
+        reason = self._arming.reply(reply)
+        if reason is not None:
+            self.texts.refuse(f"Arming refused: {reason}", now_s)
+
+    def mocap(self, problem: str | None, passed: Passed | None = None, now_s: float = -math.inf) -> None:
+        """Why there are no good poses from outside now, None: there are; and the newest, if it is new."""
+        self._note_pose(problem, passed, now_s)
+        if self.armed and problem is not None and self.mocap_problem is None:
+            self.texts.say(CRITICAL, problem)
+        self.mocap_problem = problem
+
+    def _watch_radio(self, now_s: float) -> None:
+        if self.link.protocol is None:
+            return
+        heard_s = self.state.at_s if self.state is not None else self._connected_s
+        silence_s = now_s - heard_s
+        if silence_s > limits.SILENT_S and not self._silence_said:
+            self._silence_said = True
+            self.texts.say(CRITICAL, f"Radio silent for {limits.SILENT_S:g} s")
+        silent = silence_s > limits.LOST_S and self.mode in (FlightMode.HOLD, FlightMode.TAKEOFF)
+        if silent and self.armed and not self.standing:
+            self._fall_back("Radio silent", now_s)
+        if silence_s > limits.RECONNECT_S:
+            own = not self.standing and self.mode is not FlightMode.OFFBOARD
+            self._packets.append(Order.REOPEN if own else Order.RECONNECT)
+            self.lost(Lost(f"nothing heard for {limits.RECONNECT_S:g} s"), now_s)
+
+    def _has_sunk(self, now_s: float) -> bool:
+        """Whether a landing without any state has taken longer than from the height where it was last."""
+        return now_s - max(self._heard_s, self._pilot.since_s) > self._sink_s
+
+    # Changes
+
+    def _enter(self, mode: FlightMode, now_s: float, *, failsafe: bool = False) -> None:
+        self.failsafe = failsafe
+        if mode is self.mode and mode is FlightMode.LAND:
+            return  # it goes on
+        self._change(mode)
+        self._pilot.begin(now_s)
+
+    def _change(self, mode: FlightMode) -> None:
+        if mode is not self.mode:
+            self.texts.say(INFO, f"Mode {mode.value}")
+        self.mode = mode
+
+    def _fall_back(self, reason: str, now_s: float) -> None:
+        if self.standing:
+            self.texts.say(WARNING, f"{reason}: stays on the ground")
+            self._enter(FlightMode.HOLD, now_s)
+            return
+        self.texts.say(CRITICAL, f"{reason}: landing")
+        self._enter(FlightMode.LAND, now_s, failsafe=True)
+
+    def _motors_off(self, now_s: float, text: str, *, forced: bool) -> None:
+        self._packets += self._arming.off(now_s, forced=forced)
+        self.texts.say(WARNING if forced else INFO, text)
+        self._ended()
+
+    def _stop(self, reason: str, now_s: float) -> None:
+        """End a flight that the firmware has ended: the last set-point must not outlive it."""
+        if self.armed:
+            self._end(reason)
+            self._packets += self._arming.off(now_s, forced=False)
+
+    def _end(self, reason: str) -> None:
+        """It is no longer armed, whoever did that."""
+        if self.armed:
+            self.texts.say(CRITICAL, f"Disarmed: {reason}")
+        self._arming.armed = False
+        self._ended()
+
+    def _ended(self) -> None:
+        self._moved = self.failsafe = False
+        self.owner.release()
+        self.mode = FlightMode.HOLD  # in OFFBOARD the next client would find control taken

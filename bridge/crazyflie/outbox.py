@@ -1,0 +1,86 @@
+"""Packets that wait for the radio: the urgent first, and no velocity that has grown old."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+
+from bridge.crazyflie.types import Order, Packet, Pose, SetParam, Velocity
+
+ORDERS_MAX = 64
+VELOCITY_AGE_MAX_S = 0.1  # s; an older velocity was meant for another moment, silence is what is safe
+_URGENT = frozenset({Order.EMERGENCY_STOP, Order.STOP, Order.DISARM})
+
+
+class Outbox:
+    """Thread-safe; ``put`` never blocks.
+
+    Attributes:
+        late: velocities dropped for their age.
+        lost: orders dropped because too many waited.
+    """
+
+    def __init__(self) -> None:
+        self.late = 0
+        self.lost = 0
+        self._ready = threading.Condition()
+        self._orders: deque[Order | SetParam] = deque()
+        self._velocity: tuple[Velocity, float] | None = None
+        self._pose: Pose | None = None
+        self._woken = False
+
+    def put(self, packet: Packet, now_s: float) -> None:
+        """Add a packet; motors-off clears the velocity that waits."""
+        with self._ready:
+            if isinstance(packet, Velocity):
+                self._velocity = (packet, now_s)
+            elif isinstance(packet, Pose):
+                self._pose = packet
+            else:
+                self._add_order(packet)
+            self._ready.notify()
+
+    def _add_order(self, order: Order | SetParam) -> None:
+        urgent = order in _URGENT
+        if urgent:
+            self._velocity = None
+        if len(self._orders) >= ORDERS_MAX:
+            self.lost += 1
+            if not urgent:
+                return
+            self._orders.pop()
+        if order is Order.EMERGENCY_STOP:
+            self._orders.appendleft(order)
+        else:
+            self._orders.append(order)
+
+    def get(self, timeout_s: float, clock: Callable[[], float]) -> Packet | None:
+        """Take the next packet, waiting for one at most so long; None when none came."""
+        with self._ready:
+            self._ready.wait_for(self._anything, timeout_s)
+            self._woken = False
+            if self._orders:
+                return self._orders.popleft()
+            if self._velocity is not None:
+                (velocity, since_s), self._velocity = self._velocity, None
+                if clock() - since_s <= VELOCITY_AGE_MAX_S:
+                    return velocity
+                self.late += 1
+            pose, self._pose = self._pose, None
+            return pose
+
+    def clear(self) -> None:
+        """Forget everything."""
+        with self._ready:
+            self._orders.clear()
+            self._velocity = self._pose = None
+
+    def wake(self) -> None:
+        """End a wait."""
+        with self._ready:
+            self._woken = True
+            self._ready.notify()
+
+    def _anything(self) -> bool:
+        return bool(self._woken or self._orders or self._velocity or self._pose)
