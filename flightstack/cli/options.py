@@ -5,6 +5,7 @@ Options that several verbs share are declared here, alone or in a class of those
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import partial, wraps
@@ -28,6 +29,25 @@ _SEED_DIGITS_MAX = 4000  # more than the longest that ``rare`` makes; Python rea
 EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
+
+
+class Number(click.FloatRange):
+    """A finite number, in a range or in none: comparisons alone let NaN pass."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Read it."""
+        found: float = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"found {value}, a finite number is needed", param, ctx)
+        return found
+
+    def _describe_range(self) -> str:
+        return super()._describe_range() if self.min is not None or self.max is not None else ""
+
+
+def number(min: float | None = None, max: float | None = None) -> Number:
+    """Type of an option that is a number from ``min`` to ``max``."""
+    return Number(min, max)
 
 
 def option(*names: str, **settings: Any) -> Any:
@@ -78,8 +98,10 @@ def numbers(context: click.Context, parameter: click.Parameter, given: tuple[str
             found[name] = float(value)
         except ValueError:
             equals = ""
-        if not equals:
-            raise click.BadParameter(f"found {text!r}; NAME=VALUE is needed, for example COM_OF_LOSS_T=0.5")
+        if not equals or not math.isfinite(found[name]):
+            raise click.BadParameter(
+                f"found {text!r}; NAME=VALUE with a finite number is needed, for example COM_OF_LOSS_T=0.5"
+            )
     return found
 
 
@@ -156,11 +178,11 @@ recorder = option(
 )
 namespace = option("--namespace", default="cf1", help="First part of all Zenoh keys and topics.")
 duration = option(
-    "--duration", type=click.FloatRange(min=0.1), metavar="S",
+    "--duration", type=number(min=0.1), metavar="S",
     help="End after this time in seconds of stack time.",
 )  # fmt: skip
 speed = option(
-    "--speed", type=click.FloatRange(0.1, 20.0), default=1.0, metavar="X",
+    "--speed", type=number(0.1, 20.0), default=1.0, metavar="X",
     help="Stack time against real time, for a simulator of the same speed; never for a real vehicle.",
 )  # fmt: skip
 clock = option(
@@ -293,7 +315,7 @@ class Flight(Signing, Ros2, Zenoh):
         help="Message type of the target; for all types but odometry the velocity is estimated.",
     )  # fmt: skip
     target_offset_m: tuple[float, float, float] = option(
-        "--target-offset", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
+        "--target-offset", type=number(), nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
         help="Landing spot from the tracked frame, in that frame's axes, m: forward, left, up.",
     )  # fmt: skip
     config_file: Path = config(required=True)

@@ -115,8 +115,11 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
     powers = np.eye(len(loop))[np.newaxis]
     factor = step
     for doubling in range(1, DOUBLINGS[1] + 1):
-        powers = np.concatenate([powers, powers @ factor])
-        factor = factor @ factor
+        with np.errstate(over="ignore", invalid="ignore"):
+            powers = np.concatenate([powers, powers @ factor])
+            factor = factor @ factor
+        if not np.isfinite(factor).all():
+            return None  # so unstable that it is beyond all numbers
         left = np.abs(factor)
         if doubling < DOUBLINGS[0] or not float(np.abs(np.linalg.eigvals(left)).max()) < 0.5:
             continue

@@ -17,6 +17,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Vec3
 from sim.scenarios.fault_spec import Fault
 
+BELOW_PAD_MIN_M = 0.03  # m between floor and the top of a pad at its lowest: plate, and robot below it
 Share = Annotated[float, span(0.0, 1.0)]
 Drag = Annotated[float, span(0.0, 10.0)]
 VEHICLE_FILES = Files(dict, "sim.vehicles", "vehicle.airframe")  # read by ``sim.plant.params``
@@ -80,6 +81,14 @@ class TargetSpec:
     pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # LDS top at 0.192 m plus the pad
     pad_radius_m: Annotated[float, span(0.05, 2.0)] = 0.10
     pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # 0.032 would be the body's centre
+
+    def __post_init__(self) -> None:
+        most_m = self.pad_height_m - BELOW_PAD_MIN_M
+        if self.heave_amplitude_m > most_m:
+            raise ConfigError(
+                f"heave_amplitude_m: found {self.heave_amplitude_m:g}; with pad_height_m "
+                f"{self.pad_height_m:g} at most {most_m:.4g}, so that {BELOW_PAD_MIN_M:g} m are left below"
+            )
 
 
 @dataclass(frozen=True, slots=True)

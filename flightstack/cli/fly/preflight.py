@@ -43,7 +43,7 @@ class PreflightOptions(shared.Signing):
         "Configuration of the flight; default: the paper's limits, no parameter accepted"
     )
     wait_s: float = shared.option(
-        "--wait", type=click.FloatRange(0.1, 600.0), default=10.0, metavar="S",
+        "--wait", type=shared.number(0.1, 600.0), default=10.0, metavar="S",
         help="Longest wait for the vehicle's heartbeat.",
     )  # fmt: skip
     provision_signing: bool = shared.option(

@@ -45,7 +45,7 @@ class WatchOptions(shared.Options):
     )
     as_json: bool = shared.json("Print one JSON object a line, two a second (--once: one).")
     timeout_s: float = shared.option(
-        "--timeout", type=click.FloatRange(0.1, 3600.0), default=5.0, metavar="S",
+        "--timeout", type=shared.number(0.1, 3600.0), default=5.0, metavar="S",
         help="Longest wait of --once.",
     )  # fmt: skip
     view: str | None = shared.view

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flightstack.cli import options as shared
+
 if TYPE_CHECKING:
     from logs.reader.reader import LogFile
 
@@ -115,11 +117,11 @@ def diff(log_a: Path, log_b: Path) -> None:
 @_log
 @_member
 @click.option(
-    "--from", "begin_s", type=click.FloatRange(min=0.0), default=0.0, metavar="S",
+    "--from", "begin_s", type=shared.number(min=0.0), default=0.0, metavar="S",
     help="Begin this time after the first message.",
 )  # fmt: skip
 @click.option(
-    "--to", "end_s", type=click.FloatRange(min=0.0), metavar="S",
+    "--to", "end_s", type=shared.number(min=0.0), metavar="S",
     help="End this time after the first message; default: the end of the log.",
 )  # fmt: skip
 @_out

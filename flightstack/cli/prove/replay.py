@@ -52,11 +52,11 @@ class ReplayOptions(shared.Signing):
         "--view", is_flag=True, help="Also publish the recorded decisions, for viewers."
     )
     rate: float = shared.option(
-        "--rate", type=click.FloatRange(0.01, 100.0), default=1.0,
+        "--rate", type=shared.number(0.01, 100.0), default=1.0,
         help="Seconds of the log played in a second; below 1 the stack refuses the target's samples as late.",
     )  # fmt: skip
     start_s: float = shared.option(
-        "--start", type=click.FloatRange(min=0.0), default=0.0, metavar="S",
+        "--start", type=shared.number(min=0.0), default=0.0, metavar="S",
         help="Begin this time after the start of the log.",
     )  # fmt: skip
     loop: bool = shared.option(
@@ -66,7 +66,7 @@ class ReplayOptions(shared.Signing):
         "--pause", is_flag=True, help="Begin paused. Keys: space or Enter continue, s plays one tick."
     )
     wait_s: float = shared.option(
-        "--wait", type=click.FloatRange(min=0.0), default=10.0, metavar="S",
+        "--wait", type=shared.number(min=0.0), default=10.0, metavar="S",
         help="Longest wait for a receiver; 0: do not wait.",
     )  # fmt: skip
     duration_s: float | None = shared.duration

@@ -31,11 +31,11 @@ class Poses(shared.Zenoh, shared.Signing):
     )  # fmt: skip
     frame_id: str | None = shared.option("--frame", metavar="NAME", help="Refuse poses in any other frame.")
     offset_flu_m: tuple[float, float, float] = shared.option(
-        "--offset", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar="X Y Z",
+        "--offset", nargs=3, type=shared.number(), default=(0.0, 0.0, 0.0), metavar="X Y Z",
         help="From the markers' centre to the vehicle's, m, forward left up.",
     )  # fmt: skip
     pose_speed_m_s: float = shared.option(
-        "--pose-speed-max", type=click.FloatRange(0.1, 50.0), default=5.0, metavar="M/S",
+        "--pose-speed-max", type=shared.number(0.1, 50.0), default=5.0, metavar="M/S",
         help="A pose that needs a higher speed is refused as a jump.",
     )  # fmt: skip
     ros_domain: int = shared.ros_domain
@@ -75,7 +75,7 @@ class CrazyflieOptions(Poses):
     url: str = shared.url
     peers: tuple[str, ...] = shared.peers
     speed_max_m_s: float = shared.option(
-        "--speed-max", type=click.FloatRange(0.05, 5.0), default=1.0, metavar="M/S",
+        "--speed-max", type=shared.number(0.05, 5.0), default=1.0, metavar="M/S",
         help="Highest speed of a set-point; a faster one is scaled down to it.",
     )  # fmt: skip
     land_on_silence: bool = shared.option(
@@ -170,7 +170,7 @@ class MocapOptions(Poses):
     )  # fmt: skip
     vehicle_url: str = shared.vehicle_url
     origin: tuple[float, float, float] | None = shared.option(
-        "--origin", nargs=3, type=float, metavar="LAT LON ALT",
+        "--origin", nargs=3, type=shared.number(), metavar="LAT LON ALT",
         help="Position on earth of the room's origin, degrees and m; ArduPilot needs one for its position.",
     )  # fmt: skip
     system_id: int = shared.system_id

@@ -21,7 +21,7 @@ class Px4SimOptions(shared.Zenoh, shared.Scenario):
         help="Where PX4 connects to; port 0 takes a free one.",
     )  # fmt: skip
     speed: float = shared.option(
-        "--speed", type=click.FloatRange(0.0, 100.0), default=1.0,
+        "--speed", type=shared.number(0.0, 100.0), default=1.0,
         help="Simulated against real time; 0: as fast as PX4 answers.",
     )  # fmt: skip
     clock: Path | None = shared.option(
@@ -29,7 +29,7 @@ class Px4SimOptions(shared.Zenoh, shared.Scenario):
         help="Write the simulated time there, for `target --clock` and `onboard --clock`, and wait for both.",
     )  # fmt: skip
     silent_max_s: float = shared.option(
-        "--silent-max", type=click.FloatRange(min=1.0), default=10.0, metavar="S",
+        "--silent-max", type=shared.number(min=1.0), default=10.0, metavar="S",
         help="End when PX4 has not answered for S seconds.",
     )  # fmt: skip
     once: bool = shared.option(

@@ -61,7 +61,7 @@ class RobustFilter(Strategy):
 
     @staticmethod
     def check_config(config: FlightConfig) -> None:
-        """Refuse a model of the velocity loop that is not stable, and a margin that is not whole at the edge.
+        """Refuse an unstable model of the velocity loop, heights below the feet, and a fading too wide.
 
         Raises:
             ConfigError: which value, what is allowed.
@@ -74,6 +74,14 @@ class RobustFilter(Strategy):
                     f"velocity_loop.{key}: found {found_1_s:g}; with velocity_loop.damping {loop.damping:g} "
                     f"and loop.rate_hz {rate_hz} the model of the loop is stable below {most_1_s:.4g} 1/s: "
                     "lower it, or raise loop.rate_hz"
+                )
+        feet_m = config.touchdown.feet_below_reference_m
+        for key in ("wait_height_m", "commit_height_m", "touch_height_m"):
+            height_m = getattr(config.robust, key)
+            if height_m <= feet_m:
+                raise ConfigError(
+                    f"robust.{key}: found {height_m:g}; with touchdown.feet_below_reference_m {feet_m:g} the "
+                    "feet are in the pad at this height of the reference: raise it above, or lower that"
                 )
         fade_m, pad_m = config.robust.fade_radius_m, config.touchdown.pad_radius_m
         if fade_m > pad_m:
