@@ -86,6 +86,8 @@ def _finding(
         if severity is Severity.IGNORED:
             return None
         level, why = _LEVEL_OF[severity], f"{missing.get(name.name, 'not asked')}; {why}"
+    elif rule.stops_motors(value * name.scale):
+        level, why = Level.UNSAFE, "in the air the motors stop"
     elif not rule.safe(value * name.scale, needs):
         level = _LEVEL_OF[rule.severity]
     if level is Level.UNSAFE and {name.name, *(other.name for other, _ in asked.others)} & set(accepted):

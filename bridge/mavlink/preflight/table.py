@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
@@ -111,6 +112,7 @@ class Rule:
     severity: Severity = Severity.UNSAFE
     missing: Severity | None = None  # of a value that does not come; None: the rule's
     profiles: tuple[str, ...] = ()  # of those that share the file; empty: all
+    stops: tuple[str, ...] = ()  # values with which the motors stop in the air: unsafe, whatever the severity
     wanted: str = ""  # in words; {} stands for the number; empty: made from the condition
     # conditions
     between: tuple[float, float] | None = None
@@ -134,7 +136,7 @@ class Rule:
         )  # fmt: skip
         if sum(condition is not None for condition in given) != 1:
             raise ValueError(f"{self.means}: exactly one condition is needed")
-        if any(not value.split()[0].lstrip("-").isdecimal() for value in self.values if value.strip()):
+        if any(not re.match(r"-?\d+ \(.+\)$", value) for value in (*self.values, *self.stops)):
             raise ValueError(f"{self.means}: values are whole numbers with their meaning, as '4 (land)'")
         if not self.names or any(not 0 < len(each.name) <= _NAME_MAX for each in self.names):
             raise ValueError(f"{self.means}: names of 1 to {_NAME_MAX} characters are needed")
@@ -146,7 +148,7 @@ class Rule:
         if self.between is not None:
             return self.between[0] - _SLACK <= number <= self.between[1] + _SLACK
         if self.values:
-            return number in {float(value.split()[0]) for value in self.values}
+            return number in _numbers(self.values)
         if self.bits_set is not None:
             return int(number) & self.bits_set == self.bits_set
         if self.bits_clear is not None:
@@ -160,6 +162,10 @@ class Rule:
             return number >= low - _SLACK
         high = self.at_most if self.most is None else self.most.of(needs)
         return high is not None and number <= high + _SLACK
+
+    def stops_motors(self, number: float) -> bool:
+        """Whether with a number the motors stop in the air."""
+        return number in _numbers(self.stops)
 
     def wanted_in(self, name: Name, needs: Needs) -> str:
         """Return what the parameter has to be, in its own unit; rounded up, so that it suffices."""
@@ -180,6 +186,11 @@ class Rule:
         elif high is not None:
             text = f"at most {own(high)}{unit}"
         return f"{self.off_text} or {text}" if self.off is not None else text
+
+
+def _numbers(values: tuple[str, ...]) -> set[float]:
+    """Return the numbers of values with their meaning."""
+    return {float(value.split()[0]) for value in values}
 
 
 class Asked(NamedTuple):

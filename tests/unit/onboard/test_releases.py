@@ -29,6 +29,7 @@ BAD = {
         "SYSID_MYGCS": (Level.UNSAFE, (0, 2, 255)), "MAV_GCS_SYSID": (Level.UNSAFE, (0, 2, 255)),
         "MAV_GCS_SYSID_HI": (Level.UNSAFE, (2, 255)),
         "FS_THR_ENABLE": (Level.NOTE, (1,)), "BATT_FS_CRT_ACT": (Level.NOTE, (0,)),
+        "BATT_FS_LOW_ACT": (Level.UNSAFE, (5,)),
         "FENCE_ENABLE": (Level.NOTE, (1,)), "SYSID_ENFORCE": (Level.NOTE, (0,)),
         "MAV_OPTIONS": (Level.NOTE, (0, 2)), "MAV1_OPTIONS": (Level.NOTE, (1, 4)),
         "SERIAL1_OPTIONS": (Level.NOTE, (4096, 5120)),
@@ -43,6 +44,9 @@ BAD = {
         "COM_OBL_RC_ACT": (Level.UNSAFE, (0, 1, 2, 3, 6, 7)), "COM_RC_IN_MODE": (Level.NOTE, (0, 3)),
         "COM_RCL_EXCEPT": (Level.NOTE, (0, 3, 8)), "COM_RC_OVERRIDE": (Level.NOTE, (0, 1)),
         "MAN_OVERRIDE_SPD": (Level.NOTE, (-1.0, 0.0, 100.0)), "FD_ALT_LOSS": (Level.UNSAFE, (0.5, 2.9)),
+        "NAV_RCL_ACT": (Level.UNSAFE, (5, 6)), "COM_ACT_FAIL_ACT": (Level.UNSAFE, (4,)),
+        "COM_WIND_MAX_ACT": (Level.UNSAFE, (4,)), "COM_POS_LOW_ACT": (Level.UNSAFE, (4,)),
+        "COM_ARM_ODID": (Level.UNSAFE, (5,)), "COM_GNSSLOSS_ACT": (Level.UNSAFE, (3,)),
         "EKF2_SENS_EN": (Level.NOTE, (0, 8191 - 8, 8191 - 1)), "MAV_FWDEXTSP": (Level.UNSAFE, (0,)),
     },
 }  # fmt: skip
@@ -100,14 +104,24 @@ def test_every_value_that_is_not_safe_is_found_in_every_release(autopilot, relea
         assert judged(autopilot, release, safe | NEWER)["COM_LOW_BAT_ACT"].level is Level.NOTE
 
 
+def test_a_battery_that_stops_the_motors_is_worse_than_one_that_only_warns():
+    for value, level in ((0, Level.NOTE), (5, Level.UNSAFE)):
+        found = judged("ardupilot", "4.7", SAFE["ardupilot", "4.7"] | {"BATT_FS_CRT_ACT": value})
+        assert found["BATT_FS_CRT_ACT"].level is level
+    assert (
+        "BATT_FS_CRT_ACT is 5: in the air the motors stop; set it to 1 (land) or"
+        in found["BATT_FS_CRT_ACT"].text
+    )
+
+
 @RELEASES
 def test_what_is_missing_is_as_bad_as_what_is_not_safe(autopilot, release):
     found = judged(autopilot, release, {})
     softer = {"MAV_GCS_SYSID_HI": Level.NOTE, "FD_ALT_LOSS": Level.NOTE}  # not in every build
-    ignored = {name for name in SAFE[autopilot, release] if name.endswith("_OPTIONS")} - {
-        "GUID_OPTIONS", "MAV_OPTIONS"
-    }  # fmt: skip
-    assert set(found) == set(SAFE[autopilot, release]) - ignored - {"ATC_INPUT_TC"}
+    ignored = {name for name in SAFE[autopilot, release] if name.endswith("_OPTIONS")}
+    ignored |= {"ATC_INPUT_TC", "BATT_FS_LOW_ACT", "NAV_RCL_ACT", "COM_ACT_FAIL_ACT", "COM_WIND_MAX_ACT",
+                "COM_POS_LOW_ACT", "COM_ARM_ODID", "COM_GNSSLOSS_ACT"}  # fmt: skip
+    assert set(found) == set(SAFE[autopilot, release]) - (ignored - {"GUID_OPTIONS", "MAV_OPTIONS"})
     assert all(f.level is softer.get(name, BAD[autopilot][name][0]) for name, f in found.items())
 
 
