@@ -41,6 +41,8 @@ class VehicleSeen(NamedTuple):
         status: newest status.
         readiness_told: SYS_STATUS, which says whether it may be armed, has come.
         says: its newest texts that may be reasons.
+        heartbeat_every_s: longest interval between two heartbeats since the last report.
+        own_every_s: the same of own states.
     """
 
     heartbeat_age_s: float | None
@@ -51,6 +53,8 @@ class VehicleSeen(NamedTuple):
     status: VehicleStatus | None
     readiness_told: bool
     says: tuple[str, ...]
+    heartbeat_every_s: float = 0.0
+    own_every_s: float = 0.0
 
 
 class TargetSeen(NamedTuple):
@@ -60,6 +64,7 @@ class TargetSeen(NamedTuple):
         name: key or topic, as given.
         age_s: of the newest sample that was believed; None: there was none.
         contradicts: its positions contradict its velocity.
+        every_s: longest interval between two that were believed, since the last report.
         arrived: samples since the last report, believed or not, those that made no odometry included.
         problems: what was found wrong with samples.
         keys: others that a target might be under.
@@ -71,6 +76,7 @@ class TargetSeen(NamedTuple):
     problems: tuple[str, ...]
     keys: tuple[str, ...]
     contradicts: bool = False
+    every_s: float = 0.0
 
 
 def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[str, ...]:
@@ -84,8 +90,18 @@ def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[s
     return (*_of_vehicle(vehicle, checks), *_of_target(target, checks))
 
 
+def _seldom(what: str, every_s: float, age_s: float | None, key: str, most_s: float) -> tuple[str, ...]:
+    """Inputs that come, and too seldom for their age limit."""
+    if every_s <= most_s or age_s is None or age_s > every_s:
+        return ()
+    return (f"{what} come every {every_s:.2f} s ({1.0 / every_s:.1f} Hz); checks.{key} allows {most_s:g} s",)
+
+
 def _of_vehicle(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
     age_s, status = seen.heartbeat_age_s, seen.status
+    every_s, most_s = seen.heartbeat_every_s, checks.status_age_max_s
+    if seldom := _seldom("heartbeats", every_s, age_s, "status_age_max_s", most_s):
+        return seldom
     if age_s is None or age_s > checks.status_age_max_s or status is None:
         return (seen.silence,)
     return (*_of_position(seen, checks), *_of_status(seen, status))
@@ -93,6 +109,8 @@ def _of_vehicle(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
 
 def _of_position(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
     age_s = seen.own_age_s
+    if seldom := _seldom("positions", seen.own_every_s, age_s, "own_age_max_s", checks.own_age_max_s):
+        return seldom
     if age_s is None or age_s > checks.own_age_max_s:
         causes = (
             ("not_finite", "positions come with numbers that are not finite or beyond any sense"),
@@ -132,7 +150,10 @@ def _of_target(seen: TargetSeen, checks: Checks) -> tuple[str, ...]:
     if seen.contradicts:
         causes = f"checks.target_drift_max_m is {checks.target_drift_max_m:g}; {DRIFT_CAUSES}"
         return (f"position and velocity of the target do not agree; {causes}",)
-    if seen.age_s is not None and seen.age_s <= checks.target_age_max_s:
+    name, most_s = f"samples on {seen.name}", checks.target_age_max_s
+    if seldom := _seldom(name, seen.every_s, seen.age_s, "target_age_max_s", most_s):
+        return seldom
+    if seen.age_s is not None and seen.age_s <= most_s:
         return ()
     problems = f": {' | '.join(seen.problems)}" if seen.problems else ""
     if seen.arrived:
@@ -144,6 +165,25 @@ def _of_target(seen: TargetSeen, checks: Checks) -> tuple[str, ...]:
         return (f"no sample on {seen.name} any more; of earlier ones{problems}",)
     there = f"there are {', '.join(seen.keys)}" if seen.keys else "nor on any key like odometry, pose or tf"
     return (f"no sample on {seen.name}; {there}",)
+
+
+class _Pace:
+    """Longest interval between arrivals since the last report; of few arrivals the newest interval."""
+
+    def __init__(self) -> None:
+        self._last_s, self._longest_s, self._reported = math.nan, 0.0, True
+
+    def note(self, arrival_s: float) -> None:
+        """Take the arrival of the newest one, the same again or not."""
+        interval_s, self._last_s = arrival_s - self._last_s, arrival_s
+        if interval_s > 0.0:  # NaN before the second
+            self._longest_s = interval_s if self._reported else max(interval_s, self._longest_s)
+            self._reported = False
+
+    def report(self) -> float:
+        """Return it, 0 before there were two."""
+        self._reported = True
+        return self._longest_s
 
 
 class _Bound(NamedTuple):
@@ -203,7 +243,8 @@ class WaitReport:
         self._due_s = PERIOD_S
         self._arrivals = Arrivals()
         self._refused: dict[str, int] = {}
-        self._arrived = self._refused_before = 0  # samples of the target
+        self._arrived = self._refused_before = self._accepted = 0  # samples of the target
+        self._heartbeats, self._states, self._samples = _Pace(), _Pace(), _Pace()
         self._texts: deque[tuple[float, str]] = deque(maxlen=_REASONS)
         self._refusals: deque[str] = deque(maxlen=_PROBLEMS)
 
@@ -230,6 +271,7 @@ class WaitReport:
         if phase not in (Phase.WAIT, Phase.ABORT):
             self.lacking = ()
         if phase is Phase.WAIT:
+            self._note_arrivals(out, now_s)
             self._arrived += arrived
             self._refusals.extend(text for text in problems if text not in self._refusals)
             for event in out.events:  # while it waits the controller warns of refused samples alone
@@ -243,6 +285,16 @@ class WaitReport:
         if phase is Phase.WAIT:
             return self._waiting(out, memory, now_s)
         return self._silent(out, memory, now_s)
+
+    def _note_arrivals(self, out: Outputs, now_s: float) -> None:
+        own, status = out.snapshot.inputs.own, out.snapshot.inputs.status
+        if own is not None:
+            self._states.note(own.arrival_s)
+        if status is not None:
+            self._heartbeats.note(status.arrival_s)
+        if out.target_accepted != self._accepted:
+            self._accepted = out.target_accepted
+            self._samples.note(now_s)
 
     def _waiting(self, out: Outputs, memory: Memory, now_s: float) -> str | None:
         self.lacking = missing(self._vehicle(out, now_s), self._target(out), self._config.checks)
@@ -279,6 +331,8 @@ class WaitReport:
             status=status,
             readiness_told=link.state.battery is not None,
             says=tuple(text for at_s, text in self._texts if now_s - at_s <= _REASON_AGE_MAX_S),
+            heartbeat_every_s=self._heartbeats.report(),
+            own_every_s=self._states.report(),
         )
 
     def _target(self, out: Outputs) -> TargetSeen:
@@ -299,4 +353,5 @@ class WaitReport:
             problems=problems,
             keys=wires.search.keys() if search else (),
             contradicts=out.snapshot.target_placed,
+            every_s=self._samples.report(),
         )

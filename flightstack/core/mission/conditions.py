@@ -126,7 +126,8 @@ def condition_flags(
     if command_failed:
         flags |= C.COMMAND_FAILED
     if now_s - memory.good_since_s >= config.checks.recovery_time_s:
-        flags |= C.RECOVERED
+        steady = phase is not Phase.WAIT or _steady(config.checks, memory, snapshot, now_s)
+        flags |= C.RECOVERED if steady else 0
     if snapshot.charge is Charge.TIRED:
         flags |= C.TIRED if _better_beside(barrier, memory, snapshot) else 0
     elif memory.retries < config.checks.retries_max:
@@ -155,6 +156,18 @@ def condition_flags(
     if at is None:
         return flags
     return flags | _place_flags(config, strategy, barrier, memory, at, now_s, snapshot.way)
+
+
+def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
+    """Whether inputs have come for long enough since all are good, and another heartbeat.
+
+    One that comes too seldom, or in bursts, is good until it is too old.
+    """
+    own, status, target = snapshot.inputs.own, snapshot.inputs.status, snapshot.target
+    if own is None or status is None or target is None:
+        return False
+    came_s = min(own.arrival_s, now_s - target.age_s) - memory.good_since_s
+    return came_s >= checks.recovery_time_s and status.arrival_s > memory.good_since_s
 
 
 def _better_beside(barrier: Barrier, memory: Memory, snapshot: Snapshot) -> bool:
@@ -276,6 +289,9 @@ def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
     if not told and rule.about & ~flags & Condition.READY:
         others = "" if way.may_begin else way.text
         told = [known.battery or others or "the vehicle does not say that it is ready to arm"]
+    if not told and rule.about & ~flags & Condition.RECOVERED:
+        least_s = known.checks.recovery_time_s
+        told = [f"not all of them were good for {least_s:g} s without a gap (checks.recovery_time_s)"]
     if rule.when & Condition.LANDING_TIME_OVER and way.waited:
         told = [way.text]
     return f"{rule.reason}: {', '.join(told)}" if told else rule.reason

@@ -37,7 +37,7 @@ class Condition(IntEnum):
     STARTED = 1 << 12  # the landing had begun
     OVER_PAD = 1 << 13  # inside the descending cone
     TOUCH = 1 << 14  # the touchdown rule is met
-    RECOVERED = 1 << 15  # inputs were good again for long enough
+    RECOVERED = 1 << 15  # inputs were good for long enough; in WAIT each of them was renewed in that time
     RETRIES_LEFT = 1 << 16
     HIGH_ENOUGH = 1 << 17  # above everything of the target
     PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase
@@ -73,7 +73,7 @@ class Rule(Generic[To]):
 
 
 _LOSSES = C.OWN_LOST | C.LINK_LOST | C.TARGET_LOST
-_TO_BEGIN = _LOSSES | C.TIRED | C.READY
+_TO_BEGIN = _LOSSES | C.TIRED | C.READY | C.RECOVERED
 _OPERATOR = (
     Rule(C.EMERGENCY, Phase.ABORT, "emergency stop"),
     Rule(C.ABORT_ASKED, Phase.ABORT, "abort asked by the operator"),
@@ -108,7 +108,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "inputs did not become ready in time", about=_TO_BEGIN),
         Rule(C.TIRED | C.EXTERNAL, Phase.ABORT, _TIRED.reason, unless=C.STANDING),
         Rule(C.READY | C.EXTERNAL, Phase.APPROACH, "flying and all inputs fresh", unless=C.STANDING),
-        Rule(C.READY | C.STANDING, Phase.TAKEOFF, "all inputs fresh"),
+        Rule(C.READY | C.RECOVERED | C.STANDING, Phase.TAKEOFF, "all inputs fresh"),
     ),
     Phase.TAKEOFF: (
         *_IN_FLIGHT,

@@ -11,6 +11,7 @@ from flightstack.core.controller import RISE_FREE_S, Controller
 from flightstack.core.memory import AbortWay
 from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.types import (
+    ZERO,
     Inputs,
     Landed,
     Mode,
@@ -50,6 +51,12 @@ class Bench:
         )  # fmt: skip
         return self.controller.step(Inputs(own, status, (sample,), operator), now_s)
 
+    def wait(self, **said):
+        """Stand until the inputs have been good for long enough."""
+        while (out := self.step(**said)).phase is Phase.WAIT:
+            assert self.tick * TICK_S < 2.0 * CONFIG.checks.recovery_time_s
+        return out
+
 
 FLIES = {"armed": True, "mode": Mode.EXTERNAL, "landed": Landed.IN_AIR}
 
@@ -57,7 +64,7 @@ FLIES = {"armed": True, "mode": Mode.EXTERNAL, "landed": Landed.IN_AIR}
 def test_a_climb_is_sent_from_the_first_tick_and_stands_on_the_ground_without_complaint():
     """PX4 follows only what streams, then spools up and ramps: nothing of that is a vehicle not following."""
     bench = Bench()
-    assert bench.step().phase is Phase.TAKEOFF
+    assert bench.wait().phase is Phase.TAKEOFF
     waits = bench.step()
     assert waits.request is Request.TAKEOFF
     assert waits.setpoint is not None
@@ -71,10 +78,55 @@ def test_a_climb_is_sent_from_the_first_tick_and_stands_on_the_ground_without_co
     assert bench.memory.phase is Phase.TAKEOFF
 
 
+def standing(now_s, arrived):
+    """Inputs of a vehicle on the ground: of each the newest that has arrived by now."""
+    own_s, status_s, target_s = (max((t for t in times if t <= now_s), default=None) for times in arrived)
+    own = None if own_s is None else OwnState(own_s, own_s, (1.5, 0.0, 1e-4 * own_s), ZERO, 0.0)
+    status = None
+    if status_s is not None:
+        status = VehicleStatus(status_s, False, Mode.HOLD, Landed.ON_GROUND, True)
+    sample = TargetSample(now_s, now_s, "map", "target", (1e-4 * now_s, 0.0, 0.2), ZERO, 0.0, 0.0)
+    return Inputs(own, status, (sample,) if target_s == now_s else ())
+
+
+def every(period_s, until_s=20.0, first_s=0.0):
+    return [round(first_s + n * period_s, 2) for n in range(int((until_s - first_s) / period_s))]
+
+
+WELL = (every(0.02), every(1.0), every(0.02))
+CHECKS = CONFIG.checks
+
+
+@pytest.mark.parametrize(
+    ("own", "status", "target", "starts_s"),
+    [
+        (*WELL, 1.0),  # the second heartbeat
+        (WELL[0], every(0.1), WELL[2], CHECKS.recovery_time_s),
+        (WELL[0], every(0.1), every(0.02, first_s=3.0), 3.0 + CHECKS.recovery_time_s),
+        (every(CHECKS.own_age_max_s + 0.05), every(0.1), WELL[2], None),  # 4 Hz
+        (WELL[0], every(0.1), every(CHECKS.target_age_max_s + 0.08), None),  # 3 Hz
+        (WELL[0], every(CHECKS.status_age_max_s + 2.0), WELL[2], None),
+        (WELL[0], every(0.1), [0.0], None),  # all others refused, as of a stamp that stands
+        (WELL[0], every(0.1), [t for t in every(0.02) if t % 0.5 < 0.1], None),  # in bursts
+    ],
+)
+def test_it_takes_off_after_inputs_that_were_good_without_a_gap(own, status, target, starts_s):
+    controller, began = Controller(CONFIG), []
+    for tick in range(2000):
+        out = controller.step(
+            standing(round(tick * TICK_S, 2), (own, status, target)), round(tick * TICK_S, 2)
+        )
+        if out.phase is not Phase.WAIT:
+            began.append(tick * TICK_S)
+            break
+    assert began == (
+        [] if starts_s is None else [pytest.approx(starts_s, abs=0.06)]
+    )  # and the target's delay
+
+
 def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():
     bench = Bench()
-    for _ in range(5):
-        bench.step(armed=True, mode=Mode.EXTERNAL)
+    bench.wait(armed=True, mode=Mode.EXTERNAL)
     for tick in range(100):
         assert bench.step(0.05 + 0.0005 * tick, (0.0, 0.0, 0.05), **FLIES).request is Request.EXTERNAL
     assert bench.controller.plausibility.tracking_lag_m == pytest.approx(0.0, abs=1e-6)
@@ -87,8 +139,8 @@ def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():
 def test_a_take_off_that_does_not_rise_is_given_up_once_the_ramp_must_be_over():
     """Hops near the ground: told to climb, in the air by its own word, and never gets up."""
     bench = Bench()
-    bench.step(armed=True, mode=Mode.EXTERNAL)
-    for tick in range(round(RISE_FREE_S / TICK_S)):
+    bench.wait(armed=True, mode=Mode.EXTERNAL)
+    for tick in range(round(RISE_FREE_S / TICK_S) - 1):
         out = bench.step(0.02, (0.0, 0.0, 0.05 * (-1) ** tick), **FLIES)
     assert out.phase is Phase.TAKEOFF
     assert bench.controller.plausibility.tracking_lag_m == pytest.approx(0.0, abs=1e-6)
@@ -113,7 +165,7 @@ def test_a_take_off_that_rises_faster_than_wanted_goes_on():
 
 def test_high_enough_it_is_under_control_as_a_whole():
     bench = Bench()
-    bench.step(armed=True, mode=Mode.EXTERNAL)
+    bench.wait(armed=True, mode=Mode.EXTERNAL)
     for tick in range(120):
         out = bench.step(0.005 * tick, (0.0, 0.0, 0.5), **FLIES)
     assert bench.memory.climbed

@@ -72,7 +72,7 @@ def expected_rules(phase, w):
                 (w.phase_time_over, Phase.ABORT, "inputs did not become ready in time"),
                 (w.tired & w.external & ~w.standing, *TOO_LOW),
                 (w.ready & w.external & ~w.standing, Phase.APPROACH, "flying and all inputs fresh"),
-                (w.ready & w.standing, Phase.TAKEOFF, "all inputs fresh"),
+                (w.ready & w.recovered & w.standing, Phase.TAKEOFF, "all inputs fresh"),
             ]
         case Phase.TAKEOFF:
             return [

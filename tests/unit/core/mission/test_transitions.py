@@ -153,7 +153,9 @@ def test_waiting_in_vain_says_everything_that_is_missing():
         "no sample of the target has been accepted"
     )
     assert told(Phase.WAIT, over, known()).endswith("the vehicle does not say that it is ready to arm")
-    assert told(Phase.WAIT, over | Condition.READY, known()) == "inputs did not become ready in time"
+    ready = over | Condition.READY
+    assert told(Phase.WAIT, ready | Condition.RECOVERED, known()) == "inputs did not become ready in time"
+    assert "good for 0.3 s without a gap (checks.recovery_time_s)" in told(Phase.WAIT, ready, known())
 
 
 def test_other_reasons_stay_as_the_table_has_them():
