@@ -152,7 +152,8 @@ class Craft(Known):
         reason = stuck(state.info)
         if reason is not None and (before is None or stuck(before.info) != reason):
             self.texts.say(CRITICAL, reason)
-        if self.armed and (reason is not None or not self._stays_armed(state)):
+        stays = self._stays_armed(state)
+        if self.armed and (reason is not None or not stays):
             self._stop("by the firmware", now_s)
 
     def _stays_armed(self, state: CrazyflieState) -> bool:

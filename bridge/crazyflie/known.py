@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 
 from bridge.crazyflie.checks import FIT, HEALTH_AGE_MAX_S, STATE_AGE_MAX_S, Seen, position_known, problems
-from bridge.crazyflie.rules import LOST_S, POSE_GAP_S
+from bridge.crazyflie.rules import LOST_S
 from bridge.crazyflie.types import CrazyflieState, Health, Info, Link, Outside
 from bridge.frames import Quat, body_from_world, yaw_from_quaternion
 from bridge.mavlink.server.profile import POSITION_SOURCE
 from bridge.mavlink.server.telemetry import Battery
-from bridge.mocap.checks import Passed
+from bridge.mocap.checks import Limits, Passed
 from flightstack.core.types import ZERO, Vec3
 
 _UP: Vec3 = (0.0, 0.0, 1.0)
+_GAP_MAX_S = Limits().gap_max_s  # s without a pose until that is a problem
 _SHARE = 0.1  # of a new difference in the mean one, at 10 Hz: a second
 _AT_REST_G = 0.1  # g; an accelerometer that shows another length shows more than gravity
 
@@ -99,7 +100,7 @@ class Known:
             self._posed_s = max(self._posed_s, passed.measured_s)
             self._pose_quaternion = passed.pose.orientation_wxyz
         elif problem is None:
-            self._posed_s = max(self._posed_s, now_s - POSE_GAP_S)  # there would be one otherwise
+            self._posed_s = max(self._posed_s, now_s - _GAP_MAX_S)  # there would be one otherwise
 
     def _pose_age_s(self, now_s: float) -> float | None:
         """Age of the newest pose from outside that has arrived; None: none are expected."""

@@ -10,7 +10,6 @@ SILENT_S = 0.5  # s without state: said; the flight stack calls its own state lo
 LOST_S = 1.0  # s without state: no heartbeat any more
 RECONNECT_S = 3.0  # s without state: the firmware has stopped by itself; the link is opened anew
 BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # s, besides so many times the height over the descent's speed
-POSE_GAP_S = 0.2  # s without a pose that motion capture's checks allow (bridge/mocap/checks.py)
 POSE_AGE_MAX_S = 0.5  # s without a pose from outside: the position is not known, whatever the variance is
 REARM_S = 0.4  # s; firmware that arms itself does so anew every 30 s, for 0.12 s
 CLIENT_SILENT_S = 3.0  # s without any client's heartbeat
