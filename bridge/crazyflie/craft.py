@@ -145,7 +145,7 @@ class Craft(Known):
         if restarted:
             self._stop("it restarted", now_s)
             if before is not None:  # its settings are those of its start again
-                self._packets.append(Order.RECONNECT)
+                self._packets += [Order.STOP, Order.RECONNECT]
                 self.lost(Lost("it restarted"), now_s)
                 return
         self._note_fitness(state)
@@ -199,9 +199,8 @@ class Craft(Known):
         if silent and self.armed and not self.standing:
             self._fall_back("Radio silent", now_s)
         if silence_s > limits.RECONNECT_S:
-            own = not self.standing and self.mode is not FlightMode.OFFBOARD
-            self._packets.append(Order.REOPEN if own else Order.RECONNECT)
             self.lost(Lost(f"nothing heard for {limits.RECONNECT_S:g} s"), now_s)
+            self._packets += [Order.RECONNECT] if self.armed else [Order.STOP, Order.RECONNECT]
 
     def _has_sunk(self, now_s: float) -> bool:
         """Whether a landing without any state has taken longer than from the height where it was last."""

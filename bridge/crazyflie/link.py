@@ -57,7 +57,6 @@ FLOWN_S = 0.5  # s since the last set-point: it flies
 _ANSWERS = (CRTPPort.PARAM, CRTPPort.MEM, CRTPPort.LOGGING, CRTPPort.PLATFORM, CRTPPort.LINKCTRL)
 _LOG_DATA = (CRTPPort.LOGGING, 2)  # port, channel
 LOGS_MAX_S = 10.0  # s until each log block's first packet has come
-_ANEW = (Order.RECONNECT, Order.REOPEN)
 _Senders = dict[Any, Callable[[Any], None]]
 _ARM_REPLY = 0x81  # answer to command 1 on channel 1 of the supervisor's port (cflib supervisor.py)
 
@@ -89,7 +88,7 @@ class CrazyflieLink:
         self._broken: str | None = None
         self._protocol: int | None = None  # of the last connection
         self._current: Any = None  # cflib's object of the present connection
-        self._stops, self._flown_s = False, -math.inf
+        self._flown_s = -math.inf  # last set-point handed on
         self._fully = threading.Event()
         # cflib logs a trace for every packet it cannot use; what counts, missing packets, is watched here.
         logging.getLogger("cflib").setLevel(logging.CRITICAL)
@@ -154,7 +153,7 @@ class CrazyflieLink:
         """Connect, then send what comes until the end; returns why it ended."""
         if not self._flies:
             self._outbox.clear()  # nothing from before this connection may act
-        self._broken, self._heard_s, self._stops = None, time.monotonic(), False
+        self._broken, self._heard_s = None, time.monotonic()
         self._fully.clear()
         self._current = crazyflie
 
@@ -186,8 +185,7 @@ class CrazyflieLink:
         while not self._ended:
             logs.step()
             packet = self._pass_on(crazyflie, senders, 0.1)
-            if packet in _ANEW:
-                self._stops = packet is Order.RECONNECT
+            if packet is Order.RECONNECT:
                 return "silent"
             if isinstance(packet, SetParam | Pose):
                 senders[type(packet)](packet)
@@ -196,8 +194,7 @@ class CrazyflieLink:
     @property
     def _flies(self) -> bool:
         """Whether set-points continue over a connection that is opened anew."""
-        stops = self._stops or self._closing.is_set()
-        return not stops and time.monotonic() - self._flown_s < FLOWN_S
+        return not self._closing.is_set() and time.monotonic() - self._flown_s < FLOWN_S
 
     @property
     def _ended(self) -> bool:
@@ -210,10 +207,12 @@ class CrazyflieLink:
         finds no link is dropped.
         """
         packet = self._outbox.get(wait_s, time.monotonic)
-        if not isinstance(packet, Velocity | Order) or packet in _ANEW:
+        if not isinstance(packet, Velocity | Order) or packet is Order.RECONNECT:
             return packet
         if isinstance(packet, Velocity):
             self._flown_s = time.monotonic()
+        elif packet is Order.STOP:
+            self._flown_s = -math.inf
         # before the version has come cflib would send the form of years ago
         if crazyflie.link is not None and crazyflie.platform.get_protocol_version() >= 0:
             senders[packet if isinstance(packet, Order) else Velocity](packet)

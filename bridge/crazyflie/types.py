@@ -63,8 +63,7 @@ class Order(Enum):
     DISARM = "disarm"
     EMERGENCY_STOP = "emergency stop, latched until restart"
     RECOVER = "crash recovery"
-    RECONNECT = "motors off, close the link and open it again"
-    REOPEN = "open the link again; set-points continue"
+    RECONNECT = "close the link and open it again"
 
 
 class SetParam(NamedTuple):

@@ -201,9 +201,6 @@ class Bench:
             if isinstance(packet, SetParam):
                 self._write(packet)
                 continue
-            if packet is Order.RECONNECT:  # the link ends with these
-                self.firmware.packet(_HEADS[Order.STOP], self.now_s)
-                packet = Order.NOTIFY_STOP
             raw = _raw(packet)
             for answer in self.firmware.packet(raw, self.now_s) if raw else ():
                 if answer[:2] == b"\x9d\x81" and not self.mute:

@@ -148,8 +148,8 @@ def test_a_silent_radio_in_a_blind_landing_is_opened_anew_without_a_stop():
     bench.until(lambda: bench.vehicle.mode is FlightMode.HOLD).run(1.0)
     bench.mute = True
     bench.run(3.2)
-    assert bench.orders(Order.REOPEN)
-    assert not bench.orders(Order.RECONNECT)
+    assert bench.orders(Order.RECONNECT)
+    assert not bench.orders(Order.STOP)
     assert bench.vehicle.armed
 
 
@@ -173,7 +173,7 @@ def test_a_firmware_that_restarts_in_the_air_is_noticed(flown, uptime_s):
     firmware._boot_s = -uptime_s
     bench = getattr(Bench(firmware), flown)()
     bench.firmware.restart()
-    bench.until(lambda: bench.orders(Order.RECONNECT) or bench.orders(Order.REOPEN), 4.0).run(0.3)
+    bench.until(lambda: bench.orders(Order.RECONNECT), 4.0).run(0.3)
     bench.connect()
     bench.run(0.2)
     assert any("it restarted" in text or "radio lost" in text for text in bench.texts)
