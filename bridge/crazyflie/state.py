@@ -69,8 +69,8 @@ class BootClock:
 
     @property
     def running(self) -> bool:
-        """Whether a packet has been seen."""
-        return self._last_ms is not None
+        """Whether a packet of this connection has been seen."""
+        return min(self._shortest_s) < math.inf
 
     def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:
         """Unwrapped milliseconds and lateness in seconds; None: not newer than the last, or not believed yet.

@@ -48,6 +48,7 @@ def test_each_connection_has_a_new_clock():
     for k in range(100):
         clock.take(3_000 + 10 * k, 3.0 + 0.01 * k)
     clock.begin()
+    assert not clock.running
     assert clock.take(5_000, 64.0) == (5_000, 0.0)
     assert clock.restarts == 1  # in 60 s it would have come to 64 s
     assert clock.take(5_010, 64.01)[1] == pytest.approx(0.0)
