@@ -10,6 +10,7 @@ import click
 
 from flightstack.common.processes import end_with_parent
 from flightstack.common.strict_toml import ConfigError
+from flightstack.common.text import plain
 
 WRONG_INPUT = 2
 
@@ -139,7 +140,7 @@ class Verbs(click.Group):
         try:
             return super().invoke(ctx)
         except (ConfigError, ValueError, OSError) as error:
-            click.echo(f"flightstack: {error}", err=True)
+            click.echo(f"flightstack: {plain(error)}", err=True)
             ctx.exit(WRONG_INPUT)
 
 

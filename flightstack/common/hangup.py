@@ -9,6 +9,8 @@ from types import FrameType
 
 import click
 
+from flightstack.common.text import plain
+
 
 class Stop:
     """SIGTERM and SIGINT: the first asks for an orderly end, the second ends at once. SIGHUP is a first one.
@@ -50,7 +52,7 @@ class Stop:
 def say(text: str) -> None:
     """Print a line, unless nobody listens any more: that must not end a flight."""
     with contextlib.suppress(OSError):
-        click.echo(text)
+        click.echo(plain(text))
 
 
 def on_hangup(handler: Callable[[int, FrameType | None], None]) -> None:

@@ -72,7 +72,7 @@ def fleet_table(values: Mapping[str, Any], reason: str) -> Group:
     title = ", ".join(f"{name} {value}" for name, value in told.items())
     table = Table("vehicle", *(Column(name, justify="right") for name, _, _ in _MEMBER_COLUMNS))
     for member, each in values["vehicles"].items():
-        table.add_row(member, *(_shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))
+        table.add_row(Text(member), *(_shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))
     fleet = Table("fleet", Column("value", justify="right"), "unit")
     for name, key, unit in (("outcome", "outcome", ""), ("violation", "violation", ""), *_FLEET_ROWS):
         fleet.add_row(name, _shown(values[key]), unit)
@@ -175,6 +175,6 @@ def landed(values: Mapping[str, object], flown: Flown) -> bool:
 
 
 def _paths(console: Console, values: Mapping[str, object], *, with_report: bool) -> None:
-    console.print(f"log     {values['log'] or 'none, as asked for'}", soft_wrap=True)
+    console.print(Text(f"log     {values['log'] or 'none, as asked for'}"), soft_wrap=True)
     if with_report and values["report"] is not None:
-        console.print(f"report  {values['report']}", soft_wrap=True)
+        console.print(Text(f"report  {values['report']}"), soft_wrap=True)

@@ -12,6 +12,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from bridge.zenoh import zenoh_link
+from flightstack.common.text import one_line
 from flightstack.core.types import FilterStatus, Landed, Mode, Phase
 from flightstack.watch.state import News, Watch, name_of
 from logs.schema.rows import ControllerStepRow, HealthRow, LoopTimingRow
@@ -79,8 +80,8 @@ class FleetView:
         right = (Column(name, justify="right") for name in ("e_z, m", "d, m", "h, m", "overruns"))
         table = Table("vehicle", "phase", *right, "filter", "why", box=None, padding=(0, 2))
         for namespace, watch in self.watches.items():
-            table.add_row(namespace, *_line(watch), style="none" if watch.news is News.FRESH else "dim")
-        return Panel(table, title=self._title, title_align="left")
+            table.add_row(Text(namespace), *_line(watch), style="none" if watch.news is News.FRESH else "dim")
+        return Panel(table, title=Text(self._title), title_align="left")
 
 
 def live_view(
@@ -107,7 +108,7 @@ def _line(watch: Watch) -> tuple[str | Text, ...]:
         Text(_value(step.h_m, "+.3f"), style=_dim("red" if step.h_m < 0.0 else "green", fresh)),
         str(watch.timings[-1].overruns) if watch.timings else "-",
         name_of(FilterStatus, step.filter_status).lower().replace("_", " "),
-        watch.health.reason if watch.health is not None else "",
+        Text(one_line(watch.health.reason) if watch.health is not None else ""),
     )
 
 
@@ -121,7 +122,7 @@ def draw(watch: Watch, title: str, whom: str = "") -> Panel:
     if watch.health is not None:
         parts.append(_health(watch.health, watch.health_fresh))
     parts.append(_timing(list(watch.timings), watch.news is News.FRESH))
-    return Panel(Group(*parts), title=title, title_align="left", border_style=style)
+    return Panel(Group(*parts), title=Text(title), title_align="left", border_style=style)
 
 
 def banner(watch: Watch, whom: str) -> Text:
@@ -204,7 +205,7 @@ def _health(health: HealthRow, fresh: bool) -> Table:
         Text(f"{armed}, {name_of(Mode, health.mode).lower()}"),
         Text(name_of(Landed, health.landed).lower().replace("_", " ")),
         Text(battery),
-        Text(health.reason),
+        Text(one_line(health.reason)),
         style="none" if fresh else "dim",
     )
     return grid

@@ -9,6 +9,7 @@ for ``fleet`` and ``team.toml``; these and the topics of no member belong to the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 from logs.schema.names import FLEET, LOSSES, TEAM
@@ -16,6 +17,7 @@ from logs.schema.rows import LogRow
 from logs.schema.schemas import LOG
 
 ROSOUT = "/rosout"
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _SYSTEM = "uas"  # first part of the topics of MAVLink frames, with the system id behind it
 _FRAMES = "/uas1"  # the same in the log of one flight, whatever its system id
 
@@ -32,6 +34,9 @@ class Members:
         """Find them in the metadata of a log."""
         told = metadata.get(FLEET, {}).get("members", "")
         self.names = tuple(name for part in told.split(",") if (name := part.strip()))
+        for name in self.names:  # they become names of files and entities
+            if not _NAME.fullmatch(name):
+                raise ValueError(f"metadata {FLEET!r}: found a member {name!r}; allowed are A-Z a-z 0-9 _ -")
         self.ids = {_system_id(metadata, n, name): name for n, name in enumerate(self.names, 1)}
         self._owners = {name: name for name in self.names}
         self._owners |= {f"{_SYSTEM}{system_id}": name for system_id, name in self.ids.items()}

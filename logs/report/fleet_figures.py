@@ -27,6 +27,7 @@ from logs.report.style import (
     low_envelope,
     rows_of,
     thin,
+    words,
 )
 from logs.report.timeline import bar
 from logs.schema.events import Severity
@@ -133,7 +134,7 @@ def _events(figure: go.Figure, fleet: Fleet) -> None:
     figure.add_trace(
         go.Scatter(
             x=[e.t_s for e in shown], y=["event"] * len(shown), mode="markers", name="event",
-            text=[f"{e.source}: {e.text}".replace("<", "&lt;") for e in shown],
+            text=[words(f"{e.source}: {e.text}") for e in shown],
             marker={"symbol": "line-ns", "size": 14, "line": {"color": colors, "width": 2}},
             hovertemplate="%{x:.2f} s<br>%{text}<extra></extra>",
         )

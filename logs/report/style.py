@@ -6,12 +6,14 @@ colour means the same in every figure, and true and estimated values also differ
 
 from __future__ import annotations
 
+import html
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from flightstack.common.text import one_line
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Flight, Floats, phase_name
 from logs.report.derived import fault_spans
@@ -245,3 +247,9 @@ def boundary_height_m(flight: Flight, d_m: Floats) -> Floats:
     assert flight.barrier is not None
     ad = flight.barrier.alpha_1_m * d_m
     return np.asarray(flight.barrier.beta_m * ad * np.exp(-ad))
+
+
+def words(text: str) -> str:
+    """Text as words in a figure, which takes some of HTML and ``%{...}`` for its own."""
+    escaped = html.escape(one_line(text), quote=False)
+    return escaped.replace("%{", "%&#123;")

@@ -18,6 +18,7 @@ from logs.report.style import (
     PHASE_SOLID,
     light,
     time_axis,
+    words,
     zero_s,
 )
 from logs.report.style import layout as common
@@ -75,8 +76,8 @@ def bar(figure: go.Figure, ends: list[float], lane: str, color: str, text: str) 
     """One bar of a lane from end to end; ``text`` shows where it is pointed at."""
     figure.add_trace(
         go.Scatter(
-            x=ends, y=[lane, lane], mode="lines", line={"color": color, "width": 13}, name=text,
-            hovertemplate=f"{text.replace('<', '&lt;')}<br>%{{x:.2f}} s<extra></extra>",
+            x=ends, y=[lane, lane], mode="lines", line={"color": color, "width": 13},
+            name=words(text), text=[words(text)] * 2, hovertemplate="%{text}<br>%{x:.2f} s<extra></extra>",
         )
     )  # fmt: skip
 
@@ -113,7 +114,7 @@ def _events(figure: go.Figure, flight: Flight) -> None:
     figure.add_trace(
         go.Scatter(
             x=[e.t_s - zero for e in shown], y=["event"] * len(shown), mode="markers", name="event",
-            text=[f"{e.source}: {e.text}".replace("<", "&lt;") for e in shown],
+            text=[words(f"{e.source}: {e.text}") for e in shown],
             marker={"symbol": "line-ns", "size": 14, "line": {"color": colors, "width": 2}},
             hovertemplate="%{x:.2f} s<br>%{text}<extra></extra>",
         )

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.common.text import one_line
 from logs.reader.reader import LogError, LogFile, Message
 from logs.recorder.recording import RECORDER, RECORDER_NAME
 from logs.schema.codec_mavlink import MAVLINK_PEERS
@@ -55,7 +56,7 @@ class MessageDifference:
 
     def __str__(self) -> str:
         where = f"{self.topic}[{self.index}]" if self.index >= 0 else self.topic
-        return f"{where} {self.field}: {self.a} != {self.b}"
+        return one_line(f"{where} {self.field}: {self.a} != {self.b}")
 
 
 def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> list[MessageDifference]:

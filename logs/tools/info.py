@@ -9,6 +9,7 @@ from typing import Any
 from mcap.records import Channel, Header, Schema
 from mcap.records import Message as MessageRecord
 
+from flightstack.common.text import one_line
 from logs.reader.reader import LogFile
 
 _NS = 1e9  # nanoseconds in a second
@@ -104,7 +105,7 @@ def gather(log: LogFile) -> Info:
 def lines(info: Info) -> list[str]:
     """Return the summary as text."""
     found = [
-        f"{info.path}: {info.size_bytes} bytes, profile {info.profile!r}, by {info.library!r}",
+        f"{one_line(info.path)}: {info.size_bytes} bytes, profile {info.profile!r}, by {info.library!r}",
         f"{info.messages} messages in {info.duration_s:.3f} s, "
         f"{_utc(info.start_ns)} to {_utc(info.end_ns)} (log time)",
         "complete" if info.complete else f"BROKEN: {broken(info)}",
@@ -113,12 +114,14 @@ def lines(info: Info) -> list[str]:
     ]
     for topic in info.topics:
         rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.1f} Hz"
-        found.append(f"{topic.topic:32} {topic.schema:40} {topic.messages:9} {rate:>9}")
+        found.append(f"{one_line(topic.topic):32} {one_line(topic.schema):40} {topic.messages:9} {rate:>9}")
     for name, values in info.metadata.items():
-        found += ["", f"metadata {name}"] + [f"  {key} = {value}" for key, value in values.items()]
+        found += ["", f"metadata {one_line(name)}"]
+        found += [f"  {one_line(key)} = {one_line(value)}" for key, value in values.items()]
     if info.attachments:
         found += ["", "attachments"]
-        found += [f"  {a['name']}  {a['media_type']}  {a['bytes']} bytes" for a in info.attachments]
+        for each in info.attachments:
+            found.append(one_line(f"  {each['name']}  {each['media_type']}  {each['bytes']} bytes"))
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -68,6 +69,8 @@ def write_layouts(log: Path, folder: Path, member: str | None = None, *, force: 
                 texts[f"{stem}_{each}{dot}{ending}"] = fleet_layout(name, each, members)
     else:
         space = opened.metadata().get("onboard", {}).get("namespace", SHIPPED_NAMESPACE).strip("/")
+        if not re.fullmatch(r"[A-Za-z0-9_./-]+", space):  # it becomes a part of XML and JSON
+            raise ValueError(f"{log}: found a namespace {space!r}; allowed are A-Z a-z 0-9 _ . / -")
         texts = {name: layout(name, space) for name in NAMES}
     written = []
     for name, text in texts.items():

@@ -5,6 +5,7 @@ Rerun opens the MCAP file itself, too, but draws neither markers nor odometry an
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from flightstack.common.text import one_line
 from flightstack.core.types import Phase
 from logs.derive.markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
 from logs.reader.flight import load_fleet
@@ -198,6 +200,12 @@ def _curve(canvas: Canvas, entity: str, at_ns: Ints, values: Floats, color: Colo
 
 
 def _run_text(seen: Seen) -> str:
-    rows = [f"| {key} | {value} |" for key, value in seen.run.items()] or ["| no metadata | |"]
-    broken = f"\n\n**The log is broken:** {seen.problem}" if seen.problem else ""
+    rows = [f"| {_words(key)} | {_words(value)} |" for key, value in seen.run.items()]
+    rows = rows or ["| no metadata | |"]
+    broken = f"\n\n**The log is broken:** {_words(seen.problem)}" if seen.problem else ""
     return "\n".join(["| run | |", "|---|---|", *rows]) + broken
+
+
+def _words(text: str) -> str:
+    """Text as words in Markdown."""
+    return re.sub(r"([\\`*_{}\[\]()<>#+!|~-])", r"\\\1", one_line(text))

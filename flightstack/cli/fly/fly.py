@@ -31,9 +31,8 @@ def fly(options: FlyOptions) -> None:
 
     Exit status: 0 landed, 1 not landed, 2 wrong input.
     """
-    from rich.console import Console
-
     from flightstack.common.processes import LaunchError
+    from flightstack.common.terminal import Terminal
     from flightstack.config.files import load
     from flightstack.launch import fly as launch
     from flightstack.launch.result import conclude
@@ -48,7 +47,7 @@ def fly(options: FlyOptions) -> None:
         live=not options.as_json,
         namespace=options.namespace or namespace_of(config),
     )
-    console = Console(stderr=options.as_json, highlight=False)
+    console = Terminal(stderr=options.as_json)
     try:
         flown = launch.run(config, run_options, console)
     except LaunchError as error:

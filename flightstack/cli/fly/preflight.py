@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 from rich.table import Column, Table
 
 from bridge.mavlink.endpoint import Endpoint
@@ -19,6 +18,7 @@ from bridge.mavlink.preflight.talk import Report
 from bridge.mavlink.signing.key import load_key
 from flightstack.cli import options as shared
 from flightstack.cli.options import takes
+from flightstack.common.terminal import Terminal
 from flightstack.config.files import load
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.onboard import preflight as checks
@@ -132,7 +132,7 @@ def to_json(report: Report) -> dict[str, Any]:
 
 
 def _print(report: Report) -> None:
-    console = Console(highlight=False)
+    console = Terminal()
     if report.profile is not None:
         title = f"{report.profile.title}, release {report.version or 'not told'}"
         columns = (Column(name, overflow="fold") for name in ("parameter", "value", "is", "wanted", "why"))
@@ -143,7 +143,7 @@ def _print(report: Report) -> None:
             table.add_row(finding.name, finding.shown, level, finding.wanted, finding.why)
         console.print(table)
     for note in report.notes:
-        console.print(f"note: {note}", soft_wrap=True, markup=False)
+        console.print(f"note: {note}", soft_wrap=True)
     if report.line is not None:
-        console.print(report.line, soft_wrap=True, markup=False)
-    console.print(checks.verdict(report) or "may arm", soft_wrap=True, markup=False)
+        console.print(report.line, soft_wrap=True)
+    console.print(checks.verdict(report) or "may arm", soft_wrap=True)

@@ -82,9 +82,8 @@ def sitl(options: SitlOptions) -> None:
 
     Exit status: 0 landed, 1 flown but not landed, 2 wrong input.
     """
-    from rich.console import Console
-
     from flightstack.common.processes import LaunchError
+    from flightstack.common.terminal import Terminal
     from flightstack.launch import fleet
     from flightstack.launch.fleet_result import conclude_fleet, fly_fleet
     from flightstack.launch.result import conclude
@@ -101,7 +100,7 @@ def sitl(options: SitlOptions) -> None:
         live=not as_json and options.runs == 1,
     )  # fmt: skip
     one.check()
-    console, team = Console(stderr=as_json, highlight=False), is_team(options.scenario)
+    console, team = Terminal(stderr=as_json), is_team(options.scenario)
     try:
         if options.runs > 1:
             flies_one = fly_fleet if team else fly_one

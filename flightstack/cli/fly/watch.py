@@ -115,8 +115,7 @@ class Source(NamedTuple):
 
 
 def _once(source: Source, as_json: bool, timeout_s: float) -> int:
-    from rich.console import Console
-
+    from flightstack.common.terminal import Terminal
     from flightstack.watch.live import draw
     from flightstack.watch.state import News, snapshot
 
@@ -130,7 +129,7 @@ def _once(source: Source, as_json: bool, timeout_s: float) -> int:
     if as_json:
         click.echo(json.dumps(snapshot(seen)))
     else:
-        Console().print(draw(seen, source.namespace, source.whom))
+        Terminal().print(draw(seen, source.namespace, source.whom))
     return FRESH if seen.news is News.FRESH else NOTHING
 
 
@@ -184,12 +183,11 @@ def _drawing(view: str, config_file: Path | None, namespace: str) -> Callable[[S
 
 
 def _live(source: Source) -> None:
-    from rich.console import Console
-
+    from flightstack.common.terminal import Terminal
     from flightstack.watch.live import REFRESH_HZ, LiveView
 
     title = f"{source.namespace} at {source.whom}"
-    view = LiveView(source.session, source.namespace, title, Console(), source.whom, source.role)
+    view = LiveView(source.session, source.namespace, title, Terminal(), source.whom, source.role)
     with view.live:
         while not source.ended.yes:
             time.sleep(1.0 / REFRESH_HZ)

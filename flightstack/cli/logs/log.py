@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flightstack.cli import options as shared
+from flightstack.common.text import plain
 
 if TYPE_CHECKING:
     from logs.reader.reader import LogFile
@@ -48,7 +49,7 @@ def info(log_file: Path, member: str | None, as_json: bool) -> None:
     from logs.tools import info as tools_info
 
     found = tools_info.gather(_open(log_file, member))
-    click.echo(json.dumps(found.as_json()) if as_json else "\n".join(tools_info.lines(found)))
+    click.echo(json.dumps(found.as_json()) if as_json else plain("\n".join(tools_info.lines(found))))
     sys.exit(DONE if found.complete else BROKEN)
 
 
@@ -86,12 +87,11 @@ def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(values))
         return
-    from rich.console import Console
-
+    from flightstack.common.terminal import Terminal
     from flightstack.launch.result import fleet_table, verdict_table
 
     table = fleet_table if "vehicles" in values else verdict_table
-    Console(highlight=False).print(table(values, values["reason"]))
+    Terminal().print(table(values, values["reason"]))
 
 
 @log.command()
@@ -106,7 +106,7 @@ def diff(log_a: Path, log_b: Path) -> None:
 
     differences = compare(log_a, log_b)
     for difference in differences[:SHOWN]:
-        click.echo(str(difference))
+        click.echo(plain(str(difference)))
     if len(differences) > SHOWN:
         click.echo(f"... and {len(differences) - SHOWN} more")
     click.echo("equal" if not differences else f"{len(differences)} differences")
@@ -161,7 +161,7 @@ def recover(log_file: Path, member: str | None, out: Path, force: bool) -> None:
     from logs.tools import edit as tools_edit
 
     edited = tools_edit.recover(_open(log_file, member), out, force=force)
-    click.echo(f"{out}: {edited.messages} messages; {edited.problem or 'the log was whole'}")
+    click.echo(plain(f"{out}: {edited.messages} messages; {edited.problem or 'the log was whole'}"))
 
 
 @log.command()
@@ -200,7 +200,7 @@ def _open(path: Path, member: str | None) -> LogFile:
 
 def _end(out: Path, text: str, problem: str) -> Any:
     """Print what was written, and whether the log was broken."""
-    click.echo(f"{out}: {text}")
+    click.echo(plain(f"{out}: {text}"))
     if problem:
-        click.echo(f"flightstack: the log is broken; what can be read was used: {problem}", err=True)
+        click.echo(plain(f"flightstack: the log is broken; what can be read was used: {problem}"), err=True)
     sys.exit(BROKEN if problem else DONE)

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from flightstack.cli.options import without_rerun
+from flightstack.common.text import plain
 
 SHOWN, BROKEN = 0, 1
 
@@ -42,7 +43,7 @@ def view(
         from logs.view.layout_files import write_layouts
 
         for path in write_layouts(log_file, layouts, member, force=force):
-            click.echo(path)
+            click.echo(plain(path))
         return
     try:
         from logs.view.view import Recording, open_viewer
@@ -54,7 +55,7 @@ def view(
 
         with new_file(save, force=force) as part:
             recording.save(part)
-        click.echo(f"{save}: open it with `rerun {save}`")
+        click.echo(plain(f"{save}: open it with `rerun {save}`"))
     _warn(recording.problem)
     if save is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -69,4 +70,4 @@ def view(
 
 def _warn(problem: str) -> None:
     if problem:
-        click.echo(f"flightstack: the log is broken; what can be read is shown: {problem}", err=True)
+        click.echo(plain(f"flightstack: the log is broken; what can be read is shown: {problem}"), err=True)

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
 from rich.table import Column, Table
 
 from flightstack.cli import options as shared
 from flightstack.cli.options import takes
 from flightstack.cli.prove.progress import Bar
+from flightstack.common.terminal import Terminal
 from flightstack.core.parameters.filters import short_name
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def campaign(options: CampaignOptions) -> None:
     wanted = core.plan(options.scenario, options.runs, options.first_seed, options.filter)
     scenario = wanted.scenario
     folder = options.out or new_folder(f"campaign-{scenario.name}-{short_name(wanted.filter_name)}")
-    console = Console(stderr=options.as_json, highlight=False)
+    console = Terminal(stderr=options.as_json)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     try:
         title = f"{scenario.name}, filter {wanted.filter_name}"
@@ -93,7 +93,7 @@ def campaign(options: CampaignOptions) -> None:
 
 
 def _tell(
-    console: Console, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
+    console: Terminal, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
 ) -> int:
     """Write the page, print table or JSON; return the exit status."""
     from sim.campaign.run import PAGE, ROWS
@@ -121,7 +121,7 @@ def _tell(
     else:
         console.print(_table(wanted, flown.summary))
         for one in flown.summary["worst"]:
-            console.print(f"{one['why']}\n  {one['command']}", soft_wrap=True, markup=False)
+            console.print(f"{one['why']}\n  {one['command']}", soft_wrap=True)
         console.print(f"rows    {folder / ROWS}", soft_wrap=True)
         if with_report:
             console.print(f"report  {folder / PAGE}", soft_wrap=True)

@@ -170,9 +170,10 @@ def _row(result: Check) -> dict[str, object]:
 
 
 def _show(name: str, results: list[Check]) -> None:
-    from rich.console import Console
     from rich.table import Column, Table
     from rich.text import Text
+
+    from flightstack.common.terminal import Terminal
 
     columns = [Column(heading, overflow="fold") for heading in ("", "claim", "room", "worst point")]
     columns[2].justify = "right"
@@ -182,7 +183,7 @@ def _show(name: str, results: list[Check]) -> None:
         room = "no bound" if math.isinf(result.room) else f"{result.room:.3g} {result.unit}".strip()
         claim = f"{result.name}: {result.claim}"
         table.add_row(Text(word, style=colour), Text(claim), Text(room), Text(result.worst))
-    console = Console()
+    console = Terminal()
     console.print(table)
     for result in results:
         if not result.proven:

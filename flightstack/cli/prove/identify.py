@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 import numpy as np
-from rich.console import Console
 
 from flightstack.cli import options as shared
 from flightstack.cli.options import takes
 from flightstack.cli.prove.progress import Bar
+from flightstack.common.terminal import Terminal
 from flightstack.core.types import FilterStatus, Phase
 
 if TYPE_CHECKING:
@@ -107,11 +107,11 @@ def _identify_vehicle(options: IdentifyOptions, folder: Path) -> None:
         raise shared.without_recordings(error, "identify --flights") from None
 
     columns, params = read_columns(options.columns or COLUMNS), load(options.vehicle)
-    console = Console(stderr=True, highlight=False)
+    console = Terminal(stderr=True)
     with Bar(console, "flights", len(find_recordings(folder))) as bar:
         found = identified.gather(folder, columns, params, bar.done)
     for name, reason in found.left_out:
-        console.print(f"left out {name}: {reason}", markup=False, soft_wrap=True)
+        console.print(f"left out {name}: {reason}", soft_wrap=True)
     fit = together(found.fits)
     text = identified.toml(fit, params, options.vehicle)
     left = identified.leave_one_out(found, params) if options.leave_out else []

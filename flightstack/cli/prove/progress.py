@@ -20,8 +20,9 @@ class Bar:
 
     def __init__(self, console: Console, title: str, total: int | None) -> None:
         self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-            TextColumn("{task.fields[told]}"), console=console, disable=not console.is_terminal,
+            TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[told]}", markup=False), console=console, disable=not console.is_terminal,
             auto_refresh=False,
         )  # fmt: skip
         self._drawn_s = 0.0

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 from rich.table import Column, Table
 
 from flightstack.cli import options as shared
 from flightstack.cli.options import takes
 from flightstack.cli.prove.progress import Bar
+from flightstack.common.terminal import Terminal
 from flightstack.core.parameters.filters import short_name
 
 _EVENTS = ("violation", "miss")
@@ -73,7 +73,7 @@ def rare(options: RareOptions) -> None:
     )
     scenario = wanted.plan.scenario
     folder = options.out or new_folder(f"rare-{scenario.name}-{short_name(wanted.plan.filter_name)}")
-    console = Console(stderr=options.as_json, highlight=False)
+    console = Terminal(stderr=options.as_json)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     title = f"{scenario.name}, filter {wanted.plan.filter_name}, {options.event}"
     try:
@@ -96,7 +96,7 @@ def rare(options: RareOptions) -> None:
     rate = f"rate {told['rate']:.2g}" if told["rate"] else "no failure found: rate"
     console.print(f"{rate}, 95 % interval {low:.2g} to {high:.2g}, {told['landings']} landings")
     for one in told["failures"]:
-        console.print(f"{one['why']}\n  {one['command']}", soft_wrap=True, markup=False)
+        console.print(f"{one['why']}\n  {one['command']}", soft_wrap=True)
     console.print(f"rows    {folder / 'rows.csv'}", soft_wrap=True)
 
 

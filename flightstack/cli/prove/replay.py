@@ -13,6 +13,7 @@ import click
 
 from flightstack.cli import options as shared
 from flightstack.cli.options import takes
+from flightstack.common.text import plain
 
 if TYPE_CHECKING:
     from logs.replay.compare import Tally
@@ -100,7 +101,7 @@ def replay(options: ReplayOptions) -> None:
     if options.as_json:
         click.echo(json.dumps(_object(result, options.settings)))
     else:
-        click.echo("\n".join(_lines(result, options.settings)))
+        click.echo(plain("\n".join(_lines(result, options.settings))))
     sys.exit(_status(options, result))
 
 
@@ -151,7 +152,7 @@ def _fleet(options: ReplayOptions, members: Sequence[str]) -> int:
             told[member] = _object(result, options.settings)
             lines = _lines(result, options.settings)
         if not options.as_json:
-            click.echo("\n".join(f"{member}: {line}" for line in lines))
+            click.echo(plain("\n".join(f"{member}: {line}" for line in lines)))
     results = {each["result"] for each in told.values()}
     whole = next(word for word in _WORST_FIRST if word in results)
     if options.as_json:

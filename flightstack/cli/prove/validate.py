@@ -12,12 +12,13 @@ from typing import Any
 
 import click
 from rich.box import SIMPLE
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from flightstack.cli import options as shared
 from flightstack.cli.options import takes
 from flightstack.cli.prove.progress import Bar
+from flightstack.common.terminal import Terminal
 
 PASSED, FAILED = 0, 1
 PAGE, SUMMARY = "validate.html", "validate.json"
@@ -73,11 +74,11 @@ def validate(options: ValidateOptions) -> None:
     plan = core.Plan(
         options.folder, options.columns, options.vehicle or core.VEHICLE, options.shuffle_pwm, options.seed
     )
-    console = Console(stderr=options.as_json, highlight=False)
+    console = Terminal(stderr=options.as_json)
     try:
         paths = find_recordings(plan.folder)
     except RecordingError as error:
-        console.print(str(error), soft_wrap=True, markup=False)
+        console.print(str(error), soft_wrap=True)
         paths = []
     try:
         with Bar(console, f"flights of {plan.folder}", len(paths)) as bar:
@@ -94,9 +95,7 @@ def validate(options: ValidateOptions) -> None:
     for flight in flights:
         if flight.left_out:
             what = "left out in part" if flight.used else "left out"
-            console.print(
-                f"{flight.name}: {what}: {'; '.join(reasons(flight))}", soft_wrap=True, markup=False
-            )
+            console.print(f"{flight.name}: {what}: {'; '.join(reasons(flight))}", soft_wrap=True)
     folder = options.out or new_folder("validate")
     folder.mkdir(parents=True, exist_ok=True)
     (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
@@ -124,7 +123,7 @@ def _page(path: Path, told: dict[str, Any]) -> Path | None:
     return path
 
 
-def _tell(console: Console, told: dict[str, Any]) -> None:
+def _tell(console: Terminal, told: dict[str, Any]) -> None:
     """Print the table of criteria, and the causes."""
     title = f"{told['used']} of {told['flights']} flights, {told['used_s']:.0f} s, beside {told['vehicle']}"
     table = Table(
@@ -132,13 +131,13 @@ def _tell(console: Console, told: dict[str, Any]) -> None:
     )
     for part in dict.fromkeys(one["part"] for one in told["criteria"]):
         table.add_section()
-        table.add_row(f"[bold]{part}[/]")
+        table.add_row(Text(part, style="bold"))
         for one in told["criteria"]:
             if one["part"] == part:
-                mark = one["word"] if one["met"] else f"[bold red]{one['word']}[/]"
+                mark = Text(one["word"], style="none" if one["met"] else "bold red")
                 table.add_row(one["text"], one["limit"], one["found"], mark)
     if told["used"]:
         console.print(table)
     console.print("passed" if told["passed"] else "not passed")
     for cause in told["causes"]:
-        console.print(f"  {cause}", soft_wrap=True, markup=False)
+        console.print(f"  {cause}", soft_wrap=True)

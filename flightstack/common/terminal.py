@@ -1,0 +1,25 @@
+"""The terminal: tables, bars and styles by Rich, and every text as it is written, never as its markup."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+
+from flightstack.common.text import plain
+
+
+class Terminal(Console):
+    """A console on which brackets are brackets, ``:name:`` is no picture, and control characters show."""
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Render; colours and cursor movements are Rich's own only."""
+        for segment in super().render(renderable, options):
+            if segment.control or (text := plain(segment.text)) == segment.text:
+                yield segment
+            else:
+                yield Segment(text, segment.style)

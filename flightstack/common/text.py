@@ -1,0 +1,19 @@
+"""Text that others wrote (names, paths, messages of vehicles, records of logs) as it may be shown."""
+
+from __future__ import annotations
+
+import re
+
+# C0 and C1 but for tab and line feed, marks that turn the direction of writing, separators of lines, and what
+# is no character (bytes of a path that are not UTF-8)
+_HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def plain(text: object) -> str:
+    """Text in which what a terminal would obey can be read instead: no colour, no cursor, no overwriting."""
+    return _HIDDEN.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), str(text))
+
+
+def one_line(text: object) -> str:
+    """The same on one line: what one has written cannot look like a line of another."""
+    return plain(text).replace("\n", "\\n").replace("\t", "\\t")
