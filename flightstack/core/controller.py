@@ -14,7 +14,7 @@ from flightstack.core.fleet.cone import Cone
 from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.member import NO_ROWS, FleetMember, Rows
 from flightstack.core.fleet.precedence import ALONE
-from flightstack.core.memory import FleetState, ReserveMemory, State, WholeState
+from flightstack.core.memory import FleetState, LateState, ReserveMemory, State, WholeState
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
 from flightstack.core.mission.machine import Mission, Transition
 from flightstack.core.parameters.flight import FlightConfig
@@ -121,6 +121,8 @@ def state_class(config: FlightConfig) -> type[State]:
     """Class of the state of this configuration."""
     if config.fleet is not None:
         return FleetState
+    if config.velocity_loop.dead_time_s > 0.0:
+        return LateState
     return WholeState if config.reserve is not None or config.own.learns else State
 
 
@@ -162,6 +164,8 @@ class Controller:
         if kind is State:
             return State(*known)
         more = (self.reserve_estimate.memory if self.reserve_estimate else ReserveMemory(), strategy.own)
+        if kind is LateState:
+            return LateState(*known, *more, strategy.late)
         return FleetState(*known, *more, self._fleet.memory) if self._fleet else WholeState(*known, *more)
 
     def restore(self, state: State) -> None:
@@ -174,6 +178,8 @@ class Controller:
             self.strategy.own = state.own
             if self.reserve_estimate is not None:
                 self.reserve_estimate.memory = state.reserve
+        if isinstance(state, LateState):
+            self.strategy.late = state.late
         if isinstance(state, FleetState) and self._fleet is not None:
             self._fleet.memory = state.fleet
 

@@ -143,6 +143,16 @@ class OwnMemory:
     pending: tuple[Vec3, Vec3, Vec3, Vec3] = (ZERO, ZERO, ZERO, ZERO)
 
 
+Level = tuple[float, float]  # on x and y
+
+
+@dataclass(slots=True)
+class LateMemory:
+    """Of a velocity loop with a dead time."""
+
+    sent_m_s: tuple[Level, ...] = ()  # horizontal set-points that have no effect yet, oldest first
+
+
 @dataclass(slots=True)
 class State:
     """All of it: with a configuration and the inputs to come it determines every further output."""
@@ -160,6 +170,13 @@ class WholeState(State):
 
     reserve: ReserveMemory
     own: OwnMemory
+
+
+@dataclass(slots=True)
+class LateState(WholeState):
+    """The same of a vehicle whose velocity loop has a dead time."""
+
+    late: LateMemory
 
 
 @dataclass(slots=True)

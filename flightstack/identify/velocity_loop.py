@@ -29,7 +29,9 @@ EXCITATION_MIN_M_S = 0.04  # standard deviation of the high-passed command
 EXPLAINED_MIN = 0.6  # share of the velocity's variance that the model must explain
 ERROR_MAX = 0.2  # relative standard error of the lag
 START = (1.0, 6.0, 0.7, 0.02)  # gain, rate, damping, dead time
-LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.3)
+LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.6)
+# s; a shorter dead time is a part of the second-order model's lag, which is then as good a model
+DEAD_TIME_MIN_S = 0.12
 
 
 class TooLittleError(ValueError):
@@ -56,9 +58,14 @@ class Loop(NamedTuple):
     time_s: float  # compared
 
     @property
+    def model_dead_time_s(self) -> float:
+        """Dead time of the stack's model: none where a second-order model that lags as much does."""
+        return self.dead_time_s if self.dead_time_s >= DEAD_TIME_MIN_S else 0.0
+
+    @property
     def model_rate_1_s(self) -> float:
-        """Rate of the second-order model without dead time that lags as much: what the stack's model has."""
-        return 2.0 * self.damping / self.lag_s
+        """Rate of the stack's model, which lags as much."""
+        return 2.0 * self.damping / (self.lag_s - self.model_dead_time_s)
 
 
 def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from flightstack.core.parameters.filters import referred
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_class
-from flightstack.verify import ends, feedback, paper, robust, touchdown
+from flightstack.verify import ends, feedback, late, paper, robust, touchdown
 from flightstack.verify.bound import Shape, Span
 from flightstack.verify.envelope import extremes
 from flightstack.verify.fleet import fleet_checks
@@ -73,6 +73,12 @@ def robust_checks(config: FlightConfig) -> list[Check]:
         *([robust.reserve(config, table, x)] if table is not None else []),
         robust.holds(config, x),
         robust.estimator(config, x),
-        *(feedback.comes_to_rest(config) if fed_back else [touchdown.damping(config, x)]),
+        touchdown.tilts(config, x),
+        touchdown.modelled(config),
+        *(
+            feedback.comes_to_rest(config)
+            if fed_back
+            else [touchdown.damping(config, x), *late.comes_to_rest(config)]
+        ),
         touchdown.drift(config, x),
     ]

@@ -82,7 +82,7 @@ def extremes(config: FlightConfig) -> Extremes:
         target_acceleration_m_s2=acceleration,
         heave_acceleration_m_s2=acceleration if envelope.target_climb_max_m_s > 0.0 else 0.0,
         # the set-point's lead takes out the lag that is told; where the vehicle differs remains
-        slip_m_s=envelope.lag_spread * loop.lag_xy_s * acceleration + velocity_error,
+        slip_m_s=(envelope.lag_spread * loop.lag_xy_s + loop.dead_time_s) * acceleration + velocity_error,
         position_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_m, own_m),
         height_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_z_m, own_m),
         growth_m=near - fresh,

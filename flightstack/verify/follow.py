@@ -110,7 +110,7 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
     Between two steps a response differs from the straight line by at most h^3 / 12 of its second derivative,
     in the integral. After the last step it begins anew, with what is left.
     """
-    step, grown = _exp(loop * STEP_S), _exp(np.abs(loop) * STEP_S)
+    step, grown = matrix_exp(loop * STEP_S), matrix_exp(np.abs(loop) * STEP_S)
     bend = np.abs(outputs @ loop @ loop) @ grown
     powers = np.eye(len(loop))[np.newaxis]
     factor = step
@@ -137,7 +137,7 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
     return None
 
 
-def _exp(matrix: F64) -> F64:
+def matrix_exp(matrix: F64) -> F64:
     """Return the exponential of a small matrix by its series; the remainder is below double precision."""
     total = term = np.eye(len(matrix))
     for order in range(1, 30):

@@ -19,12 +19,15 @@ import numpy as np
 
 from flightstack.core.mission.guidance import CLIMB_OVER
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.robust import BRAKING
+from flightstack.verify import late
 from flightstack.verify.envelope import Extremes
 from flightstack.verify.follow import follow_m
 from flightstack.verify.types import Check, Need
 
 STEP_S = 2e-3  # of the comparison system
 PIECES = 20  # of the range of lags
+AGREE = 1.6  # factor between the declared lag and the model's
 DAMPING_MIN = 0.5  # of the position loop around the lagging velocity loop
 
 
@@ -147,6 +150,62 @@ def damping(config: FlightConfig, x: Extremes) -> Check:
     )
 
 
+def tilts(config: FlightConfig, x: Extremes) -> Check:
+    """Check that the bound of the set-point leaves the acceleration that is counted on.
+
+    A second-order loop whose set-point is e ahead of its velocity accelerates with w e / (2 z): e over its
+    lag without the dead time. The nominal command counts on its braking. And from rest to the full speed v
+    such a vehicle lags v / (2 A) behind, less v / (2 a) of the command's own ramp, besides its lag: more than
+    ``checks.follow_lag_max_s`` of flight is taken for a vehicle that does not follow, which then lands where
+    it is, beside a robot that drives.
+    """
+    loop, (ax, ay, _) = config.velocity_loop, config.slew_max_m_s2
+    speed, slew = max(config.limits.velocity_max_m_s[:2]), min(ax, ay)
+    answers_s = loop.lag_xy_s - loop.dead_time_s
+    found = loop.error_max_m_s / answers_s if answers_s > 0.0 else math.inf
+    left_s = config.checks.follow_lag_max_s - x.lag_xy_s + 0.5 * speed / slew
+    follows = 0.5 * speed / left_s if left_s > 0.0 else math.inf
+    needed = max(BRAKING * slew, follows)
+    return Check(
+        "velocity_loop.error_max_m_s",
+        "the bound of the set-point leaves the acceleration to brake, and to follow without being given back",
+        found - needed,
+        "m/s^2",
+        f"found {loop.error_max_m_s:g}, which accelerates with {found:.3g} m/s^2; {needed:.3g} are needed",
+        f"raise velocity_loop.error_max_m_s to {needed * answers_s:.3g}, or checks.follow_lag_max_s"
+        if needed < math.inf
+        else "raise checks.follow_lag_max_s",
+        Need.PROOF,
+    )
+
+
+def modelled(config: FlightConfig) -> Check:
+    """Check that rate and damping of the model make the lag that is declared beside them.
+
+    The corrections take the lag from one and the disturbance from the other: with both far apart they fly a
+    disturbance that is not there. The shipped loops, identified, agree within a factor of 1.5.
+    """
+    loop = config.velocity_loop
+    axes = (
+        ("xy", loop.lag_xy_s, 2.0 * loop.damping / loop.rate_xy_1_s + loop.dead_time_s),
+        ("z", loop.lag_z_s, 2.0 * loop.damping / loop.rate_z_1_s),
+    )
+    factor, axis, told_s, model_s = max(
+        (max(told / model, model / told) if told > 0.0 else math.inf, axis, told, model)
+        for axis, told, model in axes
+    )
+    return Check(
+        f"velocity_loop.lag_{axis}_s",
+        "rate and damping of the velocity loop's model make the declared lag",
+        AGREE - factor,
+        "",
+        f"found {told_s:g} s, 2 damping / rate_{axis}_1_s {'+ dead_time_s ' if axis == 'xy' else ''}make "
+        f"{model_s:.3g} s: {factor:.3g} times apart, at most {AGREE:g}",
+        "identify the loop anew (flightstack identify)",
+        Need.PROOF,
+    )
+
+
 def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     """Return the largest distance from the middle in the last descent, m, and its time, s, over all lags.
 
@@ -197,7 +256,7 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
 
 def drift(config: FlightConfig, x: Extremes) -> Check:
     """Check that the vehicle stays over the pad from the commit to contact."""
-    config = config.descending
+    config, timeout_s = config.descending, config.touchdown.timeout_s
     if config.velocity_feedback.horizontal:
         farthest, vehicle = follow_m(config, x)
         claim = "after the commit the vehicle touches the pad, for any motion of a target that it followed"
@@ -206,6 +265,11 @@ def drift(config: FlightConfig, x: Extremes) -> Check:
         if config.own.learns:
             worst = "no bound is known for a vehicle that estimates its own state (own.velocity_error_m_s)"
             remedy = "campaigns show how far from the middle it touches"
+    elif config.velocity_loop.dead_time_s > 0.0:
+        farthest, lags = late.drift_of_spread_m(config, x, min(descent_time_s(config, x), timeout_s))
+        claim = "after the commit the vehicle touches the pad, for any motion of a target that it followed"
+        worst = f"{1000.0 * farthest:.3g} mm from the middle, with {lags:.3g} times the lag"
+        remedy = "lower robust.commit_speed_m_s or robust.commit_radius_m"
     else:
         farthest, when_s = drift_m(config, x)
         claim = "after the commit the vehicle touches the pad, for any motion of the target"

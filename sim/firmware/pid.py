@@ -13,6 +13,7 @@ rate loops then also forget the rate, so that their derivative kicks once.
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Record, new
@@ -23,6 +24,7 @@ from sim.plant.params import CONTROL_STEP_S, Params
 
 POSITION_EVERY = 5  # firmware stabilizer_types.h: POSITION_RATE 100 Hz
 POSITION_STEP_S = POSITION_EVERY * CONTROL_STEP_S
+LATE_MAX = 60  # set-points under way in a loop with a dead time, 0.6 s
 SPEED_MAX_M_S = (
     1.1 * 1.0
 )  # of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX, and the same for y and z
@@ -90,6 +92,10 @@ class CascadeRecord(Record):
     yaw_rate: PidRecord
     calls: int  # since the last reset
     mode: int  # LEVEL, FREE, TO_POSITION or UNKNOWN
+    late: Annotated[F64, 2 * LATE_MAX]  # horizontal set-points of the last calls of the velocity loop, a ring
+    late_calls: int  # calls between a set-point and its effect
+    response: float  # velocity aimed at, as a share of the set-point
+    tilt_share: float  # of a new tilt command that counts at once; 1: all of it
     roll_wanted: float  # degrees
     pitch_wanted: float
     thrust_wanted: float  # counts
@@ -118,6 +124,7 @@ def cascade_reset(c: CascadeRecord) -> None:
         pid_forget(pid)
     c.roll_rate.previous = c.pitch_rate.previous = c.yaw_rate.previous = 0.0  # attitudeControllerResetAllPID
     c.calls = 0
+    c.late[:] = 0.0
 
 
 @jitted
@@ -141,16 +148,24 @@ def velocity_pids(
 ) -> None:
     """Find the wanted tilt and thrust (100 Hz)."""
     cos, sin = math.cos(yaw), math.sin(yaw)
+    vx, vy = c.response * setpoint.vx, c.response * setpoint.vy
+    if c.late_calls > 0:
+        at = 2 * (c.calls // POSITION_EVERY % c.late_calls)
+        vx, vy, c.late[at], c.late[at + 1] = c.late[at], c.late[at + 1], vx, vy
     if setpoint.by_position:
         ex, ey = setpoint.x - position[0], setpoint.y - position[1]
         ahead = pid_output(c.x, cos * ex + sin * ey, 0.0) - (cos * velocity[0] + sin * velocity[1])
         aside = pid_output(c.y, cos * ey - sin * ex, 0.0) - (cos * velocity[1] - sin * velocity[0])
         up = pid_output(c.z, setpoint.z - position[2], 0.0)
     else:
-        ex, ey = setpoint.vx - velocity[0], setpoint.vy - velocity[1]
+        ex, ey = vx - velocity[0], vy - velocity[1]
         ahead, aside, up = cos * ex + sin * ey, cos * ey - sin * ex, setpoint.vz
-    c.pitch_wanted = clamp(pid_output(c.vx, ahead, 0.0), TILT_MAX_DEG)
-    c.roll_wanted = clamp(-pid_output(c.vy, aside, 0.0), TILT_MAX_DEG)
+    pitch = clamp(pid_output(c.vx, ahead, 0.0), TILT_MAX_DEG)
+    roll = clamp(-pid_output(c.vy, aside, 0.0), TILT_MAX_DEG)
+    if c.tilt_share < 1.0:
+        pitch = c.pitch_wanted + c.tilt_share * (pitch - c.pitch_wanted)
+        roll = c.roll_wanted + c.tilt_share * (roll - c.roll_wanted)
+    c.pitch_wanted, c.roll_wanted = pitch, roll
     thrust = THRUST_SCALE * pid_output(c.vz, up - velocity[2], 0.0) + THRUST_BASE
     c.thrust_wanted = max(THRUST_MIN, min(COUNTS_MAX, thrust))
 
@@ -205,6 +220,8 @@ class PidLoop:
         c.pitch_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)  # PID_PITCH_RATE
         c.yaw_rate = pid_record(120.0, 16.7, 0.0, 166.7, fast)  # PID_YAW_RATE
         c.mode = UNKNOWN
+        c.late_calls, c.response = round(g.xy_dead_time_s / slow), g.xy_response
+        c.tilt_share = slow / max(slow, g.tilt_time_s)
 
     def reset(self) -> None:
         """Forget integrals."""

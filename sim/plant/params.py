@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import Annotated
 
-from flightstack.common.strict_toml import ConfigError, from_table
+from flightstack.common.strict_toml import ConfigError, from_table, span
 from flightstack.core.types import Vec3
 from sim.chance import stream
 from sim.scenarios.scenario import VEHICLE_FILES, VehicleSpec
@@ -168,13 +169,17 @@ class TorqueNoiseShape:
 class VelocityGains:
     """Gains of the PID loop from velocity to degrees of tilt, and to thousands of thrust counts.
 
-    Defaults: Crazyflie firmware, platform_defaults_cf2.h, PID_VEL_X and PID_VEL_Z.
+    Defaults: Crazyflie firmware, platform_defaults_cf2.h, PID_VEL_X and PID_VEL_Z. An autopilot that shapes
+    its attitude commands answers a horizontal velocity later, and flies another one than commanded.
     """
 
     xy_p: float = 25.0
     xy_i: float = 1.0
     z_p: float = 25.0
     z_i: float = 15.0
+    xy_dead_time_s: Annotated[float, span(0.0, 0.6)] = 0.0  # from set-point to velocity error
+    tilt_time_s: Annotated[float, span(0.0, 1.0)] = 0.0  # low-pass of the tilt commanded
+    xy_response: Annotated[float, span(0.5, 3.0)] = 1.0  # velocity aimed at, as a share of the set-point
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ BENCHMARKS = {
     "fleet_faults": "fleet_faults:main",
     "landing_figure": "landing_figure:main",
     "paper_runs": "flights:paper_runs",
+    "proven": "proven:main",
     "px4_faults": "px4:faults",
     "px4_speed": "px4:speed",
     "recorder_memory": "recorder_memory:main",

@@ -264,14 +264,18 @@ def _as_json(found: Found) -> dict[str, Any]:
 def _as_toml(found: Found, count: int) -> str:
     h, v = found.horizontal, found.vertical
     weights = (1.0 / max(h.errors[2], 1e-6) ** 2, 1.0 / max(v.errors[2], 1e-6) ** 2)
-    damping = (weights[0] * h.damping + weights[1] * v.damping) / sum(weights)
+    damping, rate_z_1_s = (weights[0] * h.damping + weights[1] * v.damping) / sum(weights), v.model_rate_1_s
+    late, model = h.model_dead_time_s, "of the model without dead time that lags as much"
+    if late:  # the model's swing is then the horizontal loop's; upwards it lags as much
+        damping, rate_z_1_s, model = h.damping, 2.0 * h.damping / v.lag_s, "of the model"
     lines = [
         f"# identified from {count} log{'s' * (count > 1)}; +- one standard error",
         "[velocity_loop]",
         f"lag_xy_s = {h.lag_s:.3f}     # +- {h.errors[4]:.3f}",
         f"lag_z_s = {v.lag_s:.3f}      # +- {v.errors[4]:.3f}",
-        f"rate_xy_1_s = {h.model_rate_1_s:.2f}   # of the model without dead time that lags as much",
-        f"rate_z_1_s = {v.model_rate_1_s:.2f}",
+        f"dead_time_s = {late:.3f}  # part of lag_xy_s; 0: short enough for a model without",
+        f"rate_xy_1_s = {h.model_rate_1_s:.2f}   # {model}",
+        f"rate_z_1_s = {rate_z_1_s:.2f}",
         f"damping = {damping:.2f}       # horizontal {h.damping:.2f} +- {h.errors[2]:.2f}, "
         f"vertical {v.damping:.2f} +- {v.errors[2]:.2f}",
         *(f"# {name}: {_described(loop)}" for name, loop in (("horizontal", h), ("vertical", v))),

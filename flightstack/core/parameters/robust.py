@@ -22,6 +22,8 @@ class VelocityLoop:
 
     lag_xy_s: Annotated[float, span(0.0, 2.0)] = 0.27  # group delay of the closed loop at low frequency
     lag_z_s: Annotated[float, span(0.0, 2.0)] = 0.17
+    # part of lag_xy_s in which a horizontal set-point has no effect yet: delay of links, shaping of attitudes
+    dead_time_s: Annotated[float, span(0.0, 0.5)] = 0.0
     rate_xy_1_s: Annotated[float, span(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
     rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0
     damping: Annotated[float, span(0.1, 2.0)] = 0.68
@@ -33,6 +35,10 @@ class VelocityLoop:
     slope_time_s: Annotated[float, span(0.01, 1.0)] = 0.05  # smoothing of the wanted acceleration
     disturbance_time_s: Annotated[float, span(0.1, 10.0)] = 0.6  # low-pass of wind, drag, weight error
     disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # 2 m/s of wind on a Crazyflie makes 0.25
+
+    def late_ticks(self, period_s: float) -> int:
+        """Ticks from a horizontal set-point to its first effect."""
+        return round(self.dead_time_s / period_s)
 
     def rate_max_1_s(self, period_s: float) -> float:
         """Natural frequency below which the model, stepped with this period, is stable.

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 
-from flightstack.common.strict_toml import ConfigError
-from flightstack.core.memory import MotionMemory, OwnMemory, TrackingMemory
+from flightstack.core.memory import LateMemory, MotionMemory, OwnMemory, TrackingMemory
 from flightstack.core.numeric import hypot, numeric
 from flightstack.core.parameters.ends import TouchdownRule
 from flightstack.core.parameters.flight import FlightConfig
@@ -19,6 +18,7 @@ from flightstack.core.safety.position_loop import limit, nominal_velocity
 from flightstack.core.safety.qp_filter import Program, SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.snapshot import Relative, Snapshot
+from flightstack.core.strategies.robust_limits import refuse
 from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.strategies.velocity_tracking import Axis, VelocityTracking
 from flightstack.core.target.estimator import TargetEstimator
@@ -61,34 +61,12 @@ class RobustFilter(Strategy):
 
     @staticmethod
     def check_config(config: FlightConfig) -> None:
-        """Refuse an unstable model of the velocity loop, heights below the feet, and a fading too wide.
+        """Refuse values that contradict each other, or for which there is no proof.
 
         Raises:
             ConfigError: which value, what is allowed.
         """
-        loop, rate_hz = config.velocity_loop, config.loop.rate_hz
-        most_1_s = loop.rate_max_1_s(1.0 / rate_hz)
-        for key, found_1_s in (("rate_xy_1_s", loop.rate_xy_1_s), ("rate_z_1_s", loop.rate_z_1_s)):
-            if not found_1_s < most_1_s:
-                raise ConfigError(
-                    f"velocity_loop.{key}: found {found_1_s:g}; with velocity_loop.damping {loop.damping:g} "
-                    f"and loop.rate_hz {rate_hz} the model of the loop is stable below {most_1_s:.4g} 1/s: "
-                    "lower it, or raise loop.rate_hz"
-                )
-        feet_m = config.touchdown.feet_below_reference_m
-        for key in ("wait_height_m", "commit_height_m", "touch_height_m"):
-            height_m = getattr(config.robust, key)
-            if height_m <= feet_m:
-                raise ConfigError(
-                    f"robust.{key}: found {height_m:g}; with touchdown.feet_below_reference_m {feet_m:g} the "
-                    "feet are in the pad at this height of the reference: raise it above, or lower that"
-                )
-        fade_m, pad_m = config.robust.fade_radius_m, config.touchdown.pad_radius_m
-        if fade_m > pad_m:
-            raise ConfigError(
-                f"robust.fade_radius_m: found {fade_m:g}, allowed is at most the pad's radius, {pad_m:g} m, "
-                "where the margin has to be there: lower it"
-            )
+        refuse(config)
 
     @property
     def axes(self) -> tuple[Axis, Axis, Axis]:
@@ -117,6 +95,15 @@ class RobustFilter(Strategy):
     @tracking.setter
     def tracking(self, memory: TrackingMemory) -> None:
         self._tracking.memory = memory
+
+    @property
+    def late(self) -> LateMemory:
+        """Set-points that have no effect yet."""
+        return self._tracking.late
+
+    @late.setter
+    def late(self, memory: LateMemory) -> None:
+        self._tracking.late = memory
 
     @property
     def own(self) -> OwnMemory:
@@ -218,17 +205,26 @@ class RobustFilter(Strategy):
 
     def approach_m_s(self, at: Relative, *, over_pad: bool) -> Vec3:
         """To a place low above the pad's middle, where it waits until it may go down in one go."""
-        robust, e, t = self._config.robust, at.e_m, at.target.velocity_enu_m_s
+        robust, t, (e, slip) = self._config.robust, at.target.velocity_enu_m_s, self._then(at)
         gain = robust.gain_1_s
         over = robust.gain_over_pad_1_s if over_pad else gain
-        above = e[2] - robust.wait_height_m - self._ahead_m(at)
+        above = e[2] - robust.wait_height_m - self._ahead_m(e, slip)
         fastest_m_s = min(robust.descent_max_m_s, self._braked_m_s(above))
         return approach(e, above, over, gain, t, fastest_m_s, robust.descent_min_m_s)
 
-    def _ahead_m(self, at: Relative) -> float:
+    def _then(self, at: Relative) -> tuple[Vec3, tuple[float, float]]:
+        """Place above the target, and horizontal velocity relative to it, when a set-point has its effect."""
+        late_s = self._config.velocity_loop.dead_time_s
+        if not late_s:
+            return at.e_m, at.slip_m_s
+        (ex, ey, ez), (tx, ty, _) = at.e_m, at.target.velocity_enu_m_s
+        (x, y), (vx, vy, _) = self._tracking.carried(at.own.velocity_enu_m_s)
+        return (ex + x - late_s * tx, ey + y - late_s * ty, ez), (vx - tx, vy - ty)
+
+    def _ahead_m(self, e_m: Vec3, slip_m_s: tuple[float, float]) -> float:
         """Height of the boundary ahead that no velocity in the box may be quick enough for."""
-        barrier = self._barrier
-        return height_ahead(at.e_m, at.d_m, at.slip_m_s, self.brakes_m_s2, barrier.alpha_1_m, barrier.beta_m)
+        barrier, d_m = self._barrier, hypot(e_m[0], e_m[1])
+        return height_ahead(e_m, d_m, slip_m_s, self.brakes_m_s2, barrier.alpha_1_m, barrier.beta_m)
 
     def descent_m_s(self, at: Relative) -> Vec3 | None:
         """Straight down over the pad's middle; by the paper's rule until its height."""
@@ -236,7 +232,7 @@ class RobustFilter(Strategy):
         if touchdown.rule is TouchdownRule.PAPER and at.e_m[2] < touchdown.height_m:
             return None
         gain = robust.to_contact_1_s
-        x, y, _ = nominal_velocity(at.e_m, (gain, gain, gain), t)
+        x, y, _ = nominal_velocity(self._then(at)[0], (gain, gain, gain), t)
         return (x, y, t[2] - robust.descent_m_s)
 
     def hold_m_s(self, target: TargetState) -> Vec3:

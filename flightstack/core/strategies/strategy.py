@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.memory import MotionMemory, OwnMemory, TrackingMemory
+from flightstack.core.memory import LateMemory, MotionMemory, OwnMemory, TrackingMemory
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import ActiveBarrier, Barrier
@@ -66,6 +66,16 @@ class Strategy(ABC):
     @own.setter
     def own(self, memory: OwnMemory) -> None:
         """Go on from one that was written down."""
+        del memory
+
+    @property
+    def late(self) -> LateMemory:
+        """Set-points that have no effect yet; a filter that takes the loop to answer at once has none."""
+        return LateMemory()
+
+    @late.setter
+    def late(self, memory: LateMemory) -> None:
+        """Go on from those that were written down."""
         del memory
 
     @staticmethod

@@ -19,14 +19,19 @@ velocity at the rate l, reached at the rate m,
     a* = r' + l (r - v) - f,      a' = m (a* - a),      u = v + (2 z w a + m (a* - a)) / w^2
 
 The disturbance is clamped, as no model is perfect.
+
+With a dead time T the model answers to the set-point of T ago. The set-point of now has its effect in T: by
+then the set-points in between have moved the vehicle, which the model foretells (a Smith predictor: of the
+model only the difference between then and now is used). The lead's v is the velocity then.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Protocol
 
-from flightstack.core.memory import TrackingMemory
+from flightstack.core.memory import LateMemory, TrackingMemory
 from flightstack.core.numeric import numeric
 from flightstack.core.parameters.robust import VelocityFeedback, VelocityLoop
 from flightstack.core.safety.position_loop import clip
@@ -97,6 +102,15 @@ def lead_commanded(
     s += share * ((r - b) / t - s)
     u = r + lag_s * s + gain * (r - v) - d
     return s, clip(clip(u, v - error_max_m_s, v + error_max_m_s), -most, most)
+
+
+def lead_carried(lead: Lead, v: float, m: float, dm: float, sent: Sequence[float]) -> tuple[float, float]:
+    """Way and velocity when the set-points that have no effect yet have had theirs, one a tick."""
+    t, way_m, now = lead[0], 0.0, m
+    for u in sent:
+        m, dm, _ = lead_observed(lead, m, u, m, dm, 0.0)
+        way_m += t * (v + (m - now))
+    return way_m, v + (m - now)
 
 
 @numeric
@@ -237,6 +251,9 @@ class VelocityTracking:
         feedback = feedback or VelocityFeedback()
         self.axes = axes(loop, feedback, delay_s, period_s)
         self.far_axes = axes(loop, feedback.far, delay_s, period_s)
+        self.late_ticks = loop.late_ticks(period_s)
+        self.late = LateMemory(((0.0, 0.0),) * self.late_ticks)
+        self._carried: tuple[object, tuple[tuple[float, float], Vec3]] = (None, ((0.0, 0.0), ZERO))
 
     def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
         """Compare the velocity with what the model expects of the last set-point.
@@ -248,16 +265,35 @@ class VelocityTracking:
         memory = self.memory
         if not commanding:
             memory.model_m_s, memory.model_m_s2, memory.slope_m_s2 = velocity_enu_m_s, ZERO, ZERO
+            self.late.sent_m_s = (velocity_enu_m_s[:2],) * self.late_ticks
             return
         v, u, m, dm, d = (
             velocity_enu_m_s, memory.setpoint_m_s, memory.model_m_s, memory.model_m_s2, memory.disturbance_m_s
         )  # fmt: skip
+        if self.late_ticks:
+            ((ux, uy), *under_way), (sx, sy, sz) = self.late.sent_m_s, u
+            self.late.sent_m_s, u = (*under_way, (sx, sy)), (ux, uy, sz)
         x, y, z = self.axes  # written out: a loop over three axes costs twice as much
         mx, dmx, dx = x.observe(v[0], u[0], m[0], dm[0], d[0])
         my, dmy, dy = y.observe(v[1], u[1], m[1], dm[1], d[1])
         mz, dmz, dz = z.observe(v[2], u[2], m[2], dm[2], d[2])
         memory.model_m_s, memory.model_m_s2 = (mx, my, mz), (dmx, dmy, dmz)
         memory.disturbance_m_s = (dx, dy, dz)
+
+    def carried(self, velocity_m_s: Vec3) -> tuple[tuple[float, float], Vec3]:
+        """Horizontal way until a set-point sent now has its effect, m, and the velocity then."""
+        level, memory, sent = self.axes[0], self.memory, self.late.sent_m_s
+        if not (sent and isinstance(level, LeadAxis)):
+            return (0.0, 0.0), velocity_m_s
+        given = (velocity_m_s, memory.model_m_s, memory.model_m_s2, sent)
+        if given == self._carried[0]:  # asked twice a tick
+            return self._carried[1]
+        (vx, vy, vz), (mx, my, _), (dmx, dmy, _) = given[:3]
+        lead = level.numbers
+        x_m, vx = lead_carried(lead, vx, mx, dmx, [x for x, _ in sent])
+        y_m, vy = lead_carried(lead, vy, my, dmy, [y for _, y in sent])
+        self._carried = (given, ((x_m, y_m), (vx, vy, vz)))
+        return self._carried[1]
 
     def command(
         self,
@@ -281,7 +317,7 @@ class VelocityTracking:
             far: farther from the landing spot than ``far_m`` of the feedback.
         """
         memory, (x, y, z) = self.memory, self.far_axes if far else self.axes
-        b, r, v, s = before_m_s, reference_m_s, velocity_m_s, memory.slope_m_s2
+        b, r, (_, v), s = before_m_s, reference_m_s, self.carried(velocity_m_s), memory.slope_m_s2
         m, dm, d = memory.model_m_s, memory.model_m_s2, memory.disturbance_m_s
         sx, ux = x.command(b[0], r[0], v[0], s[0], m[0], dm[0], d[0], most_m_s[0])
         sy, uy = y.command(b[1], r[1], v[1], s[1], m[1], dm[1], d[1], most_m_s[1])

@@ -27,6 +27,7 @@ def suits(config: FlightConfig) -> bool:
     return (
         config.filter in ("robust", "paper")
         and config.fleet is None
+        and config.velocity_loop.dead_time_s == 0.0  # set-points under way have no place in the record
         and config.touchdown.rule is TouchdownRule.CONTACT
         and max(config.limits.velocity_max_m_s) <= SPEED_MAX_M_S
         and (config.checks.target_frame, config.checks.target_child_frame) == ("map", "target")

@@ -38,6 +38,8 @@ def made_up(
         {"rate": 5.2, "damping": 0.68, "dead_s": 0.0},
         {"rate": 8.0, "damping": 0.68, "dead_s": 0.02},
         {"rate": 4.0, "damping": 0.9, "dead_s": 0.05, "gain": 0.9},
+        {"rate": 2.4, "damping": 0.6, "dead_s": 0.25, "gain": 1.3},
+        {"rate": 4.0, "damping": 0.6, "dead_s": 0.4},
     ],
 )
 def test_known_parameters_are_found(truth):
@@ -48,7 +50,10 @@ def test_known_parameters_are_found(truth):
     assert found.damping == pytest.approx(truth["damping"], abs=0.05)
     assert found.dead_time_s == pytest.approx(truth["dead_s"], abs=0.01)
     assert found.gain == pytest.approx(truth.get("gain", 1.0), rel=0.03)
-    assert found.model_rate_1_s == pytest.approx(2.0 * found.damping / found.lag_s)
+    assert found.model_dead_time_s == (found.dead_time_s if truth["dead_s"] > 0.1 else 0.0)
+    assert found.model_rate_1_s == pytest.approx(
+        2.0 * found.damping / (found.lag_s - found.model_dead_time_s)
+    )
     assert found.explained > 0.97
 
 

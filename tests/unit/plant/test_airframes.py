@@ -152,6 +152,15 @@ def test_one_kilogram_answers_velocities_as_px4s_simulator_does():
     assert min(down) > -0.65
 
 
+def test_one_kilogram_answers_velocities_as_arducopter_47_does():
+    """10 % of a step of 1 m/s after 0.42 s, 63 % after 0.80 s, with all that its SITL adds."""
+    vehicle = still("ardupilot_47")
+    velocities(vehicle, (0.0, 0.0, 0.0), 2.0)
+    along = [v[0] for v in velocities(vehicle, (1.0, 0.0, 0.0), 3.0)]
+    assert rise_s(along, 0.16) == pytest.approx(0.42, abs=0.05)
+    assert rise_s(along, 1.0) == pytest.approx(0.80, rel=0.1)
+
+
 def test_the_configuration_file_is_the_scenarios():
     assert load_config("sitl-1kg") == load_scenario("large").onboard
 

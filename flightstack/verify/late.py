@@ -1,0 +1,167 @@
+"""Checks that the loop of position, lead and vehicle comes to rest, for each vehicle of the spread.
+
+One axis, tick by tick: the vehicle's second-order loop with its dead time, the age of the own state, and the
+filter's own functions (``velocity_tracking.py``) without their bounds, between which they are linear. So a
+tick is a matrix, whose columns are the tick of each unit vector; its largest eigenvalue shows how fast an
+error fades. Delays are rounded to whole ticks. Vehicles are taken from a grid: the rate is continuous in
+them, and the rate that is needed leaves room for those in between.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.velocity_tracking import (
+    LeadAxis,
+    lead_carried,
+    lead_commanded,
+    lead_observed,
+)
+from flightstack.verify.envelope import Extremes
+from flightstack.verify.feedback import F64
+from flightstack.verify.follow import matrix_exp
+from flightstack.verify.types import Check, Need
+
+LATE_TICKS = 1  # a set-point comes a tick after what it was computed from
+MIN_DECAY_1_S = 0.1  # half of an error is gone in seven seconds
+SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # shares of the spread
+RESPONSES = (1.0, 1.15, 1.3)  # velocity flown, as a share of the set-point: identified ones reach 1.3
+# at which a loop with a dead time still must not swing up: its phase turns without end, so that the gain
+# alone keeps it from that, and an identified gain is the mean of large and small commands
+RESPONSE_LATE = 1.35 * RESPONSES[-1]
+# of a matrix: position against the target, velocity, acceleration; velocity and derivative of the model,
+# disturbance, slope, velocity wanted; velocity of the target, and error of the velocity wanted; then
+# set-points and own states on their way
+STATES = 10
+_TARGET, _ERROR = 8, 9
+
+
+def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> F64:
+    """Return the matrix of one tick.
+
+    Args:
+        config: of the flight.
+        gain_1_s: of the position loop.
+        slower: the vehicle's lag and dead time as a share of the declared ones.
+        response: steady velocity as a share of the set-point.
+    """
+    loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz
+    free = replace(loop, error_max_m_s=1e9, disturbance_max_m_s=1e9)
+    lead = LeadAxis(free, loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy, math.inf, period_s).numbers
+    late = loop.late_ticks(period_s)
+    acts = LATE_TICKS + round(slower * loop.dead_time_s / period_s)
+    aged = round(config.own.delay_s / period_s)
+    w = loop.rate_xy_1_s / slower
+    rates = np.array(
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+            [0.0, -w * w, -2.0 * loop.damping * w, response * w * w],
+            [0.0, 0.0, 0.0, 0.0],
+        ]
+    )
+    step = matrix_exp(rates * period_s)[:3].tolist()
+    sent = max(late, acts) + 1  # set-points kept, newest last
+    size = STATES + sent + 2 * aged
+
+    def tick(x: Sequence[float]) -> list[float]:
+        p, v, a, m, dm, d, s, before, target, error = x[:STATES]
+        line, held = list(x[STATES : STATES + sent]), list(x[STATES + sent :])
+        u = line[-1 - acts]
+        p -= period_s * target
+        p, v, a = (row[0] * p + row[1] * v + row[2] * a + row[3] * u for row in step)
+        held += [p, v]
+        told_p, told_v, *held = held
+        told_p += config.own.delay_s * (told_v - target)
+        m, dm, d = lead_observed(lead, told_v, line[-1 - late], m, dm, d)
+        way_m, then = lead_carried(lead, told_v, m, dm, line[sent - late :])
+        wanted = target - gain_1_s * (told_p + way_m - loop.dead_time_s * target) + error
+        s, u = lead_commanded(lead, before, wanted, then, s, d, math.inf)
+        return [p, v, a, m, dm, d, s, wanted, target, 0.0, *line[1:], u, *held]
+
+    return np.array([tick(unit) for unit in np.eye(size).tolist()]).T
+
+
+def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> float:
+    """Return the rate at which an error fades; negative for a loop that swings up."""
+    whole = tick_matrix(config, gain_1_s, slower, response)
+    own = np.delete(np.delete(whole, _TARGET, 0), _TARGET, 1)  # the target's velocity stays as it is
+    return -math.log(float(np.abs(np.linalg.eigvals(own)).max())) * config.loop.rate_hz
+
+
+def drift_m(config: FlightConfig, x: Extremes, time_s: float, slower: float, response: float) -> float:
+    """Return the largest distance from the middle within a time after the commit.
+
+    The free motion from the largest distance and speed of a commit, and the sums over the absolute impulse
+    responses to the target's acceleration and to the error of the velocity wanted, times their bounds.
+    """
+    robust, period_s = config.robust, 1.0 / config.loop.rate_hz
+    gain = robust.gain_over_pad_1_s
+    step = tick_matrix(config, gain, slower, response)
+    now = np.zeros((len(step), 4))
+    slip, sent = (
+        robust.commit_speed_m_s + x.velocity_error_m_s,
+        len(step) - 2 * round(config.own.delay_s / period_s),
+    )
+    now[0, 0] = now[sent::2, 0] = robust.commit_radius_m + x.position_error_m
+    now[[1, 3, 7], 1] = now[STATES:sent, 1] = now[sent + 1 :: 2, 1] = slip
+    now[_TARGET, 2] = x.target_acceleration_m_s2 * period_s
+    now[_ERROR, 3] = x.velocity_error_m_s + gain * x.position_error_m
+    farthest, pushed = 0.0, 0.0
+    for _ in range(math.ceil(time_s / period_s)):
+        now = step @ now
+        distances = np.abs(now[0])
+        pushed += float(distances[2:].sum())
+        farthest = max(farthest, float(distances[:2].sum()) + pushed)
+    return farthest
+
+
+def comes_to_rest(config: FlightConfig) -> list[Check]:
+    """Check that the loop is stable for the declared vehicle and for each vehicle of the spread."""
+    robust, spread, late = config.robust, config.envelope.lag_spread, config.velocity_loop.dead_time_s > 0.0
+    gains = {
+        robust.gain_1_s: "gain_1_s",
+        robust.gain_over_pad_1_s: "gain_over_pad_1_s",
+        robust.to_contact_1_s: "gain_descent_1_s" if robust.gain_descent_1_s else "gain_over_pad_1_s",
+    }
+    needed_1_s = dict.fromkeys(RESPONSES, MIN_DECAY_1_S) | ({RESPONSE_LATE: 0.0} if late else {})
+    told, told_gain = min((decay_1_s(config, gain, 1.0, 1.0), gain) for gain in gains)
+    room, gain, slower, response = min(
+        (decay_1_s(config, gain, slower, response) - needed, gain, slower, response)
+        for gain in gains
+        for slower in (1.0 + share * spread for share in SLOWER)
+        for response, needed in needed_1_s.items()
+    )
+    remedy = "lower robust.{} or velocity_loop.gain_xy, or identify the loop anew (flightstack identify)"
+    return [
+        Check(
+            "lead",
+            "the loop of position and lead comes to rest with the declared vehicle",
+            told - MIN_DECAY_1_S,
+            "1/s",
+            f"an error fades with {told:.3g} 1/s at least, {MIN_DECAY_1_S:g} are needed",
+            remedy.format(gains[told_gain]),
+        ),
+        Check(
+            "lead, spread",
+            "the loop of position and lead comes to rest with each vehicle of the spread",
+            room,
+            "1/s",
+            f"an error fades with {room + needed_1_s[response]:.3g} 1/s with {slower:.3g} times the lag and "
+            f"{response:.3g} times the velocity commanded, {needed_1_s[response]:g} are needed",
+            remedy.format(gains[gain]),
+            Need.PROOF,
+        ),
+    ]
+
+
+def drift_of_spread_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
+    """Return the largest of ``drift_m`` of all vehicles, and how many times that one lags as declared."""
+    spread = config.envelope.lag_spread
+    slower = [1.0 + share * spread for share in SLOWER]
+    return max((drift_m(config, x, time_s, lag, each), lag) for lag in slower for each in RESPONSES)

@@ -1,0 +1,167 @@
+"""Certificate against flight: each parameter over its allowed span, and what `check` proves is flown.
+
+``python -m tests.benchmarks proven [KEY ...] [--scenario NAME ...] [--filter NAME ...] [--values N]``
+
+A key is the beginning of a parameter's name, for example ``velocity_loop.`` or ``robust.gain_1_s``. A
+configuration may be refused, not proven, or proven; a proven one that crashes or violates the barrier is a
+failure. Exit status 1 with a failure. The scenario's environment does not change.
+"""
+
+import argparse
+import multiprocessing
+import os
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from functools import partial
+from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from flightstack.common.strict_toml import ConfigError, from_table, to_table
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.verify.certificate import checks
+from logs.verdict.types import Outcome
+from sim.runners.landing import land
+from sim.scenarios.scenario import Scenario, load
+
+SCENARIOS = ("lab", "field", "reversing", "deck")
+FILTERS = ("robust", "paper")
+DURATION_MAX_S = 60.0
+
+
+class Parameter(NamedTuple):
+    """A number of the configuration and its allowed span."""
+
+    path: tuple[str, ...]
+    low: float
+    high: float
+    whole: bool  # an integer
+    components: int  # of a vector; 0: a plain number
+
+
+def parameters(cls: type = FlightConfig, path: tuple[str, ...] = ()) -> Iterator[Parameter]:
+    """Every number with a span of a dataclass and of the dataclasses below, by the fields' own metadata."""
+    hints = get_type_hints(cls, include_extras=True)
+    for field in fields(cls):
+        kind, below = hints[field.name], (*path, field.name)
+        if type(None) in get_args(kind):  # it may be left out
+            kind = next(each for each in get_args(kind) if each is not type(None))
+        if is_dataclass(kind):
+            yield from parameters(kind, below)
+            continue
+        items = get_args(kind) if get_origin(kind) is tuple else ()
+        kind, count = (items[0], len(items)) if items else (kind, 0)
+        for span in (each for each in getattr(kind, "__metadata__", ()) if isinstance(each, msgspec.Meta)):
+            yield Parameter(below, float(span.ge), float(span.le), get_args(kind)[0] is int, count)
+
+
+def values(parameter: Parameter, count: int) -> list[Any]:
+    """Values over the span, its ends included: even in the logarithm where the span has one."""
+    low, high = parameter.low, parameter.high
+    least = low or high / 100.0
+    found = [least * (high / least) ** (k / (count - 1)) for k in range(count)]
+    found[0], found[-1] = low, high
+    return [round(each) if parameter.whole else float(f"{each:.4g}") for each in found]
+
+
+Case = tuple[str, str, tuple[str, ...], Any]  # scenario, filter, parameter, value
+
+
+def changed(name: str, kind: str, path: tuple[str, ...], value: Any) -> Scenario:
+    """The scenario with one parameter of its configuration changed.
+
+    Raises:
+        ConfigError: the configuration refuses it.
+    """
+    table = to_table(load(name).with_filter(kind))
+    table["duration_max_s"] = DURATION_MAX_S
+    place = table["onboard"]
+    for key in path[:-1]:
+        if key not in place:
+            raise ConfigError(f"the scenario has no table [{key}]")
+        place = place[key]
+    place[path[-1]] = value
+    return from_table(Scenario, table)
+
+
+class Result(NamedTuple):
+    """What became of one changed configuration."""
+
+    scenario: str
+    filter: str
+    key: str
+    value: Any
+    verdict: str  # "refused", "not proven" or "proven"
+    because: str  # the refusal, or the checks that are not proven
+    outcomes: dict[str, int]
+    failures: tuple[int, ...]  # seeds of crashes and violations
+
+
+def fly(case: Case, runs: int, stop: int = 3) -> Result:
+    """Check one changed configuration; fly it where it is proven, until it fails three times."""
+    name, kind, path, value = case
+    key = ".".join(path)
+    try:
+        scenario = changed(name, kind, path, value)
+        missing = [each.name for each in checks(scenario.onboard) if not each.proven]
+    except ValueError as error:
+        return Result(name, kind, key, value, "refused", str(error), {}, ())
+    if missing:
+        return Result(name, kind, key, value, "not proven", ", ".join(missing), {}, ())
+    outcomes: Counter[str] = Counter()
+    failures: list[int] = []
+    for seed in range(runs):
+        found = land(scenario, seed).verdict
+        outcomes[found.outcome.name] += 1
+        if found.violation or found.outcome is Outcome.CRASHED:
+            failures.append(seed)
+        if len(failures) == stop:
+            break
+    return Result(name, kind, key, value, "proven", "", dict(outcomes), tuple(failures))
+
+
+def cases(keys: list[str], names: list[str], kinds: list[str], count: int) -> Iterator[Case]:
+    """Every change that is asked for; of a vector all components together, and the last one alone."""
+    for parameter in parameters():
+        if keys and not any(".".join(parameter.path).startswith(key) for key in keys):
+            continue
+        for name in names:
+            for kind in kinds:
+                for value in values(parameter, count):
+                    if not parameter.components:
+                        yield name, kind, parameter.path, value
+                        continue
+                    vector = [value] * parameter.components
+                    yield name, kind, parameter.path, vector
+                    place: Any = to_table(load(name).onboard)
+                    for key in parameter.path:
+                        place = place.get(key) if place is not None else None
+                    if place is not None:
+                        yield name, kind, parameter.path, [*place[:-1], value]
+
+
+def main() -> None:
+    """Fly what is asked for; one line for each change, failures again at the end."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("keys", nargs="*", help="beginnings of parameters' names; none: all")
+    parser.add_argument("--scenario", nargs="*", default=SCENARIOS)
+    parser.add_argument("--filter", nargs="*", default=FILTERS)
+    parser.add_argument("--values", type=int, default=5)
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    asked = parser.parse_args()
+    wanted = list(cases(asked.keys, asked.scenario, asked.filter, asked.values))
+    told: Counter[str] = Counter()
+    failed = []
+    with multiprocessing.get_context("spawn").Pool(asked.workers) as pool:
+        for each in pool.imap(partial(fly, runs=asked.runs), wanted, chunksize=1):
+            told[each.verdict] += 1
+            line = f"{each.scenario} {each.filter} {each.key} = {each.value}: {each.verdict} {each.because}"
+            print(line, each.outcomes or "", f"FAILS {each.failures}" if each.failures else "", flush=True)
+            if each.failures:
+                failed.append(line)
+    print(f"\n{len(wanted)} changes: {dict(told)}; proven and failed: {len(failed)}")
+    print(*failed, sep="\n")
+    sys.exit(bool(failed))
