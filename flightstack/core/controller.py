@@ -132,7 +132,7 @@ class Controller:
     def __init__(self, config: FlightConfig) -> None:
         self.config = config
         self.barrier = config.barrier.build()
-        self.track = TargetTrack(config.checks)
+        self.track = TargetTrack(config.checks, 1.0 / config.loop.rate_hz)
         self.plausibility = Plausibility(config)
         self.strategy = strategy_of(config)
         self._period_s = 1.0 / config.loop.rate_hz
@@ -280,6 +280,10 @@ class Controller:
         for sample in inputs.target_samples:
             verdict = self.track.accept(sample)
             if verdict is Verdict.ACCEPTED:
+                if self.track.stepped_s:
+                    self.strategy.motion.time_s = math.nan  # its estimate is on the clock of before
+                    by = f"{self.track.stepped_s:+.2f} s"
+                    events.append(Event(WARN, f"target: its sender's clock was set by {by}, or began anew"))
                 self.strategy.take(sample)
             else:
                 events.append(Event(WARN, f"target sample refused: {verdict.value}"))

@@ -55,11 +55,27 @@ class Memory:
 
 
 @dataclass(slots=True)
+class ClockMemory:
+    """Of a sender's clock; ``way`` is arrival minus stamp: difference of the clocks plus delay."""
+
+    offset_s: float = inf  # least way, forgotten quickly
+    floor_s: float = inf  # least way, forgotten slowly
+    held_s: float = 0.0  # for how long all ways were longer than the least
+    stamp_s: float = -inf  # newest that was believed
+    taken_s: float = -inf  # its arrival
+    run_since_s: float = inf  # first arrival of refused messages that agree with each other; inf: none
+    run_arrival_s: float = 0.0  # newest of them
+    run_stamp_s: float = 0.0  # the same
+    run_way_s: float = 0.0  # their least way
+    run_sure: bool = False  # no delay explains them
+
+
+@dataclass(slots=True)
 class TrackMemory:
     """Of the target track."""
 
     last: TargetSample | None = None  # newest believed sample
-    offset_s: float = inf  # smallest arrival - stamp seen: clock offset plus the shortest delay
+    clock: ClockMemory = field(default_factory=ClockMemory)  # of the sender
     elsewhere: TargetSample | None = None  # newest of samples that jumped but agree with each other
     elsewhere_since_s: float = 0.0
     drift_m: Vec3 = ZERO  # change of the position that the velocity does not explain

@@ -18,11 +18,11 @@ from typing import NamedTuple
 from flightstack.core.memory import TrackMemory
 from flightstack.core.numeric import numeric
 from flightstack.core.parameters.flight import Checks
+from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
 from flightstack.core.target.plausibility import SMOOTHING_S, TRUSTED_AGAIN, drifted, repeats, smoothed
 from flightstack.core.types import TargetSample, Vec3
 
 DISTRUSTS_MAX = 2  # contradictions of positions and velocity in a flight, the last one for good
-RESTART_S = 10.0  # stamps this far apart after a silence: the sender's clock started anew
 
 
 class Verdict(Enum):
@@ -31,12 +31,23 @@ class Verdict(Enum):
     ACCEPTED = "accepted"
     NOT_FINITE = "not finite"
     WRONG_ROBOT = "from another robot or frame"
+    BAD_STAMP = "time stamp not between 1970 and 2106"
     REPEATED = "repeated"
     OUT_OF_ORDER = "out of order"
+    AHEAD = "time stamp from the future"
     LATE = "too late"
     TOO_FAST = "faster than allowed"
     JUMP = "jumped"
     FROZEN = "not measured anew"
+
+
+_REFUSED = {
+    Reading.UNUSABLE: Verdict.BAD_STAMP,
+    Reading.REPEATED: Verdict.REPEATED,
+    Reading.OUT_OF_ORDER: Verdict.OUT_OF_ORDER,
+    Reading.AHEAD: Verdict.AHEAD,
+    Reading.LATE: Verdict.LATE,
+}
 
 
 class TargetState(NamedTuple):
@@ -63,11 +74,37 @@ def strayed2_m2(before_m: Vec3, before_m_s: Vec3, after_m: Vec3, after_m_s: Vec3
 
 
 class TargetTrack:
-    """Newest believed sample, and the counts of the others; ``memory`` is all of its state."""
+    """Newest believed sample, and the counts of the others; ``memory`` is all of its state.
 
-    def __init__(self, checks: Checks) -> None:
+    Args:
+        checks: of the configuration.
+        tick_s: period in which arrivals are noted.
+
+    Attributes:
+        stepped_s: by how much the sender's clock was set with the newest sample, forward positive; 0: it was
+            not.
+    """
+
+    def __init__(self, checks: Checks, tick_s: float = 0.0) -> None:
         self._checks = checks
-        self.memory = TrackMemory()
+        self._clock = SenderClock(checks.target_age_max_s, checks.recovery_time_s, tick_s)
+        self._memory = TrackMemory()
+        self.memory = self._memory
+        self.stepped_s = 0.0
+
+    @property
+    def memory(self) -> TrackMemory:
+        """All of its state."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: TrackMemory) -> None:
+        self._memory, self._clock.memory = memory, memory.clock
+
+    @property
+    def ahead_max_s(self) -> float:
+        """By how much a sample may be quicker than all before."""
+        return self._clock.ahead_max_s
 
     @property
     def accepted(self) -> int:
@@ -82,11 +119,14 @@ class TargetTrack:
     def accept(self, sample: TargetSample) -> Verdict:
         """Take or refuse one sample."""
         verdict, memory = self._judge(sample), self.memory
+        self.stepped_s = 0.0
         if verdict is Verdict.ACCEPTED:
-            if memory.last is not None:
+            before_s = memory.clock.offset_s
+            if self._clock.take(sample.source_time_s, sample.arrival_s):
+                self.stepped_s = before_s - memory.clock.offset_s
+            elif memory.last is not None:
                 self._drift(memory.last, sample)
             memory.last = sample
-            memory.offset_s = min(memory.offset_s, sample.arrival_s - sample.source_time_s)
             memory.accepted += 1
             memory.refusal = ""
         else:
@@ -135,44 +175,44 @@ class TargetTrack:
             return Verdict.WRONG_ROBOT
         if vx * vx + vy * vy + vz * vz > checks.target_speed_max_m_s**2:
             return Verdict.TOO_FAST
+        self._clock.patience_s = math.inf if memory.settled else PATIENCE_S
+        reading = self._clock.judge(sample.source_time_s, sample.arrival_s)
+        if not reading.good:
+            return _REFUSED[reading]
         if last is None:
             return Verdict.ACCEPTED
-        step_s = sample.source_time_s - last.source_time_s
-        lost = sample.arrival_s - last.arrival_s > checks.target_age_max_s
-        if lost and abs(step_s - (sample.arrival_s - last.arrival_s)) > RESTART_S:
-            memory.offset_s = math.inf
-            return Verdict.ACCEPTED
-        if step_s == 0.0:
-            return Verdict.REPEATED
-        if step_s < 0.0:
-            return Verdict.OUT_OF_ORDER
-        if sample.arrival_s - sample.source_time_s - memory.offset_s > checks.target_age_max_s:
-            return Verdict.LATE
+        gap_s = sample.arrival_s - last.arrival_s
+        lost, stepped = gap_s > checks.target_age_max_s, reading is Reading.STEPPED
         if repeats(last.position_enu_m, sample.position_enu_m, sample.velocity_enu_m_s):
             return Verdict.FROZEN
-        if lost and memory.elsewhere is None:
+        # a clock and a place that begin anew together are a restarted odometry, not a robot that was lost
+        reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
+        free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
+        if lost and free and memory.elsewhere is None:
             return Verdict.ACCEPTED  # nothing so old binds where it is now
+        step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
         # of a lost one the velocity of now explains nothing: it may meet a wrong place by chance
-        if self._near(last, sample, last if lost else sample) or self._proved(sample, lost):
+        if self._near(last, sample, last if lost else sample, step_s) or self._proved(sample, lost):
             memory.elsewhere = None
             return Verdict.ACCEPTED
         return Verdict.JUMP
 
-    def _near(self, before: TargetSample, after: TargetSample, at_last: TargetSample) -> bool:
+    def _near(self, before: TargetSample, after: TargetSample, at_last: TargetSample, step_s: float) -> bool:
         """Whether the target could have gone from one sample to the other, at the mean of two velocities."""
         strayed2 = strayed2_m2(
             before.position_enu_m,
             before.velocity_enu_m_s,
             after.position_enu_m,
             at_last.velocity_enu_m_s,
-            after.source_time_s - before.source_time_s,
+            step_s,
         )
         return strayed2 <= self._checks.target_jump_max_m**2
 
     def _proved(self, sample: TargetSample, lost: bool) -> bool:
         """Whether samples elsewhere have agreed with each other for long enough, the old track being lost."""
-        memory = self.memory
-        if memory.elsewhere is None or not self._near(memory.elsewhere, sample, sample):
+        memory, before = self.memory, self.memory.elsewhere
+        step_s = sample.source_time_s - before.source_time_s if before is not None else 0.0
+        if before is None or not self._near(before, sample, sample, step_s):
             memory.elsewhere, memory.elsewhere_since_s = sample, sample.arrival_s
             return False
         memory.elsewhere = sample
@@ -181,8 +221,8 @@ class TargetTrack:
         return lost and not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
 
     def age_s(self, sample: TargetSample, now_s: float) -> float:
-        """Age from the measurement, less the shortest delay seen (clocks of two machines differ)."""
-        return max(0.0, now_s - sample.source_time_s - self.memory.offset_s)
+        """Age from the measurement, less the shortest delay (clocks of two machines differ)."""
+        return self._clock.lateness_s(sample.source_time_s, now_s)
 
     def at(self, now_s: float) -> TargetState | None:
         """Target moved on to now with its last velocity; ``None`` before the first sample."""

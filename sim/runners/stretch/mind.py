@@ -13,6 +13,7 @@ import math
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.program import HOPELESS, NONE, filtered
 from flightstack.compiled.records import F64
+from flightstack.core import sender_clock
 from flightstack.core.mission import conditions
 from flightstack.core.mission.conditions import OVER_PAD_LEFT
 from flightstack.core.mission.machine import SLIDING_TIME_S
@@ -39,6 +40,7 @@ _robust_h, _bound = twin(robust_barrier.robust_h, jitted), twin(robust_barrier.r
 _evaluated = twin(robust_barrier.robust_evaluated, jitted)
 _barrier_h = twin(barrier_h, jitted)
 _waits = twin(conditions.waits, jitted)
+_learnt = twin(sender_clock.learnt, jitted)
 _strayed2 = twin(track.strayed2_m2, jitted)
 _drifted, _missed = twin(plausibility.drifted, jitted), twin(plausibility.missed, jitted)
 _smoothed = twin(plausibility.smoothed, jitted)
@@ -55,7 +57,10 @@ def _take_sample(p: RulesRecord, m: MindRecord, sample: F64, now_s: float) -> bo
     p0, v0 = m.sample_position, m.sample_velocity
     if vx * vx + vy * vy + vz * vz > p.target_speed2_max or not step_s > 0.0:
         return False
-    if now_s - m.sample_arrival_s > p.target_age_max_s or now_s - source_s - m.offset_s > p.target_age_max_s:
+    way_s, gap_s = now_s - source_s, now_s - m.sample_arrival_s
+    if gap_s > p.target_age_max_s or way_s - m.offset_s > p.target_age_max_s:
+        return False
+    if way_s < m.floor_s - p.ahead_max_s:
         return False
     if p0[0] == x and p0[1] == y and p0[2] == z:
         return False
@@ -75,7 +80,7 @@ def _take_sample(p: RulesRecord, m: MindRecord, sample: F64, now_s: float) -> bo
     m.sample_arrival_s, m.sample_source_s, m.sample_yaw, m.sample_rate = now_s, source_s, yaw, rate
     keep(p0, (x, y, z))
     keep(v0, (vx, vy, vz))
-    m.offset_s = min(m.offset_s, now_s - source_s)
+    m.offset_s, m.floor_s, m.held_s = _learnt(m.offset_s, m.floor_s, m.held_s, way_s, gap_s)
     m.accepted += 1
     if p.paper:
         return True

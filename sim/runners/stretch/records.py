@@ -78,6 +78,8 @@ class MindRecord(Record):
     up_step_m_s: float  # besides, upwards
     rises_m_s2: float  # upward acceleration that is left
     target_age_s: float
+    floor_s: float  # of the target's clock
+    held_s: float
 
 
 class RulesRecord(Record):
@@ -109,6 +111,7 @@ class RulesRecord(Record):
     missed2_max_m2: float
     missed_kept: float
     target_age_max_s: float
+    ahead_max_s: float
     target_speed2_max: float
     target_jump2_max: float
     target_drift_memory_s: float

@@ -36,8 +36,12 @@ def older_each_time(world, inputs):
     return late_by(inputs, 2.0 * (world.t_s - world.fault_from_s) + DT_S)
 
 
-def half_a_second_late(_, inputs):
-    return late_by(inputs, 0.5)
+def half_a_second_late(world, inputs):
+    """A queue: what the sensor said, as it said it, half a second later."""
+    world.queue = (*getattr(world, "queue", ()), *inputs.target_samples)
+    come = tuple(s for s in world.queue if s.arrival_s <= world.t_s - 0.5)
+    world.queue = world.queue[len(come) :]
+    return inputs._replace(target_samples=tuple(s._replace(arrival_s=world.t_s) for s in come))
 
 
 def jumped_by_a_metre(_, inputs):

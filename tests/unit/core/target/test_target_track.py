@@ -60,6 +60,26 @@ def test_verdicts(track, sample, verdict):
     assert (track.accepted, track.rejected) == ((2, 0) if verdict is Verdict.ACCEPTED else (1, 1))
 
 
+def drives(t_s, stamp_s):
+    """A robot at 0.1 m/s on a clock that shows 1000 s more."""
+    return TargetSample(
+        t_s, 1000.0 + stamp_s, "map", "target", (1.0 + 0.1 * t_s, 0.0, 0.2), (0.1, 0.0, 0.0), 0.0, 0.0
+    )
+
+
+def ticks(since_s, until_s):
+    return [since_s + 0.02 * k for k in range(round((until_s - since_s) / 0.02))]
+
+
+def steady(until_s, settled):
+    """Samples at 50 Hz until then."""
+    track = TargetTrack(Checks(), 0.01)
+    track.memory.settled = settled
+    for t_s in ticks(0.0, until_s):
+        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED
+    return track
+
+
 @given(st.floats(0.01, 0.24), within(0.3), within(2.0), within(0.1))
 def test_a_robot_that_sets_off_in_a_gap_is_believed(gap_s, before_m_s, acceleration_m_s2, off_m):
     """Velocity and position say the same: it is where they lead, within the bound and the noise."""
@@ -115,10 +135,65 @@ def test_a_lost_track_takes_a_jump_but_no_older_sample(track):
     assert track.accept(later(0.5)._replace(source_time_s=999.0)) is Verdict.OUT_OF_ORDER
 
 
-def test_a_sender_that_started_anew_is_taken_again(track):
-    restarted = later(5.0)._replace(source_time_s=3.0)
-    assert track.accept(restarted) is Verdict.ACCEPTED
-    assert track.at(15.0).age_s == pytest.approx(0.0)
+@pytest.mark.parametrize("settled", [False, True])
+@pytest.mark.parametrize("ahead_s", [0.05, 0.15, 0.3, 60.0, 3600.0, 1e9, 1e300, math.inf, math.nan, -1e9])
+def test_one_wrong_stamp_costs_one_sample(ahead_s, settled):
+    track = steady(2.0, settled)
+    assert track.accept(drives(2.0, 2.0 + ahead_s)) is not Verdict.ACCEPTED
+    for k in range(1, 100):
+        t_s = 2.0 + 0.02 * k
+        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED
+        assert track.at(t_s).age_s < 1e-6
+
+
+@pytest.mark.parametrize("settled", [False, True])
+@pytest.mark.parametrize("silent_s", [0.02, 0.4])
+@pytest.mark.parametrize("by_s", [-900.0, -9.0, -1.0, -0.3, 0.05, 0.2, 2.0, 3600.0])
+def test_a_clock_that_was_set_is_followed_after_samples_that_agree(by_s, silent_s, settled):
+    """Until then nothing is fresh; a set-back that a silence hides may be a queue."""
+    track, proof_s = steady(2.0, settled), Checks().recovery_time_s
+    for k in range(200):
+        t_s = 2.0 + silent_s + 0.02 * k
+        good = track.accept(drives(t_s, t_s + by_s)) is Verdict.ACCEPTED
+        if 0.02 * k < proof_s - 1e-9:
+            assert not good
+            assert track.at(t_s).age_s == pytest.approx(t_s - 1.98)
+        elif not -0.4 <= by_s <= -0.3 or silent_s < 0.3:
+            assert good or 0.02 * k < proof_s + 0.03
+            assert not good or track.at(t_s).age_s < 1e-6
+
+
+def test_a_clock_and_a_place_that_begin_anew_are_not_followed_in_flight():
+    track = steady(2.0, True)
+    anew = [drives(t_s, t_s - 2.3)._replace(position_enu_m=(9.0, 0.0, 0.2)) for t_s in ticks(2.3, 10.0)]
+    assert {track.accept(sample) for sample in anew} == {Verdict.OUT_OF_ORDER, Verdict.JUMP}
+
+
+@pytest.mark.parametrize("by_s", [-30.0, -0.15, 0.15, 30.0])
+def test_of_two_senders_that_take_turns_one_is_never_believed(by_s):
+    track = steady(2.0, True)
+    for t_s in ticks(2.0, 20.0):
+        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED
+        assert track.accept(drives(t_s + 0.01, t_s + 0.01 + by_s)) is not Verdict.ACCEPTED
+
+
+@pytest.mark.parametrize("rate", [-0.03, -1e-4, 1e-4, 0.03])
+def test_a_clock_that_drifts_is_followed(rate):
+    track = steady(2.0, True)
+    for t_s in ticks(2.0, 120.0):
+        assert track.accept(drives(t_s, t_s + rate * (t_s - 2.0))) is Verdict.ACCEPTED
+        assert track.at(t_s).age_s < 0.05
+
+
+def test_a_queue_that_grows_is_seen_as_age_and_is_not_believed_when_it_is_full():
+    track = steady(2.0, True)
+    for t_s in ticks(2.0, 20.0):
+        delay_s = min(3.0, 0.2 * (t_s - 2.0))
+        track.accept(drives(t_s, t_s - delay_s))
+        assert track.at(t_s).age_s >= min(delay_s - 0.06, 0.7 * delay_s - 0.02)
+    assert track.at(20.0).age_s > 3.0
+    for t_s in ticks(20.0, 22.0):
+        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED  # it is empty again
 
 
 def test_no_sample_no_target():

@@ -1,0 +1,163 @@
+"""Time stamps of another process: which to believe, and how late a message is.
+
+Arrival minus stamp is the difference of the two clocks plus the delay of the message. Its least value stands
+for a message without delay; what another message takes longer is its lateness. Nothing here is remembered for
+ever, and no single message decides:
+
+* the least value, once not met for ``HOLDS_S``, is forgotten at ``FORGETS``: clocks that drift are followed,
+  and a queue that grows faster is seen as lateness;
+* a stamp ahead of all that is known, or older than the newest, is refused. When refused messages agree with
+  each other for ``proof_s`` and none was accepted meanwhile, the sender's clock was set, or began anew: they
+  are followed;
+* messages that are only late may come from a queue, which looks like a clock that was set back while nothing
+  was sent. No queue keeps its length for long: they have to agree for ``patience_s``.
+
+One-way stamps cannot tell a delay that grows slower than ``FORGETS`` from a slow clock.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+
+from flightstack.core.memory import ClockMemory
+from flightstack.core.numeric import numeric
+
+FORGETS = 0.04  # s/s; firmware and simulators may run 3 % slow; a delay of 0.25 s counts as age for 7 s
+HOLDS_S = 1.0  # in which some message is quick
+FORGETS_SLOWLY = 0.002  # s/s; four times what Linux slews a clock at most (adjtimex(2), 500 ppm)
+ELAPSED_MAX_S = 1.0  # a silence proves no drift: no more of it counts
+FLOOR_MAX_S = 0.2  # a busy network hides the least delay by no more; beyond, the clocks have drifted
+GRAIN_S = 1e-6  # above the rounding of Unix times to doubles, 2.4e-7 s: that is no drift
+AHEAD_S = 0.03  # a message may be quicker than all before by this and a tick
+AGREE_S = 0.1  # most by which the delays of messages of one clock differ
+GAP_MAX_S = 0.5  # between two of them
+PATIENCE_S = 10.0  # queues of some seconds grow or drain meanwhile
+QUEUE_MAX_S = 10.0  # a longer queue (256 samples at 20 Hz) needs time to fill
+STAMP_MAX_S = 2.0**32  # the year 2106; ROS 2 and Unix times end before
+
+
+class Reading(Enum):
+    """What a time stamp is worth."""
+
+    FRESH = "in time"
+    STEPPED = "by a clock that was set, or began anew"
+    UNUSABLE = "not between 1970 and 2106"
+    REPEATED = "repeated"
+    OUT_OF_ORDER = "out of order"
+    AHEAD = "from the future"
+    LATE = "too late"
+
+    @property
+    def good(self) -> bool:
+        """Whether the message may be used."""
+        return self is Reading.FRESH or self is Reading.STEPPED
+
+
+class SenderClock:
+    """What is known of the clock of one sender; ``memory`` is all of its state.
+
+    Args:
+        late_max_s: lateness from which a message is refused.
+        proof_s: time for which refused messages have to agree, until their clock is followed.
+        tick_s: period in which arrivals are noted.
+
+    Attributes:
+        patience_s: the same where it may be a queue as well.
+    """
+
+    def __init__(self, late_max_s: float, proof_s: float, tick_s: float = 0.0) -> None:
+        self.memory = ClockMemory()
+        self.ahead_max_s = AHEAD_S + tick_s
+        self._late_max_s, self._proof_s, self.patience_s = late_max_s, proof_s, PATIENCE_S
+
+    def accept(self, stamp_s: float, arrival_s: float) -> Reading:
+        """Judge a time stamp, and learn from one that is good."""
+        reading = self.judge(stamp_s, arrival_s)
+        if reading.good:
+            self.take(stamp_s, arrival_s)
+        return reading
+
+    def judge(self, stamp_s: float, arrival_s: float) -> Reading:
+        """Judge a time stamp; only ``take`` learns from it."""
+        memory, way_s = self.memory, arrival_s - stamp_s
+        if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also NaN
+            return Reading.UNUSABLE
+        if stamp_s > memory.stamp_s:
+            if way_s < memory.floor_s - self.ahead_max_s and memory.floor_s < math.inf:
+                reading = Reading.AHEAD
+            elif way_s - memory.offset_s > self._late_max_s or self._goes_on_late(way_s, arrival_s):
+                reading = Reading.LATE
+            else:
+                return Reading.FRESH
+        else:
+            reading = Reading.REPEATED if stamp_s == memory.stamp_s else Reading.OUT_OF_ORDER
+        return Reading.STEPPED if self._agree(reading, stamp_s, arrival_s) else reading
+
+    def take(self, stamp_s: float, arrival_s: float) -> bool:
+        """Learn from a good one; whether the sender's clock was set, or began anew."""
+        memory, way_s = self.memory, arrival_s - stamp_s
+        newest = (memory.run_stamp_s, memory.run_arrival_s) == (stamp_s, arrival_s)
+        stepped = newest and memory.run_since_s < math.inf
+        if stepped:
+            memory.offset_s = memory.floor_s = memory.run_way_s
+            memory.held_s = 0.0
+        else:
+            elapsed_s = arrival_s - memory.taken_s
+            memory.offset_s, memory.floor_s, memory.held_s = learnt(
+                memory.offset_s, memory.floor_s, memory.held_s, way_s, elapsed_s
+            )
+        memory.stamp_s, memory.taken_s = stamp_s, arrival_s
+        memory.run_since_s, memory.run_sure = math.inf, False
+        return stepped
+
+    def lateness_s(self, stamp_s: float, now_s: float) -> float:
+        """Age at a time of ours of what was stamped then."""
+        return max(0.0, now_s - stamp_s - self.memory.offset_s)
+
+    def _goes_on_late(self, way_s: float, arrival_s: float) -> bool:
+        """Whether messages of a clock that was set back a little have caught up with the newest stamp."""
+        m = self.memory
+        return way_s - m.offset_s > AGREE_S and m.run_sure and self._agrees(way_s, arrival_s)
+
+    def _agrees(self, way_s: float, arrival_s: float) -> bool:
+        m = self.memory
+        in_time = m.run_since_s <= arrival_s <= m.run_arrival_s + GAP_MAX_S
+        return in_time and abs(way_s - m.run_way_s) <= AGREE_S
+
+    def _agree(self, reading: Reading, stamp_s: float, arrival_s: float) -> bool:
+        """Whether refused messages have agreed with each other for long enough."""
+        m, way_s = self.memory, arrival_s - stamp_s
+        if stamp_s > m.run_stamp_s and self._agrees(way_s, arrival_s):
+            m.run_way_s = min(m.run_way_s, way_s)
+        else:
+            before_s = m.run_arrival_s if m.run_since_s < math.inf else m.taken_s
+            silent = arrival_s - before_s > GAP_MAX_S
+            began = silent and way_s - m.offset_s > QUEUE_MAX_S  # and it did not grow to that
+            sure = began or reading in (Reading.AHEAD, Reading.OUT_OF_ORDER)
+            m.run_since_s, m.run_way_s, m.run_sure = arrival_s, way_s, sure
+        m.run_stamp_s, m.run_arrival_s = stamp_s, arrival_s
+        return arrival_s - m.run_since_s >= (self._proof_s if m.run_sure else self.patience_s)
+
+
+@numeric
+def learnt(
+    offset_s: float, floor_s: float, held_s: float, way_s: float, elapsed_s: float
+) -> tuple[float, float, float]:
+    """Least way, the same forgotten slowly, and for how long all were longer, after another message.
+
+    Args:
+        offset_s: least way before.
+        floor_s: the same, forgotten slowly.
+        held_s: for how long all were longer.
+        way_s: of the message.
+        elapsed_s: since the one before.
+    """
+    elapsed_s = min(elapsed_s, ELAPSED_MAX_S)
+    held_s = held_s + elapsed_s if way_s > offset_s + GRAIN_S else 0.0
+    if held_s > HOLDS_S:
+        offset_s += FORGETS * elapsed_s
+    if way_s > floor_s + GRAIN_S:
+        floor_s += FORGETS_SLOWLY * elapsed_s
+    offset_s = min(way_s, offset_s)
+    return offset_s, max(min(way_s, floor_s), offset_s - FLOOR_MAX_S), held_s
