@@ -64,12 +64,17 @@ class SenderClock:
 
     Attributes:
         patience_s: the same where it may be a queue as well.
+        reboot_s: a clock that falls back by more after a silence is followed at once: there is no healthy
+            stream to protect.
     """
 
-    def __init__(self, late_max_s: float, proof_s: float, tick_s: float = 0.0) -> None:
+    def __init__(
+        self, late_max_s: float, proof_s: float, tick_s: float = 0.0, reboot_s: float = math.inf
+    ) -> None:
         self.memory = ClockMemory()
         self.ahead_max_s = AHEAD_S + tick_s
         self._late_max_s, self._proof_s, self.patience_s = late_max_s, proof_s, PATIENCE_S
+        self.reboot_s = reboot_s
 
     def accept(self, stamp_s: float, arrival_s: float) -> Reading:
         """Judge a time stamp, and learn from one that is good."""
@@ -136,6 +141,8 @@ class SenderClock:
             began = silent and way_s - m.offset_s > QUEUE_MAX_S  # and it did not grow to that
             sure = began or reading in (Reading.AHEAD, Reading.OUT_OF_ORDER)
             m.run_since_s, m.run_way_s, m.run_sure = arrival_s, way_s, sure
+            if silent and m.stamp_s - stamp_s > self.reboot_s:
+                m.run_since_s = -math.inf
         m.run_stamp_s, m.run_arrival_s = stamp_s, arrival_s
         return arrival_s - m.run_since_s >= (self._proof_s if m.run_sure else self.patience_s)
 

@@ -116,6 +116,7 @@ def _of_position(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
             ("not_finite", "positions come with numbers that are not finite or beyond any sense"),
             ("without_yaw", "positions come without ATTITUDE, which has their heading"),
             ("out_of_order", "positions come with a time that does not advance"),
+            ("ahead", "positions come with a time from the future"),
         )
         for name, text in causes:
             if seen.refused.get(name):

@@ -13,12 +13,17 @@ from bridge.mavlink.client.senders import SILENT_S
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.autopilots import refusal
 from bridge.mavlink.profiles.profile import Profile, TakeoffAltitude
+from flightstack.core.sender_clock import Reading, SenderClock
 from flightstack.core.types import Landed, Mode, OwnState, Power, VehicleStatus
 
 _GLOBAL_POSITION = dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
-_RESTART_S = 1.0  # s; a boot clock that falls back further than this is a reboot, less is a late datagram
+_REBOOT_S = 1.0  # s; a boot clock that falls back further than this after a silence is a reboot
+# s for which refused messages have to agree: above the default of checks.own_age_max_s, so that the own state
+# counts as lost meanwhile
+_PROOF_S = 0.3
+_TICK_S = 0.1  # s; period of the slowest loop: a message arrives at a tick
 _YAW_AGE_MAX_S = 0.5  # s between a position and the attitude its heading is taken from
 _LARGEST = 1e6  # m, m/s: a number beyond this is damage
 _THROTTLE_AGE_MAX_S = 1.0  # s; an older throttle, from VFR_HUD, counts as not told
@@ -40,6 +45,7 @@ class StateCounters:
 
     not_finite: int = 0  # NaN, infinite or absurd numbers
     out_of_order: int = 0  # not newer than what is already there
+    ahead: int = 0  # time stamp from the future
     without_yaw: int = 0  # position without an attitude, or with one too old to go with it
     other_autopilot: int = 0  # heartbeat of another autopilot than the configured one, or of no multirotor
 
@@ -58,7 +64,7 @@ class VehicleState:
         type: MAV_TYPE of the newest heartbeat, None before.
         profile: what the modes are read by; None while it is not known, and then there is no status.
         origin_known: the vehicle has said where its local coordinates begin, since it restarted last.
-        restarted_s: when it seemed to have restarted, on the stack's clock: its boot clock fell back, or its
+        restarted_s: when it seemed to have restarted, on the stack's clock: its boot clock stepped, or its
             heartbeat came back after a silence. -inf before that.
     """
 
@@ -80,6 +86,10 @@ class VehicleState:
         self.power: Power | None = None
         self._throttle, self._throttle_s, self._cos_tilt = math.nan, -math.inf, math.nan
         self._watches_power = False
+        # lateness is no reason to refuse: a simulator may be slower than real time
+        self._position_clock, self._attitude_clock = (
+            SenderClock(math.inf, _PROOF_S, _TICK_S, _REBOOT_S) for _ in range(2)
+        )
         self._yaw_enu_rad: float | None = None
         self._yaw_time_s = 0.0
         self._landed = Landed.UNKNOWN
@@ -138,13 +148,11 @@ class VehicleState:
         time_s: float = m.time_boot_ms * 1e-3
         if not _usable(m.x, m.y, m.z, m.vx, m.vy, m.vz):
             self.counters.not_finite += 1
-        elif self.own is not None and _late(time_s, self.own.source_time_s):
-            self.counters.out_of_order += 1
+        elif not self._in_time(self._position_clock, time_s, arrival_s):
+            return
         elif self._yaw_enu_rad is None or abs(time_s - self._yaw_time_s) > _YAW_AGE_MAX_S:
             self.counters.without_yaw += 1
         else:
-            if self.own is not None and time_s < self.own.source_time_s:
-                self._restart(arrival_s)
             position, velocity = enu_from_ned((m.x, m.y, m.z)), enu_from_ned((m.vx, m.vy, m.vz))
             self.own = OwnState(arrival_s, time_s, position, velocity, self._yaw_enu_rad)
 
@@ -152,16 +160,23 @@ class VehicleState:
         time_s: float = m.time_boot_ms * 1e-3
         if not _usable(m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed):
             self.counters.not_finite += 1
-        elif self._yaw_enu_rad is not None and _late(time_s, self._yaw_time_s):
-            self.counters.out_of_order += 1
-        else:
-            if self._yaw_enu_rad is not None and time_s < self._yaw_time_s:
-                self._restart(arrival_s)
+        elif self._in_time(self._attitude_clock, time_s, arrival_s):
             # the age of a heading is judged against the position's own time stamp
             self._yaw_enu_rad = yaw_enu_from_ned(m.yaw)
             self._yaw_time_s = time_s
             if self._watches_power:
                 self.tilted(m.roll, m.pitch)
+
+    def _in_time(self, clock: SenderClock, time_s: float, arrival_s: float) -> bool:
+        """Whether a boot clock can be true; one that is followed after a step is that of a restart."""
+        reading = clock.accept(time_s, arrival_s)
+        if reading is Reading.STEPPED:
+            self._restart(arrival_s)
+        elif reading is Reading.AHEAD:
+            self.counters.ahead += 1
+        elif not reading.good:
+            self.counters.out_of_order += 1
+        return reading.good
 
     def _on_heartbeat(self, m: Message, arrival_s: float) -> None:
         if arrival_s - self._beat_s > SILENT_S:
@@ -237,8 +252,3 @@ def _usable(a: float, b: float, c: float, d: float, e: float, f: float) -> bool:
         -most < a < most and -most < b < most and -most < c < most
         and -most < d < most and -most < e < most and -most < f < most
     )  # fmt: skip
-
-
-def _late(time_s: float, newest_s: float) -> bool:
-    """Whether a boot clock is not newer than the newest, short of a reboot."""
-    return newest_s - _RESTART_S < time_s <= newest_s
