@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from bridge.frames import Quat, world_from_body
 from bridge.ros2.cdr import Pose
+from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
 from flightstack.core.types import Vec3
 
 
@@ -22,7 +23,9 @@ class Refusal(Enum):
 
     UNREADABLE = "not a geometry_msgs/msg/PoseStamped"
     FRAME = "in another frame: --frame names the one that is the vehicle's east-north-up"
+    STAMP = "a time stamp not between 1970 and 2106"
     ORDER = "not newer than the one before: are there two senders?"
+    AHEAD = "a time stamp from the future: are there two senders?"
     LATE = "held up on its way: network or mocap computer too slow"
     ROOM = "outside the room: --room is its half side"
     JUMP = "a jump no vehicle can make: markers swapped, or another body?"
@@ -34,6 +37,8 @@ class Limits:
 
     frame_id: str | None = None  # None: any
     late_max_s: float = 0.1  # behind the quickest of the last samples
+    # a clock that was set is followed when its poses have agreed for so long: there is none meanwhile
+    clock_proof_s: float = 0.3
     gap_max_s: float = 0.2  # without a good pose: there is none; the flight stack's own state lasts as long
     rate_min_hz: float = 20.0  # a slower stream is said to be one; PX4 wants 30 to 50
     rate_max_hz: float = 100.0  # no more than that is passed on
@@ -69,8 +74,14 @@ class Step(NamedTuple):
     problem: str | None  # why there is no pose to rely on now
 
 
-_DRIFT = 1e-3  # how fast the quickest way is forgotten: two computers' clocks, and a network that changes
 _RATE_WINDOW_S = 1.0
+_REFUSALS = {
+    Reading.UNUSABLE: Refusal.STAMP,
+    Reading.REPEATED: Refusal.ORDER,
+    Reading.OUT_OF_ORDER: Refusal.ORDER,
+    Reading.AHEAD: Refusal.AHEAD,
+    Reading.LATE: Refusal.LATE,
+}
 
 
 @dataclass(slots=True)
@@ -86,9 +97,7 @@ class PoseChecks:
     thinned: int = 0
     passed: int = 0
     _last: Passed | None = None
-    _stamp_ns: int | None = None
-    _zero_s: float = math.inf  # least of arrival minus stamp
-    _zero_at_s: float = 0.0
+    _clock: SenderClock = field(init=False)
     _sent_s: float = -math.inf
     _resets: int = 0
     _elsewhere: Passed | None = None  # the newest of a series after a jump
@@ -97,6 +106,9 @@ class PoseChecks:
     _window_s: float = -math.inf
     _in_window: int = 0
     _rate_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        self._clock = SenderClock(self.limits.late_max_s, self.limits.clock_proof_s)
 
     def step(self, samples: Sequence[Sample], now_s: float, *, armed: bool) -> Step:
         """Judge samples in their order.
@@ -126,12 +138,12 @@ class PoseChecks:
             return Refusal.FRAME
         if max(map(abs, pose.position_m)) > limits.room_m:
             return Refusal.ROOM
-        if self._stamp_ns is not None and pose.stamp_ns <= self._stamp_ns:
-            return Refusal.ORDER
-        self._stamp_ns = pose.stamp_ns
-        late_s = self._lateness(pose.stamp_ns / 1e9, sample.arrival_s)
-        if late_s > limits.late_max_s:
-            return Refusal.LATE
+        stamp_s = pose.stamp_ns / 1e9
+        self._clock.patience_s = math.inf if armed else PATIENCE_S
+        reading = self._clock.accept(stamp_s, sample.arrival_s)
+        if not reading.good:
+            return _REFUSALS[reading]
+        late_s = self._clock.lateness_s(stamp_s, sample.arrival_s)
         passed = Passed(pose, sample.arrival_s - late_s, self._resets)
         last, before = self._last, self._elsewhere
         if last is None:
@@ -145,15 +157,9 @@ class PoseChecks:
         self._elsewhere = passed
         return Refusal.JUMP
 
-    def _lateness(self, stamp_s: float, arrival_s: float) -> float:
-        way_s = arrival_s - stamp_s
-        self._zero_s = min(way_s, self._zero_s + _DRIFT * max(0.0, arrival_s - self._zero_at_s))
-        self._zero_at_s = arrival_s
-        return way_s - self._zero_s
-
     def _reaches(self, before: Passed, after: Passed, most_m: float) -> bool:
         limits = self.limits
-        dt_s = min(max(0.0, (after.pose.stamp_ns - before.pose.stamp_ns) / 1e9), limits.gap_believed_s)
+        dt_s = min(max(0.0, after.measured_s - before.measured_s), limits.gap_believed_s)
         moved_m = math.dist(before.pose.position_m, after.pose.position_m)
         turned_rad = angle_between(before.pose.orientation_wxyz, after.pose.orientation_wxyz)
         fits = moved_m <= min(limits.jump_m + limits.speed_max_m_s * dt_s, most_m)
