@@ -38,9 +38,9 @@ def older_each_time(world, inputs):
 
 def half_a_second_late(world, inputs):
     """A queue: what the sensor said, as it said it, half a second later."""
-    world.queue = (*getattr(world, "queue", ()), *inputs.target_samples)
-    come = tuple(s for s in world.queue if s.arrival_s <= world.t_s - 0.5)
-    world.queue = world.queue[len(come) :]
+    queue = world.__dict__.setdefault("queue", {})
+    queue.update((s.arrival_s, s) for s in inputs.target_samples)
+    come = tuple(s for t_s, s in queue.items() if abs(world.t_s - 0.5 - t_s) < 0.5 * DT_S)
     return inputs._replace(target_samples=tuple(s._replace(arrival_s=world.t_s) for s in come))
 
 
