@@ -139,8 +139,7 @@ class PoseChecks:
         if max(map(abs, pose.position_m)) > limits.room_m:
             return Refusal.ROOM
         stamp_s = pose.stamp_ns / 1e9
-        self._clock.patience_s = math.inf if armed else PATIENCE_S
-        reading = self._clock.accept(stamp_s, sample.arrival_s)
+        reading = self._clock.accept(stamp_s, sample.arrival_s, math.inf if armed else PATIENCE_S)
         if not reading.good:
             return _REFUSALS[reading]
         late_s = self._clock.lateness_s(stamp_s, sample.arrival_s)

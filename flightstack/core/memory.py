@@ -71,11 +71,10 @@ class ClockMemory:
 
 
 @dataclass(slots=True)
-class TrackMemory:
-    """Of the target track."""
+class TrackMemory(ClockMemory):
+    """Of the target track, with its sender's clock."""
 
     last: TargetSample | None = None  # newest believed sample
-    clock: ClockMemory = field(default_factory=ClockMemory)  # of the sender
     elsewhere: TargetSample | None = None  # newest of samples that jumped but agree with each other
     elsewhere_since_s: float = 0.0
     drift_m: Vec3 = ZERO  # change of the position that the velocity does not explain

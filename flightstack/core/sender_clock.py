@@ -61,9 +61,6 @@ class SenderClock:
         late_max_s: lateness from which a message is refused.
         proof_s: time for which refused messages have to agree, until their clock is followed.
         tick_s: period in which arrivals are noted.
-
-    Attributes:
-        patience_s: the same where it may be a queue as well.
         reboot_s: a clock that falls back by more after a silence is followed at once: there is no healthy
             stream to protect.
     """
@@ -73,18 +70,23 @@ class SenderClock:
     ) -> None:
         self.memory = ClockMemory()
         self.ahead_max_s = AHEAD_S + tick_s
-        self._late_max_s, self._proof_s, self.patience_s = late_max_s, proof_s, PATIENCE_S
-        self.reboot_s = reboot_s
+        self._late_max_s, self._proof_s, self._reboot_s = late_max_s, proof_s, reboot_s
 
-    def accept(self, stamp_s: float, arrival_s: float) -> Reading:
+    def accept(self, stamp_s: float, arrival_s: float, patience_s: float = PATIENCE_S) -> Reading:
         """Judge a time stamp, and learn from one that is good."""
-        reading = self.judge(stamp_s, arrival_s)
+        reading = self.judge(stamp_s, arrival_s, patience_s)
         if reading.good:
             self.take(stamp_s, arrival_s)
         return reading
 
-    def judge(self, stamp_s: float, arrival_s: float) -> Reading:
-        """Judge a time stamp; only ``take`` learns from it."""
+    def judge(self, stamp_s: float, arrival_s: float, patience_s: float = PATIENCE_S) -> Reading:
+        """Judge a time stamp; only ``take`` learns from it.
+
+        Args:
+            stamp_s: of the sender's clock.
+            arrival_s: of the message, on ours.
+            patience_s: time for which late messages have to agree.
+        """
         memory, way_s = self.memory, arrival_s - stamp_s
         if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also NaN
             return Reading.UNUSABLE
@@ -97,7 +99,8 @@ class SenderClock:
                 return Reading.FRESH
         else:
             reading = Reading.REPEATED if stamp_s == memory.stamp_s else Reading.OUT_OF_ORDER
-        return Reading.STEPPED if self._agree(reading, stamp_s, arrival_s) else reading
+        needed_s = self._proof_s if self._noted(reading, stamp_s, arrival_s) else patience_s
+        return Reading.STEPPED if arrival_s - memory.run_since_s >= needed_s else reading
 
     def take(self, stamp_s: float, arrival_s: float) -> bool:
         """Learn from a good one; whether the sender's clock was set, or began anew."""
@@ -130,8 +133,8 @@ class SenderClock:
         in_time = m.run_since_s <= arrival_s <= m.run_arrival_s + GAP_MAX_S
         return in_time and abs(way_s - m.run_way_s) <= AGREE_S
 
-    def _agree(self, reading: Reading, stamp_s: float, arrival_s: float) -> bool:
-        """Whether refused messages have agreed with each other for long enough."""
+    def _noted(self, reading: Reading, stamp_s: float, arrival_s: float) -> bool:
+        """Note a refused message; whether no delay explains those that agree with it."""
         m, way_s = self.memory, arrival_s - stamp_s
         if stamp_s > m.run_stamp_s and self._agrees(way_s, arrival_s):
             m.run_way_s = min(m.run_way_s, way_s)
@@ -141,10 +144,10 @@ class SenderClock:
             began = silent and way_s - m.offset_s > QUEUE_MAX_S  # and it did not grow to that
             sure = began or reading in (Reading.AHEAD, Reading.OUT_OF_ORDER)
             m.run_since_s, m.run_way_s, m.run_sure = arrival_s, way_s, sure
-            if silent and m.stamp_s - stamp_s > self.reboot_s:
+            if silent and m.stamp_s - stamp_s > self._reboot_s:
                 m.run_since_s = -math.inf
         m.run_stamp_s, m.run_arrival_s = stamp_s, arrival_s
-        return arrival_s - m.run_since_s >= (self._proof_s if m.run_sure else self.patience_s)
+        return m.run_sure
 
 
 @numeric

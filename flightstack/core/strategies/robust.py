@@ -136,7 +136,7 @@ class RobustFilter(Strategy):
             return None
         delay_s = self._config.target.delay_s
         latest_s = self.estimator.memory.time_s + self._config.checks.target_age_max_s
-        motion = self.estimator.at(min(now_s - track.memory.clock.offset_s, latest_s) + delay_s)
+        motion = self.estimator.at(min(now_s - track.memory.offset_s, latest_s) + delay_s)
         return TargetState(
             track.age_s(last, now_s) + delay_s,
             motion.position_enu_m,

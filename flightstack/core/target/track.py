@@ -99,7 +99,7 @@ class TargetTrack:
 
     @memory.setter
     def memory(self, memory: TrackMemory) -> None:
-        self._memory, self._clock.memory = memory, memory.clock
+        self._memory = self._clock.memory = memory
 
     @property
     def ahead_max_s(self) -> float:
@@ -121,9 +121,9 @@ class TargetTrack:
         verdict, memory = self._judge(sample), self.memory
         self.stepped_s = 0.0
         if verdict is Verdict.ACCEPTED:
-            before_s = memory.clock.offset_s
+            before_s = memory.offset_s
             if self._clock.take(sample.source_time_s, sample.arrival_s):
-                self.stepped_s = before_s - memory.clock.offset_s
+                self.stepped_s = before_s - memory.offset_s
             elif memory.last is not None:
                 self._drift(memory.last, sample)
             memory.last = sample
@@ -175,8 +175,8 @@ class TargetTrack:
             return Verdict.WRONG_ROBOT
         if vx * vx + vy * vy + vz * vz > checks.target_speed_max_m_s**2:
             return Verdict.TOO_FAST
-        self._clock.patience_s = math.inf if memory.settled else PATIENCE_S
-        reading = self._clock.judge(sample.source_time_s, sample.arrival_s)
+        patience_s = math.inf if memory.settled else PATIENCE_S
+        reading = self._clock.judge(sample.source_time_s, sample.arrival_s, patience_s)
         if not reading.good:
             return _REFUSED[reading]
         if last is None:

@@ -132,7 +132,7 @@ class Notebook:
         c = self._controller
         memory, track, strategy = c.memory, c.track.memory, c.strategy
         motion, tracking, watched = strategy.motion, strategy.tracking, c.plausibility.memory
-        sample, own, learned, clock = track.last, watched.last, strategy.own, track.clock
+        sample, own, learned = track.last, watched.last, strategy.own
         assert sample is not None
         assert own is not None
         estimate = c.reserve_estimate
@@ -141,7 +141,7 @@ class Notebook:
             memory.contact_since_s, memory.stopped_since_s, memory.commanding, *memory.command,
             0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
             sample.arrival_s, sample.source_time_s, *sample.position_enu_m, *sample.velocity_enu_m_s,
-            sample.yaw_rad, sample.yaw_rate_rad_s, clock.offset_s, 0,
+            sample.yaw_rad, sample.yaw_rate_rad_s, track.offset_s, 0,
             motion.time_s, *motion.position_enu_m, *motion.velocity_enu_m_s, *motion.acceleration_enu_m_s2,
             math.nan if motion.yaw_rad is None else motion.yaw_rad, motion.turn_rate_rad_s, motion.surprise,
             *motion.covariance_xy, *motion.covariance_z,
@@ -152,7 +152,7 @@ class Notebook:
             learned.time_s, *learned.x, *learned.y, learned.z_m, learned.z_error_m_s, *learned.x_now,
             *learned.y_now, *learned.sent_m_s, *chain.from_iterable(learned.pending),
             reserve.effort, reserve.rise_m_s, *track.drift_m, *track.drift_smooth_m, *c.slew_step,
-            c.up_step_m_s, 0.0, 0.0, clock.floor_s, clock.held_s,
+            c.up_step_m_s, 0.0, 0.0, track.floor_s, track.held_s,
         )  # fmt: skip
 
     def read(self, now_s: float, own_yaw_rad: float) -> None:
@@ -166,9 +166,8 @@ class Notebook:
         memory.target_position_enu_m, memory.target_velocity_enu_m_s = v[6:9], v[9:12]
         if v[23]:  # samples accepted
             track.last = TargetSample(v[12], v[13], "map", "target", v[14:17], v[17:20], v[20], v[21])
-            clock, track.refusal = track.clock, ""
-            clock.offset_s, clock.floor_s, clock.held_s = v[22], v[-2], v[-1]
-            clock.taken_s, clock.stamp_s = v[12], v[13]
+            track.offset_s, track.floor_s, track.held_s = v[22], v[-2], v[-1]
+            track.taken_s, track.stamp_s, track.refusal = v[12], v[13], ""
             track.accepted += v[23]
             track.drift_m, track.drift_smooth_m = v[119:122], v[122:125]
         watched.last = OwnState(v[64], v[65], v[66:69], v[69:72], own_yaw_rad)

@@ -182,7 +182,7 @@ class Stretch:
         flight, vehicle = self._node.autopilot.flight, self._node.vehicle
         if status is None or track.last is None or watched.last is None or track.elsewhere is not None:
             return False
-        if track.clock.run_since_s < math.inf:  # the target's clock may have been set
+        if track.run_since_s < math.inf:  # the target's clock may have been set
             return False
         if watched.distrusted or track.distrusted or memory.lifting or not memory.good_since_s < math.inf:
             return False
