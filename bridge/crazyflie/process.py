@@ -203,7 +203,6 @@ def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], N
             f"{package} is not installed: pip install 'crazyflie-flightstack[crazyflie]'"
         ) from error
     check_uri(options.uri)
-    stop = Stop().install()
     kind, host, port = parse_url(options.url)
     with ExitStack() as stack:
         endpoint = Endpoint(
@@ -220,6 +219,7 @@ def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], N
         run_promptly()  # before the link: cflib's threads have the priority of the one that starts them
         link = CrazyflieLink(options.uri, options.cache)
         stack.callback(link.close)
+        stop = Stop().install()
         say(f"ready {kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}")
         sys.stdout.flush()
         Loop(Node(options.rules, options.system_id), link, endpoint, poses, say).run(stop, options.duration_s)

@@ -224,7 +224,6 @@ def run(options: Options, say: Callable[[str], None] = print) -> int:
         ValueError: a URL or key that is not understood, or a network without a key.
         OSError: an address that cannot be opened.
     """
-    stop = Stop().install()
     with ExitStack() as stack:
         endpoint = Endpoint(
             options.vehicle_url,
@@ -244,6 +243,7 @@ def run(options: Options, say: Callable[[str], None] = print) -> int:
         source = MocapSource(session, options.spec, options.offset_flu_m)
         bridge = Bridge(source, vehicle, endpoint, options.system_id, say)
         run_promptly()  # an old pose is no own state
+        stop = Stop().install()
         say("ready")
         sys.stdout.flush()
         bridge.run(stop, options.duration_s)

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 
 import click
 
+from flightstack.common import hangup, streams
 from flightstack.common.processes import end_with_parent
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import plain
 
-WRONG_INPUT = 2
+INTERRUPTED, WRONG_INPUT = 1, 2
 
 # Matrices here are small: numpy's threads would cost each process 0.1 s when it starts, and help nothing.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -89,6 +90,8 @@ GROUPS = {
         "key": Verb("real.prepare:key", "Make a MAVLink signing key."),
     },
 }
+# their exit status is about the flight, whatever becomes of what they print
+FLIES = ("sitl", "fly", "onboard", "vehicle", "target", "record", "bridge", "px4-sim", "campaign", "rare")
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}
 
 
@@ -114,7 +117,26 @@ def load(name: str) -> click.Command:
 
 
 class Verbs(click.Group):
-    """Loads a verb when it is called, and turns wrong input into one clear line and exit status 2."""
+    """Loads a verb when it is called, and turns wrong input into one clear line and exit status 2.
+
+    Attributes:
+        verb: the one that is called.
+    """
+
+    verb = ""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Run the command: nobody who reads its output can end it, and no signal is lost while it starts."""
+        if streams.guard():  # not in a test's process
+            hangup.start()
+        try:
+            return super().main(*args, **kwargs)
+        except SystemExit as ended:
+            problem = streams.problem()
+            if problem is None:
+                raise
+            click.echo(f"flightstack: standard output is not complete: {problem}", err=True)
+            raise SystemExit(ended.code or (0 if self.verb in FLIES else WRONG_INPUT)) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of all verbs, in the order of their groups."""
@@ -126,6 +148,7 @@ class Verbs(click.Group):
         del ctx
         if cmd_name not in VERBS:
             return None
+        self.verb = cmd_name
         return _command(VERBS[cmd_name])
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -139,6 +162,9 @@ class Verbs(click.Group):
         """Run the verb."""
         try:
             return super().invoke(ctx)
+        except hangup.CalledOffError as error:
+            click.echo(f"flightstack: {error}", err=True)
+            ctx.exit(INTERRUPTED)
         except (ConfigError, ValueError, OSError) as error:
             click.echo(f"flightstack: {plain(error)}", err=True)
             ctx.exit(WRONG_INPUT)

@@ -1,8 +1,7 @@
-"""The terminal goes away in flight: a closed window, a lost SSH connection."""
+"""Signals that ask a process to end: while it starts, and when its terminal goes away in flight."""
 
 from __future__ import annotations
 
-import contextlib
 import signal
 from collections.abc import Callable
 from types import FrameType
@@ -10,6 +9,42 @@ from types import FrameType
 import click
 
 from flightstack.common.text import plain
+
+ASK = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT)
+
+
+class CalledOffError(KeyboardInterrupt):
+    """A signal before the process handles signals itself: it unwinds the start, which ends the children."""
+
+
+_came: list[CalledOffError] = []
+
+
+def start() -> None:
+    """From now on a signal raises ``CalledOffError``, until the process has handlers of its own.
+
+    Main thread only. A signal is kept for ``begun``, since some callers of Python drop its exceptions.
+    """
+    _came.clear()
+    for number in ASK:
+        signal.signal(number, _call_off)
+    on_hangup(_call_off)
+
+
+def begun() -> None:
+    """Call it once the process has handlers of its own.
+
+    Raises:
+        CalledOffError: a signal came before, and its exception was dropped.
+    """
+    if _came:
+        raise _came[-1]
+
+
+def _call_off(number: int, frame: FrameType | None) -> None:
+    del frame
+    _came.append(CalledOffError(f"ended by {signal.Signals(number).name}"))
+    raise _came[-1]
 
 
 class Stop:
@@ -34,10 +69,16 @@ class Stop:
         self.count = max(self.count, 1)
 
     def install(self) -> Stop:
-        """Take over the signals; main thread only."""
+        """Take over the signals, once all is ready that takes long; main thread only.
+
+        Raises:
+            CalledOffError: as of ``begun``.
+        """
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._set)
+        signal.signal(signal.SIGQUIT, signal.SIG_DFL)
         on_hangup(self._hang_up)
+        begun()
         return self
 
     def _set(self, number: int, frame: FrameType | None) -> None:
@@ -50,9 +91,8 @@ class Stop:
 
 
 def say(text: str) -> None:
-    """Print a line, unless nobody listens any more: that must not end a flight."""
-    with contextlib.suppress(OSError):
-        click.echo(plain(text))
+    """Print a line."""
+    click.echo(plain(text))
 
 
 def on_hangup(handler: Callable[[int, FrameType | None], None]) -> None:

@@ -18,6 +18,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from flightstack.common.streams import never_wait
+
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simulated clocks
 PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/how_it_works/lockstep.md
 RUN_AHEAD_TICKS = 20  # how far the target may be ahead of the onboard process's credit
@@ -183,7 +185,11 @@ def keep_memory() -> bool:
 
 
 def run_promptly() -> None:
-    """Ask for priority and keep memory, as a process that a flight waits for; the system may refuse each."""
+    """Be a process that a flight waits for: ask for priority and memory, wait for no reader of the output.
+
+    The system may refuse the first two.
+    """
+    never_wait()
     ask_for_priority()
     keep_memory()
 

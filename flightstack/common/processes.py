@@ -133,14 +133,18 @@ class Child:
             LaunchError: the process ended or said nothing in time.
         """
         until = time.monotonic() + START_TIME_MAX_S
-        while time.monotonic() < until:
-            lines = self.lines(0.1)
-            for number, line in enumerate(lines):
-                if line.startswith("ready"):
-                    self._read = lines[number + 1 :]
-                    return line.removeprefix("ready").strip()
-            if self.process.poll() is not None:
-                break
+        try:
+            while time.monotonic() < until:
+                lines = self.lines(0.1)
+                for number, line in enumerate(lines):
+                    if line.startswith("ready"):
+                        self._read = lines[number + 1 :]
+                        return line.removeprefix("ready").strip()
+                if self.process.poll() is not None:
+                    break
+        except BaseException:  # a signal: nobody else may know this child yet
+            self.end()
+            raise
         code = self.end()
         raise LaunchError(f"{self.name} did not start: {self.errors() or 'no reason given'}", code)
 

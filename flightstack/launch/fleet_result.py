@@ -62,8 +62,9 @@ def values_of(flown: FleetFlown, *, with_report: bool) -> dict[str, Any]:
         log = load_fleet(flown.log)
     except LogError as error:
         print(f"flightstack: no result: {flown.problem or ''} {error}", file=sys.stderr)
+        log_path = str(flown.log) if flown.log.exists() else None
         said = "; ".join(f"{each.name}: {each.last_line}" for each in flown.flights)
-        return {**flown.about, **dict.fromkeys(_UNKNOWN), "reason": said, "log": str(flown.log)}
+        return {**flown.about, **dict.fromkeys(_UNKNOWN), "reason": said, "log": log_path}
     verdict = judge_fleet(log)
     pages = _written(flown, log, verdict) if with_report else None
     return fleet_result(

@@ -16,7 +16,7 @@ from types import FrameType, TracebackType
 from rich.console import Console
 
 from bridge.zenoh import zenoh_link
-from flightstack.common.hangup import on_hangup
+from flightstack.common.hangup import begun, on_hangup
 from flightstack.common.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port, Running
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
@@ -24,6 +24,7 @@ from flightstack.onboard.recording import start_recorder
 from flightstack.watch.live import REFRESH_HZ, live_view
 
 NAMESPACE = "cf1"
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
 LAND_ALONE_MAX_S = 20.0  # s of wall time for the vehicle's own landing without the onboard process
 LAND_MAX_S = (
     30.0  # s for an onboard process that is asked to end in flight: it brings a real vehicle down first
@@ -107,17 +108,22 @@ class Launcher:
         self.socket = self._sockets / "recorder"
 
     def __enter__(self) -> Launcher:
-        end = self._hand_on if self._real else self._interrupt
-        handlers = {signal.SIGINT: end, signal.SIGTERM: end, signal.SIGQUIT: self._hand_on}
-        self._previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-        if self._real:
-            on_hangup(self._hand_on)
+        self._previous = {number: signal.getsignal(number) for number in _SIGNALS}
         return self
+
+    def _take_over(self) -> None:
+        """Handle signals; before that they call the run off."""
+        end = self._hand_on if self._real else self._interrupt
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, end)
+        signal.signal(signal.SIGQUIT, self._hand_on)
+        on_hangup(end)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         del kind, error, trace
+        self._take_over()  # a second one does not leave children behind
         self.end_all()
         for number, handler in self._previous.items():
             signal.signal(number, handler)
@@ -208,6 +214,8 @@ class Launcher:
             shown: for the live view; None: there is none.
             teller: process that says when the motors are armed and disarmed; None: nobody does.
         """
+        self._take_over()
+        begun()
         others, flying = list(others), list(flights)
         until = time.monotonic() + (limit_s if limit_s is not None else math.inf)
         view = session = None
@@ -221,7 +229,12 @@ class Launcher:
                 for flight in flying:
                     self._say(flight, flight.child.lines(1.0 / REFRESH_HZ if flight is flying[0] else 0.0))
                 if view is not None:
-                    view.poll()
+                    try:
+                        view.poll()
+                    except Exception as error:  # what shows a flight does not end it
+                        view.live.stop()
+                        view = None
+                        self._print(f"the live view has failed: {error!r}", style="red")
                 for flight in [each for each in flying if not each.child.alive()]:
                     flying.remove(flight)
                     problem = self._ended(flight) or problem
@@ -236,8 +249,7 @@ class Launcher:
                     return f"not over after {limit_s:.0f} s"
         finally:
             if view is not None:
-                with contextlib.suppress(OSError):  # its terminal may be closed
-                    view.live.stop()
+                view.live.stop()
             if session is not None:
                 session.close()
         if any(flight.aborted for flight in flights):
@@ -278,8 +290,7 @@ class Launcher:
                 self._print(f"{flight.name}  {line}" if flight.name else line)
 
     def _print(self, text: str, style: str | None = None) -> None:
-        with contextlib.suppress(OSError):  # a closed terminal must not end a flight
-            self.console.print(text, style=style, highlight=False, markup=False)
+        self.console.print(text, style=style, highlight=False, markup=False)
 
     def _let_it_land(self, teller: Child | None, until: float) -> None:
         """Wait until the vehicles have landed by themselves after the onboard processes ended.

@@ -137,7 +137,6 @@ def conclude_values(flown: Flown, *, with_report: bool) -> dict[str, object]:
 
     Without a log the outcome is the one that the onboard process reported, and nothing is measured.
     """
-    report = flown.folder / "report.html" if flown.log is not None else None
     flight = _flight(flown)
     if flight is None:
         outcome = "landed" if flown.log is None and flown.code == 0 else None
@@ -146,13 +145,14 @@ def conclude_values(flown: Flown, *, with_report: bool) -> dict[str, object]:
             **dict.fromkeys((*_VERDICT, "realtime_factor")),
             "outcome": outcome,
             "reason": flown.last_line,
-            "log": str(flown.log) if flown.log is not None else None,
-            "report": str(report) if report is not None else None,
+            "log": str(flown.log) if flown.log is not None and flown.log.exists() else None,
+            "report": None,
         }
     verdict = judge(flight)
+    report = None
     if with_report:
         try:
-            write_page(flight, verdict, report)
+            report = write_page(flight, verdict, flown.folder / "report.html")
         except ReportError as error:  # the flight counts all the same
             print(f"flightstack: {error}", file=sys.stderr)
     flown_s = float(flight.steps.t_s[-1] - flight.steps.t_s[0]) if flight.steps is not None else 0.0

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.table import Column, Table
 
+from flightstack.common.hangup import CalledOffError
 from flightstack.common.processes import LaunchError
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.config.files import load as load_config
@@ -263,6 +264,8 @@ def fly_all(
         one = replace(options, seed=seed, out=base / f"seed{seed}")
         try:
             flown = fly(one, console, with_report=with_report)
+        except CalledOffError:
+            break
         except LaunchError as error:
             console.print(f"seed {seed}: {error}", style="red", markup=False)
             rows.append({"seed": seed, "outcome": None, "reason": str(error), "problem": str(error)})

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import NamedTuple, Protocol
 
-from flightstack.common.hangup import on_hangup
+from flightstack.common.hangup import begun, on_hangup
 from flightstack.core.controller import Outputs
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
@@ -51,6 +51,7 @@ class Signals:
         signal.signal(signal.SIGTERM, self._terminate)
         signal.signal(signal.SIGQUIT, self._emergency)
         on_hangup(self._abort)
+        begun()
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         self.stop = self.operator is not Operator.NONE

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -213,9 +212,8 @@ class Onboard:
 
 
 def _warn(text: str) -> None:
-    """Say it on standard error, if that is still there: a closed terminal must not end a flight."""
-    with contextlib.suppress(OSError):
-        print(f"onboard: WARNING: {text}", file=sys.stderr)
+    """Say it on standard error."""
+    print(f"onboard: WARNING: {text}", file=sys.stderr)
 
 
 def _zenoh_plan(options: Options) -> ZenohPlan:
@@ -250,9 +248,9 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
     found = problems(config)
     if found:
         raise ConfigError("refused before take-off: " + "; ".join(found))
-    signals = Signals()
-    onboard = Onboard(config, options, say)
+    onboard = Onboard(config, options, say)  # a signal until here calls the flight off
     try:
+        signals = Signals()
         for warning in onboard.link.endpoint.warnings:
             _warn(warning)
         if onboard.log_file is not None:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
-from flightstack.common.hangup import on_hangup
+from flightstack.common.hangup import ASK, begun, on_hangup
 from logs.recorder.recorder_process import RecorderError, RecorderProcess, Source
 from logs.recorder.recording import Statistics
 from logs.schema.schemas import typestore
@@ -61,9 +61,10 @@ def record_main(
     def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
         process.stop()
 
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in ASK:
         signal.signal(number, stop)
     on_hangup(stop)
+    begun()
     typestore()  # half a second of work the first time: not in the middle of a flight
     print("ready", flush=True)
     counts = process.run(until_clients)

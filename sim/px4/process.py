@@ -156,7 +156,7 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
         Exit status: 0 in order, 1 when PX4 fell silent or something else did not come, 2 for wrong input.
     """
     speed = options.speed
-    stop = Stop().install()
+    stop = Stop()
     try:
         with ExitStack() as stack:
             host, port = parse_endpoint(options.tcp, allow_unsigned=options.allow_unsigned)
@@ -177,6 +177,7 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
             # without a robot and as fast as it can, no other clock counts
             paced = SimulationClock(options.clock) if options.clock is not None else FastClock(speed or 1.0)
             node = Px4Node(deck, VehicleLog(feed, paced.unix_ns(), options.namespace), paced, stop)
+            stop.install()
             _say(f"ready tcp:{host}:{server.port}")
             quiet_garbage_collector()
             while not stop.is_set:

@@ -79,7 +79,7 @@ def target_main(scenario: AnyScenario, options: TargetOptions) -> int:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
     lockstep = options.lockstep
-    stop = Stop().install()
+    stop = Stop()
     try:
         paced = chosen_clock(
             options.speed, options.clock, Follower.TARGET, lambda: stop.is_set, lockstep=lockstep
@@ -145,6 +145,7 @@ class _Lockstep:
 
     def __init__(self, robots: Sequence[LockstepRobot], stop: Stop) -> None:
         self._robots, self._stop = robots, stop
+        self._stop.install()
         print("ready", flush=True)
 
     def run(self, ticks: int | None) -> None:
@@ -194,6 +195,7 @@ class _RealTime:
 
     def __init__(self, robots: Sequence[RealTimeRobot], stop: Stop) -> None:
         self._robots, self._stop = robots, stop
+        self._stop.install()
         print("ready", flush=True)
 
     def run(self, ticks: int | None, clock: Clock) -> None:

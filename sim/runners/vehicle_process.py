@@ -255,7 +255,7 @@ def served(fly: Callable[[Stop, ExitStack], None]) -> int:
     Args:
         fly: gets what ends it, and a stack for what it has to close.
     """
-    stop = Stop().install()
+    stop = Stop()
     try:
         with ExitStack() as stack:
             fly(stop, stack)
@@ -289,6 +289,7 @@ def _fly(scenario: Scenario, options: VehicleOptions, stop: Stop, stack: ExitSta
     else:
         follower = RealTimeDeck(session, namespace) if session is not None else None
         loop = RealTimeLoop([RealTimeVehicle(node, follower, grid)], grid, stop)
+    stop.install()
     print(f"ready {url}", flush=True)
     quiet_garbage_collector()
     loop.run(grid.count(options.duration_s))

@@ -17,6 +17,7 @@ import click
 
 from flightstack.cli import options as shared
 from flightstack.cli.options import takes
+from flightstack.common.streams import reader_gone
 
 if TYPE_CHECKING:
     from bridge.zenoh.zenoh_link import Role, Session
@@ -78,8 +79,6 @@ def watch(options: WatchOptions) -> None:
         if options.once:
             sys.exit(_once(source, options.as_json, options.timeout_s))
         draws(source) if draws else _stream(source) if options.as_json else _live(source)
-    except BrokenPipeError:
-        pass  # the program that read the output has ended
     finally:
         session.close()
         for number, handler in previous.items():
@@ -141,6 +140,8 @@ def _stream(source: Source) -> None:
         time.sleep(0.5)
         seen.poll()
         click.echo(json.dumps(snapshot(seen)))
+        if reader_gone():
+            return
 
 
 def _drawing(view: str, config_file: Path | None, namespace: str) -> Callable[[Source], None]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,7 +71,6 @@ def campaign(options: CampaignOptions) -> None:
     scenario = wanted.scenario
     folder = options.out or new_folder(f"campaign-{scenario.name}-{short_name(wanted.filter_name)}")
     console = Terminal(stderr=options.as_json)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     try:
         title = f"{scenario.name}, filter {wanted.filter_name}"
         with Bar(console, title, wanted.runs) as bar:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,7 +73,6 @@ def rare(options: RareOptions) -> None:
     scenario = wanted.plan.scenario
     folder = options.out or new_folder(f"rare-{scenario.name}-{short_name(wanted.plan.filter_name)}")
     console = Terminal(stderr=options.as_json)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     title = f"{scenario.name}, filter {wanted.plan.filter_name}, {options.event}"
     try:
         with Bar(console, title, None) as bar:

@@ -88,6 +88,7 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
         members.append(Member(number, VehicleNode(vehicle, autopilot, endpoint, log, _teller(name))))
     grid = TickGrid(options.rate_hz)
     room, ticks = Room(members, grid, feed), grid.count(options.duration_s)
+    stop.install()
     print("ready", *urls, flush=True)
     quiet_garbage_collector()
     if not options.lockstep:

@@ -1,0 +1,120 @@
+"""Standard output and error by which nobody can end a flight.
+
+Their reader may end (``| head``, a closed terminal) or stop reading, their disk may be full, and they may be
+closed from the start. What cannot be written is lost, and nothing else happens: no exception reaches a
+library that would turn it into an exit, and no file gets the number of a standard stream.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import os
+import select
+import sys
+from typing import Any
+
+_GONE = (errno.EPIPE, errno.EIO, errno.EBADF)  # nobody reads any more; the others (ENOSPC) may pass
+_PART = select.PIPE_BUF  # bytes that a pipe that is ready takes without waiting
+_NUMBERS = {"stdout": 1, "stderr": 2}
+
+
+class Stream(io.FileIO):
+    """A standard stream that never raises.
+
+    Attributes:
+        lost: why something could not be written; None: everything was.
+    """
+
+    waits = True  # for a reader that is slow; a process in a flight does not
+    lost: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write bytes, or lose them; how many of them are done with."""
+        size = memoryview(data).nbytes
+        part = data if Stream.waits else memoryview(data).cast("B")[:_PART]
+        try:
+            if not Stream.waits and not select.select((), (self.fileno(),), (), 0.0)[1]:
+                return size
+            written = super().write(part)
+        except OSError as error:
+            self.lost = error
+            if error.errno in _GONE:
+                _to_nothing(self.fileno())
+            return size
+        return size if written is None else written  # None: a stream that does not block is full
+
+
+def guard() -> bool:
+    """Put such streams in the place of the standard ones; call it before anything else opens a file.
+
+    Streams that are not the process's own (a test's) stay; returns whether standard output is its own.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:  # closed: the next file would get its number, and what libraries print
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    for name, number in _NUMBERS.items():
+        old = getattr(sys, name)
+        if old is not None and (_number(old) != number or isinstance(_raw(old), Stream)):
+            continue
+        raw = Stream(number, "w", closefd=False)
+        at_once = old is not None and old.write_through
+        setattr(
+            sys,
+            name,
+            io.TextIOWrapper(
+                raw if at_once else io.BufferedWriter(raw),
+                encoding=old.encoding if old is not None else "utf-8",
+                # no character that the terminal's encoding lacks raises
+                errors=old.errors if old is not None and old.errors != "strict" else "backslashreplace",
+                line_buffering=number == 2 or (old is not None and old.line_buffering),
+                write_through=at_once,
+            ),
+        )
+    return isinstance(_raw(sys.stdout), Stream)
+
+
+def never_wait() -> None:
+    """From now on a reader that does not read loses what is printed: a flight does not wait for it."""
+    Stream.waits = False
+
+
+def problem() -> str | None:
+    """Why standard output is not complete; None: it is, or its reader wanted no more."""
+    raw = _raw(sys.stdout)
+    if not isinstance(raw, Stream):
+        return None
+    sys.stdout.flush()
+    if raw.lost is None or raw.lost.errno in _GONE:
+        return None
+    return raw.lost.strerror
+
+
+def reader_gone() -> bool:
+    """Whether nobody reads standard output any more."""
+    raw = _raw(sys.stdout)
+    return isinstance(raw, Stream) and raw.lost is not None and raw.lost.errno in _GONE
+
+
+def _raw(stream: object) -> object:
+    """The file under a text stream."""
+    buffer = getattr(stream, "buffer", None)
+    return getattr(buffer, "raw", buffer)
+
+
+def _number(stream: io.TextIOBase) -> int | None:
+    try:
+        return stream.fileno()
+    except (OSError, ValueError):  # it has none, or is closed
+        return None
+
+
+def _to_nothing(number: int) -> None:
+    """Let a stream end nowhere: what libraries and children print there fails no more."""
+    with contextlib.suppress(OSError):
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, number)
+        os.close(nothing)

@@ -1,0 +1,82 @@
+"""A signal while a verb starts is kept and obeyed: nothing is flown, no process is left, the status is 1."""
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from flightstack.common import hangup
+from tests.integration.runs import gone
+from tests.integration.sim_processes import COMMAND, wait_for
+from tests.processes.bounded import PATIENCE_S, killed
+from tests.processes.ports import free_port
+
+pytestmark = pytest.mark.xdist_group("real-time")
+
+
+def verb(name, port):
+    """Command line of a verb that waits for something when it has started."""
+    vehicle = [
+        "--vehicle",
+        f"udpout:127.0.0.1:{port}",
+        "--target",
+        "cf1/target/odom",
+        "--config",
+        "crazyflie",
+    ]
+    sitl = ["sitl", "--scenario", "paper_static_1", "--no-report", "--out", "out"]
+    return {
+        "fly": ["fly", *vehicle, "--no-report", "--out", "out"],
+        "sitl": sitl,
+        "runs": [*sitl, "--lockstep", "--runs", "3"],
+        "onboard": ["onboard", *vehicle],
+    }[name]
+
+
+def children(pid):
+    return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [("fly", signal.SIGINT), ("fly", signal.SIGTERM), ("fly", signal.SIGHUP), ("fly", signal.SIGQUIT),
+     ("sitl", signal.SIGINT), ("sitl", signal.SIGHUP), ("runs", signal.SIGTERM),
+     ("onboard", signal.SIGINT), ("onboard", signal.SIGTERM), ("onboard", signal.SIGQUIT)],
+)  # fmt: skip
+def test_a_signal_while_the_recorder_starts_calls_the_flight_off(name, number, tmp_path):
+    child = subprocess.Popen(
+        [*COMMAND, *verb(name, free_port(udp=True))], cwd=tmp_path, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    try:
+        wait_for(lambda: list(tmp_path.rglob("flight.mcap")), "the recorder")
+        started = children(child.pid)
+        os.kill(child.pid, number)
+        began_s = time.monotonic()
+        said = child.communicate(timeout=PATIENCE_S)[0]
+        took_s = time.monotonic() - began_s
+    finally:
+        killed(child)
+    assert child.returncode == 1, said
+    assert "Traceback" not in said
+    assert took_s < PATIENCE_S / 2
+    assert all(gone(pid) for pid in started)
+    assert "TAKEOFF" not in said
+
+
+def test_a_signal_whose_exception_was_dropped_is_raised_when_the_start_is_over(monkeypatch):
+    monkeypatch.setattr(hangup, "_came", [])
+    before = {number: signal.getsignal(number) for number in (*hangup.ASK, signal.SIGHUP)}
+    try:
+        hangup.start()
+        hangup.begun()
+        with pytest.raises(hangup.CalledOffError, match="SIGTERM"):
+            os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(hangup.CalledOffError, match="SIGTERM"):
+            hangup.Stop().install()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
