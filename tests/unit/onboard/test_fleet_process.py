@@ -14,6 +14,7 @@ from flightstack.core.types import Intent, Neighbour, Operator, Phase
 from flightstack.onboard import process
 from flightstack.onboard.fleet_wire import FleetWire, namespace_of
 from flightstack.onboard.process import Onboard, Options
+from flightstack.onboard.runner import LinkedVehicle
 from logs.schema import schemas
 from logs.schema.fleet_rows import unpack_neighbours
 from logs.schema.rows import FleetWordRow
@@ -81,12 +82,17 @@ def other(onboard, endpoint):
     session.close()
 
 
+def running(onboard):
+    vehicle, leaving = LinkedVehicle(onboard.link, lockstep=False), process._Leaving(onboard, nobody())
+    return process._runner(onboard, vehicle, leaving, nobody())
+
+
 def word(id_, now_s):
     return Neighbour(id_, now_s, now_s, (1.0, 2.0, 3.0), *[(0.0, 0.0, 0.0)] * 2, intent=Intent.WAITING)
 
 
 def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
-    runner = process._runner(onboard, nobody())
+    runner = running(onboard)
     clock = onboard.fleet._now_s
     other.begin(onboard.fleet._epoch_ns, clock)
     step, heard = onboard.controller.step, []
@@ -120,7 +126,7 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
 
 def test_what_is_wrong_on_the_wire_is_an_event(onboard, other, feed):
     other.say(word(7, 0.0)._replace(id=8))
-    runner = process._runner(onboard, nobody())
+    runner = running(onboard)
     until(lambda: runner.tick() or any(b"vehicle 8 is no member" in text for text in feed.of("/rosout")))
 
 
@@ -136,7 +142,7 @@ def test_the_start_is_refused_while_another_process_is_the_same_vehicle(onboard,
 
 
 def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard, other):
-    runner = process._runner(onboard, nobody())
+    runner = running(onboard)
     assert runner.tick() is None
     found = []
 
@@ -157,7 +163,7 @@ def test_a_lone_vehicle_has_no_wire(feed):
     try:
         assert onboard.fleet is None
         assert process._alone_with_its_id(onboard, nobody()) is None
-        assert process._runner(onboard, nobody()).tick() is None
+        assert running(onboard).tick() is None
         assert not [topic for topic in feed.topics if "neighbours" in topic or "fleet" in topic]
     finally:
         onboard.close()
