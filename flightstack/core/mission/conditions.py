@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from flightstack.core.fleet.precedence import Way
 from flightstack.core.memory import Memory
-from flightstack.core.mission.phases import C, Condition, Rule
+from flightstack.core.mission.phases import START_LATE, C, Condition, Rule
 from flightstack.core.numeric import hypot, numeric
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.safety.barrier import Barrier
@@ -214,7 +214,7 @@ def _place_flags(
         start = start_point(config, at.target)
         if start is None or (
             math.dist(own.position_enu_m, start) < config.takeoff.arrival_radius_m
-            and math.hypot(*own.velocity_enu_m_s) < config.takeoff.arrival_speed_m_s
+            and math.dist(own.velocity_enu_m_s, at.target.velocity_enu_m_s) < config.takeoff.arrival_speed_m_s
         ):
             flags |= C.AT_START
     # the cone is left at a wider radius than it is entered, so that noise does not make the phases chatter
@@ -265,6 +265,7 @@ class Known(NamedTuple):
         track: of the target.
         now_s: stack clock.
         battery: what is wrong with it, where something is.
+        velocity_max_m_s: horizontal, of the configuration.
     """
 
     checks: Checks
@@ -273,6 +274,7 @@ class Known(NamedTuple):
     track: TargetTrack
     now_s: float
     battery: str = ""
+    velocity_max_m_s: float = 0.0
 
 
 def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
@@ -292,6 +294,10 @@ def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
     if not told and rule.about & ~flags & Condition.RECOVERED:
         least_s = known.checks.recovery_time_s
         told = [f"not all of them were good for {least_s:g} s without a gap (checks.recovery_time_s)"]
+    target = known.snapshot.target
+    if rule is START_LATE and target is not None:
+        speed_m_s, most_m_s = math.hypot(*target.velocity_enu_m_s[:2]), known.velocity_max_m_s
+        told = [f"the target drives at {speed_m_s:.2f} m/s; limits.velocity_max_m_s is {most_m_s:g}"]
     if rule.when & Condition.LANDING_TIME_OVER and way.waited:
         told = [way.text]
     return f"{rule.reason}: {', '.join(told)}" if told else rule.reason

@@ -71,7 +71,8 @@ def _takeoff(s: Situation) -> NominalCommand:
     e = (p[0] - start[0], p[1] - start[1], p[2] - start[2])
     if abs(e[2]) > s.config.takeoff.level_first_m:
         e = (0.0, 0.0, e[2])
-    return NominalCommand(Request.EXTERNAL, nominal_velocity(e, s.config.position_loop.gain_1_s, ZERO))
+    velocity = nominal_velocity(e, s.config.position_loop.gain_1_s, target.velocity_enu_m_s)
+    return NominalCommand(Request.EXTERNAL, velocity)
 
 
 def _follows_in_air(s: Situation) -> bool:

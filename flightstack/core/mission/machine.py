@@ -237,7 +237,10 @@ class Mission:
             return None
         before, after = memory.phase, rule.to
         battery = self._reserve.text if self._reserve else ""
-        known = Known(self._config.checks, snapshot, self._plausibility, self._track, now_s, battery)
+        most_m_s = min(self._config.limits.velocity_max_m_s[:2])
+        known = Known(
+            self._config.checks, snapshot, self._plausibility, self._track, now_s, battery, most_m_s
+        )  # fmt: skip
         why = reason(rule, flags, known)
         if before in RETRY_FROM and after in RETRY_TO:
             memory.retries += 1

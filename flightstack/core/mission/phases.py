@@ -92,6 +92,7 @@ _INPUTS = (
     Rule(C.LINK_LOST, Phase.HOLD, "heartbeat lost"),
     Rule(C.TARGET_LOST, Phase.HOLD, "target lost"),
 )
+START_LATE = Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time")
 _NOT_OFF = C.ARMED | C.LINK_LOST
 _STANDS = C.COMMAND_FAILED | C.STANDING
 _ASKED = C.EMERGENCY | C.ABORT_ASKED
@@ -115,7 +116,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         *_INPUTS,
         _TIRED,
         _CUT_OFF,
-        Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time"),
+        START_LATE,
         Rule(C.AT_START | C.EXTERNAL, Phase.APPROACH, "start reached"),
     ),
     Phase.APPROACH: (

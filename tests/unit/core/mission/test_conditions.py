@@ -83,7 +83,7 @@ def test_what_was_seen_once_is_remembered():
 
 
 def test_recovered_is_good_for_long_enough_without_a_break():
-    memory, wait_s = Memory(), ROBUST.checks.recovery_time_s
+    memory, wait_s = Memory(phase=Phase.HOLD), ROBUST.checks.recovery_time_s
     assert "RECOVERED" not in names(tick(memory=memory))
     assert "RECOVERED" not in names(tick(memory=memory, now_s=NOW_S + wait_s - 1e-6))
     assert "RECOVERED" in names(tick(memory=memory, now_s=NOW_S + wait_s + 1e-6))
