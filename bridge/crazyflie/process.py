@@ -10,8 +10,9 @@ import re
 import select
 import sys
 import time
+import traceback
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -157,13 +158,23 @@ class Loop:
             for packet in self._feed.packets(passed, vehicle.link, armed=vehicle.armed):
                 self._link.send(packet)
 
-    def run(self, stop: Stop, duration_s: float | None) -> None:
-        """Turn until told to end; in the air it lands first, unless told twice."""
-        vehicle = self._node.vehicle
+    def run(self, stop: Stop, duration_s: float | None) -> int:
+        """Turn until told to end; in the air it lands first, unless told twice. The exit status.
+
+        An exception ends it in the same way: without set-points the firmware would stop the motors.
+        """
+        vehicle, status = self._node.vehicle, 0
         told_s: float | None = None
         while stop.count < 2:
-            self.turn()
-            if told_s is None and (stop.count or (duration_s is not None and self.now_s >= duration_s)):
+            try:
+                self.turn()
+            except Exception:
+                if not status:
+                    status = 1
+                    self._say(f"crazyflie: lands, then ends: {traceback.format_exc()}")
+                self._descend()
+            over = stop.count or status or (duration_s is not None and self.now_s >= duration_s)
+            if told_s is None and over:
                 told_s = self.now_s
                 vehicle.end(told_s)
             if told_s is None or (vehicle.busy and self.now_s - told_s <= SHUT_DOWN_MAX_S):
@@ -171,7 +182,16 @@ class Loop:
             for packet in vehicle.settings.leave(self.now_s):
                 self._link.send(packet)
             if not vehicle.settings.busy(self.now_s):
-                return
+                break
+        return status
+
+    def _descend(self) -> None:
+        """Go on with the landing alone, after what else a turn does has failed."""
+        time.sleep(self._tick_s)
+        with suppress(Exception):
+            self._node.step(self.now_s)
+            for packet in self._node.vehicle.take_packets():
+                self._link.send(packet)
 
 
 def check_uri(uri: str) -> None:
@@ -222,5 +242,5 @@ def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], N
         stop = Stop().install()
         say(f"ready {kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}")
         sys.stdout.flush()
-        Loop(Node(options.rules, options.system_id), link, endpoint, poses, say).run(stop, options.duration_s)
-    return 0
+        loop = Loop(Node(options.rules, options.system_id), link, endpoint, poses, say)
+        return loop.run(stop, options.duration_s)

@@ -177,7 +177,7 @@ class Senders:
             where = f"that contradict those of the vehicle at {_at(peer)}"
         says = f" of {kind}" if kind is not None else ""
         self._notices.append(
-            f"{self.ignored} frames with the vehicle's ids ignored {where}; "
+            f"frames with the vehicle's ids ignored: {self.ignored} {where}; "
             f"the newest: {message.get_type()}{says}"
         )
 

@@ -22,7 +22,7 @@ from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from sim.scenarios.scenario import load
 from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack, replayed
-from tests.integration.sim_processes import PATIENCE_S, ROOT, Client
+from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, wait_for
 from tests.integration.wires.test_links import signing
 from tests.processes.bounded import killed, lines_of
 from tests.processes.ports import free_endpoint, free_port
@@ -107,6 +107,29 @@ def test_ctrl_c_flies_clear_and_lands_before_anything_ends(tmp_path):
     assert flight.complete
     assert any("-> ABORT" in event.text for event in flight.events)
     assert flight.steps.own_position_enu_m[-1, 2] < 0.1
+
+
+def test_a_reader_that_ends_changes_nothing_and_sigterm_commands_the_landing(tmp_path):
+    out = tmp_path / "flight"
+    with theirs(tmp_path) as words:
+        run = subprocess.Popen(
+            [*COMMAND, "fly", *words, "--out", str(out), "--no-report"], stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, text=True,
+        )  # fmt: skip
+        try:
+            for line in lines_of(run.stdout, WALL_MAX_S):
+                if "-> TAKEOFF" in line:
+                    run.stdout.close()
+                    break
+            log = out / "flight.mcap"
+            wait_for(lambda: b"TAKEOFF -> APPROACH" in log.read_bytes(), "the approach")
+            run.send_signal(signal.SIGTERM)
+            assert run.wait(WALL_MAX_S) == 1
+        finally:
+            killed(run)
+    flight = load_flight(log)
+    assert flight.complete
+    assert any("(land here)" in event.text for event in flight.events)
 
 
 def test_without_a_log_the_onboard_process_is_believed_and_nothing_measured(tmp_path):

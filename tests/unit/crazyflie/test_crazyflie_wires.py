@@ -2,6 +2,7 @@
 
 import math
 import re
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -9,12 +10,14 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.crazyflie.link import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
+from bridge.crazyflie.process import Loop
 from bridge.crazyflie.state import BootClock, decode_state, decompress_quaternion
 from bridge.crazyflie.types import Info, Order, Pose, SetParam, StateBlock, Velocity
 from bridge.frames import enu_from_ned, yaw_ned_from_enu
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.packing import pack
 from bridge.mavlink.profiles.autopilots import profile
+from flightstack.common.hangup import Stop
 from flightstack.core.types import Landed, Mode
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, NAN, Bench
 from tests.crazyflie_firmware.firmware import Firmware, quaternion_bits
@@ -340,3 +343,25 @@ def test_what_keeps_it_from_arming_is_said_when_it_changes_and_not_again():
     bench.run(2.0)
     said = [t for t in bench.texts if t == "Ready to arm" or t.startswith("Not ready")]
     assert said == ["Ready to arm", "Not ready: battery at 3.60 V, 3.7 V needed: charge it", "Ready to arm"]
+
+
+def test_an_exception_in_the_bridge_lands_the_crazyflie_before_it_ends():
+    sent, told, said = [], [], []
+
+    def broken():
+        raise OSError("gone")
+
+    vehicle = SimpleNamespace(
+        busy=True, end=told.append, take_packets=lambda: ["down"],
+        settings=SimpleNamespace(leave=lambda _: (), busy=lambda _: False),
+    )  # fmt: skip
+
+    def step(now_s):
+        vehicle.busy = len(sent) < 3
+
+    node, link = SimpleNamespace(vehicle=vehicle, step=step), SimpleNamespace(fileno=broken, send=sent.append)
+    assert Loop(node, link, link, None, said.append).run(Stop(), None) == 1
+    assert sent == ["down"] * 4
+    assert len(told) == 1
+    assert len(said) == 1
+    assert "gone" in said[0]

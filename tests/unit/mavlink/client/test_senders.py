@@ -62,7 +62,7 @@ def test_another_address_is_counted_and_ignored_while_the_known_one_is_well(fore
     assert wire.senders.ignored == 4
     told = wire.senders.take_notices()
     assert len(told) == 3  # of 1, 2 and 4
-    words = ("ignored from 127.0.0.1:14590", "the vehicle is at 127.0.0.1:14580", foreign.get_type())
+    words = ("from 127.0.0.1:14590", "the vehicle is at 127.0.0.1:14580", foreign.get_type())
     assert all(word in told[-1] for word in words)
 
 
