@@ -20,6 +20,7 @@ import zenoh
 import zenoh.ext
 
 from flightstack.common.pacing import ask_for_priority, give_up_priority
+from flightstack.common.strict_toml import decoded
 
 Session = Any  # the zenoh package's own types are not relied on
 Publisher = Any
@@ -47,6 +48,8 @@ _DEFAULTS: dict[str, Any] = {
     "scouting/gossip/enabled": False,
     "scouting/delay": 0,  # else open() stalls 500 ms when a peer is not there yet
     "transport/link/tx/lease": _LEASE_MS,
+    # our messages are below the size for which it pays, and a session needs /dev/shm to be there for it
+    "transport/shared_memory/enabled": False,
 }
 _ROLE_DEFAULTS: dict[Role, dict[str, Any]] = {
     Role.PEER: {"listen/endpoints": [LOOPBACK]},  # Zenoh's own: every interface
@@ -131,9 +134,16 @@ def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | N
     """Return Zenoh's configuration: the arguments first, then the file, then our defaults."""
     untouched = zenoh.Config()
     try:
-        config = zenoh.Config.from_file(str(file)) if file else zenoh.Config()
+        if file is None:
+            config = zenoh.Config()
+        elif file.suffix in (".json", ".json5"):
+            config = zenoh.Config.from_json5(decoded(file.read_bytes()))
+        else:
+            config = zenoh.Config.from_file(str(file))
     except zenoh.ZError as error:
         raise ValueError(f"Zenoh configuration {file}: {_reason(error)}") from error
+    except (ValueError, OSError) as error:
+        raise ValueError(f"Zenoh configuration {file}: {error}") from error
 
     def fill(key: str, value: Any) -> None:
         if config.get_json(key) == untouched.get_json(key):

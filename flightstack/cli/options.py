@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from flightstack.common.strict_toml import decoded
 from flightstack.core.parameters.filters import ALLOWED
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def _seed(context: click.Context, parameter: click.Parameter, given: str) -> int
     del context, parameter
     text, file = given, Path(given)
     if not given.isdecimal() and file.is_file():
-        text = file.read_text(errors="replace").strip()
+        text = decoded(file.read_bytes()).strip()
     if not (text.isascii() and text.isdecimal()) or len(text) > _SEED_DIGITS_MAX:
         raise click.BadParameter(
             f"found {given[:60]!r}; a whole number from 0 on, or a file with one of `rare`, is needed"

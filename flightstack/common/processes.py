@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -33,6 +34,9 @@ END_TIME_MAX_S = 5.0  # s until a child that was asked to end has ended
 CLOSE_TIME_MAX_S = 60.0  # s for the recorder: what it was sent must reach a slow disk
 
 
+_SOCKET_PATH_MAX = 107  # bytes of a unix socket's path (unix(7))
+
+
 class LaunchError(RuntimeError):
     """A child that did not start; the text holds what it said.
 
@@ -43,6 +47,28 @@ class LaunchError(RuntimeError):
     def __init__(self, text: str, code: int = 1) -> None:
         super().__init__(text)
         self.code = 2 if code == _WRONG_INPUT else 1
+
+
+def socket_folder() -> Path:
+    """Make a folder of this user alone, whose path is short enough for the sockets in it.
+
+    ``TMPDIR`` of batch systems may be longer than the path of a socket.
+
+    Raises:
+        LaunchError: no folder can be made.
+    """
+    reasons = []
+    for place in (None, os.environ.get("XDG_RUNTIME_DIR", "/tmp"), "/tmp", "/var/tmp"):
+        try:
+            folder = Path(tempfile.mkdtemp(prefix="flightstack-", dir=place))
+        except OSError as error:
+            reasons.append(f"{place or 'TMPDIR'}: {error.strerror}")
+            continue
+        if len(os.fsencode(folder / "recorder")) <= _SOCKET_PATH_MAX:
+            return folder
+        folder.rmdir()
+        reasons.append(f"{folder.parent}: longer than the path of a socket, {_SOCKET_PATH_MAX} bytes")
+    raise LaunchError(f"no folder for sockets ({'; '.join(reasons)}); set TMPDIR to a short one")
 
 
 class Running(Protocol):

@@ -9,9 +9,13 @@ what that function calls. The cache directory therefore carries a hash of all th
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+import shutil
+import stat
 import sys
+import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -48,6 +52,8 @@ def _fingerprint() -> str:
 
 
 def _usable(directory: Path) -> bool:
+    if str(directory).startswith("~"):  # there is no home
+        return False
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -57,11 +63,44 @@ def _usable(directory: Path) -> bool:
 
 @cache
 def cache_directory() -> Path | None:
-    """Directory for machine code: next to the sources, else the user's cache; None if none is writable."""
-    name = f"jit-{_fingerprint()}"
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    roots = [Path(chosen)] if chosen else [HERE / "__pycache__", Path("~/.cache/flightstack").expanduser()]
-    return next((root / name for root in roots if _usable(root / name)), None)
+    """Directory for machine code; None if none can be written.
+
+    It is that of NUMBA_CACHE_DIR, beside the sources, in the user's cache, or a folder of this user alone
+    among the temporary ones: the first that can be written. Machine code beside sources that cannot be
+    written, as of an installation for all users, is copied from there.
+    """
+    name, beside, chosen = f"jit-{_fingerprint()}", HERE / "__pycache__", os.environ.get("NUMBA_CACHE_DIR")
+    roots = [Path(chosen)] if chosen else []
+    roots += [beside, Path(os.path.expanduser("~/.cache/flightstack")), _own_folder()]  # noqa: PTH111
+    found = next((root / name for root in roots if _usable(root / name)), None)
+    shipped = beside / name
+    if found is not None and found != shipped and shipped.is_dir() and not _usable(shipped):
+        _take_over(shipped, found)
+    return found
+
+
+def _own_folder() -> Path:
+    """Folder among the temporary ones; what others could write there would be run as code."""
+    folder = Path(tempfile.gettempdir()) / f"flightstack-{os.getuid()}"
+    with contextlib.suppress(OSError):
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+        if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077:
+            return folder
+    return Path(os.devnull)
+
+
+def _take_over(shipped: Path, found: Path) -> None:
+    """Copy machine code into an empty directory, at once for other processes."""
+    with contextlib.suppress(OSError):  # it is compiled anew then
+        if any(found.iterdir()):
+            return
+        with tempfile.TemporaryDirectory(dir=found.parent) as folder:
+            copy = Path(shutil.copytree(shipped, Path(folder) / found.name))
+            for each in (copy, *copy.rglob("*")):
+                each.chmod(each.stat().st_mode | stat.S_IWUSR)
+            found.rmdir()
+            copy.rename(found)
 
 
 def jitted(function: F) -> F:

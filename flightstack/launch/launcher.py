@@ -6,7 +6,6 @@ import contextlib
 import math
 import shutil
 import signal
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +16,14 @@ from rich.console import Console
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import begun, on_hangup
-from flightstack.common.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port, Running
+from flightstack.common.processes import (
+    CLOSE_TIME_MAX_S,
+    END_TIME_MAX_S,
+    Child,
+    Port,
+    Running,
+    socket_folder,
+)
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
 from flightstack.onboard.recording import start_recorder
@@ -103,8 +109,7 @@ class Launcher:
         self.interrupted = False
         self._tells, self._real = tells, real
         self.reserved = contextlib.ExitStack()
-        # a short path: socket names are limited to 107 bytes
-        self._sockets = Path(tempfile.mkdtemp(prefix="flightstack-"))
+        self._sockets = socket_folder()
         self.socket = self._sockets / "recorder"
 
     def __enter__(self) -> Launcher:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
@@ -13,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import NamedTuple
 
-from flightstack.common.processes import CLOSE_TIME_MAX_S, Child
+from flightstack.common.processes import CLOSE_TIME_MAX_S, Child, socket_folder
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.flight import FlightConfig
 from logs.recorder.feed import Feed
@@ -93,8 +92,7 @@ class OwnRecorder:
         Raises:
             LaunchError: it did not start.
         """
-        # a short path: socket names are limited to 107 bytes
-        self._sockets = Path(tempfile.mkdtemp(prefix="flightstack-"))
+        self._sockets = socket_folder()
         socket, log = self._sockets / "recorder", log_in(new_folder("onboard"))
         self._child = start_recorder(socket, log)
         self._child.yield_to_others(10)

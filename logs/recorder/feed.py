@@ -14,7 +14,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from logs.recorder.feed_wire import HEADER, MAX_PAYLOAD, Kind, encode, encode_json
+from logs.recorder.feed_wire import HEADER, MAX_PAYLOAD, SOCKET_PATH_MAX, Kind, encode, encode_json
 
 BUFFER_LIMIT = 4 * 2**20  # bytes kept for a slow recorder, several seconds of one vehicle's flight
 PATIENCE_S = 8.0  # wall time a lossless sender, or a closing one, waits for the recorder
@@ -70,9 +70,10 @@ class Feed:
             sock.connect(str(path))
         except OSError as error:
             sock.close()
-            raise FeedError(
-                f"no flight recorder at {path}: {error.strerror or error}; start `flightstack record` first"
-            ) from error
+            hint = "start `flightstack record` first"
+            if len(str(path)) > SOCKET_PATH_MAX:
+                hint = f"paths of sockets have at most {SOCKET_PATH_MAX} bytes"
+            raise FeedError(f"no flight recorder at {path}: {error.strerror or error}; {hint}") from error
         return Feed(sock, client, lossless=lossless, vehicles=vehicles)
 
     def channel(self, topic: str, schema: str) -> int:

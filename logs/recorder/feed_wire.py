@@ -12,6 +12,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 HEADER = struct.Struct("<IHHqqI")  # payload length, kind, channel, log time ns, publish time ns, sequence
+SOCKET_PATH_MAX = 107  # bytes (unix(7))
 MAX_PAYLOAD = 16 * 2**20  # bytes; a longer one is a broken stream, not a message
 
 

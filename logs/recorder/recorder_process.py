@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Protocol
 
-from logs.recorder.feed_wire import Splitter, WireError
+from logs.recorder.feed_wire import SOCKET_PATH_MAX, Splitter, WireError
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import Recorder, Statistics
 
@@ -219,7 +219,9 @@ def _listen(path: Path) -> socket.socket:
         listener.listen(64)
     except OSError as error:
         listener.close()
-        hint = "" if len(str(path)) < 100 else "; socket paths must be shorter than 108 bytes"
+        hint = ""
+        if len(str(path)) > SOCKET_PATH_MAX:
+            hint = f"; paths of sockets have at most {SOCKET_PATH_MAX} bytes"
         raise RecorderError(f"cannot listen at {path}: {error}{hint}") from error
     listener.setblocking(False)
     return listener

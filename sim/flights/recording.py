@@ -17,7 +17,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from flightstack.common.strict_toml import ConfigError, read_toml
+from flightstack.common.strict_toml import ConfigError, decoded, read_toml
 
 Floats = NDArray[np.float64]
 
@@ -180,7 +180,10 @@ def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
         RecordingError: unreadable, columns missing or not numbers, too few samples, or no time.
     """
     try:
-        table = pa.csv.read_csv(path) if path.suffix == ".csv" else pa.parquet.read_table(path)
+        if path.suffix == ".csv":
+            table = pa.csv.read_csv(pa.BufferReader(decoded(path.read_bytes()).encode()))
+        else:
+            table = pa.parquet.read_table(path)
         names = table.column_names
     except (OSError, ValueError, pa.ArrowException) as error:
         raise RecordingError(f"can't be read: {str(error).splitlines()[0]}") from error

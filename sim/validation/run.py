@@ -6,6 +6,7 @@ A flight that cannot be read, or of which nothing is left, is told with its reas
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -123,10 +124,15 @@ def _each(work: Callable[[Path], Compared], paths: Sequence[Path], workers: int)
     if workers == 1 or len(paths) <= 1:
         yield from map(work, paths)
         return
-    pool = ProcessPoolExecutor(
-        min(workers, len(paths)), get_context("spawn"), initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
-    )  # fmt: skip
+    try:
+        pool = ProcessPoolExecutor(
+            min(workers, len(paths)), get_context("spawn"), initializer=signal.signal,
+            initargs=(signal.SIGINT, signal.SIG_IGN),
+        )  # fmt: skip
+    except (OSError, NotImplementedError) as error:  # no semaphores: /dev/shm is missing or cannot be written
+        print(f"validate: one process instead of {workers}: no shared memory ({error})", file=sys.stderr)
+        yield from map(work, paths)
+        return
     try:
         for future in as_completed([pool.submit(work, path) for path in paths]):
             yield future.result()

@@ -13,6 +13,7 @@ Peer = tuple[str, int]
 DEFAULT_BAUD = 921_600  # bits/s of a serial line that names none, as PX4's TELEM2 has
 _BAUDS = range(1_200, 12_000_001)  # bits/s
 _URL = re.compile(r"^(udpin|udpout|tcp):(?://)?([^:/\s]+):(\d{1,5})$")
+_IPV6 = re.compile(r"^\w+:(//)?(\[|[^/]*::)")
 _SERIAL = re.compile(r"^serial:(?://(?=/))?(/\S+?)(?::(\d{1,8}))?$")
 _URL_HELP = (
     "allowed is 'udpin:HOST:PORT' (listen; port 0 takes any free one), 'udpout:HOST:PORT' (send there "
@@ -42,6 +43,11 @@ def parse_url(url: str) -> tuple[str, str, int]:
             )
         return "serial", line.group(1), baud
     match = _URL.match(url)
+    if match is None and _IPV6.search(url):
+        raise ValueError(
+            f"MAVLink URL {url!r} has an IPv6 address; MAVLink links here use IPv4 alone: give 127.0.0.1 for "
+            "this machine, or another address or name of IPv4"
+        )
     if match is None:
         raise ValueError(f"MAVLink URL {url!r} is not understood: {_URL_HELP}")
     kind, host, port = match.group(1), match.group(2), int(match.group(3))
@@ -83,6 +89,8 @@ def parse_peer(text: str) -> Peer:
         ValueError: another form, or the host has no IPv4 address.
     """
     match = _PEER.match(text)
+    if "[" in text or "::" in text:
+        raise ValueError(f"MAVLink peer {text!r} has an IPv6 address; MAVLink links here use IPv4 alone")
     if match is None or not 1 <= int(match.group(2)) <= 65535:
         raise ValueError(f"MAVLink peer {text!r} is not understood: {_PEER_HELP}")
     return resolve(f"MAVLink peer {text!r}", match.group(1), int(match.group(2)), _PEER_HELP)

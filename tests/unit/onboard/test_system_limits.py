@@ -1,0 +1,187 @@
+"""Limits of the system: long paths of sockets, caches that cannot be written, no shared memory, encodings."""
+
+import codecs
+import os
+import re
+import socket
+from pathlib import Path
+
+import pytest
+
+from bridge.mavlink.transport.address import parse_peer, parse_url
+from bridge.zenoh import zenoh_link
+from flightstack.cli import options
+from flightstack.common.processes import LaunchError, socket_folder
+from flightstack.common.strict_toml import ConfigError, decoded, parse_toml, read_toml
+from flightstack.compiled import jit
+from logs.recorder.feed import Feed, FeedError
+from logs.recorder.recorder_process import RecorderError, _listen
+from sim.validation import run as validation
+
+SHIPPED = Path(options.__file__).parents[1] / "config" / "sitl-1kg.toml"
+
+
+@pytest.mark.parametrize("length", [40, 80, 101, 180])
+def test_sockets_have_short_paths_however_long_tmpdir_is(tmp_path_factory, monkeypatch, length):
+    base = tmp_path_factory.mktemp("b")
+    place = base / ("d" * max(1, length - len(str(base)) - 1))
+    place.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(place))
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    folder = socket_folder()
+    try:
+        assert (folder.parent == place) == (len(str(place)) < 80)
+        assert folder.stat().st_mode & 0o077 == 0
+        with socket.socket(socket.AF_UNIX) as listener:
+            listener.bind(str(folder / "recorder"))
+        (folder / "recorder").unlink()
+    finally:
+        folder.rmdir()
+    assert list(place.iterdir()) == []
+
+
+def test_where_no_folder_can_be_made_each_place_is_named(monkeypatch):
+    def full(**_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    with pytest.raises(LaunchError, match=r"/tmp: No space left.*set TMPDIR"):
+        socket_folder()
+
+
+def test_a_long_path_of_a_socket_is_refused_with_the_limit(tmp_path):
+    path = tmp_path / ("x" * 120)
+    with pytest.raises(FeedError, match="at most 107 bytes"):
+        Feed.connect(path, "test", lossless=False)
+    with pytest.raises(RecorderError, match="at most 107 bytes"):
+        _listen(path)
+
+
+@pytest.fixture
+def caches(tmp_path, monkeypatch):
+    """Folders for machine code; those in ``closed`` cannot be written."""
+    closed, usable = set(), jit._usable
+
+    def open_ones(directory):
+        return not any(str(directory).startswith(str(each)) for each in closed) and usable(directory)
+
+    monkeypatch.setattr(jit, "_usable", open_ones)
+    monkeypatch.setattr(jit, "HERE", tmp_path / "package")
+    monkeypatch.setattr(jit, "_fingerprint", lambda: "0")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    shipped = tmp_path / "package" / "__pycache__" / "jit-0"
+    (shipped / "vehicle").mkdir(parents=True)
+    (shipped / "vehicle" / "code.nbi").write_bytes(b"machine code")
+    (shipped / "vehicle").chmod(0o555)
+    return closed, tmp_path
+
+
+@pytest.mark.parametrize(
+    ("closed", "chosen", "expected", "copied"),
+    [
+        ((), None, "package/__pycache__", None),
+        (("package",), None, "home/.cache/flightstack", True),
+        (("package", "home"), None, f"flightstack-{os.getuid()}", True),
+        ((), "chosen", "chosen", False),
+        (("chosen",), "chosen", "package/__pycache__", None),
+        (("chosen", "package", "home"), "chosen", f"flightstack-{os.getuid()}", True),
+    ],
+)
+def test_shipped_machine_code_is_used_where_it_cannot_be_written(
+    caches, monkeypatch, closed, chosen, expected, copied
+):
+    refused, base = caches
+    refused |= {base / name for name in closed}
+    if chosen:
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(base / chosen))
+    for _ in range(2):  # the second time it is there
+        found = jit.cache_directory.__wrapped__()
+        assert found == base / expected / "jit-0"
+        if copied is not None:
+            assert (found / "vehicle" / "code.nbi").exists() == copied
+        assert os.access(found / "vehicle", os.W_OK) or not copied
+        assert {path.name for path in found.parent.iterdir()} == {"jit-0"}
+
+
+def test_code_that_others_could_write_is_not_run(caches):
+    refused, base = caches
+    refused |= {base / "package", base / "home"}
+    (base / f"flightstack-{os.getuid()}").mkdir(mode=0o777)
+    (base / f"flightstack-{os.getuid()}").chmod(0o777)
+    assert jit.cache_directory.__wrapped__() is None
+
+
+def test_without_a_home_nothing_is_made_in_the_working_folder(caches, monkeypatch):
+    refused, base = caches
+    refused.add(base / "package")
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+    monkeypatch.chdir(base)
+    assert jit.cache_directory.__wrapped__() == base / f"flightstack-{os.getuid()}" / "jit-0"
+    assert not (base / "~").exists()
+
+
+def test_without_shared_memory_one_process_compares_all(monkeypatch, capsys):
+    def no_semaphores(*_, **__):
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr(validation, "ProcessPoolExecutor", no_semaphores)
+    paths = [Path("a"), Path("b")]
+    assert list(validation._each(lambda path: path.name, paths, 4)) == ["a", "b"]
+    assert "one process instead of 4" in capsys.readouterr().err
+
+
+def test_zenoh_needs_no_shared_memory():
+    config = zenoh_link._configuration((), (), None, zenoh_link.Role.PEER)
+    assert config.get_json("transport/shared_memory/enabled") == "false"
+
+
+@pytest.mark.parametrize(
+    "encode",
+    [
+        lambda text: text.encode(),
+        lambda text: codecs.BOM_UTF8 + text.encode(),
+        lambda text: text.encode("utf-16"),
+        lambda text: codecs.BOM_UTF16_BE + text.encode("utf-16-be"),
+        lambda text: text.encode("utf-32"),
+        lambda text: text.replace("\n", "\r\n").encode("utf-16"),
+    ],
+)
+def test_files_of_windows_editors_are_read(encode, tmp_path):
+    text = "# größer\n" + SHIPPED.read_text(encoding="utf-8")
+    file = tmp_path / "a.toml"
+    file.write_bytes(encode(text))
+    assert read_toml(file) == read_toml(SHIPPED)
+    assert decoded(encode("1,2\n")).split() == ["1,2"]
+    seed = tmp_path / "seed"
+    seed.write_bytes(encode("123\n"))
+    assert options._seed(None, None, str(seed)) == 123
+    zenoh = tmp_path / "z.json5"
+    zenoh.write_bytes(encode('{ mode: "client" } // größer'))
+    assert '"client"' in zenoh_link._configuration((), (), zenoh, zenoh_link.Role.PEER).get_json("mode")
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ("a = 1".encode("utf-16-le"), "UTF-16"),
+        ("# größer".encode("latin-1"), "encoding utf-8"),
+        (codecs.BOM_UTF16_LE + b"a", "encoding utf-16"),
+        (b"[" * 100_000, "not TOML"),
+        (b"a = " + b"9" * 5000, "not TOML"),
+    ],
+)
+def test_what_is_no_text_names_the_encoding(data, said):
+    with pytest.raises(ConfigError, match=said):
+        parse_toml(data)
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["udpin:[::1]:14550", "udpin:::1:14550", "tcp:[::1]:5760", "udpout:[fe80::1%eth0]:1", "udpin://[::]:1"],
+)
+def test_ipv6_is_refused_by_its_name(url):
+    for parse in (parse_url, parse_peer):
+        with pytest.raises(ValueError, match=re.escape("IPv4 alone")):
+            parse(url)
