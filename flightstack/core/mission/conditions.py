@@ -147,6 +147,8 @@ def condition_flags(
         flags |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(config, barrier, memory) else 0
     if phase is Phase.TOUCHDOWN and memory.contact:
         flags |= C.ON_PAD
+    if phase is Phase.LAND and memory.contact:  # off the middle it stands where h < 0, which no rule allows
+        flags |= C.TOUCH
     if memory.clear:
         flags |= C.CLEAR
     rested = phase is Phase.LANDED and now_s - memory.phase_since_s >= LANDED_SETTLE_S

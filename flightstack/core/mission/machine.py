@@ -35,6 +35,7 @@ _PHASES, _WAYS = "|".join(Phase.__members__), "|".join(w.name.lower().replace("_
 _TIME = r"(?: *[0-9.]+ s  )?"
 _CHANGE = rf"(?P<before>{_PHASES})(?: -> (?P<after>{_PHASES}))?"
 _TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))?", re.DOTALL)
+STANDING_S = 4.0  # on the pad, not let touch down: pushed to the middle, where h >= 0, most are within 3 s
 SLIDING_TIME_S = 0.15  # contact is seen 0.1 s late by a late own state, and the motors need 0.05 s
 ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
 PLACE_RADIUS_M = 0.1  # horizontally: so near the place beside the target it lands ...
@@ -135,6 +136,9 @@ class Mission:
         self._remember(snapshot, now_s)
         if self.memory.phase is Phase.TOUCHDOWN:
             self.memory.contact = self._contact(snapshot, now_s)
+        elif self.memory.phase is Phase.LAND and snapshot.good and snapshot.relative is not None:
+            self._stands(snapshot.relative, snapshot.inputs.status, now_s)
+            self.memory.contact = now_s - self.memory.contact_since_s >= STANDING_S
         return condition_flags(
             self._config, self._strategy, self._barrier, self.memory, snapshot, command_failed, now_s
         )
@@ -187,12 +191,12 @@ class Mission:
         contact, status, at = self.memory.contact, snapshot.inputs.status, snapshot.relative
         standing = status is not None and status.landed is Landed.ON_GROUND
         if snapshot.good and at is not None:
-            on_pad = at.d_m <= self._config.touchdown.pad_radius_m + self._config.contact.beyond_m
+            on_pad = self._above(at)
             return (
                 contact
                 or (self._stopped(at, now_s) and on_pad)
                 or (on_pad and self._slides(at))
-                or self._stands(at, on_pad, standing, now_s)
+                or self._stands(at, status, now_s)
             )
         if not snapshot.own_ok:
             return contact or standing
@@ -211,10 +215,15 @@ class Mission:
         held = now_s - memory.stopped_since_s >= self._config.contact.stopped_time_s
         return held and at.e_m[2] < self._strategy.stopped_below_m
 
-    def _stands(self, at: Relative, on_pad: bool, standing: bool, now_s: float) -> bool:
+    def _above(self, at: Relative) -> bool:
+        """Within the pad's edge, and errors of two positions."""
+        return at.d_m <= self._config.touchdown.pad_radius_m + self._config.contact.beyond_m
+
+    def _stands(self, at: Relative, status: VehicleStatus | None, now_s: float) -> bool:
         """The vehicle says that it stands, or it is on the pad and no longer sinks though it should."""
         memory, config = self.memory, self._config
-        near = on_pad and at.e_m[2] - config.touchdown.feet_below_reference_m < config.contact.gap_m
+        standing = status is not None and status.landed is Landed.ON_GROUND
+        near = self._above(at) and at.e_m[2] - config.touchdown.feet_below_reference_m < config.contact.gap_m
         sinking_m_s = at.target.velocity_enu_m_s[2] - at.own.velocity_enu_m_s[2]
         if not near or sinking_m_s > config.contact.speed_m_s:
             memory.contact_since_s = math.inf

@@ -165,6 +165,9 @@ def _leaves_phase(
             return True
         if p.phase == _APPROACH:
             return False
+        if d_m <= p.pad_radius_m + p.beyond_m and e[2] - p.feet_m < p.gap_m:  # it may stand there
+            return True
+        m.contact_since_s = math.inf
         touches = paper.may_touch(p, e, d_m) if p.paper else robust.may_touch(p, e, d_m, slip, sigma_m)
         return touches and not _waits_for_calm(p, e, target_m_s, now_s)
     if p.phase == _TOUCHDOWN:

@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from flightstack.core.memory import Memory
-from flightstack.core.mission.machine import SLIDING_TIME_S
+from flightstack.core.mission.machine import SLIDING_TIME_S, STANDING_S
 from flightstack.core.strategies.robust import COMMANDED_SHARE, STOPPED_SHARE
 from flightstack.core.types import Landed, Phase
 from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, names, starting, tick
@@ -49,7 +49,18 @@ def test_contact_is_standing_there_for_a_while_or_saying_so(settings):
     )
     assert contact_after(settings, down(), 1.0, e=ON_PAD, velocity=tuple(0.9 * v for v in fast))
     assert contact_after(settings, down(contact=True), 0.0, e=(2.0, 0.0, 2.0))  # once is enough
-    assert not contact_after(settings, Memory(phase=Phase.LAND), 1.0, e=ON_PAD, landed=Landed.ON_GROUND)
+
+
+@pytest.mark.parametrize("settings", [PAPER, starting("paper", touchdown={"rule": "paper"})])
+def test_what_stands_on_the_pad_below_the_cone_has_landed(settings):
+    below = (0.06, 0.0, ON_PAD[2])  # h < 0: the paper's touchdown rule is never met there
+    memory = Memory(phase=Phase.LAND)
+    assert "TOUCH" not in names(tick(settings, memory=memory, e=below))
+    assert not contact_after(settings, memory, STANDING_S - 0.02, e=below, landed=Landed.ON_GROUND)
+    assert contact_after(settings, memory, STANDING_S + 0.01, e=below)
+    assert "TOUCH" in names(tick(settings, memory=memory, e=below, now_s=NOW_S + STANDING_S + 0.1))
+    assert not contact_after(settings, Memory(phase=Phase.LAND), 5.0, e=(0.12, 0.0, ON_PAD[2]))
+    assert not contact_after(settings, Memory(phase=Phase.APPROACH), 5.0, e=below, landed=Landed.ON_GROUND)
 
 
 def test_contact_starts_anew_when_it_bounces():
