@@ -244,6 +244,11 @@ class VehicleSim:
         """Take a pose that somebody else has measured; needs ``known_drag_1_s`` in the scenario."""
         self._firmware.estimator.take_pose(position_enu_m, quaternion)
 
+    def reset_estimate(self, position_enu_m: Vec3, yaw_rad: float) -> None:
+        """Start the estimate anew, at rest and level (kalman.resetEstimation)."""
+        level = (math.cos(0.5 * yaw_rad), 0.0, 0.0, math.sin(0.5 * yaw_rad))
+        self._firmware.estimator.settle(position_enu_m, ZERO, (0.0,) * 9, level, [0.0, 0.0, 0.0])
+
     def know_drag(self, drag_1_s: Vec3) -> None:
         """Write the firmware's parameters kalman.dragB_*."""
         self._firmware.estimator.know_drag(drag_1_s)

@@ -215,8 +215,9 @@ class Firmware:
         plant = self.plant
         position, velocity = plant.estimate
         (x, y, z), (vx, vy, vz), (p, q, r) = (
-            [int(1000 * e) for e in vector] for vector in (position, velocity, plant.rates)
-        )  # truncated towards zero (stabilizer.c, compressState)
+            [(int(1000 * e) + (1 << 15)) % (1 << 16) - (1 << 15) for e in vector]
+            for vector in (position, velocity, plant.rates)
+        )  # truncated towards zero, and to 16 bits (stabilizer.c, compressState)
         attitude = plant.quaternion
         if self.needs_poses and self.poses:  # the filter takes that of the poses, tilted or not
             x_, y_, z_, w_ = self.poses[-1][1][3:]
@@ -253,6 +254,8 @@ class Firmware:
     def written(self) -> None:
         """Act on the parameters, after one was written."""
         drag = [self.params.get(f"kalman.dragB_{axis}") for axis in "xyz"]
+        if self.params["kalman.resetEstimation"].value:
+            self.plant.reset(*(self.params[f"kalman.initial{name}"].value for name in ("X", "Y", "Z", "Yaw")))
         self.plant.know_drag(tuple(param.value if param else 0.0 for param in drag))
 
     # Flying

@@ -60,6 +60,9 @@ class Point:
         """Set ``kalman.dragB_*``."""
         self.belief.known_drag_1_s = drag_1_s[:2]
 
+    def reset(self, x: float, y: float, z: float, yaw: float) -> None:
+        """``kalman.resetEstimation``: its filter has no error that would last."""
+
     def restart(self) -> None:
         """The firmware starts anew: its filter knows nothing."""
         self.belief = Belief()

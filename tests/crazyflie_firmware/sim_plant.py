@@ -77,6 +77,10 @@ class SimPlant:
         """Set ``kalman.dragB_*``."""
         self.vehicle.know_drag(drag_1_s)
 
+    def reset(self, x: float, y: float, z: float, yaw: float) -> None:
+        """``kalman.resetEstimation``."""
+        self.vehicle.reset_estimate((x, y, z), yaw)
+
     def restart(self) -> None:
         """The firmware starts anew."""
         self.motors_off()

@@ -165,7 +165,7 @@ def test_the_papers_scenarios_pass_the_papers_checks(name):
 
 
 def test_the_documented_configuration_passes():
-    assert load("crazyflie").filter == "paper"
+    assert load("crazyflie").filter == "robust"
     assert run("check", "crazyflie").exit_code == 0
 
 

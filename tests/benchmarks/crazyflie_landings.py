@@ -1,0 +1,165 @@
+"""Landings on driving pads with the shipped Crazyflie configuration, through bridge and cflib, in real time.
+
+The stand-in for firmware 2026.08 flies the simulated physics by poses of ``bridge crazyflie --mocap``;
+``onboard --config crazyflie`` lands it on a robot of up to 0.3 m/s, which drives before the take-off already.
+``python -m tests.benchmarks crazyflie_landings [LANDINGS [FIRST_SEED [BRIDGE_OPTION ...]]]``: a row each.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from bridge.zenoh import zenoh_link
+from flightstack.common.processes import ended
+from flightstack.common.strict_toml import dumps, to_table
+from flightstack.config import files as config
+from sim.chance import stream
+from sim.scenarios.scenario import PathKind, Scenario, Start, StartKind, load
+from tests.crazyflie_firmware.firmware import Firmware
+from tests.crazyflie_firmware.server import Server
+from tests.crazyflie_firmware.sim_plant import SimPlant
+from tests.integration.runs import COMMAND
+from tests.integration.sim_processes import ROOT
+from tests.integration.wires.bridge_processes import KEY, Mocap, verb
+from tests.processes.ports import free_endpoint
+
+LANDINGS = 100
+FLIGHT_MAX_S = 120.0
+REST_S = 2.5  # after the end, until it is judged
+SPEED_MAX_M_S = 0.3
+PATHS = (PathKind.STRAIGHT, PathKind.CIRCLE, PathKind.STOP_AND_GO, PathKind.REVERSING)
+TRANSPORT_S = 0.004  # of a pose, from the cameras to the bridge (assumption)
+
+
+@dataclass(frozen=True)
+class Landing:
+    """How one flight ended, by the true states.
+
+    Attributes:
+        error_m: horizontal distance from the pad's middle at rest on it; NaN beside it.
+        place: "pad", "floor" or "air".
+        reason: last line of the onboard process.
+    """
+
+    error_m: float
+    place: str
+    motors_off: bool
+    locked: bool
+    reason: str
+    seconds: float
+
+    @property
+    def good(self) -> bool:
+        return self.place == "pad" and self.motors_off and not self.locked
+
+
+def scenario(seed: int) -> Scenario:
+    """Sensors, spreads and gusts of ``lab``; the robot drives from the beginning, not at the vehicle."""
+    lab, chance = load("lab"), stream(seed, "crazyflie_landings")
+    target = replace(
+        lab.target, path=PATHS[seed % len(PATHS)], speed_m_s=SPEED_MAX_M_S, speed_max_m_s=SPEED_MAX_M_S,
+        random_speed=True, random_heading=False, heading_rad=float(chance.uniform(-2.0, 2.0)),
+        acceleration_max_m_s2=0.5, turn_rate_rad_s=0.3, wait_for_landing=False,
+    )  # fmt: skip
+    start = Start(StartKind.GROUND, ground_position_m=(-1.2, 0.3))
+    onboard = config.load("crazyflie")
+    return replace(
+        lab,
+        name="crazyflie_landings",
+        onboard=onboard,
+        target=target,
+        start=start,
+        duration_max_s=FLIGHT_MAX_S,
+    )
+
+
+def fly(
+    one: Scenario,
+    seed: int,
+    *options: str,
+    flights: int = 1,
+    **firmware: Any,
+) -> list[Landing]:
+    """Fly it so many times in a row, with the same firmware and bridge.
+
+    Args:
+        one: scenario.
+        seed: of robot, vehicle and wind.
+        options: more of ``bridge crazyflie``.
+        flights: in a row.
+        firmware: more of ``Firmware``.
+    """
+    here, there = free_endpoint(), free_endpoint()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scenario.toml"
+        file.write_text(dumps(to_table(one)))
+        robot = subprocess.Popen(
+            [*COMMAND, "target", "--scenario", str(file), "--seed", str(seed), "--listen", here,
+             "--connect", there],
+            cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        session = zenoh_link.open_session([], [here])
+        try:
+            plant = SimPlant(one, seed, session, by_poses=True)
+            pose = lambda: (plant.position, plant.true_quaternion)  # noqa: E731
+            with Server(Firmware(plant, needs_poses=True, **firmware)) as server, Mocap(KEY, pose) as mocap:
+                words = ("--uri", server.uri, "--url", "udpin:127.0.0.1:0")
+                posed = ("--mocap", KEY, "--connect", mocap.endpoint)
+                with verb("crazyflie", *words, *posed, *options) as bridge:
+                    return [_land(plant, server, bridge.url, here, there) for _ in range(flights)]
+        finally:
+            session.close()
+            ended(robot)
+
+
+def _land(plant: SimPlant, server: Server, url: str, here: str, there: str) -> Landing:
+    began_s = time.monotonic()
+    done = subprocess.run(
+        [*COMMAND, "onboard", "--vehicle", url.replace("udpin", "udpout"), "--connect", here,
+         "--listen", there, "--config", "crazyflie", "--no-record", "--duration", f"{FLIGHT_MAX_S:g}"],
+        cwd=ROOT, capture_output=True, text=True, timeout=FLIGHT_MAX_S + 60.0, check=False,
+    )  # fmt: skip
+    seconds = time.monotonic() - began_s
+    rest_s = server.now_s + REST_S
+    while server.now_s < rest_s:
+        time.sleep(0.05)
+    vehicle = plant.vehicle
+    truth = vehicle.truth()
+    dx, dy = (truth.position_enu_m[i] - truth.pad_position_enu_m[i] for i in (0, 1))
+    place = "pad" if vehicle.on_pad else "floor" if vehicle.on_ground else "air"
+    said = [line.strip() for line in (done.stdout + done.stderr).splitlines()]
+    told = [line for line in said if "->" in line or line.startswith(("ABORT", "LANDED"))] or said
+    error_m = math.hypot(dx, dy) if place == "pad" else math.nan
+    locked = vehicle.locked or vehicle.crashed
+    reason = told[-1] if told[-1].startswith("LANDED") else " | ".join(told)[-400:]
+    return Landing(error_m, place, not plant.motors, locked, reason, seconds)
+
+
+def main() -> None:
+    """Print a row for each landing, then the sums."""
+    given = sys.argv[1:]
+    numbers = [int(word) for word in given[:2]]
+    count, first, options = (*numbers, *(LANDINGS, 1)[len(numbers) :], given[2:])
+    landings = []
+    for seed in range(first, first + count):
+        landing = fly(scenario(seed), seed, *options)[0]
+        landings.append(landing)
+        print(
+            f"{seed} {scenario(seed).target.path.value} {'good' if landing.good else 'BAD'} {landing.place} "
+            f"{100.0 * landing.error_m:.1f} cm {landing.seconds:.1f} s: {landing.reason}",
+            flush=True,
+        )
+    errors = sorted(each.error_m for each in landings if each.good)
+    p95_m = errors[math.ceil(0.95 * len(errors)) - 1] if errors else math.nan
+    median_m = errors[len(errors) // 2] if errors else math.nan
+    print(
+        f"{len(errors)} of {count} landed, {sum(each.locked for each in landings)} crashed or locked; "
+        f"error median {100.0 * median_m:.1f} cm, p95 {100.0 * p95_m:.1f} cm"
+    )
