@@ -21,6 +21,7 @@ BENCHMARKS = {
     "vehicle_speed": "vehicle.speed:main",
     # for hours, or with a picture or a page as their result
     "crash_safety": "flights:crash_safety",
+    "crazyflie_faults": "crazyflie_landings:faults",
     "crazyflie_landings": "crazyflie_landings:main",
     "fault_grid": "fault_grid:main",
     "equal_rows": "equal_rows:main",

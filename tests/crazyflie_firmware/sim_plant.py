@@ -1,6 +1,7 @@
 """The simulated vehicle under the stand-in's CRTP: MuJoCo, rotors, battery, attitude and velocity loops.
 
-Its filter is the firmware's (``sim.firmware.estimator``): body z alone counts, and ``kalman.dragB_*``.
+Its filter and velocity loop are the firmware's, whatever the scenario says: body z alone counts, and
+``kalman.dragB_*`` (``sim.firmware.estimator``); PID.
 """
 
 import math
@@ -8,7 +9,7 @@ from dataclasses import replace
 
 from bridge.zenoh import zenoh_link
 from sim.runners.deck import RealTimeDeck
-from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.scenario import Scenario, VelocityLoop, load
 from sim.vehicle.vehicle import VehicleSim, warm_up
 from tests.crazyflie_firmware.belief import variance_m2
 
@@ -38,7 +39,7 @@ class SimPlant:
         by_poses: bool = False,
     ) -> None:
         loaded = load(scenario) if isinstance(scenario, str) else scenario
-        spec = replace(loaded.vehicle, known_drag_1_s=(0.0, 0.0, 0.0))
+        spec = replace(loaded.vehicle, known_drag_1_s=(0.0, 0.0, 0.0), velocity_loop=VelocityLoop.PID)
         if by_poses:
             spec = replace(spec, mocap=replace(spec.mocap, loss=1.0))
         loaded = replace(loaded, vehicle=spec)
