@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 import time
 from collections.abc import Callable
 
@@ -9,12 +11,20 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Silence
 
 NS_PER_S = 1_000_000_000
-STARTUP_S = 60.0  # s of wall time the processes of a run give each other to come up, compiling included
+STARTUP_S = 600.0  # s of wall time the processes of a run give each other to come up, slow computers, too
+_SAID_S = 10.0  # s after which a wait says what it waits for
 _PAUSE_S = 50e-6  # s; with the system's timer slack about 0.1 ms
 
 
 class NoAnswerError(RuntimeError):
     """Another process of the run did not show up or fell silent; the text says which and for how long."""
+
+
+def told(what: str) -> str:
+    """Say what is waited for, once; the empty text that is left to say."""
+    with contextlib.suppress(OSError):  # nobody reads it
+        print(f"waits for {what}", file=sys.stderr, flush=True)
+    return ""
 
 
 class TickGrid:
@@ -44,6 +54,7 @@ def wait_until(
     *,
     pause_s: float = _PAUSE_S,
     yields: int = 0,
+    what: str = "",
 ) -> bool:
     """Look again and again until it is so, a signal came, or the time is over.
 
@@ -56,6 +67,7 @@ def wait_until(
         timeout_s: wall time; a pause of the machine is not counted.
         pause_s: sleep between two looks.
         yields: looks that only give up the processor, before the first sleep.
+        what: said to standard error if it takes long; empty: nothing is said.
 
     Returns:
         False only when the time is over; look at ``stop`` after True.
@@ -64,8 +76,10 @@ def wait_until(
         return True
     silence = Silence()
     looks = 0
-    while silence.look() < timeout_s:
+    while (silent_s := silence.look()) < timeout_s:
         looks += 1
+        if what and silent_s > _SAID_S:
+            what = told(what)
         time.sleep(0.0 if looks <= yields else pause_s)
         if done() or stop.is_set:
             return True

@@ -20,7 +20,13 @@ from typing import IO, Any, Protocol
 
 from flightstack.common.forked import PR_SET_PDEATHSIG, Forked, end_with, hand_on_niceness, may_fork
 
-START_TIME_MAX_S = 120.0  # s until a child says ready: the first time the simulator compiles its loops
+# until a child says ready: s of wall time without computing, and s of processor time in all; a slow computer
+# takes minutes for what another one loads and compiles in seconds
+START_TIME_MAX_S, START_WORK_MAX_S = 120.0, 1800.0
+_WORKING_S = 0.2  # s of processor time that show that a process computes
+_STAT_TIMES = slice(
+    11, 13
+)  # of the fields behind the name in /proc/PID/stat (proc(5)): user and system, in ticks
 CLI = "flightstack.cli.main"  # the module of the command
 _WRONG_INPUT = 2  # exit status of every verb
 _PARENT = "FLIGHTSTACK_PARENT"  # environment: process id of who started a verb and takes it along, its name
@@ -30,7 +36,7 @@ _TIE = (
     f"import ctypes, os, sys; ctypes.CDLL(None).prctl({PR_SET_PDEATHSIG}, int(sys.argv[1])); "
     "os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
 )
-END_TIME_MAX_S = 5.0  # s until a child that was asked to end has ended
+END_TIME_MAX_S = 10.0  # s until a child that was asked to end has ended
 CLOSE_TIME_MAX_S = 60.0  # s for the recorder: what it was sent must reach a slow disk
 
 
@@ -158,9 +164,9 @@ class Child:
         Raises:
             LaunchError: the process ended or said nothing in time.
         """
-        until = time.monotonic() + START_TIME_MAX_S
+        until, worked_s = time.monotonic() + START_TIME_MAX_S, 0.0
         try:
-            while time.monotonic() < until:
+            while time.monotonic() < until and worked_s < START_WORK_MAX_S:
                 lines = self.lines(0.1)
                 for number, line in enumerate(lines):
                     if line.startswith("ready"):
@@ -168,11 +174,15 @@ class Child:
                         return line.removeprefix("ready").strip()
                 if self.process.poll() is not None:
                     break
+                if (now_s := _processor_s(self.process.pid)) >= worked_s + _WORKING_S:
+                    until, worked_s = time.monotonic() + START_TIME_MAX_S, now_s
         except BaseException:  # a signal: nobody else may know this child yet
             self.end()
             raise
-        code = self.end()
-        raise LaunchError(f"{self.name} did not start: {self.errors() or 'no reason given'}", code)
+        hung, code = self.process.poll() is None, self.end()
+        why = f"not ready after {worked_s:.0f} s of processor time, and {START_TIME_MAX_S:g} s without any"
+        said = (self.errors() if not hung else why) or "no reason given"
+        raise LaunchError(f"{self.name} did not start: {said}", code)
 
     def lines(self, timeout_s: float) -> list[str]:
         """Whole lines of output that came within the time."""
@@ -199,6 +209,15 @@ class Child:
         if self.process.stdout is not None:
             self.process.stdout.close()
         return code
+
+
+def _processor_s(pid: int) -> float:
+    """Processor time that a process has used; 0 where the system does not tell it so."""
+    try:
+        told = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return sum(map(int, told[_STAT_TIMES])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError):
+        return 0.0
 
 
 def _loaded(arguments: Sequence[str]) -> Callable[[], object] | None:

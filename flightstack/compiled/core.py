@@ -13,7 +13,7 @@ from enum import Enum
 from importlib.util import find_spec
 from typing import Any
 
-from flightstack.compiled.jit import F, cache_directory, forbid_compiling, is_off, jitted
+from flightstack.compiled.jit import F, forbid_compiling, is_kept, is_off, jitted, keep, telling
 from flightstack.core.controller import Controller
 from flightstack.core.numeric import CALLED, twin
 from flightstack.core.parameters.flight import FlightConfig
@@ -39,8 +39,7 @@ def is_possible() -> bool:
 
 def is_warm() -> bool:
     """Whether the machine code is on disk, so that it is loaded in tenths of a second."""
-    folder = cache_directory()
-    return folder is not None and (folder / _STAMP).exists()
+    return is_kept(_STAMP)
 
 
 def chosen_core(core: Core, *, lockstep: bool) -> Core:
@@ -71,12 +70,11 @@ def compile_core(config: FlightConfig) -> None:
     own = [(f, module) for f, module in own if getattr(module, f.__name__) is f]
     for function, module in own:
         setattr(module, function.__name__, twin(function, _apart))
-    _exercise(config)
+    with telling():
+        _exercise(config)
     for function, module in own:
         setattr(module, function.__name__, _or_python(twin(function, _apart), function))
-    folder = cache_directory()
-    if folder is not None and not is_off():
-        (folder / _STAMP).touch()
+    keep(_STAMP)
 
 
 def _exercise(config: FlightConfig) -> None:

@@ -16,7 +16,7 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -108,10 +108,73 @@ def jitted(function: F) -> F:
     if is_off():
         return function
     numba, directory = load_numba(), cache_directory()
+    _made.append(function.__name__)
     if directory is None:
         return cast(F, numba.njit(function))
     numba.config.CACHE_DIR = str(directory)
     return cast(F, numba.njit(cache=True)(function))
+
+
+_made: list[str] = []  # functions that are compiled when they are called
+
+
+def is_kept(what: str) -> bool:
+    """Whether the machine code of a part is on disk, so that it is loaded in tenths of a second."""
+    folder = cache_directory()
+    return folder is not None and (folder / what).exists()
+
+
+def keep(what: str) -> None:
+    """Note that all machine code of a part is on disk now."""
+    folder = cache_directory()
+    if folder is not None and not is_off():
+        with contextlib.suppress(OSError):  # a disk that is full
+            (folder / what).touch()
+
+
+@contextlib.contextmanager
+def telling() -> Iterator[None]:
+    """While something is compiled in the block, say how far it is, to standard error.
+
+    It takes ten seconds of processor time, of a slow computer minutes, once for each version. The share is
+    that of the functions that are known by then; not all of them may be needed.
+    """
+    if is_off() or _told:
+        yield
+        return
+    load_numba()
+    from numba.core import event
+
+    class Share(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: Any) -> None:
+            _tell(len(_told))
+            _told.setdefault(id(event.data["dispatcher"]), 0)
+
+        def on_end(self, event: Any) -> None:
+            del event
+
+    with event.install_listener("numba:compile", Share()):
+        try:
+            yield
+        finally:
+            if _told:
+                _say("compiled")
+            _told.clear()
+
+
+_told: dict[int, int] = {}  # functions that were begun
+
+
+def _tell(begun: int) -> None:
+    """Say each tenth once."""
+    tenth = min(9, 10 * begun // max(1, len(_made)))
+    if not begun or tenth > min(9, 10 * (begun - 1) // max(1, len(_made))):
+        _say(f"compiling the loops, once for this version: {10 * tenth} %")
+
+
+def _say(text: str) -> None:
+    with contextlib.suppress(OSError, ValueError):  # nobody reads it: that ends nothing
+        print(f"flightstack: {text}", file=sys.stderr, flush=True)
 
 
 def _first(numbers: Any) -> float:

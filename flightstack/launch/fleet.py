@@ -24,6 +24,7 @@ from sim.chance import name as seed_name
 from sim.scenarios import team as teams
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario
+from sim.vehicle.vehicle import compile_first
 
 RECORDER_YIELDS = 10  # steps of nice, shared by the members: each of them is work for it
 
@@ -156,6 +157,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
         "duration": max(others_s(member.scenario) for member in members),
     }  # fmt: skip
     values = PROFILES[options.profile].set_before_flight
+    compile_first(team.member[0])
     vehicle = launcher.start(
         "vehicle", **common, leave_out=list(urls), url="udpin:127.0.0.1:0", profile=options.profile,
         listen=vehicle_at, connect=target_at, signing_key=options.signing_key,

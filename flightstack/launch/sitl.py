@@ -51,7 +51,7 @@ _COLUMNS = (
     ("real-time factor", "realtime_factor"),
 )
 GRACE_S = 60.0  # s of wall time beyond the scenario's duration before a run is given up
-LOCKSTEP_SLOWEST = 0.2  # share of real time below which a lockstep run is given up
+LOCKSTEP_SLOWEST = 0.05  # share of real time below which a lockstep run is given up
 
 
 def prepare(options: RunOptions) -> Scenario:

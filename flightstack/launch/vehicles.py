@@ -23,6 +23,7 @@ from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import PROFILES, PX4
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.scenarios.scenario import Scenario, StartKind
+from sim.vehicle.vehicle import compile_first
 
 _EAST_DEG = 90.0  # where the nose points
 SIMULATOR_PORT = 4560  # where PX4 of instance 0 connects to
@@ -78,6 +79,7 @@ class OwnVehicle:
 
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start it; see ``Vehicle.start``."""
+        compile_first(scenario)
         values, at = PROFILES[options.profile].set_before_flight, f"127.0.0.1:{launcher.udp_port()}"
         child = launcher.start(
             "vehicle", **common_options(launcher, options), lockstep=options.lockstep,
@@ -127,6 +129,7 @@ class Px4OnPlant:
 
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start the simulator, then PX4; see ``Vehicle.start``."""
+        compile_first(scenario)
         px4 = _Px4Start(launcher, options)
         clock = {"clock": launcher.socket.with_name("clock")}
         poses = scenario.vehicle.mocap if options.mocap else None

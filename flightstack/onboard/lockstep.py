@@ -30,7 +30,7 @@ from logs.schema.fleet_rows import pack_neighbours, unpack_neighbours, word_row
 
 CREDIT_EVERY = 10  # ticks
 WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
-FIRST_WAIT_MAX_S = 30.0  # s of wall time until vehicle and target have shown up
+FIRST_WAIT_MAX_S = 600.0  # s of wall time until vehicle and target have shown up: a slow computer compiles
 LOST_RUN_MAX_S = 15.0  # s of wall time without the vehicle after which the process ends
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
 OVER = 1  # second number of what is told: nothing more follows

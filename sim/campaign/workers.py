@@ -41,7 +41,7 @@ _PACKAGES = ("flightstack", "bridge", "sim", "logs")
 DEATHS_MAX = 2  # of workers that held the same seed
 STARTS_MAX = 3  # workers in a row that end before they are ready
 SLOWEST = 0.05  # share of real time below which a landing is given up
-START_S = 300.0  # s of wall time until a worker is ready, compiling included
+START_S = 1800.0  # s of wall time until a worker is ready, compiling on a slow computer included
 _LOOK_S = 1.0  # s of wall time between two looks at the clock
 _END_S = 5.0  # s of wall time a worker has to end
 

@@ -13,6 +13,7 @@ from bridge.mavlink.profiles.autopilots import OWN_SITL
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Tick
 from flightstack.compiled.core import compile_core, with_compiled_program
+from flightstack.compiled.jit import telling
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import Neighbour
 from flightstack.onboard.leaving import Leaving
@@ -40,7 +41,8 @@ def warm_up(scenario: Scenario) -> None:
     compile_core(scenario.onboard)
     stretch = Companion(scenario, 0).stretch
     if stretch is not None:
-        stretch.warm_up()
+        with telling():
+            stretch.warm_up()
 
 
 class Companion:

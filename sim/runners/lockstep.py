@@ -114,14 +114,17 @@ class LockstepLoop:
             NoAnswerError: companion or target never came.
         """
         endpoint, deck = self._node.endpoint, self._deck
-        deadline_s = time.monotonic() + STARTUP_S
-        while not endpoint.peers and not self._stop.is_set:
-            if time.monotonic() > deadline_s:
-                raise NoAnswerError(f"no companion was heard on the MAVLink endpoint within {STARTUP_S:g} s")
-            endpoint.wait(_WAIT_S)
-            self._late += endpoint.receive()
+
+        def heard() -> bool:
+            if not endpoint.peers:
+                endpoint.wait(_WAIT_S)
+                self._late += endpoint.receive()
+            return bool(endpoint.peers)
+
+        if not wait_until(heard, self._stop, STARTUP_S, pause_s=0.0, what="a companion to speak first"):
+            raise NoAnswerError(f"no companion was heard on the MAVLink endpoint within {STARTUP_S:g} s")
         if deck is not None and not wait_until(
-            lambda: deck.has(0), self._stop, deadline_s - time.monotonic(), pause_s=0.002
+            lambda: deck.has(0), self._stop, STARTUP_S, pause_s=0.002, what="the robot's pose over Zenoh"
         ):
             raise NoAnswerError(
                 f"no true pose of the robot came over Zenoh within {STARTUP_S:g} s; is the target running, "

@@ -171,9 +171,12 @@ class _Lockstep:
         # What is put before a subscriber is known is lost, and a lost tick would never be made up for.
         for each in self._robots:
             for what, is_matched in each.matched().items():
-                if not wait_until(is_matched, self._stop, STARTUP_S, pause_s=_MATCH_PAUSE_S):
+                key = f"{each.robot.namespace}/{what}"
+                if not wait_until(
+                    is_matched, self._stop, STARTUP_S, pause_s=_MATCH_PAUSE_S, what=f"a subscriber to {key}"
+                ):
                     raise NoAnswerError(
-                        f"nobody subscribed to {each.robot.namespace}/{what} within {STARTUP_S:g} s; is it "
+                        f"nobody subscribed to {key} within {STARTUP_S:g} s; is it "
                         "running, and connected to this process's endpoint?"
                     )
 

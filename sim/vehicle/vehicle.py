@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+from flightstack.compiled.jit import is_kept, is_off, keep, telling
 from flightstack.compiled.records import Values, reader, scalars
 from flightstack.core.types import ZERO, Vec3
 from sim.chance import stream
@@ -31,6 +32,7 @@ from sim.vehicle.mocap import MocapTape
 from sim.vehicle.physics import Physics
 
 LANDED_AFTER_MS = 150  # in contact for this long is landed
+_KEPT = "vehicle"  # name under which the folder of machine code knows that of a flight
 WARM_UP_MS = 100  # every loop of the firmware has run by then, and motion capture has come
 SUPPLY_MS = 320  # the noise of the IMU, of which six numbers go every 2 ms, is drawn so far ahead
 _STATE_TEXTS = tuple(str(state.value) for state in STATES)
@@ -360,12 +362,23 @@ class VehicleSim:
 def warm_up(scenario: Scenario) -> None:
     """Compile everything that a flight calls, or load it from the cache, before a flight begins.
 
-    Takes about 10 s the first time on a machine, some milliseconds later.
+    Takes about 10 s of processor time the first time on a machine, some milliseconds later.
     """
     vehicle = VehicleSim(scenario, 0)
     vehicle.arm()
-    for _ in range(WARM_UP_MS // 10):
-        vehicle.set_velocity((0.0, 0.0, 0.3), 0.0)
-        vehicle.advance(10)
-        vehicle.truth()
-        vehicle.estimate()
+    with telling():
+        for _ in range(WARM_UP_MS // 10):
+            vehicle.set_velocity((0.0, 0.0, 0.3), 0.0)
+            vehicle.advance(10)
+            vehicle.truth()
+            vehicle.estimate()
+    keep(_KEPT)
+
+
+def compile_first(scenario: Scenario) -> None:
+    """Compile what is not on disk, before processes start whose limits of time would count it.
+
+    Those made by fork go on with it, also where it cannot be kept.
+    """
+    if not is_off() and not is_kept(_KEPT):
+        warm_up(scenario)
