@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -80,3 +81,19 @@ def test_a_signal_whose_exception_was_dropped_is_raised_when_the_start_is_over(m
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+LOADS = """
+import os, sys
+sys.argv[0] = "flightstack"
+import flightstack.cli
+os.kill(os.getpid(), int(sys.argv[1]))
+"""
+
+
+@pytest.mark.parametrize("number", [*hangup.ASK, signal.SIGHUP])
+def test_while_the_command_loads_a_signal_ends_it_quietly(number):
+    done = subprocess.run(
+        [sys.executable, "-c", LOADS, str(int(number))], capture_output=True, timeout=PATIENCE_S
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (1, b"", b"")
