@@ -20,6 +20,7 @@ from bridge.mavlink.transport.address import Peer
 SILENT_S = 2.5  # s without a heartbeat, which is sent at 1 Hz, after which a sender is no longer well
 _APART_S = 0.5  # s for which two addresses alternate that are two senders; datagrams overtake less
 _GAP_MAX = 4  # between sequence numbers of one stream: three frames lost, of 256 that can be told apart
+_STEADY = 8  # frames in a row after which a stream is one without gaps
 _AGAIN_S = 0.95  # s until a heartbeat that was not believed is: the known ones come at 1 Hz
 _OTHERS_MAX = 8  # other addresses remembered at a time; the oldest makes room
 
@@ -61,7 +62,8 @@ class Senders:
     _beat_s: float = -math.inf  # newest heartbeat of the known sender
     _claims: tuple[int, int] | None = None  # base_mode and custom_mode of that heartbeat
     _doubted: tuple[tuple[int, int], float] | None = None  # the same of one not believed yet, and its time
-    _sequence: int | None = None  # of the newest frame of the known sender
+    _sequence: int = 0  # of the newest frame of the known sender
+    _steady: int = 0  # its frames in a row without a gap
     _others: dict[Peer, _Other] = field(default_factory=dict)
     _due: int = 1  # count of ignored frames at which the next notice is due
     _notices: list[str] = field(default_factory=list)
@@ -106,7 +108,7 @@ class Senders:
             if self._others:
                 self._meet(now_s)
             if kind is None:
-                self._sequence = message.get_header().seq
+                self._count(message.get_header().seq)
                 return True
             if fits and self._believed(message, now_s, well=well):
                 self._kind, self._beat_s = kind, now_s
@@ -128,14 +130,20 @@ class Senders:
         """
         claims = (heartbeat.base_mode, heartbeat.custom_mode)
         number = heartbeat.get_header().seq
-        continues = self._sequence is None or (number - self._sequence) % 256 <= _GAP_MAX
-        if well and not continues and claims != self._claims:
+        strange = self._steady >= _STEADY and (number - self._sequence) % 256 > _GAP_MAX
+        if well and strange and claims != self._claims:
             if self._doubted is None or self._doubted[0] != claims:
                 self._doubted = (claims, now_s)
             if now_s - self._doubted[1] < _AGAIN_S:
                 return False
-        self._sequence, self._claims, self._doubted = number, claims, None
+        self._count(number)
+        self._claims, self._doubted = claims, None
         return True
+
+    def _count(self, number: int) -> None:
+        """Take note of a sequence number: a stream with many gaps, filtered by a router, tells nothing."""
+        self._steady = self._steady + 1 if (number - self._sequence) % 256 <= _GAP_MAX else 0
+        self._sequence = number
 
     def _meet(self, now_s: float) -> None:
         for other in self._others.values():
@@ -164,7 +172,8 @@ class Senders:
                 f"{now_s - self._beat_s:.1f} s"
             )
         self.known, self.doubled = peer, None
-        self._claims = self._doubted = self._sequence = None
+        self._claims = self._doubted = None
+        self._steady = 0
         self._others.pop(peer, None)
 
     def _ignore(self, message: Message, kind: Kind | None, peer: Peer) -> None:

@@ -132,6 +132,8 @@ def test_datagrams_that_overtake_each_other_are_no_second_sender():
 @pytest.mark.parametrize("claim", [{"armed": False}, {"mode": LOITER, "armed": True}])
 def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
     wire = Wire()
+    for tick in range(10):
+        wire.admits(position(tick))
     wire.numbers["script"] = 90
     for second in range(3):
         assert wire.beats(now_s=second, armed=True, mode=OFFBOARD)
@@ -142,6 +144,17 @@ def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
     wire.numbers[HERE] += 100  # frames were lost, and the vehicle has changed
     assert not wire.admits(message, now_s=4.0, armed=True)
     assert wire.admits(message, now_s=5.0, armed=True)
+
+
+def test_a_stream_that_a_router_filters_is_believed_at_once():
+    wire = Wire()
+    for tick in range(20):
+        wire.numbers[HERE] = wire.numbers.get(HERE, 0) + 12  # others of it do not pass
+        assert wire.admits(position(tick), armed=True)
+    wire.numbers[HERE] += 12
+    assert wire.beats(now_s=0.5, armed=True, mode=OFFBOARD)
+    wire.numbers[HERE] += 12
+    assert wire.beats(now_s=1.0, armed=True, mode=LOITER)
 
 
 def test_the_other_clock_of_the_flight_begins_with_the_address_of_the_check():
