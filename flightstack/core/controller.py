@@ -285,8 +285,9 @@ class Controller:
                     by = f"{self.track.stepped_s:+.2f} s"
                     events.append(Event(WARN, f"target: its sender's clock was set by {by}, or began anew"))
                 self.strategy.take(sample)
-            else:
-                events.append(Event(WARN, f"target sample refused: {verdict.value}"))
+            elif not (count := self.track.rejected) & (count - 1):  # it doubled: a stream would fill the log
+                so_far = f" ({count} refused so far)" if count > 1 else ""
+                events.append(Event(WARN, f"target sample refused: {verdict.value}{so_far}"))
         return events
 
     def _flown(self, own: OwnState, status: VehicleStatus | None, now_s: float) -> Vec3 | None:

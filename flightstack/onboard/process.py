@@ -26,6 +26,7 @@ from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.compiled.core import Core, chosen_core, compiled
 from flightstack.core.controller import ERROR, WARN, Controller, Outputs, state_class
 from flightstack.core.memory import Memory
+from flightstack.core.mission.phases import DISARMED, MODE_CHANGED
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import ZERO, Operator, Phase, Vec3, VehicleStatus
 from flightstack.onboard import preflight
@@ -35,13 +36,21 @@ from flightstack.onboard.live_topics import LiveHealth
 from flightstack.onboard.lockstep import LockstepWires, LockstepWords
 from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.recording import OwnRecorder
-from flightstack.onboard.runner import LinkedVehicle, LiveTarget, RealTimeClock, Runner, Taken, Words
+from flightstack.onboard.runner import (
+    LinkedVehicle,
+    LiveTarget,
+    RealTimeClock,
+    Refusals,
+    Runner,
+    Taken,
+    Words,
+)
 from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.way_out import fly
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
 from flightstack.verify.certificate import problems
 from logs.recorder.feed import Feed
-from logs.schema.events import ONBOARD
+from logs.schema.events import CAUSE, ONBOARD
 from logs.schema.names import OWN, Names
 
 NAMESAKE_S = 1.0  # for which a process listens for another one of the same vehicle before it begins
@@ -126,7 +135,8 @@ class Onboard:
         self.link.endpoint.tap = self.log.tap
         lockstep = options.lockstep  # there wall time has no part in what is said
         self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
-        self._foreign_due = 1
+        self._foreign_due, self.refusals = 1, Refusals()
+        self.cause = ""  # why the autopilot ended the flight by itself, behind the reason
         self.opened_s = time.monotonic()
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
@@ -136,7 +146,7 @@ class Onboard:
         if fleet is not None:  # the others wait for it, the log does not
             self.log.word(tick, fleet.say(out.own_word))
         self.log.samples(arrived.messages, tick.unix_ns)
-        for text in arrived.problems:
+        for text in self.refusals.told(arrived.problems):
             self.log.event(tick.unix_ns, WARN, text)
         for severity, text in link.take_texts():
             self.waiting.note_text(tick.now_s, severity, text)
@@ -155,10 +165,14 @@ class Onboard:
             self.log.event(tick.unix_ns, WARN, report)
         row = self.log.step(tick, taken, out, self.controller.state)
         self.log.timing(tick, out, exec_s, self.feed.dropped)
-        health = self.health.show(tick, out, memory.reason, link.state.battery, self.feed.dropped)
+        if out.transition is not None and out.transition.reason.startswith((DISARMED, MODE_CHANGED)):
+            self.cause = f"; {self.waiting.cause(tick.now_s)}"
+            self.log.event(tick.unix_ns, ERROR, CAUSE + self.cause[2:])
+        why = memory.reason + self.cause
+        health = self.health.show(tick, out, why, link.state.battery, self.feed.dropped)
         self.wires.show(tick, out, row, health)
         if out.transition is not None and out.transition.after is not out.transition.before:
-            self.say(out.transition.told(tick.now_s))
+            self.say(out.transition.told(tick.now_s) + self.cause)
         if report is not None and not self.options.lockstep:
             self.say(f"{tick.now_s:8.2f} s  {report}")
 
@@ -348,6 +362,7 @@ class _Leaving(Leaving):
     def __init__(self, onboard: Onboard, signals: Signals) -> None:
         super().__init__(onboard.options.duration_s, signals)
         self._link, self._waiting, self._fleet = onboard.link, onboard.waiting, onboard.fleet
+        self._onboard = onboard
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
         """Return how the flight ended; None if it has not ended."""
@@ -357,6 +372,8 @@ class _Leaving(Leaving):
         if refused and not out.finished:
             return Ended(out.phase, refused, 1)
         ended = super().ended(out, memory, status, now_s)
+        if ended is not None and self._onboard.cause:
+            return ended._replace(reason=ended.reason + self._onboard.cause)
         lacking, person = self._waiting.lacking, self.person
         if ended is None or not lacking or person.stop or person.operator is not Operator.NONE:
             return ended

@@ -7,7 +7,7 @@ vehicle, the source of target samples, what ends the flight, and the sink of the
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
@@ -255,6 +255,29 @@ class LinkedVehicle:
         link.flush([reply])
 
 
+REFUSED = "target sample refused: "
+
+
+class Refusals:
+    """Counts what was refused, and says so when the count has doubled: a stream would fill the log."""
+
+    def __init__(self) -> None:
+        self._count, self._due = 0, 1
+
+    def told(self, problems: Iterable[str]) -> list[str]:
+        """Return the texts that are due, of these."""
+        found = []
+        for text in problems:
+            if not text.startswith(REFUSED):
+                found.append(text)
+                continue
+            self._count += 1
+            if self._count == self._due:
+                self._due *= 2
+                found.append(text if self._count == 1 else f"{text} ({self._count} refused so far)")
+        return found
+
+
 def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:
     """Return the samples of messages that arrive now, and why others are none."""
     if not messages:
@@ -265,5 +288,5 @@ def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:
         try:
             samples.append(sample_of(message, now_s))
         except OdometryError as error:
-            problems.append(f"target sample refused: {error}")
+            problems.append(f"{REFUSED}{error}")
     return Arrived(tuple(samples), problems, messages)

@@ -26,6 +26,7 @@ _FLYING = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
 _REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; what is less urgent is no reason
 _REASONS = 3  # texts of the vehicle that are repeated
 _REASON_AGE_MAX_S = 15.0  # s; PX4 and ArduPilot repeat why they do not arm within that time
+_CAUSE_AGE_MAX_S = 5.0  # s; a disarm shows with the next heartbeat, at 1 Hz, of which two may be lost
 _PROBLEMS = 2  # about samples, in one report
 
 
@@ -247,14 +248,26 @@ class WaitReport:
         self._arrived = self._refused_before = self._accepted = 0  # samples of the target
         self._heartbeats, self._states, self._samples = _Pace(), _Pace(), _Pace()
         self._texts: deque[tuple[float, str]] = deque(maxlen=_REASONS)
+        self._recent: dict[str, float] = {}  # newest texts of any severity, and when they came last
         self._refusals: deque[str] = deque(maxlen=_PROBLEMS)
 
     def note_text(self, now_s: float, severity: int, text: str) -> None:
         """Take a text of the vehicle."""
+        self._recent.pop(text, None)
+        self._recent[text] = now_s
+        if len(self._recent) > _REASONS:
+            del self._recent[next(iter(self._recent))]
         if severity <= _REASON_SEVERITY and all(text != known for _, known in self._texts):
             self._texts.append((now_s, text))
         elif severity <= _REASON_SEVERITY:
             self._texts = deque(((now_s if t == text else s, t) for s, t in self._texts), maxlen=_REASONS)
+
+    def cause(self, now_s: float) -> str:
+        """Why the autopilot did something by itself: its newest messages, or that there was none."""
+        says = [text for text, at_s in self._recent.items() if now_s - at_s <= _CAUSE_AGE_MAX_S]
+        if says:
+            return f"the autopilot says: {' | '.join(says)}"
+        return f"no message of the autopilot says why (no STATUSTEXT or EVENT for {_CAUSE_AGE_MAX_S:g} s)"
 
     def step(
         self, out: Outputs, memory: Memory, arrived: int, problems: Sequence[str], now_s: float

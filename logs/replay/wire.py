@@ -23,7 +23,7 @@ from bridge.target.odometry import RawSample
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Inputs
-from flightstack.onboard.runner import LinkedVehicle, decoded
+from flightstack.onboard.runner import LinkedVehicle, Refusals, decoded
 from logs.replay.compare import TickDifference, values_of
 from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
 from logs.schema.controller_rows import TickInputs
@@ -77,7 +77,7 @@ class WireReplay:
         """Begin at tick 0."""
         origin = config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)
-        self._heard = False
+        self._heard, self._refusals = False, Refusals()
         self._link = VehicleLink(
             "",
             takeoff_height_m=config.takeoff.height_m,
@@ -108,7 +108,8 @@ class WireReplay:
         found = list(values_of(given.inputs, inputs))
         found += values_of(given.command_failed, command_failed, "command_failed")
         differences = [TickDifference("wire, inputs", given.tick, *each) for each in found]
-        said = list(arrived.problems) + [f"vehicle: {text}" for _, text in self._link.take_texts()]
+        said = self._refusals.told(arrived.problems)
+        said += [f"vehicle: {text}" for _, text in self._link.take_texts()]
         recorded = [row.msg for row in record.said if row.msg.startswith(_SAID_BY_THE_WIRE)]
         differences += [
             TickDifference(ROSOUT, given.tick, *each) for each in values_of(recorded, said, "wire")

@@ -9,6 +9,7 @@ from logs.schema.rows import LogRow
 from logs.schema.schemas import STRING
 
 ONBOARD, CONTROLLER = "onboard", "controller"  # sources of events; the controller's are part of its decisions
+CAUSE = "cause of the abort: "  # begins the onboard process's event with what the autopilot said of it
 
 _pack_string = packer(STRING)
 

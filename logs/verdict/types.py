@@ -12,6 +12,7 @@ import numpy as np
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Event, Floats, Ints
+from logs.schema.events import CAUSE
 
 VIOLATION_LIMIT_M = -0.005  # m, h below this outside the pad is a violation
 # radii of a vehicle, m; those of a pair add up: Crazyswarm's examples; the firmware has 0.3 and 0.9
@@ -162,7 +163,9 @@ def abort_declared(flight: Judged) -> Abort | None:
         return None
     t_s = float(flight.steps.t_s[steps[0]])
     near = [e.text for e in flight.events if abs(e.t_s - t_s) <= _SAID_WITHIN_S and "abort" in e.text.lower()]
-    return Abort(t_s, f"declared abort: {near[0] if near else 'no reason in the log'}")
+    causes = [f"; {text.removeprefix(CAUSE)}" for text in near if text.startswith(CAUSE)]
+    said = [text for text in near if not text.startswith(CAUSE)] or ["no reason in the log"]
+    return Abort(t_s, f"declared abort: {said[0]}{''.join(causes[:1])}")
 
 
 def left_s(flight: Judged) -> float:

@@ -78,10 +78,12 @@ _OPERATOR = (
     Rule(C.EMERGENCY, Phase.ABORT, "emergency stop"),
     Rule(C.ABORT_ASKED, Phase.ABORT, "abort asked by the operator"),
 )
+# what the autopilot or another client did: the autopilot's own messages say why
+DISARMED, MODE_CHANGED = "vehicle disarmed without a command from this stack", "mode changed by someone else"
 _IN_FLIGHT = (
     *_OPERATOR,
-    Rule(C.WAS_ARMED, Phase.ABORT, "disarmed by someone else", unless=C.ARMED | C.LINK_LOST),
-    Rule(C.WAS_EXTERNAL, Phase.ABORT, "mode changed by someone else", unless=C.EXTERNAL | C.LINK_LOST),
+    Rule(C.WAS_ARMED, Phase.ABORT, DISARMED, unless=C.ARMED | C.LINK_LOST),
+    Rule(C.WAS_EXTERNAL, Phase.ABORT, MODE_CHANGED, unless=C.EXTERNAL | C.LINK_LOST),
     Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
     Rule(C.NOT_FOLLOWING, Phase.ABORT, "the vehicle does not fly what it is told"),
 )

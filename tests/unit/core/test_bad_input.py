@@ -222,3 +222,14 @@ def test_the_same_inputs_give_the_same_outputs_to_the_last_bit():
     first, second = World(CONFIG).run(30.0), World(CONFIG).run(30.0)
     assert first.sent == second.sent
     assert len(first.sent) > 200
+
+
+def test_a_stream_of_refused_samples_is_told_by_doublings():
+    world = flown(stuck_sample)
+    for _ in range(40):
+        world.step()
+    told = [text for text in world.texts if text.startswith("target sample refused: ")]
+    count = world.controller.track.rejected
+    assert count >= 30
+    assert len(told) == count.bit_length()
+    assert told[-1].endswith(f"({2 ** (len(told) - 1)} refused so far)")

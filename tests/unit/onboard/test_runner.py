@@ -18,6 +18,7 @@ from flightstack.onboard.runner import (
     Arrived,
     ClockStoppedError,
     LiveTarget,
+    Refusals,
     Runner,
     Taken,
     VehicleInputs,
@@ -170,3 +171,14 @@ def test_a_sample_that_cannot_be_decoded_is_a_problem_and_stays_for_the_log():
     assert (arrived.samples, arrived.messages) == ((), messages)
     assert "target sample refused: odometry payload has 0 bytes" in arrived.problems[0]
     assert decoded([], 1.0) == Arrived()
+
+
+def test_a_stream_of_refused_samples_is_told_by_doublings():
+    refusals, told = Refusals(), []
+    for n in range(1, 101):
+        told += refusals.told([f"target sample refused: {n}", *(["stalled"] if n == 7 else [])])
+    assert told == [
+        "target sample refused: 1", "target sample refused: 2 (2 refused so far)",
+        "target sample refused: 4 (4 refused so far)", "stalled",
+        *(f"target sample refused: {n} ({n} refused so far)" for n in (8, 16, 32, 64)),
+    ]  # fmt: skip

@@ -23,7 +23,7 @@ from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfi
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
 from flightstack.onboard.live_topics import BATTERY_AGE_MAX_S, health_row
-from flightstack.onboard.waiting import TargetSeen, VehicleSeen, countdown, missing
+from flightstack.onboard.waiting import TargetSeen, VehicleSeen, WaitReport, countdown, missing
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
 from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target import ros2_helpers as ros
@@ -283,3 +283,15 @@ def test_a_router_of_ros_that_is_not_there_is_said_before_the_flight():
     done = run(*ONBOARD, "--ros2", free_endpoint())
     assert done.returncode == 2
     assert "is the router there" in done.stderr
+
+
+def test_what_the_autopilot_did_by_itself_carries_its_own_reason():
+    report = WaitReport(FlightConfig(BarrierShape(1.0, 1.5)), 1, None, None, searches=False)
+    assert "no message of the autopilot says why (no STATUSTEXT or EVENT for 5 s)" in report.cause(1.0)
+    report.note_text(1.0, 6, "Takeoff detected")
+    for severity, text in ((2, "Crash: Disarming: AngErr=70>30"), (6, "Disarmed by crash detection")) * 2:
+        report.note_text(8.0, severity, text)
+    assert report.cause(9.0) == (
+        "the autopilot says: Crash: Disarming: AngErr=70>30 | Disarmed by crash detection"
+    )
+    assert "no message" in report.cause(20.0)

@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from flightstack.core.mission.phases import TABLE, Condition, next_phase
+from flightstack.core.mission.phases import DISARMED, TABLE, Condition, next_phase
 from flightstack.core.types import Phase
 
 BITS = len(Condition) - 6  # only fleets, the ways of aborting, LANDED and LEAVE ask for the last ones
@@ -46,7 +46,11 @@ def operator(w):
 def in_flight(w):
     return [
         *operator(w),
-        (w.was_armed & ~w.armed & ~w.link_lost, Phase.ABORT, "disarmed by someone else"),
+        (
+            w.was_armed & ~w.armed & ~w.link_lost,
+            Phase.ABORT,
+            DISARMED,
+        ),
         (w.was_external & ~w.external & ~w.link_lost, Phase.ABORT, "mode changed by someone else"),
         (w.command_failed, Phase.ABORT, "the vehicle refused a command"),
         (w.not_following, Phase.ABORT, "the vehicle does not fly what it is told"),

@@ -7,6 +7,7 @@ import pytest
 
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.types import Phase
+from logs.schema.events import CAUSE
 from logs.verdict.verdict import Outcome
 from tests.synthetic_flight import DT_S, EDGE, GROUND, PAD, ROBOT, TUMBLED, landing
 
@@ -250,6 +251,18 @@ def test_outcome_of_a_changed_landing(verdict_of, changes, outcome, violation, w
     assert outcome is ANY or verdict.outcome is outcome
     assert violation is ANY or verdict.violation is violation
     assert word in verdict.reason
+
+
+def test_a_declared_abort_carries_what_the_autopilot_said_of_it(verdict_of):
+    rows = landing()
+    for change in MISSED:
+        change(rows)
+    abort_at(rows, 6.0, "LAND -> ABORT: vehicle disarmed without a command from this stack (done)")
+    at_ns, level, _ = rows.events[-1]
+    rows.events.append((at_ns, level, f"{CAUSE}the autopilot says: Crash: Disarming"))
+    reason = verdict_of(rows).reason
+    assert reason.count("without a command from this stack") == 1
+    assert reason.endswith("; the autopilot says: Crash: Disarming")
 
 
 def test_landed_by_estimate(verdict_of):
