@@ -31,12 +31,12 @@ class Belief:
     Attributes:
         known_drag_1_s: ``kalman.dragB_x`` and ``_y``.
         position_error_m, velocity_error_m_s: what the filter has too much, x and y.
-        rest_m_s: velocity along x that the accelerometer's bias shows at rest; 0.009 was measured.
+        rest_m_s: velocity along x that the accelerometer's bias shows at rest; measured.
     """
 
     def __init__(self) -> None:
         self.known_drag_1_s = (0.0, 0.0)
-        self.rest_m_s = 0.0
+        self.rest_m_s = 0.009
         self.position_error_m = [0.0, 0.0]
         self.velocity_error_m_s = [0.0, 0.0]
         self._random = random.Random(0)

@@ -81,7 +81,6 @@ def test_without_poses_it_drifts_and_is_not_aware_of_it_for_seconds():
 
 def test_at_rest_it_repeats_truncated_millimetres_and_shows_a_velocity():
     flown = Flown(Firmware(Point(0.0129, -0.0129), needs_poses=True))
-    flown.firmware.plant.belief.rest_m_s = 0.009
     flown.run(3.0)
     said = [log(flown.firmware, f"stateEstimateZ.{axis}") for axis in ("x", "y", "vx", "vy")]
     assert said == [12, -12, 8, 0]
