@@ -45,6 +45,7 @@ def paper_checks(config: FlightConfig) -> list[Check]:
         paper.peak_clears_pad(config),
         paper.gains(config, config.position_loop.gain_1_s, "position_loop.gain_1_s"),
         paper.slews(config, config.limits.slew_max_m_s2, "limits.slew_max_m_s2"),
+        paper.lags(config),
         ends.reaches_touchdown(config),
         ends.contact(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
         ends.notices(config),

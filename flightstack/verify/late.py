@@ -28,7 +28,7 @@ from flightstack.verify.follow import matrix_exp
 from flightstack.verify.types import Check, Need
 
 LATE_TICKS = 1  # a set-point comes a tick after what it was computed from
-MIN_DECAY_1_S = 0.1  # half of an error is gone in seven seconds
+MIN_DECAY_1_S = 0.1  # half of an error is gone in seven seconds; of a slower position loop half its gain
 SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # shares of the spread
 RESPONSES = (1.0, 1.15, 1.3)  # velocity flown, as a share of the set-point: identified ones reach 1.3
 # at which a loop with a dead time still must not swing up: its phase turns without end, so that the gain
@@ -129,22 +129,25 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         robust.gain_over_pad_1_s: "gain_over_pad_1_s",
         robust.to_contact_1_s: "gain_descent_1_s" if robust.gain_descent_1_s else "gain_over_pad_1_s",
     }
-    needed_1_s = dict.fromkeys(RESPONSES, MIN_DECAY_1_S) | ({RESPONSE_LATE: 0.0} if late else {})
-    told, told_gain = min((decay_1_s(config, gain, 1.0, 1.0), gain) for gain in gains)
-    room, gain, slower, response = min(
-        (decay_1_s(config, gain, slower, response) - needed, gain, slower, response)
+    least_1_s = {gain: min(MIN_DECAY_1_S, 0.5 * gain) for gain in gains}
+    told, told_gain = min((decay_1_s(config, gain, 1.0, 1.0) - least_1_s[gain], gain) for gain in gains)
+    room, needed, gain, slower, response = min(
+        (decay_1_s(config, gain, slower, response) - needed, needed, gain, slower, response)
         for gain in gains
         for slower in (1.0 + share * spread for share in SLOWER)
-        for response, needed in needed_1_s.items()
+        for response, needed in [
+            *((each, least_1_s[gain]) for each in RESPONSES),
+            *([(RESPONSE_LATE, 0.0)] if late else []),
+        ]
     )
     remedy = "lower robust.{} or velocity_loop.gain_xy, or identify the loop anew (flightstack identify)"
     return [
         Check(
             "lead",
             "the loop of position and lead comes to rest with the declared vehicle",
-            told - MIN_DECAY_1_S,
+            told,
             "1/s",
-            f"an error fades with {told:.3g} 1/s at least, {MIN_DECAY_1_S:g} are needed",
+            f"an error fades with {told + least_1_s[told_gain]:.3g} 1/s, {least_1_s[told_gain]:g} are needed",
             remedy.format(gains[told_gain]),
         ),
         Check(
@@ -152,8 +155,8 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
             "the loop of position and lead comes to rest with each vehicle of the spread",
             room,
             "1/s",
-            f"an error fades with {room + needed_1_s[response]:.3g} 1/s with {slower:.3g} times the lag and "
-            f"{response:.3g} times the velocity commanded, {needed_1_s[response]:g} are needed",
+            f"an error fades with {room + needed:.3g} 1/s with {slower:.3g} times the lag and "
+            f"{response:.3g} times the velocity commanded, {needed:g} are needed",
             remedy.format(gains[gain]),
             Need.PROOF,
         ),

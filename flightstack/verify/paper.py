@@ -13,7 +13,7 @@ import math
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Vec3
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
-from flightstack.verify.types import Check
+from flightstack.verify.types import Check, Need
 
 QUARTER = Span(0.0, math.pi / 2.0)  # of directions: box and target are symmetric
 ANYWHERE = Span(0.0, math.inf)  # distances
@@ -114,4 +114,24 @@ def slews(config: FlightConfig, slew_m_s2: Vec3, key: str) -> Check:
         "m/s^2",
         f"found {slew_m_s2[axis]:g}, no limit at {config.loop.rate_hz} Hz; at most {most_m_s2[axis]:g}",
         f"lower {key}",
+    )
+
+
+def lags(config: FlightConfig) -> Check:
+    """Check that a lagging vehicle comes to rest within the pad, outside of which the barrier must hold.
+
+    The paper takes the vehicle to fly its command at once. One that lags flies on for its lag: at full speed
+    towards the cone, v tau farther than the filter knows.
+    """
+    loop, pad_m = config.velocity_loop, config.touchdown.pad_radius_m
+    lag_s = (1.0 + config.envelope.lag_spread) * loop.lag_xy_s
+    speed = max(config.limits.velocity_max_m_s[:2])
+    return Check(
+        "lag",
+        "what the vehicle flies on for its lag, which the paper leaves out, is shorter than the pad's radius",
+        pad_m - speed * lag_s,
+        "m",
+        f"at {speed:g} m/s the slowest vehicle flies on for {speed * lag_s:.3g} m, the pad has {pad_m:g} m",
+        'choose filter = "robust", or lower limits.velocity_max_m_s; or velocity_loop.lag_xy_s if it is less',
+        Need.PROOF,
     )

@@ -25,6 +25,7 @@ from flightstack.verify.certificate import checks
 from logs.verdict.types import Outcome
 from sim.runners.landing import land
 from sim.scenarios.scenario import Scenario, load
+from sim.vehicle.declared import declared
 
 SCENARIOS = ("lab", "field", "reversing", "deck")
 FILTERS = ("robust", "paper")
@@ -105,7 +106,8 @@ def fly(case: Case, runs: int, stop: int = 3) -> Result:
     key = ".".join(path)
     try:
         scenario = changed(name, kind, path, value)
-        missing = [each.name for each in checks(scenario.onboard) if not each.proven]
+        claims = [*checks(scenario.onboard), *declared(scenario)]
+        missing = [each.name for each in claims if not each.proven]
     except ValueError as error:
         return Result(name, kind, key, value, "refused", str(error), {}, ())
     if missing:

@@ -21,6 +21,7 @@ from logs.schema.names import member_name
 
 if TYPE_CHECKING:
     from flightstack.verify.types import Check
+    from sim.scenarios.scenario import Scenario
     from sim.scenarios.team import TeamScenario
 
 PROVEN, NOT_PROVEN = 0, 1
@@ -42,7 +43,8 @@ def check(options: CheckOptions) -> None:
 
     CONFIG is a configuration of `onboard` or a scenario, by name or as a file; of a scenario of several
     vehicles each member is checked, and all of them together. Each line shows a claim, its worst point, and
-    the distance to its limit there (docs/how_it_works/robust_filter.md, docs/how_it_works/fleet.md).
+    the distance to its limit there (docs/how_it_works/robust_filter.md, docs/how_it_works/fleet.md). Of a
+    scenario also what its configuration declares of barrier, robot, pad and links is compared with the rest.
 
     Exit status: 0 all claims proven, 1 at least one not proven, 2 wrong input.
     """
@@ -55,6 +57,7 @@ def check(options: CheckOptions) -> None:
             configs = [replace(config, filter=options.filter) for config in configs]
         name = f"{options.config}{part.of}, filter {configs[0].filter}"
         results = part.together(configs) if part.together else checks(configs[0])
+        results = [*results, *part.declares(configs[0])]
         parts.append((name, part.members, configs[0].filter, results))
     if options.as_json:
         click.echo(json.dumps(_as_json(options.config, parts)))
@@ -72,11 +75,21 @@ class Part:
         configs: one, or those of all members.
         members: names of the vehicles that have it; none: it is no team's.
         together: makes the checks of all members; None: those of one configuration.
+        scenario: that the configuration is one of, alone.
     """
 
     configs: list[FlightConfig]
     members: tuple[str, ...] = ()
     together: Callable[[list[FlightConfig]], list[Check]] | None = None
+    scenario: Scenario | None = None
+
+    def declares(self, config: FlightConfig) -> list[Check]:
+        """Checks of the configuration against its scenario."""
+        if self.scenario is None:
+            return []
+        from sim.vehicle.declared import declared
+
+        return declared(replace(self.scenario, onboard=config))
 
     @property
     def of(self) -> str:
@@ -92,7 +105,7 @@ def _load(name_or_file: str) -> list[Part]:
         scenario_below = "base" in table and table["base"] not in names()
         if "onboard" not in table and "member" not in table and not scenario_below:
             return [Part([load(path)])]
-        if not scenario_below and "member" not in table:
+        if not scenario_below and "member" not in table and "name" not in table:
             try:
                 return [Part([from_table(FlightConfig, table["onboard"], "onboard")])]
             except ConfigError as error:
@@ -100,7 +113,9 @@ def _load(name_or_file: str) -> list[Part]:
     from sim.scenarios.team import TeamScenario, load_any
 
     found = load_any(path if path.is_file() else name_or_file)
-    return of_team(found) if isinstance(found, TeamScenario) else [Part([found.onboard])]
+    if isinstance(found, TeamScenario):
+        return of_team(found)
+    return [Part([found.onboard], scenario=found)]
 
 
 def of_team(team: TeamScenario) -> list[Part]:

@@ -1,0 +1,81 @@
+"""What is called proven is flown: a sample of `python -m tests.benchmarks proven`, which flies all of it."""
+
+from dataclasses import fields, replace
+
+import pytest
+
+from flightstack.core.parameters.robust import Robust, VelocityLoop
+from sim.scenarios.scenario import Scenario, load, names
+from sim.vehicle.declared import declared
+from tests.benchmarks.proven import FILTERS, SCENARIOS, cases, fly, parameters, values
+
+EVERY = 397  # of the changes of both filters in all scenarios
+PATHS = {".".join(each.path): each for each in parameters()}
+SAMPLE = list(cases([], list(SCENARIOS), list(FILTERS), 5))[::EVERY]
+
+
+def test_each_number_of_the_configuration_is_found_with_its_span():
+    for table, cls in (("robust", Robust), ("velocity_loop", VelocityLoop)):
+        found = {key.split(".")[1] for key in PATHS if key.startswith(f"{table}.")}
+        assert found == {field.name for field in fields(cls)}
+    for parameter in PATHS.values():
+        found = values(parameter, 5)
+        assert (found[0], found[-1]) == (parameter.low, parameter.high)
+        assert found == sorted(found)
+
+
+@pytest.mark.parametrize(
+    "case", SAMPLE, ids=lambda case: f"{case[0]} {case[1]} {'.'.join(case[2])} {case[3]}"
+)
+def test_what_is_proven_neither_crashes_nor_violates(case):
+    assert fly(case, runs=2).failures == ()
+
+
+@pytest.mark.parametrize(
+    ("scenario", "kind", "key", "value", "check"),
+    [
+        ("lab", "robust", "velocity_loop.error_max_m_s", 0.1, "velocity_loop.error_max_m_s"),
+        ("field", "robust", "velocity_loop.error_max_m_s", 0.3, "velocity_loop.error_max_m_s"),
+        ("reversing", "robust", "velocity_loop.error_max_m_s", 0.05, "velocity_loop.error_max_m_s"),
+        ("deck", "robust", "velocity_loop.error_max_m_s", 0.3, "velocity_loop.error_max_m_s"),
+        ("field", "robust", "velocity_loop.rate_xy_1_s", 0.5, "velocity_loop.lag_xy_s"),
+        ("deck", "robust", "robust.gain_1_s", 5.0, "lead, spread"),
+        ("lab", "robust", "barrier.beta_m", 1.0, "declared, barrier"),
+        ("field", "robust", "target.delay_s", 0.5, "target.delay_s"),
+        ("field", "paper", "barrier.omega_1_s", 0.7, "lag"),
+        ("deck", "paper", "position_loop.gain_1_s", [1.0, 1.0, 1.0], "lag"),
+    ],
+)
+def test_what_crashed_though_it_was_proven_is_not_proven(scenario, kind, key, value, check):
+    found = fly((scenario, kind, tuple(key.split(".")), value), runs=0)
+    assert found.verdict in ("not proven", "refused")
+    assert check in found.because
+
+
+def changed(scenario: Scenario, **parts: dict) -> list[str]:
+    """Names of the checks that a scenario with these changes does not pass."""
+    for name, values_ in parts.items():
+        scenario = replace(scenario, **{name: replace(getattr(scenario, name), **values_)})
+    return [check.name for check in declared(scenario) if not check.proven]
+
+
+def test_each_scenario_declares_what_it_flies():
+    for name in names():
+        assert changed(load(name)) == [], name
+
+
+@pytest.mark.parametrize(
+    ("parts", "check"),
+    [
+        ({"judge": {"beta_m": 1.6}}, "barrier"),
+        ({"target": {"speed_m_s": 0.6, "speed_max_m_s": 0.6}}, "touchdown.target_speed_max_m_s"),
+        ({"target": {"pad_radius_m": 0.09}}, "touchdown.pad_radius_m"),
+        ({"target": {"heave_amplitude_m": 0.1, "heave_rate_hz": 0.2}}, "envelope.target_climb_max_m_s"),
+        ({"odometry": {"rate_hz": 40.0}}, "envelope.target_rate_hz"),
+        ({"odometry": {"delay_s": 0.1}}, "target.delay_s"),
+        ({"odometry": {"position_noise_m": 0.03}}, "target.position_noise_m"),
+        ({"vehicle": {"airframe": "quad_1000g"}}, "touchdown.feet_below_reference_m"),
+    ],
+)
+def test_a_scenario_that_is_not_as_declared_is_not_proven(parts, check):
+    assert changed(load("field"), **parts) == [f"declared, {check}"]
