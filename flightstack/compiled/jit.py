@@ -71,8 +71,10 @@ def cache_directory() -> Path | None:
     """
     name, beside, chosen = f"jit-{_fingerprint()}", HERE / "__pycache__", os.environ.get("NUMBA_CACHE_DIR")
     roots = [Path(chosen)] if chosen else []
-    roots += [beside, Path(os.path.expanduser("~/.cache/flightstack")), _own_folder()]  # noqa: PTH111
+    roots += [beside, Path(os.path.expanduser("~/.cache/flightstack"))]  # noqa: PTH111
     found = next((root / name for root in roots if _usable(root / name)), None)
+    if found is None and _usable(own := _own_folder() / name):
+        found = own
     shipped = beside / name
     if found is not None and found != shipped and shipped.is_dir() and not _usable(shipped):
         _take_over(shipped, found)

@@ -40,6 +40,7 @@ MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # MCAP specific
 _HEAD = struct.Struct("<BQ")  # of a record: its kind and the length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time; then the payload
 _INDEX = struct.Struct("<HI")  # channel, bytes of the entries that follow
+_TIME_MAX_NS = 2**63 - 1  # of ROS 2, whose times are signed
 _ENTRY_BYTES = 16  # of a message index: log time and offset
 _FOOTER_BYTES = _HEAD.size + 20
 _NO_CRC = bytes(4)
@@ -165,6 +166,9 @@ class Records:
                 channel, sequence, logged_ns, published_ns = _MESSAGE.unpack_from(data, begin)
                 if (Channel, channel) not in self._declared and not self._indexed(channel, found):
                     unknown[channel] += 1
+                elif logged_ns > _TIME_MAX_NS or published_ns > _TIME_MAX_NS:
+                    what = f"a message of channel {channel} at byte {place} cannot be read"
+                    self._damaged(place, what, "its time is behind the year 2262")
                 elif self._messages:
                     payload = data[begin + _MESSAGE.size : end]
                     found.append(Message(channel, logged_ns, payload, published_ns, sequence))

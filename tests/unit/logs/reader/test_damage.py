@@ -175,6 +175,7 @@ TEN, MORE = b"".join(message(1, n) for n in range(10)), b"".join(message(1, n) f
         (channel(1, 1, "/z"), 20, "Channel 1 is declared a second time"),
         (frame(0x21, b"abc"), 20, "kind 0x21 is not known"),
         (chunk(chunk(message(1, 3))), 20, "kind 0x06 is not known"),
+        (frame(5, struct.pack("<HIQQ", 1, 3, 2**63, 3) + bytes(12)), 20, "behind the year 2262"),
         (chunk(message(1, 3), "brotli"), 20, "compression 'brotli'"),
         (chunk(message(1, 3), size=7), 20, "a chunk of .* bytes instead of 7"),
         (chunk(message(1, 3), crc=7), 20, "crc validation failed"),
