@@ -41,6 +41,7 @@ class Memory:
     climbed: bool = False  # the take-off climb is over
     clear: bool = False  # flown clear after an abort
     retries: int = 0
+    swings: int = 0  # how often it has left the cone over the pad since the last touchdown
     ground_z_m: float = inf  # height at which it stood
     yaw_rad: float | None = None  # heading held in the whole flight
     command: Vec3 = (

@@ -157,7 +157,19 @@ def condition_flags(
     at = snapshot.relative if snapshot.good else None
     if at is None:
         return flags
-    return flags | _place_flags(config, strategy, barrier, memory, at, now_s, snapshot.way)
+    flags |= _place_flags(config, strategy, barrier, memory, at, now_s, snapshot.way)
+    watched = strategy.watches_swinging and _swings(config, memory, flags, snapshot.way, now_s)
+    return flags | (C.SWINGS if watched else 0)
+
+
+def _swings(config: FlightConfig, memory: Memory, flags: int, way: Way, now_s: float) -> bool:
+    """Whether it leaves the cone over the pad once too often, or its error over the pad does not shrink."""
+    if memory.phase is not Phase.LAND or not (way.may_land and way.may_touch):
+        return False
+    if not flags & C.OVER_PAD:
+        return memory.swings >= config.checks.swings_max
+    waited_s = now_s - max(memory.phase_since_s, memory.started_s + config.touchdown.calm_wait_s)
+    return waited_s > config.checks.over_pad_time_max_s
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
@@ -268,6 +280,7 @@ class Known(NamedTuple):
         now_s: stack clock.
         battery: what is wrong with it, where something is.
         velocity_max_m_s: horizontal, of the configuration.
+        swings: how often it has left the cone over the pad.
     """
 
     checks: Checks
@@ -277,6 +290,7 @@ class Known(NamedTuple):
     now_s: float
     battery: str = ""
     velocity_max_m_s: float = 0.0
+    swings: int = 0
 
 
 def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
@@ -344,6 +358,13 @@ def _target(known: Known) -> str:
     return f"the target's newest sample is {target.age_s:.2f} s old; {limit}{refused}"
 
 
+def _swinging(known: Known) -> str:
+    checks, swings = known.checks, known.swings
+    if swings >= checks.swings_max:
+        return f"left the cone over it {swings + 1} times; checks.swings_max is {checks.swings_max}"
+    return f"no touchdown in checks.over_pad_time_max_s, {checks.over_pad_time_max_s:g} s"
+
+
 def _follow(known: Known) -> str:
     checks, watched = known.checks, known.plausibility
     return (
@@ -359,6 +380,7 @@ _NUMBERS: Mapping[Condition, Callable[[Known], str]] = MappingProxyType(
         Condition.LINK_LOST: _heartbeat,
         Condition.TARGET_LOST: _target,
         Condition.NOT_FOLLOWING: _follow,
+        Condition.SWINGS: _swinging,
         Condition.TIRED: lambda known: known.battery,
     }
 )

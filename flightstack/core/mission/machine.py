@@ -248,15 +248,19 @@ class Mission:
         battery = self._reserve.text if self._reserve else ""
         most_m_s = min(self._config.limits.velocity_max_m_s[:2])
         known = Known(
-            self._config.checks, snapshot, self._plausibility, self._track, now_s, battery, most_m_s
+            self._config.checks, snapshot, self._plausibility, self._track, now_s, battery, most_m_s,
+            memory.swings,
         )  # fmt: skip
         why = reason(rule, flags, known)
         if before in RETRY_FROM and after in RETRY_TO:
             memory.retries += 1
+        if before is Phase.LAND and after is Phase.APPROACH:
+            memory.swings += snapshot.way.may_land
         if after is Phase.APPROACH and memory.started_s == math.inf:
             memory.started_s = now_s
         if after is Phase.TOUCHDOWN:  # what an earlier descent had begun to see
             memory.contact_since_s = memory.stopped_since_s = math.inf
+            memory.swings = 0
         if after is Phase.LEAVE:  # another flight
             memory.was_armed = memory.was_external = memory.climbed = False
         memory.phase, memory.phase_since_s, memory.reason = after, now_s, why

@@ -52,6 +52,7 @@ class Condition(IntEnum):
     PAD_WANTED = 1 << 27  # landed and at rest: another vehicle waits for this pad, and it may take off again
     CLEAR = 1 << 28  # flown clear of the target: it lands beside it
     CUT_OFF = 1 << 29  # too few of the fleet are heard, and the pad is not the shortest way down
+    SWINGS = 1 << 30  # leaves the cone over the pad again and again, or stays in it without a touchdown
 
 
 C = Condition
@@ -94,6 +95,7 @@ _INPUTS = (
     Rule(C.LINK_LOST, Phase.HOLD, "heartbeat lost"),
     Rule(C.TARGET_LOST, Phase.HOLD, "target lost"),
 )
+SWINGING = "oscillates over the pad: velocity loop slower than configured, run `identify`"
 START_LATE = Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time")
 _NOT_OFF = C.ARMED | C.LINK_LOST
 _STANDS = C.COMMAND_FAILED | C.STANDING
@@ -134,6 +136,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         *_INPUTS,
         Rule(C.LANDING_TIME_OVER, Phase.ABORT, "landing took too long"),
         Rule(C.TOUCH, Phase.TOUCHDOWN, "touchdown rule met"),
+        Rule(C.SWINGS, Phase.ABORT, SWINGING),
         Rule(NONE, Phase.APPROACH, "left the descending cone", unless=C.OVER_PAD),
     ),
     Phase.TOUCHDOWN: (

@@ -111,6 +111,9 @@ class Checks:
     climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0
     recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3
     retries_max: Annotated[int, span(0, 20)] = 3
+    # swinging over the pad: how often it may leave the cone again, and s in it without a touchdown
+    swings_max: Annotated[int, span(1, 100)] = 3
+    over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0
     landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0
     wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0
     clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # horizontal distance from the target that is clear

@@ -23,6 +23,7 @@ class PaperFilter(Strategy):
     """Eq. 11 as printed: the velocity loop is taken to be perfect, and nothing is estimated."""
 
     certificate = "flightstack.verify.certificate:paper_checks"
+    watches_swinging = False  # as printed: it knows nothing of the velocity loop
     waits_filtered = False
 
     def __init__(self, config: FlightConfig, barrier: Barrier) -> None:

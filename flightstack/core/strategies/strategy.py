@@ -3,7 +3,8 @@
 A filter estimates the target, holds a barrier, says how to approach and when to go down, tells contact and
 drift, and makes the set-point. To add one, write a class with this interface; ``parameters/filters.py`` has
 one line for each filter of the package, and ``MODULE:NAME`` names any other (``examples/own_filter.py``).
-Nothing here has a default that decides about a flight: no filter counts as another one by omission.
+Nothing here has a default that decides about a flight: no filter counts as another one by omission. Only
+``watches_swinging`` has one, which is the safe one.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ class Strategy(ABC):
     Attributes:
         certificate: ``MODULE:NAME`` of the function that returns the checks of a configuration
             (``FlightConfig -> list[Check]``, flightstack/verify).
+        watches_swinging: a vehicle that swings over the pad aborts (``checks.swings_max``).
         waits_filtered: a vehicle found in the air keeps clear of the barrier while it waits.
         rate_1_s: at which h may be used up.
         acceleration_max_m_s2: of the velocity wanted, on each axis.
@@ -46,6 +48,7 @@ class Strategy(ABC):
     """
 
     certificate: ClassVar[str]
+    watches_swinging: ClassVar[bool] = True
     waits_filtered: ClassVar[bool]
     rate_1_s: float
     acceleration_max_m_s2: Vec3

@@ -48,7 +48,7 @@ def set_up_rules(r: RulesRecord, controller: Controller) -> None:
     r.target_drift_memory_s = checks.target_drift_memory_s
     r.target_drift2_max_m2 = _NEAR * checks.target_drift_max_m**2
     r.status_age_max_s, r.landing_time_max_s = checks.status_age_max_s, checks.landing_time_max_s
-    r.settle_s = LANDED_SETTLE_S
+    r.settle_s, r.over_pad_time_max_s = LANDED_SETTLE_S, checks.over_pad_time_max_s
     r.alpha_1_m, r.beta_m, r.smoothing_m = barrier.alpha_1_m, barrier.beta_m, barrier.smoothing_m
     r.pad_radius_m, r.low_m = touchdown.pad_radius_m, max(barrier.peak_height_m, touchdown.height_m)
     r.rate_1_s, r.lag_z_s = strategy.rate_1_s, config.velocity_loop.lag_z_s

@@ -168,6 +168,9 @@ def _leaves_phase(
         if d_m <= p.pad_radius_m + p.beyond_m and e[2] - p.feet_m < p.gap_m:  # it may stand there
             return True
         m.contact_since_s = math.inf
+        waited_s = now_s - max(p.since_s, p.started_s + p.calm_wait_s)
+        if not p.paper and waited_s > p.over_pad_time_max_s:
+            return True
         touches = paper.may_touch(p, e, d_m) if p.paper else robust.may_touch(p, e, d_m, slip, sigma_m)
         return touches and not _waits_for_calm(p, e, target_m_s, now_s)
     if p.phase == _TOUCHDOWN:

@@ -124,6 +124,7 @@ class RulesRecord(Record):
     noise_z: Annotated[F64, 4]
     status_age_max_s: float
     landing_time_max_s: float
+    over_pad_time_max_s: float
     settle_s: float
     alpha_1_m: float
     beta_m: float

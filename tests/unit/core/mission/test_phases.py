@@ -5,10 +5,11 @@ import random
 import numpy as np
 import pytest
 
-from flightstack.core.mission.phases import DISARMED, TABLE, Condition, next_phase
+from flightstack.core.mission.phases import DISARMED, SWINGING, TABLE, Condition, next_phase
 from flightstack.core.types import Phase
 
-BITS = len(Condition) - 6  # only fleets, the ways of aborting, LANDED and LEAVE ask for the last ones
+# only fleets, swinging, the ways of aborting, LANDED and LEAVE ask for the last ones
+BITS = len(Condition) - 7
 FINAL = (Phase.LANDED, Phase.ABORT)
 GOING_ON = [p for p in Phase if p not in FINAL]
 STAY = (None, "")
@@ -102,6 +103,7 @@ def expected_rules(phase, w):
                 *inputs(w),
                 (w.landing_time_over, Phase.ABORT, "landing took too long"),
                 (w.touch, Phase.TOUCHDOWN, "touchdown rule met"),
+                (w.swings, Phase.ABORT, SWINGING),
                 (~w.over_pad, Phase.APPROACH, "left the descending cone"),
             ]
         case Phase.TOUCHDOWN:
@@ -200,14 +202,15 @@ def mentioned(phase):
 
 
 def test_conditions_are_one_bit_each_and_phases_are_numbered_as_in_the_log():
-    assert [int(c) for c in Condition] == [1 << n for n in range(BITS + 6)]
-    assert len(Condition.__members__) == BITS + 6 == 30
+    assert [int(c) for c in Condition] == [1 << n for n in range(BITS + 7)]
+    assert len(Condition.__members__) == BITS + 7 == 31
     asked = 0
     for phase in set(TABLE) - {Phase.LANDED, Phase.LEAVE}:
         rules = TABLE[phase]
         for rule in rules:
             asked |= rule.when | rule.unless | rule.about
-    assert asked & ~Condition.CUT_OFF < 1 << BITS  # that one: all words of what a phase asks for, below
+    rare = Condition.CUT_OFF | Condition.SWINGS  # these: all words of what a phase asks for, below
+    assert asked & ~rare < 1 << BITS
     assert set(TABLE) == set(Phase)
     assert [(p.name, int(p)) for p in Phase] == [
         ("WAIT", 0), ("TAKEOFF", 1), ("APPROACH", 2), ("LAND", 3), ("TOUCHDOWN", 4), ("LANDED", 5),
