@@ -26,6 +26,7 @@ from flightstack.core.types import Landed, Mode, OwnState, Phase, Request, Vehic
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
 from sim.runners.landing_target import DirectTarget
+from sim.runners.landing_wire import PEER
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.notes import Notes
 from sim.runners.stretch.memory import Notebook, set_up_rules, suits
@@ -102,7 +103,7 @@ class Stretch:
         self._heeded = link.heeded
         self._yaw_rad: float | None = None
         self._clip: tuple[float, float, float] | None = None
-        self._sender = (node.autopilot.system_id, COMPANION_ID)
+        self._sender = (node.autopilot.system_id, COMPANION_ID, PEER)
 
     def warm_up(self) -> None:
         """Compile what flies, or load it from the cache."""
