@@ -20,11 +20,13 @@ class _Stream(Generic[V]):
     build: Builder[V]
     interval_s: float  # infinite: off
     due_s: float
+    passed_s: float = -_OFF  # when it was due last; once a tick, also where it has to catch up
 
     def passes(self, now_s: float, limit_s: float) -> bool:
         """Whether it is due until ``limit_s``; then it is due anew an interval later."""
-        if self.due_s > limit_s:
+        if self.due_s > limit_s or now_s == self.passed_s:
             return False
+        self.passed_s = now_s
         self.due_s += self.interval_s
         if self.due_s <= now_s:  # messages that were missed are not made up for
             self.due_s = now_s + self.interval_s
@@ -101,6 +103,7 @@ class Streams(Generic[V]):
         stream = self._streams[message_id]
         if stream.interval_s < _OFF:
             stream.due_s = self._lazy_due_s = 0.0
+            stream.passed_s = -_OFF
 
     def due(self, snapshot: Snapshot[V]) -> list[Message]:
         """Make the messages that are due."""
@@ -118,9 +121,10 @@ class Streams(Generic[V]):
     def next_s(self, message_ids: frozenset[int]) -> float:
         """When one of these messages is due next that do not come at every tick, or somewhat earlier.
 
-        It is -inf unless position and attitude come at every tick.
+        It is -inf unless position and attitude, and no others of them, come at every tick.
         """
-        if any(id_ in self._hidden or self._streams[id_].interval_s > self._period_s for id_ in EVERY_TICK):
+        busy = {stream.message_id for stream in self._busy}
+        if not busy.issuperset(EVERY_TICK) or busy & message_ids - set(EVERY_TICK):
             return -_OFF
         due_s = [
             stream.due_s

@@ -56,6 +56,16 @@ def test_a_landing_in_stretches_is_the_same_to_the_last_bit(name, seed, filter_n
     assert_equal(load(name).with_filter(filter_name), seed, least)
 
 
+@pytest.mark.parametrize("filter_name", ["robust", "paper"])
+@pytest.mark.parametrize("rate_hz", [10, 11, 12, 15, 19, 37, 77, 144, 333, 500])
+def test_at_every_rate_a_landing_in_stretches_is_the_same(rate_hz, filter_name):
+    """Streams of the vehicle that are as quick as the ticks, and slower ones that have to catch up, too."""
+    room = load("room")
+    config = replace(room.onboard, loop=replace(room.onboard.loop, rate_hz=rate_hz))
+    least = 0.3 if rate_hz > 20 else 0.0  # VFR_HUD, 10 Hz, comes at most of the ticks
+    assert_equal(replace(room, onboard=config).with_filter(filter_name), 5, least)
+
+
 def test_stretches_and_python_alternate_where_the_target_is_lost():
     field = load("field")
     rare = replace(field, odometry=replace(field.odometry, loss=0.3, dropout_every_s=0.5, dropout_max_s=0.6))
