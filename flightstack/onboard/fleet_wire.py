@@ -17,6 +17,7 @@ from collections.abc import Callable
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.sender_clock import Reading, SenderClock
 from flightstack.core.types import Neighbour
 from flightstack.onboard.fleet_clock import OtherClock
 from logs.schema.fleet_rows import Echo, neighbour_of, word_row
@@ -28,6 +29,7 @@ KEY = "fleet/word"
 EVERYBODY = f"**/{KEY}"
 CAPACITY = 256  # words; the oldest are dropped: a tick needs the newest of each member only
 BYTES_MAX = 2048  # of a word
+PROOF_S = 0.3  # for which words of a clock that was set have to agree: longer than one that is late
 ONE_WAY_S = 2.0  # for which a member is heard and does not hear this vehicle, until that is said
 
 
@@ -57,10 +59,11 @@ class _Counts:
 class _Member:
     """What is known of another member's process."""
 
-    def __init__(self) -> None:
+    def __init__(self, fleet: Fleet) -> None:
         self.process: int | None = None
         self.clock = OtherClock()
         self.stamp_ns = 0  # of its newest word
+        self.stamps = SenderClock(fleet.age_max_s, PROOF_S, fleet.latency_max_s)
         self.heard_ns = 0  # when that came, our clock
         self.claim_ns: int | None = None
         self.claim_s = math.nan
@@ -87,7 +90,7 @@ class FleetWire:
         self._fleet = fleet
         self.doubled = ""
         self._process = secrets.randbits(64)
-        self._members = {n: _Member() for n in fleet.others}
+        self._members = {n: _Member(fleet) for n in fleet.others}
         self._counts = _Counts()
         self._epoch_ns = 0
         self._now_s: Callable[[], float] = _not_begun
@@ -120,14 +123,13 @@ class FleetWire:
         rows = self._rows()
         now_s = self._now_s()  # after the words were taken: none came later
         now_ns = self._epoch_ns + round(now_s * 1e9)
-        newest: dict[int, FleetWordRow] = {}
+        newest: dict[int, Neighbour] = {}
         for row in rows:
             if self._is_of_member(row, now_ns):
-                before = newest.get(row.id)
-                if before is None or row.stamp_ns > before.stamp_ns:
-                    newest[row.id] = row
-        words = [self._taken(newest[n], now_s, now_ns) for n in sorted(newest)]
-        return tuple(word for word in words if word is not None)
+                word = self._taken(row, now_s, now_ns)
+                if word is not None:
+                    newest[row.id] = word
+        return tuple(newest[n] for n in sorted(newest))
 
     def say(self, word: Neighbour | None) -> bytes | None:
         """Tell the others what the controller has to tell them; return it as it went out.
@@ -193,15 +195,21 @@ class FleetWire:
             return False
         if member.process is not None:
             self._counts.texts.append(f"fleet: vehicle {row.id} has a new process after {silent_s:.1f} s")
-        member = self._members[row.id] = _Member()
-        member.process, member.stamp_ns = row.process, row.stamp_ns - 1
+        member = self._members[row.id] = _Member(self._fleet)
+        member.process = row.process
         return True
 
     def _taken(self, row: FleetWordRow, now_s: float, now_ns: int) -> Neighbour | None:
         """A word on our clock; None if it was overtaken, or if its time is not known well enough."""
         member, fleet = self._members[row.id], self._fleet
-        if row.stamp_ns <= member.stamp_ns:
+        # a queue is not taken for another clock: the bound of the offset has the delays of both directions
+        reading = member.stamps.accept(row.stamp_ns / 1e9, now_ns / 1e9, PROOF_S)
+        if reading is Reading.AHEAD or reading is Reading.UNUSABLE:
+            self._counts.add(f"the clock of vehicle {row.id}, or of this one, has jumped")
+        if not reading.good:
             return None
+        if reading is Reading.STEPPED:
+            member.clock = OtherClock()
         member.stamp_ns, member.heard_ns = row.stamp_ns, now_ns
         echoes = [ns for n, process, ns in row.echoes if (n, process) == (fleet.id, self._process)]
         if not member.clock.heard(row.stamp_ns, now_ns, echoes[0] if echoes else None):

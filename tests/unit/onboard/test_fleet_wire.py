@@ -235,6 +235,35 @@ def test_a_clock_that_jumps_is_told(sides):
     assert "the clock of vehicle 7, or of this one, has jumped" in a.wire.texts()[0]
 
 
+def words_of(side):
+    """Words that have come; waits for one, also if it is refused."""
+    rows = until(side.wire._rows)
+    side.wire._rows = lambda: rows
+    found = side.wire.words()
+    del side.wire._rows
+    return found
+
+
+@pytest.mark.parametrize(
+    ("stamp_s", "clock_s", "lost"), [(3600.0, 0.0, 1), (0.0, 3600.0, 22), (0.0, -0.9, 22)]
+)
+def test_a_wrong_stamp_costs_one_word_and_a_clock_that_was_set_is_followed(sides, stamp_s, clock_s, lost):
+    """Words at 50 Hz; with the tenth the stamp of one, or the clock of a vehicle, is set."""
+    a, b = sides
+    heard = []
+    for n in range(50):
+        pass_time(a, b)
+        pass_time(a, b)
+        b.now_s += clock_s * (n == 10)
+        b.wire.say(told(7, b.now_s + stamp_s * (n == 10)))
+        a.wire.say(told(3, a.now_s))
+        heard += [n] * bool(words_of(a))
+        words_of(b)
+    missing = sorted(set(range(10, 50)) - set(heard))
+    assert missing == list(range(10, 10 + len(missing)))
+    assert 1 <= len(missing) <= lost
+
+
 def test_a_member_that_does_not_hear_this_one_is_told_once(sides, stranger):
     a, b = sides
     process = FleetWordRow.unpack(b.wire.say(told(7, b.now_s))).process
