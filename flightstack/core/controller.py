@@ -200,7 +200,7 @@ class Controller:
         if target is not None and not believed_target:
             target = target._replace(velocity_enu_m_s=self.track.moves_m_s)
         if inputs.own is not None:
-            plausibility.take(inputs.own)
+            plausibility.take(inputs.own, flies=memory.commanding and not memory.contact)
         believed = plausibility.believes(now_s)
         if inputs.own is not None:
             flown = memory.commanding and believed

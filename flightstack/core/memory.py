@@ -123,6 +123,7 @@ class PlausibilityMemory:
     """Of the checks on own state and set-points."""
 
     last: OwnState | None = None  # newest that was measured anew
+    moved_s: float = 0.0  # arrival of the newest at another position, or of one that did not fly
     drift_m: Vec3 = ZERO  # where no velocity took it
     distrusted: bool = False
     missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity

@@ -5,7 +5,8 @@
 A link that delivers fresh time stamps can still deliver nonsense. Three things are known without a second
 sensor:
 
-* numbers that repeat to the last bit while they speak of motion are not measured anew: such a state ages;
+* numbers that repeat to the last bit while they speak of motion, or for ``STILL_MAX_S`` while the vehicle
+  flies set-points, are not measured anew: such a state ages. A vehicle at rest repeats its numbers;
 * a position goes where its velocity takes it: the difference, with a memory, is noise of both;
 * the vehicle follows its set-points within its lag: velocity minus the velocity wanted, summed with a memory,
   is a distance it lags behind, at most its lag at full speed (``checks`` holds memories and bounds).
@@ -28,6 +29,7 @@ TRUSTED_AGAIN = 0.5  # share of the bound; an offset of 0.3 m stays distrusted f
 # Slower, equal numbers may be a vehicle at rest: firmware truncates to millimetres and shows the bias of its
 # accelerometer as a velocity, 9 mm/s on a Crazyflie.
 STANDING_M_S = 0.05
+STILL_MAX_S = 0.5  # no vehicle hovers still to the millimetre for longer
 
 
 def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3) -> bool:
@@ -64,10 +66,19 @@ class Plausibility:
         """Distance by which the vehicle lags behind the commanded velocity."""
         return math.hypot(*self.memory.missed_m)
 
-    def take(self, own: OwnState) -> None:
-        """Look at the newest own state; the same one again is no news."""
+    def take(self, own: OwnState, *, flies: bool = False) -> None:
+        """Look at the newest own state; the same one again is no news.
+
+        Args:
+            own: newest own state.
+            flies: the vehicle is in the air and follows set-points.
+        """
         memory, last = self.memory, self.memory.last
         if last is not None and own.arrival_s == last.arrival_s:
+            return
+        if last is None or not flies or last.position_enu_m != own.position_enu_m:
+            memory.moved_s = own.arrival_s
+        elif own.arrival_s - memory.moved_s > STILL_MAX_S:
             return
         if last is not None and repeats(last.position_enu_m, own.position_enu_m, own.velocity_enu_m_s):
             return

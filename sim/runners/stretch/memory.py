@@ -171,7 +171,7 @@ class Notebook:
             track.accepted += v[23]
             track.drift_m, track.drift_smooth_m = v[119:122], v[122:125]
         watched.last = OwnState(v[64], v[65], v[66:69], v[69:72], own_yaw_rad)
-        watched.drift_m, watched.missed_m = v[73:76], v[76:79]
+        watched.moved_s, watched.drift_m, watched.missed_m = v[64], v[73:76], v[76:79]
         if c.reserve_estimate is not None:
             c.reserve_estimate.memory.effort, c.reserve_estimate.memory.rise_m_s = v[117:119]
         if not isinstance(strategy, RobustFilter):
