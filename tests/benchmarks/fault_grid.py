@@ -55,7 +55,8 @@ _TAIL = """
 ## What the companion knows
 
 - The age of what comes: own state 0.2 s, target 0.25 s, heartbeat 3 s.
-- Numbers that repeat to the last bit while they speak of more than 0.05 m/s, or for 0.5 s in flight: they age.
+- Numbers that repeat to the last bit while they speak of more than 0.05 m/s, or for 0.5 s in flight:
+  they age.
 - Own position against own velocity over 2 s, more than `checks.own_drift_max_m` apart: lost, until
   they agree.
 - Target samples farther than `checks.target_jump_max_m` from where the mean of the velocities of the last
