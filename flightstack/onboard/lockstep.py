@@ -7,7 +7,10 @@ have come (docs/how_it_works/lockstep.md).
 
 from __future__ import annotations
 
+import contextlib
+import math
 import struct
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 
@@ -31,6 +34,7 @@ from logs.schema.fleet_rows import pack_neighbours, unpack_neighbours, word_row
 CREDIT_EVERY = 10  # ticks
 WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
 FIRST_WAIT_MAX_S = 600.0  # s of wall time until vehicle and target have shown up: a slow computer compiles
+SAID_S = 10.0  # s after which that wait is said
 LOST_RUN_MAX_S = 15.0  # s of wall time without the vehicle after which the process ends
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
 OVER = 1  # second number of what is told: nothing more follows
@@ -84,7 +88,8 @@ class VehicleTicks:
             ClockStoppedError: it does not.
         """
         link = self._vehicle.link
-        most_s, silence = FIRST_WAIT_MAX_S if self._last_ns < 0 else LOST_RUN_MAX_S, None
+        first, silence = self._last_ns < 0, None
+        most_s, due_s = (FIRST_WAIT_MAX_S, SAID_S) if first else (LOST_RUN_MAX_S, math.inf)
         if self._last_ns >= 0:  # it asks for the next tick when it has flown this one, and not before
             link.endpoint.wait(WAIT_SLICE_S)
         while True:
@@ -97,8 +102,18 @@ class VehicleTicks:
                 link.endpoint.repeat(self._vehicle.reply)
             if silence is None:  # mostly the vehicle has asked, which needs no clock
                 silence = Silence()
-            if self._stopped() or silence.look() > most_s:
-                raise ClockStoppedError("the vehicle fell silent")
+            waited_s = silence.look()
+            if self._stopped() or waited_s > most_s:
+                never = f"no vehicle asked for a tick within {most_s:g} s (TIMESYNC)"
+                raise ClockStoppedError(never if first and waited_s > most_s else "the vehicle fell silent")
+            if waited_s > due_s:
+                due_s = math.inf
+                with contextlib.suppress(OSError):  # nobody reads it
+                    print(
+                        "onboard: waits for the vehicle to ask for its first tick",
+                        file=sys.stderr,
+                        flush=True,
+                    )
             link.endpoint.wait(WAIT_SLICE_S)
 
 

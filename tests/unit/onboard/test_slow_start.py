@@ -2,12 +2,16 @@
 
 import subprocess
 import sys
+import time
+from types import SimpleNamespace
 
 import pytest
 
 from flightstack.common import processes
 from flightstack.common.hangup import Stop
 from flightstack.common.processes import Child, LaunchError
+from flightstack.onboard import lockstep
+from flightstack.onboard.runner import ClockStoppedError
 from sim import clock
 
 WORKS = "import time\nwhile time.process_time() < {}: pass\nprint('ready here', flush=True)"
@@ -80,3 +84,18 @@ def test_compiling_says_how_far_it_is(tmp_path):
     assert (shares[0], shares[-1], len(shares)) == (0, 90, 10)
     assert said[-1] == "flightstack: compiled"
     assert done.stdout == "True False\n"
+
+
+@pytest.mark.parametrize("asked_before", [False, True])
+def test_a_companion_says_that_it_waits_for_its_vehicle_and_not_for_ever(monkeypatch, capsys, asked_before):
+    for name, value in {"SAID_S": 0.01, "FIRST_WAIT_MAX_S": 0.1, "LOST_RUN_MAX_S": 0.1}.items():
+        monkeypatch.setattr(lockstep, name, value)
+    endpoint = SimpleNamespace(wait=lambda _: time.sleep(0.001))
+    link = SimpleNamespace(poll=lambda _: None, take_timesync=lambda: None, endpoint=endpoint)
+    ticks = lockstep.VehicleTicks(SimpleNamespace(link=link), 100, lambda: False)
+    if asked_before:
+        ticks.passed(0)
+    why = "fell silent" if asked_before else "no vehicle asked for a tick within 0.1 s"
+    with pytest.raises(ClockStoppedError, match=why):
+        ticks.wait()
+    assert capsys.readouterr().err.count("waits for the vehicle") == (not asked_before)
