@@ -17,6 +17,8 @@ class CalledOffError(KeyboardInterrupt):
     """A signal before the process handles signals itself: it unwinds the start, which ends the children."""
 
 
+_COMPILER = "llvmlite"  # in the paths of the files whose callbacks drop exceptions
+_AGAIN_S = 0.01
 _came: list[CalledOffError] = []
 
 
@@ -42,8 +44,15 @@ def begun() -> None:
 
 
 def _call_off(number: int, frame: FrameType | None) -> None:
-    del frame
-    _came.append(CalledOffError(f"ended by {signal.Signals(number).name}"))
+    """Raise; where the exception would be dropped, try again a little later."""
+    if number != signal.SIGALRM:
+        _came.append(CalledOffError(f"ended by {signal.Signals(number).name}"))
+    while frame is not None:
+        if _COMPILER in frame.f_code.co_filename:
+            signal.signal(signal.SIGALRM, _call_off)
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            return
+        frame = frame.f_back
     raise _came[-1]
 
 
