@@ -46,9 +46,11 @@ def paper_checks(config: FlightConfig) -> list[Check]:
         paper.gains(config, config.position_loop.gain_1_s, "position_loop.gain_1_s"),
         paper.slews(config, config.limits.slew_max_m_s2, "limits.slew_max_m_s2"),
         paper.lags(config),
+        *paper.answers(config),
         ends.reaches_touchdown(config),
         ends.contact(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
         ends.notices(config),
+        ends.falls(config),
     ]
 
 
@@ -68,6 +70,7 @@ def robust_checks(config: FlightConfig) -> list[Check]:
         touchdown.in_time(config, x),
         ends.contact(config, config.robust.descent_m_s, "robust.descent_m_s"),
         ends.notices(config),
+        ends.falls(config),
         touchdown.altitude(config, x),
         robust.climb(config, x),
         robust.slew(config, x),

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.verify.types import Check
+from flightstack.core.parameters.reserve import GRAVITY_M_S2
+from flightstack.verify.types import Check, Need
+
+FALL_MAX_M_S = 1.0  # twice the speed of a landing; landing gear bears it
 
 
 def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
@@ -45,4 +50,19 @@ def notices(config: FlightConfig) -> Check:
         "s",
         f"found {found:g}, the tracking lag converges to {most_s:g} s of flight",
         "raise checks.follow_memory_s or lower checks.follow_lag_max_s",
+    )
+
+
+def falls(config: FlightConfig) -> Check:
+    """Check that a vehicle that is taken for standing does not fall far when its motors stop."""
+    gap_m = config.contact.gap_m
+    speed = math.sqrt(2.0 * GRAVITY_M_S2 * gap_m)
+    return Check(
+        "contact.gap_m",
+        f"a vehicle taken for standing, motors off, falls with {FALL_MAX_M_S:g} m/s at most",
+        FALL_MAX_M_S - speed,
+        "m/s",
+        f"found {gap_m:g} m, from which it falls with {speed:.3g} m/s",
+        "lower contact.gap_m",
+        Need.PROOF,
     )

@@ -15,6 +15,7 @@ from flightstack.core.types import Vec3
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.types import Check, Need
 
+TICK_S = 0.05  # s; a shorter tick is quick enough for a vehicle that lags less
 QUARTER = Span(0.0, math.pi / 2.0)  # of directions: box and target are symmetric
 ANYWHERE = Span(0.0, math.inf)  # distances
 
@@ -135,3 +136,32 @@ def lags(config: FlightConfig) -> Check:
         'choose filter = "robust", or lower limits.velocity_max_m_s; or velocity_loop.lag_xy_s if it is less',
         Need.PROOF,
     )
+
+
+def answers(config: FlightConfig) -> list[Check]:
+    """Check that position loop, filter, slew limit and tick suit the vehicle that the paper leaves out.
+
+    The position loop around a lag is damped by 1 / sqrt(2) for a product of 1/2. A filter that lets h fall
+    more than twice as quickly as the vehicle comes to the middle, or more quickly than its vertical velocity
+    settles, takes it down where the cone is narrow and keeps it there while the robot drives on.
+    """
+    loop, slower, tick_s = config.velocity_loop, 1.0 + config.envelope.lag_spread, 1.0 / config.loop.rate_hz
+    (kx, ky, kz), (ax, ay, _) = config.position_loop.gain_1_s, config.limits.slew_max_m_s2
+    lag_s, settles_s, omega_1_s = slower * loop.lag_xy_s, slower * loop.lag_z_s, config.barrier.omega_1_s
+    quick_s, target_m_s2 = max(loop.lag_xy_s, TICK_S), config.envelope.target_acceleration_max_m_s2
+    rows = (
+        ("position loop", "the position loop is damped with the slowest vehicle",
+         0.5 - max(kx, ky) * lag_s, "", f"gain {max(kx, ky):g} 1/s at a lag of {lag_s:.3g} s",
+         "lower position_loop.gain_1_s"),
+        ("position loop, filter", "the vehicle comes to the middle half as quickly as h may fall, or sooner",
+         min(kx, ky, kz) - 0.5 * omega_1_s, "1/s", f"gain {min(kx, ky, kz):g}, omega {omega_1_s:g}",
+         "raise position_loop.gain_1_s or lower barrier.omega_1_s"),
+        ("barrier.omega_1_s", "h may fall more slowly than the vertical velocity settles",
+         1.0 - omega_1_s * settles_s, "", f"omega {omega_1_s:g}, the slowest vehicle lags {settles_s:.3g} s",
+         "lower barrier.omega_1_s"),
+        ("slew", "the command may change as quickly as the target's velocity", min(ax, ay) - target_m_s2,
+         "m/s^2", f"found {min(ax, ay):g}, the target has {target_m_s2:g}", "raise limits.slew_max_m_s2"),
+        ("tick", "a tick is no longer than the vehicle's lag", quick_s - tick_s, "s",
+         f"found {tick_s:.3g}, the lag is {loop.lag_xy_s:g}", "raise loop.rate_hz"),
+    )  # fmt: skip
+    return [Check(*row, Need.PROOF) for row in rows]

@@ -87,6 +87,15 @@ def declared(scenario: Scenario) -> list[Check]:
                     "m",
                 ),
             ]
+            rows.append(
+                (
+                    "target.velocity_noise_m_s",
+                    f"{told.velocity_noise_m_s:g} for {link.velocity_noise_m_s:g}",
+                    "odometry.velocity_noise_m_s",
+                    told.velocity_noise_m_s - NOISE_SHARE * link.velocity_noise_m_s,
+                    "m/s",
+                )
+            )
         if spec.own is None:
             rows.append(
                 (

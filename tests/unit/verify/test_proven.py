@@ -44,6 +44,13 @@ def test_what_is_proven_neither_crashes_nor_violates(case):
         ("field", "robust", "target.delay_s", 0.5, "target.delay_s"),
         ("field", "paper", "barrier.omega_1_s", 0.7, "lag"),
         ("deck", "paper", "position_loop.gain_1_s", [1.0, 1.0, 1.0], "lag"),
+        ("reversing", "paper", "position_loop.gain_1_s", [10.0, 10.0, 10.0], "position loop"),
+        ("reversing", "paper", "position_loop.gain_1_s", [0.188, 0.188, 0.188], "position loop, filter"),
+        ("reversing", "paper", "barrier.omega_1_s", 20.0, "barrier.omega_1_s"),
+        ("reversing", "paper", "limits.slew_max_m_s2", [0.2, 0.2, 0.2], "slew"),
+        ("reversing", "paper", "loop.rate_hz", 10, "tick"),
+        ("reversing", "paper", "contact.gap_m", 0.1, "contact.gap_m"),
+        ("field", "robust", "target.velocity_noise_m_s", 1e-4, "declared, target.velocity_noise_m_s"),
     ],
 )
 def test_what_crashed_though_it_was_proven_is_not_proven(scenario, kind, key, value, check):
@@ -74,6 +81,7 @@ def test_each_scenario_declares_what_it_flies():
         ({"odometry": {"rate_hz": 40.0}}, "envelope.target_rate_hz"),
         ({"odometry": {"delay_s": 0.1}}, "target.delay_s"),
         ({"odometry": {"position_noise_m": 0.03}}, "target.position_noise_m"),
+        ({"odometry": {"velocity_noise_m_s": 0.1}}, "target.velocity_noise_m_s"),
         ({"vehicle": {"airframe": "quad_1000g"}}, "touchdown.feet_below_reference_m"),
     ],
 )
