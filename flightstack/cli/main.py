@@ -162,12 +162,14 @@ class Verbs(click.Group):
         """Run the verb."""
         try:
             return super().invoke(ctx)
-        except hangup.CalledOffError as error:
-            click.echo(f"flightstack: {error}", err=True)
-            ctx.exit(INTERRUPTED)
-        except (ConfigError, ValueError, OSError) as error:
-            click.echo(f"flightstack: {plain(error)}", err=True)
-            ctx.exit(WRONG_INPUT)
+        except click.exceptions.Exit:
+            raise
+        except (hangup.CalledOffError, Exception) as error:
+            called_off = hangup.called_off()  # a library that was being loaded turns it into its own error
+            if called_off is None and not isinstance(error, (ConfigError, ValueError, OSError)):
+                raise
+            click.echo(f"flightstack: {plain(called_off or error)}", err=True)
+            ctx.exit(INTERRUPTED if called_off else WRONG_INPUT)
 
 
 @click.group(cls=Verbs, context_settings=CONTEXT)

@@ -33,6 +33,11 @@ def start() -> None:
     on_hangup(_call_off)
 
 
+def called_off() -> CalledOffError | None:
+    """The newest signal that came while the process started, whatever became of its exception."""
+    return _came[-1] if _came else None
+
+
 def begun() -> None:
     """Call it once the process has handlers of its own.
 

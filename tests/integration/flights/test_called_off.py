@@ -6,9 +6,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
+import click
 import pytest
+from click.testing import CliRunner
 
+from flightstack.cli.main import main
 from flightstack.common import hangup
 from tests.integration.runs import gone
 from tests.integration.sim_processes import COMMAND, wait_for
@@ -95,6 +99,14 @@ def test_in_a_callback_of_the_compiler_which_would_drop_it_the_exception_waits(m
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("error", [ImportError("initialization failed"), ValueError("bad"), SystemError()])
+def test_a_library_that_turns_the_exception_into_its_own_error_ends_the_verb_as_quietly(monkeypatch, error):
+    monkeypatch.setattr(hangup, "_came", [hangup.CalledOffError("ended by SIGHUP")])
+    with mock.patch.object(click.Group, "invoke", side_effect=error):
+        result = CliRunner().invoke(main, ["scenarios"])
+    assert (result.exit_code, result.stderr) == (1, "flightstack: ended by SIGHUP\n")
 
 
 LOADS = """
