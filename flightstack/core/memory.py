@@ -64,6 +64,7 @@ class ClockMemory:
     held_s: float = 0.0  # for how long all ways were longer than the least
     stamp_s: float = -inf  # newest that was believed
     taken_s: float = -inf  # its arrival
+    began_s: float = inf  # arrival of the first, or of the first after a step
     run_since_s: float = inf  # first arrival of refused messages that agree with each other; inf: none
     run_arrival_s: float = 0.0  # newest of them
     run_stamp_s: float = 0.0  # the same

@@ -91,7 +91,8 @@ class SenderClock:
         if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also NaN
             return Reading.UNUSABLE
         if stamp_s > memory.stamp_s:
-            if way_s < memory.floor_s - self.ahead_max_s and memory.floor_s < math.inf:
+            known = arrival_s - memory.began_s >= self._proof_s  # before, a queue from the start may drain
+            if known and way_s < memory.floor_s - self.ahead_max_s:
                 reading = Reading.AHEAD
             elif way_s - memory.offset_s > self._late_max_s or self._goes_on_late(way_s, arrival_s):
                 reading = Reading.LATE
@@ -107,6 +108,8 @@ class SenderClock:
         memory, way_s = self.memory, arrival_s - stamp_s
         newest = (memory.run_stamp_s, memory.run_arrival_s) == (stamp_s, arrival_s)
         stepped = newest and memory.run_since_s < math.inf
+        if stepped or memory.began_s == math.inf:
+            memory.began_s = arrival_s
         if stepped:
             memory.offset_s = memory.floor_s = memory.run_way_s
             memory.held_s = 0.0

@@ -248,19 +248,19 @@ def words_of(side):
     ("stamp_s", "clock_s", "lost"), [(3600.0, 0.0, 1), (0.0, 3600.0, 22), (0.0, -0.9, 22)]
 )
 def test_a_wrong_stamp_costs_one_word_and_a_clock_that_was_set_is_followed(sides, stamp_s, clock_s, lost):
-    """Words at 50 Hz; with the tenth the stamp of one, or the clock of a vehicle, is set."""
+    """Words at 50 Hz; with the twentieth the stamp of one, or the clock of a vehicle, is set."""
     a, b = sides
     heard = []
-    for n in range(50):
+    for n in range(60):
         pass_time(a, b)
         pass_time(a, b)
-        b.now_s += clock_s * (n == 10)
-        b.wire.say(told(7, b.now_s + stamp_s * (n == 10)))
+        b.now_s += clock_s * (n == 20)
+        b.wire.say(told(7, b.now_s + stamp_s * (n == 20)))
         a.wire.say(told(3, a.now_s))
         heard += [n] * bool(words_of(a))
         words_of(b)
-    missing = sorted(set(range(10, 50)) - set(heard))
-    assert missing == list(range(10, 10 + len(missing)))
+    missing = sorted(set(range(20, 60)) - set(heard))
+    assert missing == list(range(20, 20 + len(missing)))
     assert 1 <= len(missing) <= lost
 
 

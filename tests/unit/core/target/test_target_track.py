@@ -163,6 +163,18 @@ def test_a_clock_that_was_set_is_followed_after_samples_that_agree(by_s, silent_
             assert not good or track.at(t_s).age_s < 1e-6
 
 
+def test_a_queue_that_drains_at_the_start_is_none_a_moment_later():
+    """What waited while the process started: 600 samples of 12 s in one tick."""
+    track = TargetTrack(Checks(), 0.01)
+    for stamp_s in ticks(0.0, 12.0):
+        moved = drives(stamp_s, stamp_s).position_enu_m
+        assert track.accept(drives(12.0, stamp_s)._replace(position_enu_m=moved)) is Verdict.ACCEPTED
+    track.memory.settled = True
+    for t_s in ticks(12.0, 14.0):
+        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED
+        assert track.at(t_s).age_s < 0.03
+
+
 def test_a_clock_and_a_place_that_begin_anew_are_not_followed_in_flight():
     track = steady(2.0, True)
     anew = [drives(t_s, t_s - 2.3)._replace(position_enu_m=(9.0, 0.0, 0.2)) for t_s in ticks(2.3, 10.0)]
