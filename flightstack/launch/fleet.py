@@ -237,6 +237,7 @@ def _describe(recorder: Path, options: RunOptions, team: TeamScenario, members: 
         "description": team.description,
         "seed": str(options.seed),
         "mode": "lockstep" if options.lockstep else "real-time",
+        **options.told,
     }
     source = teams.path_of(options.scenario).read_bytes()
     describe_all(recorder, flights, fleet, {TEAM: teams.text(team).encode(), "team_source.toml": source})

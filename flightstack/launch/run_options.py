@@ -76,6 +76,26 @@ class RunOptions:
     speed: float = 1.0
     members: Mapping[int, str] = field(default_factory=dict)
 
+    @property
+    def told(self) -> dict[str, str]:
+        """What the log says of the options that change bytes or timing; the report's command has them again.
+
+        The scenario as it was flown has filter and configuration.
+        """
+        values = {
+            "vehicle": self.flies.value.removeprefix("--"),
+            "program": str(self.program or ""),
+            "speed": f"{self.speed:g}" if self.speed != 1.0 else "",
+            "profile": self.profile if self.profile != DEFAULT_PROFILE else "",
+            "autopilot": self.autopilot if self.autopilot != AUTO else "",
+            "accept_release": "true" if self.accept_release else "",
+            "mocap": "true" if self.mocap else "",
+            "duration_s": f"{self.duration_s:g}" if self.duration_s is not None else "",
+            "signing_key": str(self.signing_key or ""),
+            "config": str(self.config or ""),
+        }
+        return {name: value for name, value in values.items() if value}
+
     def check(self) -> None:
         """Refuse options that cannot be combined.
 

@@ -180,7 +180,7 @@ class Onboard:
         """Write into the log what else a replay needs: the configuration, and how we were plugged in."""
         options, spec = self.options, self.wires.target
         own_key = f"{options.namespace}/target/odom"
-        text = dumps(self.config)
+        text, endpoint = dumps(self.config), self.link.endpoint
         self.feed.attachment(self.names.record("onboard.toml"), "application/toml", text.encode())
         self.feed.metadata(
             self.names.record("onboard"),
@@ -192,6 +192,9 @@ class Onboard:
                 "lockstep": str(options.lockstep).lower(),
                 "autopilot": options.autopilot,
                 "core": self.core.value,
+                # the rates of a slow line follow from them
+                **({"baud": str(endpoint.baud)} if endpoint.baud is not None else {}),
+                "signed": str(endpoint.signed).lower(),
             },
         )
 

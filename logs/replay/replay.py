@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from bridge.mavlink.line_budget import plan
 from bridge.mavlink.profiles.autopilots import AUTO, PROFILES, PX4
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller, Outputs, state_class
@@ -258,7 +259,11 @@ class _Run:
         if autopilot == AUTO and recognised in PROFILES:
             autopilot = recognised
         lockstep = onboard["lockstep"] == "true"
-        self.recorded.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot)
+        line = None
+        if "baud" in onboard:
+            signed, age_max_s = onboard.get("signed") == "true", self.config.checks.own_age_max_s
+            line = plan(int(onboard["baud"]), self.config.loop.rate_hz, age_max_s, signed=signed)
+        self.recorded.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot, line)
         self.result.wire = Tally()
 
     def _restore(self, snapshot: ControllerStateRow) -> None:

@@ -18,6 +18,7 @@ from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
 from bridge.mavlink.codec.decoding import Message, decode, message_id
 from bridge.mavlink.codec.wide_messages import MESSAGES
 from bridge.mavlink.endpoint import Endpoint, EndpointCounters, Peer, Received
+from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles.autopilots import PX4, profile
 from bridge.target.odometry import RawSample
 from flightstack.core.controller import Outputs
@@ -72,9 +73,22 @@ class WireReplay:
     """One flight's wire; for each tick ``take``, then ``answer``."""
 
     def __init__(
-        self, config: FlightConfig, system_id: int, lockstep: bool, autopilot: str = PX4.name
+        self,
+        config: FlightConfig,
+        system_id: int,
+        lockstep: bool,
+        autopilot: str = PX4.name,
+        line: LinePlan | None = None,
     ) -> None:
-        """Begin at tick 0."""
+        """Begin at tick 0.
+
+        Args:
+            config: that flew.
+            system_id: of the vehicle.
+            lockstep: in simulated time.
+            autopilot: profile of the vehicle.
+            line: rates over a slow serial line; None: it was none.
+        """
         origin = config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)
         self._heard, self._refusals = False, Refusals()
@@ -87,6 +101,7 @@ class WireReplay:
             profile=profile(autopilot),
             origin=Origin(*origin) if origin is not None else None,
             endpoint=self._endpoint,
+            line=line,
             power=config.reserve is not None,
         )
         self._vehicle = LinkedVehicle(self._link, lockstep=lockstep)

@@ -176,6 +176,14 @@ def warnings(flight: Flight, verdict: Verdict) -> list[str]:
     return texts
 
 
+_OPTIONS = {
+    "profile": "--profile", "autopilot": "--autopilot", "speed": "--speed", "duration_s": "--duration",
+    "signing_key": "--signing-key",
+}  # fmt: skip
+_FLAGS = {"accept_release": "--accept-release", "mocap": "--mocap"}
+_VEHICLES = ("px4", "px4-sih", "ardupilot")
+
+
 def command(run: dict[str, str], scenario: str) -> str:
     """Command that flies a run again, from its metadata and the name or file of its scenario."""
     parts = ["flightstack", "sitl", "--scenario", scenario, "--seed", run["seed"]]
@@ -183,6 +191,11 @@ def command(run: dict[str, str], scenario: str) -> str:
         parts += ["--filter", run["filter"]]
     if run.get("mode") == "lockstep":
         parts.append("--lockstep")
+    if run.get("vehicle") in _VEHICLES:
+        parts += [f"--{run['vehicle']}", run.get("program", "PROGRAM")]
+    for key, option in _OPTIONS.items():
+        parts += [option, run[key]] if key in run else []
+    parts += [option for key, option in _FLAGS.items() if run.get(key) == "true"]
     return shlex.join(parts)
 
 
@@ -201,5 +214,5 @@ def repeat_section(flight: Flight) -> str:
         revision=flight.metadata.get("made", {}).get("git_revision", ""),
         lockstep=run.get("mode") == "lockstep",
         scenario=details("The scenario as it was flown", whole.decode(errors="replace"), _SCENARIO),
-        by_name=command(run, run["scenario"]) if "scenario" in run else "",
+        by_name=command(run, run["scenario"]) if "scenario" in run and "config" not in run else "",
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -16,6 +17,7 @@ from flightstack.config.files import load, path_of
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.types import FilterStatus, Phase
+from flightstack.launch.run_options import Flies, RunOptions
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogError
 from logs.report.compare import write_comparison
@@ -182,6 +184,26 @@ def test_the_command_repeats_the_run(written):
     assert "--scenario scenario.toml --seed 7 --filter robust --lockstep" in text
     assert "--scenario &#39;my odd name&#39;" in text
     assert "no simulated run of ours" in repeat_section(dataclasses.replace(flight, attachments={}))
+
+
+# where the flight is shown, or what the scenario as it was flown has
+NOT_TOLD = {"scenario", "seed", "filter", "lockstep", "out", "live", "listen", "zenoh_config", "ros2", "view"}
+NOT_TOLD |= {"instance", "members", "flies"}
+
+
+def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
+    given = {
+        "duration_s": 20.0, "signing_key": Path("a key"), "profile": "ardupilot", "autopilot": "ardupilot",
+        "accept_release": True, "config": "paper", "program": Path("px4"), "mocap": True, "speed": 2.0,
+    }  # fmt: skip
+    options = RunOptions("room", flies=Flies.PX4, **given)
+    assert given.keys() == {field.name for field in dataclasses.fields(RunOptions)} - NOT_TOLD
+    assert RunOptions("room").told == {}
+    assert options.told.keys() - {"vehicle"} == given.keys()
+    assert command({"seed": "7", **options.told}, "scenario.toml") == (
+        "flightstack sitl --scenario scenario.toml --seed 7 --px4 px4 --profile ardupilot "
+        "--autopilot ardupilot --speed 2 --duration 20 --signing-key 'a key' --accept-release --mocap"
+    )
 
 
 def test_a_log_compared_with_itself_differs_in_nothing(tmp_path):
