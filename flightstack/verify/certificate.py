@@ -68,6 +68,7 @@ def robust_checks(config: FlightConfig) -> list[Check]:
         *touchdown.follows(config, x),
         *touchdown.reach(config, x),
         touchdown.in_time(config, x),
+        touchdown.stops(config, x),
         ends.contact(config, config.robust.descent_m_s, "robust.descent_m_s"),
         ends.notices(config),
         ends.falls(config),

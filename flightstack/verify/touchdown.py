@@ -111,6 +111,22 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
     ]
 
 
+def stops(config: FlightConfig, x: Extremes) -> Check:
+    """Check that the slowest descent ends between the waiting height and the pad: v tau + v^2 / (2 a)."""
+    robust, speed = config.robust, config.robust.descent_min_m_s
+    way_m = speed * x.lag_z_s + 0.5 * speed * speed / config.slew_max_m_s2[2]
+    room_m = robust.wait_height_m - config.touchdown.feet_below_reference_m - x.height_error_m
+    return Check(
+        "robust.descent_min_m_s",
+        "the slowest descent on the way ends between the waiting height and the pad",
+        room_m - way_m,
+        "m",
+        f"found {speed:g}, which ends within {way_m:.3g} m; it waits {room_m:.3g} m above",
+        "lower robust.descent_min_m_s or raise robust.wait_height_m",
+        Need.PROOF,
+    )
+
+
 def descent_time_s(config: FlightConfig, x: Extremes) -> float:
     """Return the longest time from the commit to contact."""
     robust = config.robust

@@ -40,6 +40,7 @@ def test_what_is_proven_neither_crashes_nor_violates(case):
         ("deck", "robust", "velocity_loop.error_max_m_s", 0.3, "velocity_loop.error_max_m_s"),
         ("field", "robust", "velocity_loop.rate_xy_1_s", 0.5, "velocity_loop.lag_xy_s"),
         ("deck", "robust", "robust.gain_1_s", 5.0, "lead, spread"),
+        ("deck", "robust", "robust.descent_min_m_s", 1.0, "robust.descent_min_m_s"),
         ("lab", "robust", "barrier.beta_m", 1.0, "declared, barrier"),
         ("field", "robust", "target.delay_s", 0.5, "target.delay_s"),
         ("field", "paper", "barrier.omega_1_s", 0.7, "lag"),
