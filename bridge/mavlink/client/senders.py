@@ -17,7 +17,7 @@ from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.autopilots import named
 from bridge.mavlink.transport.address import Peer
 
-SILENT_S = 2.5  # s without a heartbeat, which is sent at 1 Hz, after which a sender is no longer well
+SILENT_S = 2.5  # s without a frame of a sender of heartbeats, which come at 1 Hz, after which it is not well
 _APART_S = 0.5  # s for which two addresses alternate that are two senders; datagrams overtake less
 _GAP_MAX = 4  # between sequence numbers of one stream: three frames lost, of 256 that can be told apart
 _STEADY = 8  # frames in a row after which a stream is one without gaps
@@ -59,7 +59,7 @@ class Senders:
     doubled: str | None = None
     _now_s: float = -math.inf  # of the newest frame
     _kind: Kind | None = None
-    _beat_s: float = -math.inf  # newest heartbeat of the known sender
+    _beat_s: float = -math.inf  # newest frame of the known sender, once it has sent a heartbeat
     _claims: tuple[int, int] | None = None  # base_mode and custom_mode of that heartbeat
     _doubted: tuple[tuple[int, int], float] | None = None  # the same of one not believed yet, and its time
     _sequence: int = 0  # of the newest frame of the known sender
@@ -109,6 +109,8 @@ class Senders:
                 self._meet(now_s)
             if kind is None:
                 self._count(message.get_header().seq)
+                if well:  # heartbeats may come more seldom, or be lost
+                    self._beat_s = now_s
                 return True
             if fits and self._believed(message, now_s, well=well):
                 self._kind, self._beat_s = kind, now_s
@@ -168,7 +170,7 @@ class Senders:
         """Follow the vehicle to another address."""
         if self._kind is not None and self.known is not None:
             self._notices.append(
-                f"the vehicle is heard at {_at(peer)} now; {_at(self.known)} has sent no heartbeat for "
+                f"the vehicle is heard at {_at(peer)} now; {_at(self.known)} has been silent for "
                 f"{now_s - self._beat_s:.1f} s"
             )
         self.known, self.doubled = peer, None

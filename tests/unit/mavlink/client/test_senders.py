@@ -87,6 +87,18 @@ def test_a_vehicle_behind_a_new_port_is_followed_once_the_old_one_is_silent():
     assert any("heard at 127.0.0.1:14590 now" in text for text in wire.senders.take_notices())
 
 
+@pytest.mark.parametrize("armed", [False, True])
+def test_a_vehicle_whose_heartbeats_are_rare_is_not_silent_while_its_state_comes(armed):
+    wire = Wire()
+    for tick in range(100):
+        now_s = 0.1 * tick
+        if tick % 33 == 0:
+            assert wire.beats(now_s=now_s, armed=armed)
+        assert wire.admits(position(tick), now_s=now_s, armed=armed)
+        assert not wire.beats(peer=THERE, now_s=now_s + 0.05, armed=armed)
+    assert wire.senders.known == HERE
+
+
 def test_before_arming_another_vehicle_may_take_the_place_of_a_silent_one():
     wire = Wire()
     assert wire.beats()
