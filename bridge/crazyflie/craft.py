@@ -57,7 +57,8 @@ class Craft(Known):
         self._silence_said = False
         self._connected_s = 0.0
         self._armed_state: CrazyflieState | None = None  # the newest that shows it armed
-        self._heard_s, self._sink_s = -math.inf, 0.0  # the newest state, and how long it may sink without one
+        # newest state with a known position, and the longest landing without one, s
+        self._placed_s, self._sink_s = -math.inf, 0.0
 
     @property
     def armed(self) -> bool:
@@ -139,9 +140,10 @@ class Craft(Known):
         if self._silence_said:
             self.texts.say(INFO, "Radio is back")
             self._silence_said = False
-        self._heard_s = state.at_s
-        height_m = state.position_enu_m[2] - min(0.0, self.home_enu_m[2])  # the floor may be below a table
-        self._sink_s = limits.BLIND_SPARE_S + limits.BLIND_SHARE * max(0.0, height_m) / DESCENT_M_S
+        if self.position_known(now_s):
+            self._placed_s = state.at_s
+            height_m = state.position_enu_m[2] - min(0.0, self.home_enu_m[2])  # floor below a table
+            self._sink_s = limits.BLIND_SPARE_S + limits.BLIND_SHARE * max(0.0, height_m) / DESCENT_M_S
         if restarted:
             self._stop("it restarted", now_s)
             if before is not None:  # its settings are those of its start again
@@ -203,8 +205,8 @@ class Craft(Known):
             self._packets += [Order.RECONNECT] if self.armed else [Order.STOP, Order.RECONNECT]
 
     def _has_sunk(self, now_s: float) -> bool:
-        """Whether a landing without any state has taken longer than from the height where it was last."""
-        return now_s - max(self._heard_s, self._pilot.since_s) > self._sink_s
+        """Whether a landing without a position has taken longer than from the last known height."""
+        return now_s - max(self._placed_s, self._pilot.since_s) > self._sink_s
 
     # Changes
 

@@ -17,6 +17,9 @@ SPEED_XY_M_S = 0.3  # m/s
 CLIMB_M_S = 0.4  # m/s
 DESCENT_M_S = 0.25  # m/s
 ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # m, m/s; height reached
+# m/s, without a position: the bias of an accelerometer makes the firmware's own vertical velocity drift by
+# 0.05 m/s in a second, until it climbs while it seems to sink
+UNPLACED_M_S = 0.4
 STOPPED_SHARE = 0.3  # of the descent: slower than that it stands on something
 LANDING_MIN_S = 1.0  # s after which a stop counts: a climb has to end first
 STOPPED_TIME_S = 0.4  # s of that; longer than the descent takes to begin
@@ -142,7 +145,7 @@ class Pilot:
         if mode is FlightMode.LAND:
             if anchor.down(state, now_s) and now_s - self.since_s > LANDING_MIN_S:
                 return None, Done.LANDED
-            velocity = anchor.descend(state) if placed else (0.0, 0.0, -DESCENT_M_S)
+            velocity = anchor.descend(state) if placed else (0.0, 0.0, -UNPLACED_M_S)
             return Velocity(velocity, turn_rad_s), None
         done: Done | None = None
         if mode is FlightMode.TAKEOFF and anchor.arrived(state):

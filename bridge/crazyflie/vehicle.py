@@ -187,11 +187,11 @@ class Vehicle(Craft):
             self._fall_back(f"No client for {limits.CLIENT_SILENT_S:g} s", now_s)
             return
         state = self.fresh_state(now_s)
-        if state is None and self.mode is FlightMode.LAND and self._has_sunk(now_s):
+        placed = state is not None and self.position_known(now_s)
+        if not placed and self.mode is FlightMode.LAND and self._has_sunk(now_s):
             self._motors_off(now_s, "Blind landing over: motors off", forced=False)
             return
-        placed = state is None or self.position_known(now_s)
-        if not placed and self.mode is not FlightMode.LAND:
+        if state is not None and not placed and self.mode is not FlightMode.LAND:
             self._fall_back("No position estimate", now_s)
             return
         velocity, done = self._pilot.step(self.mode, state, now_s, standing=self.standing, placed=placed)

@@ -5,6 +5,7 @@ import struct
 
 import pytest
 
+from bridge.crazyflie.pilot import UNPLACED_M_S
 from bridge.crazyflie.rules import LOST_S, RECONNECT_S, Rules
 from bridge.crazyflie.types import Order
 from bridge.mavlink.server.profile import FlightMode
@@ -231,7 +232,7 @@ def test_without_a_position_it_sends_none_and_lands_straight_down():
     assert bench.times("LOCAL_POSITION_NED")[-1] < lost_s + unsure_s
     assert bench.times("ATTITUDE")[-1] > bench.now_s - 0.1
     descent = [p.velocity_enu_m_s for t, p in bench.velocities() if t > lost_s + unsure_s]
-    assert set(descent) == {(0.0, 0.0, -0.25)}
+    assert set(descent) == {(0.0, 0.0, -UNPLACED_M_S)}
     assert firmware.plant.on_surface
     assert bench.vehicle.problems(bench.now_s)[0] == "mocap: no pose for 0.3 s"
 
