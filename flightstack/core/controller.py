@@ -57,58 +57,32 @@ INFO, WARN, ERROR = 20, 30, 40
 
 
 class Barriers(NamedTuple):
-    """The landing barrier in this tick, and what the filter made of it.
+    """The landing barrier in this tick, and the filter's result."""
 
-    Attributes:
-        h_m: the barrier, paper eq. 9.
-        gradient: of the active barrier, with its margin.
-        dh_dt_m_s: the same by time.
-        nominal: u'.
-        result: u*.
-    """
-
-    h_m: float
-    gradient: Vec3
-    dh_dt_m_s: float
-    nominal: Vec3
-    result: FilterResult
+    h_m: float  # the barrier, paper eq. 9, m
+    gradient: Vec3  # of the active barrier, with its margin
+    dh_dt_m_s: float  # rate of the active barrier by time alone, m/s
+    nominal: Vec3  # u', m/s ENU
+    result: FilterResult  # u*
 
 
 class Outputs(NamedTuple):
-    """What a tick decided, and all it was decided from.
+    """The decisions of a tick, and all that they were made from."""
 
-    Attributes:
-        phase: after this tick.
-        request: mode of the vehicle.
-        setpoint: to be sent; ``None``: none.
-        gate: why it may or may not go out.
-        snapshot: the inputs, judged.
-        barrier: barrier and filter; ``None`` unless vehicle and target are known.
-        wanted: velocity wanted, before the correction for the vehicle's lag.
-        transition: change of phase in this tick.
-        events: what a person should read, the change of phase among it.
-        finished: the flight is over.
-        target_accepted: samples of the target so far.
-        target_rejected: the same, refused.
-        reserve: largest thrust over weight; NaN while it is not known, or without a table [reserve].
-        own_word: what the others have to be told; ``None`` without a table [fleet], or while it does not
-            know where it is.
-    """
-
-    phase: Phase
-    request: Request
-    setpoint: ApprovedSetpoint | None
-    gate: GateVerdict
-    snapshot: Snapshot
-    barrier: Barriers | None
-    wanted: Vec3 | None
-    transition: Transition | None
-    events: tuple[Event, ...]
-    finished: bool
-    target_accepted: int
-    target_rejected: int
-    reserve: float = math.nan
-    own_word: Neighbour | None = None
+    phase: Phase  # after this tick
+    request: Request  # mode requested of the vehicle
+    setpoint: ApprovedSetpoint | None  # to be sent; None: none
+    gate: GateVerdict  # why the set-point may or may not be sent
+    snapshot: Snapshot  # the inputs, judged
+    barrier: Barriers | None  # None unless vehicle and target are known
+    wanted: Vec3 | None  # velocity wanted, m/s ENU, before the correction for the vehicle's lag
+    transition: Transition | None  # change of phase in this tick
+    events: tuple[Event, ...]  # messages to the operator, the change of phase among them
+    finished: bool  # the flight is over
+    target_accepted: int  # samples of the target accepted so far
+    target_rejected: int  # samples of the target refused so far
+    reserve: float = math.nan  # largest thrust over weight; NaN while unknown, or without a table [reserve]
+    own_word: Neighbour | None = None  # message to the fleet; None without [fleet] or without a position
 
 
 def _level(transition: Transition) -> int:

@@ -15,12 +15,7 @@ from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
 from bridge.ros2.ros2_names import Ros2Network
 from bridge.target.ros2_target import TargetSpec, TargetType
-from flightstack.common.pacing import (
-    RealTimePacer,
-    Tick,
-    quiet_garbage_collector,
-    run_promptly,
-)
+from flightstack.common.pacing import RealTimePacer, Tick, quiet_garbage_collector, run_promptly
 from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.compiled.core import Core, chosen_core, compiled
@@ -259,9 +254,7 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
     """
     _check_speed(options)
     _check_fleet(config, options)
-    chosen_clock(
-        options.speed, options.clock, Follower.ONBOARD, lockstep=options.lockstep
-    )  # wrong input at once
+    chosen_clock(options.speed, options.clock, Follower.ONBOARD, lockstep=options.lockstep)
     found = problems(config)
     if found:
         raise ConfigError("refused before take-off: " + "; ".join(found))
