@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flightstack.compiled import core
+from flightstack.compiled import core, jit
 from flightstack.compiled.core import Core, chosen_core, compiled, is_possible, with_compiled_program
 from flightstack.compiled.jit import OFF, is_off
 from flightstack.compiled.program import CompiledFilter
@@ -159,7 +159,7 @@ def test_without_numba_and_mujoco_the_onboard_process_misses_nothing(asked, stat
 
 
 def test_the_machine_code_of_other_sources_is_not_warm(tmp_path, monkeypatch):
-    monkeypatch.setattr(core, "cache_directory", lambda: tmp_path)
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
     assert not core.is_warm()
     compiled(load("lab").onboard)
     assert core.is_warm() is not is_off()

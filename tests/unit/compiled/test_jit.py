@@ -133,6 +133,8 @@ def test_the_flights_touch_pad_and_ground():
 def test_without_a_writable_directory_there_is_no_cache(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    assert jit.cache_directory.__wrapped__() is not None  # another one, which can be written
+    monkeypatch.setattr(jit, "_usable", lambda _: False)
     assert jit.cache_directory.__wrapped__() is None
     monkeypatch.setattr(jit, "cache_directory", lambda: None)
     assert jit.jitted(lambda x: x + 1.0)(2.0) == 3.0

@@ -136,7 +136,9 @@ def test_a_name_fits_into_a_file_name():
 def test_the_interface_has_no_default_that_decides_about_a_flight():
     methods = {name for name in vars(Strategy) if not name.startswith("_")}
     remembers = {"own", "late"}  # nothing, unless a filter says otherwise
-    assert methods - remembers == set(Strategy.__abstractmethods__) - {"__init__"}
+    safe = {"watches_swinging"}  # True: a vehicle that swings over the pad aborts
+    assert Strategy.watches_swinging
+    assert methods - remembers - safe == set(Strategy.__abstractmethods__) - {"__init__"}
     assert not hasattr(Strategy, "certificate")
 
 

@@ -273,7 +273,7 @@ def test_paths_that_are_taken(tmp_path):
         RecorderProcess(tmp_path / "a.sock", tmp_path / "flight.mcap")
     assert not (tmp_path / "a.sock").exists()
     assert (tmp_path / "flight.mcap").read_bytes() == b"someone's flight"
-    with pytest.raises(RecorderError, match="shorter than 108 bytes"):
+    with pytest.raises(RecorderError, match="at most 107 bytes"):
         RecorderProcess(tmp_path / ("x" * 120), tmp_path / "b.mcap")
     with pytest.raises(RecorderError, match="cannot write the log"):
         RecorderProcess(tmp_path / "a.sock", tmp_path / "no such directory" / "b.mcap")
