@@ -32,9 +32,9 @@ STANDING_M_S = 0.05
 STILL_MAX_S = 0.5  # no vehicle hovers still to the millimetre for longer
 
 
-def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3) -> bool:
-    """Whether a position is the last one to the bit, though it is said to move."""
-    return before == after and math.hypot(*velocity_m_s) > STANDING_M_S
+def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3, standing_m_s: float = STANDING_M_S) -> bool:
+    """Whether a position is the last one to the bit, though it reports to move."""
+    return before == after and math.hypot(*velocity_m_s) > standing_m_s
 
 
 class Plausibility:

@@ -22,6 +22,7 @@ from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
 from flightstack.core.target.plausibility import SMOOTHING_S, TRUSTED_AGAIN, drifted, repeats, smoothed
 from flightstack.core.types import TargetSample, Vec3
 
+STANDING_M_S = 1e-3  # a target that reports more moves; one at rest may repeat its position to the bit
 DISTRUSTS_MAX = 2  # contradictions of positions and velocity in a flight, the last one for good
 
 
@@ -183,7 +184,7 @@ class TargetTrack:
             return Verdict.ACCEPTED
         gap_s = sample.arrival_s - last.arrival_s
         lost, stepped = gap_s > checks.target_age_max_s, reading is Reading.STEPPED
-        if repeats(last.position_enu_m, sample.position_enu_m, sample.velocity_enu_m_s):
+        if repeats(last.position_enu_m, sample.position_enu_m, sample.velocity_enu_m_s, STANDING_M_S):
             return Verdict.FROZEN
         # a clock and a place that begin anew together are a restarted odometry, not a robot that was lost
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
@@ -191,8 +192,14 @@ class TargetTrack:
         if lost and free and memory.elsewhere is None:
             return Verdict.ACCEPTED  # nothing so old binds where it is now
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
-        # of a lost one the velocity of now explains nothing: it may meet a wrong place by chance
-        if self._near(last, sample, last if lost else sample, step_s) or self._proved(sample, lost):
+        # of a lost one the velocity of now explains nothing: it may meet a wrong place by chance; so does its
+        # last velocity after some seconds, and what continues from elsewhere is still there
+        away = memory.elsewhere if lost else None
+        stays = away is not None and self._near(
+            away, sample, sample, sample.source_time_s - away.source_time_s
+        )
+        near = not stays and self._near(last, sample, last if lost else sample, step_s)
+        if near or self._proved(sample, lost):
             memory.elsewhere = None
             return Verdict.ACCEPTED
         return Verdict.JUMP
