@@ -147,7 +147,7 @@ class Vehicle:
 async def flight(vehicle: Vehicle) -> None:
     """The whole of it, with what is refused on the way."""
     version = await vehicle.info.get_version()
-    assert (version.flight_sw_major, version.flight_sw_minor) == (1, 16), version
+    assert (version.flight_sw_major, version.flight_sw_minor) == (1, 18), version
     await vehicle.ready()
     await parameters(vehicle)
     await refused(vehicle.offboard.start(), OffboardError, OffboardResult.NO_SETPOINT_SET)
