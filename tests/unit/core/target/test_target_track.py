@@ -348,7 +348,7 @@ def test_a_yaw_that_is_no_number_turns_nothing(unknown):
 
 
 def test_a_velocity_that_is_noise_leads_to_no_wrong_place(track):
-    """A robot that stands 0.3 m to the west of where it is reported, for long: its last velocity leads there."""
+    """A robot is reported 0.3 m from where it stands, for long: its last velocity leads there."""
     track.memory.settled = True
     wrong = {"position_enu_m": (1.3, 2.0, 0.2), "velocity_enu_m_s": (0.02, 0.0, 0.0)}
     assert {track.accept(later(0.02 * k, **wrong)) for k in range(1, 600)} == {Verdict.JUMP}
