@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.signing.signing import Signer
 from flightstack.common.processes import Port
+from logs.tools.compare import ABSENT, compare
 from tests.integration.runs import flightstack, fly
 from tests.integration.sim_processes import PATIENCE_S, Client, is_a, terminate, verb
 from tests.processes.started import StartedChild
@@ -90,9 +91,16 @@ def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, 
     assert signed.json["outcome"] == plain.json["outcome"] == "landed"
     states = sorted(p.name for p in key_file.parent.glob("*.state"))
     assert states == ["fleet.key.1-1-0.state", "fleet.key.1-191-0.state"]
-    compared = flightstack("compare", tmp_path / "signed/flight.mcap", plain.log)
-    other = [line for line in compared.out.splitlines() if "signed" not in line and "signing_key" not in line]
-    assert not [line for line in other if "!=" in line], compared.out
+    different = compare(tmp_path / "signed/flight.mcap", plain.log)
+    told = {(d.topic, d.field): (d.a, d.b) for d in different if d.topic.startswith("metadata")}
+    assert told == {
+        ("metadata onboard", "signed"): ("true", "false"),
+        ("metadata run", "signing_key"): (str(key_file), ABSENT),
+    }
+    rest = [d for d in different if not d.topic.startswith("metadata")]
+    assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # the same metadata for ROS 2
+    for each in rest:
+        assert each.a.replace(f"signing_key = {key_file}\n", "") == each.b
 
 
 @pytest.mark.xdist_group("real-time")
