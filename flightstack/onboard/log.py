@@ -146,6 +146,11 @@ class OnboardLog:
                 self._mavlink[direction], unix_ns, unix_ns, self._sequence, pack_mavlink(unix_ns, frame, peer)
             )
 
+    def end(self) -> None:
+        """Write the frames after the newest tick, 1 ns later: the process sent them, not its controller."""
+        self._unix_ns += 1
+        self.frames()
+
     def step(self, tick: Tick, taken: Taken, out: Outputs, state: State) -> ControllerStepRow:
         """Write the frames, inputs, events and decisions of a tick; return the decisions.
 

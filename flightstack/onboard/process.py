@@ -216,7 +216,7 @@ class Onboard:
             print(f"onboard: {self._line_use()}", file=sys.stderr)
         # the fleet first: in lockstep the others wait until they know that nothing more is told
         ends = [self.fleet.close] if self.fleet is not None else []
-        for end in (*ends, self.log.frames, self.feed.close, self.link.close, self.wires.close):
+        for end in (*ends, self.log.end, self.feed.close, self.link.close, self.wires.close):
             try:
                 end()
             except Exception as error:  # the others are closed all the same

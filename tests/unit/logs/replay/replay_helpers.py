@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from bridge.mavlink.endpoint import Direction
 from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.common.strict_toml import dumps, from_table
 from flightstack.core.controller import state_class
@@ -35,6 +36,9 @@ class FileFeed:
     def write(self, channel, log_time_ns, publish_time_ns, sequence, payload):
         self.file.write(channel, log_time_ns, publish_time_ns, sequence, payload)
 
+    def metadata(self, name, values):
+        self.file.metadata(name, values)
+
     def flush(self):
         self.file.flush()
 
@@ -49,7 +53,9 @@ class NoSession:
         pass
 
 
-def record(path: Path, world: World, seconds: float, *, until=None, config: FlightConfig = CONFIG) -> Path:
+def record(
+    path: Path, world: World, seconds: float, *, until=None, config: FlightConfig = CONFIG, after=()
+) -> Path:
     """Fly the world and record it; ends when the time is over or the controller has finished."""
     feed = FileFeed(path)
     feed.file.attachment("onboard.toml", "application/toml", 0, dumps(config).encode())
@@ -71,6 +77,9 @@ def record(path: Path, world: World, seconds: float, *, until=None, config: Flig
         log.timing(tick, out, 0.0, 0)
         if out.finished or (until is not None and until(world)):
             break
+    for frame in after:
+        log.tap(Direction.OUT, frame, ("127.0.0.1", 14550))
+    log.end()
     feed.file.close()
     return path
 

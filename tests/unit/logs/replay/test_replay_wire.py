@@ -21,7 +21,8 @@ from logs.schema.controller_rows import TickInputs
 from logs.schema.events import ONBOARD
 from logs.schema.rows import LogRow
 from tests.golden.flights import path_of, write_kept
-from tests.unit.logs.replay.replay_helpers import CONFIG
+from tests.point_mass import World
+from tests.unit.logs.replay.replay_helpers import CONFIG, record
 
 GOLDEN = path_of("contact")
 ITEMS = [(10.0 + 0.1 * n, n) for n in range(6)]
@@ -200,6 +201,16 @@ def test_a_changed_bit_of_the_targets_odometry_means_other_inputs(tmp_path):
     changed = write_kept(GOLDEN, tmp_path / "changed.mcap", change=once("/cf1/target/odom", 150, change))
     (found,) = misread(changed)
     assert found.field == "target_samples[0].position_enu_m[0]"
+
+
+def test_frames_after_the_last_tick_belong_to_none(tmp_path):
+    """A process that lands the vehicle by itself sends what no controller decided."""
+    frame = packed(dialect.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 0, 1, 191)
+    path = record(tmp_path / "flight.mcap", World(CONFIG, position=(-0.6, 0.2, 0.95)), 0.3, after=(frame,))
+    *ticks, rest = FlightInputs(path).ticks()
+    assert len(ticks) == replay(path).compared == 30
+    assert not any(tick.frames_out for tick in ticks)
+    assert (rest.given, rest.frames_out) == (None, [frame])
 
 
 def test_a_changed_frame_to_the_vehicle_is_found(tmp_path):
