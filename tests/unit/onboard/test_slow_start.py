@@ -88,7 +88,7 @@ def test_compiling_says_how_far_it_is(tmp_path):
 
 @pytest.mark.parametrize("asked_before", [False, True])
 def test_a_companion_says_that_it_waits_for_its_vehicle_and_not_for_ever(monkeypatch, capsys, asked_before):
-    for name, value in {"SAID_S": 0.01, "FIRST_WAIT_MAX_S": 0.1, "LOST_RUN_MAX_S": 0.1}.items():
+    for name, value in {"SAID_S": -1.0, "FIRST_WAIT_MAX_S": 0.1, "LOST_RUN_MAX_S": 0.1}.items():
         monkeypatch.setattr(lockstep, name, value)
     endpoint = SimpleNamespace(wait=lambda _: time.sleep(0.001))
     link = SimpleNamespace(poll=lambda _: None, take_timesync=lambda: None, endpoint=endpoint)
