@@ -71,7 +71,12 @@ def test_the_page_lists_what_the_examples_import_and_nothing_else():
     assert len(listed) == len(set(listed))
     assert set(listed) == imports()
     for module, name in listed:
-        assert getattr(import_module(module), name).__doc__, f"{module}.{name}: help() says nothing"
+        thing = getattr(import_module(module), name)
+        assert thing.__doc__, f"{module}.{name}: help() shows no text"
+        if isinstance(thing, type) and thing.__module__ == module:
+            for member, value in vars(thing).items():
+                if not member.startswith("_") and (callable(value) or isinstance(value, property)):
+                    assert value.__doc__, f"{module}.{name}.{member}: help() shows no text"
 
 
 def test_a_landing_lands_and_equals_itself():
