@@ -54,16 +54,8 @@ _NED_IN_ENU = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
 class Deriver:
-    """Makes the viewers' messages of one vehicle."""
-
     def __init__(self, step_topic: str, health: Health | None = None, *, shares_log: bool = False) -> None:
-        """Take the name space from the topic of the steps, for example ``/cf1/controller/step``.
-
-        Args:
-            step_topic: Topic of the steps.
-            health: Is shown every step.
-            shares_log: the log has other flights, too: frames of the target carry the name space.
-        """
+        """Take the name space from the topic of the steps, for example ``/cf1/controller/step``."""
         self._space = step_topic.removesuffix(STEP_SUFFIX)
         name = self._space.strip("/")
         self._base = f"{name}/base_link".lstrip("/")
@@ -76,15 +68,7 @@ class Deriver:
         self._slots: dict[int, int] = {}
 
     def configure(self, run: Mapping[str, str], shape: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Take barrier and pad from the metadata of the run, and its text to show.
-
-        Args:
-            run: metadata of the run; empty for a real flight.
-            shape: barrier and pad where the run does not name them (``flight_data.shape``).
-
-        Raises:
-            ValueError: A shape that is not a number.
-        """
+        """Take barrier and pad from the metadata of the run, and its text to show."""
         self._scene.configure({**shape, **run})
         self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in run.items()))
 
@@ -150,17 +134,11 @@ def _body_velocity(row: ControllerStepRow) -> Vec3:
 
 @dataclass
 class _Told:
-    """What metadata and attachments say of one flight.
+    """What metadata and attachments say of one flight."""
 
-    Attributes:
-        run: metadata of the run.
-        shape: of barrier and pad, by the configuration.
-        onboard: metadata of the onboard process.
-    """
-
-    run: dict[str, str] = field(default_factory=dict)
-    shape: dict[str, str] = field(default_factory=dict)
-    onboard: dict[str, str] = field(default_factory=dict)
+    run: dict[str, str] = field(default_factory=dict)  # metadata of the run
+    shape: dict[str, str] = field(default_factory=dict)  # barrier and pad by the configuration
+    onboard: dict[str, str] = field(default_factory=dict)  # metadata of the onboard process
 
 
 class Derivers:
@@ -176,11 +154,7 @@ class Derivers:
         self._health: dict[str, Health] = {}
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Take what the metadata of a run and of an onboard process say.
-
-        Raises:
-            ValueError: A value that is not a number.
-        """
+        """Take what the metadata of a run and of an onboard process say."""
         member, name = split(name)
         if name == "run":
             self._of(member).run.update(values)
@@ -191,7 +165,6 @@ class Derivers:
                 self._configure(frames)
 
     def attachment(self, name: str, data: bytes) -> None:
-        """Take barrier and pad from the configuration, for a flight without metadata of a run."""
         member, name = split(name)
         if name != ATTACHMENT:
             return

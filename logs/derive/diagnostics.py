@@ -33,8 +33,6 @@ class Level(IntEnum):
 
 
 class Status(NamedTuple):
-    """One status of the array."""
-
     name: str
     level: Level
     message: str
@@ -54,7 +52,6 @@ class Health:
         self.incoming, self.outgoing = FrameCounter(), FrameCounter()
 
     def step(self, row: ControllerStepRow) -> None:
-        """Take one controller step."""
         self._steps.append(row)
         del self._steps[:-1000]  # without timings they are never taken
 

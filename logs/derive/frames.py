@@ -13,7 +13,7 @@ from logs.schema.codec_mavlink import PEER_CHARACTERS, FrameError
 from logs.schema.mavlink_types import Type, of
 
 TOPICS_MAX = 512  # bound on topics, since a sender can invent system ids
-SENDERS_MAX = 256  # of which sequence numbers are followed
+SENDERS_MAX = 256  # senders whose sequence numbers are followed
 _HEADER_BYTES = 20  # encapsulation, stamp, frame_id of three characters: the fields begin aligned to 8
 _NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame whose peer is not known
 # Offsets in the raw record.
@@ -56,24 +56,17 @@ class FrameCounter:
 
 
 class Decoded(NamedTuple):
-    """Where messages of one kind and sender go."""
-
     topic: str
     type: Type
 
 
 class FrameDecoder:
-    """Turns records of raw frames into messages of named fields.
-
-    Attributes:
-        topic: of the raw frames.
-        counter: counts them; another one may take its place.
-    """
+    """Turns records of raw frames into messages of named fields."""
 
     def __init__(self, topic: str) -> None:
         """Take the topic of the raw frames; its first part is the name space until the run gives one."""
-        self.topic = topic
-        self.counter = FrameCounter()
+        self.topic = topic  # topic of the raw frames
+        self.counter = FrameCounter()  # counts frames; replaced by that of the vehicle's diagnostics
         self._space = "/" + topic.strip("/").partition("/")[0]
         self._known: dict[bytes, Decoded | None] = {}
 
@@ -84,11 +77,7 @@ class FrameDecoder:
             self._known.clear()
 
     def step(self, log_time_ns: int, payload: bytes) -> list[tuple[str, str, bytes]]:
-        """Return (topic, schema, CDR) of one record of :func:`logs.schema.codec_mavlink.pack_mavlink`.
-
-        Raises:
-            FrameError: The record is cut short.
-        """
+        """Return (topic, schema, CDR) of one record of :func:`logs.schema.codec_mavlink.pack_mavlink`."""
         del log_time_ns
         if len(payload) < _WORDS_END:
             raise FrameError(f"frame record of {len(payload)} bytes is cut short")

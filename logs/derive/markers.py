@@ -46,8 +46,6 @@ _NO_VELOCITY: Vec3 = (math.nan, math.nan, math.nan)
 
 
 class Marker(NamedTuple):
-    """What differs between our markers."""
-
     frame_id: str
     ns: str
     number: int
@@ -67,7 +65,6 @@ class Path:
         self._slot: int | None = None
 
     def add(self, log_time_ns: int, point_m: Vec3) -> None:
-        """Add a point if the spacing in time asks for one."""
         slot = log_time_ns // self._period_ns
         if slot == self._slot:
             return
@@ -87,16 +84,8 @@ class Path:
 
 
 class Scene:
-    """The pictures of one flight."""
-
     def __init__(self, own_frame: str, target_frame: str = "target", reach: float = REACH) -> None:
-        """Draw the vehicle in its own frame, for example ``cf1/base_link``, and the pad in the target's.
-
-        Args:
-            own_frame: of the vehicle.
-            target_frame: of the target.
-            reach: of the barrier's surface, in distances of its peak.
-        """
+        """Draw the vehicle in its own frame, for example ``cf1/base_link``, and the pad in the target's."""
         self._own_frame, self._target_frame, self._reach = own_frame, target_frame, reach
         self._ellipsoid: Marker | None = None
         self._body = Marker(own_frame, "vehicle", 0, CUBE, BODY_SIZE_M, OWN_COLOR)
@@ -107,11 +96,7 @@ class Scene:
         self._pack = packer(MARKER_ARRAY, frame_id=None)
 
     def configure(self, run: Mapping[str, str]) -> None:
-        """Take barrier, pad and ellipsoid from the metadata of the run; what is not there is not drawn.
-
-        Raises:
-            ValueError: A value that is not a number.
-        """
+        """Take barrier, pad and ellipsoid from the metadata of the run; what is not there is not drawn."""
         frame = self._target_frame
         self._pad = _pad(frame, float(run.get("pad_radius_m", PAD_RADIUS_M)))
         if "barrier_alpha_1_m" in run and "barrier_beta_m" in run:
@@ -129,7 +114,6 @@ class Scene:
             self._ellipsoid = Marker(self._own_frame, "ellipsoid", 0, SPHERE, scale, ELLIPSOID_COLOR)
 
     def add(self, log_time_ns: int, row: ControllerStepRow) -> None:
-        """Remember where vehicle and target were."""
         if row.own_valid:
             self._own_path.add(log_time_ns, row.own_position_enu_m)
         if row.target_valid:
@@ -182,7 +166,6 @@ def surface(barrier: Barrier, reach: float = REACH) -> bytes:
 
 
 def _values(stamp_ns: int, marker: Marker) -> tuple[object, ...]:
-    """Values of a ``visualization_msgs/msg/Marker``."""
     return (
         (stamp_ns, marker.frame_id), marker.ns, marker.number, marker.kind, _ADD,
         (marker.position, _NO_ROTATION), marker.scale, marker.color, _LIFETIME_NS,

@@ -1,4 +1,4 @@
-"""What the members of a fleet told each other, read from its log: who waited for whom, which words got lost.
+"""Messages between the members of a fleet, read from its log: who waited for whom, which were lost.
 
 Times are seconds since the origin of the fleet (``Fleet.origin_ns``), by the log time of the tick.
 """
@@ -19,70 +19,52 @@ from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import CONTROLLER_NEIGHBOURS, FLEET_WORD
 
 AGE_MAX_S = 0.5  # as a configuration has it that says nothing
-_Told = tuple[float, Intent, tuple[str, ...]]  # when, what it is about to do, to whom it gives way
+_Told = tuple[float, Intent, tuple[str, ...]]  # time, intent, members it gives way to
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A time in which a member told the same of itself.
+    """A time in which a member's messages had the same content."""
 
-    Attributes:
-        begin_s: of its first word.
-        end_s: of the first one that told something else, else of its last one.
-        intent: what it was about to do.
-        gives_way_to: members.
-    """
-
-    begin_s: float
-    end_s: float
-    intent: Intent
-    gives_way_to: tuple[str, ...]
+    begin_s: float  # first message, s
+    end_s: float  # first message with other content, else the last one, s
+    intent: Intent  # announced intent
+    gives_way_to: tuple[str, ...]  # names of members
 
     @property
     def waits(self) -> bool:
-        """Whether it flew and gave way to somebody."""
+        """Whether it flew and gave way to a neighbour."""
         return self.intent is Intent.WAITING and bool(self.gives_way_to)
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """The words of one member on their way to another one.
+    """Messages from one member to another."""
 
-    Attributes:
-        teller, hearer: members.
-        told: words that the teller told before the hearer's last tick.
-        taken: words of it that the hearer's ticks were given; others got lost, or a newer one overtook them.
-        late_max_s: most that a word was old when it came; None: none came.
-        gap_max_s: longest time between two words, or from the last one to the end, while the teller flew.
-        silent: (begin, end) of the times in which the newest word was older than the hearer lets pass.
-    """
-
-    teller: str
-    hearer: str
-    told: int
+    teller: str  # sending member
+    hearer: str  # receiving member
+    told: int  # messages sent before the receiver's last tick
+    # messages that a tick of the receiver used; the others were lost, or a newer one replaced them
     taken: int
-    late_max_s: float | None
-    gap_max_s: float
+    late_max_s: float | None  # maximum message age on arrival, s; None: none arrived
+    gap_max_s: (
+        float  # longest time between two messages, or from the last to the end, while the sender flew, s
+    )
+    # (begin, end) of each time in which the newest message was older than the receiver accepts, s
     silent: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class Words:
-    """What was told and heard.
+    """Messages of a fleet, sent and received."""
 
-    Attributes:
-        spans: by member, in order.
-        ways: from each member to each other one.
-        problems: what could not be read, in words.
-    """
-
-    spans: dict[str, tuple[Span, ...]]
-    ways: tuple[Way, ...]
-    problems: tuple[str, ...]
+    spans: dict[str, tuple[Span, ...]]  # by member, in time order
+    ways: tuple[Way, ...]  # one for each ordered pair of members
+    problems: tuple[str, ...]  # unreadable messages, as text
 
 
 def load_words(fleet: Fleet) -> Words:
-    """Read the words of a fleet, in one pass over its log."""
+    """Read the messages between members, in one pass over the log."""
     log, names = LogFile(fleet.path), fleet.ids
     told: dict[str, list[_Told]] = defaultdict(list)
     ticks: dict[str, list[float]] = defaultdict(list)
@@ -149,5 +131,5 @@ def _way(
 
 
 def waited_s(spans: tuple[Span, ...]) -> float:
-    """Time in which a member flew and gave way to somebody."""
+    """Time in which a member flew and gave way to neighbours."""
     return sum(span.end_s - span.begin_s for span in spans if span.waits)

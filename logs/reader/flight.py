@@ -74,12 +74,7 @@ def load_flight(path: Path | str, member: str | None = None) -> Flight:
 
 
 def load_fleet(path: Path | str) -> Fleet:
-    """Read the flights of a fleet, in one pass.
-
-    Raises:
-        LogError: not a log of a fleet, a member has neither controller steps nor true states, or what the
-            simulator said of two members cannot be read.
-    """
+    """Read the flights of a fleet, in one pass."""
     whole = LogFile(path)
     if not whole.members:
         raise LogError(f"{path} is the log of one flight; that of a fleet has a metadata record {FLEET!r}")
@@ -119,18 +114,13 @@ def load_fleet(path: Path | str) -> Fleet:
 
 
 def load_flights(path: Path | str, member: str | None = None) -> list[Flight]:
-    """Read all flights of a log: the one, those of all members of a fleet, or of one member.
-
-    Raises:
-        LogError: as of ``load_flight``.
-    """
+    """Read all flights of a log: the one, those of all members of a fleet, or of one member."""
     if member is None and LogFile(path).members:
         return list(load_fleet(path).flights.values())
     return [load_flight(path, member)]
 
 
 def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) -> Flight:
-    """Make a flight of its messages, by kind."""
     path = log.path
     for messages in by_kind.values():
         messages.sort(key=lambda message: message.log_time_ns)
@@ -180,11 +170,7 @@ def _kind(message: Message) -> str:
 def _unpacked(
     schema: str, messages: Sequence[Message], unpack: Callable[[bytes], Any], problems: list[str]
 ) -> tuple[list[tuple[Any, ...]], Any]:
-    """Values of the messages that can be read, field by field, and their log times in ns, (n,).
-
-    Raises:
-        LogError: none of them can be read.
-    """
+    """Values of the messages that can be read, field by field, and their log times in ns, (n,)."""
     rows, times_ns, refused = [], [], []
     for message in messages:
         try:

@@ -1,4 +1,4 @@
-"""A flight as numpy arrays: what the controller did, what was true, what was received, what was said.
+"""A flight as numpy arrays: decisions of the controller, true states, received samples and events.
 
 Time is seconds since the first recorded step or true state (``t_s``), taken from the log time, which all
 processes of a run share. Frames are ENU, metres, radians. What the log does not hold is ``None``, and a
@@ -83,27 +83,17 @@ class Timing(LoopTimingColumns):
 
 @dataclass(frozen=True)
 class TargetOdometry:
-    """Target odometry as it was received, n samples, accepted by the controller or not.
+    """Target odometry as it was received, n samples, accepted by the controller or not."""
 
-    Attributes:
-        t_s: (n,) arrival.
-        stamp_ns: (n,) measurement time, sender's clock.
-        position_enu_m: (n, 3) centre of the pad's top.
-        velocity_child_m_s: (n, 3) in the frame of the robot, as sent.
-        frame_id: n names, usually "map".
-    """
-
-    t_s: Floats
-    stamp_ns: Ints
-    position_enu_m: Floats
-    velocity_child_m_s: Floats
-    frame_id: list[str]
+    t_s: Floats  # (n,) arrival times
+    stamp_ns: Ints  # (n,) measurement time, sender's clock
+    position_enu_m: Floats  # (n, 3) centre of the pad's top
+    velocity_child_m_s: Floats  # (n, 3) in the frame of the robot, as sent
+    frame_id: list[str]  # n names, usually "map"
 
 
 @dataclass(frozen=True)
 class Event:
-    """One line of /rosout."""
-
     t_s: float
     level: int
     source: str
@@ -173,25 +163,16 @@ class Flight:
 
 @dataclass(frozen=True)
 class Fleet:
-    """The flights of a fleet, from one log.
+    """The flights of a fleet, from one log."""
 
-    Attributes:
-        path: the log.
-        flights: by member; each on its own time, which begins at its ``origin_ns``.
-        pairs: the newest that the simulator said of each pair of ids.
-        ids: members by the ids of their vehicles, which are their MAVLink system ids.
-        events: /rosout in order, times since ``origin_ns``; sources have the member's namespace in front.
-        metadata: metadata records that are of no one member, by name.
-        attachments: files that are of no one member, by name.
-    """
-
-    path: Path
-    flights: dict[str, Flight]
-    pairs: dict[tuple[int, int], FleetPairRow]
-    ids: dict[int, str]
+    path: Path  # the log
+    flights: dict[str, Flight]  # by member; each on its own time, which begins at its ``origin_ns``
+    pairs: dict[tuple[int, int], FleetPairRow]  # newest simulator record of each pair of ids
+    ids: dict[int, str]  # members by the ids of their vehicles, which are their MAVLink system ids
+    # /rosout in order, times since ``origin_ns``; sources have the member's namespace in front
     events: tuple[Event, ...]
-    metadata: dict[str, dict[str, str]]
-    attachments: dict[str, bytes]
+    metadata: dict[str, dict[str, str]]  # metadata records that belong to no single member, by name
+    attachments: dict[str, bytes]  # attachments that belong to no single member, by name
 
     @property
     def origin_ns(self) -> int:
@@ -218,11 +199,7 @@ def _rate(values: Floats, t_s: Floats) -> Floats:
 
 
 def read_config(data: bytes) -> FlightConfig:
-    """Read the attachment.
-
-    Raises:
-        ConfigError: not a configuration of this version.
-    """
+    """Read the attachment."""
     return from_table(FlightConfig, parse_toml(data))
 
 

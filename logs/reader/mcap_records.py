@@ -75,12 +75,7 @@ class _Strict(ReadDataStream):  # type: ignore[misc]
 
 
 class Records:
-    """One pass over the records of a file.
-
-    Attributes:
-        broken_at: first byte that could not be read; the size of the file if there is none.
-        ended: whether the footer is there.
-    """
+    """One pass over the records of a file."""
 
     def __init__(self, stream: BinaryIO, *, messages: bool) -> None:
         """Begin a pass over an open file; without ``messages`` they are checked and not yielded."""
@@ -89,8 +84,9 @@ class Records:
         self._index = _Index(stream, self._size)
         self._declared: dict[tuple[type, int], Any] = {}  # by kind and id
         self._first, self._places = "", 0
+        # first byte that could not be read; the size of the file if there is none
         self.broken_at = self._size
-        self.ended = False
+        self.ended = False  # whether the footer is there
 
     @property
     def problem(self) -> str:
@@ -246,11 +242,7 @@ class _Index:
 
 
 def _understood(kind: int, body: bytes, kinds: dict[int, Any] = _KINDS) -> Any:
-    """Return a record that is whole; None for an index of messages, which nobody needs.
-
-    Raises:
-        DamageError: it is not.
-    """
+    """Return a record that is whole; None for an index of messages, which nobody needs."""
     if kind == Opcode.MESSAGE_INDEX and kinds is _KINDS:
         if len(body) < _INDEX.size or (len(body) - _INDEX.size) % _ENTRY_BYTES:
             raise DamageError("an index of messages that is not whole")

@@ -1,4 +1,4 @@
-"""Whose part of a fleet's log is whose: topics, events, metadata and attachments of each member.
+"""Topics, events, metadata and attachments of each member in the log of a fleet.
 
 The log of a fleet has a metadata record ``fleet`` with its members. What belongs to one of them has its
 namespace in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``,
@@ -23,30 +23,26 @@ _FRAMES = "/uas1"  # the same in the log of one flight, whatever its system id
 
 
 class Members:
-    """The members of a fleet.
-
-    Attributes:
-        names: their namespaces, in the order of the log; empty for the log of one flight.
-        ids: the same by MAVLink system id, which is the id of the vehicle.
-    """
+    """The members of a fleet."""
 
     def __init__(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
-        """Find them in the metadata of a log."""
         told = metadata.get(FLEET, {}).get("members", "")
+        # namespaces of the members, in the order of the log; empty for a log of one flight
         self.names = tuple(name for part in told.split(",") if (name := part.strip()))
         for name in self.names:  # they become names of files and entities
             if not _NAME.fullmatch(name):
                 raise ValueError(f"metadata {FLEET!r}: found a member {name!r}; allowed are A-Z a-z 0-9 _ -")
+        # namespaces by MAVLink system id, which is the vehicle's id
         self.ids = {_system_id(metadata, n, name): name for n, name in enumerate(self.names, 1)}
         self._owners = {name: name for name in self.names}
         self._owners |= {f"{_SYSTEM}{system_id}": name for system_id, name in self.ids.items()}
 
     def owner(self, topic: str) -> str | None:
-        """Return whose topic this is; None: nobody's."""
+        """Return the member that a topic belongs to; None: no member."""
         return self._owners.get(topic.removeprefix("/").partition("/")[0])
 
     def split(self, name: str, separator: str = "/") -> tuple[str | None, str]:
-        """Return whose name this is, None for nobody's, and the name without the namespace in front."""
+        """Return the member (None: no member) and the name without its namespace."""
         first, _, rest = name.partition(separator)
         return (first, rest) if rest and first in self.names else (None, name)
 
@@ -64,7 +60,7 @@ class MemberView:
         self._members, self._member = members, member
 
     def topic(self, topic: str) -> str | None:
-        """Return the name of a topic; None for what is not this member's. /rosout is, in part."""
+        """Return the name of a topic; None for one of another member. /rosout is shared."""
         if topic == ROSOUT:
             return topic
         if self._members.owner(topic) != self._member:
@@ -73,12 +69,12 @@ class MemberView:
         return topic if topic.startswith(f"/{self._member}/") else f"{_FRAMES}/{rest}"
 
     def name(self, name: str) -> str | None:
-        """Return the name of a metadata record or attachment; None for what is not this member's."""
+        """Return the name of a metadata record or attachment; None for one of another member."""
         owner, rest = self._members.split(name)
         return rest if owner in (None, self._member) and name not in (FLEET, TEAM) else None
 
     def values(self, name: str, values: dict[str, str]) -> dict[str, str]:
-        """Return the values of a metadata record; of the losses those of its own and of common processes."""
+        """Return the values of a metadata record; losses only of this member and of shared processes."""
         if name != LOSSES:
             return values
         whose = {who: self._members.split(who, ".") for who in values}
@@ -87,7 +83,7 @@ class MemberView:
     def event(self, data: bytes) -> bytes | None:
         """Return an event of /rosout with its logger's name; None for another member's.
 
-        One that cannot be read is everybody's, as it is.
+        An unreadable event belongs to all members, unchanged.
         """
         try:
             row = LogRow.unpack(data)

@@ -38,12 +38,10 @@ _HEAD_BYTES = 32
 
 
 class LogError(ValueError):
-    """A file that cannot be used as a flight log; says what was found and what is needed."""
+    """A file that cannot be used as a flight log."""
 
 
 class Message(NamedTuple):
-    """One recorded message."""
-
     topic: str
     schema: str
     log_time_ns: int  # Unix time; simulated time from 2020-01-01 on in lockstep
@@ -52,11 +50,7 @@ class Message(NamedTuple):
     data: bytes  # CDR with its four-byte header
 
     def decode(self) -> Any:
-        """Return the message as an object with the fields of its definition (slow path, by ``rosbags``).
-
-        Raises:
-            LogError: it does not fit its definition.
-        """
+        """Return the message as an object with the fields of its definition (slow path, by ``rosbags``)."""
         try:
             return store_for(self.schema).deserialize_cdr(self.data, self.schema)
         except Exception as error:  # a library raises whatever it likes about damaged bytes
@@ -65,8 +59,6 @@ class Message(NamedTuple):
 
 
 class Attachment(NamedTuple):
-    """One file kept inside the log."""
-
     name: str
     media_type: str
     log_time_ns: int
@@ -74,7 +66,7 @@ class Attachment(NamedTuple):
 
 
 class _Outline(NamedTuple):
-    """What one pass gives besides the messages."""
+    """Result of a pass besides the messages."""
 
     metadata: dict[str, dict[str, str]]
     attachments: list[Attachment]
@@ -82,26 +74,16 @@ class _Outline(NamedTuple):
 
 
 class LogFile:
-    """A flight log on disk, or what it holds of one member of a fleet as the log of a single flight.
-
-    Attributes:
-        path: Where it is.
-        member: Whose part is seen; None: everything.
-    """
+    """A flight log on disk, or what it holds of one member of a fleet as the log of a single flight."""
 
     def __init__(self, path: Path | str, member: str | None = None) -> None:
-        """Look at the head of the file.
+        """Check the head of the file.
 
-        Args:
-            path: Where it is.
-            member: Namespace of a member of a fleet: only its topics, events, metadata and attachments are
-                seen, under the names that they have in the log of a single flight, and what belongs to all.
-
-        Raises:
-            LogError: Missing, empty, not an MCAP file, or without such a member.
+        With the namespace of a member only its topics, events, metadata and attachments are read, under the
+        names of a log of one flight, and what belongs to all.
         """
-        self.path = Path(path)
-        self.member = member
+        self.path = Path(path)  # the log file
+        self.member = member  # fleet member whose part is read; None: everything
         self._last: Records | None = None
         self._refused, self._first_refused = 0, ""
         try:
@@ -127,11 +109,7 @@ class LogFile:
         return self.parts.names if self.member is None else ()
 
     def single(self) -> LogFile:
-        """Return this log where it is one flight.
-
-        Raises:
-            LogError: It is a fleet's; names the members.
-        """
+        """Return this log where it is one flight."""
         if self.members:
             raise LogError(
                 f"{self.path} holds a fleet of {', '.join(self.members)}; say whose flight, for example with "
@@ -168,11 +146,7 @@ class LogFile:
         self._first_refused = self._first_refused or f"{what} ({type(error).__name__}: {error})"
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Yield the messages that can be read, in the order they were written.
-
-        Args:
-            topics: Only these; None for all.
-        """
+        """Yield the messages that can be read, in the order they were written."""
         channels: dict[int, Channel] = {}
         schemas: dict[int, str] = {}
         for record in self.records():
@@ -220,12 +194,11 @@ class LogFile:
 
     @cached_property
     def parts(self) -> Members:
-        """Whose part of the file is whose."""
         return Members(self._outline.metadata)
 
     @cached_property
     def view(self) -> MemberView | None:
-        """What of the file is the member's; None without one."""
+        """The member's part of the file; None without a member."""
         return None if self.member is None else MemberView(self.parts, self.member)
 
     @cached_property
@@ -251,7 +224,7 @@ class LogFile:
 
 
 def _seen(records: Iterable[Any], view: MemberView) -> Iterator[Any]:
-    """Yield what a member has of the records, under the names of a single flight."""
+    """Yield a member's records, under the names of a log of one flight."""
     schemas: dict[int, str] = {}
     channels: dict[int, str] = {}  # schema of each channel that is seen
     for record in records:
@@ -283,9 +256,5 @@ def _kind_of(path: Path) -> str:
 
 
 def open_log(path: Path | str) -> Iterator[Message]:
-    """Yield every message of a log, whole or broken, in the order it was written.
-
-    Raises:
-        LogError: Missing, empty, or not an MCAP file.
-    """
+    """Yield every message of a log, whole or broken, in the order it was written."""
     return LogFile(path).messages()

@@ -27,15 +27,10 @@ class FeedError(ConnectionError):
 
 
 class Feed:
-    """Connection of one process to the recorder.
-
-    Attributes:
-        alive: Whether the recorder still takes records. Writing to a dead feed does nothing.
-        dropped: Records dropped so far because the recorder did not keep up, or was gone.
-    """
+    """Connection of one process to the recorder."""
 
     def __init__(self, sock: socket.socket | None, client: str, *, lossless: bool, vehicles: int = 1) -> None:
-        """Take over a connected socket; None for a feed that goes nowhere. Use :meth:`connect`."""
+        """Take over a connected socket; None: no recorder. Use :meth:`connect`."""
         self._sock = sock
         self._client = client
         self._lossless = lossless
@@ -43,8 +38,9 @@ class Feed:
         self._channels: dict[tuple[str, str], int] = {}
         self._log_time_ns = 0
         self._reported = 0
+        # whether the recorder still accepts records; writing to a dead feed does nothing
         self.alive = sock is not None
-        self.dropped = 0
+        self.dropped = 0  # records dropped so far: the recorder was too slow, or gone
         if sock is not None:
             sock.setblocking(False)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BUFFER)
@@ -52,16 +48,10 @@ class Feed:
 
     @staticmethod
     def connect(path: str | Path | None, client: str, *, lossless: bool, vehicles: int = 1) -> Feed:
-        """Return a feed to the recorder listening at ``path``.
+        """Return a feed to the recorder listening at ``path``; None: a feed without a recorder.
 
-        Args:
-            path: Unix socket of the recorder; None gives a feed that goes nowhere.
-            client: Name of this process in the log, for example "onboard".
-            lossless: True waits for the recorder (lockstep), False never blocks (real time).
-            vehicles: How many the process writes of; the buffer holds as much of each.
-
-        Raises:
-            FeedError: Nobody listens there.
+        A lossless feed waits for the recorder (lockstep), another one never blocks (real time). The buffer
+        grows with the number of vehicles.
         """
         if path is None:
             return NullFeed()
@@ -77,12 +67,7 @@ class Feed:
         return Feed(sock, client, lossless=lossless, vehicles=vehicles)
 
     def channel(self, topic: str, schema: str) -> int:
-        """Return the number of a channel, declaring it the first time.
-
-        Args:
-            topic: For example ``/cf1/controller/step``.
-            schema: For example ``nav_msgs/msg/Odometry``.
-        """
+        """Return the number of a channel, declaring it the first time."""
         number = self._channels.get((topic, schema))
         if number is None:
             number = self._channels[topic, schema] = len(self._channels) + 1
@@ -93,15 +78,7 @@ class Feed:
     def write(
         self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
     ) -> None:
-        """Put one message into the buffer; it leaves at the next :meth:`flush`.
-
-        Args:
-            channel: Number from :meth:`channel`.
-            log_time_ns: When it happened here, Unix ns (simulated in lockstep).
-            publish_time_ns: When the source sent it, same clock.
-            sequence: Number given by the source, modulo 2**32.
-            payload: CDR with its four-byte header.
-        """
+        """Buffer one message until the next :meth:`flush`; times in Unix ns (simulated in lockstep)."""
         self._log_time_ns = log_time_ns
         sequence &= 0xFFFFFFFF
         record = (
@@ -113,16 +90,11 @@ class Feed:
             self._make_room_or_drop(record)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record of text values."""
         content = {"name": name, "values": {str(k): str(v) for k, v in values.items()}}
         self._append_always(encode_json(Kind.METADATA, 0, self._log_time_ns, content))
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Put a whole file into the log.
-
-        Raises:
-            ValueError: Larger than 16 MiB.
-        """
+        """Put a whole file into the log."""
         head = json.dumps({"name": name, "media_type": media_type}).encode() + b"\n"
         if len(head) + len(data) > MAX_PAYLOAD:
             raise ValueError(f"attachment {name} has {len(data)} bytes; at most {MAX_PAYLOAD} are allowed")
@@ -203,12 +175,11 @@ class Feed:
 
 
 class NullFeed(Feed):
-    """A feed that goes nowhere: the same calls, no recorder, nothing counted."""
+    """A feed without a recorder: nothing is written or counted."""
 
     def __init__(self) -> None:
         super().__init__(None, "", lossless=False)
 
     def write(
         self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
-    ) -> None:
-        """Do nothing."""
+    ) -> None: ...

@@ -28,8 +28,6 @@ class Kind(IntEnum):
 
 
 class Record(NamedTuple):
-    """One record as it came off the socket."""
-
     kind: int
     channel: int
     log_time_ns: int
@@ -45,12 +43,10 @@ class WireError(ValueError):
 def encode(
     kind: Kind, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
 ) -> bytes:
-    """Return one record as bytes."""
     return HEADER.pack(len(payload), kind, channel, log_time_ns, publish_time_ns, sequence) + payload
 
 
 def encode_json(kind: Kind, channel: int, log_time_ns: int, content: object) -> bytes:
-    """Return one record with a JSON payload as bytes."""
     return encode(kind, channel, log_time_ns, log_time_ns, 0, json.dumps(content).encode())
 
 
@@ -62,15 +58,10 @@ class Splitter:
 
     @property
     def pending(self) -> int:
-        """Bytes of a record that is not whole yet."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[Record]:
-        """Add bytes and return the records that are whole now, in order.
-
-        Raises:
-            WireError: A payload longer than any record can be.
-        """
+        """Add bytes and return the records that are whole now, in order."""
         buffer = self._buffer
         buffer += data
         records: list[Record] = []

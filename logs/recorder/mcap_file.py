@@ -29,9 +29,6 @@ class SafeStream:
 
     The MCAP writer hands over whole records. One that does not fit is cut off again, so the file stays
     readable up to the last whole one. ``tell`` still counts after that, since the writer needs it.
-
-    Attributes:
-        failure: Why writing stopped; empty as long as it works.
     """
 
     def __init__(self, raw: BinaryIO, reserve: BinaryIO | None = None) -> None:
@@ -40,10 +37,9 @@ class SafeStream:
         self._position = 0
         self._reserved = RESERVE_BYTES
         self._stopped = False
-        self.failure = ""
+        self.failure = ""  # reason why writing stopped; empty while it works
 
     def tell(self) -> int:
-        """Return the position after everything handed over."""
         return self._position
 
     def write(self, data: bytes) -> int:
@@ -62,7 +58,6 @@ class SafeStream:
         """Do nothing: every write has left the process already."""
 
     def descriptor(self) -> int:
-        """Return the number of the open file."""
         return self._raw.fileno()
 
     def reserve(self, size: int) -> None:
@@ -95,21 +90,12 @@ class SafeStream:
 
 
 class McapFile:
-    """One open flight log.
-
-    Attributes:
-        path: Where it is.
-        messages: Messages written so far.
-    """
+    """One open flight log."""
 
     def __init__(self, path: Path, *, stream: SafeStream | None = None) -> None:
-        """Create the file; ``stream`` replaces the disk in tests.
-
-        Raises:
-            OSError: The file exists, or cannot be created.
-        """
+        """Create the file; ``stream`` replaces the disk in tests."""
         self.path = path
-        self.messages = 0
+        self.messages = 0  # messages written so far
         self._stream = stream or SafeStream(path.open("xb", buffering=0), _reserved_space(path.parent))
         self._writer = ChunkedWriter(self._stream, CHUNK_BYTES)
         self._writer.start("ros2", _library())
@@ -118,11 +104,11 @@ class McapFile:
 
     @property
     def failure(self) -> str:
-        """Why the disk stopped taking data; empty as long as it does."""
+        """Reason why the disk stopped accepting data; empty while it works."""
         return self._stream.failure
 
     def fail(self, why: str) -> None:
-        """Take nothing more: the disk has not kept what it took."""
+        """Stop writing: the disk has not kept earlier data."""
         self._stream.failure = self._stream.failure or why
 
     def descriptor(self) -> int:
@@ -130,11 +116,7 @@ class McapFile:
         return self._stream.descriptor()
 
     def channel(self, topic: str, schema: str) -> int:
-        """Return the channel of a topic; senders of the same topic and type share it.
-
-        Raises:
-            logs.schema.schemas.UnknownSchemaError: No such type.
-        """
+        """Return the channel of a topic; senders of the same topic and type share it."""
         number = self._channels.get((topic, schema))
         if number is None:
             if schema not in self._schemas:
@@ -155,7 +137,6 @@ class McapFile:
             self.messages += 1
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record."""
         self._writer.add_metadata(name, values)
 
     def attachment(self, name: str, media_type: str, log_time_ns: int, data: bytes) -> None:
@@ -170,7 +151,6 @@ class McapFile:
             self._stream.reserve(RESERVE_BYTES + self._writer.index_bytes)
 
     def close(self) -> None:
-        """Write index and statistics and close the file."""
         self._writer.finish()
         self._stream.close()
 

@@ -43,11 +43,9 @@ _FOOTER_LENGTH = 8 + 8 + 4  # the part of the footer its checksum covers begins 
 class Output(Protocol):
     """Where the bytes go; each ``write`` is one or more whole records."""
 
-    def write(self, data: bytes) -> int:
-        """Write everything."""
+    def write(self, data: bytes) -> int: ...
 
-    def tell(self) -> int:
-        """Return the position in the file."""
+    def tell(self) -> int: ...
 
 
 class _PackedRecords:
@@ -94,18 +92,15 @@ class ChunkedWriter:
         self._metadata: list[MetadataIndex] = []
 
     def start(self, profile: str, library: str) -> None:
-        """Write the head of the file."""
         self._write(MCAP0_MAGIC + _encoded(Header(profile, library)))
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Add a schema and return its number, from 1."""
         schema = Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name)
         self._chunk += _encoded(schema)
         self._schemas.append(schema)
         return len(self._schemas)
 
     def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
-        """Add a channel and return its number, from 1."""
         number = len(self._channels) + 1
         channel = Channel(number, topic, encoding, dict(metadata), schema)
         self._chunk += _encoded(channel)
@@ -117,7 +112,6 @@ class ChunkedWriter:
     def add_message(
         self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, data: bytes
     ) -> None:
-        """Add one message to the open chunk."""
         chunk = self._chunk
         self._entries[channel] += (log_time_ns, len(chunk))
         length = _MESSAGE_OVERHEAD + len(data)
@@ -127,7 +121,6 @@ class ChunkedWriter:
             self.flush()
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record."""
         data = _encoded(Metadata(name=name, metadata=dict(values)))
         self._metadata.append(MetadataIndex(self._output.tell(), len(data), name))
         self._write(data)
@@ -192,7 +185,6 @@ class ChunkedWriter:
         self._output.write(data)
 
     def finish(self) -> None:
-        """Write the last chunk, the summary and the end of the file."""
         self.flush()
         self._output.write(_encoded(DataEnd(self._crc)))
         start = self._output.tell()

@@ -24,16 +24,7 @@ class ZenohSource:
     """Every sample on some keys, handed to a recorder."""
 
     def __init__(self, connect: Sequence[str], keys: Sequence[str], config_file: Path | None = None) -> None:
-        """Open a session and subscribe.
-
-        Args:
-            connect: Endpoints, for example ``tcp/127.0.0.1:7447``.
-            keys: Key expressions, for example ``cf1/**``.
-            config_file: Zenoh configuration to begin with.
-
-        Raises:
-            RecorderError: A malformed endpoint or key, or no session.
-        """
+        """Open a session and subscribe."""
         try:
             self._session = open_session(connect=connect, config_file=config_file)
         except (ValueError, ZenohLinkError) as error:
@@ -53,7 +44,6 @@ class ZenohSource:
                 _record(recorder, key, encoding, sample.payload.to_bytes(), told)
 
     def close(self) -> None:
-        """Close the session."""
         self._session.close()
 
 

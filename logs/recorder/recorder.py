@@ -31,14 +31,6 @@ def record_main(
 ) -> int:
     """Run the recorder as the main program of a process; prints "ready" once it listens.
 
-    Args:
-        socket_path: Where the processes of a run connect; None with Zenoh keys alone.
-        out: The MCAP file to create.
-        until_clients: End by itself when this many clients have come and gone.
-        connect: Zenoh endpoints to connect to, for example ``tcp/127.0.0.1:7447``.
-        keys: Zenoh key expressions to record, for example ``cf1/**``.
-        config_file: Zenoh configuration to begin with.
-
     Returns:
         Exit status: 0 everything is in the file, 1 something is not, 2 it could not start.
     """

@@ -29,33 +29,22 @@ _RECEIVE_BYTES = 2**18
 
 
 class RecorderError(Exception):
-    """The recorder cannot start; says what was found and what to do."""
+    """The recorder cannot start."""
 
 
 class Source(Protocol):
     """Something other than a client that brings messages, polled from the loop."""
 
-    def poll(self, recorder: Recorder) -> None:
-        """Hand everything that has come to the recorder."""
+    def poll(self, recorder: Recorder) -> None: ...
 
-    def close(self) -> None:
-        """Let go of the connection."""
+    def close(self) -> None: ...
 
 
 class RecorderProcess:
     """Listening socket, its clients, and the file."""
 
     def __init__(self, socket_path: Path | None, out: Path, source: Source | None = None) -> None:
-        """Listen and create the file.
-
-        Args:
-            socket_path: Where the processes of a run connect; None with a source alone.
-            out: The MCAP file to create; its directory must exist.
-            source: Polled besides the clients.
-
-        Raises:
-            RecorderError: The path is taken or too long, or the file exists or cannot be created.
-        """
+        """Listen and create the file."""
         self._selector = selectors.DefaultSelector()
         self._wake_in, self._wake_out = socket.socketpair()
         self._wake_in.setblocking(False)
@@ -116,7 +105,7 @@ class RecorderProcess:
         return self._finish()
 
     def _pass(self, patience_s: float) -> None:
-        """Wait for something, then take everything there is."""
+        """Wait for input, then read all of it."""
         if self._source:  # it has no descriptor to wait for
             patience_s = min(patience_s, READ_PERIOD_S)
         ready = [key.fileobj for key, _ in self._selector.select(patience_s)]
@@ -150,7 +139,7 @@ class RecorderProcess:
             self._selector.register(client, selectors.EVENT_READ)
 
     def _receive(self, client: socket.socket) -> bool:
-        """Take what one client has sent; False when there was nothing."""
+        """Read what one client has sent; False if nothing."""
         splitter = self._splitters[client]
         try:
             data = client.recv(_RECEIVE_BYTES)
@@ -178,7 +167,7 @@ class RecorderProcess:
         client.close()
 
     def _finish(self) -> Statistics:
-        """Take what is in the sockets, bounded in time, and close everything."""
+        """Read the sockets to their end, in bounded time, and close everything."""
         if self._listener:
             self._accept()
         deadline_s = time.monotonic() + GRACE_S
@@ -239,27 +228,17 @@ def _remove_stale(path: Path) -> None:
 
 
 class Syncer:
-    """Calls ``fdatasync`` on one open file whenever asked and idle.
-
-    Attributes:
-        count: Calls so far.
-        worst_s: Wall time of the longest one.
-        failure: What the disk refused to keep; empty as long as all is well.
-    """
+    """Calls ``fdatasync`` on one open file whenever asked and idle."""
 
     def __init__(self, descriptor: int, path: Path) -> None:
-        """Start the thread; the name of the file in its directory is brought to the disk at once.
-
-        Raises:
-            OSError: The disk does not keep even the name.
-        """
+        """Start the thread; the name of the file in its directory is brought to the disk at once."""
         _sync_directory(path.parent)
         self._descriptor = os.dup(descriptor)  # the file may be closed before the last wait
         self._wanted = threading.Event()
         self._closing = False
-        self.count = 0
-        self.worst_s = 0.0
-        self.failure = ""
+        self.count = 0  # calls so far
+        self.worst_s = 0.0  # wall time of the longest call, s
+        self.failure = ""  # error of the disk; empty without one
         self._thread = threading.Thread(target=self._work, name="sync", daemon=True)
         self._thread.start()
 

@@ -1,4 +1,4 @@
-"""What the flight recorder does with each record, apart from sockets and signals."""
+"""How the flight recorder handles each record, apart from sockets and signals."""
 
 from __future__ import annotations
 
@@ -26,8 +26,6 @@ _NONSENSE = (ValueError, KeyError, TypeError, AttributeError, RecursionError, st
 
 @dataclass
 class Statistics:
-    """What was recorded, and what was not."""
-
     messages: int = 0  # in the file, derived ones included
     derived: int = 0
     clients: int = 0
@@ -39,7 +37,7 @@ class Statistics:
     dropped: dict[str, int] = field(default_factory=dict)  # by client, as the client reports it
     syncs: int = 0  # times the file was brought to the disk itself
     sync_worst_s: float = 0.0  # wall time of the longest one
-    failure: str = ""  # why the disk stopped taking data
+    failure: str = ""  # reason why the disk stopped accepting data
 
 
 @dataclass
@@ -51,11 +49,7 @@ class _Client:
 
 
 class Recorder:
-    """Turns records of any number of clients into one file.
-
-    Attributes:
-        statistics: Counts so far.
-    """
+    """Turns records of any number of clients into one file."""
 
     def __init__(self, file: McapFile) -> None:
         self._file = file
@@ -64,7 +58,7 @@ class Recorder:
         self._log_time_ns = 0
         self._flushed_log_time_ns = 0
         self._events = 0
-        self.statistics = Statistics()
+        self.statistics = Statistics()  # counts so far
         self._handlers: Mapping[int, Callable[[_Client, Record], None]] = {
             Kind.DECLARE: self._declare,
             Kind.METADATA: self._metadata,
@@ -74,12 +68,7 @@ class Recorder:
         }
 
     def handle(self, client: int, record: Record) -> None:
-        """Write one record.
-
-        Args:
-            client: Any number that stands for the connection.
-            record: As received. A record that cannot be interpreted is counted; nothing is raised.
-        """
+        """Write one record."""
         state = self._clients.get(client)
         if state is None:
             state = self._clients[client] = _Client(f"client {client}")
@@ -107,12 +96,7 @@ class Recorder:
     def message(
         self, topic: str, schema: str, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
     ) -> None:
-        """Write one message that did not come through a feed.
-
-        Raises:
-            logs.schema.schemas.UnknownSchemaError: No such type.
-            ValueError: A time before 1970.
-        """
+        """Write one message that did not come through a feed."""
         if log_time_ns < 0 or publish_time_ns < 0:
             raise ValueError(f"times {log_time_ns} and {publish_time_ns}; they begin at 0 (1970)")
         self._log_time_ns = max(self._log_time_ns, log_time_ns)
@@ -120,22 +104,20 @@ class Recorder:
         self._file.write(channel, log_time_ns, publish_time_ns, sequence, payload)
 
     def event(self, level: Severity, text: str) -> None:
-        """Write an event of the recorder itself to ``/rosout``."""
         now = self._log_time_ns
         self._events += 1
         self.message("/rosout", LOG, now, now, self._events, pack_log(now, level, RECORDER_NAME, text))
 
     @property
     def failure(self) -> str:
-        """Why the disk stopped taking data; empty as long as it does."""
         return self._file.failure
 
     def fail(self, why: str) -> None:
-        """Stop recording: the disk has not kept what it took."""
+        """Stop recording: the disk has not kept earlier data."""
         self._file.fail(why)
 
     def flush(self) -> None:
-        """Bring everything written so far to the disk's cache, safe from a crash of this process."""
+        """Hand everything written so far to the kernel, safe from a crash of this process."""
         self._file.flush()
         self._flushed_log_time_ns = self._log_time_ns
 

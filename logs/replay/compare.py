@@ -18,21 +18,13 @@ _F64 = struct.Struct("<d")
 
 @dataclass(frozen=True, slots=True)
 class TickDifference:
-    """One value that came out otherwise.
+    """One value that differs."""
 
-    Attributes:
-        topic: where it was recorded.
-        tick: at which tick.
-        field: dotted name as in the message definition.
-        recorded: value in the log.
-        replayed: value now.
-    """
-
-    topic: str
-    tick: int
-    field: str
-    recorded: str
-    replayed: str
+    topic: str  # topic of the recorded value
+    tick: int  # tick number
+    field: str  # dotted name as in the message definition
+    recorded: str  # value in the log, as text
+    replayed: str  # value of this replay, as text
 
     def __str__(self) -> str:
         return (
@@ -42,14 +34,13 @@ class TickDifference:
 
 @dataclass
 class Tally:
-    """Differences of one kind: how many, and the first."""
+    """Differences of one kind: their number, and the first ones."""
 
     count: int = 0
     ticks: int = 0  # that hold one
     first: list[TickDifference] = field(default_factory=list)
 
     def add(self, found: Iterable[TickDifference]) -> None:
-        """Count the differences of one tick."""
         before = self.count
         for each in found:
             self.count += 1
@@ -59,12 +50,7 @@ class Tally:
 
 
 def places_of(schema: str, example: bytes) -> list[tuple[str, str, int, int]]:
-    """Return where the fields of a message lie: dotted name, ``struct`` code, first byte, byte behind.
-
-    Args:
-        schema: type of the message; its variable parts are strings at most, whose code is "s".
-        example: gives the lengths of the strings.
-    """
+    """Return where the fields of a message lie: dotted name, ``struct`` code, first byte, byte behind."""
     places: list[tuple[str, str, int, int]] = []
 
     def walk(inner: str, prefix: str, at: int) -> int:
@@ -85,13 +71,7 @@ def places_of(schema: str, example: bytes) -> list[tuple[str, str, int, int]]:
 
 
 def fields_of(schema: str, recorded: bytes, replayed: bytes) -> Iterator[tuple[str, str, str]]:
-    """Yield (field, recorded, replayed) of every field whose bytes differ.
-
-    Args:
-        schema: type of both; its variable parts are strings at most.
-        recorded: CDR from the log.
-        replayed: CDR made now, known to be well formed.
-    """
+    """Yield (field, recorded, replayed) of every field whose bytes differ."""
     if recorded == replayed:
         return
     if len(recorded) != len(replayed):
@@ -115,7 +95,7 @@ def _texts(recorded: bytes, replayed: bytes, code: str) -> tuple[str, str]:
 
 
 def values_of(recorded: Any, replayed: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
-    """Yield (field, recorded, replayed) of what differs in two dataclasses, tuples or plain values."""
+    """Yield (field, recorded, replayed) for each difference of two dataclasses, tuples or plain values."""
     if type(recorded) is not type(replayed):
         yield name, repr(recorded), repr(replayed)
     elif dataclasses.is_dataclass(recorded) and not isinstance(recorded, type):

@@ -28,80 +28,55 @@ _INPUT_END = "/controller/input"
 
 
 class ReplayError(ValueError):
-    """A log that proves nothing: says what was found and what is needed."""
+    """A log that proves nothing."""
 
 
 @dataclass(slots=True)
 class TickRecord:
-    """What the log holds of one tick.
+    """Records of one tick."""
 
-    Attributes:
-        unix_ns: time of the tick in the log.
-        given: inputs, None if the log breaks before them.
-        step: decisions as recorded, None if the log breaks before them.
-        power: battery, motors and thrust reserve as recorded, None of a flight that did not look at them.
-        told: whether it holds what other vehicles said; it is in ``given``.
-        state: snapshot after the tick, None in most ticks.
-        events: what the controller said, as recorded.
-        said: what else the onboard process said.
-        frames_in, frames_out: MAVLink frames; those that came with the name of their peer.
-        odometry: target samples as they came.
-    """
-
-    unix_ns: int
-    given: TickInputs | None = None
-    step: bytes | None = None
+    unix_ns: int  # time of the tick in the log
+    given: TickInputs | None = None  # inputs; None if the log breaks before them
+    step: bytes | None = None  # recorded decisions; None if the log breaks before them
+    # recorded battery, motors and thrust reserve; None in a flight without them
     power: bytes | None = None
-    told: bool = False
-    state: ControllerStateRow | None = None
-    events: list[LogRow] = field(default_factory=list)
-    said: list[LogRow] = field(default_factory=list)
+    told: bool = False  # whether it holds messages of other members; they are in ``given``
+    state: ControllerStateRow | None = None  # snapshot after the tick; None in most ticks
+    events: list[LogRow] = field(default_factory=list)  # recorded events of the controller
+    said: list[LogRow] = field(default_factory=list)  # other events of the onboard process
+    # MAVLink frames; incoming ones with the name of their peer
     frames_in: list[tuple[bytes, str]] = field(default_factory=list)
     frames_out: list[bytes] = field(default_factory=list)
-    odometry: list[bytes] = field(default_factory=list)
+    odometry: list[bytes] = field(default_factory=list)  # target samples as received
 
 
 class FlightInputs:
-    """A log opened for replay.
-
-    Attributes:
-        log: the file.
-        space: first part of the topics, for example ``/cf1``.
-        table: the configuration as plain TOML data.
-        onboard: metadata of the onboard process; empty in a log that has none.
-        preflight: of its check before the flight, the same.
-    """
+    """A log opened for replay."""
 
     def __init__(self, path: Path | str, member: str | None = None) -> None:
-        """Find inputs and configuration.
-
-        Args:
-            path: of the log.
-            member: of a fleet, whose flight it shall be; None in the log of one flight.
-
-        Raises:
-            ReplayError: not a log, it holds no inputs or no configuration, no such member, or a fleet where
-                no member is named.
-        """
+        """Find inputs and configuration."""
         try:
             self.log = LogFile(path, member).single()
         except LogError as error:
             raise ReplayError(str(error)) from error
+        # metadata of the onboard process; empty in a log that has none
         self.onboard = self.log.metadata().get("onboard", {})
-        self.preflight = self.log.metadata().get("preflight", {})
-        self.space = self._space()
+        self.preflight = self.log.metadata().get(
+            "preflight", {}
+        )  # metadata of the preflight check; empty in a log that has none
+        self.space = self._space()  # first part of the topics, for example ``/cf1``
         data = self.log.attachment(ATTACHMENT)
         if data is None:
             raise ReplayError(
                 f"{path}: no attachment {ATTACHMENT}: without its configuration nothing can be replayed"
             )
         try:
-            self.table = parse_toml(data)
+            self.table = parse_toml(data)  # the configuration as plain TOML data
         except ConfigError as error:
             raise ReplayError(f"{path}: the attachment {ATTACHMENT} is {error}") from error
 
     def _space(self) -> str:
-        """Where the inputs are; a log that is one flight has them in one place."""
+        """Namespace of the inputs; a log of one flight has one."""
         named = self.onboard.get("namespace")
         if named is not None:
             return f"/{named}"
@@ -114,26 +89,17 @@ class FlightInputs:
         )
 
     def config(self) -> FlightConfig:
-        """Return the configuration that flew.
-
-        Raises:
-            ReplayError: this version does not understand it.
-        """
+        """Return the configuration that flew."""
         try:
             return from_table(FlightConfig, self.table)
         except ConfigError as error:
             raise ReplayError(f"{self.log.path}: the attachment {ATTACHMENT}: {error}") from error
 
     def topic(self, name: str) -> str:
-        """Full name of a topic of this vehicle."""
         return f"{self.space}/{name}"
 
     def ticks(self) -> Iterator[TickRecord]:
-        """Yield the ticks in order, the last one perhaps not whole.
-
-        Raises:
-            ReplayError: a message that cannot be decoded, or ticks out of order.
-        """
+        """Yield the ticks in order, the last one perhaps not whole."""
         given, step = self.topic("controller/input"), self.topic("controller/step")
         state, odometry = self.topic("controller/state"), self.topic("target/odom")
         power, neighbours = self.topic("controller/power"), self.topic("controller/neighbours")
@@ -186,15 +152,7 @@ class FlightInputs:
 
 
 def changed(table: dict[str, Any], settings: Sequence[str]) -> FlightConfig:
-    """Return the configuration of ``table`` with each ``section.key=value`` set.
-
-    Args:
-        table: plain TOML data; left as it is.
-        settings: values in TOML; a word that is none is taken as text, so that ``filter=paper`` does.
-
-    Raises:
-        ConfigError: not of this form, an unknown key, or a value that is not allowed.
-    """
+    """Return the configuration of ``table`` with ``section.key=value`` set; what is no TOML is text."""
     table = copy.deepcopy(table)
     for setting in settings:
         key, equals, text = setting.partition("=")

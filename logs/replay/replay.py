@@ -1,8 +1,7 @@
 """A flight log as a regression test: its inputs through today's controller must give its outputs, bit by bit.
 
 From tick 0 with a fresh controller; in a log that lacks it, from the first snapshot of the controller's
-state. With another configuration the same run shows what would have been commanded, the world going on as it
-did.
+state. With another configuration the same run shows what would have been commanded, the world unchanged.
 """
 
 from __future__ import annotations
@@ -38,65 +37,38 @@ _CHANGES_MAX = 200  # phase changes kept of either side
 
 @dataclass(frozen=True, slots=True)
 class PhaseChange:
-    """A phase and the first tick of it."""
-
     tick: int
     phase: str
 
 
 @dataclass
 class Result:
-    """What a replay found.
+    """Result of a replay."""
 
-    Attributes:
-        path: the log.
-        start: where the replay began, in words.
-        first_tick, last_tick: compared, both included.
-        compared: how many ticks.
-        outputs: decisions and events against the recorded ones.
-        states: snapshots against the recorded ones.
-        wire: inputs and frames made from the recorded wire against the recorded ones; None if not replayed.
-        notes: what was left out, and why.
-        command_ticks: ticks in which the set-point differs.
-        command_first: the first of them, None without.
-        command_most_m_s: largest difference of the set-points of one tick, m/s.
-        phases_recorded, phases_replayed: each change.
-        wall_s: time it took.
-    """
-
-    path: Path
-    start: str = ""
-    first_tick: int = -1
-    last_tick: int = -1
-    compared: int = 0
-    outputs: Tally = field(default_factory=Tally)
-    states: Tally = field(default_factory=Tally)
+    path: Path  # the log
+    start: str = ""  # start of the replay, as text
+    first_tick: int = -1  # first compared tick
+    last_tick: int = -1  # last compared tick
+    compared: int = 0  # number of compared ticks
+    outputs: Tally = field(default_factory=Tally)  # differences of decisions and events
+    states: Tally = field(default_factory=Tally)  # differences of snapshots
+    # differences of inputs and frames made from the recorded wire; None if not replayed
     wire: Tally | None = None
-    notes: list[str] = field(default_factory=list)
-    command_ticks: int = 0
-    command_first: int | None = None
-    command_most_m_s: float = 0.0
+    notes: list[str] = field(default_factory=list)  # parts left out, and why
+    command_ticks: int = 0  # ticks in which the set-point differs
+    command_first: int | None = None  # first such tick; None without one
+    command_most_m_s: float = 0.0  # largest difference of the set-points of one tick, m/s
     phases_recorded: list[PhaseChange] = field(default_factory=list)
     phases_replayed: list[PhaseChange] = field(default_factory=list)
-    wall_s: float = 0.0
+    wall_s: float = 0.0  # wall time of the replay, s
 
     @property
     def equal(self) -> bool:
-        """Whether nothing at all came out otherwise."""
         return not (self.outputs.count or self.states.count or (self.wire is not None and self.wire.count))
 
 
 def replay(path: Path | str, config: FlightConfig | None = None, member: str | None = None) -> Result:
-    """Run the recorded inputs through the controller and compare.
-
-    Args:
-        path: the log, whole or broken.
-        config: flown with instead of the recorded one; the wire is not replayed then.
-        member: of a fleet, whose flight it is; None in the log of one flight.
-
-    Raises:
-        ReplayError: the log proves nothing: no inputs, a gap, or a controller that never acted.
-    """
+    """Run the recorded inputs through the controller and compare."""
     began_s = time.perf_counter()
     flight = FlightInputs(path, member)
     run = _Run(flight, config)
@@ -119,24 +91,19 @@ class _RecordedTick:
         self.wire_found: list[TickDifference] = []
 
     def begin(self, record: TickRecord, given: TickInputs) -> None:
-        """Be this tick from now on."""
         self.record, self.given, self.wire_found = record, given, []
 
     def wait(self) -> Tick:
-        """Return the tick."""
         return Tick(self.given.tick, self.given.now_s, self.given.stamp_ns, 0.0, 0.0)
 
     def samples(self, now_s: float) -> Arrived:
-        """Return the recorded samples."""
         del now_s
         return Arrived(self.given.inputs.target_samples)
 
     def words(self) -> tuple[Neighbour, ...]:
-        """Return what the others of the fleet had said."""
         return self.given.inputs.neighbours
 
-    def landing_began(self, tick: int) -> None:
-        """Nothing to do."""
+    def landing_began(self, tick: int) -> None: ...
 
     def read(self) -> VehicleInputs:
         """Return the recorded state, whatever today's bridge makes of the wire."""
@@ -146,18 +113,15 @@ class _RecordedTick:
         return VehicleInputs(inputs.own, inputs.status, self.given.command_failed, inputs.power)
 
     def answer(self, out: Outputs, now_s: float) -> None:
-        """Compare the frames that would be sent."""
         del now_s
         if self.wire is not None:
             self.wire_found += self.wire.answer(self.record, self.given, out)
 
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
-        """Return what was asked."""
         del status, now_s
         return self.given.inputs.operator
 
-    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> None:
-        """Never: the log ends the replay."""
+    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> None: ...
 
 
 class _Run:
@@ -176,11 +140,7 @@ class _Run:
         self.state_refused = ""
 
     def whole(self, ticks: Iterator[TickRecord]) -> Iterator[TickRecord]:
-        """Yield the ticks that are whole; between them all have to be.
-
-        Raises:
-            ReplayError: a tick is missing.
-        """
+        """Yield the ticks that are whole; between them all have to be."""
         last: int | None = None
         cut: TickRecord | None = None
         for record in ticks:
@@ -224,7 +184,6 @@ class _Run:
         )
 
     def tick(self, record: TickRecord) -> None:
-        """Replay one tick and compare it."""
         given = record.given
         assert given is not None
         if self.in_fleet and not record.told:
@@ -277,7 +236,6 @@ class _Run:
         self.result.notes.append("the log lacks its beginning: wire not replayed")
 
     def write(self, at: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
-        """Compare the decisions of a tick with the recorded ones."""
         del taken, exec_s
         result, tick, record, given = self.result, at.number, self.recorded.record, self.recorded.given
         assert record.step is not None
@@ -350,7 +308,6 @@ class _Run:
             result.command_most_m_s = change
 
     def finish(self) -> None:
-        """Refuse a result that proves nothing."""
         path = self.flight.log.path
         if not self.running:
             raise ReplayError(

@@ -37,7 +37,6 @@ class RecordedEndpoint(Endpoint):
     """An endpoint without a socket: hands out recorded frames and keeps what is sent."""
 
     def __init__(self, system_id: int) -> None:
-        """Speak as the companion of this system."""
         self.tap = None
         self.counters = EndpointCounters()
         self.warnings = ()
@@ -47,14 +46,12 @@ class RecordedEndpoint(Endpoint):
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=COMPONENT_ID)
 
     def receive(self) -> list[Received]:
-        """Take all frames, oldest first."""
         known = [each for each in self.incoming if message_id(each[0]) in MESSAGES]  # others were kept raw
         received = [Received(decode(frame), frame, (peer, 0)) for frame, peer in known]
         self.incoming.clear()
         return received
 
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
-        """Keep the frames."""
         del peer
         self.sent += [self.pack(message) for message in messages]
 
@@ -62,11 +59,9 @@ class RecordedEndpoint(Endpoint):
         """Do nothing: repeats are not in a log either."""
 
     def take_notices(self) -> list[str]:
-        """Nothing: a recorded line is never lost."""
         return []
 
-    def close(self) -> None:
-        """Nothing to close."""
+    def close(self) -> None: ...
 
 
 class WireReplay:
@@ -80,15 +75,7 @@ class WireReplay:
         autopilot: str = PX4.name,
         line: LinePlan | None = None,
     ) -> None:
-        """Begin at tick 0.
-
-        Args:
-            config: that flew.
-            system_id: of the vehicle.
-            lockstep: in simulated time.
-            autopilot: profile of the vehicle.
-            line: rates over a slow serial line; None: it was none.
-        """
+        """Begin at tick 0."""
         origin = config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)
         self._heard, self._refusals = False, Refusals()
@@ -107,7 +94,6 @@ class WireReplay:
         self._vehicle = LinkedVehicle(self._link, lockstep=lockstep)
 
     def take(self, record: TickRecord, given: TickInputs) -> list[TickDifference]:
-        """Decode what came and compare it with the recorded inputs."""
         self._heard = self._link.heard
         self._endpoint.sent.clear()
         self._endpoint.incoming += record.frames_in
@@ -132,7 +118,6 @@ class WireReplay:
         return differences
 
     def answer(self, record: TickRecord, given: TickInputs, out: Outputs) -> list[TickDifference]:
-        """Send what was decided and compare it with the recorded frames."""
         self._vehicle.answer(out, given.now_s)
         if not self._heard:
             return []  # until the vehicle is heard, greetings go out by wall time

@@ -31,18 +31,7 @@ _WIDE = "wide events"  # style of the tables of events
 
 
 def write_comparison(log_a: Path, log_b: Path, out: Path | None = None, member: str | None = None) -> Path:
-    """Write the page that compares two logs.
-
-    Args:
-        log_a: the first flight log, whole or cut short.
-        log_b: the second.
-        out: where to write; ``None`` puts it beside the second log as ``comparison.html``.
-        member: whose flight it is in a log of a fleet.
-
-    Raises:
-        LogError: a log cannot be used.
-        ReportError: the plotting library is not installed.
-    """
+    """Write the page that compares two logs, by default ``comparison.html`` beside the second."""
     need_libraries()
     sides = (_side("A", log_a, member), _side("B", log_b, member))
     target = log_b.with_name("comparison.html") if out is None else out
@@ -59,7 +48,6 @@ def _side(name: str, log: Path, member: str | None) -> Side:
 
 
 def render(a: Side, b: Side) -> str:
-    """Return the page as text."""
     from logs.report.overlay import overlays
     from logs.report.report import warnings
 
@@ -157,7 +145,6 @@ def _settings(a: Flight, b: Flight) -> str:
 
 
 def _all_settings(flight: Flight) -> dict[str, str]:
-    """Metadata and configuration as one flat table."""
     found = {f"{n}.{key}": v for n in ("run", "made") for key, v in flight.metadata.get(n, {}).items()}
     if flight.config is not None:
         _flatten("onboard", to_table(flight.config), found)

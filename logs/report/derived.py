@@ -103,8 +103,6 @@ def _nearest(times: Floats, wanted: Floats) -> np.ndarray[tuple[int], np.dtype[n
 
 
 class Side(NamedTuple):
-    """One of two flights that are compared."""
-
     name: str
     flight: Flight
     verdict: Verdict

@@ -39,7 +39,6 @@ class Panel:
 
 
 def panels(flight: Flight, verdict: Verdict, streams: Sequence[Stream]) -> list[Panel]:
-    """Draw everything this log holds; the first panel is the timeline."""
     touch = touch_index(flight)
     both = "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
     source = both if flight.truth is not None else "The vehicle's own estimate; the log holds no true states."

@@ -71,24 +71,12 @@ _WAYS = (
 
 
 class Pages(NamedTuple):
-    """Where a report is: the page of the fleet, and those of the members."""
-
     page: Path
     members: dict[str, Path]
 
 
 def write_fleet(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -> Pages:
-    """Write the report of a fleet that was judged.
-
-    Args:
-        fleet: the log.
-        verdict: on it.
-        out: the page of the fleet; ``None`` puts it beside the log with the ending ``.html``. Pages of the
-            members stand beside it, with their names.
-
-    Raises:
-        ReportError: the plotting library is not installed.
-    """
+    """Write the report of a judged fleet, by default beside its log, and the members' pages beside it."""
     need_libraries()
     target = fleet.path.with_suffix(".html") if out is None else out
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -100,13 +88,7 @@ def write_fleet(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) ->
 
 
 def render(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -> str:
-    """Return the page of the fleet as text.
-
-    Args:
-        fleet: the log.
-        verdict: on it.
-        pages: of the members, in the same folder.
-    """
+    """Return the page of the fleet as text."""
     from logs.report import fleet_figures as figures
 
     told = fleet.metadata.get(FLEET, {})
@@ -144,7 +126,6 @@ def render(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -> st
 
 
 def _headline(verdict: FleetVerdict) -> tuple[str, str]:
-    """Outcome in words, and the style class of its badge."""
     text, style = HEADLINES[verdict.outcome]
     text = "All landed" if verdict.outcome is Outcome.LANDED else text
     also = ["a barrier violation"] if verdict.violation else []

@@ -61,7 +61,6 @@ _EVENTS_MAX = 500
 
 
 def color_of(fleet: Fleet, member: str) -> str:
-    """Colour of a member in all figures."""
     return _COLORS[list(fleet.flights).index(member) % len(_COLORS)]
 
 
@@ -271,7 +270,6 @@ def distances(fleet: Fleet, series: Sequence[PairSeries]) -> go.Figure | None:
 
 
 def _nearest(pair: PairSeries) -> float:
-    """Least measure of two while both flew; infinite: never both."""
     return float(pair.measure[pair.flying].min()) if pair.flying.any() else math.inf
 
 

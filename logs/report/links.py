@@ -32,38 +32,25 @@ _HALF = 128  # a sequence number this far ahead is one that comes late
 
 @dataclass(frozen=True)
 class Stream:
-    """One kind of message on one link.
-
-    Attributes:
-        name: what it is.
-        t_s: (n,) arrival, as in the flight.
-        lost: messages missing from the sender's numbering; ``None`` where it does not number this kind.
-    """
+    """One kind of message on one link."""
 
     name: str
-    t_s: Floats
+    t_s: Floats  # (n,) arrival times, as in the flight
+    # messages missing from the sender's numbering; ``None`` where it does not number this kind
     lost: int | None
 
     @property
     def rate_hz(self) -> float | None:
-        """Mean rate between first and last message."""
         span_s = float(self.t_s[-1] - self.t_s[0]) if len(self.t_s) > 1 else 0.0
         return (len(self.t_s) - 1) / span_s if span_s > 0.0 else None
 
     @property
     def gap_max_s(self) -> float | None:
-        """Longest silence between two messages."""
         return float(np.diff(self.t_s).max()) if len(self.t_s) > 1 else None
 
 
 def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[Stream]:
-    """Read the traffic of a log, up to its break; frames that are damaged are left out.
-
-    Args:
-        path: the log.
-        origin_ns: log time of the flight's ``t_s = 0``.
-        member: of the fleet whose log it is.
-    """
+    """Read the traffic of a log, up to its break; frames that are damaged are left out."""
     times: dict[str, list[int]] = defaultdict(list)
     numbers: dict[str, list[int]] = defaultdict(list)
     target: list[int] = []
@@ -102,14 +89,14 @@ def _frame(
 
 
 def missing(numbers: Sequence[int]) -> int | None:
-    """Numbers between the first and the last that never came; ``None`` if the sender does not count."""
+    """Numbers between the first and the last that never arrived; ``None`` if the sender does not count."""
     if not numbers or max(numbers) == 0:
         return None
     return max(numbers) - min(numbers) + 1 - len(set(numbers))
 
 
 def missing_of_256(numbers: Sequence[int]) -> int | None:
-    """The same for MAVLink's numbers, which begin again after 255; late ones are taken back."""
+    """As ``missing`` for MAVLink's numbers, which wrap after 255; late messages are not lost."""
     if not numbers:
         return None
     lost, last = 0, numbers[0]

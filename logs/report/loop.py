@@ -37,7 +37,6 @@ _INTERVAL_MAX_MS = 100.0  # longer pauses are counted in the last bar
 
 
 def loop_timing(flight: Flight) -> go.Figure | None:
-    """Period of the loop with its overruns; time spent in a tick and in the solver."""
     timing = flight.timing
     if timing is None:
         return None

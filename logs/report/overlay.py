@@ -36,7 +36,6 @@ _COLORS = {"A": TRUE, "B": "#D55E00"}
 
 
 def overlays(a: Side, b: Side) -> list[Panel]:
-    """All figures of a comparison."""
     both = "A is blue, B is orange; each on the time since its own landing began."
     best = "From true states where the log has them, else by the vehicle's estimate."
     return [

@@ -22,12 +22,7 @@ class ReportError(RuntimeError):
 
 
 def page(title: str, body: str) -> str:
-    """Return a whole page.
-
-    Args:
-        title: plain text.
-        body: HTML made of the parts below.
-    """
+    """Return a whole page."""
     template = _templates().get_template("report_template.html")
     text: str = template.render(title=title, body=body, plotly=plotly_source())
     return text
@@ -93,16 +88,11 @@ def html(text: str) -> str:
 
 
 def paragraph(text: str) -> str:
-    """A paragraph of plain text."""
     return html("<p>{}</p>").format(text)
 
 
 def need_libraries() -> None:
-    """Check that pages can be made.
-
-    Raises:
-        ReportError: the plotting or the template library is not installed.
-    """
+    """Check that pages can be made."""
     try:
         import jinja2  # noqa: F401
         import plotly.graph_objects  # noqa: F401

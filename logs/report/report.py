@@ -51,34 +51,15 @@ _EVENTS = "Times since the landing began; each is a link."
 def write_report(log: Path, out: Path | None = None) -> Path:
     """Write the report of a log as one HTML page.
 
-    Args:
-        log: the flight log, whole or cut short.
-        out: where to write; ``None`` puts it beside the log with the ending ``.html``.
-
     Returns:
         Where it is.
-
-    Raises:
-        LogError: the log cannot be used.
-        ReportError: the plotting library is not installed.
     """
     flight = load_flight(log)
     return write_page(flight, judge(flight), out)
 
 
 def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: str | None = None) -> Path:
-    """Write the report of a flight that was judged already; as :func:`write_report`.
-
-    Args:
-        flight: the log.
-        verdict: on it.
-        out: where to write; ``None`` puts it beside the log with the ending ``.html``, and the name of a
-            member.
-        of: the page of its fleet, in the same folder.
-
-    Raises:
-        ReportError: the plotting library is not installed.
-    """
+    """Write the report of a judged flight, by default beside its log; ``of`` is the page of its fleet."""
     text = render(flight, verdict, of)
     name = flight.path.stem if flight.member is None else f"{flight.path.stem}_{flight.member}"
     target = out if out is not None else flight.path.with_name(f"{name}.html")
@@ -88,11 +69,7 @@ def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: st
 
 
 def render(flight: Flight, verdict: Verdict, of: str | None = None) -> str:
-    """Return the page as text, with a link to the page ``of`` its fleet.
-
-    Raises:
-        ReportError: the plotting library is not installed.
-    """
+    """Return the page as text, with a link to the page ``of`` its fleet."""
     need_libraries()
     from logs.report.figures import panels
     from logs.report.links import load_streams
@@ -158,7 +135,6 @@ def _source(verdict: Verdict) -> str:
 
 
 def warnings(flight: Flight, verdict: Verdict) -> list[str]:
-    """What a reader has to know before trusting the page."""
     texts = [*flight.problems]
     if flight.truth is None:
         texts.append("no true states in this log: everything here is the vehicle's own estimate")

@@ -67,13 +67,7 @@ BEFORE_S, AFTER_S = 1.0, 3.0  # shown around the landing; zooming out shows all
 
 
 def layout(figure: go.Figure, height_px: int, legend_px: int = 0) -> go.Figure:
-    """Give a figure the common look; the legend stands below the title of the time axis.
-
-    Args:
-        figure: changed.
-        height_px: of all.
-        legend_px: of it for what the legend has besides its first line.
-    """
+    """Give a figure the common look; the legend stands below the title of the time axis."""
     plot_px = height_px - _TOP_PX - _BOTTOM_PX - legend_px
     figure.update_layout(
         template="plotly_white",
@@ -97,13 +91,7 @@ def layout(figure: go.Figure, height_px: int, legend_px: int = 0) -> go.Figure:
 
 
 def layout_3d(figure: go.Figure, titles: tuple[str, str, str], **scene: Any) -> go.Figure:
-    """Give a figure in space the common look.
-
-    Args:
-        figure: changed.
-        titles: of the axes x, y, z.
-        scene: more of plotly's ``layout.scene``; a value by axis is merged into that axis.
-    """
+    """Give a figure in space the common look."""
     layout(figure, _SPACE_PX)
     axis = {"gridcolor": GRID, "backgroundcolor": "white", "zerolinecolor": GRID}
     axes = {
@@ -182,19 +170,16 @@ def time_axis(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
 
 
 def over_time(figure: go.Figure, flight: Flight, height_px: int, *, rows: int = 1) -> None:
-    """Give a figure over time the common look, phases and axis."""
     layout(figure, height_px)
     add_phases(figure, flight, rows=rows)
     time_axis(figure, flight, rows=rows)
 
 
 def rows_of(rows: int, spacing: float) -> go.Figure:
-    """A figure with rows above one another that share the time axis."""
     return make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=spacing)
 
 
 def add_line(figure: go.Figure, row: int, x: Floats, y: Floats, name: str, color: str, **more: Any) -> None:
-    """Add a :func:`line` to a row."""
     figure.add_trace(line(x, y, name, color, **more), row=row, col=1)
 
 

@@ -51,7 +51,6 @@ _DEFINITIONS = (
 
 
 def headline(verdict: Verdict) -> tuple[str, str]:
-    """Outcome in words, and the style class of its badge."""
     text, style = HEADLINES[verdict.outcome]
     if verdict.judged_from == ESTIMATE:
         text = f"{text}, by its own estimate"
@@ -80,7 +79,6 @@ def result_table(flight: Flight, verdict: Verdict) -> str:
 
 
 def run_table(flight: Flight) -> str:
-    """What was flown, as the launcher wrote it into the log."""
     run = flight.metadata.get("run", {})
     rows = [(name, run[key]) for key, name in _RUN_NAMES.items() if key in run]
     rows += [(key.replace("_", " "), value) for key, value in run.items() if key not in _RUN_NAMES]
@@ -130,7 +128,6 @@ def _began(text: str, at_s: float, name: str, begin_s: float) -> bool:
 
 
 def faults_table(flight: Flight) -> str:
-    """Injected faults."""
     zero, spans = flight.landing_start_s or 0.0, fault_spans(flight)
     ends = [_at(f.end_s - zero) if f.over else "to the end" for f in spans]
     rows = [(_at(f.begin_s - zero), end, f.text) for f, end in zip(spans, ends, strict=True)]
@@ -140,7 +137,6 @@ def faults_table(flight: Flight) -> str:
 
 
 def links_table(streams: Sequence[Stream]) -> str:
-    """Messages, rates, losses and gaps of each stream."""
     rows = [
         (s.name, str(len(s.t_s)), number(s.rate_hz, 1), "not numbered" if s.lost is None else str(s.lost),
          scaled(s.gap_max_s, 1e3, 0))
@@ -190,5 +186,4 @@ def number(value: float | None, digits: int) -> str:
 
 
 def scaled(value: float | None, factor: float, digits: int) -> str:
-    """The same in another unit."""
     return number(None if value is None else value * factor, digits)

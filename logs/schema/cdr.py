@@ -52,15 +52,6 @@ def codec(
 
     The packer raises a struct.error for a number out of the range of its field, the unpacker a ValueError for
     a payload that is cut short, too long, or of another encoding or frame.
-
-    Args:
-        schema: full type name, for example ``nav_msgs/msg/Odometry``.
-        frame_id: frame of its headers; None: each message has its own.
-        make: takes the tuple of values that was unpacked.
-
-    Raises:
-        UnknownSchemaError: no such type.
-        TypeError: a type with an array of fixed length of texts or messages.
     """
     compiler = _Compiler(frame_id)
     names = compiler.message(schema, "row")

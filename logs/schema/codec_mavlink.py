@@ -50,17 +50,7 @@ class FrameError(ValueError):
 
 
 def pack_mavlink(stamp_ns: int, frame: bytes, peer: bytes = b"") -> bytes:
-    """Return one raw frame as CDR.
-
-    Args:
-        stamp_ns: When the frame was received or sent.
-        frame: The whole frame as on the wire, with a valid checksum.
-        peer: Whom it came from or went to, three characters (:class:`PeerNames`);
-            empty: not known.
-
-    Raises:
-        FrameError: Not exactly one frame, or a peer of another length.
-    """
+    """Return one raw frame as CDR; the peer has three characters (:class:`PeerNames`) or none."""
     size = len(frame)
     if size >= _V2_OVERHEAD and frame[0] == _V2:
         length, end = frame[1], 10 + frame[1]
@@ -95,11 +85,7 @@ def pack_mavlink(stamp_ns: int, frame: bytes, peer: bytes = b"") -> bytes:
 
 
 def unpack_mavlink(data: bytes) -> tuple[int, bytes]:
-    """Return (stamp in ns, raw frame) of a CDR payload of :func:`pack_mavlink`.
-
-    Raises:
-        FrameError: The record is cut short or contradicts itself.
-    """
+    """Return (stamp in ns, raw frame) of a CDR payload of :func:`pack_mavlink`."""
     named = data[12:13] == _NAMED
     try:
         (header, seconds, nanoseconds, name_length, _, _, magic, length, incompat, compat, sequence, system,
@@ -143,17 +129,13 @@ def _not_a_frame(frame: bytes) -> FrameError:
 
 
 class MetadataSink(Protocol):
-    """Where names are explained."""
-
-    def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record."""
+    def metadata(self, name: str, values: Mapping[str, str]) -> None: ...
 
 
 class PeerNames:
     """Names peers as they appear: ``p00``, ``p01``, ..."""
 
     def __init__(self, sink: MetadataSink, record: str = MAVLINK_PEERS) -> None:
-        """Take where, and in which record, they are explained."""
         self._sink, self._record = sink, record
         self._names: dict[tuple[str, int], bytes] = {}
 

@@ -44,11 +44,7 @@ class TickInputs(NamedTuple):
 
 
 def pack_controller_input(given: TickInputs) -> bytes:
-    """Return the inputs of a tick as CDR of ``ControllerInput``.
-
-    Raises:
-        struct.error: a number out of the range of its field.
-    """
+    """Return the inputs of a tick as CDR of ``ControllerInput``."""
     stamp_ns, tick, now_s, inputs, command_failed = given
     own, status = inputs.own, inputs.status
     return ControllerInputRow(
@@ -62,11 +58,7 @@ def pack_controller_input(given: TickInputs) -> bytes:
 
 
 def unpack_controller_input(data: bytes) -> TickInputs:
-    """Return the inputs in a CDR payload of :func:`pack_controller_input`.
-
-    Raises:
-        ValueError: cut short, too long, or with a value that is not in its table.
-    """
+    """Return the inputs in a CDR payload of :func:`pack_controller_input`."""
     row = ControllerInputRow.unpack(data)
     own = status = None
     if row.own_present:
@@ -96,11 +88,7 @@ def power_row(tick: Tick, power: Power | None, reserve: float) -> ControllerPowe
 
 
 def unpack_power(data: bytes) -> Power | None:
-    """Return what the tick of a CDR payload of ``power_row`` was told.
-
-    Raises:
-        ValueError: cut short or too long.
-    """
+    """Return what the tick of a CDR payload of ``power_row`` was told."""
     row = ControllerPowerRow.unpack(data)
     return Power(row.arrival_s, row.voltage_v, row.throttle, row.cos_tilt) if row.told else None
 

@@ -41,5 +41,4 @@ def pack_log(stamp_ns: int, level: int, name: str, text: str) -> bytes:
 
 
 def pack_string(text: str) -> bytes:
-    """Return a ``std_msgs/msg/String`` as CDR."""
     return _pack_string((text,))

@@ -1,4 +1,4 @@
-"""What the vehicles of a fleet tell each other: words on the wire, and neighbours that a tick was given.
+"""Messages between the vehicles of a fleet on the wire, and the neighbours that a tick used.
 
 Every number of the neighbours goes in and comes out bit by bit: a replay decides what the flight decided.
 """
@@ -15,25 +15,12 @@ from logs.schema.rows import ControllerNeighboursRow, FleetWordRow
 
 
 def pack_neighbours(tick: Tick, neighbours: Sequence[Neighbour]) -> bytes:
-    """Return the words that a tick was given as CDR of ``ControllerNeighbours``.
-
-    Args:
-        tick: its number and time are noted.
-        neighbours: in the order in which the controller took them.
-
-    Raises:
-        struct.error: a number out of the range of its field.
-        ValueError: an id in ``yields_to`` that is not in 0 to 255.
-    """
+    """Return the messages that a tick used as CDR of ``ControllerNeighbours``."""
     return ControllerNeighboursRow(tick.unix_ns, tick.number, tuple(map(_values, neighbours))).pack()
 
 
 def unpack_neighbours(data: bytes) -> tuple[Neighbour, ...]:
-    """Return the words in a CDR payload of :func:`pack_neighbours`.
-
-    Raises:
-        ValueError: cut short, too long, or with an intent that is none.
-    """
+    """Return the messages in a CDR payload of :func:`pack_neighbours`."""
     return tuple([_neighbour(values) for values in ControllerNeighboursRow.unpack(data).neighbours])
 
 
@@ -57,7 +44,7 @@ def _neighbour(values: tuple[Any, ...]) -> Neighbour:
 
 
 class Echo(NamedTuple):
-    """What is told of the clock of another member; fields as in ``FleetEcho.msg``."""
+    """Clock information about another member; fields as in ``FleetEcho.msg``."""
 
     id: int
     process: int
@@ -65,14 +52,7 @@ class Echo(NamedTuple):
 
 
 def word_row(word: Neighbour, epoch_ns: int, process: int, echoes: Sequence[Echo] = ()) -> FleetWordRow:
-    """Return a vehicle's own word as it goes to the others.
-
-    Args:
-        word: times on the stack clock.
-        epoch_ns: Unix time of zero of the stack clock.
-        process: number of the process, drawn by lot.
-        echoes: of the members that were heard.
-    """
+    """Return a vehicle's message to its neighbours; ``epoch_ns``: Unix time of stack time 0."""
     pad, claims = word.pad_position_enu_m, not math.isnan(word.claim_s)
     return FleetWordRow(
         epoch_ns + round(word.stamp_s * 1e9),
@@ -96,18 +76,7 @@ def word_row(word: Neighbour, epoch_ns: int, process: int, echoes: Sequence[Echo
 def neighbour_of(
     row: FleetWordRow, stamp_s: float, arrival_s: float, claim_s: float, clock_bound_s: float
 ) -> Neighbour:
-    """Return the word of another vehicle with its times on our stack clock.
-
-    Args:
-        row: as it came.
-        stamp_s: when it said so.
-        arrival_s: when that came.
-        claim_s: when it claimed its right of way; NaN: no claim.
-        clock_bound_s: most that the stamp may be wrong by.
-
-    Raises:
-        ValueError: its intent is none.
-    """
+    """Return another vehicle's message with its times on our stack clock; a claim of NaN is none."""
     return Neighbour(
         row.id,
         stamp_s,

@@ -62,11 +62,7 @@ def of(number: int) -> Type | None:
 
 
 def definition(schema: str) -> str:
-    """Return the ``.msg`` text of a type.
-
-    Raises:
-        KeyError: The dialect has no such message.
-    """
+    """Return the ``.msg`` text of a type."""
     made = _type(_dialect()[_numbers()[schema]])
     lines = [
         f"# MAVLink {made.message}, fields in the order of the wire.",

@@ -9,25 +9,19 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-FLEET = "fleet"  # metadata: who the members are
+FLEET = "fleet"  # metadata: the members
 LOSSES = "losses"  # metadata: records that each process could not hand to the recorder
 NO_PAD = "absent"  # metadata "run", key "pad": the vehicle's physics has a floor and no pad
 TEAM = "team.toml"  # attachment: the scenario of all
 
 
 class Names(NamedTuple):
-    """How the records of a flight are called.
+    """Names of the records of a flight."""
 
-    Attributes:
-        member: namespace of the flight; empty: the log is its own.
-        system_id: of the vehicle, in the topics of its frames.
-    """
-
-    member: str = ""
-    system_id: int = 1
+    member: str = ""  # namespace of the flight; empty: the log is its own
+    system_id: int = 1  # MAVLink system id, part of the topics of its frames
 
     def record(self, name: str) -> str:
-        """Name of a metadata record or an attachment."""
         return f"{self.member}/{name}" if self.member else name
 
     def logger(self, name: str) -> str:
@@ -35,7 +29,6 @@ class Names(NamedTuple):
         return f"{self.member}.{name}" if self.member else name
 
     def frames(self, name: str) -> str:
-        """Topic of MAVLink frames."""
         return f"/uas{self.system_id}/{name}"
 
 
@@ -48,6 +41,6 @@ OWN = Names()  # of a log that holds one flight
 
 
 def split(name: str) -> tuple[str, str]:
-    """Return whose a metadata record or an attachment is, empty for the log's own, and its name."""
+    """Return the member of a metadata record or attachment (empty: none), and its name."""
     member, _, rest = name.rpartition("/")
     return member, rest

@@ -45,7 +45,6 @@ def class_name(schema: str, end: str) -> str:
 
 
 def value_name(field: Field) -> str:
-    """Name of a field in a row."""
     if field.kind == HEADER_TYPE:
         return "stamp_ns"
     return f"{field.name}_ns" if field.kind in TIME_TYPES else field.name

@@ -72,8 +72,6 @@ _SEPARATOR = "=" * 80
 
 
 class Field(NamedTuple):
-    """One field of a message definition."""
-
     name: str
     kind: str  # "float64", "string", or the full name of a message type
     length: int | None  # of an array; None: a single value, 0: a sequence
@@ -96,11 +94,7 @@ def typestore() -> Typestore:
 
 @cache
 def fields_of(name: str) -> tuple[Field, ...]:
-    """Return the fields of a message type, in order.
-
-    Raises:
-        UnknownSchemaError: No such type.
-    """
+    """Return the fields of a message type, in order."""
     text = _own_text(name) if name in _OURS else _STANDARD.get(name)
     if text is None:
         return tuple(_field(field, *node) for field, node in _known(name).fielddefs[name][1])
@@ -135,11 +129,7 @@ def _length(bound: str | None, count: str | None) -> int | None:
 
 
 def store_for(name: str) -> Typestore:
-    """Return the store, with a decoded MAVLink type registered if the name is one.
-
-    Raises:
-        UnknownSchemaError: A decoded MAVLink message that the dialect does not have.
-    """
+    """Return the store, with a decoded MAVLink type registered if the name is one."""
     store = typestore()
     if name not in store.fielddefs and name.startswith(mavlink_types.PACKAGE):
         from rosbags.typesys import get_types_from_msg
@@ -156,12 +146,6 @@ def schema_text(name: str) -> str:
     """Return the full ros2msg definition of a type: its text, then every type it uses.
 
     Our own types keep their comments, since viewers show them.
-
-    Args:
-        name: Full name, for example ``nav_msgs/msg/Odometry``.
-
-    Raises:
-        UnknownSchemaError: No such type.
     """
     generated: str = _known(name).generate_msgdef(name, ros_version=2)[0]
     if name not in _OURS and not name.startswith(mavlink_types.PACKAGE):
@@ -172,11 +156,7 @@ def schema_text(name: str) -> str:
 
 @cache
 def type_hash(name: str) -> str:
-    """Return the ROS 2 type hash (``RIHS01_...``) of a type.
-
-    Raises:
-        UnknownSchemaError: No such type.
-    """
+    """Return the ROS 2 type hash (``RIHS01_...``) of a type."""
     return str(_known(name).hash_rihs01(name))
 
 

@@ -38,21 +38,13 @@ ABSENT = "absent"
 
 @dataclass(frozen=True, slots=True)
 class MessageDifference:
-    """One thing that differs.
+    """One difference of two logs."""
 
-    Attributes:
-        topic: Topic, or ``metadata NAME`` / ``attachment NAME``.
-        index: Number of the message in its topic, by log time and sequence; -1 where there is none.
-        field: Dotted name of the field, for example ``own_position_enu_m.x``.
-        a: Value in the first log.
-        b: Value in the second log.
-    """
-
-    topic: str
-    index: int
-    field: str
-    a: str
-    b: str
+    topic: str  # topic, or ``metadata NAME`` / ``attachment NAME``
+    index: int  # number of the message in its topic, by log time and sequence; -1 without one
+    field: str  # dotted name of the field, for example ``own_position_enu_m.x``
+    a: str  # value in the first log
+    b: str  # value in the second log
 
     def __str__(self) -> str:
         where = f"{self.topic}[{self.index}]" if self.index >= 0 else self.topic
@@ -60,12 +52,7 @@ class MessageDifference:
 
 
 def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> list[MessageDifference]:
-    """Return the differences between two logs, at most ``limit``; empty means equal.
-
-    Raises:
-        LogError: A file that is no log, was not closed, or holds no controller step: two empty logs being
-            equal says nothing.
-    """
+    """Return the differences between two logs, at most ``limit``; empty means equal."""
     first, second = LogFile(a), LogFile(b)
     topics_a, topics_b = _by_topic(first), _by_topic(second)
     found: list[MessageDifference] = []

@@ -44,20 +44,13 @@ _Description = Any  # rosbags: (Nodetype, arguments)
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column.
+    """One column."""
 
-    Attributes:
-        name: Dotted name of the field.
-        kind: ROS primitive type, for example ``float64``; or ``JSON_TEXT``.
-        path: Attribute names and indices from the message to the value.
-    """
-
-    name: str
-    kind: str
-    path: tuple[str | int, ...]
+    name: str  # dotted name of the field
+    kind: str  # ROS primitive type, for example ``float64``; or ``JSON_TEXT``
+    path: tuple[str | int, ...]  # attribute names and indices from the message to the value
 
     def value(self, message: Any) -> Any:
-        """Return the value as a plain Python object."""
         for step in self.path:
             message = message[step] if isinstance(step, int) else getattr(message, step)
         if self.kind == JSON_TEXT:
@@ -66,24 +59,17 @@ class Column:
 
 
 class Table:
-    """One topic of a log as rows.
-
-    Attributes:
-        columns: Behind the three of ``HEAD``.
-    """
+    """One topic of a log as rows."""
 
     def __init__(self, log: LogFile, topic: str) -> None:
-        """Find the topic and its type.
-
-        Raises:
-            ValueError: No such topic, more than one type on it, or an encoding other than CDR with ros2msg.
-        """
+        """Find the topic and its type."""
         self._log, self._topic = log, topic
         schema = _schema_of(log, topic)
         self._type = schema.name
         self._store = get_typestore(Stores.EMPTY)
         try:
             self._store.register(get_types_from_msg(schema.data.decode(), schema.name))
+            # columns after those of ``HEAD``
             self.columns = list(_columns(self._store, (Nodetype.NAME, schema.name), "", ()))
         except Exception as error:  # a library raises whatever it likes about a damaged definition
             what = f"{log.path}: the definition of {schema.name} cannot be read"
@@ -155,16 +141,11 @@ def _plain(value: Any) -> Any:
 
 
 class MissingExtraError(ValueError):
-    """An optional package is needed; says which, and how to get it."""
+    """An optional package is missing."""
 
 
 def export_csv(log: LogFile, topic: str, out: Path, *, force: bool = False) -> int:
-    """Write a topic as CSV with a head line; return the number of rows. Floats are exact (shortest form).
-
-    Raises:
-        ValueError: No such topic, or one that cannot be decoded.
-        OSError: ``out`` exists, or cannot be written.
-    """
+    """Write a topic as CSV with a head line; return the number of rows. Floats are exact (shortest form)."""
     table, rows = Table(log, topic), 0
     with new_file(out, force=force) as part, part.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
@@ -176,13 +157,7 @@ def export_csv(log: LogFile, topic: str, out: Path, *, force: bool = False) -> i
 
 
 def export_parquet(log: LogFile, topic: str, out: Path, *, force: bool = False) -> int:
-    """Write a topic as Parquet with typed columns; return the number of rows.
-
-    Raises:
-        MissingExtraError: pyarrow is not installed.
-        ValueError: No such topic, or one that cannot be decoded.
-        OSError: ``out`` exists, or cannot be written.
-    """
+    """Write a topic as Parquet with typed columns; return the number of rows."""
     arrow, parquet = _pyarrow()
     table, rows = Table(log, topic), 0
     fields = [*HEAD, *((column.name, column.kind) for column in table.columns)]
@@ -216,12 +191,7 @@ def _pyarrow() -> tuple[ModuleType, ModuleType]:
 
 
 def export_tlog(log: LogFile, out: Path, *, topic: str | None = None, force: bool = False) -> int:
-    """Write the recorded frames of both directions, or of one topic; return their number.
-
-    Raises:
-        ValueError: The log holds no MAVLink frame.
-        OSError: ``out`` exists, or cannot be written.
-    """
+    """Write the recorded frames of both directions, or of one topic; return their number."""
     frames = 0
     with new_file(out, force=force) as part:
         with part.open("wb") as stream:

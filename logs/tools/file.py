@@ -11,16 +11,7 @@ from pathlib import Path
 
 @contextmanager
 def new_file(path: Path, *, force: bool) -> Iterator[Path]:
-    """Yield a temporary name next to ``path``; it gets the real name when the block ends well.
-
-    Args:
-        path: The file to make.
-        force: Replace a file that is there.
-
-    Raises:
-        FileExistsError: The file is there and is not to be replaced.
-        OSError: The directory cannot be written.
-    """
+    """Yield a temporary name next to ``path``; it gets the real name when the block ends well."""
     _refuse(path, force)
     number, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
     os.close(number)

@@ -17,8 +17,6 @@ _NS = 1e9  # nanoseconds in a second
 
 @dataclass
 class Topic:
-    """One topic; several channels of one topic are counted together."""
-
     topic: str
     schema: str
     encoding: str
@@ -35,8 +33,6 @@ class Topic:
 
 @dataclass
 class Info:
-    """Summary of a log, whole or broken."""
-
     path: str
     size_bytes: int
     complete: bool
@@ -68,7 +64,6 @@ class Info:
 
 
 def gather(log: LogFile) -> Info:
-    """Read a log once."""
     schemas: dict[int, str] = {}
     channels: dict[int, Topic] = {}
     topics: dict[tuple[str, str], Topic] = {}
@@ -103,7 +98,6 @@ def gather(log: LogFile) -> Info:
 
 
 def lines(info: Info) -> list[str]:
-    """Return the summary as text."""
     found = [
         f"{one_line(info.path)}: {info.size_bytes} bytes, profile {info.profile!r}, by {info.library!r}",
         f"{info.messages} messages in {info.duration_s:.3f} s, "

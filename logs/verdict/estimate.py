@@ -61,7 +61,6 @@ _NO_CONTACTS = "an estimate shows no contacts"
 
 
 def judge_estimate(flight: Flight) -> Verdict:
-    """Judge a flight by what the controller believed."""
     steps, start_s = flight.steps, flight.landing_start_s
     if steps is None:
         reason = "the log holds neither true states nor controller steps"
@@ -137,19 +136,13 @@ def _outcome(flight: Flight, steps: Steps, touch: EstimatedTouchdown | None) -> 
 
 @dataclass(frozen=True, slots=True)
 class EstimatedTouchdown:
-    """First contact with the pad, by the estimate.
+    """First contact with the pad, by the estimate."""
 
-    Attributes:
-        t_s: time of it, s.
-        index: of the first step that is not before it.
-        e_m: (3,) position relative to the pad's centre, ENU, m.
-        velocity_m_s: (3,) velocity relative to the pad's, ENU, m/s; NaN where the contact itself does not
-            show and only the motors that stopped say that it stood.
-    """
-
-    t_s: float
-    index: int
-    e_m: Floats
+    t_s: float  # time of the contact, s
+    index: int  # index of the first step that is not before it
+    e_m: Floats  # (3,) position relative to the pad's centre, ENU, m
+    # (3,) velocity relative to the pad's, ENU, m/s; NaN where the contact itself does not show and only the
+    # stopped motors show that it stood
     velocity_m_s: Floats
 
     @property
@@ -159,12 +152,7 @@ class EstimatedTouchdown:
 
 
 def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> EstimatedTouchdown | None:
-    """Find the first contact with the pad.
-
-    Args:
-        steps: controller steps.
-        config: what was flown with; ``None`` takes the defaults, a Crazyflie's.
-        begin: index of the step at which the judging begins.
+    """Find the first contact with the pad, from step ``begin`` on; without a configuration a Crazyflie's.
 
     Returns:
         ``None`` if the estimate shows none and the controller saw none.

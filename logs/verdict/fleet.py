@@ -26,12 +26,10 @@ class Near(Protocol):
     """How near two vehicles came, as far as a verdict looks at it; ids are those of the vehicles."""
 
     @property
-    def one(self) -> int:
-        """Id of the one."""
+    def one(self) -> int: ...
 
     @property
-    def other(self) -> int:
-        """Id of the other."""
+    def other(self) -> int: ...
 
     @property
     def distance_min_m(self) -> float:
@@ -52,32 +50,22 @@ class Near(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FleetVerdict:
-    """What became of a fleet.
+    """Verdict on a fleet."""
 
-    Attributes:
-        outcome: the worst of the members'.
-        reason: why, in words.
-        violation: whether a member violated the barrier over its pad; None: not known.
-        members: verdicts by member; who collided with another vehicle has crashed.
-        collisions: pairs whose shapes overlapped; None: data is missing.
-        ellipsoid_violations: times that two in flight came inside the ellipsoid about each other; None: data
-            is missing.
-        ellipsoid_min: smallest distance of two in flight in its measure; None: no two at once, or not known.
-        distance_min_m: smallest distance of two centres of mass; None: not known, or a single member.
-    """
-
-    outcome: Outcome
-    reason: str
-    violation: bool | None
-    members: dict[str, Verdict]
-    collisions: int | None
+    outcome: Outcome  # worst outcome of the members
+    reason: str  # reason, as text
+    violation: bool | None  # whether a member violated the barrier over its pad; None: not known
+    members: dict[str, Verdict]  # verdicts by member; one that collided with another vehicle has crashed
+    collisions: int | None  # pairs whose shapes overlapped; None: data is missing
+    # times that two in flight came inside the ellipsoid about each other; None: data is missing
     ellipsoid_violations: int | None
+    # smallest distance of two in flight in its measure; None: no two at once, or not known
     ellipsoid_min: float | None
+    # smallest distance of two centres of mass; None: not known, or a single member
     distance_min_m: float | None
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
-        """Of the members, in order."""
         return tuple(each.outcome for each in self.members.values())
 
 
@@ -88,14 +76,7 @@ def fleet_verdict(
     *,
     complete: bool = True,
 ) -> FleetVerdict:
-    """Judge a fleet by its members' verdicts and by how near they came to each other.
-
-    Args:
-        members: verdicts by member, in order.
-        pairs: of the members.
-        names: members by their ids.
-        complete: whether the pairs were followed to the end.
-    """
+    """Judge a fleet by its members' verdicts and by how near they came to each other."""
     struck = [pair for pair in pairs if pair.collided_ms is not None and pair.collided_ms >= 0]
     ends = [each for pair in struck for each in ((pair.one, pair.other), (pair.other, pair.one))]
     hits = {names[one]: names[other] for one, other in ends}
@@ -131,25 +112,14 @@ def _reason(outcome: Outcome, judged: Mapping[str, Verdict], hits: Collection[st
 
 
 def judge_fleet(log: Fleet | Path | str) -> FleetVerdict:
-    """Judge the log of a fleet.
-
-    Args:
-        log: what ``load_fleet`` read, or the log itself.
-
-    Raises:
-        LogError: not a log of a fleet, or a member has neither controller steps nor true states.
-    """
+    """Judge the log of a fleet."""
     fleet = log if isinstance(log, Fleet) else load_fleet(log)
     members = {name: judge(flight) for name, flight in fleet.flights.items()}
     return fleet_verdict(members, fleet.pairs.values(), fleet.ids, complete=pairs_known(fleet))
 
 
 def judge_member(log: Path | str, member: str) -> tuple[Flight, Verdict]:
-    """Return the flight of a member, and the verdict that it has in its fleet.
-
-    Raises:
-        LogError: as of ``judge_fleet``, or no such member.
-    """
+    """Return the flight of a member, and the verdict that it has in its fleet."""
     LogFile(log, member)  # names the members
     fleet = load_fleet(log)
     return fleet.flights[member], judge_fleet(fleet).members[member]
@@ -174,16 +144,7 @@ def fleet_result(
     realtime_factor: float | None = None,
     pages: Mapping[str, Path] | None = None,
 ) -> dict[str, Any]:
-    """Return the result of a fleet as plain values for JSON: the keys of ``flightstack sitl --json``.
-
-    Args:
-        fleet: the log.
-        verdict: on it.
-        report: its page, if one was written.
-        about: what was flown; default: what the log says, ``None`` where it says nothing.
-        realtime_factor: stack time over wall time, known to the launcher of the processes.
-        pages: the reports of the members, by member.
-    """
+    """Return the result of a fleet as plain values for JSON: the keys of ``flightstack sitl --json``."""
     vehicles = {
         name: verdict_result(
             fleet.flights[name], each, (pages or {}).get(name), realtime_factor=realtime_factor

@@ -13,24 +13,15 @@ from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
 
 
 class PairSeries(NamedTuple):
-    """Two members over time, by their true states; (n,) each.
+    """Two members over time, by their true states; (n,) each."""
 
-    Attributes:
-        name: of the pair.
-        one_m, other_m: (n, 3) positions of both.
-        t_s: seconds since the origin of the fleet.
-        distance_m: of their centres of mass.
-        measure: the same in the measure of the ellipsoid, 1 on its surface.
-        flying: whether both flew.
-    """
-
-    name: str
-    t_s: Floats
-    one_m: Floats
-    other_m: Floats
-    distance_m: Floats
-    measure: Floats
-    flying: Bools
+    name: str  # both members, for example cf1–cf2
+    t_s: Floats  # seconds since the origin of the fleet
+    one_m: Floats  # (n, 3) position of the first
+    other_m: Floats  # (n, 3) position of the second
+    distance_m: Floats  # distance of the centres of mass
+    measure: Floats  # distance in the ellipsoid's measure, 1 on its surface
+    flying: Bools  # whether both flew
 
 
 def shift_s(fleet: Fleet, flight: Flight) -> float:

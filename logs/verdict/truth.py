@@ -57,7 +57,6 @@ class _Touch:
 
 
 def judge_truth(flight: Judged, truth: Truth) -> Verdict:
-    """Judge a flight by its true states."""
     start_s = flight.landing_start_s
     if start_s is None:
         return _never_began(flight, truth)

@@ -1,4 +1,4 @@
-"""The words of a verdict: outcomes, limits, and the verdict itself."""
+"""Outcomes, limits, and the verdict itself."""
 
 from __future__ import annotations
 
@@ -31,44 +31,35 @@ class JudgedSteps(Protocol):
     """Controller steps as far as a verdict by true states looks at them."""
 
     @property
-    def t_s(self) -> Floats:
-        """(n,) time."""
+    def t_s(self) -> Floats: ...
 
     @property
-    def phase(self) -> Ints:
-        """(n,) ``Phase``."""
+    def phase(self) -> Ints: ...
 
 
 class Judged(Protocol):
     """A flight as far as a verdict by true states looks at it: from a log, or of a landing in a campaign."""
 
     @property
-    def landing_start_s(self) -> float | None:
-        """When the judging begins."""
+    def landing_start_s(self) -> float | None: ...
 
     @property
-    def steps(self) -> JudgedSteps | None:
-        """Controller steps."""
+    def steps(self) -> JudgedSteps | None: ...
 
     @property
-    def events(self) -> tuple[Event, ...]:
-        """What was said."""
+    def events(self) -> tuple[Event, ...]: ...
 
     @property
-    def config(self) -> FlightConfig | None:
-        """Configuration the onboard process flew with."""
+    def config(self) -> FlightConfig | None: ...
 
     @property
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """Metadata records by name; "losses" counts lost records."""
+    def metadata(self) -> dict[str, dict[str, str]]: ...
 
     @property
-    def complete(self) -> bool:
-        """Whether nothing is cut off."""
+    def complete(self) -> bool: ...
 
     @property
-    def pad_radius_m(self) -> float:
-        """Of the landing pad."""
+    def pad_radius_m(self) -> float: ...
 
 
 class Outcome(StrEnum):
@@ -86,33 +77,21 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What became of a flight; ``None`` where a value does not apply or is not known.
+    """Verdict on a flight; ``None`` where a value does not apply or is not known."""
 
-    Attributes:
-        outcome: how it ended.
-        violation: h < -5 mm outside the pad in a run that began with h >= 0; ``None`` if data is missing.
-        h_min_m: lowest h anywhere since the landing began.
-        h_min_outside_pad_m: the same where d > pad radius.
-        touchdown_error_m: d at first contact, if that was with the pad.
-        touchdown_speed_vertical_m_s: relative to the pad's surface at first contact, positive downwards.
-        touchdown_speed_horizontal_m_s: the same, horizontal.
-        time_to_land_s: from the begin of the landing to first contact, if landed.
-        reason: why this outcome, in words.
-        started_safe: h >= 0 when the landing began; ``None`` if not known.
-        judged_from: ``TRUTH`` or ``ESTIMATE``.
-    """
-
-    outcome: Outcome
+    outcome: Outcome  # how it ended
+    # h < -5 mm outside the pad in a run that began with h >= 0; ``None`` if data is missing
     violation: bool | None
-    h_min_m: float | None
-    h_min_outside_pad_m: float | None
-    touchdown_error_m: float | None
+    h_min_m: float | None  # lowest h anywhere since the landing began
+    h_min_outside_pad_m: float | None  # the same where d > pad radius
+    touchdown_error_m: float | None  # d at first contact, if with the pad
+    # relative to the pad's surface at first contact, positive downwards
     touchdown_speed_vertical_m_s: float | None
-    touchdown_speed_horizontal_m_s: float | None
-    time_to_land_s: float | None
-    reason: str
-    started_safe: bool | None
-    judged_from: str
+    touchdown_speed_horizontal_m_s: float | None  # the same, horizontal
+    time_to_land_s: float | None  # from the start of the landing to first contact, if landed
+    reason: str  # reason of the outcome, as text
+    started_safe: bool | None  # h >= 0 when the landing began; ``None`` if not known
+    judged_from: str  # ``TRUTH`` or ``ESTIMATE``
 
     @staticmethod
     def unknown(outcome: Outcome, reason: str, judged_from: str) -> Verdict:
@@ -148,8 +127,6 @@ def violated(h_min_outside_pad_m: float | None, started_safe: bool | None, *, co
 
 @dataclass(frozen=True, slots=True)
 class Abort:
-    """A declared abort: when, and why in the phase machine's words."""
-
     t_s: float
     text: str
 
@@ -182,11 +159,6 @@ def judged_until(flight: Judged, t_s: Floats, d_m: Floats) -> int:
     Who lands beside the robot ends below its pad, where h < 0 by geometry. The state that first shows the
     vehicle outside the clearance distance still counts, with the physics steps before it. Without the
     configuration nothing is known of a clearance distance, and all counts.
-
-    Args:
-        flight: with its configuration.
-        t_s: (n,) times of the states.
-        d_m: (n,) horizontal distance to the landing spot; NaN where it is not known.
     """
     abort = abort_declared(flight)
     since_s = min(abort.t_s if abort is not None else math.inf, left_s(flight))

@@ -73,15 +73,7 @@ def verdict_result(
     about: Mapping[str, object] | None = None,
     realtime_factor: float | None = None,
 ) -> dict[str, Any]:
-    """Return the result of a flight as plain values for JSON: the keys of ``flightstack sitl --json``.
-
-    Args:
-        flight: the log.
-        verdict: on it.
-        report: its page, if one was written.
-        about: what was flown; default: what the log says, ``None`` where it says nothing.
-        realtime_factor: stack time over wall time, known to the launcher of the processes.
-    """
+    """Return the result of a flight as plain values for JSON: the keys of ``flightstack sitl --json``."""
     if about is None:
         filter_flown = flight.config.filter if flight.config is not None else None
         about = flown_by({"filter": filter_flown, **flight.metadata.get("run", {})})

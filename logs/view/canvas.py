@@ -22,14 +22,7 @@ Corner = Literal["LeftTop", "RightTop", "RightBottom"]
 def blueprint(
     center_m: tuple[float, float, float], size_m: float, members: Sequence[str] = (), *, pairs: bool = False
 ) -> Any:
-    """Return the layout.
-
-    Args:
-        center_m: what the camera looks at.
-        size_m: extent of the flight; the camera stands away from it accordingly.
-        members: of a fleet; none: of one flight.
-        pairs: the recording has the distances of two members at least.
-    """
+    """Return the layout."""
     away_m = max(1.0, size_m)
     x, y, z = center_m
     eye = rrb.EyeControls3D(
@@ -125,28 +118,14 @@ def of_member(entity: str, member: str) -> str:
 
 
 class Canvas:
-    """A recording stream with what it has to remember between two pieces of a flight.
-
-    Attributes:
-        stream: the recording.
-        member: of a fleet, whose entities these are; they stand below its name.
-        own_color: of the vehicle and its path.
-        paths: where vehicle and target have been, by entity.
-        phase: that was shown last.
-
-    Args:
-        stream: the recording.
-        origin_ns: log time at which the time line of the flight begins.
-        member: whose entities these are; empty in a recording of one flight.
-        own_color: of the vehicle and its path.
-    """
+    """A recording stream with what it has to remember between two pieces of a flight."""
 
     def __init__(
         self, stream: rr.RecordingStream, origin_ns: int, member: str = "", own_color: Color = OWN_COLOR
     ) -> None:
         self.stream, self.member, self.own_color = stream, member, own_color
-        self.paths: dict[str, Path] = {}
-        self.phase: int | None = None
+        self.paths: dict[str, Path] = {}  # past positions of vehicle and target, by entity
+        self.phase: int | None = None  # phase shown last
         self._origin_ns = origin_ns
         self._styled: set[str] = set()
         self._slots: dict[str, int] = {}

@@ -31,13 +31,7 @@ PAIR_COLORS: tuple[Color, ...] = (
 
 
 def pairs(canvas: Canvas, series: Sequence[PairSeries], origin_ns: int) -> None:
-    """Send the distances of all pairs and the lines between those that are near.
-
-    Args:
-        canvas: of the fleet.
-        series: of all pairs.
-        origin_ns: log time at which their times begin.
-    """
+    """Send the distances of all pairs and the lines between those that are near."""
     for number, pair in enumerate(series):
         name = pair.name.replace("–", "_")
         at_ns = origin_ns + np.round(pair.t_s * 1e9).astype(np.int64)

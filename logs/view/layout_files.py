@@ -47,18 +47,7 @@ def fleet_layout(name: str, namespace: str, members: Sequence[str]) -> str:
 
 
 def write_layouts(log: Path, folder: Path, member: str | None = None, *, force: bool = False) -> list[Path]:
-    """Write all layouts for a log; of a fleet for each member, with its name, and all members in the scene.
-
-    Args:
-        log: a flight log; its name space is in the metadata of the onboard process.
-        folder: made if it does not exist.
-        member: of a fleet, for whom alone.
-        force: replace files that exist.
-
-    Raises:
-        LogError: Not a log, or without such a member.
-        ValueError: A file exists.
-    """
+    """Write all layouts for a log; for a fleet one a member, with all in the scene."""
     opened, members = LogFile(log, member), LogFile(log).members
     folder.mkdir(parents=True, exist_ok=True)
     texts: dict[str, str] = {}

@@ -27,20 +27,7 @@ MEMORY_LIMIT = "512MB"  # of viewer and server each: the oldest data go first
 
 
 class LiveRecording:
-    """One Rerun recording that grows.
-
-    Attributes:
-        address: what to open: of the page, or the file.
-
-    Args:
-        where: ``NATIVE``, ``WEB`` or a file that ends with ``.rrd``.
-        run: what is known of the run, with barrier and pad (``flight_data.shape``) if they are.
-        name: of the recording.
-
-    Raises:
-        ValueError: the file exists, or the name has another ending.
-        OSError: Rerun's program is not there, or the file cannot be written.
-    """
+    """One Rerun recording that grows."""
 
     def __init__(self, where: str, run: Mapping[str, str], name: str) -> None:
         self._run = dict(run)
@@ -50,7 +37,7 @@ class LiveRecording:
         self._phase: int | None = None
         self._viewer: subprocess.Popen[bytes] | None = None
         self._stays = where == NATIVE  # a window is closed by who looks at it
-        self.address = where
+        self.address = where  # address of the page to open, or the file
         if where == NATIVE:
             self._start("--hide-welcome-screen")
         elif where == WEB:
@@ -63,19 +50,12 @@ class LiveRecording:
 
     @property
     def closed(self) -> bool:
-        """Whether the viewer has ended."""
         return self._viewer is not None and self._viewer.poll() is not None
 
     def add(
         self, steps: Sequence[ControllerStepRow], timings: Sequence[LoopTimingRow], reason: str = ""
     ) -> None:
-        """Draw the next rows.
-
-        Args:
-            steps: in order.
-            timings: in order.
-            reason: of the phase, as the onboard process gives it.
-        """
+        """Draw the next rows."""
         if not steps:
             return
         if self._canvas is None:

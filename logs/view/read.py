@@ -22,22 +22,16 @@ Ints = NDArray[np.int64]
 
 @dataclass
 class Seen:
-    """A flight as rows, in the order of log time.
+    """A flight as rows, in the order of log time."""
 
-    Attributes:
-        run: metadata of the run; of a real flight, which has none, barrier and pad of the configuration.
-        namespace: first part of the topics of the controller, "" if it had none.
-        steps, timings, truths, events: (log time in ns, row).
-        problem: why the log is not whole; empty for one that is.
-    """
-
+    # metadata of the run; for a real flight barrier and pad of the configuration
     run: dict[str, str]
-    namespace: str = ""
-    steps: list[tuple[int, ControllerStepRow]] = field(default_factory=list)
-    timings: list[tuple[int, LoopTimingRow]] = field(default_factory=list)
-    truths: list[tuple[int, TrueStateRow]] = field(default_factory=list)
-    events: list[tuple[int, LogRow]] = field(default_factory=list)
-    problem: str = ""
+    namespace: str = ""  # first part of the controller's topics; empty without one
+    steps: list[tuple[int, ControllerStepRow]] = field(default_factory=list)  # (log time in ns, row)
+    timings: list[tuple[int, LoopTimingRow]] = field(default_factory=list)  # (log time in ns, row)
+    truths: list[tuple[int, TrueStateRow]] = field(default_factory=list)  # (log time in ns, row)
+    events: list[tuple[int, LogRow]] = field(default_factory=list)  # (log time in ns, row)
+    problem: str = ""  # reason why the log is not whole; empty for a whole one
 
     @property
     def origin_ns(self) -> int:
@@ -46,16 +40,7 @@ class Seen:
 
 
 def read(path: Path, member: str | None = None) -> Seen:
-    """Read a log, whole or broken.
-
-    Args:
-        path: of the log.
-        member: of a fleet, whose flight it shall be; None in the log of one flight.
-
-    Raises:
-        LogError: Not a log, without controller steps and true states; no such member, or a fleet where no
-            member is named.
-    """
+    """Read a log, whole or broken."""
     log = LogFile(path, member).single()
     seen = Seen(_shape(log) | log.metadata().get("run", {}))
     _fill(log, lambda _: seen)

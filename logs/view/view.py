@@ -52,18 +52,8 @@ _CURVES = (
 
 
 class Recording:
-    """One Rerun recording, of one flight or of a fleet."""
-
     def __init__(self, log: Path, member: str | None = None) -> None:
-        """Read the log.
-
-        Args:
-            log: of one flight, or of a fleet.
-            member: of the fleet, whose flight is shown alone.
-
-        Raises:
-            LogError: Not a log, one without a flight, or without such a member.
-        """
+        """Read the log."""
         self._members: dict[str, Seen]  # by name; of one flight "" alone
         self._events: list[tuple[int, LogRow]] = []  # of a fleet
         self._pairs: list[PairSeries] = []
@@ -79,7 +69,6 @@ class Recording:
         self._stream.send_recording_name(f"{name}: {log.name}")
 
     def save(self, out: Path) -> None:
-        """Write an ``.rrd`` file."""
         self._stream.save(out, default_blueprint=self._blueprint())
         origin_ns = min(seen.origin_ns for seen in self._members.values())
         for number, (name, seen) in enumerate(self._members.items()):
@@ -114,15 +103,7 @@ class Recording:
 
 
 def open_viewer(recording: Path, *, web: bool) -> int:
-    """Show an ``.rrd`` file in Rerun until it is closed; its exit status.
-
-    Args:
-        recording: the file.
-        web: serve the viewer to browsers on this machine instead of opening a window.
-
-    Raises:
-        OSError: Rerun's program is not there.
-    """
+    """Show an ``.rrd`` file in Rerun until it is closed; its exit status."""
     program = viewer_program()
     # Rerun itself would listen to every network; what flew is for this machine.
     serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # free ports
@@ -130,11 +111,7 @@ def open_viewer(recording: Path, *, web: bool) -> int:
 
 
 def viewer_program() -> str:
-    """Rerun's program.
-
-    Raises:
-        FileNotFoundError: it is not there.
-    """
+    """Rerun's program."""
     beside = Path(sys.executable).with_name("rerun")  # of this environment, active or not
     program = str(beside) if beside.exists() else shutil.which("rerun")
     if program is None:
@@ -186,7 +163,6 @@ def _phases(canvas: Canvas, seen: Seen) -> None:
 
 
 def events(canvas: Canvas, rows: Sequence[tuple[int, LogRow]]) -> None:
-    """Send events, at log times in ns."""
     if rows:
         texts = [f"{row.name}: {row.msg}" for _, row in rows]
         levels = [_LEVELS.get(row.level, "INFO") for _, row in rows]
