@@ -1,6 +1,5 @@
 """The flights behind the golden logs: what each is there for, how it is flown anew, and what is kept."""
 
-import copy
 import subprocess
 import sys
 import tempfile
@@ -9,11 +8,11 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from flightstack.common.strict_toml import dumps, to_table
+from flightstack.common.strict_toml import dumps, parse_toml
 from logs.reader.reader import LogFile
 from logs.replay.read import ROSOUT, SINK, SOURCE
 from logs.schema.schemas import schema_text
-from sim.scenarios.scenario import load
+from sim.scenarios.team import TeamScenario, load_any, text
 
 TOPICS = (
     "controller/input", "controller/step", "controller/state", "controller/power", "controller/neighbours",
@@ -24,17 +23,20 @@ CHUNK_BYTES = 16 * 2**20  # one chunk: repeats are found over the whole flight
 METADATA = ("onboard", "run")
 
 
-def write_kept(source: Path, target: Path, *, wire: bool = True, when=None, change=None) -> Path:
+def write_kept(
+    source: Path, target: Path, *, member: str | None = None, wire: bool = True, when=None, change=None
+) -> Path:
     """Copy a log's topics of interest.
 
     Args:
         source: a whole or broken log.
         target: file to write.
+        member: vehicle of a fleet, kept as the log of a single flight; None: the log has one flight.
         wire: keep MAVLink frames and odometry, too.
         when: keeps a message if this is true of it; None: all.
         change: makes a message's data anew; None: verbatim.
     """
-    log = LogFile(source)
+    log = LogFile(source, member)
     space = log.metadata()["onboard"]["namespace"]
     topics = {f"/{space}/{name}" for name in TOPICS if wire or name != "target/odom"}
     topics |= {ROSOUT, *(WIRE if wire else ())}
@@ -67,7 +69,7 @@ def write_kept(source: Path, target: Path, *, wire: bool = True, when=None, chan
 
 
 FOLDER = Path(__file__).parent
-BYTES_MAX = 400_000  # of one log; they live in the repository
+BYTES_MAX = 450_000  # of one log; they live in the repository
 FLIGHT_MAX_S = 300.0  # s of wall time
 
 
@@ -81,6 +83,8 @@ class Flight:
         changes: keys of the scenario to other values; a slower loop makes a smaller log.
         lockstep: or in real time, with ticks and arrivals where the clock put them.
         wire: keep MAVLink frames and odometry, too; twice as large.
+        seed: of all chance.
+        member: the vehicle that is kept, of a scenario with several.
     """
 
     scenario: str
@@ -89,10 +93,12 @@ class Flight:
     lockstep: bool = True
     wire: bool = True
     seed: int = 0
+    member: str | None = None
 
 
 _SLOW = {"onboard.loop.rate_hz": 40, "odometry.rate_hz": 40.0}
 _SLOWER = {"onboard.loop.rate_hz": 25, "odometry.rate_hz": 25.0}  # how long it waits at the start is chance
+_SLOWEST = {"onboard.loop.rate_hz": 15, "odometry.rate_hz": 15.0}
 _LOSSES = {"odometry.dropout_every_s": 2.5, "odometry.dropout_max_s": 4.0, "duration_max_s": 11.0}
 FLIGHTS = {
     "paper_static_1": Flight("paper_static_1", ("TAKEOFF", "LANDED"), _SLOW, wire=False),
@@ -100,6 +106,9 @@ FLIGHTS = {
     "contact": Flight("straight", ("APPROACH", "TOUCHDOWN", "LANDED"), _SLOW),
     "target_lost": Flight("straight", ("APPROACH", "HOLD", "CLIMB"), {**_SLOW, **_LOSSES}),
     "real_time": Flight("straight", ("APPROACH", "LANDED"), _SLOWER, lockstep=False),
+    "fleet_3_cf1": Flight("fleet_3", ("APPROACH", "LANDED"), _SLOW, wire=False, member="cf1"),
+    "fleet_3_cf3": Flight("fleet_3", ("APPROACH", "LANDED"), _SLOW, wire=False, member="cf3"),
+    "turns_4_cf2": Flight("turns_4", ("LANDED", "LEAVE"), _SLOWEST, wire=False, member="cf2"),
 }  # fmt: skip
 
 
@@ -110,13 +119,10 @@ def path_of(name: str) -> Path:
 
 def fly(flight: Flight, target: Path) -> None:
     """Fly it and keep what a replay needs."""
-    table = copy.deepcopy(to_table(load(flight.scenario)))
-    for key, value in flight.changes.items():
-        *sections, last = key.split(".")
-        inner = table
-        for section in sections:
-            inner = inner.setdefault(section, {})
-        inner[last] = value
+    scenario = load_any(flight.scenario)
+    table = parse_toml((text(scenario) if isinstance(scenario, TeamScenario) else dumps(scenario)).encode())
+    for each in table.get("member", [table]):
+        _change(each, flight.changes)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.toml"
         file.write_text(dumps(table))
@@ -129,4 +135,14 @@ def fly(flight: Flight, target: Path) -> None:
         log = Path(folder) / "run" / "flight.mcap"
         if done.returncode not in (0, 1) or not log.exists():
             raise RuntimeError(f"{flight.scenario} did not fly: {done.stderr}")
-        write_kept(log, target, wire=flight.wire)
+        write_kept(log, target, member=flight.member, wire=flight.wire)
+
+
+def _change(table: dict[str, object], changes: dict[str, object]) -> None:
+    """Set keys of a scenario to other values."""
+    for key, value in changes.items():
+        *sections, last = key.split(".")
+        inner = table
+        for section in sections:
+            inner = inner.setdefault(section, {})
+        inner[last] = value

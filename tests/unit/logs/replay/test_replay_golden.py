@@ -35,6 +35,8 @@ def test_the_golden_logs_hold_flights_of_both_clocks_and_filters():
         "paper_static_1",
         "paper_moving_1",
         "straight",
+        "fleet_3",
+        "turns_4",
     }
 
 
