@@ -26,10 +26,10 @@ test: $(VENV)/.test
 	$(CHECK)
 	$(BIN)/python -m pytest -n auto --dist loadgroup --max-worker-restart 1 -q
 
-# the unit tests without those marked slow, each within a bound of processor time (tests/quick.py)
+# the unit tests without those marked slow
 quick: $(VENV)/.test
 	$(CHECK)
-	$(BIN)/python -m pytest -n auto --dist loadgroup -q --quick -m "not slow" tests/unit
+	$(BIN)/python -m pytest -n auto --dist loadgroup -q -m "not slow" tests/unit
 
 bench: $(VENV)/.test
 	$(BIN)/python -m tests.benchmarks

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
-import time
 from pathlib import Path
 
 import hypothesis
@@ -13,58 +13,11 @@ import pytest
 from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
 from flightstack.config.files import path_of
 from tests.flight_suite.room import PROFILES
-from tests.overdue import pytest_exception_interact as pytest_exception_interact
-from tests.overdue import pytest_runtest_logfinish as pytest_runtest_logfinish
-from tests.overdue import pytest_runtest_logstart as pytest_runtest_logstart
-from tests.overdue import pytest_sessionfinish as pytest_sessionfinish
-from tests.overdue import pytest_sessionstart as pytest_sessionstart
-from tests.pauses import in_real_time
-from tests.pauses import pytest_runtest_protocol as pytest_runtest_protocol
-from tests.quick import mark_slow
-from tests.quick import pytest_runtest_call as pytest_runtest_call
-from tests.quick import pytest_runtest_setup as pytest_runtest_setup
+from tests.real_time import in_real_time, repeated_after_a_pause
+from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 
-# Workers that fly in real time: two cores carry three, as other workers give way; two where a core is slow
-STREAMS_SET = "FLIGHTSTACK_TEST_STREAMS"  # environment: told to the workers
-STREAMS = int(os.environ.get(STREAMS_SET, "2"))
-QUICK_S = (
-    0.0065  # of processor time for a loop; this takes 0.0042 where three were tried, at a load of 13 to 30
-)
-# s of wall time of tests in real time that take long; the others: OTHERS_S
-TAKES_S = {
-    "test_arducopters_program_is_started_and_flown_over_tcp": 50,
-    "test_flights_in_a_row_land": 45,
-    "test_three_kinds_of_vehicles_hear_each_other_land_and_replay": 60,
-    "test_three_kinds_cross_land_and_replay": 60,
-    "test_one_command_lands_a_real_px4_and_its_log_knows_the_truth": 40,
-    "test_the_commands_that_fly_in_real_time": 40,
-    "test_the_target_is_landed_on": 35,
-    "test_a_given_vehicle_is_flown": 30,
-    "test_make_fly_lands": 30,
-    "test_the_parts_apart_land": 28,
-    "test_a_process_that_is_killed_in_flight_harms_nobody": 27,
-    "test_a_target_that_falls_silent_is_left_alone": 25,
-    "test_lands_records_judges_and_reports": 25,
-    "test_follows_and_lands_on_the_target": 24,
-    "test_real_time_landing_after_the_check": 24,
-    "test_takes_off_holds_follows_set_points_and_lands": 24,
-    "test_an_abort_brings_it_down_clear_of_the_target": 22,
-    "test_whole_flight": 22,
-    "test_whole_flight_as_arducopter": 22,
-    "test_a_companion_beyond_the_fence_is_called_off": 20,
-    "test_ctrl_c_flies_clear_and_lands_before_anything_ends": 20,
-    "test_without_a_log_the_onboard_process_is_believed_and_nothing_measured": 20,
-    "test_a_cut_radio_leaves_a_safe_vehicle": 19,
-    "test_documented_example": 18,
-    "test_a_kill_costs_half_a_second_of_the_log_at_most": 18,
-    "test_refused_arming_has_a_reason_that_mavsdk_shows": 16,
-    "test_a_killed_companion_leaves_a_safe_vehicle": 14,
-    "test_in_real_time_the_deck_follows_the_robot_and_the_truth_is_recorded": 14,
-    "test_second_client_does_not_take_over": 14,
-    "test_signed_flight": 14,
-    "test_motors_stop_in_the_air_when_asked_to": 11,
-}
-OTHERS_S = 4.0
+# workers that fly in real time: two cores carry three of them, because the other workers give way
+STREAMS = int(os.environ.get("FLIGHTSTACK_TEST_STREAMS", "3"))
 STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # the first has the flights of a real PX4
 
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
@@ -80,7 +33,6 @@ hypothesis.settings.load_profile("same examples")
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     add = parser.addoption
-    add("--quick", action="store_true", help="fail a test that is slow and not marked so")
     add("--flights", type=int, default=1, metavar="N", help="fly each flight of a real client N times")
     add("--vehicle", metavar="URL", help="fly this vehicle and no other: only the tests that can are run")
     add("--px4", type=Path, metavar="PLACE", help="fly this PX4 SITL, by px4-sim, and no other vehicle")
@@ -106,7 +58,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "slow: needs more processor time than `make quick` allows a test")
+    config.addinivalue_line("markers", "slow: not run by `make quick`")
+    config.addinivalue_line("markers", "flaky: repeated by pytest-rerunfailures, where that is installed")
     config.addinivalue_line("markers", "vehicle: flies our simulated vehicle, or the one of --vehicle")
     config.addinivalue_line("markers", "arms: not run on a vehicle that was given without --arm-ok")
     config.addinivalue_line("markers", "simulated: needs the simulated room")
@@ -114,25 +67,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One for each stream of flights in real time, which mostly wait; one for each core, which gives way."""
-    del config
-    streams = 3 if min(_loop_s() for _ in range(20)) < QUICK_S else 2
-    os.environ[STREAMS_SET] = str(streams)
-    return streams + (os.cpu_count() or 1)
-
-
-def _loop_s() -> float:
-    """Processor time of some Python."""
-    began_s = time.process_time()
-    sum(number * number for number in range(200_000))
-    return time.process_time() - began_s
+def pytest_xdist_auto_num_workers() -> int:
+    """One worker for each stream of flights in real time, which mostly wait, and one for each core."""
+    return STREAMS + (os.cpu_count() or 1)
 
 
 @pytest.hookimpl(tryfirst=True)  # before the workers look at the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """A vehicle that was given is flown by the tests made for it, and armed only where that was allowed."""
-    mark_slow(items)
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
         items[:] = [item for item in items if not _flown_otherwise(item)]
@@ -151,30 +93,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _deal_out(items: list[pytest.Item]) -> None:
-    """Give the flights in real time to the streams so that these end at one time, the longest tests first.
-
-    Tests that share a flight name their stream themselves.
-    """
-    load_s = dict.fromkeys(STREAM_NAMES, 0.0)
-    free = []
+    """Give the flights in real time to the streams in turn; a test can name its stream itself."""
+    turn = itertools.cycle(STREAM_NAMES)
     for item in items:
         if _marked(item, "vehicle"):
             item.add_marker(pytest.mark.xdist_group("real-time"))
         if in_real_time(item):
-            named = [name for name in STREAM_NAMES if any(name in mark.args for mark in item.iter_markers())]
-            if named:
-                load_s[named[0]] += _takes_s(item)
-            else:
-                free.append(item)
-    for item in sorted(free, key=_takes_s, reverse=True):
-        least = min(load_s, key=load_s.__getitem__)
-        load_s[least] += _takes_s(item)
-        item.add_marker(pytest.mark.xdist_group(least))
-
-
-def _takes_s(item: pytest.Item) -> float:
-    """Wall time of a test in real time, as measured once."""
-    return TAKES_S.get(item.name.partition("[")[0], OTHERS_S)
+            item.add_marker(repeated_after_a_pause())
+            if not any(name in mark.args for mark in item.iter_markers() for name in STREAM_NAMES):
+                item.add_marker(pytest.mark.xdist_group(next(turn)))
 
 
 def _flown_otherwise(item: pytest.Item) -> bool:

@@ -9,6 +9,8 @@ from bridge.mavlink.signing.key import SigningKey
 from tests.unit.autopilot.autopilot_fakes import Rig
 from tests.unit.autopilot.fuzz_helpers import Fuzz, intervals_us, state
 
+pytestmark = pytest.mark.slow
+
 KEY = SigningKey(bytes(range(32)))
 DATAGRAMS = 100_000  # in all
 BATCH = 1000

@@ -14,6 +14,8 @@ from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.supervisor import State
 
+pytestmark = pytest.mark.slow
+
 ARMED = 128
 OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000
 

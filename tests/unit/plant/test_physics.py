@@ -17,6 +17,8 @@ from tests import independent_plant as other
 from tests import linear_analysis as linear
 from tests.unit.vehicle.vehicle_sim_helpers import vehicle
 
+pytestmark = pytest.mark.slow
+
 PROMPT = OdometryLink(100.0)  # motion capture without noise and delay
 HIGH_M = 1000.0
 

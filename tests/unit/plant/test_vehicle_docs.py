@@ -7,7 +7,7 @@ import pytest
 from tests.benchmarks.vehicle.figures import DOCS, PAGE, written_tables
 from tests.benchmarks.vehicle.tables import COMPARISONS, tables
 
-pytestmark = pytest.mark.xdist_group("vehicle docs")  # one worker computes the tables
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("vehicle docs")]  # one worker computes the tables
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 MAKE_ANEW = "run: python -m tests.benchmarks vehicle_figures"
 FIGURE_MAX_BYTES = 150_000

@@ -14,6 +14,8 @@ from sim.scenarios.scenario import TargetSpec
 from sim.world.step import apart
 from sim.world.world import World
 
+pytestmark = pytest.mark.slow
+
 PARAMS = load()
 MASS = PARAMS.body.mass_kg
 G = PARAMS.contact.gravity_m_s2

@@ -12,6 +12,8 @@ from sim.validation.sensing import compare
 from sim.validation.sensing_fit import fit
 from tests.recorded import flights
 
+pytestmark = pytest.mark.slow
+
 PUT_IN = StateError(
     delay_s=0.04, delay_spread_s=0.01, delay_fast_s=0.015, delay_fast_varies=0.2, delay_slow_s=0.012,
     delay_slow_time_s=0.5, delay_slow_varies=0.0, velocity_lead_s=0.01, velocity_along=0.05,

@@ -26,6 +26,8 @@ from sim.scenarios.scenario import Scenario, load
 from tests.fault_grid.flight import Flight
 from tests.fault_grid.run import equal
 
+pytestmark = pytest.mark.slow
+
 _EXTREMES = {
     "float": (0.1, -1e-9, 12345.678, math.nan, math.inf),
     "double": (0.1, 1e300),

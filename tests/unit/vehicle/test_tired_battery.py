@@ -10,6 +10,8 @@ from logs.verdict.types import Outcome
 from sim.runners.landing import land
 from sim.scenarios.scenario import load
 
+pytestmark = pytest.mark.slow
+
 SEEDS = range(16)
 # of the simulated vehicle whose motors differ by 10 %, as measured in its hover and its steepest climb
 RESERVE = Reserve(

@@ -24,6 +24,8 @@ from flightstack.verify.robust import between_ticks_m, demand, demand_change, de
 from flightstack.verify.types import Check, Need
 from tests.unit.verify.certificate_helpers import config, one, rooms
 
+pytestmark = pytest.mark.slow
+
 # name of a check, what to change, the last value that passes and the first that does not
 LIMITS = [
     ("barrier", "touchdown", "target_speed_max_m_s", 1.0, None),

@@ -28,6 +28,8 @@ from sim.scenarios import scenario
 from tests.unit.verify.certificate_helpers import config
 from tests.unit.verify.certificate_page import PAGES, split, tables
 
+pytestmark = pytest.mark.slow
+
 DT_S = 0.01
 
 

@@ -19,6 +19,8 @@ from sim.scenarios.scenario import load
 from tests.unit.core.strategies.loop_helpers import BASE, FEEDBACK, fed_back, flown_behind
 from tests.unit.verify.certificate_helpers import config, one
 
+pytestmark = pytest.mark.slow
+
 STORM = load("storm").onboard
 
 

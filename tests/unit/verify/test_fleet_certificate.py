@@ -26,6 +26,8 @@ from sim.runners.landing import land
 from sim.scenarios import scenario, team
 from tests.unit.verify.certificate_helpers import config
 
+pytestmark = pytest.mark.slow
+
 FLEET = {
     "id": 1, "members": [1, 2, 3], "radius_xy_m": 0.25, "radius_z_m": 0.75, "rate_1_s": 0.8,
     "speed_max_m_s": 1.0, "acceleration_max_m_s2": 1.0, "reach_m": 6.0, "age_max_s": 0.5,

@@ -9,6 +9,8 @@ from sim.scenarios.scenario import Scenario, load, names
 from sim.vehicle.declared import declared
 from tests.benchmarks.proven import FILTERS, SCENARIOS, cases, fly, parameters, values
 
+pytestmark = pytest.mark.slow
+
 EVERY = 397  # of the changes of both filters in all scenarios
 PATHS = {".".join(each.path): each for each in parameters()}
 SAMPLE = list(cases([], list(SCENARIOS), list(FILTERS), 5))[::EVERY]

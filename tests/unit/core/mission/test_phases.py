@@ -8,6 +8,8 @@ import pytest
 from flightstack.core.mission.phases import DISARMED, SWINGING, TABLE, Condition, next_phase
 from flightstack.core.types import Phase
 
+pytestmark = pytest.mark.slow
+
 # only fleets, swinging, the ways of aborting, LANDED and LEAVE ask for the last ones
 BITS = len(Condition) - 7
 FINAL = (Phase.LANDED, Phase.ABORT)

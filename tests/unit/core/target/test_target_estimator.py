@@ -22,6 +22,8 @@ from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import Inputs, TargetSample
 
+pytestmark = pytest.mark.slow
+
 LINK = TargetLink()
 ORIGIN = (0.0, 0.0, 0.0)
 links = st.builds(

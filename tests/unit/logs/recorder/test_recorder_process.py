@@ -29,6 +29,8 @@ from tests.processes.bounded import line_of
 from tests.processes.ports import free_endpoint
 from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
 
+pytestmark = pytest.mark.slow
+
 LIMITS = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"  # bytes of a file
 RECORD = (
     "import sys; from pathlib import Path; from logs.recorder.recorder import record_main;"

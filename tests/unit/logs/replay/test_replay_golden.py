@@ -9,6 +9,8 @@ from logs.replay.replay import replay
 from tests.golden.__main__ import main, phases
 from tests.golden.flights import BYTES_MAX, FLIGHTS, FOLDER, path_of
 
+pytestmark = pytest.mark.slow
+
 HELP = "; if this is meant: python -m tests.golden update"
 
 

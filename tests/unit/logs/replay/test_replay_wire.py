@@ -24,6 +24,8 @@ from tests.golden.flights import path_of, write_kept
 from tests.point_mass import World
 from tests.unit.logs.replay.replay_helpers import CONFIG, record
 
+pytestmark = pytest.mark.slow
+
 GOLDEN = path_of("contact")
 ITEMS = [(10.0 + 0.1 * n, n) for n in range(6)]
 

@@ -1,0 +1,80 @@
+"""Flights in real time on a machine that pauses: a failure during which it paused is repeated.
+
+A virtual machine whose host gives its processors to others stands still for tenths of a second; then states
+are too old, and the stack rightly aborts. A thread on each processor measures how late it wakes. A failure
+without such a pause counts at once. All other tests give way to those in real time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+
+import pytest
+
+from flightstack.common.forked import hand_on_niceness
+from flightstack.common.pacing import keep_memory
+
+REPEATS = 4
+PAUSE_S = 0.1  # half of the age at which a vehicle state is no longer used (checks.own_age_max_s)
+CALM_S = 2.0  # between two attempts, s
+GIVES_WAY = 15  # niceness of a worker, and of what it starts, from its first test that is not in real time
+_SLEEP_S = 0.01
+
+
+class Pauses:
+    """Longest time by which a thread of any processor woke too late since ``begin``, s."""
+
+    def __init__(self) -> None:
+        self.worst_s = 0.0
+        self._started = False
+
+    def begin(self) -> None:
+        """Measure anew."""
+        self.worst_s = 0.0
+        if not self._started:
+            self._started = True
+            for place in os.sched_getaffinity(0):
+                threading.Thread(target=self._watch, args=(place,), daemon=True).start()
+
+    def _watch(self, place: int) -> None:
+        os.sched_setaffinity(threading.get_native_id(), {place})
+        last_s = time.monotonic()
+        while True:
+            time.sleep(_SLEEP_S)
+            now_s = time.monotonic()
+            self.worst_s = max(self.worst_s, now_s - last_s - _SLEEP_S)
+            last_s = now_s
+
+
+PAUSES = Pauses()
+
+
+def in_real_time(item: pytest.Item) -> bool:
+    """Whether a test flies in real time."""
+    return any("real-time" in mark.args for mark in item.iter_markers("xdist_group"))
+
+
+def repeated_after_a_pause() -> pytest.MarkDecorator:
+    """The mark of pytest-rerunfailures that repeats a failure only if the machine paused during the test."""
+
+    def paused(_: BaseException | None) -> bool:
+        return PAUSES.worst_s >= PAUSE_S
+
+    return pytest.mark.flaky(reruns=REPEATS, reruns_delay=CALM_S, condition=paused)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Watch the machine during a test in real time; another one gives way."""
+    if in_real_time(item):
+        keep_memory()  # relays of the tests are part of the flight
+        PAUSES.begin()
+    elif "PYTEST_XDIST_WORKER" in os.environ and os.getpriority(os.PRIO_PROCESS, 0) < GIVES_WAY:
+        # as a session of its own: Linux looks at the niceness of sessions first (sched(7), autogroup)
+        os.setpriority(os.PRIO_PROCESS, 0, GIVES_WAY)
+        with contextlib.suppress(OSError):  # it leads one already
+            os.setsid()
+        hand_on_niceness(os.getpid())
