@@ -44,11 +44,7 @@ def flu_from_frd(v: Vec3) -> Vec3:
 
 @numeric
 def wrap_angle(angle_rad: float) -> float:
-    """Wrap a finite angle to (-pi, pi].
-
-    Raises:
-        ValueError: the angle is infinite.
-    """
+    """Wrap a finite angle to (-pi, pi]. Raises ValueError: the angle is infinite."""
     turned = wrapped(angle_rad)
     return math.pi if turned <= -math.pi else turned
 
@@ -119,14 +115,9 @@ def body_from_world_velocity(q: Quat, velocity_world_m_s: Vec3) -> Vec3:
 def ned_covariance_from_enu(covariance: Sequence[float]) -> tuple[float, ...]:
     """Turn a covariance of position and rotation about the world's axes from ENU into NED.
 
-    Args:
-        covariance: 6 x 6, row by row, order x y z and rotations about x y z (geometry_msgs).
-
-    Returns:
-        The same about north, east and down (the conversion is its own inverse).
-
-    Raises:
-        ValueError: it has not 36 entries.
+    ``covariance``: 6 x 6, row by row, order x y z and rotations about x y z (geometry_msgs).
+    Returns the same about north, east and down (the conversion is its own inverse).
+    Raises ValueError: it has not 36 entries.
     """
     if len(covariance) != 36:
         raise ValueError(f"covariance has {len(covariance)} entries: 6 x 6 are needed")

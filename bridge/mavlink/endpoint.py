@@ -113,15 +113,6 @@ class Endpoint:
     """A UDP socket, serial line or TCP connection that speaks MAVLink 2; not thread-safe, owned by one loop.
 
     With a key every frame is signed, and what is not signed with it is dropped before it is decoded.
-
-    Attributes:
-        tap: called with every valid frame both ways, for the recorder; an outgoing frame is shown once.
-            It sees frames without their signatures: nothing to learn from, and the same whatever the clock.
-            Frames of unknown messages, whose checksum cannot be checked, are shown to it and to nobody else.
-        counters: what passed and what was thrown away.
-        local_port: the UDP port the socket is bound to, 0 of others.
-        baud: bits a second of a serial line, None of others.
-        warnings: what a person should know before flying.
     """
 
     dialect = dialect
@@ -140,23 +131,18 @@ class Endpoint:
     ) -> None:
         """Open the socket or line.
 
-        Args:
-            url: ``udpin:HOST:PORT`` listens; ``udpout:HOST:PORT`` sends there first, ``tcp:HOST:PORT``
-                connects there, ``serial:DEVICE:BAUD`` is a line: they hear nobody else.
-            system_id: our MAVLink system id, 1 to 255.
-            component_id: our MAVLink component id, 1 to 255.
-            max_peers: how many senders of heartbeats are remembered and served at a time.
-            signing_key: sign everything, and hear nothing unsigned.
-            always: ``udpin`` only: peers that get telemetry before they speak, and never expire.
-            allow_unsigned: listen to a network without a key.
-            link_id: of signing, for endpoints that share key and ids, 0 to 255.
-
-        Raises:
-            ValueError: bad URL or id, the host has no IPv4 address, it would listen to a network without a
-                key, or the state of signing cannot be understood.
-            OSError: the address cannot be bound, for example because another process has the port, the
-                device cannot be opened, or the state of signing cannot be read or written. A TCP connection
-                that is refused is no error: it is tried again, and ``take_notices`` says so.
+        ``url``: ``udpin:HOST:PORT`` listens; ``udpout:HOST:PORT`` sends there first, ``tcp:HOST:PORT``
+        connects there, ``serial:DEVICE:BAUD`` is a line: they hear nobody else; ``system_id``: our MAVLink
+        system id, 1 to 255; ``component_id``: our MAVLink component id, 1 to 255; ``max_peers``: how many
+        senders of heartbeats are remembered and served at a time; ``signing_key``: sign everything, and hear
+        nothing unsigned; ``always``: ``udpin`` only: peers that get telemetry before they speak, and never
+        expire; ``allow_unsigned``: listen to a network without a key; ``link_id``: of signing, for endpoints
+        that share key and ids, 0 to 255.
+        Raises ValueError: bad URL or id, the host has no IPv4 address, it would listen to a network without a
+        key, or the state of signing cannot be understood; OSError: the address cannot be bound, for example
+        because another process has the port, the device cannot be opened, or the state of signing cannot be
+        read or written. A TCP connection that is refused is no error: it is tried again, and ``take_notices``
+        says so.
         """
         for name, value in (("system", system_id), ("component", component_id)):
             if not 1 <= value <= 255:
@@ -167,8 +153,11 @@ class Endpoint:
         warning = check_policy(
             url, address, configured, signed=signing_key is not None, allow_unsigned=allow_unsigned
         )
+        # called with every valid frame both ways, for the recorder; an outgoing frame is shown once. It sees
+        # frames without their signatures: nothing to learn from, and the same whatever the clock. Frames of
+        # unknown messages, whose checksum cannot be checked, are shown to it and to nobody else.
         self.tap: Tap | None = None
-        self.counters = EndpointCounters()
+        self.counters = EndpointCounters()  # what passed and what was thrown away
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._peers = PeerTable(configured if kind == "udpin" else (address,), max_peers)
         self._transport = open_transport(url, address, self.counters)
@@ -180,9 +169,10 @@ class Endpoint:
         self._framer = StreamFramer(self.counters) if self._transport.is_stream else None
         self._answers = StaleAnswers()
         self._unknown: list[bytes] = []  # frames of unknown messages in the chunk at hand
-        self.local_port = self._transport.local_port
-        self.baud = self._transport.baud
+        self.local_port = self._transport.local_port  # the UDP port the socket is bound to, 0 of others
+        self.baud = self._transport.baud  # bits a second of a serial line, None of others
         signer_warning = self._signer.warning if self._signer else None
+        # what a person should know before flying
         self.warnings = tuple(text for text in (warning, signer_warning) if text is not None)
 
     @property
@@ -294,9 +284,7 @@ class Endpoint:
     def pack(self, message: Message) -> bytes:
         """Serialise a message, unsigned, with our ids and the next sequence number.
 
-        Raises:
-            struct.error: a field does not fit its type on the wire.
-            IndexError: an array is too short.
+        Raises struct.error: a field does not fit its type on the wire; IndexError: an array is too short.
         """
         mav = self._mav
         frame = pack(message, mav.seq, mav.srcSystem, mav.srcComponent)
@@ -306,13 +294,10 @@ class Endpoint:
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
         """Send messages, in order; by UDP in one datagram (more only when they exceed 1400 bytes).
 
-        Args:
-            messages: instances of the dialect's message classes.
-            peer: whom to; None means every peer known. Without any peer nothing is sent or numbered. Somebody
-                without a heartbeat gets no more bytes than came from there: what is over that is dropped.
-
-        Raises:
-            struct.error: a field does not fit its type on the wire.
+        ``messages``: instances of the dialect's message classes; ``peer``: whom to; None means every peer
+        known. Without any peer nothing is sent or numbered. Somebody without a heartbeat gets no more bytes
+        than came from there: what is over that is dropped.
+        Raises struct.error: a field does not fit its type on the wire.
         """
         if self._signer is not None:
             self._answers.note(messages)

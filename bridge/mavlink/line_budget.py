@@ -30,23 +30,14 @@ class LineTooSlowError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class LinePlan:
-    """Rates of a flight over one line.
+    """Rates of a flight over one line."""
 
-    Attributes:
-        state_hz: position and attitude, each.
-        setpoint_every: a set-point goes out every so many ticks.
-        setpoint_hz: that as a rate.
-        in_bytes_s: what the asked telemetry needs, from the vehicle to us.
-        out_bytes_s: set-points, heartbeats and answers, from us to the vehicle.
-        capacity_bytes_s: of the line, in each direction; None: not limited.
-    """
-
-    state_hz: float
-    setpoint_every: int
-    setpoint_hz: float
-    in_bytes_s: float
-    out_bytes_s: float
-    capacity_bytes_s: float | None
+    state_hz: float  # position and attitude, each
+    setpoint_every: int  # a set-point goes out every so many ticks
+    setpoint_hz: float  # that as a rate
+    in_bytes_s: float  # what the asked telemetry needs, from the vehicle to us
+    out_bytes_s: float  # set-points, heartbeats and answers, from us to the vehicle
+    capacity_bytes_s: float | None  # of the line, in each direction; None: not limited
 
     @property
     def text(self) -> str:
@@ -72,15 +63,11 @@ def bytes_per_s(rates_hz: Mapping[int, float], *, signed: bool = False) -> float
 def plan(baud: int | None, rate_hz: float, own_age_max_s: float, *, signed: bool = False) -> LinePlan:
     """Choose the highest rates that fit, whole parts of the loop's.
 
-    Args:
-        baud: bits a second of the serial line, None where there is none: then nothing is made rarer.
-        rate_hz: of the loop.
-        own_age_max_s: oldest own state that the configuration believes, s. The lowest rate is three times
-            its inverse, for state and set-points alike.
-        signed: frames carry signatures.
-
-    Raises:
-        LineTooSlowError: not even the lowest rates fit.
+    ``baud``: bits a second of the serial line, None where there is none: then nothing is made rarer;
+    ``rate_hz``: of the loop; ``own_age_max_s``: oldest own state that the configuration believes, s. The
+    lowest rate is three times its inverse, for state and set-points alike; ``signed``: frames carry
+    signatures.
+    Raises LineTooSlowError: not even the lowest rates fit.
     """
     capacity = None if baud is None else baud / _BITS_PER_BYTE
     usable = math.inf if capacity is None else capacity * _USABLE

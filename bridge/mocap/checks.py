@@ -86,13 +86,10 @@ _REFUSALS = {
 
 @dataclass(slots=True)
 class PoseChecks:
-    """Call ``step`` often, with what has come.
-
-    Attributes:
-        counts: refused samples by reason; ``thinned`` those left out for the rate.
-    """
+    """Call ``step`` often, with what has come."""
 
     limits: Limits = field(default_factory=Limits)
+    # refused samples by reason; ``thinned`` those left out for the rate
     counts: dict[Refusal, int] = field(default_factory=lambda: dict.fromkeys(Refusal, 0))
     thinned: int = 0
     passed: int = 0

@@ -32,8 +32,7 @@ _DECODERS = {TargetType.POSE: decode_pose, TargetType.POSE_COVARIANCE: decode_po
 def parse_spec(text: str, pose_type: str = TargetType.POSE.value, domain: int = 0) -> TargetSpec:
     """Understand ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``.
 
-    Raises:
-        ValueError: not a topic or key, or not a type of pose.
+    Raises ValueError: not a topic or key, or not a type of pose.
     """
     found = TargetType(pose_type)
     if found not in _DECODERS:
@@ -42,22 +41,17 @@ def parse_spec(text: str, pose_type: str = TargetType.POSE.value, domain: int = 
 
 
 class MocapSource:
-    """Receives poses under one key.
-
-    Attributes:
-        problem_text: why the newest sample is unreadable, None while it is not.
-    """
+    """Receives poses under one key."""
 
     def __init__(self, session: zenoh_link.Session, spec: TargetSpec, offset_flu_m: Vec3 = ZERO) -> None:
         """Subscribe. ``offset_flu_m`` leads from the markers' centre to the vehicle's, in the body's axes.
 
-        Raises:
-            ValueError: the key is not allowed.
+        Raises ValueError: the key is not allowed.
         """
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)
         self._spec, self._offset_flu_m = spec, offset_flu_m
         self._decode = _DECODERS[spec.type]
-        self.problem_text: str | None = None
+        self.problem_text: str | None = None  # why the newest sample is unreadable, None while it is not
 
     def poll(self, now_s: float) -> list[Sample]:
         """Take all that has come, oldest first; never blocks."""
@@ -220,9 +214,8 @@ class Bridge:
 def run(options: Options, say: Callable[[str], None] = print) -> int:
     """Pass poses on until told to end and the vehicle is disarmed; prints ``ready`` when it listens.
 
-    Raises:
-        ValueError: a URL or key that is not understood, or a network without a key.
-        OSError: an address that cannot be opened.
+    Raises ValueError: a URL or key that is not understood, or a network without a key; OSError: an address
+    that cannot be opened.
     """
     with ExitStack() as stack:
         endpoint = Endpoint(

@@ -87,18 +87,13 @@ WANTS: Mapping[int, Wants] = {
 
 
 class MocapVehicle:
-    """Call ``handle`` with what the vehicle says, then ``step``.
-
-    Attributes:
-        checks: of the poses, with their counts.
-        wants: what the vehicle wants; None before its first heartbeat.
-        unknown_autopilot: MAV_AUTOPILOT of a vehicle that is not in the table, else None.
-    """
+    """Call ``handle`` with what the vehicle says, then ``step``."""
 
     def __init__(self, system_id: int, limits: Limits, origin: Origin | None) -> None:
         """Set up. ``origin`` is the place on earth of the room's zero, for an autopilot that needs one."""
-        self.checks = PoseChecks(limits)
-        self.wants: Wants | None = None
+        self.checks = PoseChecks(limits)  # of the poses, with their counts
+        self.wants: Wants | None = None  # what the vehicle wants; None before its first heartbeat
+        # MAV_AUTOPILOT of a vehicle that is not in the table, else None
         self.unknown_autopilot: int | None = None
         self._limits, self._origin, self._system_id = limits, origin, system_id
         self._origin_sender = OriginSender(None, system_id)

@@ -67,12 +67,8 @@ class SampleSource(Protocol):
 def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
     """Turn a received sample into one with velocities in the world frame; decodes only what came serialised.
 
-    Args:
-        raw: as a target source hands it over.
-        arrival_s: when it arrived, on the stack's clock.
-
-    Raises:
-        OdometryError: as ``sample_from_cdr``.
+    ``raw``: as a target source hands it over; ``arrival_s``: when it arrived, on the stack's clock.
+    Raises OdometryError: as ``sample_from_cdr``.
     """
     if raw.odometry is None:
         return sample_from_cdr(raw.payload, arrival_s)
@@ -86,12 +82,8 @@ def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
 def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
     """Turn a serialised odometry message into a sample with velocities in the world frame.
 
-    Args:
-        payload: CDR with its 4-byte header.
-        arrival_s: when it arrived, on the stack's clock.
-
-    Raises:
-        OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
+    ``payload``: CDR with its 4-byte header; ``arrival_s``: when it arrived, on the stack's clock.
+    Raises OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
     """
     return _sample(*decode_pose_and_twist(payload), arrival_s)
 
@@ -271,8 +263,7 @@ class OdometrySubscriber:
 
         ``lossless`` holds up the sender when full (lockstep) instead of dropping the oldest.
 
-        Raises:
-            ValueError: the key is not allowed.
+        Raises ValueError: the key is not allowed.
         """
         declare = zenoh_link.fifo_subscriber if lossless else zenoh_link.ring_subscriber
         self._subscriber = declare(session, key, capacity)

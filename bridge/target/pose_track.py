@@ -28,9 +28,8 @@ UNSETTLED_MAX = 50  # poses without a velocity after which it is said
 class PoseTrack:
     """Turns poses of one target into odometry.
 
-    Args:
-        link: noise of the poses and of the target's motion, as for the flight's own filter.
-        child_frame_id: what the target is to be called in the odometry.
+    ``link``: noise of the poses and of the target's motion, as for the flight's own filter;
+    ``child_frame_id``: what the target is to be called in the odometry.
     """
 
     def __init__(self, link: TargetLink, child_frame_id: str) -> None:

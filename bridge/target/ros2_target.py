@@ -105,8 +105,7 @@ class TargetSpec:
     ) -> TargetSpec:
         """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``.
 
-        Raises:
-            ValueError: a topic or domain that ROS 2 does not allow, or an offset out of range.
+        Raises ValueError: a topic or domain that ROS 2 does not allow, or an offset out of range.
         """
         if not all(abs(one) <= OFFSET_MAX_M for one in offset_m):  # False for NaN
             raise ValueError(f"--target-offset {offset_m}: up to {OFFSET_MAX_M:g} m on each axis are allowed")
@@ -144,16 +143,11 @@ class TargetSpec:
 class TargetSource:
     """Receives the target's motion; polled, never called back.
 
-    Args:
-        session: an open Zenoh session that reaches the target; it stays the caller's.
-        spec: what to receive.
-        frame_id: in which the pose is wanted.
-        child_frame_id: which frame of ``/tf`` it is, or what to call a target that sends poses alone.
-        link: noise of poses, for the velocity of a target that sends none.
-        lossless: hold up the sender when full instead of dropping the oldest (lockstep).
-
-    Raises:
-        ValueError: the key is not allowed.
+    ``session``: an open Zenoh session that reaches the target; it stays the caller's; ``spec``: what to
+    receive; ``frame_id``: in which the pose is wanted; ``child_frame_id``: which frame of ``/tf`` it is, or
+    what to call a target that sends poses alone; ``link``: noise of poses, for the velocity of a target that
+    sends none; ``lossless``: hold up the sender when full instead of dropping the oldest (lockstep).
+    Raises ValueError: the key is not allowed.
     """
 
     def __init__(

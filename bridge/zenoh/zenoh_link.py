@@ -75,8 +75,7 @@ def check_endpoint(endpoint: str) -> str:
 
     Zenoh itself takes a malformed endpoint to connect to without a word and retries for ever.
 
-    Raises:
-        ValueError: it is not; the text says what is allowed.
+    Raises ValueError: it is not; the text says what is allowed.
     """
     match = _IP.match(endpoint.partition("?")[0].partition("#")[0])
     if (match and int(match.group(2)) <= 65535) or _UNIX.match(endpoint):
@@ -219,8 +218,7 @@ def kept_subscriber(session: Session, key: str, capacity: int = 256) -> Subscrib
 def liveliness_token(session: Session, key: str) -> Any:
     """Declare a token that others see while this session is open and connected to them.
 
-    Raises:
-        ValueError: the key is not allowed.
+    Raises ValueError: the key is not allowed.
     """
     return session.liveliness().declare_token(_key(key))
 
@@ -248,8 +246,7 @@ def dialled(
 ) -> tuple[Role, list[str]]:
     """Return the role of ``open_session`` with these arguments, and the endpoints it connects to.
 
-    Raises:
-        ValueError: the file is malformed.
+    Raises ValueError: the file is malformed.
     """
     config = _configuration((), connect, config_file, role)
     role, endpoints = _role(config), json.loads(config.get_json("connect/endpoints"))
@@ -261,8 +258,7 @@ def dialled(
 def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) -> list[str]:
     """Return the endpoints on which ``open_session`` listens to a network without access rules.
 
-    Raises:
-        ValueError: the file is malformed.
+    Raises ValueError: the file is malformed.
     """
     config = _configuration(listen, (), config_file, Role.PEER)
     if json.loads(config.get_json("access_control/enabled")):
@@ -352,13 +348,9 @@ _OLD_NAMES = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid"
 def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
     """Make the 33-byte attachment.
 
-    Args:
-        sequence: number of the sample, from 1.
-        source_time_ns: when it was sent, Unix time.
-        gid: 16 bytes that no other publisher has.
-
-    Raises:
-        ValueError: ``gid`` has another length.
+    ``sequence``: number of the sample, from 1; ``source_time_ns``: when it was sent, Unix time; ``gid``: 16
+    bytes that no other publisher has.
+    Raises ValueError: ``gid`` has another length.
     """
     if len(gid) != GID_BYTES:
         raise ValueError(f"publisher id has {len(gid)} bytes: rmw_zenoh needs {GID_BYTES}")

@@ -37,9 +37,7 @@ def may_fork() -> bool:
 def end_with(parent: int, name: str) -> None:
     """Have the kernel end this process when its parent is killed, and show it under this name (``ps -e``).
 
-    Args:
-        parent: process id of the one that started this one.
-        name: of the process; 15 bytes are shown.
+    ``parent``: process id of the one that started this one; ``name``: of the process; 15 bytes are shown.
     """
     if sys.platform != "linux":
         return
@@ -68,29 +66,23 @@ class Forked:
     It has a session, signal handlers, standard streams and files of its own; it ends with ``os._exit``, so
     that nothing runs that this process has registered for its end.
 
-    Attributes:
-        pid: its process id.
-        returncode: its exit status, negative: the signal that ended it; None: it runs, as far as is known.
-        stdout: what it writes to standard output.
-
-    Args:
-        name: under which the system shows it.
-        run: what it does; ends as a Python program does, with SystemExit or an exception.
-        errors: file for what it writes to standard error.
+    ``name``: under which the system shows it; ``run``: what it does; ends as a Python program does, with
+    SystemExit or an exception; ``errors``: file for what it writes to standard error.
     """
 
     def __init__(self, name: str, run: Callable[[], object], errors: IO[bytes]) -> None:
+        # its exit status, negative: the signal that ended it; None: it runs, as far as is known
         self.returncode: int | None = None
         parent, (output, written) = os.getpid(), os.pipe()
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # until it has its own
         try:
-            self.pid = os.fork()
+            self.pid = os.fork()  # its process id
             if self.pid == 0:
                 _go_on(name, run, parent, written, errors.fileno(), blocked)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         os.close(written)
-        self.stdout: IO[bytes] | None = os.fdopen(output, "rb")
+        self.stdout: IO[bytes] | None = os.fdopen(output, "rb")  # what it writes to standard output
 
     def poll(self) -> int | None:
         """Exit status if it has ended, else None."""
@@ -103,8 +95,7 @@ class Forked:
     def wait(self, timeout: float | None = None) -> int:
         """Wait for its end; its exit status.
 
-        Raises:
-            subprocess.TimeoutExpired: it runs longer than so many seconds.
+        Raises subprocess.TimeoutExpired: it runs longer than so many seconds.
         """
         until_s = None if timeout is None else time.monotonic() + timeout
         look_s = 0.0005
@@ -154,9 +145,7 @@ def _go_on(
 def leave_parent(output: int, errors: int) -> None:
     """Have a session, signal handlers, standard streams and files of its own; call it in a child after fork.
 
-    Args:
-        output: file number that becomes standard output.
-        errors: the same of standard error.
+    ``output``: file number that becomes standard output; ``errors``: the same of standard error.
     """
     os.setsid()
     hand_on_niceness(os.getpid())

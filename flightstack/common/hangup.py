@@ -41,8 +41,7 @@ def called_off() -> CalledOffError | None:
 def begun() -> None:
     """Call it once the process has handlers of its own.
 
-    Raises:
-        CalledOffError: a signal came before, and its exception was dropped.
+    Raises CalledOffError: a signal came before, and its exception was dropped.
     """
     if _came:
         raise _came[-1]
@@ -62,16 +61,12 @@ def _call_off(number: int, frame: FrameType | None) -> None:
 
 
 class Stop:
-    """SIGTERM and SIGINT: the first asks for an orderly end, the second ends at once. SIGHUP is a first one.
-
-    Attributes:
-        count: how often it was told.
-    """
+    """First SIGTERM, SIGINT or SIGHUP: an orderly end. A second SIGTERM or SIGINT: an end at once."""
 
     __slots__ = ("count",)
 
     def __init__(self) -> None:
-        self.count = 0
+        self.count = 0  # how often it was told
 
     @property
     def is_set(self) -> bool:
@@ -85,8 +80,7 @@ class Stop:
     def install(self) -> Stop:
         """Take over the signals, once all is ready that takes long; main thread only.
 
-        Raises:
-            CalledOffError: as of ``begun``.
+        Raises CalledOffError: as of ``begun``.
         """
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._set)

@@ -86,13 +86,7 @@ class Silence:
 
 
 class RealTimePacer:
-    """Absolute deadlines at a fixed rate; a missed one is counted, never made up for by a burst.
-
-    Attributes:
-        period_s: of a tick.
-        overruns: deadlines missed so far.
-        unix_start_ns: Unix time of zero of the stack clock.
-    """
+    """Absolute deadlines at a fixed rate; a missed one is counted, never made up for by a burst."""
 
     def __init__(
         self,
@@ -102,11 +96,11 @@ class RealTimePacer:
         sleep: Callable[[float], None] = time.sleep,
         unix_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        self.period_s = 1.0 / rate_hz
-        self.overruns = 0
+        self.period_s = 1.0 / rate_hz  # of a tick
+        self.overruns = 0  # deadlines missed so far
         self._monotonic, self._sleep = monotonic, sleep
         self._start_s = monotonic()
-        self.unix_start_ns = unix_ns()
+        self.unix_start_ns = unix_ns()  # Unix time of zero of the stack clock
         self._next = 0  # deadline number
         self._ticks = 0
         self._last_s: float | None = None

@@ -44,14 +44,11 @@ _SOCKET_PATH_MAX = 107  # bytes of a unix socket's path (unix(7))
 
 
 class LaunchError(RuntimeError):
-    """A child that did not start; the text holds what it said.
-
-    Attributes:
-        code: exit status for who started it: 2 if the child found its input wrong, else 1.
-    """
+    """A child that did not start; the text holds what it said."""
 
     def __init__(self, text: str, code: int = 1) -> None:
         super().__init__(text)
+        # exit status for who started it: 2 if the child found its input wrong, else 1
         self.code = 2 if code == _WRONG_INPUT else 1
 
 
@@ -60,8 +57,7 @@ def socket_folder() -> Path:
 
     ``TMPDIR`` of batch systems may be longer than the path of a socket.
 
-    Raises:
-        LaunchError: no folder can be made.
+    Raises LaunchError: no folder can be made.
     """
     reasons = []
     for place in (None, os.environ.get("XDG_RUNTIME_DIR", "/tmp"), "/tmp", "/var/tmp"):
@@ -100,12 +96,9 @@ class Child:
     A verb is loaded by this process, once for all its children, and goes on from there (``Forked``). Where
     that is not possible it is a program of its own.
 
-    Args:
-        name: of the process and its file.
-        arguments: of the program.
-        folder: for what it writes to standard error.
-        program: words before the arguments; None: ``flightstack``.
-        works_in: its working folder; None: ours.
+    ``name``: of the process and its file; ``arguments``: of the program; ``folder``: for what it writes to
+    standard error; ``program``: words before the arguments; None: ``flightstack``; ``works_in``: its working
+    folder; None: ours.
     """
 
     def __init__(
@@ -161,8 +154,7 @@ class Child:
     def wait_ready(self) -> str:
         """Wait for the line ``ready ...`` and return what follows the word.
 
-        Raises:
-            LaunchError: the process ended or said nothing in time.
+        Raises LaunchError: the process ended or said nothing in time.
         """
         until, worked_s = time.monotonic() + START_TIME_MAX_S, 0.0
         try:
@@ -261,8 +253,7 @@ class Port:
     gone a moment later. These lie below that range, and the same number of the other kind, TCP or UDP, serves
     as the reservation.
 
-    Args:
-        udp: for a server of UDP, not of TCP.
+    ``udp``: for a server of UDP, not of TCP.
     """
 
     _RANGE = range(20_000, 32_000)  # Linux draws outgoing ports from 32768 on (ip_local_port_range)

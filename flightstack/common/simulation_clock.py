@@ -44,8 +44,7 @@ def _opened(path: Path) -> memoryview:
 class SimulationClock:
     """The simulator's end: writes the time, and waits for those who live by it.
 
-    Args:
-        path: file of the clock; made anew.
+    ``path``: file of the clock; made anew.
     """
 
     def __init__(self, path: Path) -> None:
@@ -64,9 +63,7 @@ class SimulationClock:
 
         One that has not within half a second of wall time is not waited for until it is back.
 
-        Args:
-            now_ns: simulated time; never less than before.
-            stopped: ends the wait.
+        ``now_ns``: simulated time; never less than before; ``stopped``: ends the wait.
         """
         cells = self._cells
         cells[_NOW] = now_ns
@@ -91,14 +88,8 @@ class FollowedClock:
     A simulator that does not step for 2.5 s has stopped: then time passes as on the wall's clock, so that the
     follower's own time-outs still end. The same holds when the process is to end.
 
-    Args:
-        path: file of the clock.
-        follower: who this is.
-        stopped: whether the process is to end.
-
-    Raises:
-        OSError: there is no such file.
-        ValueError: it is not the file of a clock.
+    ``path``: file of the clock; ``follower``: who this is; ``stopped``: whether the process is to end.
+    Raises OSError: there is no such file; ValueError: it is not the file of a clock.
     """
 
     def __init__(self, path: Path, follower: Follower, stopped: Callable[[], bool] = lambda: False) -> None:
@@ -161,16 +152,11 @@ def chosen_clock(
 ) -> Clock:
     """Clock of a process by its options.
 
-    Args:
-        speed: of stack time against the wall's.
-        file: of a simulator's clock; None: the wall's.
-        follower: who this is.
-        stopped: whether the process is to end.
-        lockstep: the simulator counts the ticks.
-
-    Raises:
-        ValueError: options that exclude each other, or a file that is no clock.
-        OSError: there is no such file.
+    ``speed``: of stack time against the wall's; ``file``: of a simulator's clock; None: the wall's;
+    ``follower``: who this is; ``stopped``: whether the process is to end; ``lockstep``: the simulator counts
+    the ticks.
+    Raises ValueError: options that exclude each other, or a file that is no clock; OSError: there is no such
+    file.
     """
     given = {"--speed": speed != 1.0, "--clock": file is not None, "--lockstep": lockstep}
     names = [name for name, is_given in given.items() if is_given]

@@ -21,14 +21,10 @@ _NUMBERS = {"stdout": 1, "stderr": 2}
 
 
 class Stream(io.FileIO):
-    """A standard stream that never raises.
-
-    Attributes:
-        lost: why something could not be written; None: everything was.
-    """
+    """A standard stream that never raises."""
 
     waits = True  # for a reader that is slow; a process in a flight does not
-    lost: OSError | None = None
+    lost: OSError | None = None  # why something could not be written; None: everything was
 
     def write(self, data: Any) -> int:
         """Write bytes, or lose them; how many of them are done with."""

@@ -45,11 +45,8 @@ def span(low: float, high: float) -> msgspec.Meta:
 class Files(Generic[T]):
     """TOML files of one type: those in a package, found by name, and those of the user, by path.
 
-    Args:
-        cls: dataclass that a file is read into.
-        package: that holds the files.
-        kind: what a file is, in errors.
-        hint: end of the error for a name that does not exist.
+    ``cls``: dataclass that a file is read into; ``package``: that holds the files; ``kind``: what a file is,
+    in errors; ``hint``: end of the error for a name that does not exist.
     """
 
     def __init__(self, cls: type[T], package: str, kind: str, hint: str = "") -> None:
@@ -62,11 +59,7 @@ class Files(Generic[T]):
         return sorted(file.stem for file in files if file.suffix == ".toml")
 
     def path_of(self, name_or_file: str | Path) -> Path:
-        """File of this name or path.
-
-        Raises:
-            ConfigError: neither a known name nor a file.
-        """
+        """File of this name or path. Raises ConfigError: neither a known name nor a file."""
         if name_or_file in self.names():
             return Path(str(self._folder / f"{name_or_file}.toml"))
         path = Path(name_or_file)
@@ -78,11 +71,7 @@ class Files(Generic[T]):
         )
 
     def load(self, name_or_file: str | Path) -> T:
-        """Read and check a file.
-
-        Raises:
-            ConfigError: with file, key, what was found and what is allowed.
-        """
+        """Read and check a file. Raises ConfigError: with file, key, what was found and what is allowed."""
         path = self.path_of(name_or_file)
         table = self.table(path)
         try:
@@ -93,12 +82,8 @@ class Files(Generic[T]):
     def table(self, path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
         """Parse a file; what it leaves out is that of the file which its key ``base`` names, if it has one.
 
-        Args:
-            path: of the file.
-            above: files that have this one as their base.
-
-        Raises:
-            ConfigError: a file is missing or not TOML, or is its own base.
+        ``path``: of the file; ``above``: files that have this one as their base.
+        Raises ConfigError: a file is missing or not TOML, or is its own base.
         """
         table = read_toml(path)
         name = table.pop("base", None)
@@ -118,9 +103,7 @@ class Files(Generic[T]):
 def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
     """A table with what another one has instead; tables below are joined, everything else is replaced.
 
-    Args:
-        base: stays as it is.
-        table: whose values come first.
+    ``base``: stays as it is; ``table``: whose values come first.
     """
     joined = dict(base)
     for key, value in table.items():
@@ -130,11 +113,7 @@ def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file.
-
-    Raises:
-        ConfigError: the file is missing or not TOML.
-    """
+    """Parse a TOML file. Raises ConfigError: the file is missing or not TOML."""
     try:
         return parse_toml(path.read_bytes())
     except OSError as error:
@@ -146,8 +125,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_toml(data: bytes) -> dict[str, Any]:
     """Parse TOML in any encoding that says which it is.
 
-    Raises:
-        ConfigError: not TOML, or text without a known encoding.
+    Raises ConfigError: not TOML, or text without a known encoding.
     """
     try:
         return tomllib.loads(decoded(data))
@@ -158,8 +136,7 @@ def parse_toml(data: bytes) -> dict[str, Any]:
 def decoded(data: bytes) -> str:
     """Text in UTF-8, or in the encoding of its byte order mark, as editors on Windows write it.
 
-    Raises:
-        ValueError: neither.
+    Raises ValueError: neither.
     """
     encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "utf-8")
     try:
@@ -184,8 +161,7 @@ _MARKS = (
 def from_table(cls: type[T], table: object, where: str = "") -> T:
     """Build dataclass ``cls`` from a TOML table, checking every key, type and range.
 
-    Raises:
-        ConfigError: unknown or missing key, wrong unit or type, out of range, or from ``__post_init__``.
+    Raises ConfigError: unknown or missing key, wrong unit or type, out of range, or from ``__post_init__``.
     """
     places = dict(_places(_type_info(cls), table, where))  # type: ignore[arg-type]  # a class is hashable
     try:
@@ -205,8 +181,7 @@ _type_info = cache(inspect.type_info)
 def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, tuple[inspect.Type, object]]]:
     """Type and value at each place of a table, such as ``fault[0].start_s``.
 
-    Raises:
-        ConfigError: an unknown or missing key, or a number that is not finite.
+    Raises ConfigError: an unknown or missing key, or a number that is not finite.
     """
     if isinstance(kind, inspect.UnionType):  # it may be left out
         kind = next(each for each in kind.types if not isinstance(each, inspect.NoneType))

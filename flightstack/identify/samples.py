@@ -42,12 +42,8 @@ class Motion(NamedTuple):
 def noise(time_s: Floats, values: Floats) -> float:
     """Standard deviation of a column around parabolas of ``NOISE_SAMPLES`` samples; robust to outliers.
 
-    Args:
-        time_s: (n,) increasing.
-        values: (n,) or (n, axes); axes are pooled.
-
-    Raises:
-        ValueError: too few samples.
+    ``time_s``: (n,) increasing; ``values``: (n,) or (n, axes); axes are pooled.
+    Raises ValueError: too few samples.
     """
     if len(time_s) < SAMPLES_MIN:
         raise ValueError(f"found {len(time_s)} samples, at least {SAMPLES_MIN} are needed")
@@ -65,12 +61,8 @@ def noise(time_s: Floats, values: Floats) -> float:
 def motion(time_s: Floats, position_m: Floats) -> Motion:
     """Largest speeds and acceleration, by parabolas of ``MOTION_S``.
 
-    Args:
-        time_s: (n,) increasing.
-        position_m: (n, 3).
-
-    Raises:
-        ValueError: too few samples.
+    ``time_s``: (n,) increasing; ``position_m``: (n, 3).
+    Raises ValueError: too few samples.
     """
     if len(time_s) < SAMPLES_MIN:
         raise ValueError(f"found {len(time_s)} samples, at least {SAMPLES_MIN} are needed")
@@ -90,14 +82,9 @@ def motion(time_s: Floats, position_m: Floats) -> Motion:
 def link(stamp_s: Floats, arrival_s: Floats, position_m: Floats, velocity_m_s: Floats) -> Link:
     """What the samples of a link show.
 
-    Args:
-        stamp_s: (n,) of the measurement, increasing.
-        arrival_s: (n,) on our clock.
-        position_m: (n, 3).
-        velocity_m_s: (n, 3), in any frame that turns slowly.
-
-    Raises:
-        ValueError: too few samples.
+    ``stamp_s``: (n,) of the measurement, increasing; ``arrival_s``: (n,) on our clock; ``position_m``: (n,
+    3); ``velocity_m_s``: (n, 3), in any frame that turns slowly.
+    Raises ValueError: too few samples.
     """
     position_noise, velocity_noise = noise(stamp_s, position_m), noise(stamp_s, velocity_m_s)
     steps = np.diff(stamp_s)

@@ -71,13 +71,8 @@ class Loop(NamedTuple):
 def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:
     """Find the loop of an axis, or of several that are alike.
 
-    Args:
-        segments: what was flown.
-        period_s: of a tick.
-        axis: its name, for errors.
-
-    Raises:
-        TooLittleError: too short, too little excitation, or the model does not explain the flight.
+    ``segments``: what was flown; ``period_s``: of a tick; ``axis``: its name, for errors.
+    Raises TooLittleError: too short, too little excitation, or the model does not explain the flight.
     """
     kept = [s for s in segments if len(s.command_m_s) * period_s >= SEGMENT_MIN_S]
     passed = [Segment(*(_high_pass(column, period_s) for column in s)) for s in kept]

@@ -60,14 +60,10 @@ def most(
 ) -> Most:
     """Bound a function from above over a box.
 
-    Args:
-        upper: a number that the function does not exceed within a cell.
-        value: the function itself, at a point with finite coordinates.
-        domain: the box, one span a coordinate.
-        likely: points to look at first; of equal points the first one found is named.
-
-    Raises:
-        ValueError: the function is not a number somewhere.
+    ``upper``: a number that the function does not exceed within a cell; ``value``: the function itself, at a
+    point with finite coordinates; ``domain``: the box, one span a coordinate; ``likely``: points to look at
+    first; of equal points the first one found is named.
+    Raises ValueError: the function is not a number somewhere.
     """
 
     def point(cell: Cell) -> tuple[float, ...]:
@@ -118,17 +114,11 @@ def _corners(domain: Cell) -> list[tuple[float, ...]]:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The boundary with any margin of a range.
+    """The boundary with any margin of a range."""
 
-    Attributes:
-        barrier: the paper's boundary.
-        margin_m: smallest and largest margin m.
-        fade_radius_m: w above.
-    """
-
-    barrier: Barrier
-    margin_m: Span
-    fade_radius_m: float
+    barrier: Barrier  # the paper's boundary
+    margin_m: Span  # smallest and largest margin m
+    fade_radius_m: float  # w above
 
     def slope(self, d: Span) -> Span:
         """Range of the boundary's slope over distances ``d``, m."""

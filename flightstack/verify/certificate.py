@@ -26,9 +26,8 @@ def problems(config: FlightConfig) -> list[str]:
 def checks(config: FlightConfig) -> list[Check]:
     """Every check of the configuration's filter, and of its table [fleet] if it has one.
 
-    Raises:
-        ConfigError: there is no such filter, or it refuses the configuration.
-        ValueError: a parameter makes a bound that is not a number.
+    Raises ConfigError: there is no such filter, or it refuses the configuration; ValueError: a parameter
+    makes a bound that is not a number.
     """
     strategy = strategy_class(config.filter)
     strategy.check_config(config)

@@ -20,32 +20,20 @@ from flightstack.verify.types import Check, Need
 
 
 class Crowd(NamedTuple):
-    """What decides about common points.
+    """What decides about common points."""
 
-    Attributes:
-        steepest: of the boundary's slope outside the pad.
-        climb_m_s: of the pad.
-        speed_m_s: of a neighbour.
-        flat: k above.
-        longest: length of the longest g.
-        growth_m_s: a t above.
-    """
-
-    steepest: float
-    climb_m_s: float
-    speed_m_s: float
-    flat: float
-    longest: float
-    growth_m_s: float
+    steepest: float  # of the boundary's slope outside the pad
+    climb_m_s: float  # of the pad
+    speed_m_s: float  # of a neighbour
+    flat: float  # k above
+    longest: float  # length of the longest g
+    growth_m_s: float  # a t above
 
 
 def crowd(config: FlightConfig, shape: Shape, climb_m_s: float) -> Crowd:
     """Gather it; the configuration has a table [fleet].
 
-    Args:
-        config: of the flight.
-        shape: boundary that is held.
-        climb_m_s: fastest climb of the pad.
+    ``shape``: boundary that is held; ``climb_m_s``: fastest climb of the pad.
     """
     fleet = config.fleet
     assert fleet is not None
@@ -98,11 +86,9 @@ def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
 def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: float) -> tuple[float, float]:
     """Return by how much one neighbour's row can be missed at h = 0, and the elevation of that g (rad).
 
-    Args:
-        config: of the flight.
-        c: what decides.
-        aside_m_s: fastest that the vehicle gets out of the way horizontally; upwards it has its box.
-        lowest: elevation of g; -pi / 2: from straight above, and the vehicle has to climb all the same.
+    ``c``: what decides; ``aside_m_s``: fastest that the vehicle gets out of the way horizontally; upwards it
+    has its box; ``lowest``: elevation of g; -pi / 2: from straight above, and the vehicle has to climb all
+    the same.
     """
     vz = config.limits.velocity_max_m_s[2]
 

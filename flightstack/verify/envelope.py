@@ -21,41 +21,23 @@ SETTLE_SAMPLES = 2000  # after which the estimator's covariance no longer change
 
 @dataclass(frozen=True, slots=True)
 class Extremes:
-    """Worst values of the declared envelope, for the robust filter.
+    """Worst values of the declared envelope, for the robust filter."""
 
-    Attributes:
-        barrier: the paper's.
-        shape: boundary held, with margins from the usual one to that of a target almost lost.
-        usual: the same while samples come as they should.
-        pad_radius_m: outside of it the barrier must hold.
-        box_speed_m_s: fastest closing on the target that velocity box and target allow together.
-        target_speed_m_s: of the target, horizontally; also of a vehicle that stands over a moving target.
-        target_climb_m_s: heave of the pad.
-        target_acceleration_m_s2: horizontal.
-        heave_acceleration_m_s2: vertical; 0 for a target that does not heave.
-        slip_m_s: horizontal speed against the target while it is followed.
-        position_error_m: of vehicle minus target, horizontally, with the factor that is covered.
-        height_error_m: the same upwards.
-        growth_m: of the margin from one sample of the target to the next.
-        velocity_error_m_s: of the target's estimated velocity on an axis, likewise.
-        lag_xy_s, lag_z_s: slowest vehicle of the spread.
-    """
-
-    barrier: Barrier
-    shape: Shape
-    usual: Shape
-    pad_radius_m: float
-    box_speed_m_s: float
-    target_speed_m_s: float
-    target_climb_m_s: float
-    target_acceleration_m_s2: float
-    heave_acceleration_m_s2: float
-    slip_m_s: float
-    position_error_m: float
-    height_error_m: float
-    growth_m: float
-    velocity_error_m_s: float
-    lag_xy_s: float
+    barrier: Barrier  # the paper's
+    shape: Shape  # boundary held, with margins from the usual one to that of a target almost lost
+    usual: Shape  # the same while samples come as they should
+    pad_radius_m: float  # outside of it the barrier must hold
+    box_speed_m_s: float  # fastest closing on the target that velocity box and target allow together
+    target_speed_m_s: float  # of the target, horizontally; also of a vehicle that stands over a moving target
+    target_climb_m_s: float  # heave of the pad
+    target_acceleration_m_s2: float  # horizontal
+    heave_acceleration_m_s2: float  # vertical; 0 for a target that does not heave
+    slip_m_s: float  # horizontal speed against the target while it is followed
+    position_error_m: float  # of vehicle minus target, horizontally, with the factor that is covered
+    height_error_m: float  # the same upwards
+    growth_m: float  # of the margin from one sample of the target to the next
+    velocity_error_m_s: float  # of the target's estimated velocity on an axis, likewise
+    lag_xy_s: float  # lag_xy_s, lag_z_s: slowest vehicle of the spread
     lag_z_s: float
 
 

@@ -105,8 +105,7 @@ def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
 def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float, float]:
     """Return the proven decay rate of every loop between these factors, and the factor of the lowest rate.
 
-    Returns:
-        The rate in 1/s, not positive if some vehicle's loop cannot be proven to; and the factor.
+    Returns the rate in 1/s, not positive if some vehicle's loop cannot be proven to; and the factor.
     """
     least, where = math.inf, 1.0
     pieces = [(slower, faster)]

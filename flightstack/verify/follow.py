@@ -35,9 +35,8 @@ _TARGET, _ERROR, _OTHER = range(3)  # inputs
 def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     """Return the largest distance from the middle while the target is followed, and its vehicle.
 
-    Returns:
-        The distance in m, infinite if none is proven; and how many times as fast as declared that vehicle's
-        velocity loop is. For a vehicle that estimates its own state no bound is known: infinite.
+    Returns the distance in m, infinite if none is proven; and how many times as fast as declared that
+    vehicle's velocity loop is. For a vehicle that estimates its own state no bound is known: infinite.
     """
     if config.own.learns:
         return math.inf, 1.0

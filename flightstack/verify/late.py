@@ -44,11 +44,8 @@ _TARGET, _ERROR = 8, 9
 def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> F64:
     """Return the matrix of one tick.
 
-    Args:
-        config: of the flight.
-        gain_1_s: of the position loop.
-        slower: the vehicle's lag and dead time as a share of the declared ones.
-        response: steady velocity as a share of the set-point.
+    ``gain_1_s``: of the position loop; ``slower``: the vehicle's lag and dead time as a share of the declared
+    ones; ``response``: steady velocity as a share of the set-point.
     """
     loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz
     free = replace(loop, error_max_m_s=1e9, disturbance_max_m_s=1e9)

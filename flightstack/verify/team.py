@@ -22,11 +22,9 @@ def team_checks(
 ) -> list[Check]:
     """Checks of all members together.
 
-    Args:
-        configs: of the members; each has a table [fleet].
-        starts_enu_m: where they begin in the air, as far as that is known.
-        touch_m: of all places of one vehicle beside another at which they overlap, the outermost.
-        pads_apart_m: least distance that any two pads can come to.
+    ``configs``: of the members; each has a table [fleet]; ``starts_enu_m``: where they begin in the air, as
+    far as that is known; ``touch_m``: of all places of one vehicle beside another at which they overlap, the
+    outermost; ``pads_apart_m``: least distance that any two pads can come to.
     """
     fleets = [config.fleet for config in configs if config.fleet is not None]
     return [

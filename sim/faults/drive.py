@@ -14,13 +14,9 @@ EMPTY_V = 3.0  # at rest; firmware platform_defaults_cf2.h: DEFAULT_BAT_CRITICAL
 class MotorFaults:
     """Speed that a motor aims at = share * commanded + held; share 1 and held 0 when it is sound.
 
-    Args:
-        share: of M1..M4, changed in place.
-        held: of M1..M4, rpm, changed in place.
-        rotors: present speeds.
-        rotor: static map of the thrust.
-        hover_rpm: speed at which the share of the thrust of a weak motor is exact; elsewhere within some
-            per cent, since thrust is not quite a square of the speed.
+    ``share``: of M1..M4, changed in place; ``held``: of M1..M4, rpm, changed in place; ``rotors``: present
+    speeds; ``rotor``: static map of the thrust; ``hover_rpm``: speed at which the share of the thrust of a
+    weak motor is exact; elsewhere within some per cent, since thrust is not quite a square of the speed.
     """
 
     def __init__(self, share: F64, held: F64, rotors: RotorRecord, rotor: Rotor, hover_rpm: float) -> None:
@@ -57,11 +53,7 @@ class MotorFaults:
 
 
 class BatteryFaults:
-    """Changes the battery's record when a fault begins, and back when it ends.
-
-    Args:
-        record: of the battery.
-    """
+    """Changes the battery's record when a fault begins, and back when it ends. ``record``: of the battery."""
 
     def __init__(self, record: BatteryRecord) -> None:
         self._record = record

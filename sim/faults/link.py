@@ -98,10 +98,7 @@ class LinkFaults:
     def fate(self, way: Way, message: Message, now_ns: int) -> Fate:
         """Decide on one message, which may be changed in place; call it once a message, in order.
 
-        Args:
-            way: direction.
-            message: decoded, or about to be packed.
-            now_ns: simulated time.
+        ``way``: direction; ``message``: decoded, or about to be packed.
         """
         id_: int = message.get_msgId()
         if id_ in _COMMANDS and message.command == dialect.MAV_CMD_INJECT_FAILURE:

@@ -89,10 +89,7 @@ def motors_of(unit: int, instance: int) -> tuple[int, ...] | str:
 def faults_of(unit: int, kind: int, instance: int) -> list[Fault] | str:
     """Faults that a failure means (none for OK), or why it is not simulated.
 
-    Args:
-        unit: FAILURE_UNIT.
-        kind: FAILURE_TYPE.
-        instance: 0 all, else which one, from 1.
+    ``unit``: FAILURE_UNIT; ``kind``: FAILURE_TYPE; ``instance``: 0 all, else which one, from 1.
     """
     if unit not in FAILURES:
         names = ", ".join(UNITS[u] for u in FAILURES)

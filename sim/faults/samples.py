@@ -121,17 +121,13 @@ class _One(NamedTuple):
 
 
 class SampleFaults(Generic[S]):
-    """Carries out the faults of one stream, one after the other in the order of their beginning.
-
-    Attributes:
-        release_ns: when a held sample is due.
-    """
+    """Carries out the faults of one stream, one after the other in the order of their beginning."""
 
     def __init__(self, shape: Shape[S]) -> None:
         self._shape = shape
         self._running: list[_One] = []
         self._held: deque[tuple[int, S]] = deque()
-        self.release_ns = NEVER_NS
+        self.release_ns = NEVER_NS  # when a held sample is due
 
     @property
     def running(self) -> bool:
@@ -161,9 +157,7 @@ class SampleFaults(Generic[S]):
     def deliver(self, now_ns: int, samples: list[S]) -> list[S]:
         """What arrives now, in order, when ``samples`` would have arrived.
 
-        Args:
-            now_ns: simulated time.
-            samples: those of now; may be empty.
+        ``samples``: those of now; may be empty.
         """
         for sample in samples:
             kept = self._through(sample, now_ns)
@@ -207,8 +201,7 @@ class EstimateFaults:
     On a Crazyflie that is a log stream over the radio: the firmware flies on by the good estimate, autopilot
     and companion see the bad one.
 
-    Attributes:
-        due_ns: when ``sample`` is to be called next.
+    ``due_ns``: when ``sample`` is to be called next.
     """
 
     def __init__(self) -> None:
@@ -243,9 +236,7 @@ class EstimateFaults:
     def report(self, now_ns: int, estimate: Estimate) -> Estimate:
         """What the autopilot has; invalid when nothing has come for as long as the estimator would bear.
 
-        Args:
-            now_ns: simulated time.
-            estimate: what the firmware has.
+        ``estimate``: what the firmware has.
         """
         arrived = self._arrived
         if arrived is None:

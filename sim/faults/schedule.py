@@ -54,14 +54,10 @@ class FaultText(NamedTuple):
 
 @dataclass(slots=True)
 class Schedule:
-    """Begin and end of all faults; times are simulated, integer ns.
-
-    Attributes:
-        next_ns: when something is due.
-    """
+    """Begin and end of all faults; times are simulated, integer ns."""
 
     seed: int
-    next_ns: int = NEVER_NS
+    next_ns: int = NEVER_NS  # when something is due
     _waiting: list[Running] = field(default_factory=list)  # for their reference
     _due: list[tuple[int, int, bool, Running]] = field(default_factory=list)
     _active: list[Running] = field(default_factory=list)

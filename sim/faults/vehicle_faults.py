@@ -45,17 +45,8 @@ MOCAP: Shape[MocapSample] = Shape(_move_mocap, lambda first, _: first)
 class Faults:
     """Schedule and effects.
 
-    Attributes:
-        mocap: motion capture on its way into the estimator.
-        own_state: the estimate on its way to the autopilot.
-        link: MAVLink wire; for the process that owns it.
-        quiet: there never was a fault, nor is one planned; then nobody has to ask.
-
-    Args:
-        faults: of the scenario; those of the robot are not for us.
-        seed: of the run.
-        motors: carries out faults of motors.
-        battery: carries out faults of the battery.
+    ``faults``: of the scenario; those of the robot are not for us; ``motors``: carries out faults of motors;
+    ``battery``: carries out faults of the battery.
     """
 
     def __init__(
@@ -64,10 +55,10 @@ class Faults:
         self._schedule = Schedule(seed)
         ours = [fault for fault in faults if not fault.of_the_robot]
         self._schedule.add(ours)
-        self.quiet = not ours
-        self.mocap = SampleFaults(MOCAP)
-        self.own_state = EstimateFaults()
-        self.link = LinkFaults()
+        self.quiet = not ours  # there never was a fault, nor is one planned; then nobody has to ask
+        self.mocap = SampleFaults(MOCAP)  # motion capture on its way into the estimator
+        self.own_state = EstimateFaults()  # the estimate on its way to the autopilot
+        self.link = LinkFaults()  # MAVLink wire; for the process that owns it
         self._effects: dict[What, Effect] = {
             What.MOTOR: motors,
             What.BATTERY: battery,
@@ -99,11 +90,8 @@ class Faults:
     def inject(self, unit: int, kind: int, instance: int, now_ns: int) -> str | None:
         """Carry out MAV_CMD_INJECT_FAILURE; None when done, else why not.
 
-        Args:
-            unit: FAILURE_UNIT.
-            kind: FAILURE_TYPE; OK heals what is on, scenario's faults too.
-            instance: 0 all, else which one, from 1.
-            now_ns: simulated time.
+        ``unit``: FAILURE_UNIT; ``kind``: FAILURE_TYPE; OK heals what is on, scenario's faults too;
+        ``instance``: 0 all, else which one, from 1.
         """
         found = faults_of(unit, kind, instance)
         if isinstance(found, str):

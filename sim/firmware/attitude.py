@@ -45,13 +45,8 @@ class AttitudeRecord(Record):
 def attitude_moments(a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy: float, wz: float) -> Counts:
     """Return the moments in counts; call at 500 Hz.
 
-    Args:
-        a: changed in place.
-        axes: estimated body axes.
-        desired: desired body axes.
-        wx: roll rate by the gyro, FLU rad/s.
-        wy: pitch rate.
-        wz: yaw rate.
+    ``axes``: estimated body axes; ``desired``: desired body axes; ``wx``: roll rate by the gyro, FLU rad/s;
+    ``wy``: pitch rate; ``wz``: yaw rate.
     """
     xx, xy, xz, yx, yy, yz, zx, zy, zz = axes
     dxx, dxy, dxz, dyx, dyy, dyz, dzx, dzy, dzz = desired

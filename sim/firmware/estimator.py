@@ -43,10 +43,9 @@ INNOVATION_AGE_MAX_S = 0.5  # without a sample for this long the estimate counts
 def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float, float, float]:
     """Stationary gains on (position, velocity, acceleration error) for one metre of innovation.
 
-    Args:
-        period_s: time between position samples.
-        accel_std: the firmware's acceleration noise of this axis, m/s^2 per 1 ms step.
-        gravity: m/s^2, turns gyro noise into a random walk of the acceleration error.
+    ``period_s``: time between position samples; ``accel_std``: the firmware's acceleration noise of this
+    axis, m/s^2 per 1 ms step; ``gravity``: m/s^2, turns gyro noise into a random walk of the acceleration
+    error.
     """
     t = period_s
     velocity_walk = accel_std**2 * FIRMWARE_STEP_S  # (m/s)^2 per s
@@ -75,8 +74,7 @@ def pose_gains(
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Stationary gains on (position, velocity, tilt), as the firmware takes a pose: position, then attitude.
 
-    Returns:
-        Gains for one metre and for one radian of innovation.
+    Returns gains for one metre and for one radian of innovation.
     """
     t, g = FIRMWARE_STEP_S, gravity
     f = np.array([[1.0, t, 0.5 * g * t * t], [0.0, 1.0, g * t], [0.0, 0.0, 1.0]])
@@ -199,11 +197,9 @@ def correct_tilt(e: EstimatorRecord, quaternion: F64) -> None:
 def replace_estimate(e: EstimatorRecord, state: F64, quaternion: F64, turn: F64) -> None:
     """Believe this state from now on.
 
-    Args:
-        e: changed in place; the next ``predict`` follows with the axes.
-        state: position (m) and velocity (m/s), ENU.
-        quaternion: true attitude.
-        turn: small rotation vector of the believed attitude against the true one, body, rad.
+    ``e``: changed in place; the next ``predict`` follows with the axes; ``state``: position (m) and velocity
+    (m/s), ENU; ``quaternion``: true attitude; ``turn``: small rotation vector of the believed attitude
+    against the true one, body, rad.
     """
     s = e.sensed
     for i in range(3):
@@ -247,12 +243,9 @@ def _correct_tilt(estimator: Cell[EstimatorRecord], quaternion: F64) -> None:
 class Estimator:
     """Predict and correct. ``sensed`` holds the result, updated in place.
 
-    Args:
-        mocap_period_s: time between motion-capture samples.
-        step_s: time between calls of ``predict``.
-        gravity_m_s2: of the place.
-        record: where to keep everything; None for a place of its own.
-        known_drag_1_s: ``kalman.dragB_*``, for the firmware's form; None for the other.
+    ``mocap_period_s``: time between motion-capture samples; ``step_s``: time between calls of ``predict``;
+    ``gravity_m_s2``: of the place; ``record``: where to keep everything; None for a place of its own;
+    ``known_drag_1_s``: ``kalman.dragB_*``, for the firmware's form; None for the other.
     """
 
     def __init__(

@@ -126,10 +126,7 @@ def set_up_map(m: MapRecord, rotor: Rotor, battery: Battery) -> MapRecord:
 def counts_per_n(params: Params, thrust_n: float, battery_v: float | None = None) -> float:
     """Counts per newton of all four nominal motors at a total thrust near the hover's.
 
-    Args:
-        params: of the vehicle.
-        thrust_n: of all motors.
-        battery_v: under the hover's load; None: of a battery that is half empty.
+    ``thrust_n``: of all motors; ``battery_v``: under the hover's load; None: of a battery that is half empty.
     """
     rotor, battery = params.rotor, params.battery
     if rotor.volt_map is None:

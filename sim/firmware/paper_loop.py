@@ -95,10 +95,9 @@ class PaperLoop:
     def trim(self, force: Vec3, counts_per_n: float, moments: Counts = (0, 0, 0)) -> Vec3:
         """Return the set-point at which the loop, at rest, asks for ``force`` (world, N).
 
-        Args:
-            force: nominal thrust of the hover.
-            counts_per_n: thrust counts per newton of it, of which the loop knows the nominal value only.
-            moments: counts that balance motors that differ; only an error of the attitude makes them here.
+        ``force``: nominal thrust of the hover; ``counts_per_n``: thrust counts per newton of it, of which the
+        loop knows the nominal value only; ``moments``: counts that balance motors that differ; only an error
+        of the attitude makes them here.
         """
         del moments
         scale = counts_per_n / self.record.counts_per_n

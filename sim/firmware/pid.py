@@ -230,10 +230,8 @@ class PidLoop:
     def trim(self, force: Vec3, counts_per_n: float, moments: Counts = (0, 0, 0)) -> Vec3:
         """Load the integrals for hover at yaw 0 under ``force`` (world, N); the set-point is then zero.
 
-        Args:
-            force: nominal thrust of the hover.
-            counts_per_n: thrust counts per newton of it.
-            moments: counts that balance motors that differ.
+        ``force``: nominal thrust of the hover; ``counts_per_n``: thrust counts per newton of it; ``moments``:
+        counts that balance motors that differ.
         """
         c = self.record
         c.mode = FREE

@@ -96,9 +96,7 @@ def receive(inbox: InboxRecord, s: SetpointRecord, now_ms: int) -> None:
 class Inbox:
     """The sender's end.
 
-    Args:
-        record: the ring.
-        setpoint: the present one, which counts until another arrives.
+    ``record``: the ring; ``setpoint``: the present one, which counts until another arrives.
     """
 
     def __init__(self, record: InboxRecord, setpoint: SetpointRecord) -> None:

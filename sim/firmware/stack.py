@@ -99,11 +99,7 @@ def control(f: FirmwareRecord, rpm_max: float) -> None:
 
 
 class Firmware:
-    """Estimator, controllers, mixer and supervisor.
-
-    Attributes:
-        supervisor: its state.
-    """
+    """Estimator, controllers, mixer and supervisor."""
 
     def __init__(self, spec: VehicleSpec, params: Params, record: FirmwareRecord) -> None:
         self.record = record
@@ -120,7 +116,7 @@ class Firmware:
         self._mellinger = MellingerLoop(record.mellinger)
         period_s = 1.0 / spec.mocap.rate_hz
         self.estimator = Estimator(period_s, CONTROL_STEP_S, gravity, record.estimator, spec.known_drag_1_s)
-        self.supervisor = Supervisor(record.supervisor)
+        self.supervisor = Supervisor(record.supervisor)  # its state
 
     @property
     def commands(self) -> Four:
@@ -134,10 +130,8 @@ class Firmware:
     def trim(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
         """Trim the controller for hover at yaw 0; returns the velocity set-point that holds it.
 
-        Args:
-            force: of nominal motors, world frame, N.
-            motors: thrust of each as share of the mean motor's.
-            battery_v: under the load of the hover.
+        ``force``: of nominal motors, world frame, N; ``motors``: thrust of each as share of the mean motor's;
+        ``battery_v``: under the load of the hover.
         """
         thrust_n = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
         each = [

@@ -170,8 +170,7 @@ def supervise(
 class Supervisor:
     """State machine; times in milliseconds of simulated time.
 
-    Args:
-        record: where to keep everything; None for a place of its own.
+    ``record``: where to keep everything; None for a place of its own.
     """
 
     def __init__(self, record: SupervisorRecord | None = None) -> None:

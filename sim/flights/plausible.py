@@ -36,8 +36,7 @@ class _Scale(NamedTuple):
 def check(recording: Recording, columns: Mapping[str, Group]) -> None:
     """Refuse a recording whose values cannot be what ``columns`` says.
 
-    Raises:
-        RecordingError: names each quantity, what was found, and the unit that would fit.
+    Raises RecordingError: names each quantity, what was found, and the unit that would fit.
     """
     low, high = STEP_S
     if not low <= recording.step_s <= high:

@@ -33,17 +33,12 @@ class RecordingError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What a group of columns holds.
+    """What a group of columns holds."""
 
-    Attributes:
-        width: number of columns.
-        units: allowed units, each with the factor that turns it into SI (PWM: into the duty, 0 to 1).
-        required: whether a recording without it is refused.
-    """
-
-    width: int
+    width: int  # number of columns
+    # allowed units, each with the factor that turns it into SI (PWM: into the duty, 0 to 1)
     units: Mapping[str, float]
-    required: bool = False
+    required: bool = False  # whether a recording without it is refused
 
 
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -79,38 +74,23 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """One flight; n samples. Optional arrays are ``None`` where the file has no such columns.
+    """One flight; n samples. Optional arrays are ``None`` where the file has no such columns."""
 
-    Attributes:
-        name: of the file, without suffix.
-        time_s: (n,) from the first sample on.
-        position_m: (n, 3) by motion capture.
-        velocity_m_s: (n, 3) by motion capture.
-        attitude: (n, 4) unit quaternion w, x, y, z, body FLU to world, by motion capture.
-        rates_rad_s: (n, 3) gyro, body FLU.
-        duty: (n, 4) commands to the motors M1 to M4, 0 to 1.
-        battery_v: (n,) under load.
-        estimate_position_m, estimate_velocity_m_s: (n, 3) of the estimator on board.
-        estimate_attitude_rad: (n, 3) roll, pitch, yaw.
-        setpoint_position_m: (n, 3).
-        setpoint_yaw_rad: (n,).
-        thrust_command: (n,) of the PID controller, 0 to 1.
-    """
-
-    name: str
-    time_s: Floats
-    position_m: Floats
-    velocity_m_s: Floats
-    attitude: Floats
-    rates_rad_s: Floats
-    duty: Floats
-    battery_v: Floats
+    name: str  # of the file, without suffix
+    time_s: Floats  # (n,) from the first sample on
+    position_m: Floats  # (n, 3) by motion capture
+    velocity_m_s: Floats  # (n, 3) by motion capture
+    attitude: Floats  # (n, 4) unit quaternion w, x, y, z, body FLU to world, by motion capture
+    rates_rad_s: Floats  # (n, 3) gyro, body FLU
+    duty: Floats  # (n, 4) commands to the motors M1 to M4, 0 to 1
+    battery_v: Floats  # (n,) under load
+    # estimate_position_m, estimate_velocity_m_s: (n, 3) of the estimator on board
     estimate_position_m: Floats | None = None
     estimate_velocity_m_s: Floats | None = None
-    estimate_attitude_rad: Floats | None = None
-    setpoint_position_m: Floats | None = None
-    setpoint_yaw_rad: Floats | None = None
-    thrust_command: Floats | None = None
+    estimate_attitude_rad: Floats | None = None  # (n, 3) roll, pitch, yaw
+    setpoint_position_m: Floats | None = None  # (n, 3)
+    setpoint_yaw_rad: Floats | None = None  # (n,)
+    thrust_command: Floats | None = None  # (n,) of the PID controller, 0 to 1
     step_s: float = field(default=0.01)
 
     @property
@@ -122,8 +102,7 @@ class Recording:
 def read_columns(path: Path = COLUMNS) -> dict[str, Group]:
     """Read a table of columns.
 
-    Raises:
-        RecordingError: not TOML, an unknown quantity or unit, or the wrong number of columns.
+    Raises RecordingError: not TOML, an unknown quantity or unit, or the wrong number of columns.
     """
     try:
         tables = read_toml(path)
@@ -162,8 +141,7 @@ def _list(where: str, table: dict[str, Any], key: str, width: int) -> list[Any]:
 def find_recordings(folder: Path) -> list[Path]:
     """List the files of a folder that may hold flights, by name.
 
-    Raises:
-        RecordingError: no such folder, or no such file in it.
+    Raises RecordingError: no such folder, or no such file in it.
     """
     if not folder.is_dir():
         raise RecordingError(f"{folder}: found no such folder")
@@ -176,8 +154,7 @@ def find_recordings(folder: Path) -> list[Path]:
 def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
     """Read one flight.
 
-    Raises:
-        RecordingError: unreadable, columns missing or not numbers, too few samples, or no time.
+    Raises RecordingError: unreadable, columns missing or not numbers, too few samples, or no time.
     """
     try:
         if path.suffix == ".csv":

@@ -45,18 +45,11 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Screened:
-    """The usable parts of a flight.
+    """The usable parts of a flight. ``usable``: whether anything is left to compare with."""
 
-    Attributes:
-        recording: all of it.
-        pieces: slices of samples, each without a gap, a damaged value or contact.
-        left_out: what else there is.
-        usable: whether anything is left to compare with.
-    """
-
-    recording: Recording
-    pieces: tuple[slice, ...]
-    left_out: tuple[Reason, ...]
+    recording: Recording  # all of it
+    pieces: tuple[slice, ...]  # slices of samples, each without a gap, a damaged value or contact
+    left_out: tuple[Reason, ...]  # what else there is
 
     @property
     def usable(self) -> bool:
@@ -72,8 +65,7 @@ class Screened:
 def load(path: Path, columns: Mapping[str, Group]) -> Screened:
     """Read a flight, check its units and signs, and find what can be used of it.
 
-    Raises:
-        RecordingError: it cannot be read, or cannot be what the columns say.
+    Raises RecordingError: it cannot be read, or cannot be what the columns say.
     """
     recording = read_recording(path, columns)
     check(recording, columns)

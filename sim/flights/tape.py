@@ -29,51 +29,36 @@ CUT_S = 0.3  # from both ends of a piece, where the truth of another time lies o
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Errors of n samples in a row; on the recorded path they give the recorded estimate again.
+    """Errors of n samples in a row; on the recorded path they give the recorded estimate again."""
 
-    Attributes:
-        delay_s: (n,) of the position behind the truth.
-        velocity_delay_s: (n,) of the velocity.
-        position_m: (n, 3) what is left of the position's error, world axes.
-        along, across: (n,) error of the velocity along and left of the horizontal velocity, as shares of the
-            speed plus ``STILL_M_S``.
-        velocity_m_s: (n, 3) what is left of the velocity's error.
-        turn_rad: (n, 3) rotation vector of the believed attitude against the true one, body FLU; the flight's
-            mean: what varies besides is more than a gyro allows, so motion capture and log have made it.
-        speed_m_s: (n,) recorded horizontal speed.
-    """
-
-    delay_s: Floats
-    velocity_delay_s: Floats
-    position_m: Floats
+    delay_s: Floats  # (n,) of the position behind the truth
+    velocity_delay_s: Floats  # (n,) of the velocity
+    position_m: Floats  # (n, 3) what is left of the position's error, world axes
+    # along, across: (n,) error of the velocity along and left of the horizontal velocity, as shares of the
+    # speed plus ``STILL_M_S``
     along: Floats
     across: Floats
-    velocity_m_s: Floats
+    velocity_m_s: Floats  # (n, 3) what is left of the velocity's error
+    # (n, 3) rotation vector of the believed attitude against the true one, body FLU; the flight's mean: what
+    # varies besides is more than a gyro allows, so motion capture and log have made it
     turn_rad: Floats
-    speed_m_s: Floats
+    speed_m_s: Floats  # (n,) recorded horizontal speed
 
 
 @dataclass(frozen=True, slots=True)
 class Tape:
-    """Errors of one flight, in pieces without a gap.
-
-    Attributes:
-        name: of the flight.
-        step_s: between samples.
-        pieces: one or more.
-    """
+    """Errors of one flight, in pieces without a gap."""
 
     name: str
-    step_s: float
-    pieces: tuple[Piece, ...]
+    step_s: float  # between samples
+    pieces: tuple[Piece, ...]  # one or more
 
 
 def tape_of(flight: Screened, *, raw: bool = False) -> Tape | None:
     """Take the errors from a flight; None where it has no estimate, is too slow or too short.
 
-    Args:
-        flight: usable or not.
-        raw: everything is an offset of position and velocity, in the world's axes; no delay.
+    ``flight``: usable or not; ``raw``: everything is an offset of position and velocity, in the world's axes;
+    no delay.
     """
     r = flight.recording
     if r.estimate_position_m is None or r.estimate_velocity_m_s is None:
@@ -167,8 +152,7 @@ def _turn_rad(r: Recording, pieces: list[slice]) -> Floats:
 def read_tape(path: Path, *, raw: bool = False) -> Tape | None:
     """Make the tape of a recorded flight, once in a process; None where it gives none.
 
-    Raises:
-        RecordingError: it cannot be read, or has other columns or units.
+    Raises RecordingError: it cannot be read, or has other columns or units.
     """
     return tape_of(load(path, read_columns()), raw=raw)
 
@@ -176,8 +160,7 @@ def read_tape(path: Path, *, raw: bool = False) -> Tape | None:
 def draw_tape(folder: Path, rng: Chance, *, raw: bool = False) -> Tape:
     """Draw a flight, again if it gives no tape; no other one is read.
 
-    Raises:
-        RecordingError: no such folder, or no flight in it gives a tape.
+    Raises RecordingError: no such folder, or no flight in it gives a tape.
     """
     paths = find_recordings(folder)
     why = "none has an estimate and moves"
@@ -195,8 +178,7 @@ def draw_tape(folder: Path, rng: Chance, *, raw: bool = False) -> Tape:
 def tape_folder(name: str) -> Path:
     """Folder of a tape: ``name`` where it is one, else the folder that ``FLIGHTSTACK_FLIGHTS`` names.
 
-    Raises:
-        RecordingError: neither is a folder.
+    Raises RecordingError: neither is a folder.
     """
     folder, other = Path(name), os.environ.get(FLIGHTS, "")
     if folder.is_dir():

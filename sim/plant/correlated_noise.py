@@ -34,13 +34,9 @@ def vary(n: NoiseRecord) -> None:
 class CorrelatedNoise:
     """Sets up the noise of one purpose.
 
-    Args:
-        rms: standard deviation on each axis; off where all are zero.
-        time_s: correlation time of each axis.
-        seed: of the run.
-        purpose: name of the random stream.
-        step_s: time between calls of ``vary``.
-        record: where to keep everything; None for a place of its own.
+    ``rms``: standard deviation on each axis; off where all are zero; ``time_s``: correlation time of each
+    axis; ``purpose``: name of the random stream; ``step_s``: time between calls of ``vary``; ``record``:
+    where to keep everything; None for a place of its own.
     """
 
     def __init__(

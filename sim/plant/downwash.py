@@ -58,11 +58,9 @@ class DownwashRecord(Record):
 def jet_speed(along_m: float, beside_m: float, hover_m_s: float, size_m: float) -> float:
     """Velocity in a jet, m/s.
 
-    Args:
-        along_m: distance from the rotors along the jet; 0 or less: none.
-        beside_m: distance from its axis.
-        hover_m_s: velocity U_H that the rotors induce.
-        size_m: distance l of two motors across the vehicle.
+    ``along_m``: distance from the rotors along the jet; 0 or less: none; ``beside_m``: distance from its
+    axis; ``hover_m_s``: velocity U_H that the rotors induce; ``size_m``: distance l of two motors across the
+    vehicle.
     """
     lengths = along_m / size_m
     if lengths <= 0.0:
@@ -81,13 +79,8 @@ def jet_speed(along_m: float, beside_m: float, hover_m_s: float, size_m: float) 
 def add_jet(jets: F64, number: int, x: float, y: float, z: float, air: F64) -> None:
     """Add what a jet blows at a place.
 
-    Args:
-        jets: (N, JET).
-        number: which one.
-        x: the place, east, m.
-        y: north, m.
-        z: up, m.
-        air: (3,) velocity, m/s, added to.
+    ``jets``: (N, JET); ``number``: which one; ``x``: the place, east, m; ``y``: north, m; ``z``: up, m;
+    ``air``: (3,) velocity, m/s, added to.
     """
     jet = jets[number]
     x, y, z = x - jet[0], y - jet[1], z - jet[2]
@@ -103,12 +96,8 @@ def add_jet(jets: F64, number: int, x: float, y: float, z: float, air: F64) -> N
 def set_jet(d: DownwashRecord, thrust_n: float, position: F64, axes: Nine, jet: F64) -> None:
     """Find the jet of a vehicle.
 
-    Args:
-        d: its sizes.
-        thrust_n: of all rotors; none blows nothing.
-        position: (3,) its centre of mass, ENU, m.
-        axes: its body axes in the world.
-        jet: (JET,) the result.
+    ``d``: its sizes; ``thrust_n``: of all rotors; none blows nothing; ``position``: (3,) its centre of mass,
+    ENU, m; ``axes``: its body axes in the world; ``jet``: (JET,) the result.
     """
     for i in range(3):
         jet[i] = position[i] + d.above * axes[6 + i]
@@ -134,12 +123,8 @@ def reaches(jets: F64, number: int, x: float, y: float, z: float, radius_m: floa
 def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> None:
     """Find the air that all jets but one's own blow at a vehicle; velocities of several jets add up.
 
-    Args:
-        d: the result.
-        jets: (N, JET).
-        own: number of the vehicle's own.
-        position: (3,) its centre of mass, ENU, m.
-        axes: its body axes in the world.
+    ``jets``: (N, JET); ``own``: number of the vehicle's own; ``position``: (3,) its centre of mass, ENU, m;
+    ``axes``: its body axes in the world.
     """
     d.on = False
     x, y, z, zx, zy, zz = position[0], position[1], position[2], axes[6], axes[7], axes[8]
@@ -171,11 +156,8 @@ def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> N
 def press(d: DownwashRecord, axes: Nine, force: F64, torque: F64) -> None:
     """Add what the air of ``feel`` does to a vehicle.
 
-    Args:
-        d: the air.
-        axes: body axes in the world.
-        force: (3,) world frame, N.
-        torque: (3,) body frame, N m.
+    ``d``: the air; ``axes``: body axes in the world; ``force``: (3,) world frame, N; ``torque``: (3,) body
+    frame, N m.
     """
     zx, zy, zz = axes[6], axes[7], axes[8]
     u, a = d.air, d.along

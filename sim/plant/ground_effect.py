@@ -47,14 +47,9 @@ def ground_effect(
 ) -> None:
     """Compute the factors on the four thrusts, 1 when nothing is near.
 
-    Args:
-        g: sizes.
-        ex: vehicle minus pad centre, east, m.
-        ey: the same, north.
-        ez: the same, up.
-        pad_height_m: height of the pad above the floor.
-        axes: body x, y and z axis in the world, nine numbers.
-        factors: the result.
+    ``g``: sizes; ``ex``: vehicle minus pad centre, east, m; ``ey``: the same, north; ``ez``: the same, up;
+    ``pad_height_m``: height of the pad above the floor; ``axes``: body x, y and z axis in the world, nine
+    numbers.
     """
     factors[:] = 1.0
     height = ez + pad_height_m

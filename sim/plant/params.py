@@ -227,10 +227,7 @@ class Plant:
 def able_to_hover(plant: Plant, params: Params, reserve: float) -> Plant:
     """Return the same with at least the charge at which each motor can give its share of this reserve.
 
-    Args:
-        plant: as drawn.
-        params: of the vehicle.
-        reserve: thrust over weight, of the weakest motor.
+    ``plant``: as drawn; ``reserve``: thrust over weight, of the weakest motor.
     """
     battery, rotor = params.battery, params.rotor
     thrust_n = 0.25 * reserve * params.body.mass_kg * plant.mass * params.contact.gravity_m_s2 / plant.thrust
@@ -245,8 +242,7 @@ def able_to_hover(plant: Plant, params: Params, reserve: float) -> Plant:
 def load(airframe: str = "crazyflie20") -> Params:
     """Read the parameter file of a vehicle that comes with the package, or the user's own by its path.
 
-    Raises:
-        ConfigError: no such file, or an unknown, missing or ill-typed key.
+    Raises ConfigError: no such file, or an unknown, missing or ill-typed key.
     """
     path = VEHICLE_FILES.path_of(airframe)
     try:

@@ -55,11 +55,8 @@ class RotorRecord(Record):
 def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
     """Advance the speeds towards ``command`` (rpm) by one step and compute the wrench.
 
-    Args:
-        r: changed in place; its ``cushion`` is what the ground effect does to the thrusts.
-        command: commanded speeds, rpm.
-        wx: body roll rate, rad/s.
-        wy: body pitch rate, rad/s.
+    ``r``: changed in place; its ``cushion`` is what the ground effect does to the thrusts; ``command``:
+    commanded speeds, rpm; ``wx``: body roll rate, rad/s; ``wy``: body pitch rate, rad/s.
     """
     r1, r2, r3, r4 = r.rpm[0], r.rpm[1], r.rpm[2], r.rpm[3]
     c1, c2, c3, c4 = command[0], command[1], command[2], command[3]
@@ -94,12 +91,9 @@ def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
 class Rotors:
     """Sets up the rotors of one vehicle; shows their speeds.
 
-    Args:
-        rotor: static maps, lag, geometry.
-        plant: factors on thrust (and with it torque), of all and of each motor, and on the lag.
-        slow: the slow, asymmetric lag instead of the first-order one.
-        step_s: time between calls of ``turn_rotors``.
-        record: where to keep everything; None for a place of its own.
+    ``rotor``: static maps, lag, geometry; ``plant``: factors on thrust (and with it torque), of all and of
+    each motor, and on the lag; ``slow``: the slow, asymmetric lag instead of the first-order one; ``step_s``:
+    time between calls of ``turn_rotors``; ``record``: where to keep everything; None for a place of its own.
     """
 
     def __init__(
@@ -181,11 +175,9 @@ def speed_limit(b: BatteryRecord) -> float:
 class BatteryModel:
     """One cell.
 
-    Args:
-        battery: parameters.
-        hover_rpm: speed of all rotors at which it gives its hover current.
-        record: where to keep everything; None for a place of its own.
-        charge: share of a full cell at first.
+    ``battery``: parameters; ``hover_rpm``: speed of all rotors at which it gives its hover current;
+    ``record``: where to keep everything; None for a place of its own; ``charge``: share of a full cell at
+    first.
     """
 
     def __init__(

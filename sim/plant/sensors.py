@@ -49,10 +49,7 @@ class Normals:
 class NoiseRows:
     """Noise for samples of several values: the numbers of ``Normals``, one for each value that is noisy.
 
-    Args:
-        sigmas: standard deviation for each value.
-        seed: of the run.
-        purpose: name of the random stream.
+    ``sigmas``: standard deviation for each value; ``purpose``: name of the random stream.
     """
 
     def __init__(self, sigmas: Sequence[float], seed: int, purpose: str) -> None:
@@ -116,10 +113,7 @@ class Losses:
     Drop-outs begin as a Poisson process of mean distance ``dropout_every_s`` and last uniformly up to
     ``dropout_max_s``.
 
-    Args:
-        link: loss and drop-outs.
-        seed: of the run.
-        purpose: name of the random stream.
+    ``link``: loss and drop-outs; ``purpose``: name of the random stream.
     """
 
     def __init__(self, link: OdometryLink, seed: int, purpose: str) -> None:
@@ -160,11 +154,8 @@ class MeasurementChannel:
     Sample k is measured at time k / rate. A lost one (``Losses``) never comes. Times are integer nanoseconds.
     ``due_ns`` and ``release_ns`` tell when the next call has something to do.
 
-    Args:
-        link: rate, delay, loss, drop-outs.
-        sigmas: standard deviation of the noise on each value.
-        seed: of the run.
-        purpose: name of the random stream.
+    ``link``: rate, delay, loss, drop-outs; ``sigmas``: standard deviation of the noise on each value;
+    ``purpose``: name of the random stream.
     """
 
     def __init__(self, link: OdometryLink, sigmas: Sequence[float], seed: int, purpose: str) -> None:
@@ -189,14 +180,10 @@ class MeasurementChannel:
     ) -> tuple[list[int], F64]:
         """``sample`` and ``release`` at several times, each sample at a fraction of the cost.
 
-        Args:
-            times_ns: in order.
-            values: (n, width) to be measured at each; those of times when none is due are not looked at.
-            worsen: called before with the index of each that is.
-
-        Returns:
-            Index of the time at which each sample was released; and (m, 1 + width) when it was measured, ns,
-            and its values.
+        ``times_ns``: in order; ``values``: (n, width) to be measured at each; those of times when none is due
+        are not looked at; ``worsen``: called before with the index of each that is.
+        Returns index of the time at which each sample was released; and (m, 1 + width) when it was measured,
+        ns, and its values.
         """
         due: list[int] = []
         for n, now_ns in enumerate(times_ns):

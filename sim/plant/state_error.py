@@ -120,12 +120,7 @@ class Noise:
     Its correlation after t is (T exp(-t / T) - S exp(-t / S)) / (T - S), (1 + t / T) exp(-t / T) where T = S.
     So it falls with T, and is smooth from sample to sample: a leap would kick the controllers on board.
 
-    Args:
-        rng: source of chance.
-        width: number of values.
-        time_s: T.
-        smooth_s: S.
-        step_s: between samples.
+    ``rng``: source of chance; ``width``: number of values; ``time_s``: T; ``step_s``: between samples.
     """
 
     def __init__(self, rng: Chance, width: int, time_s: float, smooth_s: float, step_s: float) -> None:
@@ -151,11 +146,8 @@ _NOISY = (*range(POSITION, POSITION + 3), AHEAD, ASIDE, VELOCITY + 2, *range(TUR
 class ModelRows:
     """Errors by the parameters of ``StateError``.
 
-    Args:
-        spec: parameters.
-        seed: of the run.
-        purpose: whose errors; other purposes have other chance, except for a shared delay.
-        rate_hz: of the samples.
+    ``spec``: parameters; ``purpose``: whose errors; other purposes have other chance, except for a shared
+    delay; ``rate_hz``: of the samples.
     """
 
     def __init__(self, spec: StateError, seed: int, purpose: str, rate_hz: float) -> None:
@@ -206,10 +198,7 @@ def _within(draw: float) -> float:
 class TapeRows:
     """Errors of one recorded flight, cut into pieces and joined; the cuts are drawn.
 
-    Args:
-        tape: of the flight.
-        rng: source of chance.
-        rate_hz: of the samples.
+    ``rng``: source of chance; ``rate_hz``: of the samples.
     """
 
     def __init__(self, tape: Tape, rng: Chance, rate_hz: float) -> None:
@@ -263,14 +252,8 @@ def _rows(piece: Piece) -> F64:
 def state_errors(spec: StateError, seed: int, purpose: str, rate_hz: float) -> Rows:
     """Errors of a run, from the source that the scenario names.
 
-    Args:
-        spec: source and parameters.
-        seed: of the run.
-        purpose: whose errors.
-        rate_hz: of the samples.
-
-    Raises:
-        RecordingError: the scenario names a folder of flights, and it or usable flights in it are missing.
+    ``spec``: source and parameters; ``purpose``: whose errors; ``rate_hz``: of the samples.
+    Raises RecordingError: the scenario names a folder of flights, and it or usable flights in it are missing.
     """
     if spec.tape is None:
         return ModelRows(spec, seed, purpose, rate_hz)

@@ -37,12 +37,9 @@ def blow(w: WindRecord) -> None:
 class WindModel:
     """Wind at the vehicle: ``x``, ``y``, ``z`` in m/s, world ENU.
 
-    Args:
-        wind: mean, gust rms, direction towards which the mean blows (drawn from the seed if None).
-        shape: correlation times and vertical share.
-        seed: of the run.
-        step_s: time between calls of ``step``.
-        record: where to keep everything; None for a place of its own.
+    ``wind``: mean, gust rms, direction towards which the mean blows (drawn from the seed if None); ``shape``:
+    correlation times and vertical share; ``step_s``: time between calls of ``step``; ``record``: where to
+    keep everything; None for a place of its own.
     """
 
     def __init__(

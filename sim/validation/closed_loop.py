@@ -41,40 +41,24 @@ KNOWN_S = 8.0  # of what is compared, for what differs from airframe to airframe
 
 
 class Flown(NamedTuple):
-    """What a flight shows.
+    """What a flight shows."""
 
-    Attributes:
-        horizontal_m: rms of the distance between position and set-point, level.
-        vertical_m: the same, up and down.
-        duty: mean over the motors, 0 to 1.
-        saturated: share of samples with a motor at full duty.
-        tilt_rms_rad: of body z against the vertical.
-        tilt_p95_rad: 95th percentile of it.
-        sag_v_s: how fast the voltage falls.
-    """
-
-    horizontal_m: float
-    vertical_m: float
-    duty: float
-    saturated: float
-    tilt_rms_rad: float
-    tilt_p95_rad: float
-    sag_v_s: float
+    horizontal_m: float  # rms of the distance between position and set-point, level
+    vertical_m: float  # the same, up and down
+    duty: float  # mean over the motors, 0 to 1
+    saturated: float  # share of samples with a motor at full duty
+    tilt_rms_rad: float  # of body z against the vertical
+    tilt_p95_rad: float  # 95th percentile of it
+    sag_v_s: float  # how fast the voltage falls
 
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
-    """A flight beside its simulation.
+    """A flight beside its simulation."""
 
-    Attributes:
-        controller: pid or mellinger.
-        thrust: of this airframe's motors, as share of the vehicle file's; 1 where the file is right.
-        recorded, simulated: what the two flights show.
-    """
-
-    controller: str
-    thrust: float
-    recorded: Flown
+    controller: str  # pid or mellinger
+    thrust: float  # of this airframe's motors, as share of the vehicle file's; 1 where the file is right
+    recorded: Flown  # recorded, simulated: what the two flights show
     simulated: Flown
 
 
@@ -90,10 +74,8 @@ class Track(NamedTuple):
 def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
     """Fly the set-points of a flight; None where it has none, or they do not begin on the ground.
 
-    Args:
-        flight: with pieces; only what lies in them is compared.
-        params: of the simulated vehicle.
-        seed: of noise, which is another one for every name of a flight.
+    ``flight``: with pieces; only what lies in them is compared; ``params``: of the simulated vehicle;
+    ``seed``: of noise, which is another one for every name of a flight.
     """
     r = flight.recording
     span = _commanded(r)

@@ -38,12 +38,9 @@ class Estimate(NamedTuple):
 def over_flights(statistic: Callable[..., Floats], *samples: Sequence[float]) -> Estimate | None:
     """Find a statistic of one number or several a flight, and its interval.
 
-    Args:
-        statistic: of arrays of the same shape along ``axis``.
-        samples: for each number, its value in each flight; flights where one is NaN are left out.
-
-    Returns:
-        None without a flight.
+    ``statistic``: of arrays of the same shape along ``axis``; ``samples``: for each number, its value in each
+    flight; flights where one is NaN are left out.
+    Returns None without a flight.
     """
     table = np.array(samples, dtype=np.float64)
     table = table[:, np.isfinite(table).all(axis=0)]
@@ -81,29 +78,19 @@ def difference_of_means(a: Floats, b: Floats, axis: int) -> Floats:
 
 @dataclass(frozen=True)
 class Criterion:
-    """One limit.
+    """One limit."""
 
-    Attributes:
-        part: open loop, closed loop or sensing.
-        text: what is compared; by default rms errors, those of the simulator over others.
-        low, high: limits, both allowed.
-        reason: of the limits.
-        find: the statistic; None where no flight tells it.
-        cause: why the simulator differs where the limit is missed; None: the text says it.
-        by_chance: the simulator draws its numbers, and flights differ in them as widely: the limit is missed
-            where the whole interval lies outside it.
-        scale, unit: for the eye.
-    """
-
-    part: str
-    text: str
-    low: float
+    part: str  # open loop, closed loop or sensing
+    text: str  # what is compared; by default rms errors, those of the simulator over others
+    low: float  # low, high: limits, both allowed
     high: float
-    reason: str
-    find: Callable[[Sequence[Compared]], Estimate | None]
-    cause: str | None = None
+    reason: str  # of the limits
+    find: Callable[[Sequence[Compared]], Estimate | None]  # the statistic; None where no flight tells it
+    cause: str | None = None  # why the simulator differs where the limit is missed; None: the text says it
+    # the simulator draws its numbers, and flights differ in them as widely: the limit is missed where the
+    # whole interval lies outside it
     by_chance: bool = False
-    scale: float = 1.0
+    scale: float = 1.0  # scale, unit: for the eye
     unit: str = ""
 
     @property

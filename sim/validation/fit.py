@@ -40,31 +40,18 @@ VOLTAGE_LAG_S = 0.1  # it is logged at 10 Hz
 
 
 class Values(NamedTuple):
-    """Fitted numbers.
+    """Fitted numbers."""
 
-    Attributes:
-        hover_v: mean voltage at the motors in hover.
-        exponent: of that voltage in the thrust, near hover.
-        lag_s: of the motors' speed.
-        drag_1_s: drag over mass along body x and y.
-        climb_drag_1_s: along body z.
-        inertia_kg_m2: about body x and y, for the base's mass and arm.
-        drag_above_com_m: moment of the drag over the drag.
-        rate_damping_1_s: of roll and pitch rate.
-        delay_s: from a logged command to the gyro, beyond the lag.
-        resistance_ohm: of the battery, for the base's currents.
-    """
-
-    hover_v: float
-    exponent: float
-    lag_s: float
-    drag_1_s: float
-    climb_drag_1_s: float
-    inertia_kg_m2: float
-    drag_above_com_m: float
-    rate_damping_1_s: float
-    delay_s: float
-    resistance_ohm: float
+    hover_v: float  # mean voltage at the motors in hover
+    exponent: float  # of that voltage in the thrust, near hover
+    lag_s: float  # of the motors' speed
+    drag_1_s: float  # drag over mass along body x and y
+    climb_drag_1_s: float  # along body z
+    inertia_kg_m2: float  # about body x and y, for the base's mass and arm
+    drag_above_com_m: float  # moment of the drag over the drag
+    rate_damping_1_s: float  # of roll and pitch rate
+    delay_s: float  # from a logged command to the gyro, beyond the lag
+    resistance_ohm: float  # of the battery, for the base's currents
 
 
 LOW = Values(1.0, 0.5, 0.005, -0.5, -2.0, 1e-7, -1.0, -10.0, -0.02, 0.0)
@@ -129,14 +116,10 @@ def _innovations(
 ) -> None:
     """What the gyro shows next, minus what an observer predicts.
 
-    Args:
-        torque: (n,) angular acceleration by the rotors until the next sample, rad/s^2.
-        aside: (n,) body velocity that the drag's moment follows, m/s.
-        rates: (n,) of the gyro.
-        moment: angular acceleration per m/s.
-        damping: 1/s.
-        gains: of the rate, of the unknown torque that fades and that stays (1/s), and what a sample leaves.
-        out: (n,) rad/s.
+    ``torque``: (n,) angular acceleration by the rotors until the next sample, rad/s^2; ``aside``: (n,) body
+    velocity that the drag's moment follows, m/s; ``rates``: (n,) of the gyro; ``moment``: angular
+    acceleration per m/s; ``damping``: 1/s; ``gains``: of the rate, of the unknown torque that fades and that
+    stays (1/s), and what a sample leaves; ``out``: (n,) rad/s.
     """
     rate, fades, stays = rates[0], 0.0, 0.0
     for i in range(len(rates)):
@@ -238,9 +221,8 @@ def start_values(params: Params) -> Values:
 def fit_flight(flight: Screened, params: Params) -> FlightFit | None:
     """Fit one flight; None if less than ``SECONDS_MIN`` of it can be used.
 
-    Args:
-        flight: usable pieces.
-        params: base, from which the fit starts and which gives what the flight cannot show.
+    ``flight``: usable pieces; ``params``: base, from which the fit starts and which gives what the flight
+    cannot show.
     """
     usable = [piece for piece in pieces(flight) if len(piece.duty) > 4 * SKIP]
     if sum(len(piece.duty) for piece in usable) * SAMPLE_S < SECONDS_MIN:
@@ -303,8 +285,7 @@ def _resistance(data: Sequence[_Data], problem: _Problem, values: Values) -> tup
 def together(flights: Sequence[FlightFit], seed: int = 0) -> Fit:
     """Medians over flights and their intervals; of one flight alone, those of its Jacobian.
 
-    Raises:
-        ValueError: no flight.
+    Raises ValueError: no flight.
     """
     if not flights:
         raise ValueError("found no flight that can be fitted, one at least is needed")

@@ -22,15 +22,10 @@ FULL_V = 3.7  # under load, at which ``thrust_max_n`` is told
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """Flights of a folder.
+    """Flights of a folder."""
 
-    Attributes:
-        flights: that were fitted, with their fits.
-        left_out: the others, with the reason.
-    """
-
-    flights: tuple[tuple[Screened, FlightFit], ...]
-    left_out: tuple[tuple[str, str], ...]
+    flights: tuple[tuple[Screened, FlightFit], ...]  # that were fitted, with their fits
+    left_out: tuple[tuple[str, str], ...]  # the others, with the reason
 
     @property
     def fits(self) -> list[FlightFit]:
@@ -43,14 +38,9 @@ def gather(
 ) -> Gathered:
     """Fit each flight of a folder alone.
 
-    Args:
-        folder: of recordings.
-        columns: their columns and units.
-        params: base.
-        done: called after each flight.
-
-    Raises:
-        RecordingError: the folder has no recordings, or none that can be fitted.
+    ``folder``: of recordings; ``columns``: their columns and units; ``params``: base; ``done``: called after
+    each flight.
+    Raises RecordingError: the folder has no recordings, or none that can be fitted.
     """
     flights, left_out = [], []
     for path in find_recordings(folder):
@@ -79,19 +69,13 @@ def kind(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """One kind of path, flown by numbers fitted to the others.
+    """One kind of path, flown by numbers fitted to the others."""
 
-    Attributes:
-        kind: of path.
-        flights: how many.
-        position, velocity: error over that of constant velocity at ``HORIZONS_S``, median over the flights.
-        ideal_position, ideal_velocity: the same of the ideal rigid body.
-    """
-
-    kind: str
-    flights: int
+    kind: str  # of path
+    flights: int  # how many
+    # position, velocity: error over that of constant velocity at ``HORIZONS_S``, median over the flights
     position: list[float]
-    ideal_position: list[float]
+    ideal_position: list[float]  # ideal_position, ideal_velocity: the same of the ideal rigid body
     velocity: list[float]
     ideal_velocity: list[float]
 
@@ -103,8 +87,7 @@ def _ratios(errors: Compared) -> tuple[float, float]:
 def leave_one_out(gathered: Gathered, params: Params) -> list[LeftOut]:
     """Fit all kinds of paths but one and predict that one, for each kind.
 
-    Raises:
-        ValueError: only one kind.
+    Raises ValueError: only one kind.
     """
     kinds = sorted({kind(fit.name) for fit in gathered.fits})
     if len(kinds) < 2:
@@ -127,10 +110,7 @@ def leave_one_out(gathered: Gathered, params: Params) -> list[LeftOut]:
 def toml(fit: Fit, params: Params, base: str) -> str:
     """Vehicle file with the fitted numbers, each with its source; everything else is the base's.
 
-    Args:
-        fit: of the flights.
-        params: of the base.
-        base: its name or file.
+    ``fit``: of the flights; ``params``: of the base; ``base``: its name or file.
     """
     vehicle, n = fitted(params, fit.values), fit.numbers
     if base not in VEHICLE_FILES.names():

@@ -70,17 +70,12 @@ class Horizon:
 
 @dataclass(frozen=True, slots=True)
 class OpenLoop:
-    """A flight beside the plant.
+    """A flight beside the plant."""
 
-    Attributes:
-        horizons: errors at ``HORIZONS_S``.
-        thrust_ratio: thrust of the plant over the recorded one, over the whole flight; 1.1 is 10 % too much.
-        starts: number of predictions.
-    """
-
-    horizons: tuple[Horizon, ...]
+    horizons: tuple[Horizon, ...]  # errors at ``HORIZONS_S``
+    # thrust of the plant over the recorded one, over the whole flight; 1.1 is 10 % too much
     thrust_ratio: float
-    starts: int
+    starts: int  # number of predictions
 
 
 class Piece(NamedTuple):
@@ -157,12 +152,9 @@ def _follow(
 def _observe(acceleration: F64, rates: F64, fade: float, fast: F64, slow: F64) -> None:
     """Find the angular acceleration (n, 3) that the plant lacks at each sample, from the past only.
 
-    Args:
-        acceleration: (n, 3) of the plant with the recorded rates, until the next sample, rad/s^2.
-        rates: (n, 3) of the gyro.
-        fade: what is left of the fast part after a sample.
-        fast: the part that fades.
-        slow: the part that stays.
+    ``acceleration``: (n, 3) of the plant with the recorded rates, until the next sample, rad/s^2; ``rates``:
+    (n, 3) of the gyro; ``fade``: what is left of the fast part after a sample; ``fast``: the part that fades;
+    ``slow``: the part that stays.
     """
     for axis in range(3):
         rate, fades, stays = rates[0, axis], 0.0, 0.0
@@ -182,15 +174,10 @@ def _predict(
 ) -> None:
     """Fly from each start.
 
-    Args:
-        vehicle: changed in place.
-        commands: (n, 4) rpm.
-        starts: (m,) samples.
-        states: (m, 24): position, velocity, quaternion, rates, rotor speeds, thrust factor, angular
-            acceleration that stays, and that fades.
-        fade: what is left of the latter after a step.
-        ends: (h,) samples after the start at which the state is kept, increasing.
-        found: (m, h, 10) position, velocity, quaternion.
+    ``commands``: (n, 4) rpm; ``starts``: (m,) samples; ``states``: (m, 24): position, velocity, quaternion,
+    rates, rotor speeds, thrust factor, angular acceleration that stays, and that fades; ``fade``: what is
+    left of the latter after a step; ``ends``: (h,) samples after the start at which the state is kept,
+    increasing; ``found``: (m, h, 10) position, velocity, quaternion.
     """
     v = vehicle[0]
     body, wrench = v.world.body, v.world.wrench
@@ -224,11 +211,7 @@ def rotations(quaternion: F64) -> Rotation:
 
 
 class Model:
-    """A plant that flies along recorded pieces.
-
-    Args:
-        params: of the vehicle.
-    """
+    """A plant that flies along recorded pieces."""
 
     def __init__(self, params: Params) -> None:
         self._params, self._gravity = params, params.contact.gravity_m_s2
@@ -242,13 +225,9 @@ class Model:
     def fly(self, piece: Piece, starts: I64, ends: I64) -> tuple[F64, Rotation, F64]:
         """Calibrate before each start and predict.
 
-        Args:
-            piece: of n samples.
-            starts: (m,) samples, not within ``BACK`` of the beginning.
-            ends: (h,) samples after the start, increasing.
-
-        Returns:
-            States found (m, h, 10), misalignment of the markers (m), thrust factors of the starts (m,).
+        ``piece``: of n samples; ``starts``: (m,) samples, not within ``BACK`` of the beginning; ``ends``:
+        (h,) samples after the start, increasing.
+        Returns states found (m, h, 10), misalignment of the markers (m), thrust factors of the starts (m,).
         """
         commands = commanded_rpm(self._params, np.clip(piece.duty, 0.0, 1.0), piece.battery_v)
         n = len(commands)
@@ -305,13 +284,9 @@ def ideal(params: Params) -> Params:
 def compare(flight: Screened, params: Params, *, shuffle_seed: int | None = None) -> OpenLoop | None:
     """Compare the plant with a recorded flight.
 
-    Args:
-        flight: usable pieces of it.
-        params: of the vehicle.
-        shuffle_seed: draws the order in which the motor commands are flown; the control experiment.
-
-    Returns:
-        None if no piece is long enough.
+    ``flight``: usable pieces of it; ``shuffle_seed``: draws the order in which the motor commands are flown;
+    the control experiment.
+    Returns None if no piece is long enough.
     """
     ends = np.array([round(seconds / SAMPLE_S) for seconds in HORIZONS_S])
     usable = [p for p in pieces(flight) if len(p.duty) > BACK + 1 + ends[-1]]

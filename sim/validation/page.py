@@ -42,11 +42,8 @@ _SENSING = (
 def render(told: Told) -> str:
     """Return the page as text.
 
-    Args:
-        told: what ``summary`` returns.
-
-    Raises:
-        ReportError: the plotting or the template library is not installed.
+    ``told``: what ``summary`` returns.
+    Raises ReportError: the plotting or the template library is not installed.
     """
     need_libraries()
     title = f"{told['vehicle']} beside recorded flights"

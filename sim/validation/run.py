@@ -29,42 +29,28 @@ VEHICLE = "crazyflie21_room"  # the vehicle of the recorded flights that the pro
 
 @dataclass(frozen=True)
 class Plan:
-    """What to compare with what.
+    """What to compare with what."""
 
-    Attributes:
-        folder: of recorded flights.
-        columns: table of columns; None: that of `crazyflie_vicon.toml`.
-        vehicle: name or file of the simulated vehicle.
-        shuffle_pwm: whether the open loop gets the motor commands in random order; then it must fail.
-        seed: of everything random.
-    """
-
-    folder: Path
-    columns: Path | None = None
-    vehicle: str = VEHICLE
+    folder: Path  # of recorded flights
+    columns: Path | None = None  # table of columns; None: that of `crazyflie_vicon.toml`
+    vehicle: str = VEHICLE  # name or file of the simulated vehicle
+    # whether the open loop gets the motor commands in random order; then it must fail
     shuffle_pwm: bool = False
-    seed: int = 0
+    seed: int = 0  # of everything random
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One flight beside the simulator.
+    """One flight beside the simulator."""
 
-    Attributes:
-        name: of the file, without suffix.
-        used_s: time that was compared; 0 if the flight is left out.
-        left_out: parts that were not used, or all of it, with the reasons.
-        open_loop, closed_loop, sensing: None where the flight is left out, or has not the columns.
-        shuffled: open loop with the motor commands in random order.
-    """
-
-    name: str
-    used_s: float
-    left_out: tuple[Reason, ...]
+    name: str  # of the file, without suffix
+    used_s: float  # time that was compared; 0 if the flight is left out
+    left_out: tuple[Reason, ...]  # parts that were not used, or all of it, with the reasons
+    # open_loop, closed_loop, sensing: None where the flight is left out, or has not the columns
     open_loop: OpenLoop | None = None
     closed_loop: ClosedLoop | None = None
     sensing: Sensing | None = None
-    shuffled: OpenLoop | None = None
+    shuffled: OpenLoop | None = None  # open loop with the motor commands in random order
 
     @property
     def used(self) -> bool:
@@ -97,19 +83,11 @@ def run(
 ) -> list[Compared]:
     """Compare flights.
 
-    Args:
-        plan: what to compare with what.
-        paths: of the recordings.
-        workers: number of processes.
-        on_flight: called with each flight as it is done, in any order.
-
-    Returns:
-        The flights by name.
-
-    Raises:
-        RecordingError: the table of columns is wrong.
-        ConfigError: the vehicle's file is wrong.
-        BrokenProcessPool: a process was killed.
+    ``plan``: what to compare with what; ``paths``: of the recordings; ``workers``: number of processes;
+    ``on_flight``: called with each flight as it is done, in any order.
+    Returns the flights by name.
+    Raises RecordingError: the table of columns is wrong; ConfigError: the vehicle's file is wrong;
+    BrokenProcessPool: a process was killed.
     """
     columns, params = read_columns(plan.columns or COLUMNS), load_vehicle(plan.vehicle)
     done: list[Compared] = []

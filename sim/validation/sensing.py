@@ -34,55 +34,34 @@ class Trace:
     """A piece of estimate and truth at the same instants, n samples ``step_s`` apart.
 
     It lasts longer than ``DELAY_S`` spans.
-
-    Attributes:
-        step_s: between two samples.
-        truth: (n, 3) position in m or velocity in m/s.
-        estimate: (n, 3) the same of the estimator.
-        speed_m_s: (n,) true horizontal speed.
     """
 
-    step_s: float
-    truth: Floats
-    estimate: Floats
-    speed_m_s: Floats
+    step_s: float  # between two samples
+    truth: Floats  # (n, 3) position in m or velocity in m/s
+    estimate: Floats  # (n, 3) the same of the estimator
+    speed_m_s: Floats  # (n,) true horizontal speed
 
 
 @dataclass(frozen=True, slots=True)
 class Error:
-    """What is wrong with an estimate; m for positions, m/s for velocities.
+    """What is wrong with an estimate; m for positions, m/s for velocities."""
 
-    Attributes:
-        delay_s: of the estimate behind the truth, that fits best.
-        offset: (3,) error at low speed.
-        rms: (3,) error on each axis without delay and offset.
-        along: rms of the error along the horizontal velocity.
-        across: rms of the horizontal error across it.
-        median, p95: of the norm of the error as it stands, delay and offset included.
-        by_speed: rms of the horizontal error, without delay and offset, in each band of
-            ``SPEED_EDGES_M_S``; NaN where nobody flew.
-        correlation_s: time after which the horizontal error is forgotten.
-        spectrum: share of the horizontal error's power in each band of ``BANDS_HZ``.
-    """
-
-    delay_s: float
-    offset: tuple[float, float, float]
-    rms: tuple[float, float, float]
-    along: float
-    across: float
-    median: float
+    delay_s: float  # of the estimate behind the truth, that fits best
+    offset: tuple[float, float, float]  # (3,) error at low speed
+    rms: tuple[float, float, float]  # (3,) error on each axis without delay and offset
+    along: float  # rms of the error along the horizontal velocity
+    across: float  # rms of the horizontal error across it
+    median: float  # median, p95: of the norm of the error as it stands, delay and offset included
     p95: float
+    # rms of the horizontal error, without delay and offset, in each band of ``SPEED_EDGES_M_S``; NaN where
+    # nobody flew
     by_speed: tuple[float, ...]
-    correlation_s: float
-    spectrum: tuple[float, ...]
+    correlation_s: float  # time after which the horizontal error is forgotten
+    spectrum: tuple[float, ...]  # share of the horizontal error's power in each band of ``BANDS_HZ``
 
 
 def analyse(traces: list[Trace]) -> Error:
-    """Find the error of an estimate in pieces of one flight.
-
-    Raises:
-        ValueError: no trace.
-    """
+    """Find the error of an estimate in pieces of one flight. Raises ValueError: no trace."""
     if not traces:
         raise ValueError("found no pieces of flight, one at least is needed")
     found = minimize_scalar(
@@ -219,10 +198,7 @@ def compare(flight: Screened, seed: int, error: StateError | None = None) -> Sen
     The model knows nothing of the flight but its true path: delay and size of the errors are drawn anew for
     each of ``DRAWS`` estimates. So single flights differ from it; over many the two agree if the model does.
 
-    Args:
-        flight: screened.
-        seed: of the draws.
-        error: parameters, or a tape; None: the defaults.
+    ``flight``: screened; ``seed``: of the draws; ``error``: parameters, or a tape; None: the defaults.
     """
     r = flight.recording
     estimates = (r.estimate_position_m, r.estimate_velocity_m_s)

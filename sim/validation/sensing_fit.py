@@ -30,8 +30,7 @@ def fit(flights: Sequence[Screened]) -> StateError:
     makes the mean square of all flights right, which a few bad flights dominate. The attitude's variation is
     not fitted: most of what is recorded comes from the log and from motion capture.
 
-    Raises:
-        ValueError: fewer than ``FLIGHTS_MIN`` flights with an estimate that can be used.
+    Raises ValueError: fewer than ``FLIGHTS_MIN`` flights with an estimate that can be used.
     """
     tapes = [tape for flight in flights if (tape := tape_of(flight)) is not None]
     if len(tapes) < FLIGHTS_MIN:

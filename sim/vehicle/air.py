@@ -33,18 +33,11 @@ def _feel(vehicle: Cell[VehicleRecord], jets: F64, own: int) -> None:
 
 
 class Air:
-    """The air of a team.
-
-    Attributes:
-        jets: (N, JET) of the vehicles, at the last call of ``blow``.
-
-    Args:
-        team: its vehicles.
-    """
+    """The air of a team. ``team``: its vehicles."""
 
     def __init__(self, team: Sequence[Physics]) -> None:
         self._team = tuple(team)
-        self.jets = np.zeros((len(self._team), JET))
+        self.jets = np.zeros((len(self._team), JET))  # (N, JET) of the vehicles, at the last call of ``blow``
 
     def blow(self) -> None:
         """Let each vehicle feel the jets of the others as they are now, until the next call."""

@@ -22,17 +22,11 @@ from sim.plant.params import STEP_S, Params
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Upright cylinder around a vehicle: what collides.
+    """Upright cylinder around a vehicle: what collides."""
 
-    Attributes:
-        radius_m: from the axis to the tips of the rotors.
-        bottom_m: lowest point above the centre of mass, negative.
-        top_m: highest point above the centre of mass.
-    """
-
-    radius_m: float
-    bottom_m: float
-    top_m: float
+    radius_m: float  # from the axis to the tips of the rotors
+    bottom_m: float  # lowest point above the centre of mass, negative
+    top_m: float  # highest point above the centre of mass
 
     @classmethod
     def of(cls, params: Params) -> Shape:
@@ -50,12 +44,8 @@ class Shape:
 def ellipsoid_distance(x: float, y: float, z: float, beside_m: float, above_m: float) -> float:
     """Distance of a place from the centre of an ellipsoid; 1 on its surface.
 
-    Args:
-        x: the place, east, m.
-        y: north, m.
-        z: up, m.
-        beside_m: semi-axis sideways.
-        above_m: semi-axis up and down.
+    ``x``: the place, east, m; ``y``: north, m; ``z``: up, m; ``beside_m``: semi-axis sideways; ``above_m``:
+    semi-axis up and down.
     """
     return math.sqrt((x * x + y * y) / (beside_m * beside_m) + z * z / (above_m * above_m))
 
@@ -102,35 +92,24 @@ def _follow(
 
 
 class Team:
-    """Follows all pairs of a team: (0, 1), (0, 2) and so on, P of them.
-
-    Attributes:
-        least: (P, 3) smallest distance of the centres of mass so far, m; the same while both flew; and while
-            both flew that in the ellipsoid's measure. Infinite before.
-        inside: (P,) whether they came inside the ellipsoid in the last call of ``follow`` while both flew.
-        overlap_ms: (P,) milliseconds after the first tick at which the shapes overlap first; -1: never.
-
-    Args:
-        shapes: of its N members.
-    """
+    """Follows all pairs of a team: (0, 1), (0, 2) and so on, P of them. ``shapes``: of its N members."""
 
     def __init__(self, shapes: Sequence[Shape]) -> None:
         number = len(shapes) * (len(shapes) - 1) // 2
         self._shapes = np.array([(each.radius_m, each.bottom_m, each.top_m) for each in shapes])
+        # (P, 3) smallest distance of the centres of mass so far, m; the same while both flew; and while both
+        # flew that in the ellipsoid's measure. Infinite before.
         self.least = np.full((number, 3), np.inf)
+        # inside: (P,) whether they came inside the ellipsoid in the last call of ``follow`` while both flew;
+        # overlap_ms: (P,) milliseconds after the first tick at which the shapes overlap first; -1: never
         self.inside, self.overlap_ms = np.zeros(number, dtype=np.int64), np.full(number, -1, dtype=np.int64)
 
     def follow(self, before: F64, after: F64, flew: I64, steps: int) -> bool:
         """Follow all pairs from one tick to the next; the first tick itself belongs to the tick before.
 
-        Args:
-            before: (N, 6) positions (m) and velocities (m/s), ENU.
-            after: (N, 6) the same at the next tick.
-            flew: (N,) whether each flew at both.
-            steps: milliseconds between them.
-
-        Returns:
-            Whether any pair was inside or overlapped.
+        ``before``: (N, 6) positions (m) and velocities (m/s), ENU; ``after``: (N, 6) the same at the next
+        tick; ``flew``: (N,) whether each flew at both; ``steps``: milliseconds between them.
+        Returns whether any pair was inside or overlapped.
         """
         found = (self.least, self.inside, self.overlap_ms)
         return bool(_follow(before, after, flew, steps, self._shapes, *found))
@@ -139,9 +118,7 @@ class Team:
 def overlapping(shapes: Sequence[Shape], places: F64) -> list[tuple[int, int]]:
     """Pairs of members, the lower one first, whose shapes overlap where nothing moves.
 
-    Args:
-        shapes: of the N members.
-        places: (N, 3) positions, ENU, m.
+    ``shapes``: of the N members; ``places``: (N, 3) positions, ENU, m.
     """
     team, still = Team(shapes), np.hstack((places, np.zeros_like(places)))
     team.follow(still, still, np.zeros(len(shapes), dtype=np.int64), 1)

@@ -62,12 +62,8 @@ def note_contact(
 ) -> None:
     """Keep contact times; latch the state before the first judged touch of the pad.
 
-    Args:
-        c: changed in place.
-        world: the deck, and the contacts of the step.
-        now_ms: begin of the step.
-        before_e: vehicle minus pad centre then, m.
-        before_velocity: of the vehicle then, m/s.
+    ``world``: the deck, and the contacts of the step; ``now_ms``: begin of the step; ``before_e``: vehicle
+    minus pad centre then, m; ``before_velocity``: of the vehicle then, m/s.
     """
     deck, bits = world.deck, world.contacts
     c.bits |= bits

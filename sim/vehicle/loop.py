@@ -137,10 +137,8 @@ def move(v: VehicleRecord, now_ms: int) -> None:
 def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
     """Run steps of 1 ms.
 
-    Args:
-        vehicle: changed in place; what is drawn ahead must suffice (``VehicleSim.advance`` sees to it).
-        begin_ms: time of the first step.
-        end_ms: not beyond the next event of a fault.
+    ``vehicle``: changed in place; what is drawn ahead must suffice (``VehicleSim.advance`` sees to it);
+    ``begin_ms``: time of the first step; ``end_ms``: not beyond the next event of a fault.
     """
     v = vehicle[0]
     for now_ms in range(begin_ms, end_ms):

@@ -100,12 +100,8 @@ def _measure_pose(mocap: Cell[MocapRecord], body: Cell[BodyRecord], now_ms: int)
 class MocapTape:
     """Fills the rows, and returns samples by ``take`` while a fault diverts them.
 
-    Args:
-        link: rate, noise, delay, loss, drop-outs.
-        seed: of the run.
-        record: where the rows are.
-        body: the vehicle.
-        error: as in recorded flights, instead of noise and delay of the link.
+    ``link``: rate, noise, delay, loss, drop-outs; ``record``: where the rows are; ``body``: the vehicle;
+    ``error``: as in recorded flights, instead of noise and delay of the link.
     """
 
     def __init__(

@@ -30,40 +30,29 @@ _NAN3: Vec3 = (math.nan, math.nan, math.nan)
 class Physics:
     """One vehicle's body and surroundings; times are simulated ones, ms.
 
-    Attributes:
-        params: of the vehicle's file.
-        plant: factors by which this vehicle differs from the nominal one.
-        weight_n: its own.
-        hover_rpm: rotor speed that holds it in still air.
-        record, vehicle: memory that the steps of 1 ms work on, in one piece, and its view for them.
-        world, rotors, battery, wind: its parts, which are views of that memory.
-        barrier: of the judge.
-        judging: whether touches count, one element.
-        pad_ms, ground_ms, since_ms: last contact with pad and floor, and since when it stands; one element.
-
-    Args:
-        scenario: plant, wind, target, judge.
-        seed: of the run.
-        params: of the vehicle, instead of its file's.
-        plant: what is its own, instead of what the seed draws.
+    ``scenario``: plant, wind, target, judge; ``params``: of the vehicle, instead of its file's; ``plant``:
+    what is its own, instead of what the seed draws.
     """
 
     def __init__(
         self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None
     ) -> None:
-        self.params = params = params or load(scenario.vehicle.airframe)
+        self.params = params = params or load(scenario.vehicle.airframe)  # of the vehicle's file
         if plant is None:
             plant, reserve = Plant.draw(scenario.vehicle, seed), scenario.vehicle.hover_reserve
             plant = able_to_hover(plant, params, reserve) if reserve > 0.0 else plant
-        self.plant = plant
+        self.plant = plant  # factors by which this vehicle differs from the nominal one
         mass_kg = params.body.mass_kg * plant.mass
         self.weight_n = mass_kg * params.contact.gravity_m_s2
+        # record, vehicle: memory that the steps of 1 ms work on, in one piece, and its view for them
         self.record = r = new(VehicleRecord)
         self.vehicle = cell(r)
+        # world, rotors, battery, wind: its parts, which are views of that memory
         self.world = World(params, mass_kg, scenario.target, r.world)
         self.rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
         pad_radius = scenario.target.pad_radius_m
         set_up_ground(r.ground, params.rotor, scenario.vehicle.ground_effect_gain, pad_radius)
+        # rotor speed that holds it in still air
         self.hover_rpm = params.rotor.rpm(self.weight_n / 4.0 / plant.thrust)
         self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery, plant.battery_charge)
         self.wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
@@ -74,12 +63,14 @@ class Physics:
         set_up_drag(r.drag, params.body, self.weight_n)
         set_up_downwash(r.downwash, params.body, params.rotor, params.geometry)
         judge = scenario.judge
-        self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)
+        self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)  # of the judge
         cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
         self._h_min, self._h_min_outside, self._tumbled = scalars(
             r.judge, "h_min", "h_min_outside", "tumbled"
         )
+        # pad_ms, ground_ms, since_ms: last contact with pad and floor, and since when it stands; one element
         self.since_ms, self.pad_ms, self.ground_ms = scalars(r.contact, "since_ms", "pad_ms", "ground_ms")
+        # whether touches count, one element
         self._touch_ms, self.judging, self._contacts = scalars(r.contact, "touch_ms", "judging", "bits")
         for times in (self.since_ms, self.pad_ms, self.ground_ms, self._touch_ms):
             times[0] = NONE_MS

@@ -43,20 +43,9 @@ _LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
 class VehicleSim:
     """One vehicle with its deck.
 
-    Attributes:
-        time_s: simulated time.
-        faults: what fails, when; its ``link`` is for whoever has the MAVLink wire.
-        trim_velocity_enu_m_s: set-point that holds a hover start against weight and mean wind; zero
-            otherwise.
-        plant: factors by which this vehicle differs from the nominal one.
-        sent_before_ms: how long ago the set-points handed over now were sent, at most the radio's delay; a
-            simulation may run ahead by that much before it has to know them.
-
-    Args:
-        scenario: plant, wind, target, start, judge.
-        seed: of the run.
-        params: of the vehicle, instead of its file's.
-        plant: what is its own, instead of what the seed draws.
+    ``time_s``: simulated time.
+    ``scenario``: plant, wind, target, start, judge; ``params``: of the vehicle, instead of its file's;
+    ``plant``: what is its own, instead of what the seed draws.
     """
 
     def __init__(
@@ -64,6 +53,7 @@ class VehicleSim:
     ) -> None:
         self._physics = physics = Physics(scenario, seed, params, plant)
         r, self._vehicle, self._world = physics.record, physics.vehicle, physics.world
+        # factors by which this vehicle differs from the nominal one
         self._params, self.plant, self._rotors = physics.params, physics.plant, physics.rotors
         self._battery, self._wind = physics.battery, physics.wind
         params = self._params
@@ -74,12 +64,16 @@ class VehicleSim:
         self._believed = self._firmware.estimator.believed
         self._mocap = MocapTape(spec.mocap, seed, r.mocap, r.world.body, spec.own)
         motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, physics.hover_rpm)
+        # what fails, when; its ``link`` is for whoever has the MAVLink wire
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
         self._ms = self._supplied_ms = 0
         self._allowed, self._state = scalars(r.firmware.supervisor, "motors_allowed", "state")
         self._pad_ms, self._ground_ms, self._since_ms = scalars(r.contact, "pad_ms", "ground_ms", "since_ms")
         self._read_commands = reader(r.firmware.commands)
+        # set-point that holds a hover start against weight and mean wind; zero otherwise
         self.trim_velocity_enu_m_s: Vec3 = ZERO
+        # how long ago the set-points handed over now were sent, at most the radio's delay; a simulation may
+        # run ahead by that much before it has to know them
         self.sent_before_ms = 0
         physics.judging[0] = scenario.start.kind is StartKind.HOVER
         if scenario.start.kind is StartKind.HOVER:
@@ -174,8 +168,7 @@ class VehicleSim:
     def _fail(self) -> int:
         """Begin and end faults, and apply those of vehicle state and motion capture.
 
-        Returns:
-            When to call it next, in ms.
+        Returns when to call it next, in ms.
         """
         faults, mocap, now_ms = self.faults, self._mocap, self._ms
         now_ns = now_ms * NS_PER_MS
@@ -196,10 +189,7 @@ class VehicleSim:
     def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
         """Fail, or heal, as MAV_CMD_INJECT_FAILURE asks; None when done, else why not.
 
-        Args:
-            unit: FAILURE_UNIT.
-            kind: FAILURE_TYPE.
-            instance: 0 all, else which one, from 1.
+        ``unit``: FAILURE_UNIT; ``kind``: FAILURE_TYPE; ``instance``: 0 all, else which one, from 1.
         """
         return self.faults.inject(unit, kind, instance, self._ms * NS_PER_MS)
 

@@ -33,14 +33,6 @@ class CommandSequencer:
 
     Once a heartbeat newer than the request has shown what was wanted, nothing more is sent for that request:
     when the mode changes afterwards somebody changed it, and the controller decides, not a retry.
-
-    Attributes:
-        failed: why the present request was given up, None while it is not.
-        reached: a heartbeat has shown what the present request wants.
-        home_amsl_m: height of home above sea level, for autopilots that count from there; None: not told yet,
-            and then it is asked for before anything is armed.
-        above_home: arrival, s, and newest height above home, m, for autopilots that count from there: home
-            moves to where it stands when it arms, unless somebody has locked it.
     """
 
     def __init__(
@@ -48,8 +40,7 @@ class CommandSequencer:
     ) -> None:
         """Set up for one vehicle. ``takeoff_height_m`` is what TAKEOFF climbs from where it stands.
 
-        Raises:
-            ValueError: the height is not a positive number.
+        Raises ValueError: the height is not a positive number.
         """
         if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
             raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
@@ -58,14 +49,18 @@ class CommandSequencer:
         self._height_m = takeoff_height_m
         self._stream_start_s: float | None = None
         self._stream_last_s = -math.inf
+        # height of home above sea level, for autopilots that count from there; None: not told yet, and then
+        # it is asked for before anything is armed
         self.home_amsl_m: float | None = None
+        # arrival, s, and newest height above home, m, for autopilots that count from there: home moves to
+        # where it stands when it arms, unless somebody has locked it
         self.above_home: tuple[float, float] | None = None
         self._entered_s = -math.inf  # when the present step came up
         self._datum_tries = 0
         self._datum_s = -math.inf
         self._offset_m = 0.0  # height from which this take-off counts, above what its command counts from
-        self.failed: str | None = None
-        self.reached = False
+        self.failed: str | None = None  # why the present request was given up, None while it is not
+        self.reached = False  # a heartbeat has shown what the present request wants
         self._request = Request.NONE
         self._since_s = -math.inf
         self._step: Step | None = None
@@ -86,9 +81,7 @@ class CommandSequencer:
     def idle(self, request: Request, status: VehicleStatus | None) -> bool:
         """Whether ``step`` sends nothing for this request as long as the status does not change.
 
-        Args:
-            request: that ``step`` would get.
-            status: of the vehicle.
+        ``request``: that ``step`` would get.
         """
         if request is not self._request or self.failed is not None:
             return False

@@ -41,11 +41,9 @@ class OriginSender:
     def step(self, status: VehicleStatus | None, known: bool, now_s: float) -> list[Message]:
         """Return what to send now.
 
-        Args:
-            status: newest status of the vehicle.
-            known: it has shown its origin, or a local position, which it has only with one. Nothing is sent
-                then: an origin that is set again resets estimates.
-            now_s: the stack's clock.
+        ``status``: newest status of the vehicle; ``known``: it has shown its origin, or a local position,
+        which it has only with one. Nothing is sent then: an origin that is set again resets estimates;
+        ``now_s``: the stack's clock.
         """
         origin = self._origin
         if origin is None or status is None or status.armed or known or self._tries >= _TRIES:

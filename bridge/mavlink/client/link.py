@@ -33,17 +33,7 @@ _RESTARTED = "restarted, or heard again after a silence: what does not come is a
 
 
 class VehicleLink:
-    """One vehicle over one endpoint. Call ``poll``, then ``command`` and ``send_setpoint``, then ``flush``.
-
-    Attributes:
-        endpoint: the socket, whose ``tap`` sees every frame.
-        state: decoder with its counters of refused telemetry.
-        defer_timesync: lockstep: TIMESYNC requests are not answered here but handed to ``take_timesync``, and
-            what arrived is stamped with the simulated time of the request that follows it.
-        counters, senders: what was not let through; which address is the vehicle's.
-        refused: why this vehicle is not flown at all, None while nothing speaks against it.
-        heard: the vehicle has been heard.
-    """
+    """One vehicle over one endpoint: ``poll``, ``command``, ``send_setpoint``, ``flush`` in this order."""
 
     def __init__(
         self,
@@ -64,43 +54,42 @@ class VehicleLink:
     ) -> None:
         """Open the link.
 
-        Args:
-            url: MAVLink URL, as ``bridge.mavlink.transport.address.parse_url`` reads it.
-            takeoff_height_m: height of ``Request.TAKEOFF`` above where it stands, m.
-            rate_hz: rate of the loop, asked of the vehicle for position and attitude.
-            profile: what the autopilot wants; None: the one that fits its first heartbeat.
-            system_id: the one vehicle that is listened to.
-            component_id: its autopilot.
-            defer_timesync: lockstep, see above.
-            signing_key: sign everything, and hear nothing unsigned.
-            allow_unsigned: listen to a network without a key.
-            origin: where its local coordinates begin, told to a vehicle that needs it and does not know.
-            endpoint: takes the place of one opened here, and of the URL and key.
-            line: lower rates of position, attitude and set-points, for a slow serial line.
-            power: ask for the throttle, and keep what is told of battery and motors.
-
-        Raises:
-            ValueError: bad URL or id, a rate or height that is not positive, or a network without a key.
-            OSError: the address cannot be opened.
+        ``url``: MAVLink URL, as ``bridge.mavlink.transport.address.parse_url`` reads it;
+        ``takeoff_height_m``: height of ``Request.TAKEOFF`` above where it stands, m; ``rate_hz``: rate of the
+        loop, asked of the vehicle for position and attitude; ``profile``: what the autopilot wants; None: the
+        one that fits its first heartbeat; ``system_id``: the one vehicle that is listened to;
+        ``component_id``: its autopilot; ``defer_timesync``: lockstep, see above; ``signing_key``: sign
+        everything, and hear nothing unsigned; ``allow_unsigned``: listen to a network without a key;
+        ``origin``: where its local coordinates begin, told to a vehicle that needs it and does not know;
+        ``endpoint``: takes the place of one opened here, and of the URL and key; ``line``: lower rates of
+        position, attitude and set-points, for a slow serial line; ``power``: ask for the throttle, and keep
+        what is told of battery and motors.
+        Raises ValueError: bad URL or id, a rate or height that is not positive, or a network without a key;
+        OSError: the address cannot be opened.
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
         if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
             raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
-        self.state = VehicleState(profile)
+        self.state = VehicleState(profile)  # decoder with its counters of refused telemetry
+        # counters, senders: what was not let through; which address is the vehicle's
         self.counters, self.senders = LinkCounters(), Senders()
+        # lockstep: TIMESYNC requests are not answered here but handed to ``take_timesync``, and what arrived
+        # is stamped with the simulated time of the request that follows it
         self.defer_timesync = defer_timesync
         self._power = power
         if power:
             self.state.watch_power()
+        # why this vehicle is not flown at all, None while nothing speaks against it
         self.refused: str | None = None
-        self.heard = False
+        self.heard = False  # the vehicle has been heard
         self._target = (system_id, component_id)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
         self._line, self._setpoints = line, 0
         self._wants = self._wanted(profile) if profile is not None else None
         self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
         self._assembler = TextAssembler()
+        # the socket, whose ``tap`` sees every frame
         self.endpoint = endpoint or Endpoint(  # the companion shares the vehicle's system id
             url, system_id, COMPONENT_ID, signing_key=signing_key, allow_unsigned=allow_unsigned
         )
@@ -148,8 +137,7 @@ class VehicleLink:
     def adopt(self, profile: Profile) -> None:
         """Fly by this profile from now on: the check before the flight knows it better than a heartbeat.
 
-        Raises:
-            RuntimeError: a profile was given, or a heartbeat has been taken; it stays.
+        Raises RuntimeError: a profile was given, or a heartbeat has been taken; it stays.
         """
         if self.state.profile is not None:
             raise RuntimeError(f"the link flies by {self.state.profile.name} already, not by {profile.name}")
@@ -211,9 +199,8 @@ class VehicleLink:
     def send_setpoint(self, setpoint: Setpoint, now_s: float) -> bool:
         """Queue a velocity set-point; the only way to send a velocity.
 
-        Returns:
-            False when it was refused: a number is not finite, or the autopilot would take it as the end of
-            its own take-off.
+        Returns false when it was refused: a number is not finite, or the autopilot would take it as the end
+        of its own take-off.
         """
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
         profile = self.state.profile

@@ -35,18 +35,13 @@ _ERRORS = {number: entry.name.removeprefix("MAV_PARAM_ERROR_") for number, entry
 
 
 class ParameterReader:
-    """Names in, requests out, values in.
-
-    Attributes:
-        values: what has come.
-        missing: what will not come, and why.
-    """
+    """Names in, requests out, values in."""
 
     def __init__(
         self, names: Iterable[str], target_system: int, target_component: int, encoding: Encoding
     ) -> None:
-        self.values: dict[str, float] = {}
-        self.missing: dict[str, str] = {}
+        self.values: dict[str, float] = {}  # what has come
+        self.missing: dict[str, str] = {}  # what will not come, and why
         self._open = list(dict.fromkeys(names))
         self._target = (target_system, target_component)
         self._encoding = encoding

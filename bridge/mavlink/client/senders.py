@@ -46,16 +46,11 @@ class _Other:
 
 @dataclass(slots=True)
 class Senders:
-    """Admits the frames of one vehicle. All times are of one clock, the caller's.
+    """Admits the frames of one vehicle. All times are of one clock, the caller's."""
 
-    Attributes:
-        known: address of the vehicle; None before its first frame.
-        ignored: frames with its ids that were not admitted.
-        doubled: why no flight may begin: a second address with the same ids is alive. None: there is none.
-    """
-
-    known: Peer | None = None
-    ignored: int = 0
+    known: Peer | None = None  # address of the vehicle; None before its first frame
+    ignored: int = 0  # frames with its ids that were not admitted
+    # why no flight may begin: a second address with the same ids is alive. None: there is none.
     doubled: str | None = None
     _now_s: float = -math.inf  # of the newest frame
     _kind: Kind | None = None
@@ -91,11 +86,8 @@ class Senders:
         Another address takes over only by a heartbeat, once the known one is silent; in flight only one of
         the same kind. So a radio that restarts behind another port is followed, and a second vehicle is not.
 
-        Args:
-            message: the frame.
-            peer: its address.
-            now_s: when it counts as arrived.
-            armed: the vehicle is armed.
+        ``message``: the frame; ``peer``: its address; ``now_s``: when it counts as arrived; ``armed``: the
+        vehicle is armed.
         """
         self._now_s = now_s
         beats = message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT

@@ -59,11 +59,9 @@ def why_silent(
 ) -> str:
     """Return a sentence: no heartbeat of the vehicle arrives, and the likely reason.
 
-    Args:
-        system_id: of the vehicle; its autopilot is component 1.
-        grown: what the endpoint has counted since the last look, by name of the counter.
-        senders: (system, component) of the frames that came from others, with their number.
-        heard_s: seconds since its last heartbeat; None: there was none.
+    ``system_id``: of the vehicle; its autopilot is component 1; ``grown``: what the endpoint has counted
+    since the last look, by name of the counter; ``senders``: (system, component) of the frames that came from
+    others, with their number; ``heard_s``: seconds since its last heartbeat; None: there was none.
     """
     since = "" if heard_s is None else f" for {heard_s:.0f} s"
     text = f"no heartbeat of system {system_id}, component 1{since}: "

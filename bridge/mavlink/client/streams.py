@@ -36,9 +36,6 @@ class StreamRequests:
 
     Where a profile names a data stream for a message, REQUEST_DATA_STREAM is tried after those, and both in
     turn from then on.
-
-    Attributes:
-        quiet_until_s: before that ``step`` returns nothing.
     """
 
     def __init__(
@@ -54,6 +51,7 @@ class StreamRequests:
         self._target = (target_system, target_component)
         self._unset = unset
         self._data_streams = data_streams
+        # before that ``step`` returns nothing
         self.quiet_until_s = -math.inf  # before that no stream can be due
 
     def seen(self, message_id: int, count: int = 1) -> None:

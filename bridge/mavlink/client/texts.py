@@ -84,11 +84,7 @@ class _Table(NamedTuple):
 
 
 def event_text(message: Message) -> tuple[int, str] | None:
-    """Text of an EVENT.
-
-    Returns:
-        MAV_SEVERITY and text; None for one that is not for people.
-    """
+    """MAV_SEVERITY and text of an EVENT; None for one that is not addressed to people."""
     severity: int = message.log_levels & 0x0F  # the lower half is for others, the upper for PX4's own log
     if severity > _SHOWN_MAX:
         return None

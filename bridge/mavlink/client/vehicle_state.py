@@ -51,38 +51,31 @@ class StateCounters:
 
 
 class VehicleState:
-    """Keeps the newest of what the vehicle says. Who said it has been checked before.
-
-    Attributes:
-        own: newest own state, None until a position and an attitude have come.
-        status: newest status, None until a heartbeat has come; ``arrival_s`` is the heartbeat's.
-        home_amsl_m: altitude of home above sea level, None until HOME_POSITION has come.
-        above_home: arrival, s, and newest height above home, m; None until GLOBAL_POSITION_INT has come.
-        battery: newest battery state, None until SYS_STATUS has come.
-        power: newest of battery and motors, None until one has come; kept only after ``watch_power``.
-        autopilot: MAV_AUTOPILOT of the newest heartbeat, None before.
-        type: MAV_TYPE of the newest heartbeat, None before.
-        profile: what the modes are read by; None while it is not known, and then there is no status.
-        origin_known: the vehicle has said where its local coordinates begin, since it restarted last.
-        restarted_s: when it seemed to have restarted, on the stack's clock: its boot clock stepped, or its
-            heartbeat came back after a silence. -inf before that.
-    """
+    """Keeps the newest of what the vehicle says. Who said it has been checked before."""
 
     def __init__(self, profile: Profile | None) -> None:
+        # what the modes are read by; None while it is not known, and then there is no status
         self.profile = profile
         self.counters = StateCounters()
-        self.own: OwnState | None = None
+        self.own: OwnState | None = None  # newest own state, None until a position and an attitude have come
+        # newest status, None until a heartbeat has come; ``arrival_s`` is the heartbeat's
         self.status: VehicleStatus | None = None
+        # altitude of home above sea level, None until HOME_POSITION has come
         self.home_amsl_m: float | None = None
+        # arrival, s, and newest height above home, m; None until GLOBAL_POSITION_INT has come
         self.above_home: tuple[float, float] | None = None
-        self.autopilot: int | None = None
-        self.type: int | None = None
+        self.autopilot: int | None = None  # MAV_AUTOPILOT of the newest heartbeat, None before
+        self.type: int | None = None  # MAV_TYPE of the newest heartbeat, None before
+        # the vehicle has said where its local coordinates begin, since it restarted last
         self.origin_known = False
+        # when it seemed to have restarted, on the stack's clock: its boot clock stepped, or its heartbeat
+        # came back after a silence. -inf before that.
         self.restarted_s = -math.inf
         self._beat_s = math.inf  # arrival of the newest heartbeat, whatever it says
         self._following = profile is None or profile.stream_in_takeoff
         self._custom_mode = 0
-        self.battery: Battery | None = None
+        self.battery: Battery | None = None  # newest battery state, None until SYS_STATUS has come
+        # newest of battery and motors, None until one has come; kept only after ``watch_power``
         self.power: Power | None = None
         self._throttle, self._throttle_s, self._cos_tilt = math.nan, -math.inf, math.nan
         self._watches_power = False

@@ -47,13 +47,9 @@ def wanted(
 ) -> Wants:
     """Return the senders of commands, of message rates and of the origin for one autopilot.
 
-    Args:
-        profile: of the autopilot.
-        target: its system and component id.
-        takeoff_height_m: height of a take-off above where it stands.
-        state_hz: rate of position and attitude.
-        power: whether the throttle is asked for.
-        origin: where its local coordinates begin, for who needs to be told.
+    ``profile``: of the autopilot; ``target``: its system and component id; ``takeoff_height_m``: height of a
+    take-off above where it stands; ``state_hz``: rate of position and attitude; ``power``: whether the
+    throttle is asked for; ``origin``: where its local coordinates begin, for who needs to be told.
     """
     rates_hz = {
         dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,

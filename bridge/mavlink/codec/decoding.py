@@ -47,9 +47,8 @@ def parameter_name(field: str | bytes) -> str:
 def decode(frame: bytes) -> Message:
     """Decode one frame from ``split_frames``.
 
-    Raises:
-        KeyError: the message is not known.
-        Exception: whatever a message class raises for its field values.
+    Raises KeyError: the message is not known; Exception: whatever a message class raises for its field
+    values.
     """
     length, incompat, compat, sequence, system, component, id_low, id_high = _HEADER.unpack_from(frame)
     id_ = id_low | id_high << 16

@@ -62,14 +62,10 @@ def split_frames(
 ) -> Iterator[bytes]:
     """Yield every MAVLink 2 frame of a known message with a correct checksum, in order.
 
-    Args:
-        datagram: the bytes of one datagram, anything at all.
-        counters: counts what was skipped, if given.
-        unknown: called with each frame of an unknown message: its header is plausible, behind it the datagram
-            ends or more frames come up to a checked one or the end, and no checked frame is inside it.
-
-    Yields:
-        Frames from marker to checksum, or to the end of the signature of a signed frame.
+    ``datagram``: the bytes of one datagram, anything at all; ``counters``: counts what was skipped, if given;
+    ``unknown``: called with each frame of an unknown message: its header is plausible, behind it the datagram
+    ends or more frames come up to a checked one or the end, and no checked frame is inside it.
+    Returns frames from marker to checksum, or to the end of the signature of a signed frame.
     """
     yield from _scan(datagram, counters if counters is not None else FrameCounters(), unknown, None)
 
@@ -184,8 +180,7 @@ def _unknown_end(data: bytes, pos: int, size: int, *, whole: bool = True) -> int
 
     ``whole``: no more bytes come, as in a datagram; else the frame behind it may still be on its way.
 
-    Returns:
-        The end; INVALID when nothing shows that this is a frame; CUT_SHORT when that is not clear yet.
+    Returns the end; INVALID when nothing shows that this is a frame; CUT_SHORT when that is not clear yet.
     """
     first = at = _claimed_end(data, pos, size)
     for _ in range(_UNKNOWN_RUN_MAX):

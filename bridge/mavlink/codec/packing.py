@@ -25,9 +25,7 @@ Payload = Callable[[Message], bytes]
 def pack(message: Message, sequence: int, system_id: int, component_id: int) -> bytes:
     """Serialise a message; it keeps the frame, for ``get_msgbuf``, but its header stays as it is.
 
-    Raises:
-        struct.error: a field does not fit its type on the wire.
-        IndexError: an array is too short.
+    Raises struct.error: a field does not fit its type on the wire; IndexError: an array is too short.
     """
     id_bytes, extra, payload_of = _PACKERS[message._header.msgId]
     payload = payload_of(message)

@@ -55,8 +55,7 @@ class Definition(NamedTuple):
     def parse(cls, line: str) -> Definition:
         """Read ``id;name;crc_extra;type name;...``: ``type[n]`` is an array, ``+type`` an extension.
 
-        Raises:
-            ValueError: the line has another form, or a type is not known.
+        Raises ValueError: the line has another form, or a type is not known.
         """
         id_, name, crc_extra, *fields = line.split(";")
         return cls(int(id_), name, int(crc_extra), tuple(_field(text) for text in fields))
@@ -86,11 +85,7 @@ class Definition(NamedTuple):
 
 
 def definitions() -> Iterator[Definition]:
-    """Read the table.
-
-    Yields:
-        One definition for each message, by rising id.
-    """
+    """Read the table. Returns one definition for each message, by rising id."""
     text = files("bridge.mavlink.codec").joinpath("wide_messages.csv").read_text(encoding="ascii")
     for line in text.splitlines():
         if line and not line.startswith("#"):

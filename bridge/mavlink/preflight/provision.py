@@ -27,19 +27,10 @@ _SLICE_S = 0.02  # s between two looks
 def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
     """Give the vehicle a key, or take it away; the key is sent in clear, so only over a cable or loopback.
 
-    Args:
-        url: MAVLink URL of the vehicle.
-        system_id: of the vehicle.
-        key: to give, or the present one.
-        remove: take it away.
-        wait_s: for its first heartbeat.
-
-    Returns:
-        Why it was not done, None when the vehicle has shown that it was.
-
-    Raises:
-        ValueError: bad URL, or one that leads over a network.
-        OSError: the address cannot be opened.
+    ``url``: MAVLink URL of the vehicle; ``key``: to give, or the present one; ``remove``: take it away;
+    ``wait_s``: for its first heartbeat.
+    Returns why it was not done, None when the vehicle has shown that it was.
+    Raises ValueError: bad URL, or one that leads over a network; OSError: the address cannot be opened.
     """
     kind, host, port = parse_url(url)
     if kind != "serial" and not is_local(resolve(f"MAVLink URL {url!r}", host, port)):

@@ -65,12 +65,9 @@ def judge(
 ) -> list[Finding]:
     """Judge all parameters.
 
-    Args:
-        asked: parameters of the vehicle's release.
-        values: that came, by name.
-        missing: reasons of the others, by name.
-        needs: of the flight.
-        accepted: names, of any release, that a person has accepted whatever they are set to.
+    ``asked``: parameters of the vehicle's release; ``values``: that came, by name; ``missing``: reasons of
+    the others, by name; ``accepted``: names, of any release, that a person has accepted whatever they are set
+    to.
     """
     found = (_finding(each, values.get(each.name.name), missing, needs, accepted) for each in asked)
     return [finding for finding in found if finding is not None]
@@ -130,11 +127,8 @@ class Choice(NamedTuple):
 def choose(table: Table, release: Release | None, silence: str, *, accept: bool) -> Choice:
     """Choose the rules of a release; for one that is not known the nearest.
 
-    Args:
-        table: rules of the autopilot.
-        release: of the vehicle; None: it did not send it.
-        silence: why not.
-        accept: fly a release that is not known.
+    ``table``: rules of the autopilot; ``release``: of the vehicle; None: it did not send it; ``silence``: why
+    not; ``accept``: fly a release that is not known.
     """
     newest, oldest = table.releases[-1], table.releases[0]
     number = (release.major, release.minor) if release is not None else (0, 0)

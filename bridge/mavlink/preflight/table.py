@@ -251,11 +251,7 @@ class Table:
 
 
 def minor(release: str) -> tuple[int, int]:
-    """Return major and minor number of a release such as ``4.7``.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """Return major and minor number of a release such as ``4.7``. Raises ValueError: it is none."""
     major, dot, number = release.partition(".")
     if not (dot and major.isdecimal() and number.isdecimal()):
         raise ValueError(f"found {release!r}, a release such as '4.7' is needed")
@@ -269,8 +265,7 @@ _FILES = Files(Table, "bridge.mavlink.preflight", "rules")
 def table(profile: str) -> Table | None:
     """Return the rules of a profile; None: its vehicle has no parameters.
 
-    Raises:
-        ConfigError: the file that comes with the package is broken.
+    Raises ConfigError: the file that comes with the package is broken.
     """
     file = _FILE_OF.get(profile)
     return _FILES.load(file) if file is not None else None

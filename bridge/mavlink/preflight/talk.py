@@ -34,27 +34,17 @@ _READ_MAX_S = 30.0  # s for everything, once the vehicle is heard
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What the talk came to.
+    """What the talk came to."""
 
-    Attributes:
-        profile: what flies the vehicle, None when it was not recognised.
-        version: its release, None when it did not say.
-        findings: one for each rule; none when it did not come so far.
-        problem: why it is not flown whatever its parameters, None when nothing speaks against it.
-        notes: what a person should know of the release.
-        rules: release whose rules were taken; None where there are none.
-        line: what the flight needs of a serial line, and what was measured on it; None of other links.
-        rest_v: voltage of its battery; None while it is armed, and where it did not say.
-    """
-
-    profile: Profile | None
-    version: str | None
-    findings: tuple[Finding, ...]
-    problem: str | None
-    notes: tuple[str, ...] = ()
-    rules: str | None = None
+    profile: Profile | None  # what flies the vehicle, None when it was not recognised
+    version: str | None  # its release, None when it did not say
+    findings: tuple[Finding, ...]  # one for each rule; none when it did not come so far
+    problem: str | None  # why it is not flown whatever its parameters, None when nothing speaks against it
+    notes: tuple[str, ...] = ()  # what a person should know of the release
+    rules: str | None = None  # release whose rules were taken; None where there are none
+    # what the flight needs of a serial line, and what was measured on it; None of other links
     line: str | None = None
-    rest_v: float | None = None
+    rest_v: float | None = None  # voltage of its battery; None while it is armed, and where it did not say
 
     @property
     def blocking(self) -> tuple[Finding, ...]:
@@ -82,17 +72,11 @@ def examine(
 ) -> Report:
     """Ask the vehicle and judge its answers.
 
-    Args:
-        endpoint: to it; its messages of that time are taken.
-        system_id: of the vehicle.
-        chosen: the profile that was given; None: by the heartbeat.
-        needs: of the flight.
-        accepted: names of parameters that a person has accepted.
-        wait_s: for its first heartbeat.
-        accept_release: judge a release that is not known by the nearest rules.
-        stopped: the talk is broken off when it says so.
-        say: takes a sentence every two seconds about what it waits for, and how long yet.
-        senders: learn the vehicle's address, for the flight; None: nobody needs it.
+    ``endpoint``: to it; its messages of that time are taken; ``chosen``: the profile that was given; None: by
+    the heartbeat; ``accepted``: names of parameters that a person has accepted; ``wait_s``: for its first
+    heartbeat; ``accept_release``: judge a release that is not known by the nearest rules; ``stopped``: the
+    talk is broken off when it says so; ``say``: takes a sentence every two seconds about what it waits for,
+    and how long yet; ``senders``: learn the vehicle's address, for the flight; None: nobody needs it.
     """
     talk = _Talk(endpoint, system_id, chosen, senders or Senders(), accept_release=accept_release)
     began_s = time.monotonic()

@@ -268,8 +268,7 @@ _BY_AUTOPILOT: Mapping[int, Profile] = {p.autopilot: p for p in (PX4, ARDUPILOT)
 def profile(name: str) -> Profile | None:
     """Profile by name, None for ``auto``.
 
-    Raises:
-        ValueError: there is none of that name; the text lists those there are.
+    Raises ValueError: there is none of that name; the text lists those there are.
     """
     if name == AUTO:
         return None

@@ -19,12 +19,9 @@ _HELP = "a key file holds 32 bytes or 64 hexadecimal characters; `flightstack ke
 class SigningKey:
     """A secret key shared by all who may speak on a link.
 
-    Args:
-        secret: 32 bytes, never shown.
-        path: file it came from; the state of signing is kept beside it. None: nothing is kept.
-
-    Raises:
-        ValueError: the secret has another length, or all its bytes are the same.
+    ``secret``: 32 bytes, never shown; ``path``: file it came from; the state of signing is kept beside it.
+    None: nothing is kept.
+    Raises ValueError: the secret has another length, or all its bytes are the same.
     """
 
     secret: bytes = field(repr=False)
@@ -42,9 +39,7 @@ def load_key(path: Path) -> SigningKey:
 
     It is an ordinary file that nobody but its owner may read or write, mode 0600 or 0400.
 
-    Raises:
-        ValueError: others may read it, or it holds no key.
-        OSError: it cannot be read.
+    Raises ValueError: others may read it, or it holds no key; OSError: it cannot be read.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -71,9 +66,8 @@ def load_key(path: Path) -> SigningKey:
 def make_key(path: Path) -> None:
     """Write a new random key, as 64 hexadecimal characters, readable by its owner alone.
 
-    Raises:
-        FileExistsError: there is a file of that name; a key is never written over.
-        OSError: it cannot be written.
+    Raises FileExistsError: there is a file of that name; a key is never written over; OSError: it cannot be
+    written.
     """
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)

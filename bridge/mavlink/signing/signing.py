@@ -30,25 +30,18 @@ _READ_MAX = 65536  # bytes; 64 streams need 3000
 
 @dataclass(slots=True)
 class SigningState:
-    """Times in units of 10 us since 2015-01-01 UTC, as MAVLink 2 signing counts them.
+    """Times in units of 10 us since 2015-01-01 UTC, as MAVLink 2 signing counts them."""
 
-    Attributes:
-        clock: our clock when this was written.
-        sent: timestamp of the last frame that we signed.
-        streams: timestamp of the last frame accepted of each stream; the longest silent comes first.
-    """
-
-    clock: int = 0
-    sent: int = 0
+    clock: int = 0  # our clock when this was written
+    sent: int = 0  # timestamp of the last frame that we signed
+    # timestamp of the last frame accepted of each stream; the longest silent comes first
     streams: dict[Stream, int] = field(default_factory=dict)
 
 
 def load_state(path: Path) -> SigningState:
     """Read a state; an empty one when there is no file yet.
 
-    Raises:
-        ValueError: the file holds something else.
-        OSError: it cannot be read.
+    Raises ValueError: the file holds something else; OSError: it cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -72,8 +65,7 @@ def load_state(path: Path) -> SigningState:
 def save_state(path: Path, state: SigningState) -> None:
     """Write a state, whole or not at all; readable by its owner alone.
 
-    Raises:
-        OSError: it cannot be written.
+    Raises OSError: it cannot be written.
     """
     rows = [[*stream, timestamp] for stream, timestamp in state.streams.items()]
     text = json.dumps({"clock": state.clock, "sent": state.sent, "streams": rows})
@@ -124,12 +116,7 @@ class Refusal(Enum):
 
 
 class Signer:
-    """Signs what one endpoint sends and checks what it receives.
-
-    Attributes:
-        warning: what a person should know about the clock, or None.
-        state_errors: writes of the state that failed; tried again 10 s later.
-    """
+    """Signs what one endpoint sends and checks what it receives."""
 
     def __init__(
         self,
@@ -143,22 +130,16 @@ class Signer:
     ) -> None:
         """Take up where the last run ended.
 
-        Args:
-            key: the secret, and beside which file to remember.
-            system_id: our own.
-            component_id: our own.
-            link_id: tells endpoints with the same ids and key apart, 0 to 255.
-            unix_ns: system clock; it may jump.
-            monotonic_ns: clock that never goes back.
-
-        Raises:
-            ValueError: bad link id, or the state file holds something else.
-            OSError: the state cannot be read or written.
+        ``key``: the secret, and beside which file to remember; ``system_id``: our own; ``component_id``: our
+        own; ``link_id``: tells endpoints with the same ids and key apart, 0 to 255; ``unix_ns``: system
+        clock; it may jump; ``monotonic_ns``: clock that never goes back.
+        Raises ValueError: bad link id, or the state file holds something else; OSError: the state cannot be
+        read or written.
         """
         if not 0 <= link_id <= 255:
             raise ValueError(f"signing link id is {link_id}: allowed is 0 to 255")
-        self.warning: str | None = None
-        self.state_errors = 0
+        self.warning: str | None = None  # what a person should know about the clock, or None
+        self.state_errors = 0  # writes of the state that failed; tried again 10 s later
         self._own = bytes((system_id, component_id))
         self._link = bytes((link_id,))
         self._keyed = hashlib.sha256(key.secret)

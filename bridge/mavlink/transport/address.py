@@ -28,11 +28,8 @@ _PEER_HELP = "allowed is HOST:PORT, PORT 1 to 65535, for example 127.0.0.1:14550
 def parse_url(url: str) -> tuple[str, str, int]:
     """Split an endpoint URL.
 
-    Returns:
-        Kind ("udpin", "udpout", "tcp"), host and port; or "serial", device and bits a second.
-
-    Raises:
-        ValueError: the URL is none of the allowed forms.
+    Returns kind ("udpin", "udpout", "tcp"), host and port; or "serial", device and bits a second.
+    Raises ValueError: the URL is none of the allowed forms.
     """
     line = _SERIAL.match(url)
     if line is not None:
@@ -61,8 +58,7 @@ def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
 
     ``who`` is the subject of the error's sentence, for example "the simulated vehicle".
 
-    Raises:
-        ValueError: another kind of link, or none of the allowed forms.
+    Raises ValueError: another kind of link, or none of the allowed forms.
     """
     kind, host, port = parse_url(url)
     if kind not in ("udpin", "udpout"):
@@ -75,8 +71,7 @@ def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
 def baud_of(url: str) -> int | None:
     """Bits a second of a serial line; None for everything else, whose speed is not known.
 
-    Raises:
-        ValueError: the URL is none of the allowed forms.
+    Raises ValueError: the URL is none of the allowed forms.
     """
     kind, _, number = parse_url(url)
     return number if kind == "serial" else None
@@ -85,8 +80,7 @@ def baud_of(url: str) -> int | None:
 def parse_peer(text: str) -> Peer:
     """Address of a configured peer from ``HOST:PORT``.
 
-    Raises:
-        ValueError: another form, or the host has no IPv4 address.
+    Raises ValueError: another form, or the host has no IPv4 address.
     """
     match = _PEER.match(text)
     if "[" in text or "::" in text:
@@ -99,8 +93,7 @@ def parse_peer(text: str) -> Peer:
 def resolve(what: str, host: str, port: int, help_text: str = _URL_HELP) -> Peer:
     """IPv4 address of a host.
 
-    Raises:
-        ValueError: it has none; ``what`` and ``help_text`` go into the message.
+    Raises ValueError: it has none; ``what`` and ``help_text`` go into the message.
     """
     try:
         info = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
@@ -127,18 +120,11 @@ def check_policy(
 ) -> str | None:
     """Refuse an endpoint that anybody on the network could command.
 
-    Args:
-        url: as it was given.
-        address: where it listens, or whom it calls, who alone is heard then; device and baud of a cable.
-        always: peers that get telemetry unasked.
-        signed: there is a signing key.
-        allow_unsigned: a person has said that none is wanted.
-
-    Returns:
-        A warning, or None.
-
-    Raises:
-        ValueError: what is wrong, and what to do.
+    ``url``: as it was given; ``address``: where it listens, or whom it calls, who alone is heard then; device
+    and baud of a cable; ``always``: peers that get telemetry unasked; ``signed``: there is a signing key;
+    ``allow_unsigned``: a person has said that none is wanted.
+    Returns a warning, or None.
+    Raises ValueError: what is wrong, and what to do.
     """
     kind = parse_url(url)[0]
     listens = kind == "udpin"
@@ -180,9 +166,8 @@ class _Stranger:
 class PeerTable:
     """Bounded tables of senders; everybody else's frames are heard, too, but never answered.
 
-    Args:
-        configured: peers that get everything from the start and never expire.
-        peers_max: how many others, with a heartbeat, are served at a time.
+    ``configured``: peers that get everything from the start and never expire; ``peers_max``: how many others,
+    with a heartbeat, are served at a time.
     """
 
     def __init__(self, configured: tuple[Peer, ...], peers_max: int) -> None:

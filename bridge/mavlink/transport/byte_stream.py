@@ -76,11 +76,7 @@ class ByteStream:
         self._nothing, self._never = socket.socketpair()  # its descriptor is never readable
 
     def open_now(self) -> None:
-        """Open it for the first time.
-
-        Raises:
-            OSError: it cannot be opened.
-        """
+        """Open it for the first time. Raises OSError: it cannot be opened."""
         self._channel = self._connect()
         self._look()
 

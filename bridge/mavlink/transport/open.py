@@ -28,13 +28,9 @@ _SEND_BUFFER = 4096  # bytes, asked of the kernel for TCP: what waits there is o
 def open_transport(url: str, address: Peer, counters: LineCounters) -> Transport:
     """Open what a URL names.
 
-    Args:
-        url: as :func:`bridge.mavlink.transport.address.parse_url` reads it.
-        address: IPv4 address and port, or device and baud.
-        counters: of the endpoint.
-
-    Raises:
-        OSError: it cannot be opened; a TCP connection that is refused is tried again instead.
+    ``url``: as :func:`bridge.mavlink.transport.address.parse_url` reads it; ``address``: IPv4 address and
+    port, or device and baud; ``counters``: of the endpoint.
+    Raises OSError: it cannot be opened; a TCP connection that is refused is tried again instead.
     """
     kind = parse_url(url)[0]
     if kind == "serial":

@@ -29,17 +29,11 @@ class LineCounters(Protocol):
 
 
 class Transport(Protocol):
-    """One way to the other side. Nothing of it ever blocks but ``wait``, and that is bounded.
+    """One way to the other side. Nothing of it ever blocks but ``wait``, and that is bounded."""
 
-    Attributes:
-        local_port: UDP or TCP port of ours; 0 where there is none.
-        baud: bits a second of a serial line, None where the speed is not known.
-        is_stream: chunks are pieces of one stream, cut anywhere; else each stands alone.
-    """
-
-    local_port: int
-    baud: int | None
-    is_stream: bool
+    local_port: int  # UDP or TCP port of ours; 0 where there is none
+    baud: int | None  # bits a second of a serial line, None where the speed is not known
+    is_stream: bool  # chunks are pieces of one stream, cut anywhere; else each stands alone
 
     def receive(self) -> Chunk | None:
         """Take the next bytes; None when there are none now. Never raises."""
@@ -70,8 +64,7 @@ class DatagramTransport:
 
     One that does not listen sends to the address, and hears nobody else.
 
-    Raises:
-        OSError: the address cannot be bound, or there is no route to it.
+    Raises OSError: the address cannot be bound, or there is no route to it.
     """
 
     baud: int | None = None
