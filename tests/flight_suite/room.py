@@ -62,9 +62,9 @@ _OWN = Limits(
 )  # fmt: skip
 
 # PX4 holds velocity, not place: a change of force by 1 N on 1 kg moves it 1 / MPC_XY_VEL_I_ACC = 2.5 m in the
-# end, half of that within 3 s. A model of its velocity loop was flown 2000 times in wind of
-# 0.5 m/s with gusts of 0.2 m/s, which push PX4's own quadrotor of 1 kg by 1 N for each m/s (SIH_KDV). Of 1000
-# flights 999 drift by less than 0.8 m, are slower than 0.23 m/s at zero velocity, and move 0.36 to 0.73 of the step.
+# end, half of that within 3 s. A model of its velocity loop was flown 1000 times in wind of 0.5 m/s with
+# gusts of 0.2 m/s, which push PX4's own quadrotor of 1 kg by 1 N for each m/s (SIH_KDV): 999 flights drift by
+# less than 0.8 m, are slower than 0.23 m/s at zero velocity, and move 0.36 to 0.73 of the step.
 _PX4 = Limits(
     settle_s=5.0, still_m_s=0.3, drift_m=1.0,
     step_m_s=0.5, step_s=3.0, moved_share=(0.25, 1.0),

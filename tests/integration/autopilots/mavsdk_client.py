@@ -15,13 +15,11 @@ from typing import Any
 
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
-from mavsdk.asyncio.plugins.failure import FailureAsync
 from mavsdk.asyncio.plugins.info import InfoAsync
 from mavsdk.asyncio.plugins.offboard import OffboardAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.action import ActionError, ActionResult
-from mavsdk.plugins.failure import FailureType, FailureUnit
 from mavsdk.plugins.offboard import OffboardError, OffboardResult, VelocityNedYaw
 from mavsdk.plugins.param import ParamError, ParamResult
 from mavsdk.plugins.telemetry import FlightMode, LandedState
@@ -231,67 +229,11 @@ async def square(vehicle: Vehicle) -> None:
     assert abs(-end.down_m - HEIGHT_M) < 0.2, end
 
 
-async def owner(vehicle: Vehicle) -> None:
-    """Fly north while somebody else wants east: the test sends that, as another client."""
-    await vehicle.ready()
-    await vehicle.take_off()
-    begin = await vehicle.here()
-    await vehicle.start_offboard(VelocityNedYaw(SPEED_M_S, 0.0, 0.0, 90.0))
-    there = await vehicle.motion(lambda p, v: p.north_m - begin.north_m > 2 * LEG_M, "way north")
-    assert abs(there.position.east_m - begin.east_m) < 0.15, (begin, there)
-    await vehicle.said("has control")
-    step("north")
-    await vehicle.land()
-
-
-async def refusals(vehicle: Vehicle) -> None:
-    """Nothing arms without a position, and the reason can be read; back with it, it arms."""
-    await vehicle.ready()
-    await vehicle.param.set_param_int("SYS_FAILURE_EN", 1)
-    failure = FailureAsync(vehicle.system)  # looks at that parameter when made
-    await failure.inject(FailureUnit.SENSOR_GPS, FailureType.OFF, 0)
-    blind = vehicle.telemetry.subscribe_health()  # its is_local_position_ok stays true
-    await first(blind, lambda h: not h.is_global_position_ok and not h.is_armable, "blind")
-    assert not await vehicle.telemetry.health_all_ok()
-    await refused(vehicle.action.arm(), ActionError, ActionResult.COMMAND_DENIED)
-    await vehicle.said("Arming refused: no position estimate")
-    await refused(vehicle.action.takeoff(), ActionError, ActionResult.COMMAND_DENIED)
-    await vehicle.said("Take-off refused: no position estimate")
-    step("refused")
-    await failure.inject(FailureUnit.SENSOR_GPS, FailureType.OK, 0)
-    await vehicle.ready()
-    await vehicle.action.arm()
-    await first(vehicle.telemetry.subscribe_armed(), bool, "armed")
-    await vehicle.action.disarm()
-    await first(vehicle.telemetry.subscribe_armed(), lambda armed: not armed, "disarmed")
-
-
-async def kill(vehicle: Vehicle) -> None:
-    """Motors off in the air."""
-    await _cut(vehicle, vehicle.action.kill)
-
-
-async def terminate(vehicle: Vehicle) -> None:
-    """The same by flight termination."""
-    await _cut(vehicle, vehicle.action.terminate)
-
-
-async def _cut(vehicle: Vehicle, cut: Callable[[], Awaitable]) -> None:
-    await vehicle.ready()
-    await vehicle.take_off()
-    await cut()
-    await first(vehicle.telemetry.subscribe_armed(), lambda armed: not armed, "disarmed")
-    step("cut")
-    await vehicle.motion(lambda p, v: -p.down_m < 0.1 and _speed(v) < 0.05, "fallen")
-    await vehicle.said("Disarmed by force")
-    step("fallen")
-
-
 def _speed(velocity: Any) -> float:
     return math.hypot(velocity.north_m_s, velocity.east_m_s, velocity.down_m_s)
 
 
-STORIES = {story.__name__: story for story in (flight, owner, refusals, kill, terminate)}
+STORIES = {"flight": flight}
 
 
 async def main(url: str, story: str) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import signal
-import socket
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,15 +15,13 @@ from dataclasses import replace
 import pytest
 
 from flightstack.core.types import ZERO, Landed, Mode, Request
-from tests.flight_suite.companion import Radio, companion
+from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.room import Fence, Lost, given, on_px4, simulated
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import ROOT
 
 pytestmark = pytest.mark.vehicle
-SAFE_S = 2.0  # from the loss of a part to what the onboard process does about it
-HEARTBEAT_LOST_S = 3.0  # it comes once a second, and two may be lost
 STANDING_M_S = 0.15  # own velocity of a vehicle that stands on the ground
 STOPPED_S = 2.0  # from the emergency stop to motors off
 AWAY_M_S = 0.3  # of a pilot who leaves
@@ -185,26 +182,6 @@ def down(room) -> bool:
 
 
 @pytest.mark.simulated
-def test_a_target_that_falls_silent_is_left_alone(room):  # in the other phases: the grid of faults
-    with companion(room) as flying:
-        flying.until("-> APPROACH", FLIGHT_MAX_S)
-        room.target.process.kill()
-        flying.until("-> HOLD", SAFE_S)
-        assert flying.ended(FLIGHT_MAX_S) == 1
-    assert down(room)
-
-
-@pytest.mark.simulated
-def test_a_cut_radio_leaves_a_safe_vehicle(room):
-    with Radio(room.url) as radio, companion(replace(room, url=radio.url)) as flying:
-        flying.until("-> LAND", FLIGHT_MAX_S)
-        radio.cut()
-        left_alone(room)
-        flying.until("-> ABORT", HEARTBEAT_LOST_S + SAFE_S)
-    assert down(room)
-
-
-@pytest.mark.simulated
 @pytest.mark.parametrize("fence", [Fence(0.25, 4.0), Fence(2.0, 0.3)], ids=["height", "distance"])
 def test_a_step_beyond_the_fence_ends_on_the_ground(room, fence):
     with Pilot(replace(room, fence=fence)) as pilot:
@@ -227,15 +204,6 @@ def test_a_companion_beyond_the_fence_is_called_off(room):
             flying.ended(FLIGHT_MAX_S)
         assert "-> ABORT" in " ".join(flying.said)
     assert down(room)
-
-
-@pytest.mark.simulated
-def test_a_killed_companion_leaves_its_sockets_to_the_next(room):
-    with companion(room) as flying:
-        flying.kill()
-        host, port = room.listen.removeprefix("tcp/").split(":")
-        with socket.create_server((host, int(port))):
-            pass
 
 
 @pytest.mark.simulated

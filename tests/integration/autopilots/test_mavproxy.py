@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import sys
@@ -35,7 +34,6 @@ SPEED_M_S = 0.3
 LEG_M = 0.5
 STREAM_S = 0.1  # s between two set-points
 FETCH_S = 0.5  # s between two looks at a parameter
-PHRASE = "an-open-secret"
 
 
 class Leg(NamedTuple):
@@ -184,33 +182,6 @@ def fly(program: Program, watch: Observer) -> None:
 
 def slow(m) -> bool:
     return m.vx**2 + m.vy**2 + m.vz**2 < 0.08**2
-
-
-def test_signed_flight(tmp_path: Path, flight_number: int) -> None:
-    """The key is the SHA-256 of the phrase; who has none is not heard, and hears nothing."""
-    secret = hashlib.sha256(PHRASE.encode()).digest()
-    key = tmp_path / "key"
-    key.touch(mode=0o600)
-    key.write_bytes(secret)
-    with vehicle("--signing-key", str(key)) as port:
-        watch, stranger = Observer(port), Observer(port)
-        watch.sign(secret)
-        with mavproxy(port, tmp_path, watch, "--mav20") as program:
-            program.expect("Waiting for heartbeat")
-            program.send(f"signing key {PHRASE}")
-            program.expect("Setup signing key")
-            connect(program)
-            take_off(program)
-            stranger.beat()
-            stranger.send(stranger.command(21))  # land: anybody may, but only with the key
-            land(program)
-            stranger.drain()
-        assert stranger.log == []
-        watch.close()
-        stranger.close()
-    assert watch.modes() == [HOLD, TAKEOFF, HOLD, LAND, HOLD]
-    assert watch.armings() == [False, True, False]
-    assert all(m.get_signed() for m in watch.log)
 
 
 BRAKE, GUIDED, COPTER_LAND = 17, 4, 9  # ArduCopter mode.h

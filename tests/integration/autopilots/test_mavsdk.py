@@ -9,10 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from tests.integration.autopilots.real_clients import (
-    ARMED,
     DOCUMENTATION,
     HOLD,
     LAND,
@@ -24,7 +22,6 @@ from tests.integration.autopilots.real_clients import (
     Program,
     vehicle,
 )
-from tests.integration.sim_processes import Client, is_a, setpoint
 from tests.processes.ports import free_port
 
 pytestmark = pytest.mark.xdist_group("real-time")
@@ -83,47 +80,3 @@ def test_documented_example(tmp_path: Path, flight_number: int) -> None:
     assert [mode for mode in watch.modes() if mode != HOLD] == [TAKEOFF, OFFBOARD, LAND]
     assert watch.armings() == [False, True, False]
     assert max(p.x for p in watch.all("LOCAL_POSITION_NED")) > 0.0
-
-
-def test_second_client_does_not_take_over(tmp_path: Path, flight_number: int) -> None:
-    with story("owner", tmp_path) as (client, watch, port):
-        other = Client(f"udpin:127.0.0.1:{port}", system=2)
-        east = setpoint(0.0, 1.0)  # m/s
-
-        def interfere() -> None:
-            other.send(east, other.command(176, 1.0, 4.0, 3.0))  # fly east; hold
-            while other.receive(0.0):
-                pass
-
-        client.expect("step offboard")
-        client.expect("step north", each=interfere)
-        meanwhile = watch.log[watch.index(is_a("HEARTBEAT", custom_mode=OFFBOARD)) :]
-        client.expect("step down")
-        acks = [m.result for m in other.log if m.get_type() == "COMMAND_ACK"]
-        other.close()
-    assert set(acks) == {mav.MAV_RESULT_TEMPORARILY_REJECTED}
-    way = [p for p in meanwhile if p.get_type() == "LOCAL_POSITION_NED"]
-    assert way[-1].x - way[0].x > 0.9
-    assert max(abs(p.y - way[0].y) for p in way) < 0.15
-    assert watch.modes() == [HOLD, TAKEOFF, HOLD, OFFBOARD, LAND, HOLD]
-
-
-def test_refused_arming_has_a_reason_that_mavsdk_shows(tmp_path: Path, flight_number: int) -> None:
-    with story("refusals", tmp_path) as (client, watch, _):
-        client.expect("step refused")
-        assert watch.armings() == [False]
-    assert watch.armings() == [False, True, False]
-
-
-@pytest.mark.parametrize("cut", ["kill", "terminate"])
-def test_motors_stop_in_the_air_when_asked_to(cut: str, tmp_path: Path, flight_number: int) -> None:
-    with story(cut, tmp_path) as (client, watch, _):
-        client.expect("step fallen")
-    armed = watch.index(lambda m: is_a("HEARTBEAT")(m) and m.base_mode & ARMED)
-    off = watch.index(lambda m: is_a("HEARTBEAT")(m) and not m.base_mode & ARMED, armed)
-    after = watch.all("LOCAL_POSITION_NED", off)
-    assert -after[0].z > 0.4
-    assert max(p.vz for p in after) > 2.0  # m/s; a free fall from half a metre ends with 3.1
-    assert -after[-1].z < 0.1
-    assert watch.armings() == [False, True, False]
-    assert LAND not in watch.modes()

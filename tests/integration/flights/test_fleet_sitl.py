@@ -122,15 +122,8 @@ def test_several_runs_are_summed_up_and_the_same_seed_makes_the_same_log(wired, 
     assert compare(wired.log, again["log"]) == []
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        pytest.param(("--lockstep",), id="in lockstep"),
-        pytest.param((), id="in real time", marks=pytest.mark.xdist_group("real-time")),
-    ],
-)
-def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path, options):
-    words = ("--scenario", TEAM, "--seed", SEED, "--duration", 20, *options)
+def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path):
+    words = ("--scenario", TEAM, "--seed", SEED, "--duration", 20, "--lockstep")
     run = Flying(tmp_path / "out", *words)
     try:
         run.wait_for("APPROACH -> LAND")

@@ -4,30 +4,23 @@ from __future__ import annotations
 
 import signal
 import subprocess
-import threading
-import time
 
 import pytest
 
 from bridge.crazyflie.link import EVENTS_MAX, CrazyflieLink
 from bridge.crazyflie.types import Connected, Lost, StateBlock
-from bridge.target.odometry import OdometryPublisher
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import ended
 from tests.crazyflie_firmware.firmware import Firmware
-from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.server import Server
 from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.crazyflie_firmware.supervisor import PERIOD_S, TIMEOUT_S, State
 from tests.integration.runs import COMMAND, called
 from tests.integration.sim_processes import (
-    NAN,
-    PATIENCE_S,
     ROOT,
     is_a,
     priority_or_skip,
     prompt_threads,
-    setpoint,
     wait_for,
 )
 from tests.integration.wires.bridge_processes import KEY, Mocap, bridge, client, fly, verb
@@ -38,60 +31,6 @@ pytestmark = pytest.mark.xdist_group("real-time")
 ARMED, LAND, HOLD = 128, 0x06040000, 0x03040000
 HIGH_M, TABLES = 1.5, (567, 334)  # m; entries of firmware 2026.08's tables of logs and parameters
 PAD_M, PAD_RADIUS_M = 0.2, 0.15
-SENT = 50  # set-points of a client that then stops
-CONFIG = """
-filter = "paper"
-[barrier]
-alpha_1_m = 1.0
-beta_m = 1.5
-[limits]
-velocity_max_m_s = [0.3, 0.3, 0.5]
-[touchdown]
-rule = "paper"
-height_m = 0.05
-[takeoff]
-height_m = 0.6
-"""
-
-
-def test_the_onboard_process_lands_it_unchanged(tmp_path):
-    plant = Point(-1.2, 0.3, lambda x, y: PAD_M if x * x + y * y < PAD_RADIUS_M**2 else 0.0)
-    config = tmp_path / "onboard.toml"
-    config.write_text(CONFIG)
-    endpoint = free_endpoint()
-    session = zenoh_link.open_session([endpoint])
-    target = OdometryPublisher(session, "cf1/target/odom", frame_id="map", child_frame_id="target")
-    done = threading.Event()
-
-    def publish() -> None:
-        while not done.wait(0.02):
-            now_ns = time.time_ns()
-            zeros = (0.0, 0.0, 0.0)
-            target.put(target.encode(now_ns, (0.0, 0.0, PAD_M), (1.0, 0.0, 0.0, 0.0), zeros, zeros), now_ns)
-
-    publisher = threading.Thread(target=publish, daemon=True)
-    publisher.start()
-    try:
-        with Server(Firmware(plant)) as server, bridge(server) as started:
-            landed = subprocess.run(
-                [*COMMAND, "onboard", "--vehicle", started.url.replace("udpin", "udpout"),
-                 "--config", str(config), "--connect", endpoint, "--duration", "90"],
-                cwd=ROOT, capture_output=True, text=True, timeout=150.0, check=False,
-            )  # fmt: skip
-            assert landed.returncode == 0, landed.stdout + landed.stderr + "".join(started.lines)
-            assert "LANDED: motors off" in landed.stdout
-            x, y, z = plant.position
-            assert (x * x + y * y) ** 0.5 < PAD_RADIUS_M
-            assert z == pytest.approx(PAD_M)
-            assert not plant.motors
-            assert {"stop", "notify", "disarm"} <= {what for _, what in server.firmware.legs}
-            history = [state for _, state in server.firmware.supervisor.history]
-            assert State.LOCKED not in history
-            assert started.end() == 0
-    finally:
-        done.set()
-        publisher.join(PATIENCE_S)
-        session.close()
 
 
 def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
@@ -141,84 +80,6 @@ def test_a_bridge_and_its_threads_wait_for_no_other_program(kind):
             prompt = prompt_threads(started.child.pid)
             assert started.child.pid in prompt
             assert len(prompt) > 1
-
-
-def test_set_points_stop_with_their_client_and_the_firmware_does_the_rest():
-    with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
-        fly(one, server)
-        firmware = server.firmware
-        for _ in range(SENT):  # a client at some 50 Hz
-            one.send(setpoint(0.2))
-            one.receive(0.02)
-        wait_for(lambda: firmware.supervisor.state is State.LOCKED, "the lock")
-        last_s, last_m_s, _ = firmware.setpoints[-1]
-        assert last_m_s[1] == pytest.approx(0.2), "nothing is made up after the client's last one"
-        passed = sum(velocity == last_m_s for _, velocity, _ in firmware.setpoints)
-        assert 0 < passed <= SENT, "each goes to the radio once"
-        history = {state: at_s - last_s for at_s, state in firmware.supervisor.history}
-        assert history[State.LEVEL_OUT] == pytest.approx(0.54, abs=0.1)
-        assert history[State.LOCKED] == pytest.approx(2.08, abs=0.2)
-        wait_for(lambda: started.said("supervisor has locked: restart the Crazyflie"), "the reason")
-        one.until(lambda m: is_a("HEARTBEAT")(m) and not m.base_mode & ARMED)
-        one.send(one.command(400, 1.0))
-        assert one.until(is_a("COMMAND_ACK", command=400)).result == 1
-
-
-def test_flight_termination_stops_the_motors_within_a_few_packets():
-    with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
-        fly(one, server)
-        sent_s = server.now_s
-        one.send(one.command(185, 1.0))
-        assert one.until(is_a("COMMAND_ACK", command=185)).result == 0
-        wait_for(lambda: not server.firmware.plant.motors, "motors off")
-        assert server.now_s - sent_s < 0.5
-        assert "emergency" in [what for _, what in server.firmware.legs]
-        wait_for(lambda: server.firmware.supervisor.state is State.LOCKED, "the lock")
-
-
-def test_a_silent_radio_ends_the_heartbeat_within_its_bound_and_comes_back():
-    with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
-        one.until(is_a("HEARTBEAT"))
-        one.until(is_a("LOCAL_POSITION_NED"))
-        server.mute = server.deaf = True
-        silent_s = time.monotonic()
-        last_s: dict[str, float] = {}
-        while time.monotonic() < silent_s + 4.5:
-            for message in one.receive(0.05):
-                last_s[message.get_type()] = time.monotonic() - silent_s
-            one.hello()
-        assert last_s.get("LOCAL_POSITION_NED", 0.0) < 0.3
-        assert last_s.get("HEARTBEAT", 0.0) < 1.3
-        assert started.said("Radio silent for 0.5 s")
-        assert started.said("Radio lost: nothing heard for 3 s")
-        server.mute = server.deaf = False
-        one.log.clear()
-        one.until(is_a("HEARTBEAT"), each=one.hello)
-        assert started.end() == 0
-
-
-@pytest.mark.parametrize("gap", ["1.3 s of silence, both ways", "4.5 s without telemetry", "restart"])
-def test_after_a_gap_in_its_own_mode_it_stands_with_the_motors_off(gap):
-    with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
-        fly(one, server)
-        firmware = server.firmware
-        one.send(one.command(22, *[NAN] * 6, HIGH_M))
-        high = lambda: firmware.plant.position[2] > HIGH_M - 0.1  # noqa: E731
-        one.until(lambda m: is_a("HEARTBEAT", custom_mode=HOLD)(m) and high(), each=one.hello)
-        if gap == "restart":
-            firmware.restart()
-        else:
-            server.mute, server.deaf = True, "both" in gap
-            since_s, seconds = server.now_s, float(gap.partition(" ")[0])
-            wait_for(lambda: one.hello() or server.now_s - since_s > seconds, "the end of the gap")
-            server.mute = server.deaf = False
-        text = "it restarted" if gap == "restart" else "Landed, disarmed"
-        wait_for(lambda: one.hello() or started.said(text), text)
-        one.log.clear()
-        one.until(lambda m: is_a("HEARTBEAT")(m) and not m.base_mode & ARMED, each=one.hello)
-        assert firmware.plant.on_surface
-        stays_unlocked(server)
-        assert not firmware.plant.motors
 
 
 def test_connects_over_a_radio_that_loses_every_tenth_packet_of_the_real_tables():

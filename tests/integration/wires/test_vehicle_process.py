@@ -34,37 +34,11 @@ def vehicle(seed: int, *, lockstep: bool, url: str = "udpin:127.0.0.1:0", **more
     return process("vehicle", seed=seed, url=url, lockstep=lockstep, rate_hz=RATE_HZ, **more)
 
 
-def test_flies_in_real_time_with_a_plain_client() -> None:
+def test_its_time_is_that_of_the_wall() -> None:
     with vehicle(1, lockstep=False) as (child, ready):
         client = Client(ready.removeprefix("ready "))
         client.hello()
-        beat = client.until(is_a("HEARTBEAT"))
-        assert (beat.autopilot, beat.base_mode & ARMED) == (mav.MAV_AUTOPILOT_PX4, 0)
-        client.send(client.command(176, 1.0, 6.0))
-        assert client.until(is_a("COMMAND_ACK", command=176)).result == 1
-        assert "no set-points" in client.until(is_a("STATUSTEXT")).text
-        client.send(client.command(400, 1.0), client.command(22))
-        assert client.until(is_a("COMMAND_ACK", command=400)).result == 0
-        assert client.until(is_a("COMMAND_ACK", command=22)).result == 0
-        client.until(is_a("HEARTBEAT", custom_mode=TAKEOFF, base_mode=29 | ARMED))
-        client.until(is_a("HEARTBEAT", custom_mode=HOLD))
-        high = client.until(is_a("LOCAL_POSITION_NED"))
-        assert -high.z == pytest.approx(0.5, abs=0.08)
-        client.send(client.command(400, 0.0))
-        assert client.until(is_a("COMMAND_ACK", command=400)).result == 1  # not in the air
-
-        north = [setpoint(0.3)]
-        client.send(*north, client.command(176, 1.0, 6.0))
-        assert client.until(is_a("COMMAND_ACK", command=176)).result == 0
-        moved = client.until(
-            lambda m: is_a("LOCAL_POSITION_NED")(m) and m.x > high.x + 0.3, each=lambda: client.send(*north)
-        )
-        assert moved.vx > 0.1
-        client.send(client.command(21))
-        client.until(is_a("HEARTBEAT", custom_mode=LAND))
-        client.until(is_a("EXTENDED_SYS_STATE", landed_state=mav.MAV_LANDED_STATE_ON_GROUND))
-        client.until(lambda m: is_a("HEARTBEAT")(m) and not m.base_mode & ARMED)
-
+        client.until(is_a("LOCAL_POSITION_NED"))
         client.log.clear()
         start_s, times_ms = time.monotonic(), []
         while len(times_ms) < 101:
@@ -98,13 +72,6 @@ def test_after_a_pause_it_goes_on_from_there_and_takes_no_core_from_others() -> 
         assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # it stood still
         assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
         terminate(child)
-
-
-def test_bad_url_is_an_error_with_a_reason() -> None:
-    with vehicle(1, lockstep=False, url="tcp:127.0.0.1:1") as (child, _):
-        _, err = child.communicate(timeout=10.0)
-        assert child.returncode == 2
-        assert "udpin:HOST:PORT" in err
 
 
 class Companion(Client):
