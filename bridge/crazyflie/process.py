@@ -13,12 +13,11 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Protocol
 
 from bridge.crazyflie.checks import ESTIMATOR, KALMAN
-from bridge.crazyflie.node import COMPONENT_ID, SYSTEM_ID, Node
+from bridge.crazyflie.node import COMPONENT_ID, Node
+from bridge.crazyflie.options import CrazyflieOptions
 from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.types import Arrived, Link, Packet, Pose, SetParam
 from bridge.frames import yaw_from_quaternion
@@ -27,6 +26,7 @@ from bridge.mavlink.signing.key import load_key
 from bridge.mocap.checks import Passed
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly
+from flightstack.core.types import Vec3
 
 INITIAL = "kalman.initial"
 RESET = "kalman.resetEstimation"
@@ -87,21 +87,6 @@ class LinkLike(Protocol):
 
     def fileno(self) -> int:
         """Readable while events wait."""
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """Where the bridge is plugged in."""
-
-    uri: str
-    url: str = "udpin:127.0.0.1:14580"
-    peers: tuple[str, ...] = ()
-    cache: Path | None = None
-    signing_key: Path | None = None
-    allow_unsigned: bool = False
-    rules: Rules = field(default_factory=Rules)
-    duration_s: float | None = None
-    system_id: int = SYSTEM_ID
 
 
 class Loop:
@@ -208,8 +193,19 @@ def check_uri(uri: str) -> None:
         )
 
 
-def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], None] = print) -> int:
+def run(
+    options: CrazyflieOptions,
+    drag_1_s: Vec3 | None,
+    poses: PosesLike | None = None,
+    say: Callable[[str], None] = print,
+) -> int:
     """Serve until told to end; prints ``ready URL`` when clients can reach it.
+
+    Args:
+        options: of the bridge.
+        drag_1_s: for the firmware's filter, body axes; None leaves what it has.
+        poses: of motion capture; None: the Crazyflie positions itself.
+        say: prints a line.
 
     Raises:
         ValueError: a URL or key that is not understood, a network without a key, or cflib is not installed.
@@ -223,6 +219,9 @@ def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], N
             f"{package} is not installed: pip install 'crazyflie-flightstack[crazyflie]'"
         ) from error
     check_uri(options.uri)
+    rules = Rules(
+        options.speed_max_m_s, options.land_on_silence, poses is not None, drag_1_s, options.restore
+    )
     kind, host, port = parse_url(options.url)
     with ExitStack() as stack:
         endpoint = Endpoint(
@@ -242,5 +241,5 @@ def run(options: Options, poses: PosesLike | None = None, say: Callable[[str], N
         stop = Stop().install()
         say(f"ready {kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}")
         sys.stdout.flush()
-        loop = Loop(Node(options.rules, options.system_id), link, endpoint, poses, say)
+        loop = Loop(Node(rules, options.system_id), link, endpoint, poses, say)
         return loop.run(stop, options.duration_s)

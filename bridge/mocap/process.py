@@ -6,8 +6,6 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -16,6 +14,7 @@ from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.signing.key import load_key
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample, centre
+from bridge.mocap.options import MocapOptions, PoseOptions
 from bridge.mocap.vehicle import COMPONENT_ID, MocapVehicle
 from bridge.ros2.cdr import OdometryError, decode_pose, decode_pose_with_covariance
 from bridge.ros2.ros2_names import parse_topic_key
@@ -23,6 +22,7 @@ from bridge.target.ros2_target import ROS_TYPES, Dialect, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly
+from flightstack.core.parameters.flight import check_origin
 from flightstack.core.types import ZERO, Vec3
 
 CAPACITY = 256  # samples between two polls; the oldest go first
@@ -101,24 +101,6 @@ class CheckedPoses:
 TICK_S = 0.002  # s; longest a pose waits for the loop
 _AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 _SAY_S = 2.0  # s between two texts about the same
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """Where the bridge is plugged in."""
-
-    vehicle_url: str
-    spec: TargetSpec
-    connect: tuple[str, ...] = ()
-    listen: tuple[str, ...] = ()
-    zenoh_config: Path | None = None
-    limits: Limits = field(default_factory=Limits)
-    offset_flu_m: Vec3 = ZERO
-    origin: Origin | None = None
-    system_id: int = 1
-    signing_key: Path | None = None
-    allow_unsigned: bool = False
-    duration_s: float | None = None
 
 
 class Told:
@@ -211,12 +193,22 @@ class Bridge:
         return f"mocap: {wants.title} gets poses; it wants {wants.settings}" if wants is not None else None
 
 
-def run(options: Options, say: Callable[[str], None] = print) -> int:
+def limits(options: PoseOptions) -> Limits:
+    """Limits of a pose that is accepted."""
+    return Limits(frame_id=options.frame_id, speed_max_m_s=options.pose_speed_m_s)
+
+
+def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
     """Pass poses on until told to end and the vehicle is disarmed; prints ``ready`` when it listens.
 
     Raises ValueError: a URL or key that is not understood, or a network without a key; OSError: an address
     that cannot be opened.
     """
+    origin = None
+    if options.origin is not None:
+        check_origin("--origin", options.origin)
+        origin = Origin(*options.origin)
+    spec = parse_spec(options.pose_key, options.pose_type, options.ros_domain)
     with ExitStack() as stack:
         endpoint = Endpoint(
             options.vehicle_url,
@@ -232,8 +224,8 @@ def run(options: Options, say: Callable[[str], None] = print) -> int:
             options.listen, options.connect, config_file=options.zenoh_config, prompt=True
         )
         stack.callback(session.close)
-        vehicle = MocapVehicle(options.system_id, options.limits, options.origin)
-        source = MocapSource(session, options.spec, options.offset_flu_m)
+        vehicle = MocapVehicle(options.system_id, limits(options), origin)
+        source = MocapSource(session, spec, options.offset_flu_m)
         bridge = Bridge(source, vehicle, endpoint, options.system_id, say)
         run_promptly()  # an old pose is no own state
         stop = Stop().install()

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import xxhash
 
 from bridge.zenoh import zenoh_link
+from flightstack.config.options import Ros2
 
 DOMAIN_MAX = 232  # ROS 2 documentation, "The ROS_DOMAIN_ID": what DDS has ports for
 TOPIC_LENGTH_MAX = 247  # rmw validate_full_topic_name.h
@@ -204,3 +205,8 @@ class Ros2Network:
         if self.where.endswith(_FILES):
             return zenoh_link.open_session(config_file=Path(self.where), role=zenoh_link.Role.CLIENT)
         return zenoh_link.open_session(connect=[self.where], role=zenoh_link.Role.CLIENT)
+
+
+def network(options: Ros2) -> Ros2Network | None:
+    """The network that the options name; None: ``--ros2`` is not given."""
+    return Ros2Network(options.ros2_where, options.ros_domain) if options.ros2_where is not None else None

@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -17,10 +18,12 @@ from flightstack.launch.launcher import Followed, Launcher, Shown
 from flightstack.launch.run_options import Flies, RunOptions
 from flightstack.launch.sitl import GRACE_S, LOCKSTEP_SLOWEST, adapted, run_metadata
 from flightstack.launch.vehicles import longest_s, others_s
+from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.recording import Described, describe_all, log_in, new_folder
 from logs.schema.names import TEAM, Names, member_name
 from sim.autopilot.profiles import PROFILES, PX4
 from sim.chance import name as seed_name
+from sim.runners.options import TargetOptions, VehicleOptions
 from sim.scenarios import team as teams
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario
@@ -64,7 +67,7 @@ def check(options: RunOptions) -> None:
         ("--speed", options.speed != 1.0, "works with PX4 and ArduPilot only; --lockstep is faster"),
         ("--mocap", options.mocap, "works with --px4 only"),
         ("--instance", options.instance is not None, "works with PX4 and ArduPilot only"),
-        ("--ros2", options.ros2 is not None, "shows one vehicle"),
+        ("--ros2", options.ros2_where is not None, "shows one vehicle"),
         ("--view", options.view is not None, "shows one vehicle; open the log in a viewer after the flight"),
         ("--listen", bool(options.listen), "each vehicle has an endpoint of its own, which is printed"),
     ):
@@ -151,21 +154,23 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     target_at, vehicle_at, urls = launcher.endpoint(), launcher.endpoint(), dict(options.members)
     recorder = launcher.record(log)
     _describe(launcher.socket, options, team, members)
-    common = {
+    common: Mapping[str, Any] = {
         "scenario": folder / TEAM, "seed": options.seed, "recorder": launcher.socket,
-        "lockstep": options.lockstep, "rate": rate_hz,
-        "duration": max(others_s(member.scenario) for member in members),
+        "lockstep": options.lockstep, "rate_hz": rate_hz,
+        "duration_s": max(others_s(member.scenario) for member in members),
     }  # fmt: skip
     values = PROFILES[options.profile].set_before_flight
     compile_first(team.member[0])
     vehicle = launcher.start(
-        "vehicle", **common, leave_out=list(urls), url="udpin:127.0.0.1:0", profile=options.profile,
-        listen=vehicle_at, connect=target_at, signing_key=options.signing_key,
-        parameter=[f"{name}={value:g}" for name, value in values.items()],
+        "vehicle",
+        VehicleOptions(
+            **common, leave_out=tuple(urls), url="udpin:127.0.0.1:0", profile=options.profile,
+            listen=(vehicle_at,), connect=(target_at,), signing_key=options.signing_key, parameters=values,
+        ),
     )  # fmt: skip
     here = [member.number for member in members if member.number not in urls]
     urls |= dict(zip(here, vehicle.wait_ready().replace("udpin", "udpout").split(), strict=True))
-    target = launcher.start("target", **common, listen=target_at)
+    target = launcher.start("target", TargetOptions(**common, listen=(target_at,)))
     onboards = [
         _start(launcher, options, member, urls[member.number], [target_at, vehicle_at], members)
         for member in members
@@ -211,14 +216,15 @@ def _start(
     # the heartbeat of the simulated vehicle is that of the autopilot it imitates
     simulated = member.number not in options.members
     own = simulated and options.autopilot == AUTO and options.profile == PX4.name
-    return launcher.start(
-        "onboard", of=member.name, vehicle=url, signing_key=options.signing_key if simulated else None,
+    plugged = OnboardOptions(
+        vehicle_url=url, signing_key=options.signing_key if simulated else None,
         autopilot=OWN_SITL.name if own else options.autopilot, lockstep=options.lockstep,
-        target=f"{member.name}/target/odom", connect=[*simulator, *before], listen=member.endpoint,
-        config=member.config, duration=member.scenario.duration_max_s, recorder=launcher.socket,
+        target_key=f"{member.name}/target/odom", connect=(*simulator, *before), listen=(member.endpoint,),
+        config_file=member.config, duration_s=member.scenario.duration_max_s, recorder=launcher.socket,
         zenoh_config=options.zenoh_config, namespace=member.name, system_id=member.number, shared_log=True,
         accept_release=options.accept_release,
     )  # fmt: skip
+    return launcher.start("onboard", plugged, of=member.name)
 
 
 def _describe(recorder: Path, options: RunOptions, team: TeamScenario, members: list[_Member]) -> None:

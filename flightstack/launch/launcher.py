@@ -16,6 +16,7 @@ from rich.console import Console
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import begun, on_hangup
+from flightstack.common.options import argv
 from flightstack.common.processes import (
     CLOSE_TIME_MAX_S,
     END_TIME_MAX_S,
@@ -28,6 +29,7 @@ from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
 from flightstack.onboard.recording import start_recorder
 from flightstack.watch.live import REFRESH_HZ, live_view
+from flightstack.watch.options import WatchOptions
 
 NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
@@ -69,21 +71,6 @@ class Followed:
     last_line: str = ""
     aborted: bool = False
     problem: str | None = None
-
-
-def words(**options: object) -> list[str]:
-    """Return options as words of a command line.
-
-    None and False are left out, True is a flag, a list repeats the option, a tuple holds the values of one.
-    """
-    found: list[str] = []
-    for name, value in options.items():
-        for each in value if isinstance(value, list) else [value]:
-            if each is None or each is False:
-                continue
-            values = () if each is True else each if isinstance(each, tuple) else (each,)
-            found += [f"--{name.replace('_', '-')}", *map(str, values)]
-    return found
 
 
 class Launcher:
@@ -150,17 +137,15 @@ class Launcher:
         """
         return self.reserved.enter_context(contextlib.closing(Port(udp=True))).number
 
-    def start(self, verb: str, *arguments: str, of: object = "", **options: object) -> Child:
-        """Start a verb of ``flightstack``.
+    def start(self, verb: str, options: object, of: str = "") -> Child:
+        """Start a verb of ``flightstack`` with the options of its process.
 
         Args:
             verb: the verb.
-            arguments: words of its command line.
+            options: dataclass of the verb's options.
             of: whose process it is, where there are several of this verb.
-            options: those of ``words``.
         """
-        name = f"{verb}-{of}" if of else verb
-        child = Child(name, [verb, *arguments, *words(**options)], self.folder)
+        child = Child(f"{verb}-{of}" if of else verb, [verb, *argv(options)], self.folder)
         self.children.append(child)
         return child
 
@@ -186,7 +171,10 @@ class Launcher:
         Raises:
             LaunchError: it did not start.
         """
-        watch = self.start("watch", view=where, connect=endpoint, config=config, namespace=namespace)
+        watch = self.start(
+            "watch",
+            WatchOptions(view=where, connect=(endpoint,), config_file=config, namespace=namespace),
+        )
         shown_at = watch.wait_ready()
         self.console.print(f"view: {shown_at}", style="dim", soft_wrap=True, markup=False)
 

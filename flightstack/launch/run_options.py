@@ -1,4 +1,4 @@
-"""The options of ``flightstack sitl``."""
+"""The options of ``flightstack sitl`` and ``flightstack fly``."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
+from typing import Annotated
 
-from bridge.mavlink.profiles.autopilots import AUTO
-from bridge.ros2.ros2_names import Ros2Network
+from flightstack.common.options import BadOptionError, Option
 from flightstack.common.strict_toml import ConfigError
+from flightstack.config import options as shared
+from flightstack.onboard.options import FlightOptions
 
-DEFAULT_PROFILE = "px4"  # of the simulated vehicle
+DEFAULT_PROFILE, AUTO = "px4", "auto"  # of the simulated vehicle, of the onboard process
 _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and ArduPilot only"
 
 
@@ -24,57 +26,104 @@ class Flies(Enum):
     ARDUPILOT = "--ardupilot"  # ArduCopter with its own physics
 
 
-@dataclass(frozen=True)
-class RunOptions:
-    """One run.
+def _members(given: tuple[str, ...]) -> Mapping[int, str]:
+    """Turn each N=URL into an entry of a table."""
+    found = {}
+    for text in given:
+        number, equals, url = text.partition("=")
+        if not (number.isdecimal() and equals and url):
+            raise BadOptionError(f"found {text!r}; N=URL is needed, for example 2=udpin:127.0.0.1:14541")
+        found[int(number)] = url
+    return found
 
-    Attributes:
-        scenario: by name or file.
-        seed: of all chance.
-        filter: name of the safety filter; None: the configuration's.
-        lockstep: simulated time instead of real time.
-        duration_s: after which it ends; None: the scenario's.
-        out: folder; None: a new one in ``runs``.
-        live: whether the terminal shows the flight.
-        signing_key: of MAVLink.
-        listen: where others may watch, besides a free port of loopback.
-        zenoh_config: of the onboard process.
-        ros2: where target and flight are shown to ROS 2.
-        view: where the scene is shown in 3-D; None: nowhere.
-        profile: of the autopilot that the simulated vehicle imitates.
-        autopilot: of the onboard process.
-        accept_release: fly an autopilot whose release is not known.
-        config: of the onboard process, by name or file; None: the vehicle's, or the scenario's.
-        flies: whose autopilot and physics.
-        program: of that autopilot.
-        instance: number that moves its ports; None: a free one.
-        mocap: motion capture instead of satellites.
-        speed: of simulated time against real time.
-        members: MAVLink URLs of members of a team that are not simulated, by their numbers.
-    """
 
-    scenario: str
-    seed: int = 0
-    filter: str | None = None
-    lockstep: bool = False
-    duration_s: float | None = None
-    out: Path | None = None
-    live: bool = True
-    signing_key: Path | None = None
-    listen: tuple[str, ...] = ()
-    zenoh_config: Path | None = None
-    ros2: Ros2Network | None = None
-    view: str | None = None
-    profile: str = DEFAULT_PROFILE
-    autopilot: str = AUTO
-    accept_release: bool = False
-    config: str | Path | None = None
-    flies: Flies = Flies.OWN
-    program: Path | None = None
-    instance: int | None = None
-    mocap: bool = False
-    speed: float = 1.0
-    members: Mapping[int, str] = field(default_factory=dict)
+def _program(flies: Flies, help: str) -> Option:
+    return Option(flies.value, help, exists=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
+    """One run, or several."""
+
+    filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the configuration's")] = None
+    config_file: Annotated[
+        Path | None,
+        shared.config("Configuration instead of the scenario's, or of the one for an autopilot"),
+    ] = None
+    lockstep: shared.Lockstep = False
+    speed: shared.Speed = 1.0
+    duration_s: shared.Duration = None
+    runs: Annotated[
+        int,
+        Option(
+            "--runs",
+            "Fly N times, with the seeds from --seed on, and print a summary.",
+            metavar="N", span=(1, None),
+        ),
+    ] = 1  # fmt: skip
+    view: shared.View = None
+    profile: shared.Profile = DEFAULT_PROFILE
+    autopilot: shared.Autopilot = AUTO
+    accept_release: shared.AcceptRelease = False
+    px4: Annotated[
+        Path | None,
+        _program(Flies.PX4, "Fly this PX4 (SITL program or build folder) on the simulated vehicle."),
+    ] = None
+    px4_sih: Annotated[
+        Path | None, _program(Flies.PX4_SIH, "Fly this PX4 with its own physics of a 1 kg quadrotor.")
+    ] = None
+    ardupilot: Annotated[
+        Path | None,
+        _program(Flies.ARDUPILOT, "Fly this ArduCopter (SITL program) with its own physics."),
+    ] = None
+    instance: Annotated[
+        int | None,
+        Option(
+            "--px4-instance",
+            "Number that selects the ports of PX4 or ArduPilot; default: a free one, ArduPilot 0.",
+            metavar="N", span=(0, 9), also=("--instance",),
+        ),
+    ] = None  # fmt: skip
+    mocap: shared.Mocap = False
+    members: Annotated[
+        Mapping[int, str],
+        Option(
+            "--member",
+            "MAVLink URL of a vehicle from elsewhere that flies as member N of a team; repeatable "
+            "(docs/how_it_works/fleet.md).",
+            metavar="N=URL", read=_members,
+        ),
+    ] = field(default_factory=dict)  # fmt: skip
+    listen: Annotated[
+        tuple[str, ...],
+        Option(
+            "--listen",
+            "Additional Zenoh endpoint for watchers; one on loopback is there and printed; repeatable.",
+            metavar="ENDPOINT",
+        ),
+    ] = ()
+    zenoh_config: shared.ZenohConfig = None
+    signing_key: shared.SigningKey = None
+
+    @property
+    def _programs(self) -> Mapping[Flies, Path]:
+        given = {Flies.PX4: self.px4, Flies.PX4_SIH: self.px4_sih, Flies.ARDUPILOT: self.ardupilot}
+        return {flies: program for flies, program in given.items() if program is not None}
+
+    @property
+    def flies(self) -> Flies:
+        """Whose autopilot and physics."""
+        return next(iter(self._programs), Flies.OWN)
+
+    @property
+    def program(self) -> Path | None:
+        """Program of that autopilot."""
+        return self._programs.get(self.flies)
+
+    @property
+    def live(self) -> bool:
+        """Whether the terminal shows the flight."""
+        return not self.as_json and self.runs == 1
 
     @property
     def told(self) -> dict[str, str]:
@@ -92,7 +141,7 @@ class RunOptions:
             "mocap": "true" if self.mocap else "",
             "duration_s": f"{self.duration_s:g}" if self.duration_s is not None else "",
             "signing_key": str(self.signing_key or ""),
-            "config": str(self.config or ""),
+            "config": str(self.config_file or ""),
         }
         return {name: value for name, value in values.items() if value}
 
@@ -102,6 +151,10 @@ class RunOptions:
         Raises:
             ConfigError: which options, and why.
         """
+        if len(self._programs) > 1:
+            raise ConfigError(
+                f"only one of {', '.join(flies.value for flies in Flies if flies.value)} can be flown"
+            )
         own = self.flies is Flies.OWN
         for name, given, allowed, why in (
             ("--lockstep", self.lockstep, own, f"{_SIMULATED}; use --speed to fly PX4 faster"),
@@ -118,3 +171,10 @@ class RunOptions:
         ):
             if given and not allowed:
                 raise ConfigError(f"{name} with {self.flies.value or 'the simulated vehicle'}: {name} {why}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlyOptions(shared.Result, FlightOptions):
+    """The options of ``flightstack fly``."""
+
+    view: shared.View = None

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.table import Column, Table
@@ -30,12 +30,14 @@ from flightstack.launch.vehicles import (
     longest_s,
     others_s,
 )
+from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.recording import describe, log_in, new_folder
 from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD
 from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import PROFILES
 from sim.chance import name as seed_name
+from sim.runners.options import TargetOptions
 from sim.scenarios.scenario import Scenario, path_of
 from sim.scenarios.scenario import load as load_scenario
 
@@ -77,7 +79,7 @@ def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
     Raises:
         ConfigError: it must not fly.
     """
-    name = options.config or configuration_for(options.flies, scenario)
+    name = options.config_file or configuration_for(options.flies, scenario)
     if name is not None:
         scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
     if options.filter is not None:
@@ -135,18 +137,25 @@ def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path)
         launcher.view(options.view, onboard_at, folder / "onboard.toml")
     _describe(launcher.socket, options, scenario, folder / "scenario.toml")
     vehicle = VEHICLES[options.flies].start(launcher, options, scenario, target_at)
-    ros2 = options.ros2
-    both = {**vehicle.clock, "lockstep": options.lockstep}
-    if ros2 is not None:
-        both |= {"ros2": ros2.where, "ros_domain": ros2.domain}
+    both: Mapping[str, Any] = {
+        **vehicle.clock, "lockstep": options.lockstep, "ros2_where": options.ros2_where,
+        "ros_domain": options.ros_domain,
+    }  # fmt: skip
     target = launcher.start(
-        "target", **common_options(launcher, options), **both, rate=scenario.onboard.loop.rate_hz,
-        duration=others_s(scenario), listen=target_at, connect=onboard_at,
+        "target",
+        TargetOptions(
+            **common_options(launcher, options), **both, rate_hz=scenario.onboard.loop.rate_hz,
+            duration_s=others_s(scenario), listen=(target_at,), connect=(onboard_at,),
+        ),
     )  # fmt: skip
     onboard = launcher.start(
-        "onboard", **vehicle.options, **both, target=f"{NAMESPACE}/target/odom", connect=target_at,
-        listen=[onboard_at, *options.listen], config=folder / "onboard.toml", duration=duration_s,
-        recorder=launcher.socket, zenoh_config=options.zenoh_config, accept_release=options.accept_release,
+        "onboard",
+        OnboardOptions(
+            **vehicle.options, **both, target_key=f"{NAMESPACE}/target/odom", connect=(target_at,),
+            listen=(onboard_at, *options.listen), config_file=folder / "onboard.toml", duration_s=duration_s,
+            recorder=launcher.socket, zenoh_config=options.zenoh_config,
+            accept_release=options.accept_release,
+        ),
     )  # fmt: skip
     for child in (*vehicle.pending, target, onboard):  # they load at once
         child.wait_ready()

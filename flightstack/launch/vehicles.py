@@ -11,17 +11,20 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, AUTO, OWN_SITL
 from bridge.mavlink.profiles.autopilots import PX4 as PX4_PROFILE
 from flightstack.common.processes import Child, Running
 from flightstack.common.strict_toml import ConfigError
+from flightstack.core.types import Vec3
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
 from sim.autopilot.ground import ORIGIN_WGS84
 from sim.autopilot.profiles import PROFILES, PX4
+from sim.px4.options import Px4SimOptions
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
+from sim.runners.options import VehicleOptions
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.vehicle import compile_first
 
@@ -43,10 +46,10 @@ class Flying:
         pending: processes that are not ready yet; others may start meanwhile.
     """
 
-    options: Mapping[str, object]
+    options: Mapping[str, Any]
     children: list[Running]
     teller: Child | None = None
-    clock: Mapping[str, object] = field(default_factory=dict)
+    clock: Mapping[str, Any] = field(default_factory=dict)
     pending: Sequence[Child] = ()
 
 
@@ -82,15 +85,18 @@ class OwnVehicle:
         compile_first(scenario)
         values, at = PROFILES[options.profile].set_before_flight, f"127.0.0.1:{launcher.udp_port()}"
         child = launcher.start(
-            "vehicle", **common_options(launcher, options), lockstep=options.lockstep,
-            signing_key=options.signing_key, rate=scenario.onboard.loop.rate_hz, duration=others_s(scenario),
-            connect=target_at, url=f"udpin:{at}", profile=options.profile,
-            parameter=[f"{name}={value:g}" for name, value in values.items()],
+            "vehicle",
+            VehicleOptions(
+                **common_options(launcher, options), lockstep=options.lockstep,
+                signing_key=options.signing_key, rate_hz=scenario.onboard.loop.rate_hz,
+                duration_s=others_s(scenario), connect=(target_at,), url=f"udpin:{at}",
+                profile=options.profile, parameters=values,
+            ),
         )  # fmt: skip
         # the heartbeat of the simulated vehicle is that of the autopilot it imitates
         own = options.autopilot == AUTO and options.profile == PX4.name
         autopilot = OWN_SITL.name if own else options.autopilot
-        given = {"vehicle": f"udpout:{at}", "signing_key": options.signing_key, "autopilot": autopilot}
+        given = {"vehicle_url": f"udpout:{at}", "signing_key": options.signing_key, "autopilot": autopilot}
         return Flying(given, [child], child, pending=[child])
 
 
@@ -104,7 +110,7 @@ class _Px4Start:
     def _claim(self) -> int:
         return self._launcher.reserved.enter_context(contextlib.closing(InstanceClaim())).number
 
-    def run(self, model: Px4Model, wanted: Mapping[str, float]) -> tuple[Px4Program, dict[str, object]]:
+    def run(self, model: Px4Model, wanted: Mapping[str, float]) -> tuple[Px4Program, dict[str, Any]]:
         """Start it and wait until it would arm; the process, and the options of the onboard process."""
         program = Px4Program(
             self._binary, self._launcher.folder / "px4", model,
@@ -117,7 +123,7 @@ class _Px4Start:
             self._launcher.console.print(text, markup=False, soft_wrap=True)
         url = f"udpin:127.0.0.1:{program.onboard_port}"
         system_id = 1 + self.number  # MAV_SYS_ID of rcS
-        return program, {"vehicle": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
+        return program, {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
 
 
 class Px4OnPlant:
@@ -131,11 +137,14 @@ class Px4OnPlant:
         """Start the simulator, then PX4; see ``Vehicle.start``."""
         compile_first(scenario)
         px4 = _Px4Start(launcher, options)
-        clock = {"clock": launcher.socket.with_name("clock")}
+        clock: Mapping[str, Any] = {"clock": launcher.socket.with_name("clock")}
         poses = scenario.vehicle.mocap if options.mocap else None
         simulator = launcher.start(
-            "px4-sim", **common_options(launcher, options), connect=target_at, once=True,
-            tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", mocap=options.mocap, speed=options.speed, **clock,
+            "px4-sim",
+            Px4SimOptions(
+                **common_options(launcher, options), connect=(target_at,), once=True, mocap=options.mocap,
+                tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", speed=options.speed, **clock,
+            ),
         )  # fmt: skip
         simulator.wait_ready()
         # they load the compiler, half a second, and only this vehicle needs them
@@ -160,7 +169,7 @@ class Px4WithItsOwnPhysics:
         from sim.px4.airframe import SAFE_PARAMETERS
 
         child, given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
-        given["target_offset"] = _to_the_floor_m(scenario)
+        given["target_offset_m"] = _to_the_floor_m(scenario)
         return Flying(given, [child], clock={"speed": options.speed})
 
 
@@ -188,7 +197,9 @@ class ArduPilotWithItsOwnPhysics:
         )  # fmt: skip
         launcher.children.append(child)
         url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
-        given = {"vehicle": url, "autopilot": ARDUPILOT.name, "target_offset": _to_the_floor_m(scenario)}
+        given = {
+            "vehicle_url": url, "autopilot": ARDUPILOT.name, "target_offset_m": _to_the_floor_m(scenario),
+        }  # fmt: skip
         return Flying(given, [child], clock={"speed": options.speed})
 
 
@@ -231,7 +242,7 @@ def configuration_for(flies: Flies, scenario: Scenario) -> str | None:
     return _PX4_CONFIG.get(scenario.vehicle.airframe) if flies is Flies.PX4 else None
 
 
-def common_options(launcher: Launcher, options: RunOptions) -> dict[str, object]:
+def common_options(launcher: Launcher, options: RunOptions) -> dict[str, Any]:
     """Options of every process of the simulator."""
     file = launcher.folder / "scenario.toml"
     return {"scenario": file, "seed": options.seed, "recorder": launcher.socket}
@@ -261,13 +272,13 @@ def around_the_start(scenario: Scenario) -> Scenario:
     return replace(scenario, start=start, target=replace(target, position_m=(x_m - east_m, y_m - north_m)))
 
 
-def _to_the_floor_m(scenario: Scenario) -> tuple[str, str, str]:
+def _to_the_floor_m(scenario: Scenario) -> Vec3:
     """Return the offset of the landing spot that puts it on the floor.
 
     This vehicle's height is zero where it stands, not the height of its reference point over its feet.
     """
     down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
-    return "0", "0", f"{-down_m:g}"
+    return 0.0, 0.0, round(-down_m, 6)
 
 
 def _program_of(options: RunOptions) -> Path:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.profiles.autopilots import AUTO, profile
+from bridge.mavlink.profiles.autopilots import profile
 from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
-from bridge.ros2.ros2_names import Ros2Network
+from bridge.ros2.ros2_names import network
 from bridge.target.ros2_target import TargetSpec, TargetType
 from flightstack.common.pacing import RealTimePacer, Tick, quiet_garbage_collector, run_promptly
 from flightstack.common.simulation_clock import Follower, chosen_clock
@@ -23,13 +22,14 @@ from flightstack.core.controller import ERROR, WARN, Controller, Outputs, state_
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import DISARMED, MODE_CHANGED
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.types import ZERO, Operator, Phase, Vec3, VehicleStatus
+from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard import preflight
-from flightstack.onboard.fleet_wire import FleetWire
+from flightstack.onboard.fleet_wire import FleetWire, namespace_of
 from flightstack.onboard.leaving import Ended, Leaving, Signals
 from flightstack.onboard.live_topics import LiveHealth
 from flightstack.onboard.lockstep import LockstepWires, LockstepWords
 from flightstack.onboard.log import OnboardLog
+from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.recording import OwnRecorder
 from flightstack.onboard.runner import (
     LinkedVehicle,
@@ -52,51 +52,29 @@ NAMESAKE_S = 1.0  # for which a process listens for another one of the same vehi
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
 
 
-@dataclass(frozen=True)
-class Options:
-    """Where the onboard process is plugged in."""
-
-    vehicle_url: str
-    target_key: str
-    connect: Sequence[str] = ()
-    listen: Sequence[str] = ()
-    namespace: str = "cf1"
-    recorder: Path | None = None  # socket of a running one
-    own_recorder: OwnRecorder | None = None  # started if there is no other
-    lockstep: bool = False
-    duration_s: float | None = None
-    system_id: int = 1
-    signing_key: Path | None = None
-    allow_unsigned: bool = False
-    autopilot: str = AUTO
-    accept_release: bool = False  # judge an autopilot of another release by the nearest rules
-    target_type: TargetType = TargetType.ODOMETRY
-    zenoh_config: Path | None = None
-    ros2: Ros2Network | None = None  # where the flight is shown to ROS 2, and where a target of ROS 2 is
-    ros_domain: int = 0
-    target_offset_m: Vec3 = ZERO  # landing spot, in the axes of the frame that the target sends
-    clock: Path | None = None  # of a simulator, to live by instead of the wall's
-    speed: float = 1.0  # of stack time against real time; another than 1 only with a simulator as fast
-    shared_log: bool = False  # the recorder writes the flights of several vehicles
-    core: Core = Core.AUTO  # code of the control step
-
-
 class Onboard:
     """Owns the links and the controller; takes the rows of the ticks."""
 
-    def __init__(self, config: FlightConfig, options: Options, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        config: FlightConfig,
+        options: OnboardOptions,
+        say: Callable[[str], None],
+        own_recorder: OwnRecorder | None = None,
+    ) -> None:
         self.options, self.config, self.say = options, config, say
+        self.namespace = options.namespace or namespace_of(config)
         rate_hz = config.loop.rate_hz
-        self.core = chosen_core(options.core, lockstep=options.lockstep)
+        self.core = chosen_core(Core(options.core), lockstep=options.lockstep)
         self.controller = compiled(config) if self.core is Core.COMPILED else Controller(config)
         chosen = profile(options.autopilot)
         origin = config.vehicle.origin_wgs84
-        self.wires = ZenohWires(config, _zenoh_plan(options))
+        self.wires = ZenohWires(config, _zenoh_plan(options, self.namespace))
         self.fleet: FleetWire | LockstepWords | None = None
         if config.fleet is not None and options.lockstep:
-            self.fleet = LockstepWords(self.wires.session, options.namespace)
+            self.fleet = LockstepWords(self.wires.session, self.namespace)
         elif config.fleet is not None:
-            self.fleet = FleetWire(self.wires.session, options.namespace, config.fleet)
+            self.fleet = FleetWire(self.wires.session, self.namespace, config.fleet)
         line = preflight.line_plan(
             baud_of(options.vehicle_url), config, signed=options.signing_key is not None
         )
@@ -115,18 +93,18 @@ class Onboard:
         )
         self.log_file: Path | None = None
         recorder = options.recorder
-        if recorder is None and options.own_recorder is not None:
+        if recorder is None and own_recorder is not None:
             plugged = {"vehicle": options.vehicle_url, "target": options.target_key}
-            recorder, self.log_file = options.own_recorder.start(config, plugged)
+            recorder, self.log_file = own_recorder.start(config, plugged)
         socket = str(recorder) if recorder is not None else None
-        self.names = Names(options.namespace, options.system_id) if options.shared_log else OWN
+        self.names = Names(self.namespace, options.system_id) if options.shared_log else OWN
         self.feed = Feed.connect(socket, self.names.logger(ONBOARD), lossless=options.lockstep)
         self._describe()
         self.log = OnboardLog(
-            self.feed, self.wires.session, options.namespace, rate_hz, options.lockstep,
+            self.feed, self.wires.session, self.namespace, rate_hz, options.lockstep,
             reserve=config.reserve is not None, state=state_class(config), names=self.names,
         )  # fmt: skip
-        self.health = LiveHealth(self.wires.session, options.namespace, rate_hz)
+        self.health = LiveHealth(self.wires.session, self.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap
         lockstep = options.lockstep  # there wall time has no part in what is said
         self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
@@ -174,13 +152,13 @@ class Onboard:
     def _describe(self) -> None:
         """Write into the log what else a replay needs: the configuration, and how we were plugged in."""
         options, spec = self.options, self.wires.target
-        own_key = f"{options.namespace}/target/odom"
+        own_key = f"{self.namespace}/target/odom"
         text, endpoint = dumps(self.config), self.link.endpoint
         self.feed.attachment(self.names.record("onboard.toml"), "application/toml", text.encode())
         self.feed.metadata(
             self.names.record("onboard"),
             {
-                "namespace": options.namespace,
+                "namespace": self.namespace,
                 "target_key": spec.key if spec.is_direct else own_key,  # as what it is recorded
                 **({} if spec.is_direct else spec.described()),
                 "system_id": str(options.system_id),
@@ -228,21 +206,26 @@ def _warn(text: str) -> None:
     print(f"onboard: WARNING: {text}", file=sys.stderr)
 
 
-def _zenoh_plan(options: Options) -> ZenohPlan:
+def _zenoh_plan(options: OnboardOptions, namespace: str) -> ZenohPlan:
     return ZenohPlan(
         TargetSpec.parse(
-            options.target_key, options.target_type, options.ros_domain, options.target_offset_m
+            options.target_key, TargetType(options.target_type), options.ros_domain, options.target_offset_m
         ),
         options.connect,
         options.listen,
-        options.namespace,
+        namespace,
         options.zenoh_config,
-        options.ros2,
+        network(options),
         options.lockstep,
     )
 
 
-def run(config: FlightConfig, options: Options, say: Callable[[str], None] = print) -> Ended:
+def run(
+    config: FlightConfig,
+    options: OnboardOptions,
+    say: Callable[[str], None] = print,
+    own_recorder: OwnRecorder | None = None,
+) -> Ended:
     """Fly until landed, aborted, told to end, or out of time.
 
     Raises:
@@ -258,7 +241,7 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
     found = problems(config)
     if found:
         raise ConfigError("refused before take-off: " + "; ".join(found))
-    onboard = Onboard(config, options, say)  # a signal until here calls the flight off
+    onboard = Onboard(config, options, say, own_recorder)  # a signal until here calls the flight off
     try:
         signals = Signals()
         for warning in onboard.link.endpoint.warnings:
@@ -281,7 +264,7 @@ def run(config: FlightConfig, options: Options, say: Callable[[str], None] = pri
         onboard.close()
 
 
-def _check_speed(options: Options) -> None:
+def _check_speed(options: OnboardOptions) -> None:
     """Only a simulator runs at another speed than the world."""
     if options.speed == 1.0 and options.clock is None:
         return
@@ -293,7 +276,7 @@ def _check_speed(options: Options) -> None:
         )
 
 
-def _check_fleet(config: FlightConfig, options: Options) -> None:
+def _check_fleet(config: FlightConfig, options: OnboardOptions) -> None:
     """Refuse a fleet where its members cannot hear each other."""
     if config.fleet is None:
         return
@@ -383,7 +366,7 @@ def _runner(onboard: Onboard, vehicle: LinkedVehicle, leaving: Leaving, signals:
     if options.lockstep:
         told = onboard.fleet if isinstance(onboard.fleet, LockstepWords) else None
         both = LockstepWires(
-            vehicle, rate_hz, wires.odometry, wires.session, options.namespace, signals, told
+            vehicle, rate_hz, wires.odometry, wires.session, onboard.namespace, signals, told
         )
         return Runner(
             onboard.controller, both, vehicle, both, leaving, onboard, told.words if told else tuple

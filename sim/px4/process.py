@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
@@ -19,6 +17,7 @@ from sim.clock import NS_PER_S, NoAnswerError
 from sim.plant.vehicle_types import Truth
 from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
 from sim.px4.messages import Px4Mocap
+from sim.px4.options import Px4SimOptions
 from sim.px4.plant import Px4Plant
 from sim.px4.sensors import STEP_MS
 from sim.px4.session import STEP_S, Event, NoLockstepError, NotPx4Error, Px4Session
@@ -108,43 +107,6 @@ def _tell(event: Event, *, paced: bool) -> None:
     _say(event.value)
     if paced and event in _PRIORITY:
         _PRIORITY[event]()
-
-
-@dataclass(frozen=True)
-class Px4SimOptions:
-    """How PX4 is served. Without Zenoh the deck stands where the scenario puts it.
-
-    Attributes:
-        seed: of all chance.
-        tcp: ``HOST:PORT`` to listen on.
-        speed: of simulated time against the wall's; 0: as fast as PX4 answers.
-        clock: file through which robot and onboard process live by this time; None: by the wall's.
-        silent_max_s: wall time without an answer after which PX4 counts as dead.
-        duration_s: end after so much simulated time of one PX4; None: no end.
-        once: end when the first PX4 has gone.
-        mocap: the scenario's motion capture instead of satellites.
-        recorder: socket of the flight recorder, if there is one.
-        connect: Zenoh endpoints to connect to.
-        listen: Zenoh endpoints to listen on.
-        zenoh_config: Zenoh configuration to begin with.
-        namespace: first part of all Zenoh keys.
-        allow_unsigned: listen to a network.
-    """
-
-    seed: int
-    tcp: str
-    speed: float = 1.0
-    clock: Path | None = None
-    silent_max_s: float = 10.0
-    duration_s: float | None = None
-    once: bool = False
-    mocap: bool = False
-    recorder: Path | None = None
-    connect: Sequence[str] = ()
-    listen: Sequence[str] = ()
-    zenoh_config: Path | None = None
-    namespace: str = "cf1"
-    allow_unsigned: bool = False
 
 
 def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:

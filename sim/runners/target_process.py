@@ -9,11 +9,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
-from bridge.ros2.ros2_names import Ros2Network
+from bridge.ros2.ros2_names import Ros2Network, network
 from bridge.ros2.ros2_node import Ros2Node, Ros2Publisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
@@ -29,6 +27,7 @@ from logs.recorder.feed import Feed, FeedError
 from logs.schema.names import OWN, Names, member_name
 from sim.clock import STARTUP_S, NoAnswerError, wait_until
 from sim.runners.log import EventLog
+from sim.runners.options import TargetOptions
 from sim.runners.robots import LockstepRobot, RealTimeRobot, Robot
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import AnyScenario, TeamScenario
@@ -37,39 +36,6 @@ _CREDIT_PAUSE_S = 0.002  # s between two looks for credit; far less than the run
 _MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
 NAME = "target"  # of the process, in the log
 NODE = "flightstack_target"  # name of the ROS 2 node
-
-
-@dataclass(frozen=True)
-class TargetOptions:
-    """Where the simulated robot is plugged in.
-
-    Attributes:
-        seed: of all chance.
-        lockstep: simulated time by credit, instead of real time.
-        rate_hz: ticks per second; in lockstep that of the onboard process.
-        listen: Zenoh endpoints to listen on; none means a free port on loopback.
-        connect: Zenoh endpoints to connect to.
-        zenoh_config: Zenoh configuration to begin with.
-        namespace: first part of all keys; those of a team have their own.
-        recorder: socket of the flight recorder, if there is one.
-        duration_s: how long, simulated or real; None: no end.
-        ros2: where to be a ROS 2 node as well.
-        speed: of its time against real time, unless in lockstep.
-        clock: of a simulator, to live by instead of the wall's.
-    """
-
-    seed: int
-    lockstep: bool = False
-    rate_hz: int = 100
-    listen: Sequence[str] = ()
-    connect: Sequence[str] = ()
-    zenoh_config: Path | None = None
-    namespace: str = "cf1"
-    recorder: Path | None = None
-    duration_s: float | None = None
-    ros2: Ros2Network | None = None
-    speed: float = 1.0
-    clock: Path | None = None
 
 
 def target_main(scenario: AnyScenario, options: TargetOptions) -> int:
@@ -84,7 +50,7 @@ def target_main(scenario: AnyScenario, options: TargetOptions) -> int:
         paced = chosen_clock(
             options.speed, options.clock, Follower.TARGET, lambda: stop.is_set, lockstep=lockstep
         )
-        if isinstance(scenario, TeamScenario) and options.ros2 is not None:
+        if isinstance(scenario, TeamScenario) and options.ros2_where is not None:
             raise ValueError("--ros2 is for one robot: those of a team are not shown to ROS 2")
         with ExitStack() as stack:
             session = zenoh_link.open_session(
@@ -98,8 +64,8 @@ def target_main(scenario: AnyScenario, options: TargetOptions) -> int:
                 )
                 for one, seed, names in flights
             ]
-            if options.ros2 is not None:
-                robots[0].shown = _shown(options.ros2, options.namespace, stack)
+            if (ros2 := network(options)) is not None:
+                robots[0].shown = _shown(ros2, options.namespace, stack)
             epoch_ns = EPOCH_NS if lockstep else paced.unix_ns()  # once all that takes time is done
             feed = Feed.connect(options.recorder, NAME, lossless=lockstep, vehicles=len(robots))
             stack.callback(feed.close)

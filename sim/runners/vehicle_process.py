@@ -8,10 +8,8 @@ from __future__ import annotations
 import select
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -28,12 +26,13 @@ from flightstack.common.pacing import (
     run_promptly,
 )
 from logs.recorder.feed import Feed, FeedError
-from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
-from sim.autopilot.profiles import PROFILES, PX4
+from sim.autopilot.autopilot import COMPONENT_ID, Autopilot
+from sim.autopilot.profiles import PROFILES
 from sim.clock import NoAnswerError, TickGrid
 from sim.runners.deck import LockstepDeck, RealTimeDeck
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.log import VehicleLog
+from sim.runners.options import VehicleOptions
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim, warm_up
@@ -193,49 +192,6 @@ class RealTimeLoop:
             self._set_epoch(self._epoch_ns + round(late_s * 1e9))
             for vehicle in self._vehicles:
                 vehicle.warn(f"Machine paused {late_s:.2f} s: simulation too")
-
-
-@dataclass(frozen=True)
-class VehicleOptions:
-    """Where the simulated vehicle is plugged in. Without Zenoh the deck stands where the scenario puts it.
-
-    Attributes:
-        seed: of all chance.
-        url: MAVLink endpoint, ``udpin:HOST:PORT`` (port 0: a free one, printed) or ``udpout:HOST:PORT``.
-        lockstep: simulated time goes on with the companion's answers, instead of real time.
-        rate_hz: ticks per second; in lockstep that of the onboard process.
-        recorder: socket of the flight recorder, if there is one.
-        connect: Zenoh endpoints to connect to.
-        listen: Zenoh endpoints to listen on.
-        zenoh_config: Zenoh configuration to begin with.
-        namespace: first part of all Zenoh keys.
-        duration_s: how long, simulated or real; None: no end.
-        signing_key: file of the key that every MAVLink frame must be signed with.
-        allow_unsigned: listen to a network without a key.
-        peers: ``HOST:PORT`` of those who get telemetry before they speak; real time only.
-        profile: which autopilot it imitates, a name of ``PROFILES``.
-        parameters: of that autopilot, set before it starts.
-        system_id: MAVLink system id of a lone vehicle; those of a team count from 1.
-        leave_out: members of a team that fly elsewhere.
-    """
-
-    seed: int
-    url: str
-    lockstep: bool = False
-    rate_hz: int = 100
-    recorder: Path | None = None
-    connect: Sequence[str] = ()
-    listen: Sequence[str] = ()
-    zenoh_config: Path | None = None
-    namespace: str = "cf1"
-    duration_s: float | None = None
-    signing_key: Path | None = None
-    allow_unsigned: bool = False
-    peers: Sequence[str] = ()
-    profile: str = PX4.name
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    system_id: int = SYSTEM_ID
-    leave_out: Sequence[int] = ()
 
 
 def vehicle_main(scenario: Scenario, options: VehicleOptions) -> int:

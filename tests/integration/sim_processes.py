@@ -50,7 +50,7 @@ def process(name: str, **options: object):
 
 def _simulate(name: str, options: dict[str, object]) -> None:
     module = import_module(f"sim.runners.{name}_process")
-    plugged = getattr(module, f"{name.title()}Options")(**options)
+    plugged = getattr(module, f"{name.title()}Options")(scenario="paper_moving_1", **options)
     sys.exit(getattr(module, f"{name}_main")(load("paper_moving_1"), plugged))
 
 

@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 
 import click
 
-from flightstack.cli import options as shared
 from flightstack.cli.options import takes
-
-# options of the onboard process that `fly` sets itself
-_OURS = ("config_file", "no_record")
-
-
-@dataclass(frozen=True)
-class FlyOptions(shared.Result, shared.Flight):
-    """Options of ``fly``."""
-
-    view: str | None = shared.view
+from flightstack.launch.run_options import FlyOptions
 
 
 @click.command()
@@ -33,43 +22,13 @@ def fly(options: FlyOptions) -> None:
     """
     from flightstack.common.processes import LaunchError
     from flightstack.common.terminal import Terminal
-    from flightstack.config.files import load
     from flightstack.launch import fly as launch
     from flightstack.launch.result import conclude
-    from flightstack.onboard.fleet_wire import namespace_of
 
-    config = load(options.config_file)
-    run_options = options.to(
-        launch.FlyOptions,
-        name=options.config_file.stem,
-        words=_words(click.get_current_context()),
-        record=not options.no_record,
-        live=not options.as_json,
-        namespace=options.namespace or namespace_of(config),
-    )
     console = Terminal(stderr=options.as_json)
     try:
-        flown = launch.run(config, run_options, console)
+        flown = launch.run(options, console)
     except LaunchError as error:
         click.echo(f"flightstack: {error}", err=True)
         sys.exit(error.code)
     sys.exit(conclude(flown, console, as_json=options.as_json, with_report=options.with_report))
-
-
-def _words(context: click.Context) -> list[str]:
-    """Return the command line of the onboard process: its options as they were given to ``fly``."""
-    from flightstack.cli.fly.onboard import onboard
-
-    known = {option.name for option in onboard.params} - set(_OURS)
-    found: list[str] = []
-    for option in context.command.params:
-        value = context.params.get(option.name or "")
-        if option.name not in known or not isinstance(option, click.Option) or value is None:
-            continue
-        if option.is_flag:
-            found += [option.opts[0]] if value else []
-            continue
-        for each in value if option.multiple else (value,):
-            texts = each if option.nargs > 1 else (each,)
-            found += [option.opts[0], *map(str, texts)]
-    return found

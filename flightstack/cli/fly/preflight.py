@@ -6,7 +6,7 @@ import json
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 from rich.table import Column, Table
@@ -16,9 +16,10 @@ from bridge.mavlink.preflight.provision import provision
 from bridge.mavlink.preflight.rules import Level
 from bridge.mavlink.preflight.talk import Report
 from bridge.mavlink.signing.key import load_key
-from flightstack.cli import options as shared
 from flightstack.cli.options import takes
+from flightstack.common.options import Option
 from flightstack.common.terminal import Terminal
+from flightstack.config import options as shared
 from flightstack.config.files import load
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.onboard import preflight as checks
@@ -31,30 +32,36 @@ _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # its command box, without a file
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PreflightOptions(shared.Signing):
     """Options of ``preflight``."""
 
-    vehicle_url: str = shared.vehicle_url
-    system_id: int = shared.system_id
-    autopilot: str = shared.autopilot
-    accept_release: bool = shared.accept_release
-    config_file: Path | None = shared.config(
-        "Configuration of the flight; default: the paper's limits, no parameter accepted"
-    )
-    wait_s: float = shared.option(
-        "--wait", type=shared.number(0.1, 600.0), default=10.0, metavar="S",
-        help="Longest wait for the vehicle's heartbeat.",
-    )  # fmt: skip
-    provision_signing: bool = shared.option(
-        "--provision-signing", is_flag=True,
-        help="First give the vehicle the key of --signing-key; over a cable or loopback.",
-    )  # fmt: skip
-    remove_signing: bool = shared.option(
-        "--remove-signing", is_flag=True,
-        help="Take the key of --signing-key away from the vehicle, and end; over a cable or loopback.",
-    )  # fmt: skip
-    as_json: bool = shared.json()
+    vehicle_url: shared.VehicleUrl
+    system_id: shared.SystemId = 1
+    autopilot: shared.Autopilot = "auto"
+    accept_release: shared.AcceptRelease = False
+    config_file: Annotated[
+        Path | None,
+        shared.config("Configuration of the flight; default: the paper's limits, no parameter accepted"),
+    ] = None
+    wait_s: Annotated[
+        float, Option("--wait", "Longest wait for the vehicle's heartbeat.", metavar="S", span=(0.1, 600.0))
+    ] = 10.0
+    provision_signing: Annotated[
+        bool,
+        Option(
+            "--provision-signing",
+            "First give the vehicle the key of --signing-key; over a cable or loopback.",
+        ),
+    ] = False
+    remove_signing: Annotated[
+        bool,
+        Option(
+            "--remove-signing",
+            "Take the key of --signing-key away from the vehicle, and end; over a cable or loopback.",
+        ),
+    ] = False
+    as_json: shared.AsJson = False
 
 
 @click.command()

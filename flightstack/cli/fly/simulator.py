@@ -4,37 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
 
 import click
 
-from flightstack.cli import options as shared
 from flightstack.cli.options import takes
-
-
-@dataclass(frozen=True)
-class VehicleOptions(shared.Signing, shared.Zenoh, shared.Scenario):
-    """Options of ``vehicle``."""
-
-    url: str = shared.url
-    peers: tuple[str, ...] = shared.peers
-    profile: str = shared.profile
-    parameters: dict[str, float] = shared.option(
-        "--parameter", multiple=True, metavar="NAME=VALUE", callback=shared.numbers,
-        help="Parameter of the autopilot, set before it starts; repeatable.",
-    )  # fmt: skip
-    rate_hz: int = shared.rate
-    lockstep: bool = shared.lockstep
-    duration_s: float | None = shared.duration
-    namespace: str = shared.namespace
-    recorder: Path | None = shared.recorder
-    system_id: int = shared.system_id
-    member: int | None = shared.one_member
-    leave_out: tuple[int, ...] = shared.option(
-        "--leave-out", multiple=True, type=click.IntRange(min=1), metavar="N",
-        help="Member of a team that is not simulated here, by its number; repeatable.",
-    )  # fmt: skip
+from sim.runners.options import TargetOptions, VehicleOptions
 
 
 @click.command()
@@ -51,27 +26,15 @@ def vehicle(options: VehicleOptions) -> None:
 
     if options.member is not None:
         alone, seed = one_of(options.scenario, options.seed, options.member)
-        own = {"seed": seed, "namespace": member_name(options.member), "system_id": options.member}
-        sys.exit(vehicle_process.vehicle_main(alone, options.to(vehicle_process.VehicleOptions, **own)))
-    plugged, scenario = options.to(vehicle_process.VehicleOptions), load_any(options.scenario)
+        name = member_name(options.member)
+        own = replace(options, seed=seed, namespace=name, system_id=options.member)
+        sys.exit(vehicle_process.vehicle_main(alone, own))
+    scenario = load_any(options.scenario)
     if isinstance(scenario, TeamScenario):
         from sim.runners.fleet.process import fleet_main
 
-        sys.exit(fleet_main(scenario, plugged))
-    sys.exit(vehicle_process.vehicle_main(scenario, plugged))
-
-
-@dataclass(frozen=True)
-class TargetOptions(shared.Ros2, shared.Zenoh, shared.Scenario):
-    """Options of ``target``."""
-
-    rate_hz: int = shared.rate
-    lockstep: bool = shared.lockstep
-    speed: float = shared.speed
-    clock: Path | None = shared.clock
-    duration_s: float | None = shared.duration
-    namespace: str = shared.namespace
-    recorder: Path | None = shared.recorder
+        sys.exit(fleet_main(scenario, options))
+    sys.exit(vehicle_process.vehicle_main(scenario, options))
 
 
 @click.command()
@@ -89,8 +52,7 @@ def target(options: TargetOptions) -> None:
     from sim.runners import target_process
     from sim.scenarios.team import load_any
 
-    plugged = options.to(target_process.TargetOptions)
-    sys.exit(target_process.target_main(load_any(options.scenario), plugged))
+    sys.exit(target_process.target_main(load_any(options.scenario), options))
 
 
 @click.command()

@@ -8,16 +8,15 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from flightstack.cli import options as shared
-from flightstack.cli.options import takes
+from flightstack.cli.options import takes, without_rerun
 from flightstack.common.streams import reader_gone
+from flightstack.watch.options import DEFAULT, WatchOptions
 
 if TYPE_CHECKING:
     from bridge.zenoh.zenoh_link import Role, Session
@@ -27,32 +26,6 @@ FRESH, NOTHING = 0, 1
 LOOK_S = 0.05  # between two looks
 DRAW_S = 0.1  # between two pieces of the view in 3-D
 NICER = 10  # niceness of a view in 3-D: the flight's processes go first
-DEFAULT = "tcp/127.0.0.1:7448"  # endpoint of the onboard process in README and docs
-
-
-@dataclass(frozen=True)
-class WatchOptions(shared.Options):
-    """Options of ``watch``."""
-
-    connect: tuple[str, ...] = shared.option(
-        "--connect", multiple=True, metavar="ENDPOINT",
-        help=f"Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: {DEFAULT}, "
-        "or the endpoint of --zenoh-config.",
-    )  # fmt: skip
-    zenoh_config: Path | None = shared.zenoh_config
-    namespace: str = shared.namespace
-    once: bool = shared.option(
-        "--once", is_flag=True, help="Show the state once and end; exit status 1 if no fresh data come."
-    )
-    as_json: bool = shared.json("Print one JSON object a line, two a second (--once: one).")
-    timeout_s: float = shared.option(
-        "--timeout", type=shared.number(0.1, 3600.0), default=5.0, metavar="S",
-        help="Longest wait of --once.",
-    )  # fmt: skip
-    view: str | None = shared.view
-    config_file: Path | None = shared.config(
-        "Configuration of the flight, for the barrier and the pad in --view"
-    )
 
 
 @click.command()
@@ -157,7 +130,7 @@ def _drawing(view: str, config_file: Path | None, namespace: str) -> Callable[[S
     try:
         from logs.view.live import LiveRecording
     except ModuleNotFoundError as error:
-        raise shared.without_rerun(error, "--view") from error
+        raise without_rerun(error, "--view") from error
     run = {"namespace": namespace}
     if config_file is not None:
         run |= shape(load(config_file))

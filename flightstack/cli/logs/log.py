@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flightstack.cli import options as shared
+from flightstack.cli.options import Number
 from flightstack.common.text import plain
 
 if TYPE_CHECKING:
@@ -117,11 +117,11 @@ def diff(log_a: Path, log_b: Path) -> None:
 @_log
 @_member
 @click.option(
-    "--from", "begin_s", type=shared.number(min=0.0), default=0.0, metavar="S",
+    "--from", "begin_s", type=Number(0.0), default=0.0, metavar="S",
     help="Begin this time after the first message.",
 )  # fmt: skip
 @click.option(
-    "--to", "end_s", type=shared.number(min=0.0), metavar="S",
+    "--to", "end_s", type=Number(0.0), metavar="S",
     help="End this time after the first message; default: the end of the log.",
 )  # fmt: skip
 @_out

@@ -5,33 +5,33 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
-from flightstack.cli import options as shared
 from flightstack.cli.options import takes
+from flightstack.common.options import Option
+from flightstack.config import options as shared
 
 
-@dataclass(frozen=True)
-class RecordOptions(shared.Options):
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions:
     """Options of ``record``."""
 
-    socket_path: Path = shared.option(
-        "--socket", required=True, type=click.Path(path_type=Path),
-        help="Socket to listen on; the other verbs take it as --recorder.",
-    )  # fmt: skip
-    out: Path = shared.option("--out", required=True, type=shared.FILE, help="MCAP file to write.")
-    until_clients: int | None = shared.option(
-        "--until-clients", type=click.IntRange(min=1),
-        help="End when this number of clients have disconnected.",
-    )  # fmt: skip
-    connect: tuple[str, ...] = shared.connect
-    zenoh_config: Path | None = shared.zenoh_config
-    keys: tuple[str, ...] = shared.option(
-        "--key", multiple=True, metavar="EXPR",
-        help="Additional Zenoh keys to record, e.g. 'cf1/**'; repeatable.",
-    )  # fmt: skip
+    socket_path: Annotated[
+        Path, Option("--socket", "Socket to listen on; the other verbs take it as --recorder.")
+    ]
+    out: Annotated[Path, Option("--out", "MCAP file to write.", path="file")]
+    until_clients: Annotated[
+        int | None,
+        Option("--until-clients", "End when this number of clients have disconnected.", span=(1, None)),
+    ] = None
+    connect: shared.Connect = ()
+    zenoh_config: shared.ZenohConfig = None
+    keys: Annotated[
+        tuple[str, ...],
+        Option("--key", "Additional Zenoh keys to record, e.g. 'cf1/**'; repeatable.", metavar="EXPR"),
+    ] = ()
 
 
 @click.command()
@@ -49,12 +49,12 @@ def record(options: RecordOptions) -> None:
 
 
 @click.command()
-@click.argument("log", type=shared.EXISTING_FILE)
-@click.argument("other", type=shared.EXISTING_FILE, required=False)
+@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("other", type=click.Path(exists=True, dir_okay=False, path_type=Path), required=False)
 @click.option("--member", metavar="NAME", help="Take the flight of this member of a fleet, e.g. cf2.")
 @click.option(
     "--out",
-    type=shared.FILE,
+    type=click.Path(dir_okay=False, path_type=Path),
     help="HTML file; default: next to the log, flight.html for flight.mcap, or comparison.html.",
 )
 @click.option(

@@ -7,15 +7,16 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 from rich.table import Column, Table
 
-from flightstack.cli import options as shared
 from flightstack.cli.options import takes
 from flightstack.cli.prove.progress import Bar
+from flightstack.common.options import Argument, Option
 from flightstack.common.terminal import Terminal
+from flightstack.config import options as shared
 from flightstack.core.parameters.filters import short_name
 
 if TYPE_CHECKING:
@@ -25,31 +26,41 @@ COMPLETE, INCOMPLETE = 0, 1
 _TIERS = ("lab", "room", "field", "storm", "deck")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CampaignOptions(shared.Result):
     """Options of ``campaign``."""
 
-    scenario: str = shared.argument(metavar="SCENARIO")
-    runs: int = shared.option("--runs", type=click.IntRange(1, 10_000_000), default=1000, help="Landings.")
-    first_seed: int = shared.option("--seed", type=click.IntRange(0, 2**62), default=0, help="First seed.")
-    filter: str | None = shared.safety_filter("Safety filter; default: the scenario's")
-    workers: int | None = shared.option(
-        "--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one for each processor."
-    )
-    cluster: str | None = shared.option(
-        "--cluster", metavar="ADDRESS", help="Fly on a Dask cluster, e.g. tcp://10.0.0.2:8786."
-    )
-    out: Path | None = shared.option(
-        "--out", type=shared.FOLDER,
-        help="Folder; a campaign that it already holds in part is continued. Default: a new folder in runs/.",
-    )  # fmt: skip
-    require: str | None = shared.option(
-        "--require", type=click.Choice(_TIERS), help="Check the limits of a tier; status 1 on a miss."
-    )
-    against: Path | None = shared.option(
-        "--against", type=click.Path(exists=True, file_okay=False, path_type=Path), metavar="DIR",
-        help="Campaign with the paper's filter: --require compares the landing time with it.",
-    )  # fmt: skip
+    scenario: Annotated[str, Argument(metavar="SCENARIO")]
+    runs: Annotated[int, Option("--runs", "Landings.", span=(1, 10000000))] = 1000
+    first_seed: Annotated[int, Option("--seed", "First seed.", span=(0, 2**62))] = 0
+    filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the scenario's")] = None
+    workers: Annotated[
+        int | None, Option("--workers", "Worker processes; default: one for each processor.", span=(1, 1024))
+    ] = None
+    cluster: Annotated[
+        str | None, Option("--cluster", "Fly on a Dask cluster, e.g. tcp://10.0.0.2:8786.", metavar="ADDRESS")
+    ] = None
+    out: Annotated[
+        Path | None,
+        Option(
+            "--out",
+            "Folder; a campaign that it already holds in part is continued. Default: a new folder in runs/.",
+            path="folder",
+        ),
+    ] = None
+    require: Annotated[
+        str | None, Option("--require", "Check the limits of a tier; status 1 on a miss.", choices=_TIERS)
+    ] = None
+    against: Annotated[
+        Path | None,
+        Option(
+            "--against",
+            "Campaign with the paper's filter: --require compares the landing time with it.",
+            metavar="DIR",
+            exists=True,
+            path="folder",
+        ),
+    ] = None
 
 
 @click.command()

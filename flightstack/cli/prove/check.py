@@ -8,13 +8,14 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from flightstack.cli import options as shared
 from flightstack.cli.options import takes
+from flightstack.common.options import Argument
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml
+from flightstack.config import options as shared
 from flightstack.config.files import load, names, path_of
 from flightstack.core.parameters.flight import FlightConfig
 from logs.schema.names import member_name
@@ -27,13 +28,15 @@ if TYPE_CHECKING:
 PROVEN, NOT_PROVEN = 0, 1
 
 
-@dataclass(frozen=True)
-class CheckOptions(shared.Options):
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions:
     """Options of ``check``."""
 
-    config: str = shared.argument(metavar="CONFIG")
-    filter: str | None = shared.safety_filter("Check it for this safety filter; default: the configuration's")
-    as_json: bool = shared.json()
+    config: Annotated[str, Argument(metavar="CONFIG")]
+    filter: Annotated[
+        str | None, shared.safety_filter("Check it for this safety filter; default: the configuration's")
+    ] = None
+    as_json: shared.AsJson = False
 
 
 @click.command()

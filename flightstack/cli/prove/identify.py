@@ -6,14 +6,14 @@ import json
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import click
 import numpy as np
 
-from flightstack.cli import options as shared
-from flightstack.cli.options import takes
+from flightstack.cli.options import takes, without_recordings
 from flightstack.cli.prove.progress import Bar
+from flightstack.common.options import Argument, Option
 from flightstack.common.terminal import Terminal
 from flightstack.core.types import FilterStatus, Phase
 
@@ -39,33 +39,43 @@ class Found(NamedTuple):
     missing: tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class IdentifyOptions:
     """Options of ``identify``."""
 
-    logs: tuple[Path, ...] = shared.argument(
-        metavar="[LOG...]", nargs=-1, type=click.Path(exists=True, dir_okay=False, path_type=Path)
-    )
-    flights: Path | None = shared.option(
-        "--flights", type=click.Path(exists=True, file_okay=False, path_type=Path), metavar="DIR",
-        help="Fit a vehicle's file to the recorded flights in DIR (Parquet, CSV) instead.",
-    )  # fmt: skip
-    vehicle: str = shared.option(
-        "--vehicle", metavar="NAME_OR_FILE", default="crazyflie21_room",
-        help="With --flights: the file that the fit starts from.",
-    )  # fmt: skip
-    columns: Path | None = shared.option(
-        "--columns", type=shared.EXISTING_FILE, metavar="FILE",
-        help="With --flights: TOML with the recordings' columns, units and signs; default: NanoBench's.",
-    )  # fmt: skip
-    leave_out: bool = shared.option(
-        "--leave-out", is_flag=True,
-        help="With --flights: also predict each kind of path by a fit to the other kinds.",
-    )  # fmt: skip
-    out: Path | None = shared.option(
-        "--out", type=shared.FILE, metavar="FILE", help="With --flights: write the vehicle's file there."
-    )
-    as_json: bool = shared.option("--json", is_flag=True, help="Print one JSON object instead of TOML.")
+    logs: Annotated[tuple[Path, ...], Argument(metavar="[LOG...]", exists=True, path="file")] = ()
+    flights: Annotated[
+        Path | None,
+        Option(
+            "--flights",
+            "Fit a vehicle's file to the recorded flights in DIR (Parquet, CSV) instead.",
+            metavar="DIR",
+            exists=True,
+            path="folder",
+        ),
+    ] = None
+    vehicle: Annotated[
+        str, Option("--vehicle", "With --flights: the file that the fit starts from.", metavar="NAME_OR_FILE")
+    ] = "crazyflie21_room"
+    columns: Annotated[
+        Path | None,
+        Option(
+            "--columns",
+            "With --flights: TOML with the recordings' columns, units and signs; default: NanoBench's.",
+            metavar="FILE",
+            path="file",
+            exists=True,
+        ),
+    ] = None
+    leave_out: Annotated[
+        bool,
+        Option("--leave-out", "With --flights: also predict each kind of path by a fit to the other kinds."),
+    ] = False
+    out: Annotated[
+        Path | None,
+        Option("--out", "With --flights: write the vehicle's file there.", metavar="FILE", path="file"),
+    ] = None
+    as_json: Annotated[bool, Option("--json", "Print one JSON object instead of TOML.")] = False
 
 
 @click.command()
@@ -104,7 +114,7 @@ def _identify_vehicle(options: IdentifyOptions, folder: Path) -> None:
         from sim.validation import identified
         from sim.validation.fit import together
     except ModuleNotFoundError as error:
-        raise shared.without_recordings(error, "identify --flights") from None
+        raise without_recordings(error, "identify --flights") from None
 
     columns, params = read_columns(options.columns or COLUMNS), load(options.vehicle)
     console = Terminal(stderr=True)

@@ -7,49 +7,59 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 from rich.table import Column, Table
 
-from flightstack.cli import options as shared
 from flightstack.cli.options import takes
 from flightstack.cli.prove.progress import Bar
+from flightstack.common.options import Argument, Option
 from flightstack.common.terminal import Terminal
+from flightstack.config import options as shared
 from flightstack.core.parameters.filters import short_name
 
 _EVENTS = ("violation", "miss")
 INCOMPLETE = 1
 
 
-@dataclass(frozen=True)
-class RareOptions(shared.Options):
+@dataclass(frozen=True, kw_only=True)
+class RareOptions:
     """Options of ``rare``."""
 
-    scenario: str = shared.argument(metavar="SCENARIO")
-    event: str = shared.option(
-        "--of", type=click.Choice(_EVENTS), default=_EVENTS[0],
-        help="The failure: a violation of the barrier, or a crash or touch beyond the pad.",
-    )  # fmt: skip
-    landings: int = shared.option(
-        "--landings", type=click.IntRange(100, 1_000_000), default=500,
-        help="Landings of a level, a multiple of 10; a level is a factor of 10 in the rate.",
-    )  # fmt: skip
-    seed: int = shared.option(
-        "--seed",
-        type=click.IntRange(0, 2**62),
-        default=0,
-        help="Of the estimate; each makes an independent one.",
-    )
-    filter: str | None = shared.safety_filter("Safety filter; default: the scenario's")
-    workers: int | None = shared.option(
-        "--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one for each processor."
-    )
-    out: Path | None = shared.option(
-        "--out", type=shared.FOLDER,
-        help="Folder; an estimate that it holds in part is continued. Default: a new folder in runs/.",
-    )  # fmt: skip
-    as_json: bool = shared.json()
+    scenario: Annotated[str, Argument(metavar="SCENARIO")]
+    event: Annotated[
+        str,
+        Option(
+            "--of",
+            "The failure: a violation of the barrier, or a crash or touch beyond the pad.",
+            choices=_EVENTS,
+        ),
+    ] = _EVENTS[0]
+    landings: Annotated[
+        int,
+        Option(
+            "--landings",
+            "Landings of a level, a multiple of 10; a level is a factor of 10 in the rate.",
+            span=(100, 1000000),
+        ),
+    ] = 500
+    seed: Annotated[
+        int, Option("--seed", "Of the estimate; each makes an independent one.", span=(0, 2**62))
+    ] = 0
+    filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the scenario's")] = None
+    workers: Annotated[
+        int | None, Option("--workers", "Worker processes; default: one for each processor.", span=(1, 1024))
+    ] = None
+    out: Annotated[
+        Path | None,
+        Option(
+            "--out",
+            "Folder; an estimate that it holds in part is continued. Default: a new folder in runs/.",
+            path="folder",
+        ),
+    ] = None
+    as_json: shared.AsJson = False
 
 
 @click.command()

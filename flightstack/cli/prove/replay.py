@@ -7,13 +7,15 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from flightstack.cli import options as shared
 from flightstack.cli.options import takes
+from flightstack.common.options import Argument, Option
+from flightstack.common.options import shared as copied
 from flightstack.common.text import plain
+from flightstack.config import options as shared
 
 if TYPE_CHECKING:
     from logs.replay.compare import Tally
@@ -23,54 +25,61 @@ EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
 _WORST_FIRST = ("unusable", "different", "equal")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ReplayOptions(shared.Signing):
     """Options of ``replay``; those of ``--live`` have the names of ``LiveOptions``."""
 
-    log: Path = shared.argument(type=shared.EXISTING_FILE)
-    check: bool = shared.option("--check", is_flag=True, help="Compare bit by bit; this is also the default.")
-    settings: tuple[str, ...] = shared.option(
-        "--set", multiple=True, metavar="KEY=VALUE",
-        help="Show what another configuration would have commanded, e.g. barrier.alpha_1_m=1.2; repeatable.",
-    )  # fmt: skip
-    member: str | None = shared.member
-    as_json: bool = shared.json()
-    live: bool = shared.option(
-        "--live", is_flag=True, help="Send the recorded messages of target and vehicle again."
-    )
-    vehicle_url: str | None = shared.option(
-        "--vehicle-url", metavar="URL",
-        help="MAVLink URL of the played vehicle: udpin:HOST:PORT, udpout:HOST:PORT.",
-    )  # fmt: skip
-    target_key: str | None = shared.option(
-        "--target-key", metavar="KEY", help="Zenoh key of the target's odometry; default: the recorded key."
-    )
-    connect: tuple[str, ...] = shared.connect
-    listen: tuple[str, ...] = shared.option(
-        "--listen", multiple=True, metavar="ENDPOINT", help="Zenoh endpoint to listen on; repeatable."
-    )
-    view: bool = shared.option(
-        "--view", is_flag=True, help="Also publish the recorded decisions, for viewers."
-    )
-    rate: float = shared.option(
-        "--rate", type=shared.number(0.01, 100.0), default=1.0,
-        help="Seconds of the log played in a second; below 1 the stack refuses the target's samples as late.",
-    )  # fmt: skip
-    start_s: float = shared.option(
-        "--start", type=shared.number(min=0.0), default=0.0, metavar="S",
-        help="Begin this time after the start of the log.",
-    )  # fmt: skip
-    loop: bool = shared.option(
-        "--loop", is_flag=True, help="Begin again at the end, until Ctrl-C or --duration."
-    )
-    pause: bool = shared.option(
-        "--pause", is_flag=True, help="Begin paused. Keys: space or Enter continue, s plays one tick."
-    )
-    wait_s: float = shared.option(
-        "--wait", type=shared.number(min=0.0), default=10.0, metavar="S",
-        help="Longest wait for a receiver; 0: do not wait.",
-    )  # fmt: skip
-    duration_s: float | None = shared.duration
+    log: Annotated[Path, Argument(path="file", exists=True)]
+    check: Annotated[bool, Option("--check", "Compare bit by bit; this is also the default.")] = False
+    settings: Annotated[
+        tuple[str, ...],
+        Option(
+            "--set",
+            "Show what another configuration would have commanded, e.g. barrier.alpha_1_m=1.2; repeatable.",
+            metavar="KEY=VALUE",
+        ),
+    ] = ()
+    member: shared.Member = None
+    as_json: shared.AsJson = False
+    live: Annotated[bool, Option("--live", "Send the recorded messages of target and vehicle again.")] = False
+    vehicle_url: Annotated[
+        str | None,
+        Option(
+            "--vehicle-url",
+            "MAVLink URL of the played vehicle: udpin:HOST:PORT, udpout:HOST:PORT.",
+            metavar="URL",
+        ),
+    ] = None
+    target_key: Annotated[
+        str | None,
+        Option(
+            "--target-key", "Zenoh key of the target's odometry; default: the recorded key.", metavar="KEY"
+        ),
+    ] = None
+    connect: shared.Connect = ()
+    listen: Annotated[
+        tuple[str, ...], Option("--listen", "Zenoh endpoint to listen on; repeatable.", metavar="ENDPOINT")
+    ] = ()
+    view: Annotated[bool, Option("--view", "Also publish the recorded decisions, for viewers.")] = False
+    rate: Annotated[
+        float,
+        Option(
+            "--rate",
+            "Seconds of the log played in a second; below 1 the stack refuses the target's samples as late.",
+            span=(0.01, 100.0),
+        ),
+    ] = 1.0
+    start_s: Annotated[
+        float, Option("--start", "Begin this time after the start of the log.", metavar="S", span=(0.0, None))
+    ] = 0.0
+    loop: Annotated[bool, Option("--loop", "Begin again at the end, until Ctrl-C or --duration.")] = False
+    pause: Annotated[
+        bool, Option("--pause", "Begin paused. Keys: space or Enter continue, s plays one tick.")
+    ] = False
+    wait_s: Annotated[
+        float, Option("--wait", "Longest wait for a receiver; 0: do not wait.", metavar="S", span=(0.0, None))
+    ] = 10.0
+    duration_s: shared.Duration = None
 
 
 @click.command()
@@ -170,7 +179,7 @@ def _unusable(log: Path, error: ValueError) -> dict[str, Any]:
 def _live(options: ReplayOptions) -> None:
     from logs.replay.live import LiveOptions, play
 
-    ticks = play(options.log, options.to(LiveOptions), say=click.echo)
+    ticks = play(options.log, copied(options, LiveOptions), say=click.echo)
     click.echo(f"played {ticks} ticks")
 
 

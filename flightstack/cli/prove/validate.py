@@ -8,48 +8,57 @@ import sys
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 from rich.box import SIMPLE
 from rich.table import Table
 from rich.text import Text
 
-from flightstack.cli import options as shared
-from flightstack.cli.options import takes
+from flightstack.cli.options import takes, without_recordings
 from flightstack.cli.prove.progress import Bar
+from flightstack.common.options import Argument, Option
 from flightstack.common.terminal import Terminal
+from flightstack.config import options as shared
 
 PASSED, FAILED = 0, 1
 PAGE, SUMMARY = "validate.html", "validate.json"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ValidateOptions(shared.Result):
     """Options of ``validate``."""
 
-    folder: Path = shared.argument(
-        metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path)
-    )
-    columns: Path | None = shared.option(
-        "--columns", type=shared.EXISTING_FILE, metavar="FILE",
-        help="TOML with the recordings' columns, units and signs; default: those of NanoBench.",
-    )  # fmt: skip
-    vehicle: str | None = shared.option(
-        "--vehicle", metavar="NAME_OR_FILE",
-        help="Vehicle to simulate: a name of sim/vehicles or a file; default: crazyflie21_room.",
-    )  # fmt: skip
-    shuffle_pwm: bool = shared.option(
-        "--shuffle-pwm", is_flag=True,
-        help="Control experiment: the motor commands in random order; it must fail.",
-    )  # fmt: skip
-    seed: int = shared.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Random seed.")
-    workers: int | None = shared.option(
-        "--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one for each processor."
-    )
-    out: Path | None = shared.option(
-        "--out", type=shared.FOLDER, help="Folder for page and JSON; default: a new folder in runs/."
-    )
+    folder: Annotated[Path, Argument(metavar="DIR", exists=True, path="folder")]
+    columns: Annotated[
+        Path | None,
+        Option(
+            "--columns",
+            "TOML with the recordings' columns, units and signs; default: those of NanoBench.",
+            metavar="FILE",
+            path="file",
+            exists=True,
+        ),
+    ] = None
+    vehicle: Annotated[
+        str | None,
+        Option(
+            "--vehicle",
+            "Vehicle to simulate: a name of sim/vehicles or a file; default: crazyflie21_room.",
+            metavar="NAME_OR_FILE",
+        ),
+    ] = None
+    shuffle_pwm: Annotated[
+        bool, Option("--shuffle-pwm", "Control experiment: the motor commands in random order; it must fail.")
+    ] = False
+    seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0
+    workers: Annotated[
+        int | None, Option("--workers", "Worker processes; default: one for each processor.", span=(1, 1024))
+    ] = None
+    out: Annotated[
+        Path | None,
+        Option("--out", "Folder for page and JSON; default: a new folder in runs/.", path="folder"),
+    ] = None
 
 
 @click.command()
@@ -69,7 +78,7 @@ def validate(options: ValidateOptions) -> None:
         from sim.validation.criteria import judge
         from sim.validation.summary import reasons, summary
     except ModuleNotFoundError as error:
-        raise shared.without_recordings(error, "validate") from None
+        raise without_recordings(error, "validate") from None
 
     plan = core.Plan(
         options.folder, options.columns, options.vehicle or core.VEHICLE, options.shuffle_pwm, options.seed

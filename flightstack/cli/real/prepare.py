@@ -6,11 +6,13 @@ import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import click
 
-from flightstack.cli import options as shared
 from flightstack.cli.options import takes
+from flightstack.common.options import Option
+from flightstack.config import options as shared
 
 
 @click.command()
@@ -32,7 +34,7 @@ def _first_line(text: str) -> str:
 
 
 @click.command()
-@click.argument("file", type=shared.FILE)
+@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 def key(file: Path) -> None:
     """Write a new MAVLink signing key to FILE, readable by its owner only (docs/how_to/security.md)."""
     from bridge.mavlink.signing.key import make_key
@@ -41,16 +43,20 @@ def key(file: Path) -> None:
     click.echo(f"{file}: a new signing key; give it to both ends as --signing-key, over a channel you trust")
 
 
-@dataclass(frozen=True)
-class RouterOptions(shared.Options):
+@dataclass(frozen=True, kw_only=True)
+class RouterOptions:
     """Options of ``router``."""
 
-    listen: tuple[str, ...] = shared.option(
-        "--listen", multiple=True, metavar="ENDPOINT",
-        help="Endpoint to listen on; default: the configuration's, or tcp/127.0.0.1:7447; repeatable.",
-    )  # fmt: skip
-    connect: tuple[str, ...] = shared.connect
-    zenoh_config: Path | None = shared.zenoh_config
+    listen: Annotated[
+        tuple[str, ...],
+        Option(
+            "--listen",
+            "Endpoint to listen on; default: the configuration's, or tcp/127.0.0.1:7447; repeatable.",
+            metavar="ENDPOINT",
+        ),
+    ] = ()
+    connect: shared.Connect = ()
+    zenoh_config: shared.ZenohConfig = None
 
 
 @click.command()

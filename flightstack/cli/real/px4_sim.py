@@ -3,49 +3,12 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
 
 import click
 
-from flightstack.cli import options as shared
 from flightstack.cli.options import takes
-
-
-@dataclass(frozen=True)
-class Px4SimOptions(shared.Zenoh, shared.Scenario):
-    """Options of ``px4-sim``."""
-
-    tcp: str = shared.option(
-        "--tcp", default="127.0.0.1:4560", metavar="HOST:PORT",
-        help="Where PX4 connects to; port 0 takes a free one.",
-    )  # fmt: skip
-    speed: float = shared.option(
-        "--speed", type=shared.number(0.0, 100.0), default=1.0,
-        help="Simulated against real time; 0: as fast as PX4 answers.",
-    )  # fmt: skip
-    clock: Path | None = shared.option(
-        "--clock", type=shared.FILE, metavar="FILE",
-        help="Write the simulated time there, for `target --clock` and `onboard --clock`, and wait for both.",
-    )  # fmt: skip
-    silent_max_s: float = shared.option(
-        "--silent-max", type=shared.number(min=1.0), default=10.0, metavar="S",
-        help="End when PX4 has not answered for S seconds.",
-    )  # fmt: skip
-    once: bool = shared.option(
-        "--once", is_flag=True, help="End when the first PX4 disconnects, instead of waiting for the next."
-    )
-    form: str | None = shared.option(
-        "--parameters", type=click.Choice(("env", "airframe", "console")),
-        help="Print PX4's parameters for the vehicle and end: shell lines, airframe file, or for PX4's "
-        "console.",
-    )  # fmt: skip
-    mocap: bool = shared.mocap
-    duration_s: float | None = shared.duration
-    namespace: str = shared.namespace
-    member: int | None = shared.one_member
-    recorder: Path | None = shared.recorder
-    allow_unsigned: bool = shared.allow_unsigned
+from sim.px4.options import Px4SimOptions
 
 
 @click.command("px4-sim")
@@ -68,5 +31,4 @@ def px4_sim(options: Px4SimOptions) -> None:
         click.echo(parameter_text(params.load(loaded.vehicle.airframe), options.form, poses))
         return
     namespace = options.namespace if options.member is None else member_name(options.member)
-    own = options.to(process.Px4SimOptions, seed=seed, namespace=namespace)
-    sys.exit(process.px4_sim_main(loaded, own))
+    sys.exit(process.px4_sim_main(loaded, replace(options, seed=seed, namespace=namespace)))

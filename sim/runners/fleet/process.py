@@ -23,11 +23,11 @@ from sim.runners.fleet.room import Member, Room
 from sim.runners.fleet.team import warm_up_room
 from sim.runners.fleet.words import Words
 from sim.runners.log import VehicleLog
+from sim.runners.options import VehicleOptions
 from sim.runners.vehicle_node import VehicleNode
 from sim.runners.vehicle_process import (
     RealTimeLoop,
     RealTimeVehicle,
-    VehicleOptions,
     autopilot_of,
     joined,
     opened,

@@ -9,10 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 from bridge.mavlink.server.parameters import Parameters, real
-from flightstack.cli import options as shared
 from flightstack.cli.main import VERBS, main
+from flightstack.common.options import BadOptionError
 from flightstack.common.strict_toml import ConfigError, from_table, to_table
 from flightstack.config.files import load
+from flightstack.config.options import numbers
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.verify.certificate import checks
 from sim.scenarios.scenario import Scenario
@@ -53,8 +54,8 @@ def test_the_command_says_so(text):
 
 @pytest.mark.parametrize("text", NO_NUMBERS)
 def test_neither_do_parameters_of_the_vehicle(text):
-    with pytest.raises(click.BadParameter, match="finite"):
-        shared.numbers(None, None, (f"COM_OF_LOSS_T={text}",))
+    with pytest.raises(BadOptionError, match="finite"):
+        numbers((f"COM_OF_LOSS_T={text}",))
     table = Parameters([real("A", 1.0, -1e38, 1e38)])
     with pytest.raises(ValueError, match="A"):
         table.preset("A", float(text))

@@ -13,7 +13,8 @@ from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, Neighbour, Operator, Phase
 from flightstack.onboard import process
 from flightstack.onboard.fleet_wire import FleetWire, namespace_of
-from flightstack.onboard.process import Onboard, Options
+from flightstack.onboard.options import OnboardOptions
+from flightstack.onboard.process import Onboard
 from flightstack.onboard.runner import LinkedVehicle
 from logs.schema import schemas
 from logs.schema.fleet_rows import unpack_neighbours
@@ -23,7 +24,9 @@ from tests.unit.target.ros2_helpers import until
 
 LONE = load(path_of("crazyflie"))
 CONFIG = replace(LONE, fleet=Fleet(3, (3, 7)))
-WHERE = {"vehicle_url": "udpin:127.0.0.1:0", "target_key": "cf3/target/odom"}
+WHERE = {
+    "vehicle_url": "udpin:127.0.0.1:0", "target_key": "cf3/target/odom", "config_file": path_of("crazyflie"),
+}  # fmt: skip
 
 
 class Feed:
@@ -66,7 +69,7 @@ def endpoint():
 
 @pytest.fixture
 def onboard(feed, endpoint):
-    made = Onboard(CONFIG, Options(**WHERE, listen=[endpoint], namespace="cf3"), lambda _: None)
+    made = Onboard(CONFIG, OnboardOptions(**WHERE, listen=(endpoint,), namespace="cf3"), lambda _: None)
     yield made
     made.close()
 
@@ -159,7 +162,7 @@ def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard,
 
 
 def test_a_lone_vehicle_has_no_wire(feed):
-    onboard = Onboard(LONE, Options(**WHERE), lambda _: None)
+    onboard = Onboard(LONE, OnboardOptions(**WHERE), lambda _: None)
     try:
         assert onboard.fleet is None
         assert process._alone_with_its_id(onboard, nobody()) is None
@@ -171,7 +174,7 @@ def test_a_lone_vehicle_has_no_wire(feed):
 
 def test_a_fleet_is_refused_where_it_cannot_work():
     with pytest.raises(ConfigError, match="nobody can reach this process; --connect, --listen or --zenoh-c"):
-        process.run(CONFIG, Options(**WHERE))
+        process.run(CONFIG, OnboardOptions(**WHERE))
 
 
 def test_each_member_has_its_own_namespace():

@@ -1,81 +1,112 @@
 """What ``fly`` hands on to the onboard process, and how many runs are summed up."""
 
-from itertools import pairwise
+from dataclasses import MISSING, replace
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 
+from bridge.crazyflie.options import CrazyflieOptions
+from bridge.mocap.options import MocapOptions
 from flightstack.cli.main import main
+from flightstack.cli.options import takes
+from flightstack.common.options import argv, declared
 from flightstack.common.processes import LaunchError
-from flightstack.config.files import load
+from flightstack.config.files import load, path_of
 from flightstack.launch import fly
-from flightstack.launch.launcher import words
-from flightstack.launch.run_options import Flies, RunOptions
+from flightstack.launch.launcher import Launcher
+from flightstack.launch.run_options import FlyOptions, RunOptions
 from flightstack.launch.sitl import prepare, sum_up
+from flightstack.onboard.options import FlightOptions, OnboardOptions
+from flightstack.watch.options import WatchOptions
+from sim.px4.options import Px4SimOptions
+from sim.runners.options import TargetOptions, VehicleOptions
 from sim.scenarios.scenario import load as load_scenario
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    """``asked(*words)``: the configuration and options that reach the flight, and the exit status."""
+def started(monkeypatch):
+    """``started(*words)``: the options with which ``fly`` starts the onboard process."""
     seen = []
 
-    def run(config, options, console):
-        seen.append((config, options))
+    def start(launcher, verb, options, of=""):
+        seen.append(options)
         raise LaunchError("not flown here", 2)
 
-    monkeypatch.setattr(fly, "run", run)
+    monkeypatch.setattr(Launcher, "start", start)
+    monkeypatch.setattr(Launcher, "record", lambda launcher, log: log.parent)
+    monkeypatch.setattr(fly, "describe", lambda *_: None)
+    monkeypatch.setattr(Path, "yield_to_others", lambda *_: None, raising=False)
 
-    def ask(*words):
+    def fly_with(*words):
         done = CliRunner().invoke(main, ["fly", *map(str, words)])
-        return (*seen[-1], done.exit_code) if seen else done
+        assert done.exit_code == 2  # the child's reason for not starting
+        return seen[-1]
 
-    return ask
-
-
-def test_every_option_of_the_onboard_process_is_handed_on_as_it_was_given(asked, tmp_path):
-    key, zenoh = tmp_path / "vehicle.key", tmp_path / "zenoh.json5"
-    zenoh.write_text("{}")
-    config, options, status = asked(
-        "--vehicle", "udpin:0.0.0.0:14540", "--target", "ros2:/pose", "--config", "crazyflie",
-        "--connect", "tcp/10.0.0.2:7447", "--connect", "tcp/10.0.0.3:7447", "--listen", "tcp/0.0.0.0:7448",
-        "--autopilot", "ardupilot", "--signing-key", key, "--allow-unsigned", "--system-id", 7,
-        "--target-type", "pose", "--target-offset", 0.1, -0.2, 0.3, "--ros2", "tcp/127.0.0.1:7447",
-        "--ros-domain", 5, "--zenoh-config", zenoh, "--duration", 30, "--namespace", "cf2", "--out", tmp_path,
-    )  # fmt: skip
-    assert config == load("crazyflie")
-    given = list(options.words)
-    pairs = set(pairwise(given))
-    assert pairs >= {
-        ("--vehicle", "udpin:0.0.0.0:14540"), ("--target", "ros2:/pose"), ("--target-type", "pose"),
-        ("--connect", "tcp/10.0.0.2:7447"), ("--connect", "tcp/10.0.0.3:7447"),
-        ("--listen", "tcp/0.0.0.0:7448"), ("--autopilot", "ardupilot"), ("--signing-key", str(key)),
-        ("--system-id", "7"), ("--ros2", "tcp/127.0.0.1:7447"), ("--ros-domain", "5"),
-        ("--zenoh-config", str(zenoh)), ("--duration", "30.0"), ("--namespace", "cf2"),
-    }  # fmt: skip
-    at = given.index("--target-offset")
-    assert given[at + 1 : at + 4] == ["0.1", "-0.2", "0.3"]
-    assert "--allow-unsigned" in given
-    assert not {"--config", "--out", "--no-record", "--json", "--report"} & set(given)
-    assert (options.record, options.out) == (True, tmp_path)
-    assert (options.name, options.namespace) == ("crazyflie", "cf2")
-    assert status == 2  # the child's reason for not starting
+    return fly_with
 
 
-def test_what_was_not_given_is_not_handed_on_and_recording_is_declined_by_its_option_alone(asked):
-    _, options, _ = asked(
-        "--vehicle", "udpin:127.0.0.1:14540", "--config", "sitl-1kg", "--no-record", "--json"
+def test_every_option_of_the_onboard_process_is_handed_on_as_it_was_given(started, tmp_path):
+    given = OnboardOptions(
+        vehicle_url="udpin:0.0.0.0:14540", config_file=path_of("crazyflie"), **others(FlightOptions, tmp_path)
     )
-    assert not {"--allow-unsigned", "--signing-key", "--ros2", "--duration"} & set(options.words)
-    assert (options.record, options.live) == (False, False)
+    words = [*argv(replace(given, no_record=False)), "--out", str(tmp_path)]
+    found = started(*words)
+    assert load(found.config_file) == load("crazyflie")
+    assert found.recorder is not None
+    own = {"config_file": found.config_file, "recorder": found.recorder, "no_record": False}
+    assert found == replace(given, **own, listen=(*given.listen, found.listen[-1]))
 
 
-def test_options_are_written_as_words_of_a_command_line():
-    assert words(px4_sih=Path("px4"), lockstep=True, once=False, clock=None, listen=["a", "b"]) == [
-        "--px4-sih", "px4", "--lockstep", "--listen", "a", "--listen", "b",
-    ]  # fmt: skip
-    assert words(target_offset=(0, 0, -0.2)) == ["--target-offset", "0", "0", "-0.2"]
+def test_recording_is_declined_by_its_option_alone(started, tmp_path):
+    where = ("--vehicle", "udpin:127.0.0.1:14540", "--config", "sitl-1kg", "--out", tmp_path, "--json")
+    assert started(*where).recorder is not None
+    assert started(*where, "--no-record").recorder is None
+
+
+def others(cls, folder):
+    """A value of each option that has a default, another one than that."""
+    file = folder / "file"
+    file.write_text("{}")
+    found = {
+        "filter": "robust", "parameters": {"COM_OF_LOSS_T": 0.123456789}, "members": {2: "udpin:127.0.0.1:1"},
+    }  # fmt: skip
+    for name, option, kind, many, number, default in declared(cls):
+        if default is MISSING or name in found:
+            continue
+        if kind is bool:
+            value = not default
+        elif kind is Path:
+            value = folder if option.path == "folder" else path_of("crazyflie") if option.read else file
+        elif kind is str:
+            value = option.choices[-1] if option.choices else "tcp/127.0.0.1:7447"
+        else:
+            value = kind(option.span[1] or 3)
+        found[name] = (value,) if many else (-0.1, value, 3e-7) if number == 3 else value
+    return {name: value for name, value in found.items() if name in {each.name for each in declared(cls)}}
+
+
+@pytest.mark.parametrize(
+    ("cls", "required"),
+    [
+        (OnboardOptions, {"vehicle_url": "udpin:127.0.0.1:0", "config_file": path_of("crazyflie")}),
+        (FlyOptions, {"vehicle_url": "udpin:127.0.0.1:0", "config_file": path_of("crazyflie")}),
+        (RunOptions, {"scenario": "grid"}),
+        (VehicleOptions, {"scenario": "grid"}),
+        (TargetOptions, {"scenario": "grid"}),
+        (Px4SimOptions, {"scenario": "grid"}),
+        (WatchOptions, {}),
+        (CrazyflieOptions, {"uri": "usb://0"}),
+        (MocapOptions, {"pose_key": "a/b", "vehicle_url": "udpin:127.0.0.1:0"}),
+    ],
+)
+def test_a_command_line_made_of_options_gives_the_same_options(cls, required, tmp_path):
+    found = []
+    command = click.command()(takes(cls)(found.append))
+    for given in (cls(**required), cls(**required, **others(cls, tmp_path))):
+        command.main(argv(given), standalone_mode=False)
+        assert found[-1] == given
 
 
 def test_runs_are_counted_and_what_did_not_fly_is_no_landing():
@@ -99,11 +130,11 @@ def test_runs_are_counted_and_what_did_not_fly_is_no_landing():
 def test_a_configuration_that_does_not_say_where_to_begin_begins_where_the_scenario_does(scenario, config):
     given = load_scenario(scenario).onboard.takeoff.start_offset_m
     assert load(config).takeoff.start_offset_m is None
-    flown = prepare(RunOptions(scenario, flies=Flies.PX4)).onboard
+    flown = prepare(RunOptions(scenario=scenario, px4=Path("px4"))).onboard
     assert flown.takeoff.start_offset_m == given
     assert flown.vehicle == load(config).vehicle
 
 
 def test_a_configuration_that_says_where_to_begin_is_flown_as_it_is():
-    flown = prepare(RunOptions("grid", config="crazyflie")).onboard
+    flown = prepare(RunOptions(scenario="grid", config_file=path_of("crazyflie"))).onboard
     assert flown == load("crazyflie")

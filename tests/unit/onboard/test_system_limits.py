@@ -10,15 +10,15 @@ import pytest
 
 from bridge.mavlink.transport.address import parse_peer, parse_url
 from bridge.zenoh import zenoh_link
-from flightstack.cli import options
 from flightstack.common.processes import LaunchError, socket_folder
 from flightstack.common.strict_toml import ConfigError, decoded, parse_toml, read_toml
 from flightstack.compiled import jit
+from flightstack.config import options
 from logs.recorder.feed import Feed, FeedError
 from logs.recorder.recorder_process import RecorderError, _listen
 from sim.validation import run as validation
 
-SHIPPED = Path(options.__file__).parents[1] / "config" / "sitl-1kg.toml"
+SHIPPED = Path(options.__file__).parent / "sitl-1kg.toml"
 
 
 @pytest.mark.parametrize("length", [40, 80, 101, 180])
@@ -156,7 +156,7 @@ def test_files_of_windows_editors_are_read(encode, tmp_path):
     assert decoded(encode("1,2\n")).split() == ["1,2"]
     seed = tmp_path / "seed"
     seed.write_bytes(encode("123\n"))
-    assert options._seed(None, None, str(seed)) == 123
+    assert options.seed(str(seed)) == 123
     zenoh = tmp_path / "z.json5"
     zenoh.write_bytes(encode('{ mode: "client" } // größer'))
     assert '"client"' in zenoh_link._configuration((), (), zenoh, zenoh_link.Role.PEER).get_json("mode")

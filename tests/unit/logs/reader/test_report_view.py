@@ -17,7 +17,7 @@ from flightstack.config.files import load, path_of
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.types import FilterStatus, Phase
-from flightstack.launch.run_options import Flies, RunOptions
+from flightstack.launch.run_options import RunOptions
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogError
 from logs.report.compare import write_comparison
@@ -187,19 +187,20 @@ def test_the_command_repeats_the_run(written):
 
 
 # where the flight is shown, or what the scenario as it was flown has
-NOT_TOLD = {"scenario", "seed", "filter", "lockstep", "out", "live", "listen", "zenoh_config", "ros2", "view"}
-NOT_TOLD |= {"instance", "members", "flies"}
+NOT_TOLD = {"scenario", "seed", "filter", "lockstep", "out", "listen", "zenoh_config", "ros2_where", "view"}
+NOT_TOLD |= {"ros_domain", "instance", "members", "runs", "as_json", "with_report", "px4_sih", "ardupilot"}
 
 
 def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
     given = {
         "duration_s": 20.0, "signing_key": Path("a key"), "profile": "ardupilot", "autopilot": "ardupilot",
-        "accept_release": True, "config": "paper", "program": Path("px4"), "mocap": True, "speed": 2.0,
+        "accept_release": True, "config_file": Path("paper"), "px4": Path("px4"), "mocap": True, "speed": 2.0,
     }  # fmt: skip
-    options = RunOptions("room", flies=Flies.PX4, **given)
+    options = RunOptions(scenario="room", **given)
     assert given.keys() == {field.name for field in dataclasses.fields(RunOptions)} - NOT_TOLD
-    assert RunOptions("room").told == {}
-    assert options.told.keys() - {"vehicle"} == given.keys()
+    assert RunOptions(scenario="room").told == {}
+    names = {"config_file": "config", "px4": "program"}
+    assert options.told.keys() - {"vehicle"} == {names.get(name, name) for name in given}
     assert command({"seed": "7", **options.told}, "scenario.toml") == (
         "flightstack sitl --scenario scenario.toml --seed 7 --px4 px4 --profile ardupilot "
         "--autopilot ardupilot --speed 2 --duration 20 --signing-key 'a key' --accept-release --mocap"

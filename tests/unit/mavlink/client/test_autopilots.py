@@ -23,9 +23,12 @@ from bridge.mavlink.profiles.autopilots import (
     refusal,
 )
 from bridge.mavlink.profiles.profile import Encoding, Reading
-from flightstack.cli import options as cli_options
+from bridge.target.ros2_target import TargetType
 from flightstack.compiled.core import Core
+from flightstack.config.options import AUTOPILOTS
+from flightstack.config.options import PROFILES as SIMULATED_CHOICES
 from flightstack.core.types import Landed, Mode, Request
+from flightstack.onboard.options import CORES, TARGET_TYPES
 from sim.autopilot.profiles import PROFILES as SIMULATED
 from tests.unit.mavlink.client.autopilots_page import PAGE, split, tables
 from tests.unit.mavlink.client.vehicle_link_fakes import (
@@ -54,9 +57,10 @@ def test_every_profile_is_whole():
 
 
 def test_the_command_knows_cores_and_autopilots_and_the_server_profiles_of_the_simulator():
-    assert cli_options.AUTOPILOTS == CHOICES
-    assert tuple(SIMULATED) == cli_options.PROFILES
-    assert tuple(each.value for each in Core) == cli_options.CORES
+    assert AUTOPILOTS == CHOICES
+    assert tuple(SIMULATED) == SIMULATED_CHOICES
+    assert tuple(each.value for each in Core) == CORES
+    assert tuple(each.value for each in TargetType) == TARGET_TYPES
 
 
 def test_names_and_heartbeats_give_profiles():

@@ -1,0 +1,105 @@
+"""Options: the dataclass that configures a process is its command line.
+
+An option is a field annotated with an ``Option`` or ``Argument``; type and default are the field's own:
+``rate_hz: Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))] = 100``. The command reads the
+dataclass from a command line (``flightstack.cli.options``), and ``argv`` writes one for a child process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, fields
+from types import NoneType, UnionType
+from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
+
+
+class BadOptionError(ValueError):
+    """A value that an option does not take: what was found, and what is needed."""
+
+
+@dataclass(frozen=True)
+class Argument:
+    """A word of the command line without a name."""
+
+    metavar: str | None = None
+    path: str = "any"  # what a path may be: any, file or folder
+    exists: bool = False  # whether the path has to exist
+
+
+@dataclass(frozen=True)
+class Option:
+    """A named option: ``bool`` is a flag, ``tuple[T, ...]`` and ``Mapping`` are given once for each value."""
+
+    name: str  # --name; --name/--no-name of a flag that is on by default
+    help: str
+    metavar: str | None = None
+    span: tuple[float | None, float | None] = (None, None)  # smallest and largest number allowed
+    choices: tuple[str, ...] = ()  # texts allowed; none: any
+    path: str = "any"  # what a path may be: any, file or folder
+    exists: bool = False  # whether the path has to exist
+    read: Callable[[Any], Any] | None = None  # makes the value of the text, or of all texts of a Mapping
+    also: tuple[str, ...] = ()  # further names
+    bare: str | None = None  # value where the name stands alone
+    variable: str | None = None  # environment variable that is read where the option is not given
+
+
+class Declared(NamedTuple):
+    """An option or argument of a dataclass."""
+
+    name: str  # of the field
+    option: Option | Argument
+    type: type  # of one value
+    many: bool  # whether it may be given several times
+    number: int  # of values in each of them
+    default: Any  # MISSING: it has to be given
+
+
+def declared(cls: type) -> tuple[Declared, ...]:
+    """Return the options and arguments of a dataclass, in the order of its fields."""
+    found: list[Declared] = []
+    hints: dict[str, Any] = get_type_hints(cls, include_extras=True)
+    for field in fields(cls):
+        hint: Any
+        hint, *notes = get_args(hints[field.name]) or [None]
+        option = next((note for note in notes if isinstance(note, Option | Argument)), None)
+        if option is None:
+            continue
+        if get_origin(hint) in (Union, UnionType):
+            hint = next(one for one in get_args(hint) if one is not NoneType)
+        many, number, parts = get_origin(hint) is not None, 1, get_args(hint)
+        if get_origin(hint) is tuple:
+            if parts[-1] is not Ellipsis:
+                many, number = False, len(parts)
+            hint = parts[0]
+        elif many:
+            hint = str  # of a Mapping: KEY=VALUE
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        found.append(Declared(field.name, option, hint, many, number, default))
+    return tuple(found)
+
+
+def shared(source: object, cls: type[T], **others: Any) -> T:
+    """Make a ``cls`` of the fields that ``source`` has as well, and of ``others``."""
+    both = {f.name: getattr(source, f.name) for f in fields(cls) if hasattr(source, f.name)}  # type: ignore[arg-type]
+    return cls(**{**both, **others})
+
+
+def argv(options: Any) -> list[str]:
+    """Return the command line that gives a process these options; what has its default value is left out."""
+    words: list[str] = []
+    for name, option, _, many, number, default in declared(type(options)):
+        value = getattr(options, name)
+        if isinstance(option, Argument):
+            words += map(str, value) if many else [str(value)]
+        elif value is None or (value == default and option.variable is None):
+            continue
+        elif isinstance(value, bool):
+            words.append(option.name.split("/")[0 if value else -1])
+        else:
+            if isinstance(value, Mapping):
+                value = [f"{key}={each}" for key, each in value.items()]
+            for each in value if many else [value]:
+                words += [option.name, *map(str, each if number > 1 else [each])]
+    return words

@@ -1,0 +1,276 @@
+"""Options that several commands share, alone or in a dataclass of those that belong together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from flightstack.common.options import BadOptionError, Option
+from flightstack.common.strict_toml import decoded
+from flightstack.config.files import path_of
+from flightstack.core.parameters.filters import ALLOWED, look_here
+
+_SEED_DIGITS_MAX = 4000  # more than the longest that ``rare`` makes; Python reads 4,300
+# written out here, so that a command does not load the rooms that know them; a test compares them
+AUTOPILOTS = ("auto", "sitl", "crazyflie", "px4", "ardupilot")
+PROFILES = ("px4", "ardupilot")
+
+
+def _number(text: str) -> float | None:
+    """A finite number; None: it is none."""
+    try:
+        found = float(text)
+    except ValueError:
+        return None
+    return found if math.isfinite(found) else None
+
+
+def numbers(given: tuple[str, ...]) -> Mapping[str, float]:
+    """Turn each NAME=VALUE into an entry of a table.
+
+    Raises:
+        BadOptionError: a text of another form.
+    """
+    found = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        number = _number(value)
+        if not equals or number is None:
+            raise BadOptionError(
+                f"found {text!r}; NAME=VALUE with a finite number is needed, for example COM_OF_LOSS_T=0.5"
+            )
+        found[name] = number
+    return found
+
+
+def seed(given: str) -> int:
+    """Read a seed: its number, or a file that holds it.
+
+    Raises:
+        BadOptionError: neither.
+    """
+    text, file = given, Path(given)
+    if not given.isdecimal() and file.is_file():
+        text = decoded(file.read_bytes()).strip()
+    if not (text.isascii() and text.isdecimal()) or len(text) > _SEED_DIGITS_MAX:
+        raise BadOptionError(
+            f"found {given[:60]!r}; a whole number from 0 on, or a file with one of `rare`, is needed"
+        )
+    return int(text)
+
+
+def _filter_name(given: str) -> str:
+    """Name of a safety filter that exists."""
+    from flightstack.core.strategies.strategy import strategy_class
+
+    look_here(given)
+    strategy_class(given)
+    return given
+
+
+def safety_filter(help: str) -> Option:
+    """``--filter``."""
+    return Option("--filter", f"{help}: {ALLOWED}.", metavar="NAME", read=_filter_name)
+
+
+def config(help: str = "Configuration (TOML)") -> Option:
+    """``--config``."""
+    return Option(
+        "--config", f"{help}: a name (see `config`) or a file.", metavar="NAME_OR_FILE", read=path_of
+    )
+
+
+def json(help: str = "Print one JSON object.") -> Option:
+    """``--json``."""
+    return Option("--json", help)
+
+
+def seconds(name: str, help: str, low: float | None = None, high: float | None = None) -> Option:
+    """A time in seconds."""
+    return Option(name, help, metavar="S", span=(low, high))
+
+
+Connect = Annotated[
+    tuple[str, ...],
+    Option(
+        "--connect", "Zenoh endpoint to connect to, e.g. tcp/10.0.0.2:7447; repeatable.", metavar="ENDPOINT"
+    ),
+]
+ZenohConfig = Annotated[
+    Path | None,
+    Option(
+        "--zenoh-config",
+        "Zenoh configuration (JSON5): routers, TLS, passwords, access (docs/how_to/zenoh.md).",
+        metavar="FILE", path="file", exists=True,
+    ),
+]  # fmt: skip
+Lockstep = Annotated[bool, Option("--lockstep", "Simulated time, as fast as possible, deterministic.")]
+Rate = Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))]
+Recorder = Annotated[Path | None, Option("--recorder", "Socket of a running `record`.", metavar="SOCKET")]
+Namespace = Annotated[str, Option("--namespace", "First part of all Zenoh keys and topics.")]
+Duration = Annotated[
+    float | None, seconds("--duration", "End after this time in seconds of stack time.", 0.1)
+]
+Speed = Annotated[
+    float,
+    Option(
+        "--speed",
+        "Stack time against real time, for a simulator of the same speed; never for a real vehicle.",
+        metavar="X", span=(0.1, 20.0),
+    ),
+]  # fmt: skip
+Clock = Annotated[
+    Path | None,
+    Option(
+        "--clock",
+        "Use the clock of `px4-sim --clock FILE` instead of the wall clock; never for a real vehicle.",
+        metavar="FILE", path="file",
+    ),
+]  # fmt: skip
+Url = Annotated[str, Option("--url", "MAVLink URL to serve; port 0 takes a free one.")]
+Peers = Annotated[
+    tuple[str, ...],
+    Option(
+        "--peer",
+        "Send telemetry there without being asked, e.g. 127.0.0.1:14540 for MAVSDK, 127.0.0.1:14550 for a "
+        "ground station; repeatable.",
+        metavar="HOST:PORT",
+    ),
+]
+VehicleUrl = Annotated[
+    str,
+    Option(
+        "--vehicle",
+        "MAVLink URL: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD], by default "
+        "at 921600 baud.",
+        metavar="URL",
+    ),
+]
+SystemId = Annotated[int, Option("--system-id", "MAVLink system id of the vehicle.", span=(1, 255))]
+Autopilot = Annotated[
+    str,
+    Option(
+        "--autopilot",
+        "Autopilot of the vehicle; auto: the heartbeat says which (docs/how_to/autopilots.md).",
+        choices=AUTOPILOTS,
+    ),
+]
+AcceptRelease = Annotated[
+    bool,
+    Option(
+        "--accept-release",
+        "Fly an autopilot whose release is not known by the rules of the nearest one.",
+    ),
+]
+Profile = Annotated[
+    str,
+    Option(
+        "--profile",
+        "Autopilot that the simulated vehicle imitates (--personality is the old name).",
+        choices=PROFILES, also=("--personality",),
+    ),
+]  # fmt: skip
+SigningKey = Annotated[
+    Path | None,
+    Option(
+        "--signing-key", "Sign MAVLink with this key and ignore unsigned frames (see `key`).", metavar="FILE"
+    ),
+]
+AllowUnsigned = Annotated[
+    bool, Option("--allow-unsigned", "Listen on a network without a key: everybody there can fly it.")
+]
+RosDomain = Annotated[
+    int,
+    Option("--ros-domain", "Domain of the ROS 2 nodes.", span=(0, 232), variable="ROS_DOMAIN_ID"),
+]
+Mocap = Annotated[bool, Option("--mocap", "Give PX4 the scenario's motion capture instead of satellites.")]
+View = Annotated[
+    str | None,
+    Option(
+        "--view",
+        "The scene in 3-D during flight: in a window of Rerun, a browser, or a file (docs/how_to/live.md).",
+        metavar="[native|web|FILE.rrd]", bare="native",
+    ),
+]  # fmt: skip
+OneMember = Annotated[
+    int | None,
+    Option(
+        "--member",
+        "With a scenario of several vehicles: member N alone, with its seed, namespace and system id.",
+        metavar="N", span=(1, None),
+    ),
+]  # fmt: skip
+Member = Annotated[
+    str | None, Option("--member", "Take the flight of this member of a fleet, e.g. cf2.", metavar="NAME")
+]
+AsJson = Annotated[bool, json()]
+Workers = Annotated[
+    int | None,
+    Option("--workers", "Worker processes; default: one for each processor.", span=(1, 1024)),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulated:
+    """What is simulated."""
+
+    scenario: Annotated[
+        str | Path,
+        Option("--scenario", "Scenario: a name (see `scenarios`) or a file.", metavar="NAME_OR_FILE"),
+    ]
+    seed: Annotated[
+        int, Option("--seed", "Random seed or a file with one.", metavar="NUMBER_OR_FILE", read=seed)
+    ] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Zenoh:
+    """Where a process is plugged into Zenoh."""
+
+    connect: Connect = ()
+    listen: Annotated[
+        tuple[str, ...],
+        Option(
+            "--listen", "Zenoh endpoint to listen on; default: a free port of loopback.", metavar="ENDPOINT"
+        ),
+    ] = ()
+    zenoh_config: ZenohConfig = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signing:
+    """Who may speak MAVLink."""
+
+    signing_key: SigningKey = None
+    allow_unsigned: AllowUnsigned = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ros2:
+    """Where a flight is shown to ROS 2."""
+
+    ros2_where: Annotated[
+        str | None,
+        Option(
+            "--ros2",
+            "Show the flight to ROS 2: endpoint of its router, as tcp/127.0.0.1:7447, or a Zenoh "
+            "configuration.",
+            metavar="ENDPOINT|FILE",
+        ),
+    ] = None
+    ros_domain: RosDomain = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What remains of a flight."""
+
+    out: Annotated[
+        Path | None,
+        Option("--out", "Folder for log and report; default: a new folder in runs/.", path="folder"),
+    ] = None
+    as_json: Annotated[bool, json("Print one JSON object as the last line.")] = False
+    with_report: Annotated[bool, Option("--report/--no-report", "Write the HTML report.")] = True

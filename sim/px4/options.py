@@ -1,0 +1,54 @@
+"""Options of the simulator for PX4's software in the loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from flightstack.common.options import Option
+from flightstack.config import options as shared
+
+
+@dataclass(frozen=True, kw_only=True)
+class Px4SimOptions(shared.Zenoh, shared.Simulated):
+    """How PX4 is served. Without Zenoh the deck stands where the scenario puts it."""
+
+    tcp: Annotated[
+        str,
+        Option("--tcp", "Where PX4 connects to; port 0 takes a free one.", metavar="HOST:PORT"),
+    ] = "127.0.0.1:4560"
+    speed: Annotated[
+        float,
+        Option("--speed", "Simulated against real time; 0: as fast as PX4 answers.", span=(0.0, 100.0)),
+    ] = 1.0
+    clock: Annotated[
+        Path | None,
+        Option(
+            "--clock",
+            "Write the simulated time there, for `target --clock` and `onboard --clock`, and wait for both.",
+            metavar="FILE", path="file",
+        ),
+    ] = None  # fmt: skip
+    silent_max_s: Annotated[
+        float, shared.seconds("--silent-max", "End when PX4 has not answered for S seconds.", 1.0)
+    ] = 10.0
+    once: Annotated[
+        bool,
+        Option("--once", "End when the first PX4 disconnects, instead of waiting for the next."),
+    ] = False
+    form: Annotated[
+        str | None,
+        Option(
+            "--parameters",
+            "Print PX4's parameters for the vehicle and end: shell lines, airframe file, or for PX4's "
+            "console.",
+            choices=("env", "airframe", "console"),
+        ),
+    ] = None
+    mocap: shared.Mocap = False
+    duration_s: shared.Duration = None
+    namespace: shared.Namespace = "cf1"
+    member: shared.OneMember = None
+    recorder: shared.Recorder = None
+    allow_unsigned: shared.AllowUnsigned = False
