@@ -18,7 +18,7 @@ from bridge.mavlink.endpoint import Endpoint, LinkCounters
 from bridge.mavlink.preflight.rules import Choice, Finding, Level, Release, choose, judge, release_of
 from bridge.mavlink.preflight.table import Asked, Needs
 from bridge.mavlink.preflight.table import table as table_of
-from bridge.mavlink.profiles.autopilots import OWN_SITL, found, is_recorded, marked, refusal
+from bridge.mavlink.profiles.autopilots import OWN_SITL, found, marked, refusal
 from bridge.mavlink.profiles.profile import Profile
 
 _HELLO_S = 0.2  # s between heartbeats until the vehicle is heard
@@ -129,7 +129,6 @@ class _Talk:
         self._version_s = -math.inf
         self._version_tries = 0
         self._version_over = False
-        self._recorded = False
         self._foreign = LinkCounters()
         self._arrivals = Arrivals()
         self._why = ""  # nothing is heard, as of the last look that found anything
@@ -197,7 +196,7 @@ class _Talk:
     def _choose(self, profile: Profile) -> None:
         """Choose the rules; a vehicle of this project's own needs no release for that."""
         table = table_of(profile.name)
-        if table is None or self._recorded:
+        if table is None:
             return
         if profile is OWN_SITL:
             self.choice = Choice(table.releases[-1], None, None)
@@ -221,7 +220,6 @@ class _Talk:
                 self.profile = self._chosen or found(message.autopilot)
         elif kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION and not self._version_over:
             self._release, self._version_over = release_of(message), True
-            self._recorded = is_recorded(message)
             own = marked(message)
             if own is not None and self.profile is not None and own.autopilot == self.profile.autopilot:
                 self.profile = own

@@ -314,23 +314,9 @@ def named(enum: str, number: int) -> str:
 # flight_custom_version, where others have eight digits of their revision
 SITL_MARK = b"cfstack\x00"
 CRAZYFLIE_MARK = b"cfbridge"
-RECORDED_MARK = b"recorded"
 _MARKED: Mapping[bytes, Profile] = {SITL_MARK: OWN_SITL, CRAZYFLIE_MARK: CRAZYFLIE}
 
 
 def marked(message: Message) -> Profile | None:
     """Profile of one of this project's own vehicles by its AUTOPILOT_VERSION, None if it is another's."""
     return _MARKED.get(bytes(message.flight_custom_version))
-
-
-def is_recorded(message: Message) -> bool:
-    """Whether it is a log that is played: it obeys nothing, so nothing can be unsafe."""
-    return bytes(message.flight_custom_version) == RECORDED_MARK
-
-
-def recorded_version() -> Message:
-    """AUTOPILOT_VERSION of a log that is played."""
-    zeros = [0] * 8
-    return dialect.MAVLink_autopilot_version_message(
-        0, 0, 0, 0, 0, list(RECORDED_MARK), zeros, zeros, 0, 0, 0
-    )

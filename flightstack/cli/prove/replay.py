@@ -1,4 +1,4 @@
-"""The verb ``replay``: compares today's decisions with a log, tries other settings, or plays a log."""
+"""The verb ``replay``: compares today's decisions with a log, or tries other settings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import click
 
 from flightstack.cli.options import takes
 from flightstack.common.options import Argument, Option
-from flightstack.common.options import shared as copied
 from flightstack.common.text import plain
 from flightstack.config import options as shared
 
@@ -26,8 +25,8 @@ _WORST_FIRST = ("unusable", "different", "equal")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReplayOptions(shared.Signing):
-    """Options of ``replay``; those of ``--live`` have the names of ``LiveOptions``."""
+class ReplayOptions:
+    """Options of ``replay``."""
 
     log: Annotated[Path, Argument(path="file", exists=True)]
     check: Annotated[bool, Option("--check", "Compare bit by bit; this is also the default.")] = False
@@ -41,45 +40,6 @@ class ReplayOptions(shared.Signing):
     ] = ()
     member: shared.Member = None
     as_json: shared.AsJson = False
-    live: Annotated[bool, Option("--live", "Send the recorded messages of target and vehicle again.")] = False
-    vehicle_url: Annotated[
-        str | None,
-        Option(
-            "--vehicle-url",
-            "MAVLink URL of the played vehicle: udpin:HOST:PORT, udpout:HOST:PORT.",
-            metavar="URL",
-        ),
-    ] = None
-    target_key: Annotated[
-        str | None,
-        Option(
-            "--target-key", "Zenoh key of the target's odometry; default: the recorded key.", metavar="KEY"
-        ),
-    ] = None
-    connect: shared.Connect = ()
-    listen: Annotated[
-        tuple[str, ...], Option("--listen", "Zenoh endpoint to listen on; repeatable.", metavar="ENDPOINT")
-    ] = ()
-    view: Annotated[bool, Option("--view", "Also publish the recorded decisions, for viewers.")] = False
-    rate: Annotated[
-        float,
-        Option(
-            "--rate",
-            "Seconds of the log played in a second; below 1 the stack refuses the target's samples as late.",
-            span=(0.01, 100.0),
-        ),
-    ] = 1.0
-    start_s: Annotated[
-        float, Option("--start", "Begin this time after the start of the log.", metavar="S", span=(0.0, None))
-    ] = 0.0
-    loop: Annotated[bool, Option("--loop", "Begin again at the end, until Ctrl-C or --duration.")] = False
-    pause: Annotated[
-        bool, Option("--pause", "Begin paused. Keys: space or Enter continue, s plays one tick.")
-    ] = False
-    wait_s: Annotated[
-        float, Option("--wait", "Longest wait for a receiver; 0: do not wait.", metavar="S", span=(0.0, None))
-    ] = 10.0
-    duration_s: shared.Duration = None
 
 
 @click.command()
@@ -91,11 +51,6 @@ def replay(options: ReplayOptions) -> None:
 
     Exit status: 0 equal (or shown, with --set alone), 1 different, 2 the log proves nothing.
     """
-    if options.live:
-        if options.check or options.settings or options.as_json:
-            raise click.UsageError("--live plays a log; it cannot be combined with --check, --set and --json")
-        _live(options)
-        return
     from logs.replay.replay import ReplayError
 
     try:
@@ -174,13 +129,6 @@ def _fleet(options: ReplayOptions, members: Sequence[str]) -> int:
 
 def _unusable(log: Path, error: ValueError) -> dict[str, Any]:
     return {"result": "unusable", "path": str(log), "reason": str(error)}
-
-
-def _live(options: ReplayOptions) -> None:
-    from logs.replay.live import LiveOptions, play
-
-    ticks = play(options.log, copied(options, LiveOptions), say=click.echo)
-    click.echo(f"played {ticks} ticks")
 
 
 def _object(result: Result, settings: Sequence[str]) -> dict[str, Any]:

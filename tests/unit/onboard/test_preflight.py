@@ -9,7 +9,7 @@ from bridge.mavlink.preflight import talk as module
 from bridge.mavlink.preflight.rules import Level, judge
 from bridge.mavlink.preflight.table import Needs, table
 from bridge.mavlink.preflight.talk import examine
-from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4, recorded_version
+from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.preflight import check, lines, needs_of, record, verdict
@@ -186,16 +186,6 @@ def test_the_accelerations_are_those_of_the_filter():
     config = scenario.load("lab").onboard
     assert robust.acceleration_max_m_s2 == config.robust.acceleration_max_m_s2
     assert paper.acceleration_max_m_s2 == config.limits.slew_max_m_s2
-
-
-def test_a_log_that_is_played_has_no_parameters_and_obeys_nothing():
-    vehicle = Vehicle()
-    vehicle.autopilot.handle = lambda message, sender, now_s: (
-        [recorded_version()] if message.get_type() == "COMMAND_LONG" else []
-    )
-    report = talk(vehicle)
-    assert (report.profile, report.findings, report.safe) == (PX4, (), True)
-    assert not any(m.get_type() == "PARAM_REQUEST_READ" for m in vehicle.asked)
 
 
 def test_parameters_that_do_not_come_make_it_unsafe():

@@ -102,10 +102,7 @@ def test_another_setting_is_tried_for_each_member(fleet, capsys):
     assert code == 1
 
 
-def test_a_fleet_is_not_played_without_a_name(fleet, capsys):
-    code, _, err = run(capsys, "replay", fleet.log, "--live", "--listen", "tcp/127.0.0.1:0")
-    assert code == 2
-    assert "say whose flight" in err
+def test_an_unknown_member_is_refused_by_name(fleet, capsys):
     code, _, err = run(capsys, "replay", fleet.log, "--member", "cf9")
     assert code == 2
     assert "no member 'cf9'" in err
