@@ -71,7 +71,7 @@ GROUPS = {
         "report": Verb("logs.record:report", "Write the report of a log."),
         "compare": Verb("logs.log:diff", "Compare two logs message by message."),
         "view": Verb("logs.view:view", "Show a log in 3-D."),
-        "log": Verb("logs.log:log", "Inspect, judge, cut, repair, export logs."),
+        "log": Verb("logs.log:log", "Inspect, judge, repair, export logs."),
         "record": Verb(
             "logs.record:record",
             "Run the recorder alone.",

@@ -22,7 +22,7 @@ from logs.schema.codec_mavlink import MAVLINK_PEERS
 from logs.schema.names import LOSSES, split
 from logs.schema.rows import LogRow
 from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING
-from logs.tools.edit import LOG_TOOL
+from logs.tools.recover import LOG_TOOL
 
 WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING, DIAGNOSTIC_ARRAY})
 WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # names on /rosout

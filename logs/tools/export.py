@@ -1,12 +1,9 @@
-"""Logs for other programs: a topic as CSV or Parquet (extra ``export``), the MAVLink frames as tlog.
+"""Logs for other programs: a topic as CSV or Parquet (extra ``export``).
 
 A table has one column a number, named as in the message definition: ``own_position_enu_m.x`` is a nested
 field, ``rotor_rpm[2]`` an element of an array of fixed length. A list whose length varies stays one column of
 JSON text, so that the columns never depend on the data. The columns come from the definitions inside the log,
 so logs of other programs and of older versions are read as they were written.
-
-A tlog holds each raw frame behind its time, eight bytes, big-endian, microseconds since 1970. MAVProxy keeps
-the number of the link in the two low bits of the time, 3 for frames it sent itself (mavproxy_link.py).
 """
 
 from __future__ import annotations
@@ -27,8 +24,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from logs.reader.reader import LogFile
-from logs.schema.codec_mavlink import FrameError, unpack_mavlink
-from logs.schema.schemas import MAVLINK
 from logs.tools.file import new_file
 
 JSON_TEXT = "json"  # kind of a column that holds a list
@@ -36,8 +31,6 @@ HEAD = (("log_time_ns", "uint64"), ("publish_time_ns", "uint64"), ("sequence", "
 ROWS_AT_ONCE = 10_000  # of Parquet: bounded memory for flights of any length
 _NOT_ARROW = {JSON_TEXT: "string", "float32": "float32", "float64": "float64", "bool": "bool_",
               "byte": "uint8", "char": "uint8", "octet": "uint8", "wstring": "string"}  # fmt: skip
-RECEIVED, SENT = 0, 3  # low bits of the time
-SENT_SUFFIX = "_sink"  # MAVROS: mavlink_sink is what goes to the vehicle
 
 _Description = Any  # rosbags: (Nodetype, arguments)
 
@@ -188,26 +181,3 @@ def _pyarrow() -> tuple[ModuleType, ModuleType]:
             "or take --format csv"
         ) from error
     return pyarrow, pyarrow.parquet
-
-
-def export_tlog(log: LogFile, out: Path, *, topic: str | None = None, force: bool = False) -> int:
-    """Write the recorded frames of both directions, or of one topic; return their number."""
-    frames = 0
-    with new_file(out, force=force) as part:
-        with part.open("wb") as stream:
-            for message in log.messages(None if topic is None else [topic]):
-                if message.schema != MAVLINK:
-                    continue
-                try:
-                    _, frame = unpack_mavlink(message.data)
-                except FrameError as error:
-                    log.refuse(message, error)
-                    continue
-                direction = SENT if message.topic.endswith(SENT_SUFFIX) else RECEIVED
-                time_us = message.log_time_ns // 1000 & ~3 | direction
-                stream.write(time_us.to_bytes(8, "big") + frame)
-                frames += 1
-        if not frames:
-            where = f"topic {topic}" if topic else "it"
-            raise ValueError(f"{log.path}: {where} holds no MAVLink frame ({MAVLINK}); see `log info`")
-    return frames

@@ -1,4 +1,4 @@
-"""The verbs ``log ...``: inspect, judge, compare, cut, repair and export flight logs."""
+"""The verbs ``log ...``: inspect, judge, compare, repair and export flight logs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flightstack.cli.options import Number
 from flightstack.common.text import plain
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ def _out(command: Callable[..., None]) -> Callable[..., None]:
 
 @click.group()
 def log() -> None:
-    """Inspect, judge, compare, cut, repair and export flight logs. Of a broken LOG is used what can be read.
+    """Inspect, judge, compare, repair and export flight logs. Of a broken LOG is used what can be read.
 
     Exit status: 0 done, 1 the LOG is broken (what can be read was used) or differs, 2 wrong input.
     """
@@ -116,91 +115,35 @@ def diff(log_a: Path, log_b: Path) -> None:
 @log.command()
 @_log
 @_member
-@click.option(
-    "--from", "begin_s", type=Number(0.0), default=0.0, metavar="S",
-    help="Begin this time after the first message.",
-)  # fmt: skip
-@click.option(
-    "--to", "end_s", type=Number(0.0), metavar="S",
-    help="End this time after the first message; default: the end of the log.",
-)  # fmt: skip
-@_out
-def cut(
-    log_file: Path, member: str | None, begin_s: float, end_s: float | None, out: Path, force: bool
-) -> None:
-    """Write a time span of a LOG; slow and latched topics are repeated at its start."""
-    from logs.tools import edit as tools_edit
-
-    edited = tools_edit.cut(_open(log_file, member), begin_s, end_s, out, force=force)
-    again = f", {edited.repeated} of them from before the start"
-    _end(out, f"{edited.messages} messages{again}", edited.problem)
-
-
-@log.command("filter")
-@_log
-@_member
-@click.option(
-    "--topic", "patterns", multiple=True, required=True, metavar="PATTERN",
-    help="Topics to keep, e.g. '/cf1/*'; repeatable.",
-)  # fmt: skip
-@_out
-def filter_(log_file: Path, member: str | None, patterns: tuple[str, ...], out: Path, force: bool) -> None:
-    """Write selected topics of a LOG; metadata and attachments are kept."""
-    from logs.tools import edit as tools_edit
-
-    edited = tools_edit.select(_open(log_file, member), patterns, out, force=force)
-    _end(out, f"{edited.messages} messages", edited.problem)
-
-
-@log.command()
-@_log
-@_member
 @_out
 def recover(log_file: Path, member: str | None, out: Path, force: bool) -> None:
     """Repair a broken LOG: write all messages that can be read, and a new index."""
-    from logs.tools import edit as tools_edit
+    from logs.tools.recover import recover as recovered
 
-    edited = tools_edit.recover(_open(log_file, member), out, force=force)
-    click.echo(plain(f"{out}: {edited.messages} messages; {edited.problem or 'the log was whole'}"))
+    new = recovered(_open(log_file, member), out, force=force)
+    click.echo(plain(f"{out}: {new.messages} messages; {new.problem or 'the log was whole'}"))
 
 
 @log.command()
 @_log
 @_member
-@click.option("--topic", metavar="TOPIC", help="Topic to export; tlog: default both directions.")
-@click.option(
-    "--format", "kind", type=click.Choice(["csv", "parquet", "tlog"]), required=True,
-    help="csv and parquet: one topic as a table; tlog: MAVLink frames for ground stations.",
-)  # fmt: skip
+@click.option("--topic", metavar="TOPIC", required=True, help="Topic to export; `log info` lists them.")
+@click.option("--format", "kind", type=click.Choice(["csv", "parquet"]), required=True)
 @_out
-def export(log_file: Path, member: str | None, topic: str | None, kind: str, out: Path, force: bool) -> None:
-    """Write one topic of a LOG as a file for other programs."""
-    from logs.tools import export as tools_export
-    from logs.tools.export import export_tlog
+def export(log_file: Path, member: str | None, topic: str, kind: str, out: Path, force: bool) -> None:
+    """Write one topic of a LOG as a table for other programs."""
+    from logs.tools.export import export_csv, export_parquet
 
     opened = _open(log_file, member)
-    if kind == "tlog":
-        text = f"{export_tlog(opened, out, topic=topic, force=force)} frames"
-    else:
-        if topic is None:
-            raise click.UsageError(f"--format {kind} needs --topic; `flightstack log info` lists them")
-        write: dict[str, Callable[..., int]] = {
-            "csv": tools_export.export_csv,
-            "parquet": tools_export.export_parquet,
-        }
-        text = f"{write[kind](opened, topic, out, force=force)} rows"
-    _end(out, text, opened.why_broken)
+    write = export_csv if kind == "csv" else export_parquet
+    rows = write(opened, topic, out, force=force)
+    click.echo(plain(f"{out}: {rows} rows"))
+    if problem := opened.why_broken:
+        click.echo(plain(f"flightstack: the log is broken; what can be read was used: {problem}"), err=True)
+    sys.exit(BROKEN if problem else DONE)
 
 
 def _open(path: Path, member: str | None) -> LogFile:
     from logs.reader.reader import LogFile
 
     return LogFile(path, member)
-
-
-def _end(out: Path, text: str, problem: str) -> Any:
-    """Print what was written, and whether the log was broken."""
-    click.echo(plain(f"{out}: {text}"))
-    if problem:
-        click.echo(plain(f"flightstack: the log is broken; what can be read was used: {problem}"), err=True)
-    sys.exit(BROKEN if problem else DONE)

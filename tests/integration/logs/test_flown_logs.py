@@ -1,6 +1,7 @@
 """Flights recorded over the real wires: replayed bit by bit, played back, judged by estimate and truth."""
 
 import json
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,6 +10,7 @@ from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from logs.replay.replay import replay
 from logs.verdict.verdict import judge
+from tests.golden.flights import write_kept
 from tests.integration.runs import Flying, flightstack, kill, replayed
 
 DEADLINE_S = 90.0
@@ -48,7 +50,13 @@ def test_json_of_a_log_that_proves_nothing(tmp_path):
 ERROR_M, SPEED_M_S = 0.015, 0.05  # what the verdict of a real flight may be off by
 # The target of these is measured to 1 cm or better: the limits are those of the method, not of the estimates.
 FLIGHTS = [("paper_moving_1", 0), ("large", 0), ("large", 1), ("grid", 0), ("lab", 0), ("stop_and_go", 0)]
-ONBOARD_ONLY = ("--topic", "/cf1/controller/*", "--topic", "/cf1/loop/*", "--topic", "/rosout")
+
+
+def onboard_only(log, out, to_s=None):
+    """What a real flight leaves: the onboard process's own topics, up to a time after the first message."""
+    begin_ns = next(LogFile(log).messages()).log_time_ns
+    until_ns = math.inf if to_s is None else begin_ns + to_s * 1e9
+    return write_kept(log, out, wire=False, when=lambda m: m.log_time_ns <= until_ns)
 
 
 @pytest.mark.parametrize(("scenario", "seed"), FLIGHTS)
@@ -72,7 +80,7 @@ def test_log_verdict_has_the_keys_of_sitl_and_says_what_it_judged_from(flown, tm
         k: v for k, v in flight.json.items() if k not in apart
     }
     real = tmp_path / "real.mcap"
-    assert flightstack("log", "filter", flight.log, *ONBOARD_ONLY, "--out", real).code == 0
+    onboard_only(flight.log, real)
     told = flightstack("log", "verdict", real, "--json")
     assert (told.code, told.json["judged_from"], told.json["outcome"]) == (0, "estimate", "landed")
     assert "judged from the vehicle's own estimate" in flightstack("log", "verdict", real).out
@@ -80,13 +88,9 @@ def test_log_verdict_has_the_keys_of_sitl_and_says_what_it_judged_from(flown, tm
 
 @pytest.mark.parametrize("to_s", [1, 5, 8.9, 10.0])
 def test_a_flight_that_is_cut_never_landed(flown, tmp_path, to_s):
-    cut = tmp_path / "cut.mcap"
-    log = flown("large", 0).log
-    for source, words in ((log, ("cut", log, "--to", to_s)), (cut, ("filter", cut, *ONBOARD_ONLY))):
-        out = cut if source == log else tmp_path / "real.mcap"
-        assert flightstack("log", *words, "--out", out).code == 0
-        told = flightstack("log", "verdict", out, "--json")
-        assert (told.code, told.json["outcome"]) == (1, "timeout"), told.out
+    log = onboard_only(flown("large", 0).log, tmp_path / "real.mcap", to_s)
+    told = flightstack("log", "verdict", log, "--json")
+    assert (told.code, told.json["outcome"]) == (1, "timeout"), told.out
 
 
 def test_what_cannot_be_read_has_exit_status_2(tmp_path):

@@ -5,10 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import math
-import subprocess
 import sys
 from functools import reduce
-from pathlib import Path
 
 import pyarrow.parquet
 import pytest
@@ -16,8 +14,6 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
-from pymavlink import mavutil
-from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.cli.main import main
 from logs.reader.reader import LogError
@@ -30,7 +26,7 @@ from logs.schema.events import pack_log
 from logs.schema.names import LOSSES
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.tools.compare import ABSENT, compare
-from tests.unit.logs.helpers import EPOCH_NS, record
+from tests.unit.logs.helpers import record
 
 ZERO = (0.0, 0.0, 0.0)
 STEP_TOPIC = "/cf1/controller/step"
@@ -283,7 +279,6 @@ def test_wrong_input(whole, tmp_path):
     for arguments, kind, word in (
         ([], "csv", "--topic"),
         (["--topic", "/nowhere"], "csv", "/cf1/loop/timing"),
-        (["--topic", "/rosout"], "tlog", "no MAVLink frame"),
     ):
         result = export(whole, tmp_path / "x", *arguments, kind=kind)
         assert result.exit_code == 2
@@ -315,60 +310,3 @@ def test_a_type_of_somebody_else_is_read_by_the_definition_in_the_log(tmp_path):
     assert (tmp_path / "a.csv").read_text() == (
         "log_time_ns,publish_time_ns,sequence,pair[0],pair[1],inner.value\n5,6,7,0.5,-0.25,-3\n"
     )
-
-
-@pytest.fixture(scope="module")
-def frames(tmp_path_factory):
-    """A log of both directions, and what went into it."""
-    path = tmp_path_factory.mktemp("frames") / "frames.mcap"
-    ours, theirs = mav.MAVLink(None, 255, 190), mav.MAVLink(None, 1, 1)
-    file = McapFile(path)
-    sink = file.channel("/uas1/mavlink_sink", schemas.MAVLINK)
-    source = file.channel("/uas1/mavlink_source", schemas.MAVLINK)
-    written = []
-    for i in range(200):
-        now_ns = EPOCH_NS + i * 10_000_000
-        for link, channel, sender, message in (
-            (0, source, theirs, mav.MAVLink_attitude_message(i, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)),
-            (3, sink, ours, mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)),
-        ):
-            frame = message.pack(sender)
-            sender.seq = (sender.seq + 1) % 256
-            file.write(channel, now_ns, now_ns, i, pack_mavlink(now_ns, frame))
-            written.append((now_ns // 1000, link, frame))
-    file.close()
-    return path, written
-
-
-def test_tlog_opens_in_pymavlink(frames, tmp_path):
-    path, written = frames
-    out = tmp_path / "flight.tlog"
-    result = export(path, out, kind="tlog")
-    assert result.exit_code == 0
-    assert f"{len(written)} frames" in result.stdout
-    data = out.read_bytes()
-    assert int.from_bytes(data[:8], "big") & ~3 == EPOCH_NS // 1000
-    connection = mavutil.mavlink_connection(str(out), notimestamps=False)
-    read = []
-    while (message := connection.recv_match()) is not None:
-        time_us = round(message._timestamp * 1e6)
-        read.append((time_us & ~3, message._link, bytes(message.get_msgbuf())))
-    assert read == [(time_us & ~3, link, frame) for time_us, link, frame in written]
-
-
-def test_tlog_opens_in_mavlogdump(frames, tmp_path):
-    path, written = frames
-    export(path, tmp_path / "flight.tlog", kind="tlog")
-    tool = Path(sys.executable).parent / "mavlogdump.py"
-    done = subprocess.run(
-        [sys.executable, str(tool), "--format", "json", str(tmp_path / "flight.tlog")],
-        capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
-    kinds = [json.loads(line)["meta"]["type"] for line in done.stdout.splitlines() if line.startswith("{")]
-    assert kinds == ["ATTITUDE", "HEARTBEAT"] * (len(written) // 2)
-
-
-def test_tlog_of_one_direction(frames, tmp_path):
-    path, written = frames
-    export(path, tmp_path / "a.tlog", "--topic", "/uas1/mavlink_sink", kind="tlog")
-    assert (tmp_path / "a.tlog").stat().st_size == sum(8 + len(f) for _, link, f in written if link == 3)

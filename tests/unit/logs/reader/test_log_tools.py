@@ -1,4 +1,4 @@
-"""Info, cut, filter and recover: on whole logs, and on every broken one."""
+"""Info and recover: on whole logs, and on every broken one."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from flightstack.cli.main import main
-from logs.derive.derive import Deriver
 from logs.reader.reader import LogFile
 from logs.recorder.mcap_file import McapFile
 from logs.schema import schemas
-from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow
+from logs.schema.rows import LoopTimingRow
 from logs.tools.compare import compare
 from logs.tools.info import gather
-from tests.unit.logs.helpers import EPOCH_NS, payloads, record
+from tests.unit.logs.helpers import EPOCH_NS, record
 
 SECOND_NS = 1_000_000_000
 
@@ -198,93 +197,14 @@ def test_flipped_bytes_never_break_a_tool(whole, tmp_path):
     assert broken > 15
 
 
-def test_cut_shows_what_held_at_its_start(tool, whole, tmp_path):
-    out = tmp_path / "cut.mcap"
-    code, said, _ = tool("cut", whole, "--from", 1.5, "--to", 2.2, "--out", out)
-    assert code == 0
-    begin, end = EPOCH_NS + 3 * SECOND_NS // 2, EPOCH_NS + 11 * SECOND_NS // 5
-    inside = [row for row in rows(whole) if begin <= row[1] <= end]
-    _, messages, names = summary(out)
-    repeated = [m for m in rows(out) if m not in inside]
-    earlier = [row for row in rows(whole) if row[1] < begin]
-    few = {t for t in {r[0] for r in rows(whole)} if sum(r[0] == t for r in rows(whole)) <= 6}  # of 3 s
-    assert {"/rosout", "/tf_static"} <= few
-    assert {m[0] for m in repeated} == few & {r[0] for r in earlier}
-    assert {m[1] for m in repeated} == {begin}
-    (event,) = [m for m in repeated if m[0] == "/rosout"]
-    assert LogRow.unpack(event[3]).msg == "tick 100"  # the last one before the cut
-    assert rows(out)[: len(repeated)] == repeated  # at the start of the file
-    assert [m for m in rows(out) if m not in repeated] == inside
-    assert len(messages) == len(inside) + len(repeated)
-    assert f"{len(repeated)} of them from before the start" in said
-    assert names[0] == ["s.toml"]
-    assert LogFile(out).metadata()["log_tool"]["from_s"] == "1.5"
-    assert {t.topic for t in gather(LogFile(out)).topics} == {t.topic for t in gather(LogFile(whole)).topics}
-
-
-def test_every_publisher_of_static_transforms_is_kept_by_a_cut(tool, tmp_path):
-    path, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
-    file = McapFile(path)
-    static = file.channel("/tf_static", schemas.TF_MESSAGE)
-    fast = file.channel("/t", schemas.LOOP_TIMING)
-    step = ControllerStepRow.unpack(next(payloads(0, EPOCH_NS))[1])
-    one = {topic: data for topic, _, data in Deriver("/cf1/controller/step").step(0, step)}
-    other = one["/tf_static"].replace(b"map_ned", b"map_abc")
-    assert other != one["/tf_static"]
-    file.write(static, 0, 0, 0, one["/tf_static"])
-    file.write(static, 1, 1, 0, other)
-    for i in range(100):
-        file.write(fast, i * SECOND_NS // 100, 0, i, TIMING.pack())
-    file.close()
-    assert tool("cut", path, "--from", 0.5, "--out", out)[0] == 0
-    kept = [m.data for m in LogFile(out).messages(["/tf_static"])]
-    assert kept == [one["/tf_static"], other]
-
-
-def test_cut_outside_the_log_is_refused(tool, whole, tmp_path):
-    for arguments in (["--from", 10], ["--from", 2, "--to", 1]):
-        code, _, err = tool("cut", whole, *arguments, "--out", tmp_path / "x.mcap")
-        assert code == 2
-        assert "from 0 to 2.990 s" in err
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_cut_and_filter_of_a_broken_log_give_what_is_there(tool, broken, tmp_path):
-    last_s = gather(LogFile(broken)).duration_s
-    code, _, err = tool("cut", broken, "--from", last_s - 0.2, "--out", tmp_path / "cut.mcap")
-    assert code == 1
-    assert "nothing after byte" in err
-    assert LogFile(tmp_path / "cut.mcap").complete
-    code, _, _ = tool("filter", broken, "--topic", "/rosout", "--out", tmp_path / "f.mcap")
-    assert code == 1
-    assert rows(tmp_path / "f.mcap") == [r for r in rows(broken) if r[0] == "/rosout"]
-
-
-def test_filter_by_pattern(tool, whole, tmp_path):
-    out = tmp_path / "f.mcap"
-    code, _, _ = tool("filter", whole, "--topic", "/cf1/cmd/*", "--topic", "/rosout", "--out", out)
-    assert code == 0
-    found, messages, names = summary(out)
-    wanted = {t for t in {r[0] for r in rows(whole)} if t.startswith("/cf1/cmd/")} | {"/rosout"}
-    assert len(wanted) >= 3
-    assert {c.topic for c in found.channels.values()} == wanted
-    assert len(found.schemas) == 2
-    assert sorted(messages) == sorted(r for r in rows(whole) if r[0] in wanted)
-    assert "run" in names[1]
-    code, _, err = tool("filter", whole, "--topic", "/cf2/*", "--out", tmp_path / "g.mcap")
-    assert code == 2
-    assert "'/cf2/*'" in err
-    assert "/cf1/cmd/velocity_nominal" in err
-
-
 def test_files_that_exist_are_not_written_over_unless_forced(tool, whole, tmp_path):
     out = tmp_path / "mine.mcap"
     out.write_bytes(b"mine")
-    code, _, err = tool("filter", whole, "--topic", "/rosout", "--out", out)
+    code, _, err = tool("recover", whole, "--out", out)
     assert code == 2
     assert "--force" in err
     assert out.read_bytes() == b"mine"
-    assert tool("filter", whole, "--topic", "/rosout", "--out", out, "--force")[0] == 0
+    assert tool("recover", whole, "--out", out, "--force")[0] == 0
     assert LogFile(out).complete
     size = out.stat().st_size
     assert tool("recover", out, "--out", out, "--force")[0] == 0  # onto itself, through the temporary name

@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 
 from logs.reader.reader import LogError, LogFile, open_log
 from logs.schema import schemas
-from logs.tools.edit import cut, recover
+from logs.tools.recover import recover
 from tests.unit.logs.helpers import EPOCH_NS, record
 
 
@@ -91,20 +91,17 @@ RERUN = Path(sys.executable).parent / "rerun"
 PATIENCE_S = 120.0
 
 
-@pytest.fixture(scope="module", params=["recorded", "recovered", "cut"])
+@pytest.fixture(scope="module", params=["recorded", "recovered"])
 def log(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     whole = record(folder / "whole.mcap")
     if request.param == "recorded":
         return whole
     out = folder / f"{request.param}.mcap"
-    if request.param == "cut":
-        cut(LogFile(whole), 0.5, 2.0, out)
-    else:
-        killed = record(folder / "killed.mcap", close=False)
-        data = killed.read_bytes()
-        killed.write_bytes(data[:-100])
-        recover(LogFile(killed), out)
+    killed = record(folder / "killed.mcap", close=False)
+    data = killed.read_bytes()
+    killed.write_bytes(data[:-100])
+    recover(LogFile(killed), out)
     return out
 
 

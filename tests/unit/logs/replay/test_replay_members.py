@@ -9,7 +9,7 @@ from logs.reader.reader import LogFile
 from logs.recorder.mcap_file import McapFile
 from logs.replay.read import FlightInputs, ReplayError
 from logs.replay.replay import replay
-from logs.tools.edit import recover
+from logs.tools.recover import recover
 
 pytestmark = pytest.mark.xdist_group("fleet_log")
 MEMBERS = ("cf1", "cf2", "cf3")
